@@ -1,0 +1,90 @@
+"""Chebyshev tables of smooth functions on the unit square, evaluated by one matrix product."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def nodes(n: int) -> Array:
+    """The `n` Chebyshev points of the first kind on [0, 1], ascending, without the ends."""
+    return (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
+
+
+def basis(n: int, x: Array) -> Array:
+    """The first `n` Chebyshev polynomials of 2x − 1, shape (n, len(x)).
+
+    Built by doubling, T_{k+j} = 2 T_k T_j − T_{k−j}: few NumPy calls, so that a single point is
+    as cheap as the call overhead allows.
+    """
+    out = np.empty((n, x.size))
+    out[0] = 1.0
+    if n > 1:
+        np.subtract(2 * x, 1, out=out[1])
+    k = 1
+    while k < n - 1:
+        m = min(k, n - 1 - k)
+        np.multiply(out[k], out[1 : m + 1], out=out[k + 1 : k + m + 1])
+        out[k + 1 : k + m + 1] *= 2
+        out[k + 1 : k + m + 1] -= out[k - m : k][::-1]
+        k += m
+    return out
+
+
+def fit(values: Array) -> Array:
+    """Coefficients of the interpolant through `values` at `nodes`, along the first axis."""
+    n = len(values)
+    weights = basis(n, nodes(n)) * (2 / n)
+    weights[0] /= 2
+    return np.asarray(np.tensordot(weights, values, axes=1), dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Several functions of one variable: `coefficients` (n, k)."""
+
+    coefficients: Array
+
+    def __call__(self, x: Array) -> Array:
+        """Values (k, len(x))."""
+        return self.coefficients.T @ basis(len(self.coefficients), x)
+
+    @cached_property
+    def derivative(self) -> Curve:
+        """The curve of the derivatives with respect to x."""
+        return Curve(np.asarray(2 * chebyshev.chebder(self.coefficients), dtype=float))
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Several functions of two variables: `coefficients` (nx, ny, k)."""
+
+    coefficients: Array
+
+    @cached_property
+    def _rows(self) -> Array:
+        nx, ny, k = self.coefficients.shape
+        return np.ascontiguousarray(self.coefficients.transpose(2, 0, 1).reshape(k * nx, ny))
+
+    def __call__(self, x: Array, y: Array) -> Array:
+        """Values (k, len(x)) at the points (x, y)."""
+        nx, ny, k = self.coefficients.shape
+        along_y = (self._rows @ basis(ny, y)).reshape(k, nx, -1)
+        return np.einsum("kin,in->kn", along_y, basis(nx, x))
+
+    @cached_property
+    def gradient(self) -> Table:
+        """The table of all values, then all d/dx, then all d/dy."""
+        parts = [self.coefficients]
+        for axis in (0, 1):
+            derived = 2 * chebyshev.chebder(self.coefficients, axis=axis)
+            padding = [(0, 0)] * 3
+            padding[axis] = (0, 1)
+            parts.append(np.pad(derived, padding))
+        return Table(np.concatenate(parts, axis=2))

@@ -1,0 +1,166 @@
+"""Rung 0: the straight whisker at small angle, in closed form, and its exact inverses.
+
+With u the contact's distance over the apex distance A, a linear taper obeys, exactly as the angle
+goes to zero,
+
+    M = 3EI₀ θ_d (1/r − 1/A),   α = θ_d (3−2u)/(2(1−u)),   M²/(2EI₀Fx) = 3(1−u)²/(3−2u):
+
+equation (2.3) with the apex distance in the place of the paper's L, which covers perfect cones,
+truncated cones and cylinders (A infinite) alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..whisker import Whisker
+from .chebyshev import Array
+from .contact import Bending, Outcome, Rung, by_rows
+
+TIP_ROUNDING = 1e-12
+#: Largest relative error of any signal over the squared contact angle, for every taper and
+#: distance, as that angle goes to zero (the transverse force's); the tests hold it to rung 1.
+ERROR_PER_SQUARED_ANGLE = 0.65
+
+
+def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
+    """Bend a straight whisker by a given force at a given arc length, at small angle.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    arc_length, force : float or array
+        m, N.
+
+    Returns
+    -------
+    Bending
+        Outcome `HELD` wherever the contact is on the whisker: this rung knows no flick-past, and
+        its `error` says how far it can be trusted.
+    """
+    return by_rows(_bend, Rung.CLOSED_FORM, whisker, arc_length, force)
+
+
+def _bend(
+    length: Array, taper: Array, stiffness: Array, arc: Array, force: Array
+) -> tuple[Array, NDArray[np.int8], Array]:
+    u, lost = _place(length, taper, arc)
+    contact_angle = force * arc**2 * (3 - 2 * u) / (6 * stiffness * (1 - u) ** 2)
+    theta = contact_angle * 2 * (1 - u) / (3 - 2 * u)
+    return _result(arc, theta, contact_angle, force, lost)
+
+
+def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Bending:
+    """Press a straight whisker against a point, at small angle: equation (2.3).
+
+    Parameters
+    ----------
+    whisker : Whisker
+    radial_distance, deflection_angle : float or array
+        m, rad.
+
+    Returns
+    -------
+    Bending
+    """
+    return by_rows(_press, Rung.CLOSED_FORM, whisker, radial_distance, deflection_angle)
+
+
+def _press(
+    length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
+) -> tuple[Array, NDArray[np.int8], Array]:
+    u, lost = _place(length, taper, r)
+    contact_angle = theta * (3 - 2 * u) / (2 * (1 - u))
+    return _result(r, theta, contact_angle, 3 * stiffness * theta * (1 - u) / r**2, lost)
+
+
+def _place(length: Array, taper: Array, r: Array) -> tuple[Array, NDArray[np.bool_]]:
+    u = r / length * taper
+    lost = (r > length * (1 + TIP_ROUNDING)) | (u >= 1)
+    return np.where(lost, 0.0, u), lost
+
+
+def _result(
+    r: Array, theta: Array, contact_angle: Array, force: Array, lost: NDArray[np.bool_]
+) -> tuple[Array, NDArray[np.int8], Array]:
+    numbers = np.stack([force * r, force * contact_angle, force, r, theta, contact_angle, r, force])
+    numbers[:, lost] = np.nan
+    outcome = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
+    square = contact_angle**2
+    error = np.minimum(ERROR_PER_SQUARED_ANGLE * square * (1 + square) ** 2, 1.0)
+    return numbers, outcome, np.where(lost, np.nan, error)
+
+
+def moment(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Array:
+    """M = 3EI₀ θ_d (1/r − 1/A), N m: equation (2.3)."""
+    inverse_apex = np.divide(whisker.taper, whisker.length)
+    return (
+        whisker.compliance_constant
+        * np.asarray(deflection_angle)
+        * (1 / np.asarray(radial_distance) - inverse_apex)
+    )
+
+
+def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: ArrayLike) -> Array:
+    """Radial distance from moment and deflection angle (or from their rates): equation (2.1).
+
+    Parameters
+    ----------
+    whisker : Whisker
+    moment, deflection_angle : float or array
+        N m and rad, or Ṁ and θ̇ in N m/s and rad/s.
+
+    Returns
+    -------
+    array
+        r = Cθ A/(Cθ + M A), m; beyond the tip where the moment is too small for the whisker.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> float(distance_from_moment(w, moment(w, 0.03, 0.1), 0.1).round(12))
+    0.03
+    """
+    push = whisker.compliance_constant * np.asarray(deflection_angle, dtype=float)
+    inverse_apex = np.divide(whisker.taper, whisker.length)
+    return push / (push * inverse_apex + np.asarray(moment, dtype=float))
+
+
+def contact_from_signals(
+    whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike
+) -> tuple[Array, Array]:
+    """Radial distance and deflection angle from moment and axial force, at small angle.
+
+    The inverse of M²/(2EI₀Fx) = 3(1−u)²/(3−2u): §2f in closed form.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    moment, axial_force : float or array
+        N m, N (> 0, compression).
+
+    Returns
+    -------
+    radial_distance, deflection_angle : array
+        m, rad. NaN where no contact on this whisker gives such signals, as for every reading on
+        a cylinder, whose map is a single curve.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> b = press(w, 0.03, 0.05)
+    >>> r, theta = contact_from_signals(w, b.moment, b.axial_force)
+    >>> round(float(r), 12), round(float(theta), 12)
+    (0.03, 0.05)
+    """
+    m, fx = np.asarray(moment, dtype=float), np.asarray(axial_force, dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        g = m**2 / (2 * whisker.stiffness * fx)
+        # With w = 1−u: 3w² − 2gw − g = 0, its positive root.
+        w = (g + np.sqrt(g * g + 3 * g)) / 3
+        inverse_apex = np.divide(whisker.taper, whisker.length)
+        r = (1 - w) / inverse_apex
+        theta = m / (whisker.compliance_constant * (1 / r - inverse_apex))
+    good = (g > 0) & (w < 1) & (r <= whisker.length) & np.isfinite(theta)
+    return np.where(good, r, np.nan), np.where(good, theta, np.nan)

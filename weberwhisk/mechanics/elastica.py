@@ -1,0 +1,361 @@
+"""Rung 1: the planar elastica of every straight taper and cylinder, from one dimensionless map.
+
+A straight whisker touched without friction carries a force normal to it at the contact, where
+the moment is zero, so the beam can be followed from the contact to the base without shooting. For
+a linear taper the shape, scaled by the arc length s of the contact, depends on two numbers only:
+u = s/A (A the apex distance) and the load, given as the contact angle that the small-angle theory
+would predict, ℓ = F s²(3−2u) / (6EI₀(1−u)²). Cylinders are the edge u = 0, the perfect cone
+touched at its tip the edge u = 1, and the whole map is analytic in between.
+
+The map is held as two faces, each a Chebyshev table of logarithms of ratios to the closed form:
+
+- *force given*: (u, (ℓ/ℓ_cap)²) → contact angle, height, shortening;
+- *contact given*: (v = r/A, c = √(1 − (θ_d/θ_fold)²)) → force, contact angle, arc length. The
+  square root unfolds the fold at which an object at r flicks past: no root has to be found.
+
+`build_map` computes both; they are shipped as ``elastica_map.npz``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..whisker import Whisker
+from .chebyshev import Array, Curve, Table
+from .contact import ROWS, Bending, Outcome, Rung, by_rows
+
+#: Relative accuracy of the tables, held by the tests against an independent integrator.
+MAP_ERROR = 1e-12
+#: A contact this close beyond the tip (relative) is rounding, not a contact beyond the tip.
+TIP_ROUNDING = 1e-12
+
+
+def load_cap(u: Array) -> Array:
+    """Largest load ℓ on the map: past the fold and past a contact angle of 90° for every u."""
+    return 5.3 - 2.6 * u
+
+
+def unfold(v: Array) -> Array:
+    """The coordinate x of v = x(1+x)/2, in which everything about the fold at r = vA is smooth."""
+    return (np.sqrt(1 + 8 * v) - 1) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    force_given: Table  # (u, (ℓ/ℓ_cap)²) → ln α/ℓ, ln height ratio, ln shortening ratio
+    contact_given: Table  # (x(v), c) → ln F/F_lin, ln α/α_lin, ln of the extra arc length
+    fold_load: Curve  # u → ℓ/ℓ_cap at the fold
+    fold: Curve  # x(v) → θ_fold/(1−v), and c at the moment peak
+
+    def fold_angle(self, v: Array) -> Array:
+        """θ_fold at r = vA."""
+        return (1 - v) * self.fold(unfold(v))[0]
+
+
+@cache
+def _map() -> _Map:
+    with resources.files(__package__).joinpath("elastica_map.npz").open("rb") as file:
+        stored = np.load(file)
+        return _Map(
+            Table(stored["force_given"]),
+            Table(stored["contact_given"]),
+            Curve(stored["fold_load"]),
+            Curve(stored["fold"]),
+        )
+
+
+def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
+    """Bend a straight whisker by a given normal force at a given arc length.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    arc_length : float or array
+        Arc length from base to contact, m.
+    force : float or array
+        Contact force normal to the whisker, N; its sign is that of the deflection.
+
+    Returns
+    -------
+    Bending
+        Outcome `HELD`, or `PAST_FOLD` where this is an equilibrium at the given force that an
+        object fixed in space could no longer hold. `FLICKED_PAST` marks loads beyond the map.
+
+    Notes
+    -----
+    Relative error about 1e-12, for every taper from the cylinder to the perfect cone.
+    """
+    return by_rows(_bend, Rung.ELASTICA, whisker, arc_length, force)
+
+
+def _bend(
+    length: Array, taper: Array, stiffness: Array, arc: Array, force: Array
+) -> tuple[Array, NDArray[np.int8], Array]:
+    table = _map()
+    u = arc / length * taper
+    beyond = _beyond_tip(arc, length, u)
+    u = np.where(beyond, 0.0, u)
+    load = np.abs(force) * arc**2 * (3 - 2 * u) / (6 * stiffness * (1 - u) ** 2)
+    ratio = load / load_cap(u)
+    outcome = np.where(ratio > table.fold_load(u)[0], Outcome.PAST_FOLD, Outcome.HELD)
+    outcome = np.where(ratio > 1, Outcome.FLICKED_PAST, outcome)
+    outcome = np.where(beyond, Outcome.OUT_OF_REACH, outcome).astype(np.int8)
+    lost = outcome > Outcome.PAST_FOLD
+    ratio = np.where(lost, 0.0, ratio)
+    load = np.where(lost, np.nan, load)
+
+    log_angle, log_height, log_shortening = table.force_given(u, ratio**2)
+    sign = np.sign(force)
+    contact_angle = load * np.exp(log_angle)
+    y = arc * (1 - u) * 2 * load / (3 - 2 * u) * np.exp(log_height)
+    x = arc * (1 - (1 - u) * load**2 * np.exp(log_shortening))
+    numbers = _numbers(x, y, contact_angle, arc, np.where(lost, np.nan, np.abs(force)), sign)
+    return numbers, outcome, np.where(lost, np.nan, MAP_ERROR)
+
+
+def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Bending:
+    """Press a straight whisker against a point at a given distance and deflection angle.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    radial_distance : float or array
+        Straight-line distance from base to contact, m.
+    deflection_angle : float or array
+        Angle between base tangent and the line to the contact, rad.
+
+    Returns
+    -------
+    Bending
+        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`.
+
+    Notes
+    -----
+    Relative error about 1e-12. Within a fraction ε of the fold angle the signals themselves go as
+    √ε, so that the last digits of the angle cost twice as many of the signals; `Bending.error`
+    carries this.
+    """
+    return by_rows(_press, Rung.ELASTICA, whisker, radial_distance, deflection_angle)
+
+
+def _press(
+    length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
+) -> tuple[Array, NDArray[np.int8], Array]:
+    table = _map()
+    v = r / length * taper
+    beyond = _beyond_tip(r, length, v)
+    v = np.where(beyond, 0.0, v)
+    fold_angle = table.fold_angle(v)
+    tangent = np.abs(theta) / fold_angle
+    past = tangent > 1
+    c = np.sqrt(np.where(past, 0.0, (1 - tangent) * (1 + tangent)))
+    force, contact_angle, arc = _contact(
+        table.contact_given, v, c, stiffness, r, np.where(past, fold_angle, np.abs(theta))
+    )
+    outcome = np.where(past, Outcome.FLICKED_PAST, Outcome.HELD)
+    outcome = np.where(arc > length * (1 + TIP_ROUNDING), Outcome.SLIPPED_OFF_TIP, outcome)
+    outcome = np.where(beyond, Outcome.OUT_OF_REACH, outcome).astype(np.int8)
+    lost = outcome != Outcome.HELD
+    force = np.where(lost, np.nan, force)
+    numbers = _numbers(
+        r * np.cos(theta), r * np.sin(np.abs(theta)), contact_angle, arc, force, np.sign(theta)
+    )
+    numbers[3], numbers[4] = r, theta  # as given, not as recomputed
+    numbers[5:7, lost] = np.nan
+    with np.errstate(divide="ignore"):
+        error = MAP_ERROR + 1e-15 / c**2
+    return numbers, outcome, np.where(lost, np.nan, np.minimum(error, 1.0))
+
+
+def _contact(
+    table: Table, v: Array, c: Array, stiffness: Array, r: Array, theta: Array
+) -> tuple[Array, Array, Array]:
+    """Force, contact angle and arc length of an object at r = vA, deflection angle θ ≥ 0."""
+    log_force, log_angle, log_extra = table(unfold(v), c)
+    force = 3 * stiffness * theta * (1 - v) / r**2 * np.exp(log_force)
+    contact_angle = theta * (3 - 2 * v) / (2 * (1 - v)) * np.exp(log_angle)
+    arc = r * (1 + theta**2 / (1 - v) * np.exp(log_extra))
+    return force, contact_angle, arc
+
+
+def _numbers(
+    x: Array, y: Array, contact_angle: Array, arc: Array, force: Array, sign: Array
+) -> Array:
+    """The eight numbers of a `Bending` from contact point, contact angle and force, all ≥ 0."""
+    sine, cosine = np.sin(contact_angle), np.cos(contact_angle)
+    return np.stack(
+        [
+            sign * force * (x * cosine + y * sine),  # |contact vector × force|
+            force * sine,
+            sign * force * cosine,
+            np.hypot(x, y),
+            sign * np.arctan2(y, x),
+            sign * contact_angle,
+            arc,
+            sign * force,
+        ]
+    )
+
+
+def _beyond_tip(distance: Array, length: Array, fraction: Array) -> NDArray[np.bool_]:
+    """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back."""
+    return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
+
+
+@dataclass(frozen=True, eq=False)
+class FlickPast:
+    """How far a whisker can be pressed against an object at a given radial distance.
+
+    Attributes
+    ----------
+    deflection_angle : float or array
+        Largest deflection angle, rad.
+    ended_by : Outcome or array of int
+        `FLICKED_PAST` where a fold ends it, `SLIPPED_OFF_TIP` where the tip does,
+        `OUT_OF_REACH` where there is no contact at all.
+    at_end, at_moment_peak : Bending
+        The whisker at that angle, and where its moment is largest on the way there: the end under
+        an imposed base angle, and under a muscle of limited moment.
+    """
+
+    deflection_angle: Any
+    ended_by: Any
+    at_end: Bending
+    at_moment_peak: Bending
+
+
+def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
+    """The largest deflection angle at a radial distance, and why it ends.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    radial_distance : float or array
+        m.
+
+    Returns
+    -------
+    FlickPast
+    """
+    length, taper, r = np.broadcast_arrays(whisker.length, whisker.taper, radial_distance)
+    shape = r.shape
+    length, taper, r = (np.ravel(a).astype(float) for a in (length, taper, r))
+    table = _map()
+    v = r / length * taper
+    beyond = _beyond_tip(r, length, v)
+    v = np.where(beyond, 0.0, v)
+    x = unfold(v)
+    scaled_angle, c_peak = table.fold(x)
+    fold_angle = (1 - v) * scaled_angle
+
+    # The extra arc length grows all the way to the fold: where it would pass the tip, find c there.
+    room = (np.maximum(length - r, 0.0)) / r * (1 - v)
+
+    def extra(c: Array) -> Array:
+        return fold_angle**2 * (1 - c**2) * np.exp(table.contact_given(x, c)[2])
+
+    tip_first = extra(np.zeros_like(v)) > room
+    low, high = np.zeros_like(v), np.where(tip_first, 1.0, 0.0)
+    if np.any(tip_first):
+        for _ in range(54):  # bisection to the last bit: nothing to guess, nothing to diverge
+            middle = (low + high) / 2
+            over = extra(middle) > room
+            low, high = np.where(over, middle, low), np.where(over, high, middle)
+    c_end = high
+    angle = fold_angle * np.sqrt((1 - c_end) * (1 + c_end))
+    peak_angle = fold_angle * np.sqrt(1 - np.maximum(c_peak, c_end) ** 2)
+    ended = np.where(tip_first, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
+    ended = np.where(beyond, Outcome.OUT_OF_REACH, ended).astype(np.int8).reshape(shape)
+    angle = np.where(beyond, np.nan, angle).reshape(shape)[()]
+
+    def at(theta: Array) -> Bending:
+        return press(whisker, radial_distance, np.where(beyond, 0.0, theta).reshape(shape))
+
+    return FlickPast(
+        angle, ended if shape else Outcome(int(ended)), at(angle), at(np.ravel(peak_angle))
+    )
+
+
+def signal_jacobian(
+    whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
+) -> Array:
+    """Derivatives of the base signals with respect to the contact.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    radial_distance, deflection_angle : float or array
+        m, rad.
+
+    Returns
+    -------
+    array, shape (..., 3, 2)
+        Rows moment, axial force, transverse force; columns d/dr (per m), d/dθ_d (per rad). NaN
+        where the contact is not held. They grow without bound towards the fold.
+    """
+    given = np.broadcast_arrays(
+        whisker.length, whisker.taper, whisker.stiffness, radial_distance, deflection_angle
+    )
+    flat = [np.ravel(a).astype(float) for a in given]
+    jacobian = np.empty((flat[0].size, 3, 2))
+    for start in range(0, flat[0].size, ROWS):
+        part = slice(start, start + ROWS)
+        jacobian[part] = _signal_jacobian(*(a[part] for a in flat))
+    return jacobian.reshape(*given[0].shape, 3, 2)
+
+
+def _signal_jacobian(
+    length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
+) -> Array:
+    outcome = _press(length, taper, stiffness, r, theta)[1]
+    lost = outcome != Outcome.HELD
+    v = np.where(lost, 0.0, r / length * taper)
+    theta = np.where(lost, 0.0, theta)
+    sign, theta = np.where(theta < 0, -1.0, 1.0), np.abs(theta)
+    v_r = taper / length
+
+    table = _map()
+    x = unfold(v)
+    x_r = 2 / (1 + 2 * x) * v_r
+    scaled = table.fold(x)[0]
+    fold_angle = (1 - v) * scaled
+    fold_angle_r = -v_r * scaled + (1 - v) * table.fold.derivative(x)[0] * x_r
+    tangent = theta / fold_angle
+    c = np.sqrt((1 - tangent) * (1 + tangent))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        c_theta = -tangent / (fold_angle * c)
+        c_r = -tangent * fold_angle_r * c_theta
+
+        values = table.contact_given.gradient(x, c)
+        (log_force, log_angle, _), d_x, d_c = values[:3], values[3:6], values[6:]
+        d_r = d_x * x_r + d_c * c_r
+        d_theta = d_c * c_theta
+        # Per unit force, so that θ = 0 needs no special case: F = θ·g, α = θ·h.
+        g = 3 * stiffness * (1 - v) / r**2 * np.exp(log_force)
+        h = (3 - 2 * v) / (2 * (1 - v)) * np.exp(log_angle)
+        force, alpha = theta * g, theta * h
+        force_r = force * (d_r[0] - v_r / (1 - v) - 2 / r)
+        alpha_r = alpha * (d_r[1] + v_r * (1 / (1 - v) - 2 / (3 - 2 * v)))
+        force_theta = g * (1 + theta * d_theta[0])
+        alpha_theta = h * (1 + theta * d_theta[1])
+        sine, cosine = np.sin(alpha), np.cos(alpha)
+        lever_cosine, lever_sine = np.cos(alpha - theta), np.sin(alpha - theta)
+        jacobian = np.empty((theta.size, 3, 2))
+        jacobian[:, 0, 0] = sign * (
+            (force_r * r + force) * lever_cosine - force * r * lever_sine * alpha_r
+        )
+        jacobian[:, 0, 1] = r * (
+            force_theta * lever_cosine - force * lever_sine * (alpha_theta - 1)
+        )
+        jacobian[:, 1, 0] = force_r * sine + force * cosine * alpha_r
+        jacobian[:, 1, 1] = sign * (force_theta * sine + force * cosine * alpha_theta)
+        jacobian[:, 2, 0] = sign * (force_r * cosine - force * sine * alpha_r)
+        jacobian[:, 2, 1] = force_theta * cosine - force * sine * alpha_theta
+    jacobian[lost] = np.nan
+    return jacobian

@@ -1,0 +1,395 @@
+"""The folder that a command writes: all of it or nothing, with a record of how it was made.
+
+Every command hands its tables and figures to a `Run`, which adds ``<command>.run.json``: inputs,
+versions, seed, times. The files are made in a folder of their own and moved into place when the
+command has ended well. A command that fails, is interrupted or is terminated changes nothing.
+
+What happens to a folder that is there already:
+
+- The command's earlier files, those listed in its ``<command>.run.json``, are replaced, and
+  removed if it does not make them this time: no stale figure stands beside a new table.
+- Every other file stays as it is, and one that stands in the way is a refusal, not overwritten.
+  Several commands may therefore share a folder, and one with data of your own in it.
+- Several files cannot be renamed in one step. The finished set gets the name
+  ``.weberwhisk-finished-…`` in one step, the old record is removed, the files are moved and the
+  new record comes last. Interrupts wait until that is over. If the process is killed outright in
+  between, the folder has no ``<command>.run.json``, and the next command that writes there
+  completes the move first.
+
+A process killed outright before that leaves a hidden ``.weberwhisk-unfinished-…`` folder in or
+above the output folder; nothing reads it and it can be deleted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import secrets
+import shutil
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from enum import Enum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from . import __version__
+
+_UNFINISHED = ".weberwhisk-unfinished-"
+_FINISHED = ".weberwhisk-finished-"
+_RECORD = ".run.json"
+_NAME = re.compile(r"\w[\w.-]*")
+_RECORDED_PACKAGES = ("numpy", "scipy", "emcee", "arviz", "pandas")
+
+
+class Table(Protocol):
+    """What `Run.table` needs of a DataFrame."""
+
+    def to_csv(self, path: Path, /, *, index: bool) -> Any: ...
+
+
+class Figure(Protocol):
+    """What `Run.figure` needs of a Matplotlib figure."""
+
+    def savefig(self, path: Path, /, **options: Any) -> Any: ...
+
+
+class Run:
+    """One run of a command and the files it makes, as a context manager.
+
+    The files appear in `out_dir` when the block ends without an exception, all together.
+
+    Parameters
+    ----------
+    out_dir : path or None
+        Folder for the files, made if it is missing. None: nothing is written.
+    command : str
+        Name of the command, which is also the stem of its record.
+    inputs : mapping
+        What the command was asked to do; see `to_json` for what may be in it.
+    seed : int, optional
+        The seed that repeats the run.
+
+    Attributes
+    ----------
+    files : list of str
+        Names of the files made so far.
+
+    Raises
+    ------
+    ValueError
+        If `out_dir` is not a folder, cannot be written, or holds a file of another origin under
+        a name that this run makes.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pandas as pd
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Run(Path(folder) / "out", "bend", {"identity": "C2"}) as run:
+    ...         run.table("bend", pd.DataFrame({"moment": [1.0]}))
+    ...     sorted(path.name for path in run.out_dir.iterdir())
+    ['bend.csv', 'bend.run.json']
+    """
+
+    def __init__(
+        self,
+        out_dir: str | os.PathLike[str] | None,
+        command: str,
+        inputs: Mapping[str, Any],
+        seed: int | None = None,
+    ) -> None:
+        self.out_dir = None if out_dir is None else Path(os.path.realpath(out_dir))
+        self.command = command
+        self.inputs = dict(inputs)
+        self.seed = seed
+        self.files: list[str] = []
+        self._record = f"{command}{_RECORD}"
+        self._earlier: list[str] = []
+        self._staging: Path | None = None
+
+    def __enter__(self) -> Self:
+        self._started = _now()
+        if self.out_dir is None:
+            return self
+        if self.out_dir.exists() and not self.out_dir.is_dir():
+            raise ValueError(
+                f"The output folder {str(self.out_dir)!r} is a file; name a folder, or a new one."
+            )
+        # In the folder itself, or in the nearest one above that exists: so a rename is enough to
+        # move the files, and a failure leaves no empty folders.
+        place = self.out_dir
+        while not place.exists():
+            place = place.parent
+        staging = place / f"{_UNFINISHED}{secrets.token_hex(4)}"
+        try:
+            for left in sorted(self.out_dir.glob(f"{_FINISHED}*")):
+                _move_into_place(left, self.out_dir)
+            self._earlier = _recorded_files(self.out_dir / self._record)
+            staging.mkdir()
+        except OSError as error:
+            raise ValueError(
+                f"The output folder {str(self.out_dir)!r} cannot be written "
+                f"({error.strerror}); name a folder that you may write to."
+            ) from error
+        self._staging = staging
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._staging is None:
+            return
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            shutil.rmtree(self._staging, ignore_errors=True)
+            self._staging = None
+
+    def table(self, name: str, table: Table) -> None:
+        """Keep a DataFrame as ``<name>.csv``."""
+        if self.out_dir is not None:
+            table.to_csv(self.path(f"{name}.csv"), index=False)
+
+    def figure(self, name: str, figure: Figure) -> None:
+        """Keep a Matplotlib figure as ``<name>.png`` and ``<name>.svg``."""
+        if self.out_dir is not None:
+            figure.savefig(self.path(f"{name}.png"))
+            # The record has the date: two figures differ only where they look different.
+            figure.savefig(self.path(f"{name}.svg"), metadata={"Date": None})
+
+    def path(self, name: str) -> Path:
+        """Where to write another file of this run, which then moves into place with the rest.
+
+        Raises
+        ------
+        ValueError
+            For a name with folders in it, one that this run or somebody else's file has taken, or
+        a run without a folder.
+        """
+        if self._staging is None:
+            raise ValueError(
+                f"There is no folder for {name!r}; give the run an output folder and "
+                "write inside its `with` block."
+            )
+        if not _NAME.fullmatch(name) or _RECORD in name:
+            raise ValueError(
+                f"{name!r} cannot name an output file; use letters, digits, '_', '-' and '.', "
+                f"and leave *{_RECORD} to the record."
+            )
+        if name in self.files:
+            raise ValueError(f"The output file {name!r} is made twice; give each its own name.")
+        self._spare_others(name)
+        self.files.append(name)
+        return self._staging / name
+
+    def _spare_others(self, name: str) -> None:
+        """Refuse to replace what an earlier run of this command did not make."""
+        assert self.out_dir is not None
+        target = self.out_dir / name
+        if target.is_dir() or (os.path.lexists(target) and name not in self._earlier):
+            raise ValueError(
+                f"{str(target)!r} would be overwritten, and `weberwhisk {self.command}` did not "
+                "make it; move it, or name another output folder."
+            )
+
+    def _finish(self) -> None:
+        assert self._staging is not None
+        assert self.out_dir is not None
+        record = {
+            "command": self.command,
+            "inputs": self.inputs,
+            "seed": self.seed,
+            "files": self.files,
+            "removed": [
+                name
+                for name in self._earlier
+                if name not in self.files and (self.out_dir / name).is_file()
+            ],
+            "started": self._started,
+            "finished": _now(),
+            "versions": _versions(),
+            "platform": platform.platform(),
+        }
+        (self._staging / self._record).write_text(to_json(record), "utf-8")
+        for path in self._staging.iterdir():
+            _sync(path)
+        for name in self.files:
+            self._spare_others(name)
+        if not self.out_dir.exists():
+            self.out_dir.parent.mkdir(parents=True, exist_ok=True)
+            os.rename(self._staging, self.out_dir)
+            return
+        finished = self.out_dir / f"{_FINISHED}{secrets.token_hex(4)}"
+        with _interrupts_wait():
+            os.rename(self._staging, finished)
+            _move_into_place(finished, self.out_dir)
+
+
+def _move_into_place(finished: Path, out_dir: Path) -> None:
+    """Move a finished set of files over an earlier one; safe to repeat after a stop anywhere."""
+    for record in finished.glob(f"*{_RECORD}"):  # one, or none if a stop came after its move
+        (out_dir / record.name).unlink(missing_ok=True)
+        for name in json.loads(record.read_text("utf-8"))["removed"]:
+            (out_dir / name).unlink(missing_ok=True)
+        for path in finished.iterdir():
+            if path != record:
+                os.replace(path, out_dir / path.name)
+        os.replace(record, out_dir / record.name)
+    finished.rmdir()
+
+
+def _recorded_files(record: Path) -> list[str]:
+    """The files that an earlier run's record lists; none where there was no run."""
+    if not record.exists():
+        return []
+    try:
+        names = json.loads(record.read_text("utf-8"))["files"]
+        # Names only: a record edited by hand must not reach outside its folder.
+        if all(_NAME.fullmatch(name) for name in names):
+            return list(names)
+    except (ValueError, KeyError, TypeError):
+        pass
+    raise ValueError(
+        f"{str(record)!r} is not a record that weberwhisk wrote; move it, or name another "
+        "output folder."
+    )
+
+
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Hold Ctrl-C and termination back while a set of files is moved."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # interrupts reach the main thread only
+        return
+    waiting: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: waiting.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for known, handler in before.items():
+            signal.signal(known, handler)
+        for number in waiting:
+            signal.raise_signal(number)
+
+
+def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write a file whole: a reader, a failure or a kill sees the old content or the new.
+
+    Parameters
+    ----------
+    path : path
+        The file; a link is followed. Its folder must exist.
+    content : str or bytes
+        Text is written as UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If `path` is not an ordinary file or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     atomic_write(f"{folder}/trials.csv", "s1,s2,choice\\n")
+    ...     print(Path(folder, "trials.csv").read_text(), end="")
+    s1,s2,choice
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise ValueError(f"{str(target)!r} is not an ordinary file; name a file to write.")
+    part = target.with_name(f"{_UNFINISHED}{secrets.token_hex(4)}")
+    try:
+        try:
+            part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+            _sync(part)
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"{str(target)!r} cannot be written ({error.strerror}); "
+            "name a file in a folder that exists and that you may write to."
+        ) from error
+
+
+def to_json(value: Any) -> str:
+    """Strict JSON of results: arrays, NumPy scalars, paths and outcomes included.
+
+    NaN and infinities, which JSON lacks, become null; members of an enumeration become their
+    names in lower case.
+
+    Raises
+    ------
+    TypeError
+        For anything that has no plain form.
+
+    Examples
+    --------
+    >>> print(to_json({"moment": np.array([1.5, np.nan]), "path": Path("a")}))
+    {
+      "moment": [
+        1.5,
+        null
+      ],
+      "path": "a"
+    }
+    """
+    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Enum):
+        return value.name.lower()
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    raise TypeError(f"{type(value).__name__} has no JSON form; turn it into numbers and text.")
+
+
+def _sync(path: Path) -> None:
+    """Have the file on the disk before its name is."""
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _versions() -> dict[str, str | None]:
+    versions: dict[str, str | None] = {
+        "python": platform.python_version(),
+        "weberwhisk": __version__,
+    }
+    for name in _RECORDED_PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = None
+    return versions

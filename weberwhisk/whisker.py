@@ -1,0 +1,230 @@
+"""A whisker: geometry, material and the scales that follow from them."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._checks import finite, one_of, positive
+
+#: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
+YOUNGS_MODULUS = 3.34e9
+#: Density at the base, kg/m³; it rises to about 1690 at the tip.
+DENSITY = 1260.0
+
+
+@dataclass(frozen=True, eq=False)
+class Whisker:
+    """A linearly tapered (or cylindrical) whisker, in SI units.
+
+    Every field may be an array; fields broadcast against each other and against the
+    contacts they are used with.
+
+    Parameters
+    ----------
+    length : float or array
+        Arc length from base to tip, m.
+    base_radius, tip_radius : float or array
+        Radius at base and tip, m. Equal radii make a cylinder, ``tip_radius=0`` a perfect cone.
+    youngs_modulus : float or array
+        Pa. Default 3.34 GPa (Quist et al. 2011); single whiskers scatter by ± 1.48 GPa.
+    curvature : float or array
+        Intrinsic curvature at rest, constant along the arc, 1/m; positive bends away from
+        the object. Default straight.
+    density : float or array
+        kg/m³.
+
+    Raises
+    ------
+    ValueError
+        For a length, radius, modulus or density that is not a positive finite number, and for
+        a tip wider than the base.
+
+    Examples
+    --------
+    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
+    >>> float(w.radius_ratio), round(float(w.apex_distance) * 1e3, 4)
+    (20.0, 52.6316)
+    >>> print(f"{w.stiffness:.4e}")
+    2.3562e-07
+    """
+
+    length: Any
+    base_radius: Any
+    tip_radius: Any
+    youngs_modulus: Any = YOUNGS_MODULUS
+    curvature: Any = 0.0
+    density: Any = DENSITY
+
+    def __post_init__(self) -> None:
+        checked = {
+            "length": positive("length", self.length, "give metres, such as 50e-3"),
+            "base_radius": positive("base_radius", self.base_radius, "give metres, such as 1e-4"),
+            "tip_radius": finite("tip_radius", self.tip_radius, "give metres, such as 5e-6"),
+            "youngs_modulus": positive(
+                "youngs_modulus", self.youngs_modulus, "give pascals, such as 3e9"
+            ),
+            "curvature": finite("curvature", self.curvature, "give 1/m, 0 for a straight whisker"),
+            "density": positive("density", self.density, "give kg/m³, such as 1260"),
+        }
+        tip, base = checked["tip_radius"], checked["base_radius"]
+        if np.any(tip < 0):
+            raise ValueError(
+                f"tip_radius must not be negative, got {np.min(tip):g}; "
+                "give metres, 0 for a perfect cone."
+            )
+        try:
+            np.broadcast_shapes(*(a.shape for a in checked.values()))
+        except ValueError:
+            shapes = ", ".join(f"{n} {a.shape}" for n, a in checked.items() if a.ndim)
+            raise ValueError(
+                f"The whisker's fields must broadcast together, got {shapes}; "
+                "give arrays of one shape."
+            ) from None
+        if np.any(tip > base):
+            raise ValueError(
+                f"The tip must not be wider than the base, got tip_radius {np.max(tip):g} m and "
+                f"base_radius {np.min(base):g} m; swap them or correct the unit."
+            )
+        for name, array in checked.items():
+            object.__setattr__(self, name, array if array.ndim else float(array))
+
+    @classmethod
+    def from_identity(
+        cls,
+        identity: str,
+        *,
+        seed: int | np.random.SeedSequence | np.random.Generator | None = None,
+        youngs_modulus: ArrayLike = YOUNGS_MODULUS,
+    ) -> Whisker:
+        """The mean whisker of a named follicle, or one drawn from the spread of that follicle.
+
+        Parameters
+        ----------
+        identity : str
+            Row and column, such as ``"C2"``; see `identities`.
+        seed : int, SeedSequence or Generator, optional
+            Without a seed the mean morphology; with one, length and base diameter are drawn
+            from normal distributions of the measured mean and sd, cut at ± 2.5 sd and at a tenth
+            of the mean. The tip keeps the median, or the base's width where that is smaller.
+        youngs_modulus : float
+            Pa; the table has none.
+
+        Raises
+        ------
+        ValueError
+            For an identity that the table does not have.
+
+        Notes
+        -----
+        Summary of the 519 whiskers of Belli, Yang, Bresee & Hartmann (2017, J Neurophysiol
+        117:1807). Where no tip was measured (C5), the tip's is the median over the table.
+
+        Examples
+        --------
+        >>> print(round(Whisker.from_identity("C2").length, 4))
+        0.0336
+        >>> print(round(Whisker.from_identity("C2", seed=1).length, 4))
+        0.0345
+        """
+        table = _morphology()
+        row = table[one_of("whisker", identity, table)]
+        length, base = row["length_mm"], row["base_diameter_um"]
+        if seed is not None:
+            draws = np.clip(np.random.default_rng(seed).standard_normal(2), -2.5, 2.5)
+            length = max(length + draws[0] * row["length_sd_mm"], length / 10)
+            base = max(base + draws[1] * row["base_diameter_sd_um"], base / 10)
+        tip = min(row["tip_diameter_median_um"], base)
+        return cls(length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus)
+
+    @property
+    def radius_ratio(self) -> Any:
+        """Base radius over tip radius: 1 for a cylinder, infinite for a perfect cone."""
+        with np.errstate(divide="ignore"):
+            return np.divide(self.base_radius, self.tip_radius)
+
+    @property
+    def taper(self) -> Any:
+        """Length over apex distance, 1 − 1/R: 0 for a cylinder, 1 for a perfect cone."""
+        return 1.0 - np.divide(self.tip_radius, self.base_radius)
+
+    @property
+    def apex_distance(self) -> Any:
+        """Distance A from the base at which the taper would reach zero width, m."""
+        with np.errstate(divide="ignore"):
+            return np.divide(self.length, self.taper)
+
+    @property
+    def stiffness(self) -> Any:
+        """Bending stiffness at the base EI₀ = E π/4 · base_radius⁴, N m²."""
+        return self.youngs_modulus * np.pi / 4 * np.power(self.base_radius, 4)
+
+    @property
+    def moment_scale(self) -> Any:
+        """EI₀/L, N m: the paper's unit of moment."""
+        return self.stiffness / self.length
+
+    @property
+    def force_scale(self) -> Any:
+        """EI₀/L², N: the paper's unit of force."""
+        return self.stiffness / self.length**2
+
+    @property
+    def compliance_constant(self) -> Any:
+        """C = 3EI₀ of equations (2.1) and (2.3), N m²."""
+        return 3 * self.stiffness
+
+    def cylinder(self) -> Whisker:
+        """The cylindrical whisker of the same length, base radius, material and curvature.
+
+        Examples
+        --------
+        >>> Whisker.from_identity("C2").cylinder().radius_ratio
+        np.float64(1.0)
+        """
+        return Whisker(
+            self.length,
+            self.base_radius,
+            self.base_radius,
+            self.youngs_modulus,
+            self.curvature,
+            self.density,
+        )
+
+
+def identities() -> tuple[str, ...]:
+    """The whisker identities that `Whisker.from_identity` knows, row by row.
+
+    Examples
+    --------
+    >>> identities()[:3]
+    ('A0', 'A1', 'A2')
+    """
+    return tuple(_morphology())
+
+
+@cache
+def _morphology() -> dict[str, dict[str, float]]:
+    numbers = (
+        "length_mm",
+        "length_sd_mm",
+        "base_diameter_um",
+        "base_diameter_sd_um",
+        "tip_diameter_median_um",
+    )
+    text = resources.files("weberwhisk").joinpath("data/whisker_morphology.csv").read_text("utf-8")
+    rows = {row["whisker"]: row for row in csv.DictReader(text.splitlines())}
+    tips: NDArray[np.float64] = np.array(
+        [float(r["tip_diameter_median_um"]) for r in rows.values() if r["tip_diameter_median_um"]]
+    )
+    unmeasured = float(np.median(tips))
+    return {
+        name: {key: float(row[key]) if row[key] else unmeasured for key in numbers}
+        for name, row in rows.items()
+    }
