@@ -1,0 +1,40 @@
+"""What every test runs under."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import hypothesis
+import numpy as np
+import pytest
+
+# No window may open, and no terminal setting may change what the command line prints.
+os.environ["MPLBACKEND"] = "agg"
+for variable in ("COLUMNS", "FORCE_COLOR", "TTY_COMPATIBLE"):
+    os.environ.pop(variable, None)
+os.environ["NO_COLOR"] = "1"
+
+# A property test judges an answer, never the time it took; in CI it tries the same cases each run.
+hypothesis.settings.register_profile("local", deadline=None, database=None)
+hypothesis.settings.register_profile("ci", deadline=None, database=None, derandomize=True)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave the full-length tests to ``pytest -m slow``."""
+    if "slow" in config.getoption("markexpr"):
+        return
+    for item in items:
+        if item.get_closest_marker("slow"):
+            item.add_marker(pytest.mark.skip(reason="full length: `pytest -m slow` runs it"))
+
+
+@pytest.fixture(autouse=True)
+def _global_random_state_is_left_alone() -> Iterator[None]:
+    """Nothing may draw from or reseed NumPy's global generator: randomness is an argument."""
+    before = np.random.get_state(legacy=False)  # noqa: NPY002
+    yield
+    after = np.random.get_state(legacy=False)  # noqa: NPY002
+    assert before["state"]["pos"] == after["state"]["pos"], "NumPy's global generator was used"
+    np.testing.assert_array_equal(before["state"]["key"], after["state"]["key"])

@@ -1,0 +1,364 @@
+"""A command's output folder: everything or nothing, and nobody else's files."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import weberwhisk
+from weberwhisk import runs
+from weberwhisk.runs import Run, atomic_write, to_json
+
+TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
+
+
+class Drawing:
+    """Stands in for a Matplotlib figure."""
+
+    def savefig(self, path: Path, /, **options: Any) -> None:
+        path.write_text(f"{path.suffix} {options}")
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Every file under `folder`, hidden ones too, with its text; folders end in a slash."""
+    return {
+        f"{p.relative_to(folder)}{'/' if p.is_dir() else ''}": "" if p.is_dir() else p.read_text()
+        for p in sorted(folder.rglob("*"))
+    }
+
+
+def make(out: Path, value: float = 1.0, command: str = "bend", extra: bool = False) -> None:
+    with Run(out, command, {"value": value}, seed=7) as run:
+        run.table(command, pd.DataFrame({"value": [value]}))
+        if extra:
+            run.figure(command, Drawing())
+
+
+def test_writes_tables_figures_and_the_record(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    inputs = {"identity": "C2", "angles": np.array([1.0, np.nan]), "out": out}
+    with Run(out, "bend", inputs, seed=7) as run:
+        run.table("bend", TABLE)
+        run.figure("bend", Drawing())
+        run.path("notes.txt").write_text("held")
+        assert not out.exists(), "nothing may appear before the end"
+    names = ["bend.csv", "bend.png", "bend.run.json", "bend.svg", "notes.txt"]
+    assert sorted(tree(tmp_path)) == ["deep/", "deep/out/", *(f"deep/out/{n}" for n in names)]
+    pd.testing.assert_frame_equal(pd.read_csv(out / "bend.csv"), TABLE)
+    record = json.loads((out / "bend.run.json").read_text("utf-8"))
+    assert record["command"] == "bend"
+    assert record["inputs"] == {"identity": "C2", "angles": [1.0, None], "out": str(out)}
+    assert record["seed"] == 7
+    assert record["files"] == ["bend.csv", "bend.png", "bend.svg", "notes.txt"]
+    assert record["started"] <= record["finished"]
+    assert record["started"].endswith("+00:00")
+    assert record["versions"]["weberwhisk"] == weberwhisk.__version__
+    assert record["versions"]["numpy"] == np.__version__
+    assert set(record["versions"]) == {
+        "python", "weberwhisk", "numpy", "scipy", "emcee", "arviz", "pandas"
+    }  # fmt: skip
+    assert None not in record["versions"].values()
+
+
+def test_new_folder_has_the_usual_permissions(tmp_path: Path) -> None:
+    (tmp_path / "usual").mkdir()
+    make(tmp_path / "out")
+    assert (tmp_path / "out").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_real_figure(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    with Run(tmp_path / "out", "bend", {}) as run:
+        run.figure("bend", Figure())
+    assert (tmp_path / "out/bend.png").read_bytes().startswith(b"\x89PNG")
+    svg = (tmp_path / "out/bend.svg").read_text()
+    assert "<svg" in svg
+    assert "dc:date" not in svg
+
+
+def test_without_a_folder_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with Run(None, "bend", {}) as run:
+        run.table("bend", TABLE)
+        run.figure("bend", Drawing())
+        with pytest.raises(
+            ValueError, match=r"no folder for 'x\.h5'; give the run an output folder"
+        ):
+            run.path("x.h5")
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("there", [False, True])
+def test_a_failure_changes_nothing(tmp_path: Path, error: type[BaseException], there: bool) -> None:
+    out = tmp_path / "some" / "out"
+    if there:
+        make(out, 1.0, extra=True)
+        (out / "mine.txt").write_text("mine")
+    before = tree(tmp_path)
+    with pytest.raises(error), Run(out, "bend", {}) as run:  # noqa: PT012
+        run.table("bend", TABLE)
+        raise error
+    assert tree(tmp_path) == before
+
+
+def test_inputs_without_a_plain_form_change_nothing(tmp_path: Path) -> None:
+    with (
+        pytest.raises(TypeError, match="object has no JSON form"),
+        Run(tmp_path / "out", "bend", {"what": object()}) as run,
+    ):
+        run.table("bend", TABLE)
+    assert tree(tmp_path) == {}
+
+
+def test_second_run_replaces_its_own_files_and_no_others(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    make(out, 1.0, extra=True)
+    make(out, 5.0, command="jnd")
+    (out / "mine.txt").write_text("mine")
+    (out / "notes").mkdir()
+    make(out, 2.0)
+    assert sorted(tree(out)) == [
+        "bend.csv", "bend.run.json", "jnd.csv", "jnd.run.json", "mine.txt", "notes/"
+    ]  # fmt: skip
+    assert (out / "bend.csv").read_text() == "value\n2.0\n"
+    assert (out / "jnd.csv").read_text() == "value\n5.0\n"
+    record = json.loads((out / "bend.run.json").read_text())
+    assert record["inputs"] == {"value": 2.0}
+    assert record["removed"] == ["bend.png", "bend.svg"]
+
+
+@pytest.mark.parametrize("directory", [False, True])
+def test_a_foreign_file_in_the_way_is_refused(tmp_path: Path, directory: bool) -> None:
+    if directory:
+        (tmp_path / "bend.csv").mkdir()
+    else:
+        (tmp_path / "bend.csv").write_text("my data")
+    before = tree(tmp_path)
+    with pytest.raises(ValueError, match=r"bend.csv' would be overwritten.*did not make it"):
+        make(tmp_path)
+    assert tree(tmp_path) == before
+
+
+def test_a_foreign_file_that_comes_meanwhile_is_refused(tmp_path: Path) -> None:
+    run = Run(tmp_path, "bend", {}).__enter__()
+    run.table("bend", TABLE)
+    (tmp_path / "bend.csv").write_text("my data")
+    with pytest.raises(ValueError, match="would be overwritten"):
+        run.__exit__(None, None, None)
+    assert tree(tmp_path) == {"bend.csv": "my data"}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", '{"files": 3}', '{"files": ["../mine.txt"]}', '{"files": [""]}']
+)
+def test_a_record_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "bend.run.json").write_text(text)
+    before = tree(tmp_path)
+    with pytest.raises(ValueError, match="is not a record that weberwhisk wrote"):
+        make(out)
+    assert tree(tmp_path) == before
+
+
+def test_a_folder_under_an_earlier_name_stays(tmp_path: Path) -> None:
+    make(tmp_path, 1.0, extra=True)
+    (tmp_path / "bend.png").unlink()
+    (tmp_path / "bend.png").mkdir()
+    make(tmp_path, 2.0)
+    assert set(tree(tmp_path)) == {"bend.csv", "bend.png/", "bend.run.json"}
+
+
+def test_out_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(ValueError, match=r"out' is a file; name a folder, or a new one\.$"):
+        make(tmp_path / "out")
+    with pytest.raises(ValueError, match=r"cannot be written \(Not a directory\); name a folder"):
+        make(tmp_path / "out" / "below")
+    assert tree(tmp_path) == {"out": "mine"}
+
+
+def test_unwritable_out_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: Path, *arguments: object, **options: object) -> None:
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)  # root may write anywhere: permissions won't do
+    with pytest.raises(ValueError, match=r"out' cannot be written \(Permission denied\); name a"):
+        make(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("a/b.csv", "cannot name an output file"),
+        ("../b.csv", "cannot name an output file"),
+        (".hidden", "cannot name an output file"),
+        ("", "cannot name an output file"),
+        ("bend.run.json", "leave *.run.json to the record"),
+        ("bend.csv", "is made twice"),
+    ],
+)
+def test_bad_names_are_refused(tmp_path: Path, name: str, sentence: str) -> None:
+    with Run(tmp_path / "out", "bend", {}) as run:
+        run.table("bend", TABLE)
+        with pytest.raises(ValueError) as refusal:  # noqa: PT011
+            run.path(name)
+        assert sentence in str(refusal.value)
+
+
+KILLED = """
+import os, signal, sys
+import pandas as pd
+from pathlib import Path
+from weberwhisk.runs import Run
+
+out, last = sys.argv[1], int(sys.argv[2])
+calls = 0
+def killing(function):
+    def step(*arguments, **options):
+        global calls
+        if armed and calls == last:
+            os.kill(os.getpid(), signal.SIGKILL)
+        calls += armed
+        return function(*arguments, **options)
+    return step
+armed = False
+os.rename, os.replace = killing(os.rename), killing(os.replace)
+Path.unlink, Path.rmdir = killing(Path.unlink), killing(Path.rmdir)
+with Run(out, "bend", {"value": 2.0}) as run:
+    run.table("bend", pd.DataFrame({"value": [2.0]}))
+    run.table("second", pd.DataFrame({"value": [2.0]}))
+    armed = True
+print(calls)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill to survive")
+@pytest.mark.parametrize("there", [False, True])
+def test_killed_at_any_step_leaves_the_old_or_the_new(tmp_path: Path, there: bool) -> None:
+    new = {"bend.csv", "second.csv"}
+    seen = set()
+    for last in range(20):
+        out = tmp_path / str(last) / "out"
+        out.parent.mkdir()
+        if there:
+            make(out, 1.0, extra=True)
+        before = tree(out)
+        ended = subprocess.run(
+            [sys.executable, "-c", KILLED, str(out), str(last)], capture_output=True, text=True
+        )
+        if ended.returncode == 0:
+            assert int(ended.stdout) == last
+            break
+        assert ended.returncode == -signal.SIGKILL, ended.stderr
+        visible = {k: v for k, v in tree(out).items() if not k.startswith(".")}
+        if "bend.run.json" in visible:  # a record stands for a whole result
+            whole = visible == before or set(visible) == {*new, "bend.run.json"}
+            assert whole, visible
+        # The next command there, even another, leaves one of the two results whole.
+        make(out, 5.0, command="jnd")
+        after = {k: v for k, v in tree(out).items() if not k.startswith((".", "jnd"))}
+        assert not list(out.glob(".weberwhisk-finished-*"))
+        if after == before:
+            seen.add("old")
+            continue
+        seen.add("new")
+        assert set(after) == {*new, "bend.run.json"}
+        assert {after[name] for name in new} == {"value\n2.0\n"}
+        assert json.loads(after["bend.run.json"])["inputs"] == {"value": 2.0}
+    else:
+        pytest.fail("the command never ended")
+    assert seen == ({"old", "new"} if there else {"old"})
+    assert last == (8 if there else 1), "the steps that were meant to be cut short"
+
+
+def test_interrupt_waits_for_the_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    make(out, 1.0)
+    replace = os.replace
+
+    def interrupted(*arguments: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        replace(*arguments)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        make(out, 2.0)
+    assert set(tree(out)) == {"bend.csv", "bend.run.json"}
+    assert (out / "bend.csv").read_text() == "value\n2.0\n"
+
+
+def test_atomic_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "trials.csv"
+    atomic_write(path, "µ\n")
+    assert path.read_bytes() == "µ\n".encode()
+    atomic_write(path, b"\x00\x01")
+    assert path.read_bytes() == b"\x00\x01"
+    (tmp_path / "link.csv").symlink_to(path)
+    atomic_write(tmp_path / "link.csv", "through the link")
+    assert (tmp_path / "link.csv").is_symlink()
+    assert path.read_text() == "through the link"
+
+    def stop(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", stop)
+    with pytest.raises(KeyboardInterrupt):
+        atomic_write(path, "new")
+    assert set(tree(tmp_path)) == {"link.csv", "trials.csv"}
+    assert path.read_text() == "through the link"
+
+
+def test_atomic_write_refuses(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is not an ordinary file; name a file to write"):
+        atomic_write(tmp_path, "x")
+    with pytest.raises(ValueError, match="is not an ordinary file"):
+        atomic_write(os.devnull, "x")
+    with pytest.raises(ValueError, match=r"cannot be written \(No such file or directory\); name"):
+        atomic_write(tmp_path / "missing" / "trials.csv", "x")
+    assert tree(tmp_path) == {}
+
+
+def test_to_json_is_strict_json() -> None:
+    class Outcome(IntEnum):
+        OUT_OF_REACH = 4
+
+    value = {
+        "array": np.array([[1.0, np.inf], [-np.inf, np.nan]]),
+        "integer": np.int64(3),
+        "truth": np.bool_(True),
+        "outcome": Outcome.OUT_OF_REACH,
+        "path": Path("a/b"),
+        "nothing": None,
+        2: ("µ", float("nan")),
+    }
+    assert json.loads(to_json(value), parse_constant=pytest.fail) == {
+        "array": [[1.0, None], [None, None]],
+        "integer": 3,
+        "truth": True,
+        "outcome": "out_of_reach",
+        "path": os.path.join("a", "b"),
+        "nothing": None,
+        "2": ["µ", None],
+    }
+    assert json.loads(to_json(TABLE.to_dict("records"))) == TABLE.to_dict("records")
+
+
+def test_a_missing_package_is_recorded_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "_RECORDED_PACKAGES", ("no-such-package",))
+    assert runs._versions()["no-such-package"] is None
