@@ -88,7 +88,7 @@ def _result(
     numbers[:, lost] = np.nan
     outcome = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
     square = contact_angle**2
-    error = np.minimum(ERROR_PER_SQUARED_ANGLE * square * (1 + square) ** 2, 1.0)
+    error = np.minimum(ERROR_PER_SQUARED_ANGLE * square * (1 + square) ** 3, 1.0)
     return numbers, outcome, np.where(lost, np.nan, error)
 
 
@@ -100,6 +100,33 @@ def moment(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: Array
         * np.asarray(deflection_angle)
         * (1 / np.asarray(radial_distance) - inverse_apex)
     )
+
+
+def signal_jacobian(
+    whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
+) -> Array:
+    """Derivatives of M, Fx, Fy (rows) with respect to r and θ_d (columns) at small angle.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    radial_distance, deflection_angle : float or array
+        m, rad.
+
+    Returns
+    -------
+    array, shape (..., 3, 2)
+        Of M = Cθ(1/r − 1/A), Fx = Cθ²(3−2u)/(2r²), Fy = Cθ(1−u)/r² with C = 3EI₀, u = r/A.
+    """
+    r, theta = np.asarray(radial_distance, dtype=float), np.asarray(deflection_angle, dtype=float)
+    push, u = whisker.compliance_constant * theta, r * np.divide(whisker.taper, whisker.length)
+    stiff = whisker.compliance_constant
+    rows = [
+        [-push / r**2, stiff * (1 - u) / r],
+        [-push * theta * (3 - u) / r**3, push * (3 - 2 * u) / r**2],
+        [-push * (2 - u) / r**3, stiff * (1 - u) / r**2],
+    ]
+    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
 
 
 def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: ArrayLike) -> Array:

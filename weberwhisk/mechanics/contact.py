@@ -43,6 +43,8 @@ class Rung(IntEnum):
 
     CLOSED_FORM = 0
     ELASTICA = 1
+    PROFILE = 2
+    ROD = 3
 
 
 @dataclass(frozen=True, eq=False)

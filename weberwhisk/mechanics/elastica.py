@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
-from .chebyshev import Array, Curve, Table
+from .chebyshev import Array, Curve, Table, fit, nodes
 from .contact import ROWS, Bending, Outcome, Rung, by_rows
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
@@ -116,6 +116,7 @@ def _bend(
     y = arc * (1 - u) * 2 * load / (3 - 2 * u) * np.exp(log_height)
     x = arc * (1 - (1 - u) * load**2 * np.exp(log_shortening))
     numbers = _numbers(x, y, contact_angle, arc, np.where(lost, np.nan, np.abs(force)), sign)
+    numbers[6:, lost] = np.nan
     return numbers, outcome, np.where(lost, np.nan, MAP_ERROR)
 
 
@@ -169,7 +170,7 @@ def _press(
     numbers[3], numbers[4] = r, theta  # as given, not as recomputed
     numbers[5:7, lost] = np.nan
     with np.errstate(divide="ignore"):
-        error = MAP_ERROR + 1e-15 / c**2
+        error = MAP_ERROR + 3e-15 / c**2
     return numbers, outcome, np.where(lost, np.nan, np.minimum(error, 1.0))
 
 
@@ -203,7 +204,7 @@ def _numbers(
     )
 
 
-def _beyond_tip(distance: Array, length: Array, fraction: Array) -> NDArray[np.bool_]:
+def _beyond_tip(distance: Array, length: Array | float, fraction: Array) -> NDArray[np.bool_]:
     """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back."""
     return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
 
@@ -243,9 +244,84 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     -------
     FlickPast
     """
-    length, taper, r = np.broadcast_arrays(whisker.length, whisker.taper, radial_distance)
-    shape = r.shape
-    length, taper, r = (np.ravel(a).astype(float) for a in (length, taper, r))
+    shape = np.broadcast(whisker.length, whisker.taper, radial_distance).shape
+    length, taper, r = (
+        np.ravel(np.broadcast_to(a, shape)).astype(float)
+        for a in (whisker.length, whisker.taper, radial_distance)
+    )
+    angle, c_end, fold_angle, c_peak = _limit(length, taper, r)
+    beyond = np.isnan(angle)
+    peak_angle = np.where(beyond, 0.0, fold_angle * np.sqrt(1 - np.maximum(c_peak, c_end) ** 2))
+    ended = np.where(c_end > 0, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
+    ended = np.where(beyond, Outcome.OUT_OF_REACH, ended).astype(np.int8).reshape(shape)
+
+    def at(theta: Array) -> Bending:
+        return press(whisker, radial_distance, theta.reshape(shape))
+
+    return FlickPast(
+        angle.reshape(shape)[()],
+        ended if shape else Outcome(int(ended)),
+        at(np.where(beyond, 0.0, angle)),
+        at(peak_angle),
+    )
+
+
+class DeflectionLimit:
+    """The largest deflection angle of one whisker as a function of radial distance.
+
+    What `flick_past` solves for at every call, as curves: up to some distance the fold ends it,
+    from there on the tip, where θ²/(L − r) is smooth.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        With numbers, not arrays, for its fields.
+
+    Examples
+    --------
+    >>> limit = DeflectionLimit(Whisker(50e-3, 100e-6, 5e-6))
+    >>> np.degrees(limit(np.array([35e-3]))).round(2)
+    array([24.57])
+    """
+
+    def __init__(self, whisker: Whisker) -> None:
+        self.length, self.taper = float(whisker.length), float(whisker.taper)
+
+        def at(r: Array) -> tuple[Array, Array]:
+            return _limit(np.full_like(r, self.length), np.full_like(r, self.taper), r)[:2]
+
+        low, high = np.array([1e-3 * self.length]), np.array([self.length])
+        for _ in range(54):
+            middle = (low + high) / 2
+            tip = at(middle)[1] > 0
+            low, high = np.where(tip, low, middle), np.where(tip, middle, high)
+        self.tip_from = float(high[0])
+        r = self._tip_distance(nodes(TIP_NODES))
+        self.tip = Curve(fit((at(r)[0] ** 2 / (self.length - r))[:, None]))
+
+    def _tip_distance(self, x: Array) -> Array:
+        return self.tip_from + (self.length - self.tip_from) * x
+
+    def __call__(self, radial_distance: Array) -> Array:
+        """Largest angle at each distance (n,), rad; NaN out of reach."""
+        v = radial_distance / self.length * self.taper
+        beyond = _beyond_tip(radial_distance, self.length, v)
+        angle = _map().fold_angle(np.where(beyond, 0.0, v))
+        tip = ~beyond & (radial_distance > self.tip_from)
+        if np.any(tip):
+            room = np.maximum(self.length - radial_distance[tip], 0.0)
+            x = 1 - room / max(self.length - self.tip_from, 1e-300)
+            angle[tip] = np.sqrt(room * self.tip(x)[0])
+        angle[beyond] = np.nan
+        return angle
+
+
+#: Nodes of the tip's curve: enough for its error to be rounding, from cylinder to cone.
+TIP_NODES = 24
+
+
+def _limit(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, Array]:
+    """Largest angle, c there, fold angle and c at the moment peak, at each r (n,)."""
     table = _map()
     v = r / length * taper
     beyond = _beyond_tip(r, length, v)
@@ -254,32 +330,23 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     scaled_angle, c_peak = table.fold(x)
     fold_angle = (1 - v) * scaled_angle
 
-    # The extra arc length grows all the way to the fold: where it would pass the tip, find c there.
-    room = (np.maximum(length - r, 0.0)) / r * (1 - v)
-
-    def extra(c: Array) -> Array:
-        return fold_angle**2 * (1 - c**2) * np.exp(table.contact_given(x, c)[2])
-
-    tip_first = extra(np.zeros_like(v)) > room
-    low, high = np.zeros_like(v), np.where(tip_first, 1.0, 0.0)
-    if np.any(tip_first):
-        for _ in range(54):  # bisection to the last bit: nothing to guess, nothing to diverge
-            middle = (low + high) / 2
-            over = extra(middle) > room
-            low, high = np.where(over, middle, low), np.where(over, high, middle)
-    c_end = high
+    # The extra arc length θ²/(1−v)·exp(g) of the contact grows all the way to the fold. Where it
+    # would pass the tip first, c solves ln(1−c²) + g(x, c) = ln of the room left there.
+    c_end = np.zeros_like(v)
+    room = (length - r) / r * (1 - v) / fold_angle**2
+    tip = ~beyond & (np.exp(table.contact_given(x, c_end)[2]) > room)
+    if np.any(tip):
+        x_tip, room = x[tip], np.maximum(room[tip], 0.0)
+        c = np.ones_like(room)
+        for _ in range(12):  # Newton's method on a concave falling function, from above
+            values = table.contact_given.gradient(x_tip, c)
+            growth = np.exp(values[2])
+            excess = (1 - c) * (1 + c) * growth - room
+            slope = growth * ((1 - c) * (1 + c) * values[8] - 2 * c)
+            c = np.clip(c - excess / slope, 0.0, 1.0)
+        c_end[tip] = c
     angle = fold_angle * np.sqrt((1 - c_end) * (1 + c_end))
-    peak_angle = fold_angle * np.sqrt(1 - np.maximum(c_peak, c_end) ** 2)
-    ended = np.where(tip_first, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
-    ended = np.where(beyond, Outcome.OUT_OF_REACH, ended).astype(np.int8).reshape(shape)
-    angle = np.where(beyond, np.nan, angle).reshape(shape)[()]
-
-    def at(theta: Array) -> Bending:
-        return press(whisker, radial_distance, np.where(beyond, 0.0, theta).reshape(shape))
-
-    return FlickPast(
-        angle, ended if shape else Outcome(int(ended)), at(angle), at(np.ravel(peak_angle))
-    )
+    return np.where(beyond, np.nan, angle), c_end, fold_angle, c_peak
 
 
 def signal_jacobian(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from types import ModuleType
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,8 @@ from . import closed_form, elastica
 from .contact import Bending
 from .elastica import FlickPast
 
-_RUNGS = {"closed_form": closed_form, "elastica": elastica}
+#: The rungs that a name can force, cheapest first.
+MODELS = ("closed_form", "elastica", "profile")
 _METRES = "give metres, such as 35e-3"
 
 
@@ -35,11 +37,11 @@ def bend(
     force : float or array
         Contact force, N; its sign is that of the deflection.
     friction_angle : float or array
-        Angle by which friction tilts the force from the normal towards the base, rad. Only 0
-        is modelled so far.
-    model : {"closed_form", "elastica"}, optional
+        Angle by which friction tilts the force from the normal towards the base, rad.
+    model : {"closed_form", "elastica", "profile"}, optional
         The rung to use. By default the cheapest that the scene needs: the elastica for every
-        straight whisker, as its map costs no more than the closed form.
+        straight whisker without friction, as its map costs no more than the closed form, and the
+        profile, some hundred times dearer, for intrinsic curvature and friction.
 
     Returns
     -------
@@ -50,7 +52,7 @@ def bend(
     ------
     ValueError
         For input that is not finite, a distance that is not positive, an unknown model, and
-        for intrinsic curvature or friction, which these rungs do not model.
+        for curvature or friction on a rung that has none.
 
     Examples
     --------
@@ -62,12 +64,10 @@ def bend(
     arc = positive("arc_length", arc_length, _METRES)
     load = finite("force", force, "give newtons, such as 1e-5")
     tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
-    if np.any(tilt != 0):
-        raise ValueError(
-            f"Friction is not modelled by these rungs, got friction_angle {np.max(tilt):g}; "
-            "write friction_angle=0."
-        )
-    return _rung(whisker, model).bend(whisker, arc, load)
+    name = _rung(whisker, model, tilt)
+    if name == "profile":
+        return _profile().bend(whisker, arc, load, tilt)
+    return _STRAIGHT[name].bend(whisker, arc, load)
 
 
 def press(
@@ -86,7 +86,7 @@ def press(
         Straight line from base to contact, m.
     deflection_angle : float or array
         Angle between the base tangent and that line, rad; its sign is that of the deflection.
-    model : {"closed_form", "elastica"}, optional
+    model : {"closed_form", "elastica", "profile"}, optional
         The rung to use; see `bend`.
 
     Returns
@@ -108,7 +108,10 @@ def press(
     """
     r = positive("radial_distance", radial_distance, _METRES)
     theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
-    return _rung(whisker, model).press(whisker, r, theta)
+    name = _rung(whisker, model)
+    if name == "profile":
+        return _profile().press(whisker, r, theta)
+    return _STRAIGHT[name].press(whisker, r, theta)
 
 
 def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
@@ -137,7 +140,8 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     24.57 degrees, FLICKED_PAST
     """
     r = positive("radial_distance", radial_distance, _METRES)
-    _rung(whisker, None)
+    if _rung(whisker, None) == "profile":
+        return _profile().flick_past(whisker, r)
     return elastica.flick_past(whisker, r)
 
 
@@ -161,18 +165,36 @@ def signal_jacobian(
     Raises
     ------
     ValueError
-        As for `bend`.
+        As for `bend`, and for an intrinsically curved whisker.
     """
     r = positive("radial_distance", radial_distance, _METRES)
     theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
-    _rung(whisker, None)
+    _rung(whisker, "elastica")
     return elastica.signal_jacobian(whisker, r, theta)
 
 
-def _rung(whisker: Whisker, model: str | None) -> ModuleType:
-    if np.any(np.not_equal(whisker.curvature, 0)):
+_STRAIGHT: dict[str, Any] = {"closed_form": closed_form, "elastica": elastica}
+
+
+def _profile() -> Any:
+    """Rung 2, imported when a scene first needs it."""
+    return import_module(".profile", __package__)
+
+
+def _rung(whisker: Whisker, model: str | None, friction_angle: ArrayLike = 0.0) -> str:
+    """The name of the rung to use."""
+    needs_profile = {
+        "Intrinsic curvature": (np.max(np.abs(whisker.curvature)), "1/m"),
+        "Friction": (np.max(np.abs(friction_angle)), "rad"),
+    }
+    found = {name: value for name, value in needs_profile.items() if value[0] > 0}
+    if model is None:
+        return "profile" if found else "elastica"
+    one_of("model", model, MODELS)
+    if found and model != "profile":
+        name, (size, unit) = next(iter(found.items()))
         raise ValueError(
-            "Intrinsic curvature is not modelled by these rungs, got curvature "
-            f"{np.max(np.abs(whisker.curvature)):g} 1/m; write curvature=0."
+            f"{name} is not modelled by the {model} rung, got {size:g} {unit}; "
+            'write model="profile" or leave model out.'
         )
-    return _RUNGS[one_of("model", model or "elastica", _RUNGS)]
+    return model

@@ -1,0 +1,75 @@
+"""Rung 0: exact as the angle goes to zero, and honest about how far it can be trusted."""
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk.mechanics import closed_form
+
+RATIOS = [1, 1.2, 3, 20, 1000]
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_it_is_the_limit_of_rung_1(ratio):
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio)
+    r = np.linspace(0.02, 0.99, 30) * w.length
+    alpha = 1e-5
+    u = r / w.apex_distance
+    theta = alpha * 2 * (1 - u) / (3 - 2 * u)
+    a, b = ww.press(w, r, theta, model="closed_form"), ww.press(w, r, theta, model="elastica")
+    for key in ("moment", "axial_force", "transverse_force", "contact_angle", "force"):
+        assert np.allclose(getattr(a, key), getattr(b, key), rtol=1e-9), key
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_its_error_estimate_covers_the_error_without_exaggerating_it(ratio):
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio)
+    r = np.linspace(0.02, 0.97, 30) * w.length
+    for alpha in (0.01, 0.1, 0.3, 0.6):
+        u = r / w.apex_distance
+        theta = alpha * 2 * (1 - u) / (3 - 2 * u)
+        a, b = ww.press(w, r, theta, model="closed_form"), ww.press(w, r, theta)
+        held = b.held
+        worst = np.max(
+            [
+                np.abs(getattr(a, key) / getattr(b, key) - 1)[held]
+                for key in ("moment", "axial_force", "transverse_force")
+            ],
+            axis=0,
+        )
+        assert np.all(worst <= a.error[held])
+        assert np.all(a.error[held] < 3 * worst)
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_jacobian_is_the_slope_of_the_signals(ratio):
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio)
+    r, theta, h = 0.6 * w.length, 0.1, 1e-6
+
+    def signals(r, theta):
+        b = ww.press(w, r, theta, model="closed_form")
+        return np.array([b.moment, b.axial_force, b.transverse_force])
+
+    by_r = (signals(r * (1 + h), theta) - signals(r * (1 - h), theta)) / (2 * h * r)
+    by_theta = (signals(r, theta + h) - signals(r, theta - h)) / (2 * h)
+    jacobian = closed_form.signal_jacobian(w, r, theta)
+    assert np.allclose(jacobian, np.stack([by_r, by_theta], axis=-1), rtol=1e-8)
+
+
+def test_bend_and_press_are_inverse():
+    w = ww.Whisker(50e-3, 100e-6, 5e-6)
+    b = ww.press(w, 30e-3, 0.1, model="closed_form")
+    c = ww.bend(w, 30e-3, b.force, model="closed_form")
+    assert c.deflection_angle == pytest.approx(0.1, rel=1e-14)
+    assert c.moment == pytest.approx(b.moment, rel=1e-14)
+
+
+def test_signals_on_no_taper_have_no_contact():
+    w = ww.Whisker(50e-3, 100e-6, 5e-6)
+    cylinder = w.cylinder()
+    b = ww.press(cylinder, 30e-3, 0.1, model="closed_form")
+    r, theta = closed_form.contact_from_signals(cylinder, b.moment, b.axial_force)
+    assert np.isnan(r)
+    assert np.isnan(theta)
+    # Axial force of the wrong sign: no contact gives a pull.
+    assert np.isnan(closed_form.contact_from_signals(w, b.moment, -b.axial_force)[0])

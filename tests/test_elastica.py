@@ -1,0 +1,274 @@
+"""Rung 1 against exact results, stored references and integrators that share no code with it."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from integrators import follow
+from mpmath import mp
+from scipy.optimize import brentq
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.mechanics import build_map
+from weberwhisk.mechanics.elastica import DeflectionLimit, _map, load_cap
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
+SIGNALS = ("moment", "axial_force", "transverse_force")
+PLACE = ("radial_distance", "deflection_angle", "contact_angle")
+
+
+def relative(bent, reference):
+    """Relative errors; those of a force component are relative to the force."""
+    scale = {}
+    if "transverse_force" in reference:
+        scale["transverse_force"] = np.hypot(*(reference[k] for k in SIGNALS[1:]))
+    return {
+        key: np.max(np.abs(getattr(bent, key) - value) / np.abs(scale.get(key, value)))
+        for key, value in reference.items()
+    }
+
+
+def straight_references():
+    path = Path(__file__).parent / "data" / "elastica_points.csv"
+    with path.open() as file:
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    rows = [r for r in rows if r["curvature"] == 0 and r["friction_angle"] == 0]
+    return {key: np.array([r[key] for r in rows]) for key in rows[0]}
+
+
+def test_bend_and_press_meet_the_stored_references():
+    ref = straight_references()
+    assert len(ref["length"]) == 36
+    w = ww.Whisker(*(ref[k] for k in ("length", "base_radius", "tip_radius", "youngs_modulus")))
+    bent = ww.bend(w, ref["arc_length"], ref["force"])
+    wanted = {k: ref[k] for k in (*SIGNALS, *PLACE)}
+    assert max(relative(bent, wanted).values()) < 1e-11
+    pressed = ww.press(w, ref["radial_distance"], ref["deflection_angle"])
+    wanted = {k: ref[k] for k in (*SIGNALS, "contact_angle", "arc_length", "force")}
+    assert max(relative(pressed, wanted).values()) < 1e-11
+    assert bent.held.all()
+    assert pressed.held.all()
+
+
+@pytest.mark.parametrize("ratio", [1, 1.001, 1.5, 3, 20, 1000, np.inf])
+def test_bend_meets_an_independent_integrator_up_to_the_fold(ratio):
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio, 3e9)
+    for fraction in (0.01, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999):
+        u = np.array([fraction * w.taper])
+        fold = (_map().fold_load(u)[0] * load_cap(u))[0]
+        for share in (1e-6, 0.01, 0.3, 0.7, 0.95, 1 - 1e-9):
+            force = share * fold * 6 * w.stiffness * (1 - u[0]) ** 2
+            force /= (fraction * w.length) ** 2 * (3 - 2 * u[0])
+            bent = ww.bend(w, fraction * w.length, force)
+            values = follow(50e-3, 100e-6, 100e-6 / ratio, 3e9, fraction * 50e-3, force)
+            wanted = dict(zip((*SIGNALS, *PLACE), values, strict=True))
+            assert bent.outcome == Outcome.HELD
+            assert max(relative(bent, wanted).values()) < 1e-10, (ratio, fraction, share)
+
+
+@pytest.mark.parametrize("ratio", [1, 1.001, 1.5, 3, 20, 1000, np.inf])
+def test_press_finds_the_contact_that_bend_made(ratio):
+    rng = np.random.default_rng(5)
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio, 3e9)
+    s = rng.uniform(0.01, 0.999, 4000) * w.length
+    u = s / w.length * w.taper
+    share = rng.uniform(0, 1, 4000) ** 0.3  # crowded towards the fold
+    load = share * _map().fold_load(u)[0] * load_cap(u)
+    bent = ww.bend(w, s, load * 6 * w.stiffness * (1 - u) ** 2 / (s**2 * (3 - 2 * u)))
+    assert bent.held.all()
+    back = ww.press(w, bent.radial_distance, bent.deflection_angle)
+    for key in (*SIGNALS, "contact_angle", "arc_length", "force"):
+        scale = bent.force if key in ("axial_force", "transverse_force") else getattr(bent, key)
+        error = np.abs(getattr(back, key) - getattr(bent, key)) / scale
+        # Towards the fold the contact itself loses the digits, and `error` must say so.
+        assert np.all(error <= back.error), key
+        assert np.all(error[back.error < 1e-11] < 1e-11)
+
+
+def exact_uniform(alpha):
+    """F a²/EI, M a/EI, x/a, y/a of a uniform beam at contact angle α, by 30-digit quadrature."""
+    with mp.workdps(30):
+        a = mp.mpf(alpha)
+        j = mp.quad(lambda t: 2 / mp.sqrt(mp.sinc(t * t)), [0, mp.sqrt(a)])
+        s = mp.quad(lambda t: 2 * t * t * mp.sqrt(mp.sinc(t * t)), [0, mp.sqrt(a)])
+        root = mp.sqrt(mp.sin(a))
+        return [
+            float(v)
+            for v in (
+                j**2 / 2,
+                j * root,
+                (2 * mp.cos(a) * root + s * mp.sin(a)) / j,
+                (2 * mp.sin(a) * root - s * mp.cos(a)) / j,
+            )
+        ]
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 0.1, 0.5, 1.0, np.pi / 2, 2.0, 2.9])
+def test_the_cylinder_is_exact(alpha):
+    force, moment, x, y = exact_uniform(alpha)
+    c = W.cylinder()
+    a = 0.3 * c.length
+    bent = ww.bend(c, a, force * c.stiffness / a**2)
+    wanted = {
+        "contact_angle": alpha,
+        "moment": moment * c.stiffness / a,
+        "radial_distance": a * np.hypot(x, y),
+        "deflection_angle": np.arctan2(y, x),
+    }
+    assert max(relative(bent, wanted).values()) < 2e-12
+
+
+def test_the_cylinder_at_90_degrees_has_the_lemniscate_constant():
+    varpi = 2.622057554292119
+    c = W.cylinder()
+    bent = ww.bend(c, c.length / 2, varpi**2 / 2 * c.stiffness / (c.length / 2) ** 2)
+    assert bent.moment * (c.length / 2) / c.stiffness == pytest.approx(varpi, rel=1e-12)
+    assert np.degrees(bent.deflection_angle) == pytest.approx(59.0754, abs=5e-5)
+
+
+def test_p70():
+    b = ww.bend(W, 35e-3, 8.755567343e-5)
+    assert np.degrees(b.contact_angle) == pytest.approx(60, abs=1e-7)
+    assert b.moment == pytest.approx(2.311081582e-6, rel=1e-9)
+    assert b.axial_force == pytest.approx(7.582544e-5, rel=1e-7)
+    assert b.transverse_force == pytest.approx(4.377784e-5, rel=2e-7)
+    x, y = (b.radial_distance * f(b.deflection_angle) for f in (np.cos, np.sin))
+    assert (x * 1e3, y * 1e3) == pytest.approx((30.600803, 12.811592), abs=1e-6)
+    assert np.degrees(b.deflection_angle) == pytest.approx(22.7175, abs=5e-5)
+
+
+def test_the_fold_is_where_theory_has_it():
+    end = ww.flick_past(W, np.array([0.3, 0.5, 0.7, 0.9]) * W.length)
+    assert np.degrees(end.deflection_angle) == pytest.approx([59.12, 40.53, 24.57, 10.22], abs=5e-3)
+    assert np.all(end.ended_by == Outcome.FLICKED_PAST)
+    assert np.degrees(end.at_moment_peak.deflection_angle[2]) == pytest.approx(20.8, abs=0.05)
+    c = W.cylinder()
+    end = ww.flick_past(c, 0.3 * c.length)
+    assert np.degrees(end.deflection_angle) == pytest.approx(99.568, abs=1e-3)
+    assert end.at_end.arc_length == pytest.approx(1.79 * 0.3 * c.length, rel=2e-3)
+
+
+@pytest.mark.parametrize("ratio", [1, 1.5, 20, 1000])
+def test_at_flick_past_the_fold_or_the_tip_is_reached(ratio):
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio, 3e9)
+    r = np.linspace(0.01, 0.9999, 400) * w.length
+    end = ww.flick_past(w, r)
+    tip = end.ended_by == Outcome.SLIPPED_OFF_TIP
+    assert tip.any()
+    assert np.allclose(end.at_end.arc_length[tip], w.length, rtol=1e-11)
+    assert np.all(end.at_end.arc_length[~tip] < w.length)
+    assert end.at_end.held.all()
+    # A hair further on, the contact is lost, and for the reason given.
+    beyond = ww.press(w, r, end.deflection_angle * (1 + 1e-6))
+    assert np.array_equal(beyond.outcome, end.ended_by)
+    # The moment is largest at its peak.
+    theta = np.linspace(0.01, 1, 200)[:, None] * end.deflection_angle
+    path = ww.press(w, r, theta).moment
+    assert np.all(np.nanmax(path, axis=0) <= end.at_moment_peak.moment * (1 + 1e-9))
+    assert np.allclose(np.nanmax(path, axis=0), end.at_moment_peak.moment, rtol=1e-3)
+    assert np.allclose(DeflectionLimit(w)(r), end.deflection_angle, rtol=1e-9)
+
+
+def test_the_fold_is_a_fold_of_the_force_given_face():
+    """Walking along a fixed r by force alone, the angle turns back where flick_past says."""
+    r = 0.5 * W.length
+    end = ww.flick_past(W, r)
+    top = 1.02 * float(end.at_end.arc_length)
+
+    def angle(force):
+        s = brentq(lambda s: float(ww.bend(W, s, force).radial_distance) - r, r, top, xtol=1e-15)
+        return float(ww.bend(W, s, force).deflection_angle)
+
+    force = float(end.at_end.force)
+    before, at, after = (angle(force * f) for f in (0.99, 1.0, 1.01))
+    assert at == pytest.approx(float(end.deflection_angle), rel=1e-9)
+    assert before < at > after
+
+
+def test_derivatives_meet_finite_differences_of_eighth_order():
+    rng = np.random.default_rng(2)
+    r = rng.uniform(0.02, 0.97, 1500) * W.length
+    end = ww.flick_past(W, r).deflection_angle
+    theta = end * rng.uniform(0.02, 0.95, 1500)
+    theta *= rng.choice([-1, 1], 1500)
+    jacobian = ww.signal_jacobian(W, r, theta)
+
+    def signals(r, theta):
+        b = ww.press(W, r, theta)
+        return np.stack([b.moment, b.axial_force, b.transverse_force], axis=-1)
+
+    weights = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+    room = 1 - np.abs(theta) / end
+    for column, h in ((0, 4e-3 * room * r), (1, 4e-3 * np.minimum(1, room) * np.abs(theta))):
+        dr, dt = (h, 0) if column == 0 else (0, h)
+        slope = sum(
+            c * (signals(r + k * dr, theta + k * dt) - signals(r - k * dr, theta - k * dt))
+            for k, c in weights.items()
+        )
+        slope = slope / h[:, None]
+        # Slopes pass through zero: errors are relative to the signals' own size over r or θ.
+        size = np.abs(signals(r, theta)) / (r if column == 0 else np.abs(theta))[:, None]
+        size[:, 2] = size[:, 1:].max(axis=1)
+        error = np.abs(jacobian[:, :, column] - slope) / np.maximum(np.abs(slope), size)
+        assert error.max() < 1e-8
+
+
+def test_similarity_in_modulus_and_length():
+    a = ww.press(W, 30e-3, 0.3)
+    stiff = ww.press(ww.Whisker(50e-3, 100e-6, 5e-6, 6e9), 30e-3, 0.3)
+    assert stiff.moment == pytest.approx(2 * a.moment, rel=1e-14)
+    large = ww.press(ww.Whisker(100e-3, 200e-6, 10e-6, 3e9), 60e-3, 0.3)
+    assert large.normalised_moment == pytest.approx(a.normalised_moment, rel=1e-13)
+    assert large.normalised_axial_force == pytest.approx(a.normalised_axial_force, rel=1e-13)
+
+
+def test_mirrored_deflection_mirrors_the_signals():
+    theta = np.linspace(0.01, 0.4, 7)
+    a, b = ww.press(W, 30e-3, theta), ww.press(W, 30e-3, -theta)
+    for key in ("moment", "transverse_force", "contact_angle", "deflection_angle", "force"):
+        assert np.array_equal(getattr(a, key), -getattr(b, key)), key
+    for key in ("axial_force", "arc_length", "radial_distance", "outcome"):
+        assert np.array_equal(getattr(a, key), getattr(b, key)), key
+    assert ww.bend(W, 30e-3, -1e-5).moment == -ww.bend(W, 30e-3, 1e-5).moment
+
+
+def test_everything_broadcasts():
+    whiskers = ww.Whisker(50e-3, 100e-6, np.array([5e-6, 20e-6, 100e-6])[:, None])
+    b = ww.press(whiskers, np.linspace(5e-3, 45e-3, 5), 0.05)
+    assert b.moment.shape == b.outcome.shape == b.model.shape == b.error.shape == (3, 5)
+    alone = ww.press(ww.Whisker(50e-3, 100e-6, 20e-6), 15e-3, 0.05)
+    assert np.ndim(alone.moment) == 0
+    assert alone.moment == pytest.approx(b.moment[1, 1], rel=1e-15)
+
+
+def test_the_shipped_map_is_the_one_the_script_builds():
+    built = build_map.build()
+    m = _map()
+    shipped = {
+        "force_given": m.force_given,
+        "contact_given": m.contact_given,
+        "fold_load": m.fold_load,
+        "fold": m.fold,
+    }
+    for name, table in shipped.items():
+        assert np.allclose(built[name], table.coefficients, rtol=0, atol=2e-11), name
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: ww.bend(W, -1e-3, 1e-5), "arc_length must be above zero, got -0.001"),
+        (lambda: ww.bend(W, 1e-2, np.nan), "force must be finite, got nan"),
+        (lambda: ww.press(W, 0.0, 0.1), "radial_distance must be above zero, got 0"),
+        (lambda: ww.press(W, "far", 0.1), "radial_distance must be a number, got 'far'"),
+        (lambda: ww.press(W, 1e-2, np.inf), "deflection_angle must be finite, got inf"),
+        (lambda: ww.press(W, 1e-2, 0.1, model="elastic"), "did you mean 'elastica'"),
+        (lambda: ww.flick_past(W, [1e-2, -1e-2]), "radial_distance must be above zero"),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(call, words):
+    with pytest.raises(ValueError, match=words) as error:
+        call()
+    assert "\n" not in str(error.value)

@@ -1,0 +1,143 @@
+"""Sweeps against rung 1 and 2 at a point, geometry at a wall, and limits between objects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from weberwhisk.mechanics import elastica
+from weberwhisk.mechanics.contact import Outcome
+from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
+from weberwhisk.mechanics.profile import flick_past, press, rest_angle
+from weberwhisk.whisker import Whisker
+
+W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+SQUARE = np.array([[20, -5], [30, -5], [30, -15], [20, -15]]) * 1e-3
+
+
+def test_a_peg_is_press_at_every_angle():
+    s = sweep(W, peg(35e-3, 0.0), np.radians([-5, 0.001, 5, 15, 24, 25]))
+    np.testing.assert_array_equal(s.bending.outcome, [4, 0, 0, 0, 0, 2])
+    exact = elastica.press(W, 35e-3, s.rotation[1:5])
+    for name in ("moment", "axial_force", "transverse_force", "arc_length"):
+        np.testing.assert_allclose(
+            getattr(s.bending, name)[1:5], getattr(exact, name), rtol=2e-8, err_msg=name
+        )
+    np.testing.assert_allclose(s.contact[1:5], [[35e-3, 0.0]] * 4, atol=1e-11)
+    assert s.first_contact == pytest.approx(0, abs=1e-9)
+    assert s.end == pytest.approx(elastica.flick_past(W, 35e-3).deflection_angle, abs=5e-6)
+    assert s.ended_by is Outcome.FLICKED_PAST
+    assert np.all(np.isnan(s.bending.moment[[0, 5]]))
+
+
+def test_a_peg_near_the_tip_ends_at_the_tip():
+    s = sweep(W, peg(49.5e-3, 0.0), np.radians([-1, 2, 5]))
+    np.testing.assert_array_equal(s.bending.outcome, [4, 0, 3])
+    assert s.ended_by is Outcome.SLIPPED_OFF_TIP
+    assert s.end == pytest.approx(elastica.flick_past(W, 49.5e-3).deflection_angle, abs=1e-5)
+
+
+def test_a_curved_whisker_and_friction_at_a_peg():
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    x, y = 30e-3 * np.cos(-0.4), 30e-3 * np.sin(-0.4)
+    s = sweep(w, peg(x, y), np.linspace(0.0, 1.4, 8), friction_angle=-0.2)
+    rest = float(rest_angle(w, 30e-3))
+    assert s.first_contact == pytest.approx(rest + 0.4, abs=1e-6)
+    held = s.bending.held
+    exact = press(w, 30e-3, s.rotation[held] - 0.4, -0.2)
+    np.testing.assert_allclose(s.bending.moment[held], exact.moment, rtol=1e-7)
+    assert s.end == pytest.approx(flick_past(w, 30e-3, -0.2).deflection_angle + 0.4, abs=5e-6)
+
+
+def test_a_thin_cylinder_is_a_peg_and_a_thick_one_meets_its_own_geometry():
+    angles = np.radians([-2, 3, 12, 22])
+    thin = sweep(W, cylinder(35e-3, -1e-8, 1e-8), angles).bending.moment
+    np.testing.assert_allclose(thin[1:], elastica.press(W, 35e-3, angles[1:]).moment, rtol=1e-5)
+    centre, radius = np.array([30e-3, -5e-3]), 5e-3
+    s = sweep(W, cylinder(*centre, radius), np.radians(np.arange(-5, 55, 5)))
+    held = s.bending.held
+    out = s.contact[held] - centre
+    np.testing.assert_allclose(np.hypot(*out.T), radius, rtol=1e-8)
+    # The whisker is tangent: its angle in the world is that of the circle there.
+    tangent = s.bending.contact_angle[held] - s.rotation[held]
+    np.testing.assert_allclose(np.arctan2(-out[:, 0], out[:, 1]), tangent, atol=1e-7)
+    assert np.all(np.diff(s.contact[held][:, 0]) < 0)  # it rolls towards the base
+    assert s.ended_by is Outcome.FLICKED_PAST
+
+
+def test_a_wall_is_met_with_the_tip_then_with_the_flank():
+    """Tip first, at acos(h/L) from the normal; then flush, the whisker's end along the wall."""
+    s = sweep(W, wall(0.0, -30e-3, 0.0), np.radians(np.arange(30, 100, 1.0)))
+    assert s.first_contact == pytest.approx(np.arcsin(30 / 50), abs=1e-9)
+    held = s.bending.held
+    np.testing.assert_allclose(s.contact[held][:, 1], -30e-3, atol=1e-10)
+    flank = held & ~s.tip
+    assert np.sum(s.tip) >= 1
+    assert np.all(np.flatnonzero(s.tip).max() < np.flatnonzero(flank).min())
+    world = s.bending.contact_angle - s.rotation
+    np.testing.assert_allclose(world[flank], 0, atol=1e-8)
+    assert np.all(world[s.tip] < 0)
+    np.testing.assert_allclose(s.bending.arc_length[s.tip], 50e-3)
+    # Without friction the force is normal to the wall, whichever touches.
+    force = np.arctan2(s.bending.axial_force, s.bending.transverse_force)
+    np.testing.assert_allclose((force - s.rotation)[held], 0, atol=1e-8)
+    assert np.all(np.diff(s.bending.arc_length[flank]) < 0)
+
+
+def test_a_tilted_wall_is_the_level_one_seen_from_a_turned_frame():
+    """Frame-invariance: turning wall and base together changes nothing at the base."""
+    turn = np.radians(-20)
+    angles = np.radians(np.arange(40, 80, 10.0))
+    level = sweep(W, wall(0.0, -30e-3, 0.0), np.r_[0.5, angles])
+    foot = 30e-3 * np.array([np.sin(turn), -np.cos(turn)])
+    tilted = sweep(W, wall(*foot, turn), np.r_[0.5, angles] - turn)
+    np.testing.assert_allclose(tilted.bending.moment, level.bending.moment, rtol=1e-7)
+    assert tilted.first_contact == pytest.approx(level.first_contact - turn, abs=1e-9)
+
+
+def test_a_contour_is_touched_corner_edge_corner():
+    s = sweep(W, contour(SQUARE), np.radians(np.arange(5, 66, 4.0)))
+    assert s.first_contact == pytest.approx(np.arctan2(5, 30), abs=1e-9)
+    x, y = s.contact[s.bending.held].T * 1e3
+    np.testing.assert_allclose(y, -5, atol=1e-6)
+    assert x[0] == pytest.approx(30, abs=1e-6)
+    assert x[-1] == pytest.approx(20, abs=1e-6)
+    assert np.any((x > 20.1) & (x < 29.9))
+    assert np.all(np.diff(x) < 1e-6)
+    assert s.ended_by is Outcome.FLICKED_PAST
+    # From the last corner on it is a peg there.
+    r, at = np.hypot(20e-3, 5e-3), np.arctan2(-5, 20)
+    assert s.end == pytest.approx(flick_past(W, r).deflection_angle - at, abs=5e-6)
+
+
+def test_a_many_sided_contour_is_nearly_its_circle():
+    turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    points = np.stack([30e-3 + 5e-3 * np.cos(turn), -5e-3 + 5e-3 * np.sin(turn)], axis=1)
+    angles = np.radians([-5, 10, 25])
+    many = sweep(W, contour(points), angles)
+    circle = sweep(W, cylinder(30e-3, -5e-3, 5e-3), angles)
+    np.testing.assert_allclose(many.bending.moment[1:], circle.bending.moment[1:], rtol=5e-3)
+
+
+def test_nothing_in_reach_and_a_sweep_that_ends_in_contact():
+    far = sweep(W, peg(60e-3, 0.0), np.radians([-5, 5]))
+    np.testing.assert_array_equal(far.bending.outcome, Outcome.OUT_OF_REACH)
+    assert np.isnan(far.first_contact)
+    short = sweep(W, peg(30e-3, 0.0), np.radians([-5, 5]))
+    assert short.ended_by is Outcome.HELD
+    assert np.isnan(short.end)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: contour([[0, 0], [1, 0], [0.5, 0.1], [1, 1]]), "must be convex"),
+        (lambda: contour([[0, 0], [1, 0]]), "must be convex, of three points"),
+        (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending angles"),
+        (lambda: sweep(W, wall(0.0, 0.01, 0.0), [0.0, 0.1]), "base of the whisker must be outside"),
+        (lambda: sweep(Whisker([0.05, 0.04], 1e-4, 5e-6), peg(0.03, 0), [0.0]), "one whisker"),
+    ],
+)
+def test_misuse_is_one_sentence(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

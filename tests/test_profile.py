@@ -1,0 +1,482 @@
+"""Rung 2 against the reference points, rung 1, an integrator nobody here wrote, and theory."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp, solve_ivp
+from scipy.optimize import brentq
+
+from weberwhisk.mechanics import elastica, equilibrium
+from weberwhisk.mechanics.branch import Branch, walk, zero_load
+from weberwhisk.mechanics.contact import Outcome
+from weberwhisk.mechanics.profile import bend, flick_past, press, rest_angle, sticking
+from weberwhisk.mechanics.shape import Parabola, Profile, Spiral
+from weberwhisk.mechanics.trajectory import rows_of
+from weberwhisk.whisker import Whisker
+
+POINTS = np.genfromtxt(
+    Path(__file__).with_name("data") / "elastica_points.csv", delimiter=",", names=True
+)
+SIGNALS = ("moment", "axial_force", "transverse_force", "contact_angle")
+STRAIGHT = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+
+
+def reference_whiskers() -> Whisker:
+    names = ("length", "base_radius", "tip_radius", "youngs_modulus", "curvature")
+    return Whisker(*(POINTS[name] for name in names))
+
+
+def test_bend_meets_all_reference_points():
+    b = bend(reference_whiskers(), POINTS["arc_length"], POINTS["force"], POINTS["friction_angle"])
+    for name in (*SIGNALS, "radial_distance", "deflection_angle"):
+        np.testing.assert_allclose(getattr(b, name), POINTS[name], rtol=1e-9, err_msg=name)
+    assert np.all(b.held)
+
+
+def test_press_meets_all_reference_points():
+    p = press(
+        reference_whiskers(),
+        POINTS["radial_distance"],
+        POINTS["deflection_angle"],
+        POINTS["friction_angle"],
+    )
+    for name in (*SIGNALS, "arc_length", "force"):
+        np.testing.assert_allclose(getattr(p, name), POINTS[name], rtol=1e-9, err_msg=name)
+    assert np.all(p.held)
+
+
+@pytest.fixture(scope="module")
+def straight_scenes():
+    rng = np.random.default_rng(5)
+    n = 600
+    ratio = 1 / rng.uniform(0, 1, n)
+    ratio[:100] = 1.0
+    w = Whisker(40e-3, 80e-6, 80e-6 / ratio, 3e9)
+    r = rng.uniform(0.02, 1.02, n) * 40e-3
+    end = elastica.flick_past(w, np.minimum(r, 40e-3)).deflection_angle
+    theta = np.nan_to_num(end) * rng.uniform(-1.2, 1.2, n)
+    return w, r, theta
+
+
+def test_press_is_rung_1_where_the_whisker_is_straight(straight_scenes):
+    w, r, theta = straight_scenes
+    mine, theirs = press(w, r, theta, tolerance=1e-11), elastica.press(w, r, theta)
+    np.testing.assert_array_equal(mine.outcome, theirs.outcome)
+    assert set(np.unique(mine.outcome)) == {0, 2, 3, 4}
+    # Where the fold is near the signals go as its square root, for either rung.
+    for name in (*SIGNALS, "arc_length", "force"):
+        a, b = getattr(mine, name), getattr(theirs, name)
+        np.testing.assert_array_less(
+            np.abs(a - b)[mine.held], (np.abs(b) * (1e-10 + 10 * theirs.error))[mine.held] + 1e-300
+        )
+
+
+def test_bend_is_rung_1_where_the_whisker_is_straight(straight_scenes):
+    w, r, theta = straight_scenes
+    at = elastica.press(w, r, theta)
+    s = np.where(at.held, at.arc_length, 10e-3)
+    f = np.where(at.held, at.force, 1e-6) * np.random.default_rng(6).uniform(0.1, 3, s.size)
+    mine, theirs = bend(w, s, f, tolerance=1e-11), elastica.bend(w, s, f)
+    # Rung 1 gives up past the fold sooner; what both still hold they agree on.
+    both = mine.outcome <= Outcome.PAST_FOLD
+    both &= theirs.outcome <= Outcome.PAST_FOLD
+    np.testing.assert_array_equal(mine.outcome[both], theirs.outcome[both])
+    assert np.sum(mine.outcome == Outcome.PAST_FOLD) > 20
+    assert not np.any((mine.outcome == 2) & (theirs.outcome < 2))
+    for name in (*SIGNALS, "radial_distance", "deflection_angle"):
+        np.testing.assert_allclose(
+            getattr(mine, name)[both], getattr(theirs, name)[both], rtol=1e-10, err_msg=name
+        )
+
+
+def test_a_smaller_tolerance_is_met_and_the_error_is_an_upper_estimate(straight_scenes):
+    w, r, theta = straight_scenes
+    exact = elastica.press(w, r, theta)
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        b = bend(
+            w,
+            np.where(exact.held, exact.arc_length, 1e-2),
+            np.where(exact.held, exact.force, 0.0),
+            tolerance=tolerance,
+        )
+        held = exact.held & (b.outcome == 0)
+        for name in ("moment", "deflection_angle"):
+            off = np.abs(getattr(b, name)[held] / getattr(exact, name)[held] - 1)
+            assert np.all(off <= b.error[held] + 1e-11)
+        assert np.all(b.error[held] <= tolerance)
+
+
+# An integrator nobody here wrote, with its own formulas for radius and curvature.
+
+
+def parabola_curvature(a):
+    def at(s):
+        def over(t):
+            return (t * np.sqrt(1 + t * t) + np.arcsinh(t)) / 2 - 2 * abs(a) * s
+
+        t = brentq(over, 0, 4 * abs(a) * s + 1, xtol=1e-15) if s > 0 else 0.0
+        return 2 * a / (1 + t * t) ** 1.5
+
+    return at
+
+
+TABLE = Profile.tabulated(
+    [0, 8e-3, 15e-3, 30e-3, 40e-3],
+    [90e-6, 85e-6, 60e-6, 40e-6, 10e-6],
+    core=[20e-6, 30e-6, 10e-6, 0, 0],
+    law=Spiral(-12.0, 300.0),
+    youngs_modulus=3e9,
+)
+SHAPES = {
+    "cut": (
+        Profile.of(STRAIGHT).cut(30e-3),
+        lambda s: 100e-6 - 95e-6 * s / 50e-3,
+        lambda s: 0.0,
+        lambda s: 0.0,
+        (),
+    ),
+    "hollow": (
+        Profile.of(STRAIGHT).hollow(60e-6, 20e-3),
+        lambda s: 100e-6 - 95e-6 * s / 50e-3,
+        lambda s: 60e-6 * max(0.0, 1 - s / 20e-3),
+        lambda s: 0.0,
+        (20e-3,),
+    ),
+    "tabulated, hollow and spiral": (
+        TABLE,
+        lambda s: np.interp(s, TABLE.arc, TABLE.radius),
+        lambda s: np.interp(s, TABLE.arc, TABLE.core),
+        lambda s: -12.0 + 300.0 * s,
+        (30e-3, 15e-3, 8e-3),
+    ),
+    "parabola, convex side": (
+        Profile.of(STRAIGHT).curved(Parabola(9.0)),
+        lambda s: 100e-6 - 95e-6 * s / 50e-3,
+        lambda s: 0.0,
+        parabola_curvature(9.0),
+        (),
+    ),
+    "parabola, concave side": (
+        Profile.of(STRAIGHT).curved(Parabola(-9.0)),
+        lambda s: 100e-6 - 95e-6 * s / 50e-3,
+        lambda s: 0.0,
+        parabola_curvature(-9.0),
+        (),
+    ),
+}
+
+
+def referee(radius, core, curvature, breaks, modulus, arc, force, psi):
+    """Angle, X and Y at the base from SciPy's DOP853 in the contact's own frame (not rotated)."""
+
+    def slope(u, state):
+        phi, x, y = state
+        stiffness = modulus * np.pi / 4 * (radius(arc - u) ** 4 - core(arc - u) ** 4)
+        moment = force * (x * np.cos(psi) + y * np.sin(psi))
+        return [-(curvature(arc - u) + moment / stiffness), np.cos(phi), np.sin(phi)]
+
+    state = np.zeros(3)
+    stops = [0.0, *(arc - b for b in breaks if b < arc), arc]
+    for a, b in pairwise(stops):
+        state = solve_ivp(slope, (a, b), state, "DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+    return state
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("psi", [0.0, 0.3, -0.3])
+def test_any_profile_against_scipy(name, psi):
+    profile, *shape = SHAPES[name]
+    arc, force = 0.62 * profile.whisker.length, 1.1 * profile.whisker.force_scale * 0.8
+    b = bend(profile, arc, force, psi)
+    phi, x, y = referee(*shape, 3e9, arc, force, psi)
+    alpha = -phi
+    assert b.contact_angle == pytest.approx(alpha, abs=1e-9)
+    assert b.radial_distance == pytest.approx(np.hypot(x, y), rel=1e-9)
+    assert b.moment == pytest.approx(force * (x * np.cos(psi) + y * np.sin(psi)), rel=1e-9)
+    assert b.axial_force == pytest.approx(force * np.sin(alpha + psi), abs=1e-9 * force)
+    assert b.transverse_force == pytest.approx(force * np.cos(alpha + psi), abs=1e-9 * force)
+    again = press(profile, b.radial_distance, b.deflection_angle, psi)
+    assert again.outcome is Outcome.HELD
+    assert again.force == pytest.approx(force, rel=1e-8)
+    assert again.arc_length == pytest.approx(arc, rel=1e-9)
+
+
+def test_base_frame_boundary_value_problem_agrees():
+    """solve_bvp from base to contact, with contact arc and force unknown: no contact frame."""
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-6.0)
+    r, theta, psi = 30e-3, np.radians(12), -0.2
+    p = press(w, r, theta, psi)
+    scale = w.force_scale
+
+    def slope(t, v, q):
+        arc, force = q[0] * 30e-3, q[1] * scale
+        stiffness = w.stiffness * (1 - t * arc / w.apex_distance) ** 4
+        return np.stack(
+            [
+                arc * (-6.0 + v[3] * w.moment_scale / stiffness),
+                arc * np.cos(v[0]) / r,
+                arc * np.sin(v[0]) / r,
+                -force * arc * np.cos(v[0] - q[2] - psi) / w.moment_scale,
+            ]
+        )
+
+    def ends(a, b, q):
+        return np.array(
+            [a[0], a[1], a[2], b[1] - np.cos(theta), b[2] - np.sin(theta), b[3], b[0] - q[2]]
+        )
+
+    t = np.linspace(0, 1, 60)
+    start = np.stack([0.3 * t, t, 0.2 * t, 0.5 * (1 - t)])
+    solved = solve_bvp(slope, ends, t, start, p=[1.0, 0.5, 0.3], tol=1e-10, max_nodes=50000)
+    assert solved.success
+    assert p.arc_length == pytest.approx(solved.p[0] * 30e-3, rel=1e-8)
+    assert p.force == pytest.approx(solved.p[1] * scale, rel=1e-7)
+    assert p.contact_angle == pytest.approx(solved.p[2], rel=1e-7)
+    assert p.moment == pytest.approx(solved.y[3, 0] * w.moment_scale, rel=1e-7)
+
+
+def test_uniform_beam_keeps_its_invariant():
+    w = STRAIGHT.cylinder()
+    b = bend(w, 30e-3, np.linspace(0.1, 9, 30) * w.stiffness / 30e-3**2)
+    np.testing.assert_allclose(b.moment**2, 2 * w.stiffness * b.axial_force, rtol=1e-9)
+
+
+def test_a_cut_whisker_is_the_shorter_whisker_and_extra_knots_change_nothing():
+    short = Whisker(30e-3, 100e-6, 43e-6, 3e9)
+    knots = np.array([0, 7e-3, 7e-3, 22e-3, 50e-3])
+    table = Profile.tabulated(knots, 100e-6 - 95e-6 * knots / 50e-3, youngs_modulus=3e9)
+    for profile in (Profile.of(STRAIGHT).cut(30e-3), table):
+        for name in SIGNALS:
+            got = getattr(press(profile, 25e-3, 0.3), name)
+            assert got == pytest.approx(getattr(press(short, 25e-3, 0.3), name), rel=1e-9)
+    assert press(Profile.of(STRAIGHT).cut(30e-3), 31e-3, 0.1).outcome is Outcome.OUT_OF_REACH
+    assert press(table, 31e-3, 0.1).outcome is Outcome.HELD
+
+
+def test_mirror_image():
+    """Pushing to the other side mirrors the curvature and nothing else."""
+    left = Profile.of(STRAIGHT).curved(Spiral(7.0, -90.0))
+    right = Profile.of(STRAIGHT).curved(Spiral(-7.0, 90.0))
+    a, b = press(left, 28e-3, [0.25, -0.1], 0.2), press(right, 28e-3, [-0.25, 0.1], 0.2)
+    for name in ("moment", "transverse_force", "contact_angle", "force"):
+        np.testing.assert_array_equal(getattr(a, name), -getattr(b, name))
+    for name in ("axial_force", "arc_length", "outcome"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+# Folds.
+
+
+def test_folds_of_the_theory_notes():
+    end = flick_past(STRAIGHT, np.array([0.3, 0.5, 0.7, 0.9]) * 50e-3)
+    np.testing.assert_allclose(
+        np.degrees(end.deflection_angle), [59.12, 40.53, 24.57, 10.22], atol=5e-3
+    )
+    assert np.degrees(end.at_moment_peak.deflection_angle[2]) == pytest.approx(20.8, abs=0.05)
+    cylinder = flick_past(STRAIGHT.cylinder(), 10e-3)
+    assert np.degrees(cylinder.deflection_angle) == pytest.approx(99.568, abs=5e-4)
+    assert cylinder.at_end.arc_length / 10e-3 == pytest.approx(1.79, abs=5e-3)
+
+
+def test_folds_are_rung_1_where_the_whisker_is_straight():
+    w = Whisker(50e-3, 100e-6, np.array([5e-6, 50e-6, 100e-6 * (1 - 1e-9)])[:, None], 3e9)
+    r = np.array([1e-4, 0.1, 0.5, 0.56, 0.9, 0.999, 1.0, 1.01]) * 50e-3
+    mine, theirs = flick_past(w, r), elastica.flick_past(w, r)
+    np.testing.assert_array_equal(mine.ended_by, theirs.ended_by)
+    np.testing.assert_allclose(mine.deflection_angle, theirs.deflection_angle, rtol=1e-9, atol=1e-9)
+    peak, other = mine.at_moment_peak.moment, theirs.at_moment_peak.moment
+    np.testing.assert_allclose(peak, other, rtol=1e-8, atol=1e-18)
+
+
+@pytest.mark.parametrize("curvature", [-15.0, 6.0])
+@pytest.mark.parametrize("psi", [0.0, -0.3, 0.2])
+def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):
+    """Held just before it, flicked past just after, and a scan of the loads finds no larger."""
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=curvature)
+    r = 28e-3
+    end = flick_past(w, r, psi)
+    assert end.ended_by is Outcome.FLICKED_PAST
+    at = end.deflection_angle
+    assert press(w, r, at - 1e-7, psi).outcome is Outcome.HELD
+    assert press(w, r, at + 1e-7, psi).outcome is Outcome.FLICKED_PAST
+    s, f = end.at_end.arc_length, end.at_end.force
+    largest = -np.inf
+    for shift in np.linspace(-0.02, 0.02, 41):
+        near = s * (1 + shift)
+        force = brentq(
+            lambda q, near=near: bend(w, near, q, psi).radial_distance - r, 0.5 * f, 1.6 * f
+        )
+        largest = max(largest, bend(w, near, force, psi).deflection_angle)
+    assert largest <= at + 1e-9
+    assert largest == pytest.approx(at, abs=1e-5)
+
+
+def test_newton_and_the_walk_from_zero_load_find_the_same():
+    """Press takes Newton's answer where it proves stable; the walk keeps to the branch by steps."""
+    rng = np.random.default_rng(8)
+    n = 120
+    w = Whisker(1.0, 2e-3, rng.uniform(1e-4, 2e-3, n), 3e9, curvature=rng.uniform(-0.6, 0.6, n))
+    r, psi = rng.uniform(0.1, 0.9, n), rng.uniform(-0.4, 0.4, n)
+    rows = rows_of(Profile.of(w), (n,))
+    start, rest = zero_load(rows, r)
+    target = rest + rng.uniform(0.05, 1.6, n) * (1 - r * w.taper)
+    p = press(w, r, target, psi)
+    branch = Branch.of(rows, r, psi, start, 1e-9)
+    ended = walk(branch, target)
+    np.testing.assert_array_equal(ended.end == 0, p.held)
+    arc, force = branch.contact(ended.point)
+    np.testing.assert_allclose(arc[p.held], p.arc_length[p.held], rtol=1e-7)
+    np.testing.assert_allclose(force[p.held], (p.force / w.force_scale)[p.held], rtol=1e-6)
+    assert 0.3 < np.mean(p.held) < 1
+
+
+# Friction.
+
+
+def test_friction_angle_tilts_the_force_towards_the_base():
+    """Towards the base is compression: more axial force at the same contact."""
+    fx = press(STRAIGHT, 25e-3, 0.2, [-0.3, 0.0, 0.3]).axial_force
+    assert np.all(np.diff(fx) > 0)
+    p = press(STRAIGHT, 25e-3, 0.2, 0.3)
+    assert np.arctan2(p.axial_force, p.transverse_force) == pytest.approx(p.contact_angle + 0.3)
+
+
+def test_sticking_range_holds_the_frictionless_contact_and_closes_with_the_friction():
+    wide, narrow = (sticking(STRAIGHT, 25e-3, 0.25, mu) for mu in (0.48, 1e-6))
+    free = press(STRAIGHT, 25e-3, 0.25)
+    assert wide.inward.axial_force < free.axial_force < wide.outward.axial_force
+    assert narrow.inward.axial_force == pytest.approx(narrow.outward.axial_force, rel=1e-4)
+    assert not wide.stuck_inward
+    assert not wide.stuck_outward
+
+
+def test_friction_at_which_nothing_slides():
+    """Towards the base a strong tilt buckles the whisker: no sliding equilibrium is left."""
+    s = sticking(STRAIGHT, 44e-3, np.radians(9), friction_coefficient=[0.1, 20.0])
+    np.testing.assert_array_equal(s.stuck_outward, [False, True])
+    assert s.outward.outcome[1] == Outcome.FLICKED_PAST
+    assert np.isnan(s.outward.moment[1])
+
+
+def test_friction_of_a_right_angle_is_refused():
+    with pytest.raises(ValueError, match=r"between −π/2 and π/2, got 1\.6"):
+        bend(STRAIGHT, 25e-3, 1e-6, 1.6)
+
+
+# Pathologies, each with its reason.
+
+
+def test_radius_ratio_to_one_and_to_infinity():
+    """ln of the radius ratio sets the steps: 0/0 for a cylinder, without bound for a cone."""
+    tips = 100e-6 * np.array([1 - 1e-15, 1 - 1e-9, 1e-6, 1e-9])
+    near = press(Whisker(50e-3, 100e-6, tips, 3e9), 30e-3, 0.2)
+    exact = press(Whisker(50e-3, 100e-6, np.array([1e-4, 1e-4, 0, 0]), 3e9), 30e-3, 0.2)
+    np.testing.assert_allclose(near.moment, exact.moment, rtol=1e-5)
+    np.testing.assert_allclose(near.moment[[0, 1]], exact.moment[[0, 1]], rtol=1e-8)
+
+
+def test_contact_at_the_very_base_and_tip():
+    """At the base lengths vanish; at the tip the branch has no room, and a cone no stiffness."""
+    base = press(STRAIGHT, 50e-3 * 1e-9, 0.3)
+    assert base.outcome is Outcome.HELD
+    assert base.moment == pytest.approx(press(STRAIGHT.cylinder(), 50e-3 * 1e-9, 0.3).moment)
+    tip = press(STRAIGHT, 50e-3, [0.0, 0.01])
+    np.testing.assert_array_equal(tip.outcome, [Outcome.HELD, Outcome.SLIPPED_OFF_TIP])
+    cone = Whisker(50e-3, 100e-6, 0.0, 3e9)
+    assert press(cone, 50e-3, 0.0).outcome is Outcome.OUT_OF_REACH
+    assert bend(cone, 50e-3, 1e-9).outcome is Outcome.OUT_OF_REACH
+    assert bend(STRAIGHT, 50e-3, 1e-9).outcome is Outcome.HELD
+    assert bend(STRAIGHT, 50.1e-3, 1e-9).outcome is Outcome.OUT_OF_REACH
+
+
+def test_zero_load():
+    """Nothing bends, and a curved whisker keeps the angles of its rest."""
+    flat = bend(STRAIGHT, 25e-3, 0.0)
+    assert (flat.moment, flat.axial_force, flat.deflection_angle) == (0, 0, 0)
+    curved = Profile.of(STRAIGHT).curved(Spiral(10.0, 200.0))
+    p = press(curved, 25e-3, rest_angle(curved, 25e-3))
+    assert p.outcome is Outcome.HELD
+    assert abs(p.moment) < 1e-9 * STRAIGHT.moment_scale
+    assert p.contact_angle == pytest.approx(p.arc_length * (10 + 100 * p.arc_length), rel=1e-9)
+
+
+@pytest.mark.parametrize("force", [1e-3, 1.0, 1e6, 1e200])
+def test_loads_far_past_the_fold(force):
+    """The trajectory winds up; it must say so rather than give some coil's numbers."""
+    b = bend(Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=5.0), 35e-3, force)
+    assert b.outcome is Outcome.FLICKED_PAST
+    assert np.isnan(b.moment)
+    assert np.isnan(b.error)
+
+
+def test_a_whisker_that_meets_the_radius_twice_is_touched_nearer_to_the_base():
+    """κL = 4.5: the tip has curled back inside the circle of radius 20 mm."""
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=90.0)
+    r = 20e-3
+    assert rest_angle(w, r) == pytest.approx(np.arcsin(r * 90 / 2), rel=1e-12)
+    p = press(w, r, rest_angle(w, r) + np.array([-0.05, 0.02]))
+    assert np.all(p.held)
+    assert np.all(np.abs(p.arc_length - 2 / 90 * np.arcsin(0.9)) < 3e-3)
+    again = bend(w, p.arc_length, p.force)
+    np.testing.assert_allclose(again.radial_distance, r, rtol=1e-9)
+    assert press(w, 23e-3, 0.5).outcome is Outcome.OUT_OF_REACH  # beyond 2/κ: never met
+
+
+def test_rest_shapes_have_their_closed_forms():
+    a, x = 9.0, 0.03
+    t = 2 * a * x
+    s = (t * np.sqrt(1 + t * t) + np.arcsinh(t)) / (4 * a)
+    law = Parabola(a)
+    assert np.tan(law.turn(np.array(s))) == pytest.approx(t, rel=1e-13)
+    assert law(np.array(s)) == pytest.approx(2 * a / (1 + t * t) ** 1.5, rel=1e-13)
+    profile = Profile.of(STRAIGHT).curved(law)
+    assert rest_angle(profile, np.hypot(x, a * x * x)) == pytest.approx(np.arctan(a * x), rel=1e-12)
+    far = Parabola(1e3)
+    t = 1e2
+    s = (t * np.sqrt(1 + t * t) + np.arcsinh(t)) / (4 * 1e3)
+    assert np.tan(far.turn(np.array(s))) == pytest.approx(t, rel=1e-11)
+
+
+def test_whiskers_scenes_and_friction_broadcast():
+    w = Whisker(50e-3, 100e-6, np.array([[5e-6], [20e-6]]), 3e9, curvature=np.array([[5.0], [0.0]]))
+    p = press(w, np.array([20e-3, 30e-3, 60e-3]), 0.3, 0.1)
+    assert p.moment.shape == p.outcome.shape == p.error.shape == (2, 3)
+    np.testing.assert_array_equal(p.outcome[:, 2], Outcome.OUT_OF_REACH)
+    one = press(Whisker(50e-3, 100e-6, 20e-6, 3e9), 30e-3, 0.3, 0.1)
+    assert p.moment[1, 1] == pytest.approx(one.moment, rel=1e-9)
+    assert isinstance(one.outcome, Outcome)
+    with pytest.raises(ValueError, match="must broadcast"):
+        press(w, [20e-3] * 4, [0.1] * 3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Profile.of(STRAIGHT).cut(60e-3), r"cannot be cut at 0\.06 m; give a length"),
+        (lambda: Profile.of(STRAIGHT).hollow(2e-4, 1e-2), "core must be inside the whisker"),
+        (lambda: Profile.tabulated([0, 2e-2, 1e-2], [1e-4, 5e-5, 1e-5]), "must ascend from 0"),
+        (lambda: Profile.tabulated([0, 2e-2], [1e-4]), "need one value a knot"),
+        (lambda: flick_past(STRAIGHT, 1e-2, side=2), "side must be 1 or -1, got 2"),
+        (lambda: sticking(STRAIGHT, 1e-2, 0.1, -0.1), "must not be negative"),
+        (lambda: press(STRAIGHT, -1e-2, 0.1), "must be above zero"),
+    ],
+)
+def test_misuse_is_one_sentence(make, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_needs_the_walk_in_plain_scenes(monkeypatch):
+    """Counts, not times: Newton's method alone settles scenes away from the fold."""
+    calls = []
+    monkeypatch.setattr(equilibrium, "walk", lambda *a: calls.append(a))
+    rng = np.random.default_rng(2)
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    p = press(w, rng.uniform(5e-3, 35e-3, 500), rng.uniform(0.05, 0.3, 500), tolerance=1e-6)
+    assert np.all(p.held)
+    assert not calls

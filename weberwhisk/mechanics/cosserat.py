@@ -1,0 +1,252 @@
+"""Kirchhoff rods from contact to base, and the equilibria of points in space: inside rung 3.
+
+In units of the whisker's length, base radius and base stiffness; the equations are `rod`'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import finite
+from ..whisker import Whisker
+from .branch import rest_point, zero_load
+from .chebyshev import Array
+from .contact import Outcome
+from .equilibrium import on_whisker
+from .shape import Profile
+from .trajectory import CAUTION, ERRORS, STAGES, TABLEAU, WEIGHTS, Piece, Rows, pilot, rows_of
+
+#: Of keratin; sets the torsional stiffness.
+POISSON_RATIO = 0.38
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """The base as reached from the contact: directors and X in the contact's frame, (3, n)."""
+
+    d1: Array
+    d2: Array
+    d3: Array
+    lever: Array
+    force: Array
+    error: Array
+    steps: int
+
+    def seen(self, vector: Array) -> Array:
+        """A vector of the contact's frame in the base frame, (3, n)."""
+        return np.stack([(d * vector).sum(axis=0) for d in (self.d3, self.d1, self.d2)])
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    rows: Rows
+    shape: tuple[int, ...]
+    length: Array
+    force: Array
+    friction: Array
+    plane: Array
+    twist: float
+    whisker: Whisker
+
+    @classmethod
+    def of(
+        cls,
+        whisker: Whisker | Profile,
+        scenes: tuple[Array, ...],
+        friction_angle: ArrayLike,
+        plane: ArrayLike,
+        poisson_ratio: float,
+    ) -> Scenes:
+        tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
+        roll = finite("plane", plane, "give radians, 0 for the xy plane")
+        if np.any(np.abs(tilt) >= np.pi / 2):
+            raise ValueError(
+                f"friction_angle must be between −π/2 and π/2, got {np.max(np.abs(tilt)):g}; "
+                "give radians, such as np.arctan(0.48)."
+            )
+        if not -1 < poisson_ratio <= 0.5:
+            raise ValueError(
+                f"poisson_ratio must be between -1 and 0.5, got {poisson_ratio:g}; write 0.38."
+            )
+        profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+        w = profile.whisker
+        parts = (profile.radius[0], w.stiffness, *vars(profile.law).values(), *scenes, tilt, roll)
+        shape = np.broadcast_shapes(*(np.shape(a) for a in parts))
+        length, force, friction, rolled = (
+            np.broadcast_to(a, shape).reshape(-1).astype(float)
+            for a in (w.length, w.force_scale, tilt, roll)
+        )
+        rows = rows_of(profile, shape)
+        return cls(rows, shape, length, force, friction, rolled, 1 + poisson_ratio, w)
+
+    def flat(self, value: ArrayLike) -> Array:
+        return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
+
+    def take(self, index: NDArray[np.intp]) -> Scenes:
+        values = (self.length, self.force, self.friction, self.plane)
+        length, force, friction, plane = (a[index] for a in values)
+        return Scenes(
+            self.rows.take(index),
+            (index.size,),
+            length,
+            force,
+            friction,
+            plane,
+            self.twist,
+            self.whisker,
+        )
+
+    def follow(self, v: Array, steps: int) -> Base:
+        """The rods at v = (arc, force along d₁, along d₂), in `steps` steps a piece."""
+        n = v.shape[1]
+        size = np.hypot(v[1], v[2])
+        force = np.stack(
+            [
+                v[1] * np.cos(self.friction),
+                v[2] * np.cos(self.friction),
+                -size * np.sin(self.friction),
+            ]
+        )
+        tilt = -np.sin(self.plane), np.cos(self.plane)
+        state = np.zeros((12, n))
+        state[0] = state[4] = state[8] = 1.0
+        slopes = np.zeros((STAGES, 12, n))
+        error = np.zeros((12, n))
+        for piece in range(len(self.rows.arc) - 2, -1, -1):
+            low, high = self.rows.arc[piece], np.minimum(self.rows.arc[piece + 1], v[0])
+            if not np.any(high > low):
+                continue
+            path = Piece(self.rows, piece, low, np.maximum(high, low), steps)
+            for step in range(steps):
+                weight, give, curl = path.at(step)
+                for i in range(STAGES):
+                    at = state + np.tensordot(TABLEAU[i, :i], slopes[:i], axes=1) if i else state
+                    slopes[i] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
+                state = state + np.tensordot(WEIGHTS, slopes, axes=1)
+                third, fifth = np.tensordot(ERRORS, slopes, axes=1) ** 2
+                error += fifth / np.sqrt(fifth + 0.01 * third + 1e-300)
+        lever = state[9:]
+        bound = error[:9].sum(axis=0) + error[9:].sum(axis=0) / np.hypot(lever[2], lever[0])
+        bound = np.nan_to_num(bound / CAUTION, nan=np.inf)
+        return Base(state[:3], state[3:6], state[6:9], lever, force, bound, steps)
+
+    def _slope(
+        self,
+        state: Array,
+        weight: Array,
+        give: Array,
+        curl: Array | None,
+        force: Array,
+        tilt: tuple[Array, Array],
+    ) -> Array:
+        d1, d2, d3, x = state[:3], state[3:6], state[6:9], state[9:]
+        m = np.stack(
+            [
+                x[1] * force[2] - x[2] * force[1],
+                x[2] * force[0] - x[0] * force[2],
+                x[0] * force[1] - x[1] * force[0],
+            ]
+        )
+        u1, u2, u3 = (give * (d * m).sum(axis=0) for d in (d1, d2, d3))
+        u3 = u3 * self.twist
+        if curl is not None:
+            u1, u2 = u1 + curl * tilt[0], u2 + curl * tilt[1]
+        return np.concatenate(
+            [u2 * d3 - u3 * d2, u3 * d1 - u1 * d3, u1 * d2 - u2 * d1, weight * d3]
+        )
+
+    def resolve(self, v: Array, tolerance: float) -> Base:
+        """`follow` with steps enough for every row, up to 128."""
+        steps = 2 * pilot(self.rows)
+        while True:
+            with np.errstate(all="ignore"):
+                base = self.follow(v, steps)
+            worst = float(np.max(base.error, initial=0.0))
+            if worst <= tolerance or steps >= 128:
+                return base
+            wanted = steps * 1.1 * min(worst / tolerance, 1e9) ** (1 / 7.5)
+            steps = int(np.clip(np.ceil(wanted), steps + 2, 128))
+
+    def scale(self, distance: Array) -> Array:
+        """Sizes of v at which everything changes by its own order."""
+        room = np.maximum(1 - distance * (1 - self.rows.radius[-1] / self.rows.radius[0]), 1e-4)
+        stiff = 3 * room / distance**2
+        return np.stack([distance, stiff, stiff])
+
+    def newton(self, v: Array, target: Array, steps: int) -> Array:
+        """Newton's step to a contact at `target`, (3, n)."""
+        return self._newton(v, target, steps)[0]
+
+    def _newton(self, v: Array, target: Array, steps: int) -> tuple[Array, Array, Array]:
+        n = v.shape[1]
+        h = 1e-6 * self.scale(np.sqrt((target**2).sum(axis=0)))
+        four = self.take(np.tile(np.arange(n), 4))
+        probes = np.concatenate([v, *(v - h * np.eye(3)[:, [k]] for k in range(3))], axis=1)
+        with np.errstate(all="ignore"):
+            base = four.follow(probes, steps)
+            places = base.seen(base.lever).reshape(3, 4, n)
+            miss = target - places[:, 0]
+            jacobian = (places[:, :1] - places[:, 1:]) / h[None]
+            j = np.nan_to_num(jacobian.transpose(2, 0, 1))
+            det = np.linalg.det(j)
+            usable = np.isfinite(det) & (det != 0)
+            j[~usable] = np.eye(3)
+            step = np.linalg.solve(j, np.nan_to_num(miss.T)[..., None])[..., 0].T
+        return np.where(usable, step, np.inf), np.where(usable, np.sign(det), 0.0), miss
+
+    def press(self, distance: Array, target: Array) -> tuple[Array, NDArray[np.int8]]:
+        """Equilibria by continuation along the great circle from rest to the unit `target`."""
+        n = distance.size
+        outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
+        start, _ = zero_load(self.rows, distance)
+        v = np.stack([np.nan_to_num(start, nan=0.5), np.zeros(n), np.zeros(n)])
+        good = np.isfinite(start) & on_whisker(self.rows, np.nan_to_num(start, nan=2.0))
+        outcome[good] = Outcome.FLICKED_PAST
+        x, y = rest_point(self.rows.law, v[0]) if self.rows.law else (v[0], np.zeros(n))
+        r = np.hypot(x, y)
+        rest = np.stack([x, y * np.cos(self.plane), y * np.sin(self.plane)]) / r
+        across = target - rest * (rest * target).sum(axis=0)
+        size = np.sqrt((across**2).sum(axis=0))
+        across = across / np.maximum(size, 1e-300)
+        whole = np.arctan2(size, (rest * target).sum(axis=0))
+        done, stride, last = np.zeros(n), np.full(n, 0.2), np.zeros((3, n))
+        sign = np.zeros(n)
+        active = np.flatnonzero(good)
+        for _ in range(500):
+            if not active.size:
+                break
+            part = self.take(active)
+            scale = part.scale(distance[active])
+            step = np.minimum(stride[active], whole[active] - done[active])
+            angle = done[active] + step
+            goal = distance[active] * (
+                rest[:, active] * np.cos(angle) + across[:, active] * np.sin(angle)
+            )
+            guess = v[:, active] + last[:, active] * step
+            here = guess.copy()
+            for _ in range(4):
+                move, det, _ = part._newton(here, goal, 2 * pilot(self.rows))
+                here = here + np.nan_to_num(move, posinf=1e3, neginf=-1e3)
+                here = np.clip(here, -1e6, 1e6)
+                here[0] = np.clip(here[0], 1e-9, 1.001)
+            ok = np.max(np.abs(move) / scale, axis=0) < 1e-6
+            ok &= (det == sign[active]) | (sign[active] == 0)
+            ok &= np.max(np.abs(here - guess) / scale, axis=0) < 0.15
+            over = here[0] > 1 + 1e-12
+            ok &= ~over
+            rate = (here - v[:, active]) / np.maximum(step, 1e-300)
+            v[:, active] = np.where(ok, here, v[:, active])
+            last[:, active] = np.where(ok, rate, last[:, active])
+            sign[active] = np.where(ok & (sign[active] == 0), det, sign[active])
+            done[active] = np.where(ok, angle, done[active])
+            grown = np.minimum(1.5 * stride[active], 0.3)
+            stride[active] = np.where(ok, grown, step / 2)
+            finished = ok & (whole[active] - done[active] <= 1e-14)
+            dead = ~ok & (step < 1e-6)
+            outcome[active[finished]] = Outcome.HELD
+            outcome[active[dead & (v[0, active] > 1 - 1e-4)]] = Outcome.SLIPPED_OFF_TIP
+            active = active[~(finished | dead)]
+        return v, outcome

@@ -1,0 +1,286 @@
+"""Small vibrations: natural frequencies, mode shapes, damping, and the response to an impulse.
+
+§2d. An Euler–Bernoulli cantilever, clamped at the base and free at the tip,
+
+    (EI y″)″ = ω² m(s) y,   m = ρ π (a² − core²),
+
+of any profile: Rayleigh–Ritz on twice integrated Legendre polynomials (the curvature is a
+polynomial), over the pieces' own Gauss points. The basis meets the clamped end exactly and the
+free end by itself, so that the frequencies converge from above, exponentially for a whisker of
+one piece, and a perfect cone needs no special case. Damping is given as one ratio a mode;
+intrinsic curvature is left out, as whiskers are nearly straight over a mode's wavelength.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+from scipy.linalg import eigh
+
+from .._checks import finite, non_negative
+from ..whisker import Whisker
+from .chebyshev import Array
+from .shape import Profile
+
+_BASIS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The first modes of a whisker, lowest first.
+
+    Attributes
+    ----------
+    angular_frequency : array, shape (n,)
+        Undamped ω, rad/s.
+    damping_ratio : array, shape (n,)
+        Share of critical damping ζ.
+    error : array, shape (n,)
+        Estimated relative error of the frequencies, from a basis of three quarters the size.
+    coefficients : array, shape (n, basis)
+        Of the shapes, over twice integrated Legendre polynomials in s/L; unit modal mass.
+    profile : Profile
+    """
+
+    angular_frequency: Array
+    damping_ratio: Array
+    error: Array
+    coefficients: Array
+    profile: Profile
+
+    @property
+    def frequency(self) -> Array:
+        """Hz."""
+        return self.angular_frequency / (2 * np.pi)
+
+    @property
+    def normalised_frequency(self) -> Array:
+        """ω √(ρ A₀ L⁴/EI₀), as in the tables."""
+        w = self.profile.whisker
+        line = w.density * np.pi * w.base_radius**2
+        return np.asarray(self.angular_frequency * np.sqrt(line * w.length**4 / w.stiffness))
+
+    def shape(self, arc_length: ArrayLike) -> Array:
+        """Mode shapes φ_n(s), kg^(−1/2), shape (n, ...): ∫ m φ_i φ_j ds = 1 for i = j, else 0.
+
+        Positive at the tip.
+        """
+        return self.derivative(arc_length, 0)
+
+    @property
+    def base_moment(self) -> Array:
+        """Moment at the base, N m per unit modal coordinate, shape (n,): ω² ∫ m φ_n s ds.
+
+        The inertia's moment: equal to EI₀ φ_n″(0), and more accurate in the higher modes.
+        """
+        s, weight = _gauss(self.profile.arc, _BASIS)
+        load = self.profile.line_density(s) * weight * s
+        return np.asarray(self.angular_frequency**2 * (self.shape(s) @ load))
+
+    @property
+    def base_shear(self) -> Array:
+        """Transverse force at the base per unit modal coordinate, N: ω² ∫ m φ_n ds."""
+        knots = self.profile.arc
+        s, weight = _gauss(knots, _BASIS)
+        line = self.profile.line_density(s)
+        return np.asarray(self.angular_frequency**2 * (self.shape(s) @ (line * weight)))
+
+    def derivative(self, arc_length: ArrayLike, order: int) -> Array:
+        """Derivatives of the shapes to the arc, of order 0 to 2, shape (n, ...)."""
+        length = self.profile.whisker.length
+        s = finite("arc_length", arc_length, "give metres, such as 35e-3")
+        if np.any((s < 0) | (s > length * (1 + 1e-12))):
+            raise ValueError(
+                f"arc_length must be on the whisker of {length:g} m, got "
+                f"{s.flat[np.argmax(np.abs(s - length / 2))]:g}; give metres from the base."
+            )
+        values = _basis(s.reshape(-1) / length, self.coefficients.shape[1], order)
+        return np.asarray(self.coefficients @ values / length**order).reshape(-1, *s.shape)
+
+
+def modes(
+    whisker: Whisker | Profile,
+    count: int = 5,
+    *,
+    damping_ratio: ArrayLike = 0.0,
+) -> Modes:
+    """The first natural frequencies and mode shapes of one whisker.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+        One whisker: scalar fields.
+    count : int
+        How many modes, up to 12.
+    damping_ratio : float or array, shape (count,)
+        Share of critical damping of each mode, 0 ≤ ζ < 1.
+
+    Returns
+    -------
+    Modes
+
+    Raises
+    ------
+    ValueError
+        For several whiskers at once, a count outside 1 to 12, and overdamped modes.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+    >>> modes(w, 3).normalised_frequency.round(3)
+    array([ 7.894, 19.448, 36.51 ])
+    """
+    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    sizes = (
+        profile.radius.shape[1:],
+        np.shape(profile.whisker.density),
+        np.shape(profile.whisker.youngs_modulus),
+    )
+    if any(sizes):
+        raise ValueError(
+            f"modes() takes one whisker at a time, got an array of shape {max(sizes, key=len)}; "
+            "call it for each."
+        )
+    if not 1 <= count <= 12:
+        raise ValueError(f"count must be 1 to 12, got {count}; write count=5.")
+    zeta = non_negative("damping_ratio", damping_ratio, "give a share of critical, such as 0.1")
+    if np.any(zeta >= 1) or zeta.shape not in ((), (count,)):
+        raise ValueError(
+            f"damping_ratio must be below 1, one for all modes or one each, got {zeta.tolist()}; "
+            "write damping_ratio=0.1."
+        )
+    pieces = int(np.sum(np.diff(profile.arc) > 0))
+    size = _BASIS if pieces == 1 else _BASIS + 30
+    omega, vectors = _ritz(profile, size, count)
+    coarse, _ = _ritz(profile, 3 * size // 4, count)
+    error = np.abs(coarse / omega - 1) + 1e-12
+    vectors = vectors * np.sign(_basis(np.ones(1), size, 0).T @ vectors)  # up at the tip
+    return Modes(omega, np.broadcast_to(zeta, (count,)).astype(float), error, vectors.T, profile)
+
+
+def _ritz(profile: Profile, size: int, count: int) -> tuple[Array, Array]:
+    length = float(profile.whisker.length)
+    s, weight = _gauss(profile.arc, size + 8)
+    bent, moved = _basis(s / length, size, 2) / length**2, _basis(s / length, size, 0)
+    stiffness = (bent * (weight * profile.stiffness(s))) @ bent.T
+    mass = (moved * (weight * profile.line_density(s))) @ moved.T
+    # Scaled to a unit diagonal, which keeps a thin tip's rows from drowning.
+    scale = 1 / np.sqrt(np.diag(stiffness))
+    # The larger form on the right: its inverse's largest eigenvalues are the lowest frequencies.
+    inverse, vectors = eigh(
+        mass * np.outer(scale, scale),
+        stiffness * np.outer(scale, scale),
+        subset_by_index=(size - count, size - 1),
+    )
+    omega = 1 / np.sqrt(inverse[::-1])
+    shapes = scale[:, None] * vectors[:, ::-1] * omega  # unit modal mass
+    return omega, shapes
+
+
+def _gauss(knots: Array, n: int) -> tuple[Array, Array]:
+    x, w = legendre.leggauss(n)
+    gaps = np.diff(knots)
+    keep = gaps > 0
+    start, gap = knots[:-1][keep], gaps[keep]
+    return ((x + 1) / 2 * gap[:, None] + start[:, None]).ravel(), (w / 2 * gap[:, None]).ravel()
+
+
+def _basis(x: Array, size: int, order: int) -> Array:
+    """The order-th x-derivatives of the twice integrated P_k(2x − 1), shape (size, len(x))."""
+    series = np.eye(size)
+    for _ in range(2 - order):
+        series = legendre.legint(series, lbnd=-1, axis=0) / 2
+    return np.asarray(series.T @ legendre.legvander(2 * x - 1, len(series) - 1).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Ringing:
+    """What an impulse leaves at the base.
+
+    Attributes
+    ----------
+    time : array, shape (t,)
+        s after the impulse.
+    moment, transverse_force : array, shape (..., t)
+        At the base, N m and N.
+    amplitude : array, shape (..., n)
+        Velocity of each modal coordinate just after the impulse, J φ_n(r): its spectral signature.
+    """
+
+    time: Array
+    moment: Array
+    transverse_force: Array
+    amplitude: Array
+
+
+def impulse_response(
+    modes: Modes, arc_length: ArrayLike, time: ArrayLike, impulse: ArrayLike = 1.0
+) -> Ringing:
+    """Base signals after an impulse at a point of the whisker at rest.
+
+    Parameters
+    ----------
+    modes : Modes
+    arc_length : float or array (...)
+        Where it is struck, m.
+    time : array (t,)
+        s.
+    impulse : float or array (...)
+        N s.
+
+    Returns
+    -------
+    Ringing
+
+    Raises
+    ------
+    ValueError
+        For a place off the whisker or a time that is not finite.
+
+    Examples
+    --------
+    >>> m = modes(Whisker(50e-3, 100e-6, 5e-6, 3e9), 3, damping_ratio=0.1)
+    >>> ring = impulse_response(m, 20e-3, np.linspace(0, 0.05, 5), impulse=1e-9)
+    >>> ring.moment.shape
+    (5,)
+    """
+    t = finite("time", time, "give seconds").reshape(-1)
+    push = finite("impulse", impulse, "give newton seconds, such as 1e-9")
+    struck = np.moveaxis(modes.shape(arc_length), 0, -1) * push[..., None]
+    zeta, omega = modes.damping_ratio[:, None], modes.angular_frequency[:, None]
+    damped = omega * np.sqrt(1 - zeta**2)
+    waves = np.where(t >= 0, np.exp(-zeta * omega * np.maximum(t, 0)) * np.sin(damped * t), 0.0)
+    waves = waves / damped
+    return Ringing(
+        t,
+        struck @ (modes.base_moment[:, None] * waves),
+        struck @ (modes.base_shear[:, None] * waves),
+        struck,
+    )
+
+
+def transfer(modes: Modes, arc_length: ArrayLike, frequency: ArrayLike) -> Any:
+    """Spectrum of the base moment for a unit impulse at a place: the transform of the ringing.
+
+    Parameters
+    ----------
+    modes : Modes
+        Damped: without damping the spectrum has poles.
+    arc_length : float or array (...)
+        m.
+    frequency : array (f,)
+        Hz.
+
+    Returns
+    -------
+    array of complex, shape (..., f)
+        N m per N s, times s.
+    """
+    w = 2 * np.pi * finite("frequency", frequency, "give hertz").reshape(-1)
+    omega, zeta = modes.angular_frequency[:, None], modes.damping_ratio[:, None]
+    gain = modes.base_moment[:, None] / (omega**2 - w**2 + 2j * zeta * omega * w)
+    return np.moveaxis(modes.shape(arc_length), 0, -1) @ gain

@@ -1,0 +1,252 @@
+"""§2h: how far a muscle of limited moment turns a whisker past its first contact.
+
+The muscle's largest moment is a function of the follicle angle θ; the whisker's moment grows with
+the rotation past the impact at θ_i. Where the two first meet they balance: the angle θ_b past the
+impact is the cue. Equation (2.2) as printed is not the curve drawn in figure 3a; both are here,
+by name, and the figure's reproduces figure 3b.
+
+The units of the curves are the paper's, a peak of order one; the whisker's moment, in EI₀/L, is
+multiplied by `gain` to compare (2.0 in the paper's figure).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import finite, positive
+from ..whisker import Whisker
+from . import elastica
+from .chebyshev import Array
+
+#: Factor on M L/EI₀ with which the figure's curve reproduces figure 3b.
+FIGURE_GAIN = 2.0
+#: Figure 3c: the range of whisking, rad.
+WHISKING = (np.radians(30.0), np.radians(150.0))
+#: Half the ratio of follicle separation to length, at the centre of the pad (§2h).
+SEPARATION = 1.25
+
+
+class MuscleCurve(Enum):
+    """The three muscle curves, by name.
+
+    PRINTED is equation (2.2) as it stands, which peaks at w/2 near 128.7° for w = 1.25;
+    NORMALISED is the same with its peak scaled to 1; FIGURE is sin(θ − 23°), read off the dashed
+    curve of figure 3a.
+    """
+
+    PRINTED = "printed"
+    NORMALISED = "normalised"
+    FIGURE = "figure"
+
+    def moment(self, angle: ArrayLike, separation: float = SEPARATION) -> Array:
+        """Largest muscle moment at the follicle angle `angle`, rad.
+
+        Parameters
+        ----------
+        angle : float or array
+            rad.
+        separation : float
+            w of equation (2.2); not used by FIGURE.
+
+        Examples
+        --------
+        >>> print(MuscleCurve.FIGURE.moment(np.radians([30, 113, 150])).round(3))
+        [0.122 1.    0.799]
+        """
+        theta = finite("angle", angle, "give radians")
+        if self is MuscleCurve.FIGURE:
+            return np.asarray(np.sin(theta - np.radians(23.0)))
+        w = float(positive("separation", separation, "give w of equation (2.2), such as 1.25"))
+        inner = np.arctan2(2 * np.sin(theta), w + 2 * np.cos(theta))
+        printed = np.sin(theta - inner)
+        # sin(θ − atan2(…)) = w sin θ/√(w² + 4w cos θ + 4): its peak is w/2 below w = 2, else 1.
+        return np.asarray(printed if self is MuscleCurve.PRINTED else printed / min(w / 2, 1.0))
+
+
+class Balance(IntEnum):
+    """What became of the muscle against the whisker; `message` says it in words."""
+
+    BALANCED = 0
+    FLICKED_PAST = 1
+    SLIPPED_OFF_TIP = 2
+    END_OF_WHISKING = 3
+    OUT_OF_REACH = 4
+
+    @property
+    def message(self) -> str:
+        """The outcome in one sentence."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Balance.BALANCED: "balanced: the object holds the whisker at this angle",
+    Balance.FLICKED_PAST: "flicked past: the muscle is stronger all the way to the fold",
+    Balance.SLIPPED_OFF_TIP: "slipped off the tip: the muscle is stronger all the way to the tip",
+    Balance.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
+    Balance.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class MomentBalance:
+    """Where a muscle and a whisker balance.
+
+    Attributes
+    ----------
+    balance_angle : float or array
+        θ_b, rad past the impact; NaN where there is no balance.
+    moment : float or array
+        The whisker's moment there, N m.
+    outcome : Balance or array of int
+    end_angle : float or array
+        Where the rotation ended for whatever reason, rad past the impact.
+    """
+
+    balance_angle: Any
+    moment: Any
+    outcome: Any
+    end_angle: Any
+
+
+def moment_balance(
+    whisker: Whisker,
+    radial_distance: ArrayLike,
+    impact_angle: ArrayLike,
+    *,
+    curve: MuscleCurve = MuscleCurve.FIGURE,
+    gain: float = FIGURE_GAIN,
+    separation: float = SEPARATION,
+    whisking: tuple[float, float] = WHISKING,
+    samples: int = 200,
+) -> MomentBalance:
+    """The angle at which the muscle's largest moment first equals that of the bent whisker.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        Straight.
+    radial_distance, impact_angle : float or array
+        m; follicle angle at first contact, rad.
+    curve : MuscleCurve
+        Which of the three.
+    gain : float
+        Muscle units per EI₀/L: M L/EI₀ times `gain` is compared with the curve.
+    separation : float
+        w of equation (2.2).
+    whisking : (float, float)
+        Range of follicle angles, rad.
+    samples : int
+        Steps in which the first crossing is looked for, each then solved to the last digits.
+
+    Returns
+    -------
+    MomentBalance
+
+    Raises
+    ------
+    ValueError
+        For a curved whisker, an impact outside the range of whisking, and what `press` refuses.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+    >>> b = moment_balance(w, np.array([0.3, 0.5, 0.7]) * 50e-3, np.radians(60))
+    >>> np.degrees(b.balance_angle).round(2), [Balance(k).name for k in b.outcome]
+    (array([2.55, 6.29,  nan]), ['BALANCED', 'BALANCED', 'FLICKED_PAST'])
+    """
+    r = positive("radial_distance", radial_distance, "give metres, such as 35e-3")
+    impact = finite("impact_angle", impact_angle, "give radians, such as np.radians(60)")
+    positive("gain", gain, "give muscle units per EI₀/L, such as 2.0")
+    if np.any(np.not_equal(whisker.curvature, 0)):
+        raise ValueError(
+            "moment_balance() takes a straight whisker, got curvature "
+            f"{np.max(np.abs(whisker.curvature)):g} 1/m; write curvature=0."
+        )
+    low, high = whisking
+    if np.any((impact < low) | (impact > high)):
+        raise ValueError(
+            f"impact_angle must be in the range of whisking, {low:.4g} to {high:.4g} rad, got "
+            f"{np.ravel(impact)[np.argmax(np.abs(impact - (low + high) / 2))]:g}; "
+            "change it or `whisking`."
+        )
+    limit = elastica.flick_past(whisker, r)
+    shape = np.broadcast_shapes(np.shape(limit.deflection_angle), impact.shape)
+    flick = np.broadcast_to(np.nan_to_num(limit.deflection_angle), shape)
+    impact = np.broadcast_to(impact, shape)
+    reach = np.minimum(flick * (1 - 1e-12), high - impact)
+
+    def excess(theta: Array) -> Array:
+        """Muscle over whisker, > 0 while it still turns; rotation past the impact."""
+        bent = np.asarray(elastica.press(whisker, r, theta).normalised_moment)
+        return np.asarray(
+            curve.moment(impact + theta, separation) - gain * np.nan_to_num(bent, nan=np.inf)
+        )
+
+    found, left, right = _first_crossing(excess, reach, samples)
+    for _ in range(54):
+        middle = (left + right) / 2
+        over = excess(middle) > 0
+        left, right = np.where(over, middle, left), np.where(over, right, middle)
+    outcome = np.select(
+        [
+            np.broadcast_to(np.equal(limit.ended_by, elastica.Outcome.OUT_OF_REACH), shape),
+            found,
+            flick > high - impact,
+            np.broadcast_to(np.equal(limit.ended_by, elastica.Outcome.SLIPPED_OFF_TIP), shape),
+        ],
+        [
+            Balance.OUT_OF_REACH,
+            Balance.BALANCED,
+            Balance.END_OF_WHISKING,
+            Balance.SLIPPED_OFF_TIP,
+        ],
+        Balance.FLICKED_PAST,
+    ).astype(np.int8)
+    balanced = outcome == Balance.BALANCED
+    angle = np.where(balanced, left, np.nan)
+    end = np.where(balanced, left, np.where(outcome == Balance.OUT_OF_REACH, np.nan, reach))
+    moment = elastica.press(whisker, r, np.where(balanced, left, 0.0)).moment
+    return MomentBalance(
+        angle[()],
+        np.where(balanced, moment, np.nan)[()],
+        outcome if shape else Balance(int(outcome)),
+        end[()],
+    )
+
+
+def _first_crossing(
+    excess: Any, reach: Array, samples: int
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Whether and between which angles the excess first falls to zero."""
+    zero = np.zeros_like(reach)
+    lowest = excess(zero)
+    found, at = lowest <= 0, np.zeros(reach.shape, dtype=int)
+    left, right = zero.copy(), zero.copy()
+
+    def place(k: ArrayLike) -> Array:
+        # Closer steps towards the fold, about which everything goes as a square root.
+        return np.asarray(reach * (1 - (1 - np.clip(k, 0, samples) / samples) ** 2))
+
+    for k in range(1, samples + 1):
+        now = excess(place(k))
+        falls = ~found & (now <= 0)
+        left, right = np.where(falls, place(k - 1), left), np.where(falls, place(k), right)
+        found = found | falls
+        at = np.where(now < lowest, k, at)
+        lowest = np.minimum(now, lowest)
+        if np.all(found):
+            return found, left, right
+    # A pair of crossings between two samples: look at the very bottom of the lowest dip.
+    low, high = place(at - 1), place(at + 1)
+    for _ in range(60):
+        first, second = low + (high - low) / 3, high - (high - low) / 3
+        lower = excess(first) < excess(second)
+        low, high = np.where(lower, low, first), np.where(lower, second, high)
+    falls = ~found & (excess(low) <= 0)
+    left, right = np.where(falls, place(at - 1), left), np.where(falls, low, right)
+    return found | falls, left, right

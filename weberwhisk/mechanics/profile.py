@@ -1,0 +1,383 @@
+"""Rung 2: the planar elastica of any whisker, curved or cut or hollow, with Coulomb friction.
+
+The whisker is followed from the contact to the base (`trajectory`), so that bending by a given
+force needs no root. Pressing against a point is Newton's method in contact arc and force on the
+pass's own derivatives; what it finds is taken only where the pass proves it stable, and the rest
+is walked along its branch from zero load (`branch`), which ends at a fold or at the tip.
+
+Signs: a positive force pushes the whisker towards +y, positive curvature bends it the same way at
+rest, so positive curvature with a positive force is contact on the convex side, negative curvature
+or a negative force on a positively curved whisker the concave side. A positive friction angle
+tilts the force from the normal towards the base: friction on a whisker that is sliding outwards
+over the object, as while it unloads; while it is pressed harder it slides inwards, and the angle
+is negative. The sign of the friction angle does not depend on the side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._checks import finite, non_negative, positive
+from ..whisker import Whisker
+from .branch import TIP, Branch, walk, zero_load
+from .chebyshev import Array
+from .contact import NUMBERS, Bending, Outcome, Rung
+from .elastica import FlickPast
+from .equilibrium import Solved, at_points, numbers_of, on_whisker, press_rows
+from .shape import Profile
+from .trajectory import Rows, resolve, rows_of
+
+#: Accuracy asked for by default; the error estimate is an upper one, usually by a factor of 100.
+TOLERANCE = 1e-9
+#: Rows solved at a time; passes are cut further, to fit the cache.
+ROWS = 32768
+_METRES = "give metres, such as 35e-3"
+
+
+def bend(
+    whisker: Whisker | Profile,
+    arc_length: ArrayLike,
+    force: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    tolerance: float = TOLERANCE,
+) -> Bending:
+    """Bend any whisker by a given contact force at a given arc length.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+    arc_length, force : float or array
+        m; N, its sign the side that the whisker is pushed to.
+    friction_angle : float or array
+        Angle by which friction tilts the force from the normal towards the base, rad, between
+        −π/2 and π/2.
+    tolerance : float
+        Relative error to stay below.
+
+    Returns
+    -------
+    Bending
+        Outcome `HELD`; `PAST_FOLD` where an object fixed in space could no longer hold this
+        equilibrium; `FLICKED_PAST` for loads past that again; `OUT_OF_REACH` beyond the tip.
+
+    Raises
+    ------
+    ValueError
+        For input that is not finite, and a friction angle of a right angle or more.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    >>> b = bend(w, arc_length=30e-3, force=5e-5, friction_angle=np.radians(10))
+    >>> print(f"{b.moment:.6e} N m at {np.degrees(b.deflection_angle):.4f} degrees")
+    1.461915e-06 N m at 1.4289 degrees
+    """
+    arc = positive("arc_length", arc_length, _METRES)
+    load = finite("force", force, "give newtons, such as 1e-5")
+    tilt = _friction(friction_angle)
+
+    def solve(rows: Rows, s: Array, f: Array, psi: Array) -> Solved:
+        n = s.size
+        sign = np.where(f < 0, -1.0, 1.0)
+        numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
+        outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
+        good = np.flatnonzero(on_whisker(rows, s))
+        rows, s, f, psi, sign = (
+            rows.take(good).mirrored(sign[good]),
+            np.minimum(s[good], 1.0),
+            np.abs(f[good]),
+            psi[good],
+            sign[good],
+        )
+        path = resolve(rows, s, f, psi, tolerance)
+        outcome[good] = np.select(
+            [~(path.error <= np.maximum(tolerance, 1e-4)) | (path.flips > 1), path.flips == 1],
+            [Outcome.FLICKED_PAST, Outcome.PAST_FOLD],
+            Outcome.HELD,
+        )
+        held = outcome[good] != Outcome.FLICKED_PAST
+        values = numbers_of(path.angle, path.lever, path.along, s, f, psi, sign)
+        numbers[:, good] = np.where(held, values, np.nan)
+        error[good] = np.where(held, path.error, np.nan)
+        return numbers, outcome, error
+
+    return _by_rows(solve, whisker, length=arc, force=load, angle=tilt)
+
+
+def press(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    tolerance: float = TOLERANCE,
+) -> Bending:
+    """Press any whisker against a point at a given radial distance and deflection angle.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+    radial_distance, deflection_angle : float or array
+        m; rad, from the base tangent to the line base → contact. A curved whisker at rest lies at
+        an angle of its own (`rest_angle`): the sign of the force is that of the difference.
+    friction_angle, tolerance
+        As for `bend`.
+
+    Returns
+    -------
+    Bending
+        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`.
+        `FLICKED_PAST` also says that at this friction angle the contact does not slide so far.
+
+    Raises
+    ------
+    ValueError
+        As for `bend`.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=8.0)
+    >>> b = press(w, radial_distance=30e-3, deflection_angle=np.radians([-5, 10, 60]))
+    >>> b.outcome
+    array([0, 0, 2], dtype=int8)
+    """
+    distance = positive("radial_distance", radial_distance, _METRES)
+    angle = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
+    tilt = _friction(friction_angle)
+
+    def solve(rows: Rows, r: Array, theta: Array, psi: Array) -> Solved:
+        return press_rows(rows, r, theta, psi, tolerance)
+
+    return _by_rows(solve, whisker, length=distance, angle=angle, tilt=tilt)
+
+
+def rest_angle(whisker: Whisker | Profile, radial_distance: ArrayLike) -> Array:
+    """Deflection angle of an object that the whisker at rest just touches, rad.
+
+    Parameters
+    ----------
+    radial_distance : float or array
+        m.
+
+    Returns
+    -------
+    array
+        NaN beyond the whisker's reach. A whisker so curved that it meets this radius twice is
+        touched at the meeting nearer to the base.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, curvature=10.0)
+    >>> print(np.degrees(rest_angle(w, 30e-3)).round(4))
+    8.6269
+    """
+    r = positive("radial_distance", radial_distance, _METRES)
+
+    def solve(rows: Rows, distance: Array) -> Solved:
+        _, theta = zero_load(rows, distance)
+        lost = np.full(theta.size, Outcome.HELD, dtype=np.int8)
+        return np.broadcast_to(theta, (8, theta.size)), lost, theta
+
+    return np.asarray(_by_rows(solve, whisker, length=r).deflection_angle)
+
+
+def flick_past(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    side: ArrayLike = 1.0,
+    tolerance: float = TOLERANCE,
+) -> FlickPast:
+    """The last deflection angle at a radial distance, why it ends, and the peak of the moment.
+
+    Parameters
+    ----------
+    radial_distance : float or array
+        m.
+    friction_angle, tolerance
+        As for `bend`.
+    side : +1, -1 or array
+        Sign of the force: which way the whisker is pushed.
+
+    Returns
+    -------
+    FlickPast
+        Ended by a fold (`FLICKED_PAST`) or the tip (`SLIPPED_OFF_TIP`); `OUT_OF_REACH` where the
+        whisker at rest does not get to this distance.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, curvature=10.0)
+    >>> end = flick_past(w, radial_distance=35e-3, side=[1, -1])
+    >>> np.degrees(end.deflection_angle).round(3)
+    array([ 31.094, -18.613])
+    """
+    r = positive("radial_distance", radial_distance, _METRES)
+    tilt = _friction(friction_angle)
+    sides = finite("side", side, "write 1 or -1")
+    if np.any(np.abs(sides) != 1):
+        raise ValueError(f"side must be 1 or -1, got {np.ravel(sides)[0]:g}; write side=1.")
+    ends: list[Bending] = []
+    for peak in (False, True):
+
+        def solve(rows: Rows, r: Array, psi: Array, sign: Array, peak: bool = peak) -> Solved:
+            n = r.size
+            numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
+            outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
+            rows = rows.mirrored(sign)
+            start, _ = zero_load(rows, r)
+            good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
+            if not good.size:
+                return numbers, outcome, error
+            branch = Branch.of(rows.take(good), r[good], psi[good], start[good], tolerance)
+            ended = walk(branch, np.full(good.size, np.inf), peaks=peak)
+            values, error[good] = at_points(branch, ended.peak if peak else ended.point, sign[good])
+            numbers[:, good] = values
+            outcome[good] = np.where(
+                ended.end == TIP, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST
+            )
+            return numbers, outcome, error
+
+        ends.append(_by_rows(solve, whisker, length=r, tilt=tilt, side=sides))
+    ended_by = ends[0].outcome
+    lost = np.equal(ended_by, Outcome.OUT_OF_REACH)
+    held = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
+    shaped = held if np.ndim(ended_by) else Outcome(int(held))
+    at_end, at_peak = (replace(b, outcome=shaped) for b in ends)
+    return FlickPast(at_end.deflection_angle, ended_by, at_end, at_peak)
+
+
+@dataclass(frozen=True, eq=False)
+class Sticking:
+    """The equilibria between which friction holds a contact in place.
+
+    Attributes
+    ----------
+    inward : Bending
+        About to slide inwards over the object (the contact moving tipwards), as while the whisker
+        is pressed harder: friction angle −atan µ.
+    outward : Bending
+        About to slide outwards, as while it is let go: friction angle +atan µ.
+    stuck_inward, stuck_outward : bool or array
+        True where no sliding equilibrium exists that way though the frictionless contact holds:
+        friction at which nothing slides.
+    """
+
+    inward: Bending
+    outward: Bending
+    stuck_inward: Any
+    stuck_outward: Any
+
+
+def sticking(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_coefficient: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+) -> Sticking:
+    """The sticking range of a contact: any signals between its two ends are in balance.
+
+    Parameters
+    ----------
+    radial_distance, deflection_angle : float or array
+        m, rad.
+    friction_coefficient : float or array
+        Coulomb's µ of rest; about 0.48 for a whisker on steel.
+
+    Raises
+    ------
+    ValueError
+        As for `press`, and for a negative coefficient.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+    >>> s = sticking(w, 30e-3, np.radians(15), friction_coefficient=0.48)
+    >>> print(f"{s.inward.axial_force:.3e} to {s.outward.axial_force:.3e} N")
+    1.040e-05 to 9.214e-05 N
+    """
+    mu = non_negative("friction_coefficient", friction_coefficient, "give µ, such as 0.48")
+
+    def at(tilt: Array) -> Bending:
+        return press(whisker, radial_distance, deflection_angle, tilt, tolerance=tolerance)
+
+    inward, outward, held = at(-np.arctan(mu)), at(np.arctan(mu)), at(0 * mu).held
+    return Sticking(
+        inward,
+        outward,
+        held & np.logical_not(inward.held),
+        held & np.logical_not(outward.held),
+    )
+
+
+def _friction(friction_angle: ArrayLike) -> Array:
+    tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
+    if np.any(np.abs(tilt) >= np.pi / 2):
+        raise ValueError(
+            "friction_angle must be between −π/2 and π/2, got "
+            f"{np.ravel(tilt)[np.argmax(np.abs(tilt))]:g}; give radians, such as np.arctan(0.48)."
+        )
+    return tilt
+
+
+def _by_rows(
+    solve: Callable[..., Solved], whisker: Whisker | Profile, **arguments: ArrayLike
+) -> Bending:
+    """Broadcast a profile and its scenes, solve them in pieces, and restore units and shape.
+
+    The arguments named ``length`` and ``force`` are brought to natural units; the rest are passed
+    as they are.
+    """
+    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    base = profile.whisker
+    whiskers = profile.arc[0], profile.radius[0], base.stiffness, *vars(profile.law).values()
+    try:
+        shape = np.broadcast_shapes(*(np.shape(a) for a in (*whiskers, *arguments.values())))
+    except ValueError:
+        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
+        raise ValueError(
+            f"The scenes must broadcast with each other and the whisker, got {shapes} and a "
+            f"whisker of {np.shape(profile.radius[0])}; give arrays of one shape."
+        ) from None
+
+    def flat(value: ArrayLike) -> Array:
+        return np.broadcast_to(np.asarray(value, dtype=float), shape).reshape(-1)
+
+    length, force = flat(base.length), flat(base.force_scale)
+    unit: dict[str, Any] = {"length": length, "force": force}
+    given = [flat(value) / unit.get(name, 1.0) for name, value in arguments.items()]
+    rows = rows_of(profile, shape)
+    n = length.size
+    numbers, outcome, error = np.empty((8, n)), np.empty(n, dtype=np.int8), np.empty(n)
+    for start in range(0, n, ROWS):
+        part = slice(start, start + ROWS)
+        numbers[:, part], outcome[part], error[part] = solve(
+            rows.take(part), *(a[part] for a in given)
+        )
+    scale = {
+        "moment": force * length,
+        "axial_force": force,
+        "transverse_force": force,
+        "radial_distance": length,
+        "arc_length": length,
+        "force": force,
+    }
+    return Bending(
+        **{
+            name: (row * scale.get(name, 1.0)).reshape(shape)[()]
+            for name, row in zip(NUMBERS, numbers, strict=True)
+        },
+        outcome=outcome.reshape(shape) if shape else Outcome(int(outcome[0])),
+        model=np.full(shape, Rung.PROFILE, dtype=np.int8) if shape else Rung.PROFILE,
+        error=error.reshape(shape)[()],
+        whisker=base,
+    )

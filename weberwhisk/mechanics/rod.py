@@ -1,0 +1,231 @@
+"""Rung 3: contact out of the plane of a curved whisker, with bending about two axes and torsion.
+
+A Kirchhoff rod of circular section, GJ = EI/(1 + ν). As in the plane, the moment is zero at the
+contact and the force's direction is known in the contact's own frame, so the rod is followed from
+there to the base without shooting: with the directors dᵢ (d₃ the tangent, d₁ the normal towards
++y, d₂ towards +z), F the force and X the contact as seen from the running point,
+
+    Ω = Σ uᵢdᵢ,  u = (m₁/EI, κ₀ + m₂/EI, m₃/GJ),  m = X × F,
+    dᵢ′ = −Ω × dᵢ,  X′ = d₃    along s_c − s.
+
+Base frame: x along the base tangent, y in the plane of intrinsic curvature, z = x × y; ``plane``
+rolls that plane about x. The point of contact is on the whisker's axis, so that it brings no
+torque of its own; friction acts along the whisker, as in the plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import finite, positive
+from ..whisker import Whisker
+from .chebyshev import Array
+from .contact import Outcome, Rung
+from .cosserat import POISSON_RATIO, Base, Scenes
+from .equilibrium import on_whisker
+from .shape import Profile
+
+TOLERANCE = 1e-9
+_METRES = "give metres, such as 35e-3"
+
+
+@dataclass(frozen=True, eq=False)
+class RodBending:
+    """A whisker bent in space: six signals at the base, the contact and its outcome.
+
+    Vectors have a last axis of 3, (x, y, z) in the base frame. NaN where there is no equilibrium.
+
+    Attributes
+    ----------
+    force, moment : array (..., 3)
+        What the contact does to the base, N and N m: the contact force, and its moment about the
+        base, the first component of which is the torsion.
+    contact : array (..., 3)
+        Point of contact, m.
+    tangent : array (..., 3)
+        Of the whisker at the contact.
+    arc_length, magnitude, direction : array
+        Contact arc, m; size of the force, N; direction of its part across the whisker, rad from
+        the normal d₁ towards d₂ there.
+    outcome, model, error : array
+        As in `Bending`.
+    whisker : Whisker
+    """
+
+    force: Array
+    moment: Array
+    contact: Array
+    tangent: Array
+    arc_length: Any
+    magnitude: Any
+    direction: Any
+    outcome: Any
+    model: Any
+    error: Any
+    whisker: Whisker
+
+    @property
+    def axial_force(self) -> Any:
+        """N, positive in compression."""
+        return -self.force[..., 0]
+
+    @property
+    def radial_distance(self) -> Any:
+        """Straight line from base to contact, m."""
+        return np.sqrt((self.contact**2).sum(axis=-1))
+
+
+def bend(
+    whisker: Whisker | Profile,
+    arc_length: ArrayLike,
+    force: ArrayLike,
+    direction: ArrayLike = 0.0,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    plane: ArrayLike = 0.0,
+    poisson_ratio: float = POISSON_RATIO,
+    tolerance: float = TOLERANCE,
+) -> RodBending:
+    """Bend any whisker by a force in any direction across it.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+    arc_length, force : float or array
+        m; N.
+    direction : float or array
+        Angle of the force about the tangent at the contact, from the normal d₁, rad. 0 pushes to
+        +y as in the plane.
+    friction_angle : float or array
+        As for `profile.bend`.
+    plane : float or array
+        Roll of the plane of intrinsic curvature about the base tangent, rad.
+    poisson_ratio : float
+        ν, between −1 and 0.5.
+    tolerance : float
+
+    Returns
+    -------
+    RodBending
+        Stability is not judged when the force is given: outcome `HELD` means in balance.
+        `FLICKED_PAST` marks loads that wind the rod up past resolving.
+
+    Raises
+    ------
+    ValueError
+        For input that is not finite, and a friction angle of a right angle or more.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    >>> b = bend(w, 30e-3, 5e-5, direction=np.radians(90))
+    >>> print("torsion %.3e, bending %.3e and %.3e N m" % tuple(b.moment))
+    torsion -1.773e-07, bending -1.456e-06 and 4.017e-08 N m
+    """
+    s = positive("arc_length", arc_length, _METRES)
+    size = finite("force", force, "give newtons, such as 1e-5")
+    turn = finite("direction", direction, "give radians, 0 for the plane of curvature")
+    scenes = Scenes.of(whisker, (s, size, turn), friction_angle, plane, poisson_ratio)
+    f = scenes.flat(size) / scenes.force
+    chi = scenes.flat(turn)
+    v = np.stack([scenes.flat(s) / scenes.length, f * np.cos(chi), f * np.sin(chi)])
+    good = on_whisker(scenes.rows, v[0])
+    outcome = np.where(good, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+    v[:, ~good] = [[0.5], [0.0], [0.0]]
+    v[0] = np.minimum(v[0], 1.0)
+    base = scenes.resolve(v, tolerance)
+    lost = ~(base.error <= max(tolerance, 1e-4))
+    outcome = np.where(good & lost, Outcome.FLICKED_PAST, outcome)
+    return _result(scenes, v, base, outcome.astype(np.int8))
+
+
+def press(
+    whisker: Whisker | Profile,
+    point: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    plane: ArrayLike = 0.0,
+    poisson_ratio: float = POISSON_RATIO,
+    tolerance: float = TOLERANCE,
+) -> RodBending:
+    """Press any whisker against a point in space.
+
+    The point is moved on its sphere about the base, along the great circle from where the resting
+    whisker meets that sphere, and the equilibrium followed.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+    point : array (..., 3)
+        (x, y, z) in the base frame, m.
+    friction_angle, plane, poisson_ratio, tolerance
+        As for `bend`.
+
+    Returns
+    -------
+    RodBending
+        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`.
+
+    Raises
+    ------
+    ValueError
+        As for `bend`, and for a point without three components or at the base.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    >>> b = press(w, [30e-3, 2e-3, 4e-3])
+    >>> b.outcome.name, b.moment.shape
+    ('HELD', (3,))
+    """
+    place = finite("point", point, "give (x, y, z) in metres")
+    if place.ndim < 1 or place.shape[-1] != 3:
+        raise ValueError(
+            f"point must have three components, got shape {place.shape}; give (x, y, z) in metres."
+        )
+    r = positive("the point's distance", np.sqrt((place**2).sum(-1)), _METRES)
+    scenes = Scenes.of(whisker, (r,), friction_angle, plane, poisson_ratio)
+    distance = scenes.flat(r) / scenes.length
+    target = np.stack([scenes.flat(place[..., k]) / scenes.length for k in range(3)]) / distance
+    v, outcome = scenes.press(distance, target)
+    base = scenes.resolve(v, tolerance)
+    held = outcome == Outcome.HELD
+    for _ in range(6):
+        off = scenes.newton(v, distance * target, base.steps)
+        v = np.where(held, v + off, v)
+        if np.max(np.abs(off[:, held]) / scenes.scale(distance)[:, held], initial=0.0) < 1e-11:
+            break
+    base = scenes.resolve(v, tolerance)
+    return _result(scenes, v, base, outcome)
+
+
+def _result(scenes: Scenes, v: Array, base: Base, outcome: NDArray[np.int8]) -> RodBending:
+    lost = outcome != Outcome.HELD
+    contact = base.seen(base.lever)
+    force = base.seen(base.force)
+    moment = np.cross(contact, force, axis=0)
+    tangent = base.seen(np.stack([0 * v[0], 0 * v[0], 0 * v[0] + 1]))
+
+    def vector(value: Any, unit: Array | float) -> Array:
+        return np.where(lost, np.nan, value * unit).T.reshape(*scenes.shape, 3)
+
+    def scalar(value: Any) -> Any:
+        return np.where(lost, np.nan, value).reshape(scenes.shape)[()]
+
+    return RodBending(
+        vector(force, scenes.force),
+        vector(moment, scenes.force * scenes.length),
+        vector(contact, scenes.length),
+        vector(tangent, 1.0),
+        scalar(v[0] * scenes.length),
+        scalar(np.hypot(v[1], v[2]) * scenes.force),
+        scalar(np.arctan2(v[2], v[1])),
+        outcome.reshape(scenes.shape) if scenes.shape else Outcome(int(outcome[0])),
+        np.full(scenes.shape, Rung.ROD, dtype=np.int8) if scenes.shape else Rung.ROD,
+        scalar(base.error),
+        scenes.whisker,
+    )

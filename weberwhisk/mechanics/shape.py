@@ -1,0 +1,292 @@
+"""What a whisker is like along its arc: radius, hollow core, intrinsic curvature.
+
+A `Profile` is a chain of pieces along which the radius is linear in the arc: one piece is the
+linear taper (whole, or cut at any length), several are a tabulated radius; a second table hollows
+it (the medulla). Intrinsic curvature is one of two laws, each with a closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._checks import finite, non_negative, positive
+from ..whisker import DENSITY, YOUNGS_MODULUS, Whisker
+from .chebyshev import Array
+
+_METRES = "give metres, such as 5e-3"
+_PER_METRE = "give 1/m, such as 20, or 0 for none"
+
+
+@dataclass(frozen=True, eq=False)
+class Spiral:
+    """Intrinsic curvature ``base + rate · s``: straight, circular or an Euler spiral.
+
+    Parameters
+    ----------
+    base : float or array
+        Curvature at the base, 1/m. Positive bends towards the side that a positive force pushes
+        to: contact on the convex side. Negative: contact on the concave side.
+    rate : float or array
+        Change of curvature along the arc, 1/m².
+    """
+
+    base: Any = 0.0
+    rate: Any = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "base", finite("base", self.base, _PER_METRE))
+        object.__setattr__(self, "rate", finite("rate", self.rate, "give 1/m², or 0"))
+
+    def __call__(self, arc: Array) -> Array:
+        """Curvature at the arc lengths `arc`."""
+        return np.asarray(self.base + self.rate * arc)
+
+    def turn(self, arc: Array) -> Array:
+        """Tangent angle at the arc lengths `arc`, rad."""
+        return np.asarray(arc * (self.base + self.rate * arc / 2))
+
+    def scaled(self, length: Array, sign: ArrayLike = 1.0) -> Spiral:
+        """The law with `length` as unit, mirrored where `sign` is −1."""
+        return Spiral(self.base * length * sign, self.rate * length**2 * sign)
+
+
+@dataclass(frozen=True, eq=False)
+class Parabola:
+    """Intrinsic shape y = a·x²: curvature 2a cos³(tangent angle).
+
+    Parameters
+    ----------
+    coefficient : float or array
+        a, 1/m; its sign as for `Spiral`.
+    """
+
+    coefficient: Any
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficient", finite("coefficient", self.coefficient, _PER_METRE))
+
+    def __call__(self, arc: Array) -> Array:
+        """Curvature at the arc lengths `arc`."""
+        return np.asarray(2 * self.coefficient / (1 + self._slope(arc) ** 2) ** 1.5)
+
+    def turn(self, arc: Array) -> Array:
+        """Tangent angle at the arc lengths `arc`, rad."""
+        return np.arctan(self._slope(arc))
+
+    def scaled(self, length: Array, sign: ArrayLike = 1.0) -> Parabola:
+        """The law with `length` as unit, mirrored where `sign` is −1."""
+        return Parabola(self.coefficient * length * sign)
+
+    def _slope(self, arc: Array) -> Array:
+        """t = 2ax at arc s: t√(1+t²) + asinh t = 4as, by Halley's method from a close guess."""
+        sigma = np.asarray(2 * self.coefficient * arc)
+        q = sigma**2
+        t = sigma * np.sqrt((1 + q / 3) / (1 + 2 * q / 3 + q * np.sqrt(q) / 18))
+        for _ in range(4):
+            root = np.sqrt(1 + t * t)
+            miss = (t * root + np.arcsinh(t)) / 2 - sigma
+            t = t - miss / (root - miss * t / (2 * root * root))
+        return np.asarray(t)
+
+
+Law = Spiral | Parabola
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A whisker whose stiffness and curvature vary along the arc in any way.
+
+    Make one with `of`, `tabulated`, and change it with `cut`, `hollow`, `curved`.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        Length, base radius, modulus and density, which set the scales of results; of its tip
+        radius and curvature the tables below take the place.
+    arc : array, shape (k, ...)
+        Arc length of the knots, m, ascending from 0 to the length. A knot given twice makes a step.
+    radius, core : array, shape (k, ...)
+        Outer radius and radius of the hollow core at the knots, m; linear between them.
+    law : Spiral or Parabola
+        Intrinsic curvature.
+    """
+
+    whisker: Whisker
+    arc: Array
+    radius: Array
+    core: Array
+    law: Law
+
+    @classmethod
+    def of(cls, whisker: Whisker) -> Profile:
+        """The profile of a linearly tapered whisker of constant curvature."""
+        length, base, tip = np.broadcast_arrays(
+            whisker.length, whisker.base_radius, whisker.tip_radius
+        )
+        radius = np.stack([base, tip]).astype(float)
+        return cls(
+            whisker,
+            np.stack([np.zeros_like(length), length]).astype(float),
+            radius,
+            np.zeros_like(radius),
+            Spiral(whisker.curvature),
+        )
+
+    @classmethod
+    def tabulated(
+        cls,
+        arc: ArrayLike,
+        radius: ArrayLike,
+        *,
+        core: ArrayLike = 0.0,
+        law: Law | None = None,
+        youngs_modulus: ArrayLike = YOUNGS_MODULUS,
+        density: ArrayLike = DENSITY,
+    ) -> Profile:
+        """A profile from a table of radii, linear between the knots.
+
+        Parameters
+        ----------
+        arc : array, shape (k,)
+            Arc length of the knots, m, from 0 at the base to the length; a knot given twice makes
+            a step.
+        radius, core : array, shape (k,)
+            Outer radius and radius of the hollow core, m.
+        law : Spiral or Parabola, optional
+            Intrinsic curvature; default straight.
+        youngs_modulus, density : float
+            Pa, kg/m³.
+
+        Raises
+        ------
+        ValueError
+            For fewer than two knots, knots that do not ascend from 0, and a core that is not
+            inside the whisker.
+
+        Examples
+        --------
+        >>> p = Profile.tabulated([0, 20e-3, 50e-3], [100e-6, 70e-6, 5e-6])
+        >>> print(p.whisker.length, p.stiffness(0.0) / p.whisker.stiffness)
+        0.05 1.0
+        """
+        s = finite("arc", arc, "give metres from base to tip")
+        a = non_negative("radius", radius, "give metres, such as 1e-4")
+        hole = non_negative("core", core, "give metres, or 0 for a solid whisker")
+        if s.ndim != 1 or s.size < 2 or s[0] != 0 or np.any(np.diff(s) < 0) or s[-1] == 0:
+            raise ValueError(
+                f"arc must ascend from 0 at the base in two knots or more, got {s.tolist()}; "
+                "give one row of metres such as [0, 20e-3, 50e-3]."
+            )
+        if a.shape != s.shape or hole.shape not in ((), s.shape):
+            raise ValueError(
+                f"radius and core need one value a knot, got shapes {a.shape} and {hole.shape} "
+                f"for {s.size} knots; give tables of one length."
+            )
+        whisker = Whisker(s[-1], np.max(a), min(a[-1], np.max(a)), youngs_modulus, 0.0, density)
+        if a[0] != np.max(a):
+            whisker = Whisker(s[-1], a[0], min(a[-1], a[0]), youngs_modulus, 0.0, density)
+        made = cls(whisker, s, a, np.broadcast_to(hole, s.shape).copy(), law or Spiral())
+        return made._checked()
+
+    def cut(self, length: ArrayLike) -> Profile:
+        """The same whisker with its tip cut off at `length`, m.
+
+        Raises
+        ------
+        ValueError
+            For a length beyond the tip.
+
+        Examples
+        --------
+        >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+        >>> print(Profile.of(w).cut(25e-3).whisker.tip_radius)
+        5.25e-05
+        """
+        end = positive("length", length, _METRES)
+        if np.any(end > self.whisker.length):
+            raise ValueError(
+                f"A whisker of {np.min(self.whisker.length):g} m cannot be cut at "
+                f"{np.max(end):g} m; give a length up to its own."
+            )
+        arc, radius, core, end = np.broadcast_arrays(self.arc, self.radius, self.core, end[None])
+        flat = np.array(
+            [
+                [np.interp(np.minimum(s, e[0]), s, table) for table in (s, a, c)]
+                for s, a, c, e in zip(*(_columns(v) for v in (arc, radius, core, end)), strict=True)
+            ]
+        )
+        kept = np.moveaxis(flat, 0, -1).reshape(3, *arc.shape)
+        old = self.whisker
+        whisker = replace(old, length=kept[0, -1], tip_radius=np.minimum(kept[1, -1], kept[1, 0]))
+        return replace(self, whisker=whisker, arc=kept[0], radius=kept[1], core=kept[2])
+
+    def hollow(self, core_radius: ArrayLike, end: ArrayLike) -> Profile:
+        """The same whisker with a medulla: a hollow cone, widest at the base, ending at `end`.
+
+        Parameters
+        ----------
+        core_radius, end : float
+            Radius of the core at the base and arc length at which it has narrowed to nothing, m.
+
+        Raises
+        ------
+        ValueError
+            For a core that is not inside the whisker, and for a table of several pieces.
+        """
+        core = non_negative("core_radius", core_radius, "give metres, such as 3e-5")
+        stop = positive("end", end, _METRES)
+        if len(self.arc) != 2:
+            raise ValueError(
+                f"hollow() needs a whisker of one piece, got {len(self.arc) - 1}; "
+                "give the core's table to Profile.tabulated(core=...)."
+            )
+        if np.any(stop > self.whisker.length):
+            raise ValueError(
+                f"The medulla must end on the whisker of {np.min(self.whisker.length):g} m, got "
+                f"{np.max(stop):g} m; give an end up to its length."
+            )
+        share = stop / self.whisker.length
+        arc, middle, core = np.broadcast_arrays(
+            self.arc[1], self.radius[0] + share * (self.radius[1] - self.radius[0]), core
+        )
+        zero = np.zeros_like(arc)
+        made = replace(
+            self,
+            arc=np.stack([zero, arc * share, arc]),
+            radius=np.stack([zero + self.radius[0], middle, zero + self.radius[1]]),
+            core=np.stack([core, zero, zero]),
+        )
+        return made._checked()
+
+    def curved(self, law: Law) -> Profile:
+        """The same whisker with another intrinsic curvature."""
+        return replace(self, law=law)
+
+    def stiffness(self, arc: ArrayLike) -> Array:
+        """Bending stiffness EI at the arc lengths `arc` (one row of knots only), N m²."""
+        s = np.asarray(arc, dtype=float)
+        a, c = (np.interp(s, self.arc, table) for table in (self.radius, self.core))
+        return np.asarray(self.whisker.youngs_modulus * np.pi / 4 * (a**4 - c**4))
+
+    def line_density(self, arc: ArrayLike) -> Array:
+        """Mass per arc length at `arc` (one row of knots only), kg/m."""
+        s = np.asarray(arc, dtype=float)
+        a, c = (np.interp(s, self.arc, table) for table in (self.radius, self.core))
+        return np.asarray(self.whisker.density * np.pi * (a**2 - c**2))
+
+    def _checked(self) -> Profile:
+        bad = (self.core >= self.radius) & (self.core > 0)
+        if np.any(bad):
+            raise ValueError(
+                f"The core must be inside the whisker, got a core of {self.core[bad].flat[0]:g} m "
+                f"in a radius of {self.radius[bad].flat[0]:g} m; give a narrower core."
+            )
+        return self
+
+
+def _columns(table: Array) -> list[Array]:
+    return list(np.moveaxis(table.reshape(len(table), -1), 1, 0))

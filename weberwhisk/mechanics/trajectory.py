@@ -1,0 +1,324 @@
+"""One pass along the whisker from the contact to the base: the integrator under rung 2.
+
+At a contact the moment is zero and the direction of the force is known in the contact's own
+frame, so the beam is followed from there to the base as an initial value problem. With y along
+the force, X, Y the contact as seen from the running point, and χ the tangent angle from the
+normal of the force (χ = −ψ at the contact, ψ the friction angle),
+
+    dχ/du = −(κ₀ + F X/EI),   dX/du = cos χ,   dY/du = sin χ,      u = s_c − s.
+
+On a piece of linear radius a(s) the path is followed in τ with ds ∝ a dτ: the steps grow in
+proportion to the distance from the apex, and a cylinder's are uniform. Tangents are carried as
+(cos χ, sin χ): the right side is then a polynomial, and an explicit Runge–Kutta method of order 8
+needs no trigonometry.
+
+With derivatives, the same pass carries those of (χ, X, Y) to contact and force, and the
+determinant D of the map (s_c, F) → contact point at every step. The energy of the whisker that is
+clamped at a running point and slides through a point object is a minimum as long as D has kept
+its sign from the contact to there (Jacobi's condition; a longer whisker has more ways to move, so
+what was lost does not come back): one pass says whether the contact is stable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import DOP853
+
+from .chebyshev import Array
+from .shape import Law, Profile
+
+STAGES = 12
+TABLEAU = np.ascontiguousarray(DOP853.A[:STAGES, :STAGES], dtype=float)
+WEIGHTS = np.ascontiguousarray(DOP853.B, dtype=float)
+_C = np.asarray(DOP853.C[:STAGES], dtype=float)
+ERRORS = np.ascontiguousarray([DOP853.E3[:STAGES], DOP853.E5[:STAGES]], dtype=float)
+#: The estimate exceeds the error by a factor of 15 to 2000 wherever it is below 1e-6; of that,
+#: this much is taken off (the tests hold it to stay a bound).
+CAUTION = 4.0
+#: Rows followed at a time: slopes that fit the cache.
+BLOCK = 1500
+#: So few rows cost no more together than one by one.
+FEW = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """n whiskers, flat, in units of their length, base radius and base stiffness.
+
+    ``arc, radius, core`` are (k, n); the curvature law holds (n,) arrays, sign included.
+    """
+
+    arc: Array
+    radius: Array
+    core: Array | None
+    law: Law | None
+
+    def take(self, index: NDArray[np.intp] | slice) -> Rows:
+        """The rows at `index`."""
+        law = self.law
+        if law is not None:
+            law = type(law)(*(value[index] for value in vars(law).values()))
+        core = None if self.core is None else self.core[:, index]
+        return Rows(self.arc[:, index], self.radius[:, index], core, law)
+
+    def mirrored(self, sign: Array) -> Rows:
+        """The rows with their curvature mirrored where `sign` is −1."""
+        law = None if self.law is None else self.law.scaled(np.ones_like(sign), sign)
+        return Rows(self.arc, self.radius, self.core, law)
+
+
+def rows_of(profile: Profile, shape: tuple[int, ...]) -> Rows:
+    """The rows of a profile broadcast to the scenes' `shape`."""
+
+    def flat(table: ArrayLike, scale: ArrayLike, lead: tuple[int, ...]) -> Array:
+        scaled = np.asarray(table, dtype=float) / scale
+        return np.ascontiguousarray(np.broadcast_to(scaled, (*lead, *shape))).reshape(*lead, -1)
+
+    whisker, knots = profile.whisker, (len(profile.arc),)
+    law: Law | None = profile.law.scaled(whisker.length)
+    assert law is not None
+    if all(np.all(value == 0) for value in vars(law).values()):
+        law = None
+    else:
+        law = type(law)(*(flat(value, 1.0, ()) for value in vars(law).values()))
+
+    def table(values: Array, scale: ArrayLike) -> Array:
+        # Knots lead; what follows broadcasts with the scenes from the right.
+        lead = len(values)
+        extra = len(shape) - (values.ndim - 1)
+        return flat(values.reshape(lead, *(1,) * extra, *values.shape[1:]), scale, knots)
+
+    return Rows(
+        table(profile.arc, whisker.length),
+        table(profile.radius, whisker.base_radius),
+        table(profile.core, whisker.base_radius) if np.any(profile.core > 0) else None,
+        law,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The base as reached from the contact, in the frame of the force.
+
+    ``angle`` is β = α + ψ, the direction of the force's normal; ``lever, along`` the contact's
+    place X, Y; ``error`` a bound on the error of β and of X, Y over r; ``d_arc, d_force`` (3, n)
+    the derivatives of (β, X, Y); ``flips`` how often D changed sign.
+    """
+
+    angle: Array
+    lever: Array
+    along: Array
+    error: Array
+    d_arc: Array
+    d_force: Array
+    flips: NDArray[np.int8]
+
+    @property
+    def distance(self) -> Array:
+        """r."""
+        return np.hypot(self.lever, self.along)
+
+    @property
+    def deflection(self) -> Array:
+        """θ_d."""
+        return self.angle + np.arctan2(self.along, self.lever)
+
+    def jacobian(self) -> tuple[Array, Array, Array, Array]:
+        """r_s, r_F, θ_s, θ_F: derivatives of (r, θ_d) to contact arc and force."""
+        x, y = self.lever, self.along
+        r = self.distance
+        out = []
+        for turn, d_x, d_y in (self.d_arc, self.d_force):
+            out += [(x * d_x + y * d_y) / r, turn + (x * d_y - y * d_x) / r**2]
+        return out[0], out[2], out[1], out[3]
+
+
+def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) -> Path:
+    """Follow the whiskers from their contacts to the base.
+
+    Parameters
+    ----------
+    rows : Rows
+    arc, force, friction : array (n,)
+        Contact in units of the length, force ≥ 0 in units of EI₀/L², friction angle in rad.
+    steps : int
+        Runge–Kutta steps on each piece.
+    """
+    n = arc.size
+    size = 10
+    state = np.zeros((size, n))
+    cosine, sine = np.cos(friction), np.sin(friction)
+    state[0], state[1] = cosine, -sine
+    if rows.law is not None:
+        state[4] = -rows.law(arc)
+    state[5], state[6] = cosine, -sine
+    slopes = np.zeros((STAGES, size, n))
+    wound = np.zeros(n)
+    error = np.zeros((4, n))
+    flips = np.zeros(n, dtype=np.int8)
+    above = np.ones(n, dtype=bool)
+    point = np.empty_like(state)
+    for piece in range(len(rows.arc) - 2, -1, -1):
+        low, high = rows.arc[piece], np.minimum(rows.arc[piece + 1], arc)
+        span = high - low
+        if not np.any(span > 0):
+            continue
+        path = Piece(rows, piece, low, np.maximum(high, low), steps)
+        for step in range(steps):
+            weight, give, curl = path.at(step)
+            before = state[1].copy()
+            for i in range(STAGES):
+                if i:
+                    np.dot(TABLEAU[i, :i], slopes[:i].reshape(i, -1), out=point.reshape(-1))
+                    point += state
+                    _slope(point, weight[i], give[i], curl[i], force, slopes[i])
+                else:
+                    _slope(state, weight[i], give[i], curl[i], force, slopes[i])
+            state += np.dot(WEIGHTS, slopes.reshape(STAGES, -1)).reshape(size, n)
+            # The estimate of DOP853 (Hairer, Nørsett & Wanner I, II.10), summed over the steps.
+            third, fifth = np.dot(ERRORS, slopes[:, :4].reshape(STAGES, -1)) ** 2
+            error += (fifth / np.sqrt(fifth + 0.01 * third + 1e-300)).reshape(4, n)
+            turned = (state[0] < 0) & ((state[1] < 0) != (before < 0))
+            if np.any(turned):
+                wound += np.where(turned, np.where(state[1] < 0, 1.0, -1.0), 0.0)
+            now = np.where(span > 0, _determinant(state) > 0, above)
+            flips += now != above
+            above = now
+    angle = -(np.arctan2(state[1], state[0]) + 2 * np.pi * wound)
+    d_arc, d_force = state[4:7], state[7:10]
+    d_arc[0] *= -1
+    d_force[0] *= -1
+    # Relative to the angles, but no closer than a thousandth of what makes them up: they may
+    # pass through zero where the whisker is curved or the force is tilted.
+    deflection = np.abs(angle + np.arctan2(state[3], state[2]))
+    parts = np.abs(angle) + np.abs(friction)
+    if rows.law is not None:
+        parts += np.abs(rows.law(arc)) * arc
+    scale = np.minimum(np.maximum(deflection, 1e-3 * parts) + 1e-300, 1.0)
+    r = np.hypot(state[2], state[3])
+    turned = np.abs(state[1]) * error[0] + np.abs(state[0]) * error[1]
+    bound = ((turned + error[3] / r) / scale + error[2] / r) / CAUTION
+    return Path(angle, state[2], state[3], np.nan_to_num(bound, nan=np.inf), d_arc, d_force, flips)
+
+
+class Piece:
+    """The coefficients of the right side along one piece of linear radius, in τ ∈ [0, 1]."""
+
+    def __init__(self, rows: Rows, piece: int, low: Array, high: Array, steps: int) -> None:
+        left = rows.arc[piece]
+        gap = rows.arc[piece + 1] - left
+        share = np.divide(high - left, gap, out=np.zeros_like(gap), where=gap > 0)
+        a_low = rows.radius[piece]
+        self.a_high = a_low + share * (rows.radius[piece + 1] - a_low)
+        self.widening = a_low - self.a_high
+        # ln(a_low/a_high), kept off zero: any one-to-one τ is exact.
+        rate = np.log(a_low / self.a_high)
+        self.rate = np.where(np.abs(rate) < 1e-6, 1e-6, rate) / steps
+        self.within = np.exp(_C[:, None] * self.rate)
+        self.whole = np.expm1(self.rate * steps)
+        self.high, self.span = high, high - low
+        self.core: tuple[Array, Array] | None = None
+        if rows.core is not None:
+            c_low = rows.core[piece]
+            c_high = c_low + share * (rows.core[piece + 1] - c_low)
+            self.core = (c_high, c_low - c_high)
+        self.law = rows.law
+
+    def at(self, step: int) -> tuple[Array, Array, Array | list[None]]:
+        """ds/dτ, ds/dτ/EI and κ₀ ds/dτ at the stages of a step, each (stages, n)."""
+        growth = (
+            self.within * (np.exp(step * self.rate) / self.whole)
+            if step
+            else (self.within / self.whole)
+        )
+        weight = growth * (self.span * self.rate)
+        share = growth - 1 / self.whole  # of the span gone
+        fourth = np.square(np.square(self.a_high + self.widening * share))
+        if self.core is not None:
+            fourth -= np.square(np.square(self.core[0] + self.core[1] * share))
+        if self.law is None:
+            return weight, weight / fourth, [None] * STAGES
+        return weight, weight / fourth, weight * self.law(self.high - self.span * share)
+
+
+def _slope(
+    state: Array, weight: Array, give: Array, curl: Array | None, force: Array, out: Array
+) -> None:
+    """The right side of the equations, into `out`."""
+    c, s, lever = state[0], state[1], state[2]
+    load = give * force
+    turn = load * lever
+    if curl is not None:
+        turn += curl
+    np.multiply(turn, s, out=out[0])  # (cos χ)' = −sin χ·χ',  χ' = −turn
+    np.multiply(turn, c, out=out[1])
+    np.negative(out[1], out=out[1])
+    np.multiply(weight, c, out=out[2])
+    np.multiply(weight, s, out=out[3])
+    np.negative(load, out=load)
+    for first in (4, 7):
+        np.multiply(load, state[first + 1], out=out[first])
+        np.multiply(out[3], state[first], out=out[first + 1])
+        np.negative(out[first + 1], out=out[first + 1])
+        np.multiply(out[2], state[first], out=out[first + 2])
+    out[7] -= give * lever
+
+
+def _determinant(state: Array) -> Array:
+    """D: the area that contact arc and force span at the contact, seen from the running point."""
+    x, y = state[2], state[3]
+    arc_x, arc_y = state[5] + state[4] * y, state[6] - state[4] * x
+    force_x, force_y = state[8] + state[7] * y, state[9] - state[7] * x
+    return np.asarray(arc_x * force_y - arc_y * force_x)
+
+
+def follow_blocks(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) -> Path:
+    """`follow` in blocks of rows that fit the cache."""
+    n = arc.size
+    if n <= BLOCK:
+        return follow(rows, arc, force, friction, steps)
+    parts = []
+    for start in range(0, n, BLOCK):
+        part = slice(start, start + BLOCK)
+        parts.append(follow(rows.take(part), arc[part], force[part], friction[part], steps))
+    names = vars(parts[0])
+    return Path(**{k: np.concatenate([vars(p)[k] for p in parts], axis=-1) for k in names})
+
+
+def resolve(
+    rows: Rows, arc: Array, force: Array, friction: Array, tolerance: float, most: int = 256
+) -> Path:
+    """`follow` with as many steps as each row needs for an error below `tolerance`.
+
+    A pilot of few steps tells from its error estimate and the order of the method how many are
+    needed. Rows that `most` steps do not resolve keep their error; no warning is raised.
+    """
+    steps = pilot(rows)
+    with np.errstate(all="ignore"):
+        path = follow_blocks(rows, arc, force, friction, steps)
+    left = np.flatnonzero(path.error > tolerance)
+    while left.size and steps < most:
+        ratio = np.minimum(path.error[left] / tolerance, 1e12)
+        wanted = np.exp2(np.ceil(2 * np.log2(steps * 1.05 * ratio ** (2 / 15))) / 2)
+        wanted = np.clip(np.ceil(wanted), steps + 1, most).astype(int)
+        if left.size <= FEW:
+            wanted[:] = wanted.max()
+        for count in np.unique(wanted):
+            rows_now = left[wanted == count]
+            with np.errstate(all="ignore"):
+                finer = follow_blocks(
+                    rows.take(rows_now), arc[rows_now], force[rows_now], friction[rows_now], count
+                )
+            for name, value in vars(finer).items():
+                getattr(path, name)[..., rows_now] = value
+        steps = int(wanted.min())
+        left = left[(path.error[left] > tolerance) & (wanted < most)]
+    return path
+
+
+def pilot(rows: Rows) -> int:
+    """Steps a piece for a first look."""
+    return max(1, round(4 / (len(rows.arc) - 1) ** 0.75))
