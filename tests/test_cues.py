@@ -1,0 +1,154 @@
+"""Cues and the observer that uses them."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.cues import Compliance, Cue, ForceMap
+from weberwhisk.receptors import GeneralisedWeber, Weber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+CUES = [Compliance(), Compliance(tap_angle=0.15, angular_velocity=4.0), ForceMap()]
+
+
+def contacts(cue, n=50):
+    rng = np.random.default_rng(1)
+    r = rng.uniform(0.05, 0.8, n) * W.length
+    theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.9, n)
+    return np.stack([r, theta], axis=-1)[:, : len(cue.unknowns)]
+
+
+@pytest.mark.parametrize("cue", CUES, ids=repr)
+def test_every_cue_keeps_the_protocol(cue):
+    assert isinstance(cue, Cue)
+    contact = contacts(cue)
+    signals, outcome = cue.signals(W, contact)
+    assert signals.shape == (50, len(cue.signal_names))
+    assert np.all(outcome == Outcome.HELD)
+    assert cue.unknowns[0] == "radial_distance"
+
+
+@pytest.mark.parametrize("cue", CUES, ids=repr)
+@pytest.mark.parametrize("model", [None, "closed_form"])
+def test_the_jacobian_is_the_slope_of_the_signals(cue, model):
+    contact = contacts(cue) * 0.9
+    jacobian = cue.jacobian(W, contact, model=model)
+    for column in range(contact.shape[1]):
+        step = np.zeros_like(contact)
+        step[:, column] = contact[:, column] * 1e-5
+        up, down = (cue.signals(W, contact + s * step, model=model)[0] for s in (1, -1))
+        slope = (up - down) / (2 * step[:, column, None])
+        assert np.allclose(
+            jacobian[:, :, column], slope, rtol=1e-5, atol=1e-9 * np.abs(slope).max()
+        )
+
+
+def test_a_light_tap_is_the_limit_of_a_finite_one():
+    r = np.linspace(0.05, 0.95, 10)[:, None] * W.length
+    light, finite = Compliance().signals(W, r)[0], Compliance(tap_angle=1e-4).signals(W, r)[0]
+    assert np.allclose(light, finite, rtol=1e-6)
+
+
+def test_compliance_reaches_as_far_as_the_tap_can_be_held():
+    cue = Compliance(tap_angle=np.radians(24.5732))
+    assert cue.farthest(W) == pytest.approx(0.7 * W.length, rel=1e-5)
+    beyond = np.array([[cue.farthest(W) * 1.001]])
+    signals, outcome = cue.signals(W, beyond)
+    assert outcome[0] == Outcome.FLICKED_PAST
+    assert np.isnan(signals).all()
+    with pytest.raises(ValueError, match="No contact holds a tap of 120"):
+        Compliance(tap_angle=np.radians(120)).farthest(W)
+
+
+def test_the_force_map_is_inverted_wherever_it_is_held():
+    contact = contacts(ForceMap(), 2000)
+    found, outcome = ForceMap().contact(W, ForceMap().signals(W, contact)[0])
+    assert np.all(outcome == Outcome.HELD)
+    assert np.allclose(found, contact, rtol=1e-6)
+
+
+def test_the_force_map_of_a_cylinder_has_no_inverse():
+    cylinder = W.cylinder()
+    signals, _ = ForceMap().signals(cylinder, np.array([[30e-3, 0.3]]))
+    contact, outcome = ForceMap().contact(cylinder, signals)
+    assert np.isnan(contact).all()
+    assert outcome[0] == Outcome.OUT_OF_REACH
+
+
+@pytest.mark.parametrize("cue", CUES, ids=repr)
+def test_coordinates_go_there_and_back(cue):
+    observer = ww.Observer(W, cue)
+    contact = contacts(cue)
+    x = observer.coordinates(contact)
+    back, log_jacobian = observer.contact(x)
+    assert np.allclose(back, contact, rtol=1e-9)
+    h = 1e-6
+    columns = [
+        (observer.contact(x + h * e)[0] - observer.contact(x - h * e)[0]) / (2 * h)
+        for e in np.eye(contact.shape[1])
+    ]
+    determinant = np.linalg.det(np.stack(columns, axis=-1))
+    assert np.allclose(np.log(np.abs(determinant)), log_jacobian, atol=1e-6)
+
+
+@pytest.mark.parametrize("cue", CUES, ids=repr)
+def test_no_coordinates_leave_the_held_contacts(cue):
+    observer = ww.Observer(W, cue)
+    x = np.random.default_rng(3).uniform(-12, 4, (3000, len(cue.unknowns)))
+    _, outcome = observer.signals(observer.contact(x)[0])
+    assert np.mean(outcome == Outcome.HELD) > 0.999  # the rest is rounding at the very edge
+    value = observer.log_density(x, np.ones(len(cue.signal_names)))
+    assert not np.isnan(value).any()
+    assert np.all(value < np.inf)
+
+
+def test_priors_are_used_and_bound_the_reach():
+    prior = {
+        "radial_distance": stats.uniform(10e-3, 20e-3),
+        "deflection_angle": stats.norm(0.2, 0.05),
+    }
+    observer = ww.Observer(W, ForceMap(), prior=prior)
+    assert observer.reach == pytest.approx((10e-3, 30e-3))
+    contact = np.array([20e-3, 0.2])
+    expected = sum(d.logpdf(c) for d, c in zip(prior.values(), contact, strict=True))
+    assert observer.log_prior(contact) == pytest.approx(expected)
+
+
+def test_information_is_the_jacobian_around_the_noise():
+    observer = ww.Observer(W, Compliance(), Weber(0.1))
+    r = 30e-3
+    slope = observer.cue.jacobian(W, np.array([r]))[0, 0]
+    signal = observer.signals(np.array([r]))[0][0]
+    expected = slope**2 * 1.02 / (0.1 * signal) ** 2
+    assert observer.information(np.array([r]))[0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: Compliance(tap_angle=-0.1), "tap_angle must not be negative"),
+        (lambda: Compliance(angular_velocity=0), "angular_velocity must be above zero"),
+        (lambda: ww.Observer(ww.Whisker([1e-2, 2e-2], 1e-4, 5e-6), ForceMap()), "one whisker"),
+        (
+            lambda: ww.Observer(W, Compliance(), prior={"deflection_angle": stats.norm()}),
+            "prior of 'deflection_angle' is unknown",
+        ),
+        (
+            lambda: ww.Observer(W, Compliance(), prior={"radial_distance": stats.uniform(0.1, 1)}),
+            "no overlap with what this whisker can reach",
+        ),
+        (lambda: ww.Observer(W, ForceMap()).read([30e-3]), "has 2 numbers"),
+        (lambda: ww.Observer(W, ForceMap()).read([30e-3, 1.5]), "contact that is not held"),
+        (lambda: ww.Observer(W, Compliance()).read(np.nan), "contact must be finite"),
+        (
+            lambda: ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=np.nan)),
+            "floor must be finite",
+        ),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(call, words):
+    with pytest.raises(ValueError, match=words) as error:
+        call()
+    assert "\n" not in str(error.value)

@@ -1,0 +1,37 @@
+"""What a cue is: signals of a contact, and which properties of the contact are unknown."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..whisker import Whisker
+
+Array = NDArray[np.float64]
+
+
+@runtime_checkable
+class Cue(Protocol):
+    """One of the paper's methods (§2a–h): from a contact to the signals that tell of it.
+
+    A contact is an array whose last axis holds the cue's unknowns, radial distance (m) first. The
+    mechanics of a rung is named by `model`, ``None`` for the cheapest that the scene needs.
+    """
+
+    #: Names of the signals, in the order of the last axis of `signals`.
+    signal_names: tuple[str, ...]
+    #: Names of the unknowns, ``"radial_distance"`` first.
+    unknowns: tuple[str, ...]
+
+    def signals(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """Signals (..., S) of a contact (..., U), NaN where it is not held, and its `Outcome`."""
+
+    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
+        """Derivatives of the signals with respect to the unknowns, (..., S, U)."""
+
+    def farthest(self, whisker: Whisker) -> float:
+        """Largest radial distance at which the cue works on this whisker, m."""

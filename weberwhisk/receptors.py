@@ -1,0 +1,232 @@
+"""Receptor noise: what the follicle reports of the signals at the base.
+
+All models here are Gaussian with a spread that grows with the signal (Weber's law, equation
+(3.1)); a model is one short class that gives the mean, the sd and their slopes. Signals and
+readings carry their kinds (moment, axial force, …) along the last axis.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._checks import finite, non_negative, positive
+
+Array = NDArray[np.float64]
+Seed = int | np.random.SeedSequence | np.random.Generator | None
+
+
+@runtime_checkable
+class ReceptorNoise(Protocol):
+    """What an observer needs of a noise model. S kinds of signal along the last axis."""
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """Mean of the readings, (..., S)."""
+
+    def covariance(self, signals: ArrayLike) -> Array:
+        """Covariance of the readings, (..., S, S)."""
+
+    def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
+        """ln p(reading | signals), shape (...)."""
+
+    def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
+        """Readings of these signals, (..., S)."""
+
+    def fisher(self, signals: ArrayLike) -> Array:
+        """Fisher information of a reading about the signals, (..., S, S)."""
+
+
+class _Gaussian:
+    """Independent or equally correlated Gaussian noise whose sd depends on the signal."""
+
+    correlation: float
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """Mean reading, (..., S)."""
+        return np.asarray(signals, dtype=float)
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """Standard deviation of each reading, (..., S)."""
+        raise NotImplementedError
+
+    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+        """d mean/d signal and d sd/d signal, (..., S) each."""
+        raise NotImplementedError
+
+    def _correlations(self, size: int) -> Array:
+        rho = self.correlation
+        if size > 2 and rho <= -1 / (size - 1):
+            raise ValueError(
+                f"{size} signals cannot all be correlated by {rho:g}; "
+                f"write a correlation above {-1 / (size - 1):.3g}."
+            )
+        return (1 - rho) * np.eye(size) + rho
+
+    def covariance(self, signals: ArrayLike) -> Array:
+        """Covariance of the readings, (..., S, S)."""
+        sd = self.sd(signals)
+        return sd[..., :, None] * self._correlations(sd.shape[-1]) * sd[..., None, :]
+
+    def _precision(self, size: int) -> Array:
+        if size > 1 and abs(self.correlation) >= 1:
+            raise ValueError(
+                f"Perfectly correlated noise (correlation {self.correlation:g}) has no likelihood; "
+                "write a correlation between -1 and 1."
+            )
+        return np.asarray(np.linalg.inv(self._correlations(size)), dtype=float)
+
+    def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
+        """ln p(reading | signals), shape (...). −∞ where a signal leaves its receptor no spread."""
+        sd = self.sd(signals)
+        size = sd.shape[-1]
+        precision = self._precision(size)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            z = (np.asarray(reading, dtype=float) - self.mean(signals)) / sd
+            if size == 1:  # the bulk of all work: spare it the general contraction
+                square, log_sd = z[..., 0] ** 2, np.log(sd[..., 0])
+            else:
+                square = np.einsum("...i,ij,...j->...", z, precision, z)
+                log_sd = np.log(sd).sum(axis=-1) - 0.5 * np.linalg.slogdet(precision)[1]
+            value = -0.5 * square - log_sd - 0.5 * size * np.log(2 * np.pi)
+        return np.where(np.all(sd > 0, axis=-1), value, -np.inf)
+
+    def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
+        """Readings of these signals, (..., S)."""
+        sd = self.sd(signals)
+        rho = self._correlations(sd.shape[-1])
+        values, vectors = np.linalg.eigh(rho)
+        root = vectors * np.sqrt(np.maximum(values, 0))
+        draws = np.random.default_rng(seed).standard_normal(sd.shape)
+        return self.mean(signals) + sd * (draws @ root.T)
+
+    def fisher(self, signals: ArrayLike) -> Array:
+        """Fisher information about the signals, (..., S, S).
+
+        ∂μᵀΣ⁻¹∂μ + ½tr(Σ⁻¹∂Σ Σ⁻¹∂Σ): the spread informs as well as the mean, so that one signal
+        carries (1 + 2k²)/(kI)² under Weber's law.
+        """
+        signals = np.asarray(signals, dtype=float)
+        sd = self.sd(signals)
+        size = sd.shape[-1]
+        precision, correlations = self._precision(size), self._correlations(size)
+        mean_slope, sd_slope = self._slopes(signals)
+        a, b = mean_slope / sd, sd_slope / sd
+        return (
+            a[..., :, None] * precision * a[..., None, :]
+            + b[..., :, None] * (np.eye(size) + precision * correlations) * b[..., None, :]
+        )
+
+
+class Weber(_Gaussian):
+    """Weber's law: each reading is Gaussian about its signal with sd = k·|signal|.
+
+    Parameters
+    ----------
+    weber_fraction : float or sequence of float
+        k of (3.1), one for all signals or one each.
+    correlation : float
+        Correlation ρ of the noise between signals, −1 to 1. At ±1 there is a covariance, for the
+        limits of the closed-form JND, but no likelihood.
+
+    Raises
+    ------
+    ValueError
+        For a Weber fraction that is not positive, a correlation outside −1 … 1.
+
+    Examples
+    --------
+    >>> noise = Weber(0.1)
+    >>> noise.sd([2.0, 5.0])
+    array([0.2, 0.5])
+    >>> float(noise.fisher([2.0])[0, 0].round(6))
+    25.5
+    """
+
+    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
+        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
+        self.correlation = _correlation(correlation)
+
+    def __repr__(self) -> str:
+        return f"Weber({self.weber_fraction.tolist()}, correlation={self.correlation:g})"
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """k·|signal|, (..., S)."""
+        return np.asarray(self.weber_fraction * np.abs(np.asarray(signals, dtype=float)))
+
+    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+        return np.ones_like(signals), self.weber_fraction * np.sign(signals)
+
+
+class GeneralisedWeber(_Gaussian):
+    """Weber's law between a floor and a ceiling: sd² = floor² + (k·signal)².
+
+    Parameters
+    ----------
+    weber_fraction : float or sequence of float
+        k, one for all signals or one each.
+    floor : float or sequence of float
+        Receptor threshold noise σ₀, in the unit of each signal.
+    ceiling : float or sequence of float, optional
+        Signal above which the receptor is saturated: it reports the ceiling, whatever the signal,
+        and carries no information.
+    correlation : float
+        Correlation between signals, −1 to 1.
+
+    Raises
+    ------
+    ValueError
+        For values that are not positive (floor: negative), a correlation outside −1 … 1.
+
+    Examples
+    --------
+    >>> noise = GeneralisedWeber(0.1, floor=0.3, ceiling=10.0)
+    >>> noise.sd([4.0, 40.0]).round(3), noise.saturated([4.0, 40.0])
+    (array([0.5  , 1.044]), array([False,  True]))
+    """
+
+    def __init__(
+        self,
+        weber_fraction: ArrayLike = 0.1,
+        *,
+        floor: ArrayLike,
+        ceiling: ArrayLike | None = None,
+        correlation: float = 0.0,
+    ) -> None:
+        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
+        self.floor: Any = non_negative("floor", floor, "write it in the unit of the signal")
+        self.ceiling: Any = np.inf
+        if ceiling is not None:
+            self.ceiling = positive("ceiling", ceiling, "write None for no ceiling")
+        self.correlation = _correlation(correlation)
+
+    def __repr__(self) -> str:
+        return (
+            f"GeneralisedWeber({self.weber_fraction.tolist()}, floor={self.floor.tolist()}, "
+            f"ceiling={np.asarray(self.ceiling).tolist()}, correlation={self.correlation:g})"
+        )
+
+    def saturated(self, signals: ArrayLike) -> NDArray[np.bool_]:
+        """Where a signal lies above the ceiling, (..., S)."""
+        return np.abs(np.asarray(signals, dtype=float)) > self.ceiling
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """The signal, or the ceiling where it is saturated, (..., S)."""
+        return np.clip(np.asarray(signals, dtype=float), -self.ceiling, self.ceiling)
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """√(floor² + (k·signal)²), (..., S)."""
+        return np.hypot(self.floor, self.weber_fraction * self.mean(signals))
+
+    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+        free = np.where(self.saturated(signals), 0.0, 1.0)
+        slope = self.weber_fraction**2 * signals / self.sd(signals)
+        return free, free * slope
+
+
+def _correlation(value: float) -> float:
+    rho = float(finite("correlation", value, "write a number from -1 to 1"))
+    if not -1 <= rho <= 1:
+        raise ValueError(f"correlation must lie between -1 and 1, got {rho:g}; write 0 for none.")
+    return rho
