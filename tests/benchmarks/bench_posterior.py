@@ -1,0 +1,87 @@
+"""Speed and error of posteriors, against a plain emcee loop in the same run.
+
+Run ``python tests/benchmarks/bench_posterior.py``. Times are of one core: set OMP_NUM_THREADS=1.
+"""
+
+from __future__ import annotations
+
+import time
+
+import emcee
+import numpy as np
+
+import weberwhisk as ww
+from weberwhisk import Status
+from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.receptors import Weber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+
+
+def timed(observer, readings, method, **options):
+    """Posteriors and their number per second of CPU."""
+    ww.posterior(observer, readings[:8], method, **options)  # warm: panels are made once
+    start = time.process_time()
+    result = ww.posterior(observer, readings, method, **options)
+    return result, len(readings) / (time.process_time() - start)
+
+
+def line(name, rate, bar, error, good):
+    print(f"{name:44}{rate:12.0f} /s{bar:>12}{error:>14.1e}{good:>11.1%}")
+
+
+def main() -> None:
+    rng = np.random.default_rng(1)
+    print(
+        "rates per CPU second; error: r.m.s. of sd/exact − 1; good: share with status CONVERGED\n"
+    )
+    print(f"{'posteriors':44}{'rate':>15}{'bar':>12}{'error of sd':>14}{'good':>11}")
+    for k in (0.005, 0.03, 0.1, 0.3, 0.5):
+        observer = ww.Observer(W, Compliance(), Weber(k))
+        readings = observer.read(rng.uniform(0.1, 0.95, (20_000, 1)) * W.length, seed=2)
+        p, rate = timed(observer, readings, "quadrature")
+        error = np.max(p.sd_error / p.sd)
+        good = np.mean(p.status == Status.CONVERGED)
+        line(f"1-D quadrature, k = {k} (error: estimate)", rate, "100000", error, good)
+    for k in (0.03, 0.1):
+        observer = ww.Observer(W, Compliance(), Weber(k))
+        readings = observer.read(rng.uniform(0.2, 0.9, (2048, 1)) * W.length, seed=2)
+        exact = ww.posterior(observer, readings)
+        p, rate = timed(observer, readings, "emcee", seed=3)
+        error = np.sqrt(np.mean((p.sd / exact.sd - 1) ** 2))
+        line(
+            f"1-D stacked emcee at 2 %, k = {k}",
+            rate,
+            "400",
+            error,
+            np.mean(p.status == Status.CONVERGED),
+        )
+    start, n = time.process_time(), 4
+    for y in readings[:n]:
+        sampler = emcee.EnsembleSampler(
+            32, 1, lambda x, y=y: observer.log_density(x, y), vectorize=True
+        )
+        x0 = observer.coordinates(np.full((32, 1), 0.5 * W.length))
+        sampler.run_mcmc(x0 + 0.1 * rng.standard_normal((32, 1)), 500)
+    rate = n / (time.process_time() - start)
+    print(f"{'1-D plain emcee loop, 32 walkers × 500 steps':44}{rate:12.1f} /s")
+
+    for k in (0.03, 0.1):
+        observer = ww.Observer(W, ForceMap(), Weber(k))
+        r = rng.uniform(0.3, 0.9, 512) * W.length
+        theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.7, 512)
+        readings = observer.read(np.stack([r, theta], axis=-1), seed=2)
+        exact = ww.posterior(observer, readings, tolerance=1e-3)
+        for method, bar, options in (
+            ("quadrature", "500", {}),
+            ("emcee", "100", {"seed": 3}),
+            ("laplace", "", {}),
+        ):
+            p, rate = timed(observer, readings, method, **options)
+            good = p.status == Status.CONVERGED
+            error = np.sqrt(np.mean((p.sd / exact.sd - 1)[good] ** 2)) if good.any() else np.nan
+            line(f"2-D {method}, k = {k}", rate, bar, error, good.mean())
+
+
+if __name__ == "__main__":
+    main()

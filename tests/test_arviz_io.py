@@ -1,0 +1,233 @@
+"""Conversion to ArviZ, draws from quadrature nodes, and diagnostics to ArviZ's own digits."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import emcee
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from weberwhisk.posterior import diagnostics
+from weberwhisk.posterior.arviz_io import resample, to_arviz
+from weberwhisk.posterior.grid import Nodes, integrate
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def arviz() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # 0.23 announces its successor
+        import arviz
+    return arviz
+
+
+def chains(draws: int, memory: float, *, ties: bool, seed: int) -> Array:
+    """Four first-order autoregressive chains, with repeated values as in Metropolis chains."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(4, draws))
+    for t in range(1, draws):
+        x[:, t] += memory * x[:, t - 1]
+    return np.round(x, 1) if ties else x
+
+
+# -- diagnostics -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("draws", [8, 9, 10, 11, 51, 200])
+@pytest.mark.parametrize("memory", [-0.9, 0.0, 0.5, 0.95])
+@pytest.mark.parametrize("ties", [False, True])
+def test_diagnostics_have_arviz_digits(arviz: Any, draws: int, memory: float, ties: bool) -> None:
+    batch = np.stack([chains(draws, memory, ties=ties, seed=s) for s in range(4)])
+    for ours, theirs in (
+        (diagnostics.rhat(batch), [arviz.rhat(x) for x in batch]),
+        (diagnostics.ess(batch), [arviz.ess(x, method="bulk") for x in batch]),
+        (diagnostics.ess(batch, rank=False), [arviz.ess(x, method="mean") for x in batch]),
+    ):
+        np.testing.assert_allclose(ours, np.array(theirs, dtype=float), rtol=1e-10)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.95])
+def test_integrated_time_has_emcee_digits(memory: float) -> None:
+    batch = np.stack([chains(500, memory, ties=False, seed=s) for s in range(3)])
+    theirs = [emcee.autocorr.integrated_time(x.T, tol=0)[0] for x in batch]
+    np.testing.assert_allclose(diagnostics.integrated_time(batch), theirs, rtol=1e-10)
+
+
+def test_diagnostics_keep_leading_axes() -> None:
+    x = np.random.default_rng(1).normal(size=(2, 3, 4, 100))
+    for statistic in (diagnostics.rhat, diagnostics.ess, diagnostics.integrated_time):
+        together = statistic(x)
+        assert together.shape == (2, 3)
+        np.testing.assert_allclose(together[1, 2], statistic(x[1, 2]), rtol=1e-12)
+
+
+def test_long_run_variance_of_a_known_process() -> None:
+    # For memory 0.8 the variance is 1/(1 - 0.64), the integrated time 1.8/0.2.
+    x = np.stack([chains(4000, 0.8, ties=False, seed=s) for s in range(20)])
+    variance, time = diagnostics.long_run_variance(x)
+    assert variance.mean() == pytest.approx(9 / 0.36, rel=0.05)
+    assert time.mean() == pytest.approx(9.0, rel=0.05)
+    # Chains that disagree widen it by what their scatter implies.
+    apart, _ = diagnostics.long_run_variance(x + np.arange(4)[:, None])
+    assert np.all(apart > 10 * variance)
+
+
+def test_rhat_sees_place_and_spread() -> None:
+    x = np.random.default_rng(2).normal(size=(50, 4, 500))
+    assert np.all(diagnostics.rhat(x) < 1.02)
+    one = np.array([0.0, 0.0, 0.0, 1.0])[:, None]
+    assert np.all(diagnostics.rhat(x + one) > 1.05)
+    assert np.all(diagnostics.rhat(x * (1 + one)) > 1.03)
+
+
+def test_diagnostics_of_draws_that_are_not_numbers_are_nan() -> None:
+    x = np.random.default_rng(3).normal(size=(2, 4, 20))
+    x[1, 0, 3] = np.nan
+    for statistic in (diagnostics.rhat, diagnostics.ess):
+        assert np.isnan(statistic(x)).tolist() == [False, True]
+    assert np.isnan(diagnostics.rhat(np.ones((4, 20))))
+    assert diagnostics.ess(np.ones((4, 20))) == 80
+
+
+@pytest.mark.parametrize("shape", [(20,), (4, 3), (1, 20)])
+def test_too_few_draws_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"Draws must have shape \(..., chain, draw\)"):
+        diagnostics.rhat(np.zeros(shape))
+
+
+# -- ArviZ data --------------------------------------------------------------------------------
+
+
+def example(**more: Any) -> Any:
+    rng = np.random.default_rng(4)
+    return to_arviz(
+        {"distance": rng.normal(size=(4, 100)), "bias": rng.normal(size=(4, 100, 3))},
+        log_likelihood={"answers": rng.normal(size=(4, 100, 5))},
+        observed_data={"answers": np.arange(5)},
+        constant_data={"trials": np.full(5, 20)},
+        prior={"distance": rng.normal(size=(1, 50))},
+        posterior_predictive={"answers": rng.normal(size=(4, 100, 5))},
+        coords={"standard": ["low", "middle", "high"]},
+        dims={"bias": ["standard"], "answers": ["cell"], "trials": ["cell"]},
+        attrs={"method": "emcee", "k": 0.1},
+        **more,
+    )
+
+
+GROUPS = (
+    "posterior",
+    "log_likelihood",
+    "prior",
+    "posterior_predictive",
+    "observed_data",
+    "constant_data",
+)
+
+
+def test_the_container_is_arvizs_own(arviz: Any) -> None:
+    data = example()
+    kind = "InferenceData" if arviz.__version__.startswith("0.") else "DataTree"
+    assert type(data).__name__ == kind
+    for group in GROUPS:
+        assert group in data
+    assert data["posterior"]["bias"].dims == ("chain", "draw", "standard")
+    assert data["observed_data"]["answers"].dims == ("cell",)
+    assert data["posterior"].attrs["method"] == "emcee"
+
+
+def test_summary_works(arviz: Any) -> None:
+    table = arviz.summary(example(), var_names=["distance", "bias"])
+    assert len(table) == 4
+    spread = float(np.std(example()["posterior"]["distance"], ddof=1))
+    assert float(table["sd"].astype(float).iloc[0]) == pytest.approx(spread, rel=0.1)
+
+
+def test_netcdf_round_trip(arviz: Any, tmp_path: Path) -> None:
+    data, path = example(), tmp_path / "posterior.nc"
+    data.to_netcdf(str(path))
+    back = arviz.from_netcdf(str(path))
+    for group in GROUPS:
+        for name, values in data[group].data_vars.items():
+            np.testing.assert_array_equal(back[group][name], values)
+    assert back["posterior"].attrs["k"] == 0.1
+    if hasattr(back, "close"):
+        back.close()
+
+
+@pytest.mark.parametrize(
+    ("posterior", "words"),
+    [
+        ({}, "posterior holds no variable"),
+        ({"r": np.zeros(10)}, "must have shape"),
+        ({"r": np.zeros((4, 10)), "k": np.zeros((4, 9))}, "'k' must have shape"),
+    ],
+)
+def test_misshapen_draws_are_refused(posterior: dict[str, Array], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        to_arviz(posterior)
+
+
+# -- draws from nodes --------------------------------------------------------------------------
+
+
+def gaussian_nodes() -> tuple[Nodes, Array]:
+    covariance = np.array([[1.0, 0.8], [0.8, 2.0]])
+    precision = np.linalg.inv(covariance)
+    fit = integrate(
+        lambda x, index: -0.5 * ((x @ precision) * x).sum(axis=-1),
+        np.zeros((1, 2)),
+        np.linalg.cholesky(covariance)[None],
+        tolerance=1e-2,
+        keep_points=True,
+    )
+    assert fit.nodes is not None
+    return fit.nodes[0], covariance
+
+
+def test_resampled_nodes_come_as_often_as_they_weigh() -> None:
+    nodes, _ = gaussian_nodes()
+    draws = resample(nodes.points, nodes.weights, 5000, seed=1)
+    for point, weight in zip(nodes.points, nodes.weights, strict=True):
+        times = np.sum(np.all(draws == point, axis=1))
+        assert abs(times - 5000 * weight) < 1 + 1e-9
+
+
+def test_draws_spread_over_cells_keep_mean_and_covariance_and_fill_the_gaps() -> None:
+    nodes, covariance = gaussian_nodes()
+    draws = resample(nodes.points, nodes.weights, 100_000, seed=2, edges=nodes.edges)
+    np.testing.assert_allclose(draws.mean(axis=0), 0, atol=0.01)
+    np.testing.assert_allclose(np.cov(draws.T), covariance, rtol=0.01)
+    assert len(np.unique(draws[:, 0])) == 100_000
+    for column, sd in ((0, 1.0), (1, np.sqrt(2.0))):
+        apart = stats.kstest(draws[:, column] / sd, "norm").statistic
+        assert apart < 0.01  # the nodes alone are 0.1 apart
+
+
+def test_resampling_is_seeded() -> None:
+    nodes, _ = gaussian_nodes()
+    one, same, other = (
+        resample(nodes.points, nodes.weights, 100, seed=s, edges=nodes.edges) for s in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("points", "weights", "count", "words"),
+    [
+        (np.zeros((3, 1)), np.zeros(3), 5, "weights must be finite"),
+        (np.zeros((3, 1)), np.array([1.0, -1.0, 1.0]), 5, "got -1.0"),
+        (np.zeros((3, 1)), np.array([1.0, np.nan, 1.0]), 5, "got nan"),
+        (np.zeros((3, 1)), np.ones(2), 5, "must have shapes"),
+        (np.zeros((3, 1)), np.ones(3), 0, "count must be at least 1"),
+    ],
+)
+def test_resampling_refuses_nonsense(points: Array, weights: Array, count: int, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        resample(points, weights, count, seed=1)

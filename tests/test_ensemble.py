@@ -1,0 +1,461 @@
+"""Thousands of posteriors in one emcee run: right moments, honest errors, failures caught."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import emcee
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import special
+
+from weberwhisk.posterior.ensemble import (
+    MoveMaker,
+    Shortfall,
+    StackedDifferentialEvolution,
+    StackedSample,
+    StackedStretch,
+    recommended_walkers,
+    sample_stacked,
+)
+from weberwhisk.posterior.grid import integrate
+
+Array = NDArray[np.float64]
+Density = Callable[[Array], Array]
+
+MOVES: dict[str, MoveMaker] = {
+    "stretch": StackedStretch,
+    "wide stretch": partial(StackedStretch, stretch=8.0),
+    "differential evolution": StackedDifferentialEvolution,
+    "unit differences": partial(StackedDifferentialEvolution, unit=1.0),
+}
+
+
+def run_blocks(density: Density, start: Array, maker: MoveMaker, *, steps: int, seed: int) -> Array:
+    """emcee itself with one stacked move, from `start` (K, W, D): the chain (steps, K, W, D)."""
+    blocks, walkers, dim = start.shape
+    move = maker(walkers, np.random.default_rng(seed))
+    sampler = emcee.EnsembleSampler(
+        blocks * walkers,
+        dim,
+        lambda rows: density(rows.reshape(blocks, -1, dim)).ravel(),
+        moves=move,
+        vectorize=True,
+    )
+    sampler.run_mcmc(start.reshape(-1, dim), steps)
+    return sampler.get_chain().reshape(steps, blocks, walkers, dim)
+
+
+def correlated(dim: int) -> tuple[Density, Array]:
+    """A Gaussian with sd 1 and correlation 0.7 everywhere, and a root of its covariance."""
+    covariance = 0.3 * np.eye(dim) + 0.7
+    precision = np.linalg.inv(covariance)
+    return lambda x: -0.5 * ((x @ precision) * x).sum(axis=-1), np.linalg.cholesky(covariance)
+
+
+# -- moves -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 5])
+@pytest.mark.parametrize("name", MOVES)
+def test_moves_leave_a_correlated_gaussian_as_it_is(name: str, dim: int) -> None:
+    # Started from exact draws, a right move leaves every moment where it was. The blocks are
+    # independent, so their scatter gives the standard error. (emcee's own snooker move, tested
+    # like this in 5 dimensions, leaves 0.69 of the variance.)
+    density, root = correlated(dim)
+    rng = np.random.default_rng(dim)
+    start = rng.standard_normal((1500, 2 * dim + 2, dim)) @ root.T
+    chain = run_blocks(density, start, MOVES[name], steps=40, seed=dim + 50)
+    product = np.einsum("skwi,skwj->skij", chain, chain)[20:].mean(axis=0) / (2 * dim + 2)
+    for statistic, exact in (
+        (chain[20:].mean(axis=(0, 2)), 0.0),
+        (product.reshape(-1, dim * dim), (root @ root.T).ravel()),
+        (np.square(chain[20:] ** 2).mean(axis=(0, 2)), 3.0),
+    ):
+        error = statistic.std(axis=0) / np.sqrt(len(statistic))
+        assert np.abs((statistic.mean(axis=0) - exact) / error).max() < 4.5
+    assert product.std() / np.sqrt(len(product)) < 0.02  # so a bias of 10 % would show
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("name", MOVES)
+def test_moves_leave_a_skewed_density_as_it_is(name: str, dim: int) -> None:
+    rng = np.random.default_rng(dim)
+    start = np.log(rng.gamma(1.0, size=(1500, 2 * dim + 2, dim)))
+    chain = run_blocks(
+        lambda x: (x - np.exp(x)).sum(axis=-1), start, MOVES[name], steps=40, seed=dim + 60
+    )[20:]
+    off = chain - special.digamma(1)
+    for power, exact in ((1, 0.0), (2, special.polygamma(1, 1)), (3, special.polygamma(2, 1))):
+        statistic = (off**power).mean(axis=(0, 2))
+        error = statistic.std(axis=0) / np.sqrt(len(statistic))
+        assert np.abs((statistic.mean(axis=0) - exact) / error).max() < 4.5
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_a_block_is_untouched_by_its_neighbours(name: str) -> None:
+    rng = np.random.default_rng(1)
+    start = rng.standard_normal((6, 8, 2))
+    centre = np.zeros((6, 1))
+    other = centre.copy()
+    other[[0, 3]] = 5.0
+    chains = [
+        run_blocks(
+            lambda x, c=c: -0.5 * ((x - c[..., None]) ** 2).sum(axis=-1),
+            start,
+            MOVES[name],
+            steps=50,
+            seed=2,
+        )
+        for c in (centre, other)
+    ]
+    same = [1, 2, 4, 5]
+    np.testing.assert_array_equal(chains[0][:, same], chains[1][:, same])
+    assert not np.array_equal(chains[0][:, 0], chains[1][:, 0])
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_blocks_are_uncorrelated(name: str) -> None:
+    # They share the draw of who pairs with whom, which must not make them move together.
+    start = np.random.default_rng(3).standard_normal((400, 4, 1))
+    chain = run_blocks(lambda x: -0.5 * x[..., 0] ** 2, start, MOVES[name], steps=200, seed=4)
+    for series in (chain.mean(axis=2), np.square(chain).mean(axis=2)):
+        average = series[100:, :, 0].mean(axis=0)  # one number a block
+        across = series[..., 0].mean(axis=1)  # all blocks together, step by step
+        alone = series[..., 0].std(axis=1).mean() / np.sqrt(400)
+        assert across[1:].std() < 2.0 * alone
+        assert abs(np.corrcoef(average[:-1], average[1:])[0, 1]) < 4 / np.sqrt(400)
+
+
+# -- the whole run -----------------------------------------------------------------------------
+
+
+def gaussian_run(count: int, dim: int, *, seed: int, **options: object) -> StackedSample:
+    """Correlated Gaussians with means 0, 1, 2, ... from starts twice too wide."""
+    density, root = correlated(dim)
+    centre = np.arange(count)[:, None, None] * np.ones(dim)
+    rng = np.random.default_rng(seed)
+    start = (
+        centre[:, None]
+        + 2 * rng.standard_normal((count, 4, recommended_walkers(dim), dim)) @ root.T
+    )
+    return sample_stacked(
+        lambda x, index: density(x - centre[index]),
+        start,
+        seed=seed,
+        indexed=True,
+        **options,  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_precision_is_met_and_errors_are_honest(dim: int) -> None:
+    fit = gaussian_run(100, dim, seed=dim, precision=0.03)
+    assert fit.converged.all()
+    mean = np.arange(100)[:, None]
+    for value, exact, error, most in (
+        (fit.mean, mean, fit.mcse_mean, 0.03 * np.sqrt(2)),
+        (fit.sd, 1.0, fit.mcse_sd, 0.03),
+    ):
+        assert np.sqrt(np.mean((value - exact) ** 2)) < 1.2 * most
+        z = (value - exact) / error
+        # Stopping when the error looks small makes it look smaller than it is, by a tenth or two.
+        assert 0.8 < np.sqrt(np.mean(z**2)) < 1.35
+        assert np.abs(z).max() < 5
+    assert np.all(fit.ess > 300)
+    assert np.all(fit.rhat < 1.01)
+    assert np.all(4 * fit.steps[:, None] >= 160 * fit.tau)
+    assert np.all((fit.acceptance > 0.2) & (fit.acceptance < 0.7))
+
+
+def test_agrees_with_quadrature_in_two_skewed_dimensions() -> None:
+    shape = np.array([1.0, 3.0])
+    rng = np.random.default_rng(5)
+
+    def density(x: Array, index: Array) -> Array:
+        return (
+            shape[index][:, None] * x[..., 0] - np.exp(x[..., 0]) - 2 * (x[..., 1] - x[..., 0]) ** 2
+        )
+
+    def functions(x: Array) -> Array:
+        return np.exp(x[..., :1] / 2)
+
+    exact = integrate(
+        density,
+        np.log(shape)[:, None] * np.ones(2),
+        np.eye(2) * np.ones((2, 1, 1)),
+        functions=functions,
+        tolerance=1e-4,
+        keep_points=True,
+    )
+    start = np.log(shape)[:, None, None, None] + 0.5 * rng.standard_normal((2, 4, 6, 2))
+    fit = sample_stacked(density, start, seed=6, functions=functions, precision=0.03, indexed=True)
+    assert fit.converged.all()
+    assert exact.converged.all()
+    assert np.abs((fit.mean - exact.mean) / fit.mcse_mean).max() < 4
+    assert np.abs((fit.sd - exact.sd) / fit.mcse_sd).max() < 4
+    assert fit.values.shape == (2, 4, 1020, 3)
+    np.testing.assert_array_equal(fit.draws, fit.values[..., :2])
+    np.testing.assert_allclose(fit.values[..., 2], np.exp(fit.values[..., 0] / 2))
+    assert exact.nodes is not None
+    for i, nodes in enumerate(exact.nodes):
+        p = np.array([0.1, 0.5, 0.9])
+        below = (fit.draws[i, :, :, 0, None] < nodes.quantile(nodes.points[:, 0], p)).mean((0, 1))
+        assert np.all(np.abs(below - p) < 4 * np.sqrt(p * (1 - p) / fit.ess[i, 0]))
+
+
+def test_the_seed_decides_every_bit_and_nothing_else_does() -> None:
+    first = gaussian_run(5, 2, seed=1)
+    state = np.random.get_state()  # noqa: NPY002
+    try:
+        np.random.seed(99)  # noqa: NPY002 - a fresh emcee sampler would copy this
+        again = gaussian_run(5, 2, seed=1)
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
+    np.testing.assert_array_equal(first.values, again.values)
+    np.testing.assert_array_equal(first.sd, again.sd)
+    assert not np.array_equal(first.values, gaussian_run(5, 2, seed=2).values)
+
+
+@pytest.mark.parametrize("seed", [7, np.random.SeedSequence(7)])
+def test_seeds_of_any_kind(seed: int | np.random.SeedSequence) -> None:
+    start = np.random.default_rng(1).normal(size=(1, 4, 8, 1))
+    density = lambda x: -0.5 * x[..., 0] ** 2  # noqa: E731
+    fit = sample_stacked(density, start, seed=seed)
+    generator = sample_stacked(density, start, seed=np.random.default_rng(7))
+    np.testing.assert_array_equal(fit.values, generator.values)
+
+
+def test_a_posterior_is_untouched_by_its_neighbours() -> None:
+    start = np.random.default_rng(2).normal(size=(4, 4, 8, 1))
+    fits = []
+    for last in (1.0, 3.0):
+        width = np.array([1.0, 1.0, 1.0, last])[:, None]
+        fits.append(
+            sample_stacked(
+                lambda x, s=width: -0.5 * (x[..., 0] / s) ** 2, start, seed=3, max_steps=256
+            )
+        )
+    np.testing.assert_array_equal(fits[0].values[:3], fits[1].values[:3])
+    np.testing.assert_array_equal(fits[0].mcse_sd[:3], fits[1].mcse_sd[:3])
+
+
+def test_posteriors_that_are_done_leave_the_run() -> None:
+    sizes: list[int] = []
+    easy = np.arange(20) < 18
+
+    def density(x: Array, index: Array) -> Array:
+        sizes.append(len(index))
+        hard = -2.0 * np.log1p(x[..., 0] ** 2 / 3)  # heavy tails
+        return np.where(easy[index][:, None], -0.5 * x[..., 0] ** 2, hard)
+
+    reports: list[tuple[int, int]] = []
+    fit = sample_stacked(
+        density,
+        np.random.default_rng(4).normal(size=(20, 4, 8, 1)),
+        seed=5,
+        indexed=True,
+        max_steps=3000,
+        progress=lambda done, total: reports.append((done, total)),
+    )
+    assert fit.converged[easy].all()
+    assert fit.steps[easy].max() < fit.steps[~easy].min()
+    assert sizes[0] == 20
+    assert sizes[-1] <= 2
+    assert reports[-1] == (20, 20)
+
+
+def test_burn_in_is_judged() -> None:
+    # Walkers start 300 sd away; they must arrive, and the way there must not count.
+    start = 300 + 0.5 * np.random.default_rng(6).normal(size=(40, 4, 8, 1))
+    fit = sample_stacked(lambda x: -0.5 * x[..., 0] ** 2, start, seed=7)
+    assert fit.converged.all()
+    assert np.abs(fit.mean / fit.mcse_mean).max() < 5
+    assert np.abs((fit.sd - 1) / fit.mcse_sd).max() < 5
+    near = sample_stacked(lambda x: -0.5 * x[..., 0] ** 2, start - 300, seed=7)
+    assert fit.burn_in.mean() > 1.5 * near.burn_in.mean()
+
+
+# -- where emcee goes wrong --------------------------------------------------------------------
+
+
+def distance(k: float, r0: float, *, count: int, width: float, seed: int) -> tuple:
+    """One reading of a moment under Weber noise, r uniform on (0, 1), in x = logit(r).
+
+    m(r) = 1/r - 1, the reading is m(r0). Near the tip and with k >= 0.3 a shelf of some per cent
+    of the mass reaches towards small r. Returns the log-density, a start as from Laplace's
+    approximation (`width` times its sd), and the exact sds of x and r.
+    """
+    reading = 1 / r0 - 1
+
+    def density(x: Array, index: Array | None = None) -> Array:
+        with np.errstate(over="ignore"):
+            moment = np.exp(-x[..., 0])
+            return -0.5 * ((reading / moment - 1) / k) ** 2 - 2 * np.log1p(moment)
+
+    x = np.linspace(-40.0, 12.0, 520_001)
+    mass = np.exp(density(x[:, None]) - density(x[:, None]).max())
+    mass /= mass.sum()
+    sds = [np.sqrt(mass @ v**2 - (mass @ v) ** 2) for v in (x, special.expit(x))]
+    scatter = k * width * np.random.default_rng(seed).standard_normal((count, 4, 8, 1))
+    return density, special.logit(r0) + scatter, *sds
+
+
+@pytest.mark.parametrize("move", ["default", "wide stretch"])
+@pytest.mark.parametrize("width", [0.3, 1.5])
+@pytest.mark.parametrize("k", [0.3, 0.5])
+def test_no_wrong_sd_passes_on_the_shelf_near_the_tip(k: float, width: float, move: str) -> None:
+    density, start, sd_x, sd_r = distance(k, 0.95, count=60, width=width, seed=8)
+    moves = None if move == "default" else [(MOVES[move], 1.0)]
+    # A run at which most are wrong (in r, where the shelf weighs most): none may pass.
+    fit = sample_stacked(
+        density, start, seed=9, moves=moves, functions=special.expit, max_steps=256, indexed=True
+    )
+    wrong = np.abs(fit.sd / [sd_x, sd_r] - 1) > 0.1
+    assert wrong[:, 1].mean() > (0.5 if k == 0.3 else 0.09)
+    assert not np.any(wrong.any(axis=1) & fit.converged)
+
+
+@pytest.mark.parametrize("k", [0.3, 0.5])
+def test_what_passes_on_the_shelf_is_right(k: float) -> None:
+    density, start, sd, _ = distance(k, 0.95, count=60, width=1.0, seed=8)
+    fit = sample_stacked(density, start, seed=9, max_steps=8000, indexed=True)
+    assert fit.converged.mean() > (0.3 if k == 0.3 else 0.95)
+    assert np.abs(fit.sd[fit.converged, 0] / sd - 1).max() < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [0.2, 0.3, 0.4, 0.5])
+@pytest.mark.parametrize("of", ["x", "r"])
+def test_no_wrong_sd_passes_in_a_thousand(k: float, of: str) -> None:
+    density, start, sd_x, sd_r = distance(k, 0.95, count=1000, width=1.0, seed=10)
+    functions = special.expit if of == "r" else None
+    fit = sample_stacked(
+        density, start, seed=11, functions=functions, max_steps=100_000, indexed=True
+    )
+    exact = sd_r if of == "r" else sd_x
+    wrong = np.abs(fit.sd[:, -1] / exact - 1) > 0.1
+    assert fit.converged.mean() > 0.9
+    assert not np.any(wrong & fit.converged)
+
+
+def test_the_sd_of_the_distance_itself_on_the_shelf() -> None:
+    density, start, _, sd = distance(0.5, 0.95, count=30, width=1.0, seed=12)
+    fit = sample_stacked(density, start, seed=13, functions=special.expit, indexed=True)
+    assert fit.converged.all()
+    assert np.abs(fit.sd[:, 1] / sd - 1).max() < 0.1
+
+
+def test_ensembles_in_different_modes_are_not_converged() -> None:
+    start = np.random.default_rng(14).normal(size=(10, 4, 8, 1))
+    start[:, 2:] += 30
+    fit = sample_stacked(
+        lambda x: np.logaddexp(-0.5 * x[..., 0] ** 2, -0.5 * (x[..., 0] - 30) ** 2),
+        start,
+        seed=15,
+        max_steps=1000,
+    )
+    assert not fit.converged.any()
+    assert np.all(fit.shortfall & Shortfall.RHAT)
+    assert np.all(fit.rhat > 1.5)
+
+
+def test_one_wider_ensemble_is_not_converged() -> None:
+    # Same mean, other sd: only the folded R-hat and the error of the variance can tell.
+    scale = np.array([1.0, 1.0, 1.0, 2.0])[:, None]
+    start = np.random.default_rng(16).normal(size=(5, 4, 8, 1))
+    fit = sample_stacked(
+        lambda x: -0.5 * (x[..., 0].reshape(5, 4, -1) / scale).reshape(5, -1) ** 2,
+        start,
+        seed=17,
+        max_steps=1000,
+    )
+    assert np.all(fit.shortfall & Shortfall.RHAT)
+
+
+def test_a_walker_on_a_needle_is_stuck() -> None:
+    start = np.random.default_rng(18).normal(size=(3, 4, 8, 1))
+    start[1, 2, 5] = 0.7
+    fit = sample_stacked(
+        lambda x: -0.5 * x[..., 0] ** 2 + np.where(x[..., 0] == 0.7, 60.0, 0.0),
+        start,
+        seed=19,
+        max_steps=400,
+    )
+    assert bool(fit.shortfall[1] & Shortfall.STUCK)
+    assert not np.any(fit.shortfall[[0, 2]] & Shortfall.STUCK)
+
+
+def test_hardly_any_acceptance_is_reported() -> None:
+    # A comb: 2 % of the line has density.
+    def comb(x: Array) -> Array:
+        inside = np.abs(x[..., 0] * 1000 - np.rint(x[..., 0] * 1000)) < 0.01
+        return np.where(inside, -0.5 * x[..., 0] ** 2, -np.inf)
+
+    start = np.rint(np.random.default_rng(20).normal(size=(2, 4, 8, 1)) * 1000) / 1000
+    fit = sample_stacked(comb, start, seed=21, max_steps=400)
+    assert np.all(fit.shortfall & Shortfall.ACCEPTANCE)
+    assert "5 %" in Shortfall(int(fit.shortfall[0])).message
+
+
+def test_a_run_short_against_its_autocorrelation_time_is_reported() -> None:
+    def banana(x: Array) -> Array:
+        return -0.5 * x[..., 0] ** 2 - 0.5 * ((x[..., 1] - 2 * x[..., 0] ** 2) / 0.3) ** 2
+
+    u = np.random.default_rng(22).normal(size=(20, 4, 8, 2))
+    start = np.stack([u[..., 0], 2 * u[..., 0] ** 2 + 0.3 * u[..., 1]], axis=-1)
+    fit = sample_stacked(banana, start, seed=23, max_steps=1500, precision=0.03)
+    assert np.all(fit.shortfall & Shortfall.SHORT)
+    assert np.all(fit.steps == 1504)  # whole pieces of 32 steps
+
+
+def test_emcee_takes_a_start_outside_the_support_and_this_does_not() -> None:
+    def density(x: Array) -> Array:
+        return np.where(x[..., 0] > 0, -x[..., 0], -np.inf)
+
+    start = np.random.default_rng(24).exponential(size=(3, 4, 8, 1))
+    assert np.isfinite(sample_stacked(density, start, seed=1, max_steps=256).mean).all()
+    start[1, 2, 3] = -5.0
+    with pytest.raises(ValueError, match=r"1 walker\(s\) of 1 posterior\(s\) .* posterior 1"):
+        sample_stacked(density, start, seed=1)
+
+
+GOOD = np.random.default_rng(25).normal(size=(2, 4, 8, 2))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"start": GOOD[0]}, "start must have shape"),
+        ({"start": GOOD[:0]}, "start must have shape"),
+        ({"start": GOOD[:, :3]}, "at least 4 independent ensembles, got 3"),
+        ({"start": GOOD[:, :, :5]}, "got 5"),
+        ({"start": GOOD[:, :, :4]}, "at least 2 D \\+ 2 = 6, got 4"),
+        ({"start": np.where(GOOD > 1, np.nan, GOOD)}, "start must be finite"),
+        ({"start": np.zeros_like(GOOD)}, "must differ in every direction"),
+        ({"start": GOOD[..., [0, 0]]}, "must differ in every direction"),
+        ({"precision": 0.0}, "precision must lie between"),
+        ({"max_steps": 10}, "max_steps must be at least 64"),
+        ({"log_density": lambda x: np.zeros(3)}, "The log-density must have shape"),
+        ({"log_density": lambda x: np.full(x.shape[:2], np.nan)}, "posterior 0 is nan"),
+        ({"log_density": lambda x: np.full(x.shape[:2], np.inf)}, "posterior 0 is inf"),
+        ({"log_density": lambda x: np.where(x[..., 0] > 3, np.nan, 0.0)}, "is nan at"),
+        ({"functions": lambda x: x[..., 0]}, "functions must return finite values"),
+        ({"functions": lambda x: np.full_like(x, np.nan)}, "functions must return finite"),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(
+    change: dict[str, object], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments: dict[str, object] = {
+        "log_density": lambda x: -0.5 * (x**2).sum(axis=-1),
+        "start": GOOD,
+        "seed": 1,
+    }
+    with pytest.raises(ValueError, match=words) as caught:
+        sample_stacked(**(arguments | change))  # type: ignore[arg-type]
+    assert str(caught.value).endswith(".")
+    assert "\n" not in str(caught.value)
+    assert capsys.readouterr().out == ""  # emcee would print the walkers

@@ -1,0 +1,288 @@
+"""The three engines against brute-force integrals that share no code with them."""
+
+import numpy as np
+import pytest
+from mpmath import mp
+from numpy.polynomial.legendre import leggauss
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk import Status
+from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.receptors import GeneralisedWeber, Weber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+
+
+def brute_force(observer, reading, floor=0.0):
+    """Mean and sd of r for the light tap and a flat prior, by 25-digit integration over r."""
+    w = observer.whisker
+    with mp.workdps(25):
+        c, inverse_apex = mp.mpf(float(w.compliance_constant)), mp.mpf(float(w.taper / w.length))
+        k, y, top = mp.mpf(float(observer.noise.weber_fraction)), mp.mpf(reading), mp.mpf(w.length)
+
+        def density(r):
+            m = c * (1 / r - inverse_apex)
+            sd = mp.sqrt(floor**2 + (k * m) ** 2)
+            return mp.exp(-(((y - m) / sd) ** 2) / 2) / sd
+
+        at = min(max(1 / (y / c + inverse_apex), top / 500), top * mp.mpf("0.9999"))
+        width = k * at * (1 - at * inverse_apex)
+        steps = (-60, -30, -18, -12, -9, -7, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 7, 9, 12, 18, 30)
+        cuts = [0, *(at + s * width for s in steps if 0 < at + s * width < top), top]
+        total, first, second = (
+            mp.quad(lambda r, n=n: density(r) * (r - at) ** n, cuts) for n in range(3)
+        )
+        mean = first / total
+        return float(at + mean), float(mp.sqrt(second / total - mean**2))
+
+
+@pytest.mark.parametrize("taper", ["tapered", "cylinder"])
+@pytest.mark.parametrize("k", [0.005, 0.05, 0.2, 0.5])
+def test_quadrature_in_one_dimension_is_exact_to_1e_8(k, taper):
+    w = W if taper == "tapered" else W.cylinder()
+    observer = ww.Observer(w, Compliance(), Weber(k))
+    readings = observer.read(np.array([[0.02], [0.3], [0.7], [0.95], [0.999]]) * w.length, seed=2)
+    p = ww.posterior(observer, readings)
+    for i, y in enumerate(readings[:, 0]):
+        mean, sd = brute_force(observer, float(y))
+        assert abs(p.mean[i] - mean) < 1e-8 * sd
+        assert abs(p.sd[i] / sd - 1) < 1e-8
+        assert abs(p.mean[i] - mean) <= p.mean_error[i] + 1e-11 * sd
+        assert abs(p.sd[i] - sd) <= p.sd_error[i] + 1e-11 * sd
+    assert np.all(p.status == Status.CONVERGED)
+
+
+def test_quadrature_with_a_floor_is_exact_too():
+    unit = float(W.compliance_constant / W.length)
+    observer = ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=0.05 * unit))
+    readings = observer.read(np.array([[0.3], [0.9], [0.99]]) * W.length, seed=2)
+    p = ww.posterior(observer, readings)
+    for i, y in enumerate(readings[:, 0]):
+        mean, sd = brute_force(observer, float(y), floor=mp.mpf(0.05 * unit))
+        assert abs(p.mean[i] - mean) < 1e-8 * sd
+        assert abs(p.sd[i] / sd - 1) < 1e-8
+
+
+def test_quadrature_sees_through_the_kink_of_a_saturated_receptor():
+    ceiling = 3 * float(W.compliance_constant / W.length)
+    observer = ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=1e-9, ceiling=ceiling))
+    p = ww.posterior(observer, [0.97 * ceiling])
+    r = np.linspace(0, W.length, 1_000_001)[1:-1, None]  # a Riemann sum does not mind a kink
+    log = observer.log_likelihood([0.97 * ceiling], r)
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    mean = weight @ r[:, 0]
+    assert p.mean == pytest.approx(mean, abs=r[1, 0] - r[0, 0])
+    assert p.sd == pytest.approx(np.sqrt(weight @ (r[:, 0] - mean) ** 2), abs=r[1, 0] - r[0, 0])
+
+
+def test_quantiles_are_those_of_the_density():
+    observer = ww.Observer(W, Compliance(), Weber(0.3))
+    p = ww.posterior(observer, observer.read(0.9 * W.length, seed=1))
+    r = np.linspace(0, W.length, 2_000_001)[1:-1]
+    log = observer.log_likelihood(p.reading, r[:, None])
+    cumulative = np.cumsum(np.exp(log - log.max()))
+    cumulative /= cumulative[-1]
+    for probability in (0.001, 0.025, 0.5, 0.9, 0.999):
+        exact = np.interp(probability, cumulative, r)
+        assert p.quantile(probability) == pytest.approx(exact, rel=1e-5)
+    low, high = p.interval(0.95)
+    assert (low, high) == tuple(p.quantile([0.025, 0.975]))
+
+
+def grid_truth(observer, reading):
+    """Mean and sd of r and θ_d by composite Gauss rules in (ln r, τ), θ_d = limit(r)/cosh τ.
+
+    τ = 0 is the fold, where the density is smooth in τ; far up τ is −ln θ_d, so that the ridge
+    towards small r, as narrow as r itself, is resolved as well as the rest.
+    """
+    x, w = leggauss(8)
+
+    def rule(edges):
+        half = np.diff(edges) / 2
+        return (edges[:-1, None] + half[:, None] * (x + 1)).ravel(), (half[:, None] * w).ravel()
+
+    length = float(observer.whisker.length)
+    ln_r, weight_r = rule(np.log(length) + np.linspace(-9, 0, 241))
+    tau, weight_tau = rule(np.linspace(0, 14, 241))
+    r = np.exp(ln_r)
+    limit = ww.flick_past(observer.whisker, r).deflection_angle
+    theta = limit[:, None] / np.cosh(tau)
+    slope = weight_r[:, None] * r[:, None] * theta * np.tanh(tau) * weight_tau
+    contact = np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1)
+    log = np.stack([observer.log_likelihood(reading, part) for part in contact])
+    density = np.exp(log - log.max()) * slope
+    density /= density.sum()
+    mean = np.einsum("rt,rtu->u", density, contact)
+    return mean, np.sqrt(np.einsum("rt,rtu->u", density, (contact - mean) ** 2))
+
+
+@pytest.mark.parametrize(
+    ("k", "fraction", "degrees"), [(0.1, 0.3, 10), (0.1, 0.6, 20), (0.2, 0.5, 8), (0.3, 0.8, 6)]
+)
+def test_quadrature_in_two_dimensions_reaches_1e_4(k, fraction, degrees):
+    observer = ww.Observer(W, ForceMap(), Weber(k))
+    reading = observer.read([fraction * W.length, np.radians(degrees)], seed=5)
+    p = ww.posterior(observer, reading, tolerance=1e-4)
+    assert p.status == Status.CONVERGED
+    mean, sd = grid_truth(observer, reading)
+    for i, name in enumerate(observer.unknowns):
+        e = p.estimates[name]
+        assert abs(e.mean - mean[i]) < 1e-4 * sd[i]
+        assert abs(e.sd / sd[i] - 1) < 1e-4
+        assert max(e.mean_error, e.sd_error) < 1e-4 * sd[i]
+
+
+@pytest.mark.parametrize("k", [0.02, 0.1, 0.3])
+def test_emcee_agrees_with_quadrature_within_its_own_error(k):
+    observer = ww.Observer(W, Compliance(), Weber(k))
+    r = np.random.default_rng(8).uniform(0.1, 0.97, (64, 1)) * W.length
+    readings = observer.read(r, seed=1)
+    exact = ww.posterior(observer, readings)
+    p = ww.posterior(observer, readings, "emcee", seed=2)
+    good = p.status == Status.CONVERGED
+    assert good.mean() > 0.8
+    z = (p.mean - exact.mean)[good] / p.mean_error[good]
+    assert np.abs(z).max() < 5
+    assert 0.7 < z.std() < 1.5
+    z = (p.sd - exact.sd)[good] / p.sd_error[good]
+    assert np.abs(z).max() < 5
+    assert np.all(np.abs(p.sd / exact.sd - 1)[good] < 0.1)
+
+
+def test_emcee_agrees_in_two_dimensions():
+    observer = ww.Observer(W, ForceMap(), Weber(0.05))
+    contact = np.array([[0.4, 8], [0.6, 15], [0.85, 5]]) * [W.length, np.pi / 180]
+    readings = observer.read(contact, seed=1)
+    exact = ww.posterior(observer, readings)
+    p = ww.posterior(observer, readings, "emcee", seed=2)
+    assert np.all(p.status == Status.CONVERGED)
+    for name in observer.unknowns:
+        a, b = p.estimates[name], exact.estimates[name]
+        assert np.all(np.abs(a.mean - b.mean) < 5 * a.mean_error)
+        assert np.all(np.abs(a.sd - b.sd) < 5 * a.sd_error + 0.01 * b.sd)
+
+
+def test_emcee_never_calls_a_wrong_sd_converged_on_the_heavy_shelf():
+    """k ≥ 0.3 near the tip: a shelf towards small r, where plain emcee is silently wrong."""
+    for k in (0.3, 0.5):
+        observer = ww.Observer(W, Compliance(), Weber(k))
+        readings = observer.read(np.full((48, 1), 0.95 * W.length), seed=3)
+        exact = ww.posterior(observer, readings)
+        p = ww.posterior(observer, readings, "emcee", seed=4)
+        wrong = np.abs(p.sd / exact.sd - 1) > 0.1
+        assert not np.any(wrong & (p.status == Status.CONVERGED))
+
+
+def test_laplace_is_right_where_it_says_so_and_says_where_not():
+    for k, share in ((0.02, 1.0), (0.3, 0.0)):
+        observer = ww.Observer(W, Compliance(), Weber(k))
+        readings = observer.read(np.full((50, 1), 0.9 * W.length), seed=3)
+        exact, p = ww.posterior(observer, readings), ww.posterior(observer, readings, "laplace")
+        good = p.status == Status.CONVERGED
+        assert good.mean() == pytest.approx(share, abs=0.1)
+        assert np.all(np.abs(p.sd / exact.sd - 1)[good] < 0.1)
+        assert np.all(np.abs(p.mean - exact.mean)[good] < 0.3 * exact.sd[good])
+    assert np.abs(p.sd / exact.sd - 1).max() > 0.3  # so the warning was needed
+
+
+def test_laplaces_evidence_and_quadratures_agree_at_small_k():
+    observer = ww.Observer(W, ForceMap(), Weber(0.01))
+    reading = observer.read([30e-3, 0.15], seed=1)
+    a, b = (ww.posterior(observer, reading, m) for m in ("laplace", "quadrature"))
+    assert a.log_evidence == pytest.approx(b.log_evidence, abs=0.02)
+    assert a.mean == pytest.approx(b.mean, abs=0.1 * b.sd)
+
+
+def test_the_cylinders_force_map_is_called_a_ridge():
+    observer = ww.Observer(W.cylinder(), ForceMap(), Weber(0.1))
+    reading = observer.read([30e-3, 0.2], seed=1)
+    for method in ("quadrature", "laplace"):
+        assert ww.posterior(observer, reading, method).status == Status.UNIDENTIFIED
+    assert ww.posterior(ww.Observer(W, ForceMap()), reading).status != Status.UNIDENTIFIED
+
+
+def test_an_impossible_reading_is_called_improbable():
+    observer = ww.Observer(W, Compliance(), Weber(0.05))
+    tip = observer.signals([W.length])[0][0]
+    p = ww.posterior(observer, [tip * 0.5])
+    assert p.status == Status.IMPROBABLE_READING
+    assert 0.9 * W.length < p.mean < W.length  # piled up at the tip
+    map_observer = ww.Observer(W, ForceMap(), Weber(0.02))
+    signals = map_observer.signals([20e-3, 0.2])[0]
+    assert ww.posterior(map_observer, signals * [2.0, 0.5]).status == Status.IMPROBABLE_READING
+
+
+def test_flat_prior_is_scipys_uniform():
+    flat = ww.Observer(W, Compliance(), Weber(0.2))
+    given = ww.Observer(
+        W, Compliance(), Weber(0.2), prior={"radial_distance": stats.uniform(0, W.length)}
+    )
+    reading = flat.read(40e-3, seed=1)
+    a, b = ww.posterior(flat, reading), ww.posterior(given, reading)
+    assert (a.mean, a.sd) == pytest.approx((b.mean, b.sd), rel=1e-10)
+    narrow = ww.Observer(
+        W, Compliance(), Weber(0.2), prior={"radial_distance": stats.norm(30e-3, 2e-5)}
+    )
+    p = ww.posterior(narrow, reading)
+    assert (p.mean, p.sd) == pytest.approx((30e-3, 2e-5), rel=0.01)
+
+
+@pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
+def test_one_reading_gives_scalars_and_many_give_arrays(method):
+    observer = ww.Observer(W, ForceMap(), Weber(0.05))
+    readings = observer.read([[20e-3, 0.2], [40e-3, 0.1]], seed=1)
+    one = ww.posterior(observer, readings[0], method, seed=3)
+    assert np.ndim(one.mean) == 0
+    assert isinstance(one.status, Status)
+    assert one.interval(0.9).shape == (2,)
+    many = ww.posterior(observer, readings, method, seed=3)
+    assert many.mean.shape == many.sd.shape == many.status.shape == (2,)
+    assert many.interval(0.9).shape == (2, 2)
+    assert np.all(many.interval(0.5)[:, 0] < many.mean)
+    assert len(many.summary()) == 4
+    assert len(one.summary()) == 2
+
+
+@pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
+def test_to_arviz_has_draws_of_the_posterior(method):
+    import arviz
+
+    observer = ww.Observer(W, ForceMap(), Weber(0.05))
+    p = ww.posterior(observer, observer.read([30e-3, 0.15], seed=1), method, seed=3)
+    data = p.to_arviz(draws=400)
+    draws = np.asarray(data.posterior["radial_distance"])
+    assert draws.shape[0] == 4
+    assert draws.mean() == pytest.approx(p.mean, abs=0.25 * p.sd)
+    assert draws.std() == pytest.approx(p.sd, rel=0.2)
+    assert float(np.max(arviz.rhat(np.asarray(draws)))) < 1.1
+    assert "moment" in data.observed_data
+
+
+def test_seeds_repeat():
+    observer = ww.Observer(W, Compliance())
+    reading = observer.read(30e-3, seed=1)
+    a, b, c = (ww.posterior(observer, reading, "emcee", seed=s) for s in (1, 1, 2))
+    assert a.mean == b.mean
+    assert a.mean != c.mean
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda o: ww.posterior(o, [1.0], "mcmc"), "method 'mcmc' is unknown"),
+        (lambda o: ww.posterior(o, [np.nan]), "reading must be finite, got nan"),
+        (lambda o: ww.posterior(o, "loud"), "reading must be a number"),
+        (lambda o: ww.posterior(o, [1.0], tolerance=0), "tolerance must be above zero, got 0"),
+        (lambda o: ww.posterior(o, [1.0]).interval(1.5), "probability lies between 0 and 1"),
+        (
+            lambda o: ww.posterior(ww.Observer(W, ForceMap()), [1.0, 2.0, 3.0]),
+            r"has 2 numbers \(moment, axial_force\), got shape \(3,\)",
+        ),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(call, words):
+    with pytest.raises(ValueError, match=words) as error:
+        call(ww.Observer(W, Compliance()))
+    assert "\n" not in str(error.value)

@@ -1,0 +1,310 @@
+"""Quadrature of one-dimensional posteriors, many readings at a time.
+
+The signals do not depend on the reading. So the axis of x is cut once for each observer
+into panels no longer than two JNDs, on which signals and noise are smooth, and both are stored at
+the nodes of a Gauss–Kronrod rule. A reading then only weighs the nodes of those panels that it
+could have come from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ..mechanics.contact import Outcome
+from ..observer import Observer
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# The 7-point Gauss and 15-point Kronrod rule of QUADPACK (qk15), positive half, outermost first.
+_X = (
+    0.991455371120812639206854697526329,
+    0.949107912342758524526189684047851,
+    0.864864423359769072789712788640926,
+    0.741531185599394439863864773280788,
+    0.586087235467691130294144691693013,
+    0.405845151377397166906606412076961,
+    0.207784955007898467600689403773245,
+)
+_KRONROD = (
+    0.022935322010529224963732008058970,
+    0.063092092629978553290700663189204,
+    0.104790010322250183839876322541518,
+    0.140653259715525918745189590510238,
+    0.169004726639267902826583426598550,
+    0.190350578064785409913256402421014,
+    0.204432940075298892414161999234649,
+)
+_KRONROD_CENTRE = 0.209482141084727828012999174891714
+_GAUSS = (
+    0.129484966168869693270611432679082,
+    0.279705391489276667901467771423780,
+    0.381830050505118944950369775488975,
+)
+_GAUSS_CENTRE = 0.417959183673469387755102040816327
+
+NODES = np.array([*(-x for x in _X), 0.0, *_X[::-1]])
+KRONROD = np.array([*_KRONROD, _KRONROD_CENTRE, *_KRONROD[::-1]])
+GAUSS = np.zeros(15)
+GAUSS[[1, 3, 5, 9, 11, 13]] = [*_GAUSS, *_GAUSS[::-1]]
+GAUSS[7] = _GAUSS_CENTRE
+_TO_LEGENDRE = np.linalg.inv(legendre.legvander(NODES, 14))
+#: Integral from −1 to each node of the interpolant through the nodes, (15, 15).
+_RISE = (
+    np.stack(
+        [legendre.legval(NODES, legendre.legint(np.eye(15)[n], lbnd=-1)) for n in range(15)], axis=1
+    )
+    @ _TO_LEGENDRE
+)
+
+#: From r = 1e-7 of the reach to 1 − 1e-12 of it: beyond, there is no mass to speak of.
+X_RANGE = (-16.0, 3.25)
+#: Longest panel in JNDs, and in x.
+LONGEST = 2.0
+#: Half-length at which a kink is close enough: its square is the error.
+SHORTEST = 1e-6
+#: A panel is weighed where the reading lies within this many sd of its signals …
+WINDOW = 10.0
+#: … and its middle is not this far (in ln) below the highest.
+NEGLIGIBLE = 40.0
+#: A reading this many sd away from every signal is improbable under the model.
+IMPROBABLE = 5.0
+
+
+class _Window:
+    """The panels on which a reading lies within so many sd of the signals (panels, nodes, S).
+
+    Panel j is among them where low_j ≤ y ≤ high_j. These bounds, made monotone from either end,
+    give the first and the last such panel by bisection; panels between them come along.
+    """
+
+    def __init__(self, mean: Array, sd: Array, width: float) -> None:
+        low, high = (mean - width * sd).min(axis=1), (mean + width * sd).max(axis=1)
+        self.low = np.minimum.accumulate(low, axis=0)
+        self.high = np.maximum.accumulate(high, axis=0)
+        self.low_back = np.minimum.accumulate(low[::-1], axis=0)
+        self.high_back = np.maximum.accumulate(high[::-1], axis=0)
+
+    def __call__(self, reading: Array) -> tuple[Index, Index]:
+        """First panel and one past the last, for readings (B, S)."""
+        first, back = np.zeros((2, len(reading)), dtype=np.intp)
+        for k, y in enumerate(reading.T):
+            first = np.maximum(first, np.searchsorted(-self.low[:, k], -y))
+            first = np.maximum(first, np.searchsorted(self.high[:, k], y))
+            back = np.maximum(back, np.searchsorted(-self.low_back[:, k], -y))
+            back = np.maximum(back, np.searchsorted(self.high_back[:, k], y))
+        return first, len(self.low) - back
+
+
+@dataclass(frozen=True, eq=False)
+class PanelMoments:
+    """Moments of the radial distance for B readings; errors are estimates."""
+
+    mean: Array
+    sd: Array
+    mean_error: Array
+    sd_error: Array
+    log_evidence: Array
+    improbable: NDArray[np.bool_]
+
+
+class Panels:
+    """The axis of one observer, cut into panels.
+
+    Raises
+    ------
+    ValueError
+        For an observer with more than one unknown.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        if len(observer.unknowns) != 1:
+            raise ValueError(
+                f"Panels are for one unknown, got {', '.join(observer.unknowns)}; "
+                'write method="quadrature" and let posterior() choose.'
+            )
+        self.observer = observer
+        edges = self._edges()
+        left, right = edges[:-1], edges[1:]
+        kept: list[tuple[Array, Array]] = []
+        for _ in range(40):  # a kink (a saturated receptor) is closed in by halving
+            long = self._too_long(left, right)
+            kept.append((left[~long], right[~long]))
+            left, right = left[long], right[long]
+            middle = (left + right) / 2
+            left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
+            if not left.size:
+                break
+        left, right = (np.concatenate(part) for part in zip(*kept, (left, right), strict=True))
+        order = np.argsort(left)
+        self.left, self.half = left[order], (right - left)[order] / 2
+        x = self.left[:, None] + self.half[:, None] * (NODES + 1)
+        contact, log_jacobian = observer.contact(x.reshape(-1, 1))
+        self.r = contact[:, 0]
+        signals, outcome = observer.signals(contact)
+        held = outcome == Outcome.HELD
+        self.signals = np.where(held[:, None], signals, 1.0)
+        self.log_weight = np.where(
+            held,
+            observer.log_prior(contact)
+            + log_jacobian
+            + np.log(self.half[:, None] * KRONROD).reshape(-1),
+            -np.inf,
+        )
+        mean, sd = (part.reshape(*x.shape, -1) for part in self._spread(self.signals))
+        self._plausible = _Window(mean, sd, WINDOW)
+        self._probable = _Window(mean, sd, IMPROBABLE)
+
+    def _edges(self) -> Array:
+        """First cuts in x: even ones, and half an sd apart where a prior has its mass."""
+        cuts = np.linspace(*X_RANGE, 45)
+        prior = self.observer.prior.get("radial_distance")
+        if prior is not None:
+            low, high = self.observer.reach
+            r = prior.ppf(ndtr(np.linspace(-8, 8, 33)))
+            inside = r[np.isfinite(r) & (r > low) & (r < high)]
+            cuts = np.concatenate([cuts, self.observer.coordinates(inside[:, None])[:, 0]])
+        return np.unique(np.clip(cuts, *X_RANGE))
+
+    def _too_long(self, left: Array, right: Array) -> NDArray[np.bool_]:
+        """Panels longer than `LONGEST` JNDs, or on which signals or noise are not smooth."""
+        half = (right - left) / 2
+        x = left[:, None] + half[:, None] * (NODES + 1)
+        contact, _ = self.observer.contact(x.reshape(-1, 1))
+        signals, outcome = self.observer.signals(contact)
+        held = outcome == Outcome.HELD
+        mean, sd = self._spread(np.where(held[:, None], signals, 1.0))
+        features = np.concatenate([mean / sd, np.log(sd)], axis=-1)
+        features = np.where(held[:, None], features, 0.0).reshape(*x.shape, -1)
+        # The signal's way across the panel in units of its sd: the length in JNDs.
+        size, unit = np.abs(mean) + sd, sd / (np.abs(mean) + sd)
+        steps = np.abs(np.diff(np.log(size).reshape(*x.shape, -1), axis=1))
+        length = np.sum(steps / unit.reshape(*x.shape, -1)[:, :-1], axis=1).max(axis=-1)
+        tail = np.abs(np.einsum("ni,pif->pnf", _TO_LEGENDRE[-3:], features)).sum(axis=1)
+        # What the last bit of r does to them is not roughness: at a cone's tip signals vanish.
+        r = contact.reshape(x.shape)
+        slope = (
+            np.abs(np.diff(features, axis=1))
+            / np.maximum(np.diff(r, axis=1), np.spacing(r[:, 1:]))[..., None]
+        )
+        rounding = 100 * np.spacing(r[:, -1:]) * slope.max(axis=1)
+        rough = (tail > 1e-9 + rounding).any(axis=-1)
+        return ((length > LONGEST) | rough) & (half > SHORTEST)
+
+    def _spread(self, signals: Array) -> tuple[Array, Array]:
+        """Mean and sd of the readings of signals (n, S)."""
+        noise = self.observer.noise
+        return noise.mean(signals), np.sqrt(
+            np.diagonal(noise.covariance(signals), axis1=-2, axis2=-1)
+        )
+
+    def _window(self, reading: Array) -> tuple[Index, Index]:
+        """First panel and one past the last in which each reading (B, S) has mass."""
+        count = len(self.left)
+        first, last = self._plausible(reading)
+        nothing = first >= last
+        first, last = np.where(nothing, 0, first), np.where(nothing, count, last)
+        # Of these, keep what has mass: the middles of the panels tell.
+        counts = last - first
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        panel = np.arange(counts.sum()) + np.repeat(first - starts, counts)
+        middle = panel * 15 + 7
+        log = self.log_weight[middle] + self.observer.noise.log_likelihood(
+            np.repeat(reading, counts, axis=0), self.signals[middle]
+        )
+        top = np.maximum.reduceat(log, starts)
+        slight = log < np.repeat(top, counts) - NEGLIGIBLE
+        first = np.minimum.reduceat(np.where(slight, count, panel), starts)
+        last = np.maximum.reduceat(np.where(slight, -1, panel), starts) + 1
+        return np.maximum(first - 1, 0), np.minimum(last + 1, count)
+
+    def moments(self, reading: Array, *, rows: int = 128) -> PanelMoments:
+        """Moments of r for readings (B, S)."""
+        parts = [self._moments(reading[i : i + rows]) for i in range(0, len(reading), rows)]
+        return PanelMoments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def _weigh(self, reading: Array) -> tuple[Index, Index, Array, Array]:
+        """Where each reading's nodes start, which they are, their weights, ln of the largest."""
+        logs, index, starts = self._log_weights(reading, *self._window(reading))
+        top = np.maximum.reduceat(logs, starts)
+        counts = np.diff(np.append(starts, len(index)))
+        return starts, index, np.exp(logs - np.repeat(top, counts)), top
+
+    def _log_weights(self, reading: Array, first: Index, last: Index) -> tuple[Array, Index, Index]:
+        counts = (last - first) * 15
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        index = np.arange(counts.sum()) + np.repeat(first * 15 - starts, counts)
+        likelihood = self.observer.noise.log_likelihood(
+            np.repeat(reading, counts, axis=0), self.signals[index]
+        )
+        return likelihood + self.log_weight[index], index, starts
+
+    def _moments(self, reading: Array) -> tuple[Any, ...]:
+        starts, index, weight, top = self._weigh(reading)
+        counts = np.diff(np.append(starts, len(index)))
+        r = self.r[index]
+        embedded = weight * np.tile(GAUSS / KRONROD, len(index) // 15)
+
+        def moments(w: Array) -> tuple[Array, Array, Array]:
+            mass = np.add.reduceat(w, starts)
+            mean = np.add.reduceat(w * r, starts) / mass
+            spread = np.add.reduceat(w * (r - np.repeat(mean, counts)) ** 2, starts) / mass
+            return mass, mean, np.sqrt(spread)
+
+        mass, mean, sd = moments(weight)
+        _, mean_7, sd_7 = moments(embedded)
+        # QUADPACK's rule for what the error of the 15 points is, given that of the 7.
+        errors = [
+            np.minimum((200 * np.abs(a - b) / sd) ** 1.5, 1.0) * sd
+            for a, b in ((mean, mean_7), (sd, sd_7))
+        ]
+        first, last = self._probable(reading)
+        return mean, sd, *errors, np.log(mass) + top, first >= last
+
+    def quantiles(self, reading: Array, probability: Array, *, rows: int = 128) -> Array:
+        """Quantiles (B, Q) of r for readings (B, S), at probabilities (B, Q) or (Q,)."""
+        probability = np.broadcast_to(probability, (len(reading), np.shape(probability)[-1]))
+        out = np.empty(probability.shape)
+        for start in range(0, len(reading), rows):
+            part = slice(start, start + rows)
+            begins, index, weight, _ = self._weigh(reading[part])
+            ends = np.append(begins[1:], len(index))
+            for row, (i, j) in enumerate(zip(begins, ends, strict=True)):
+                out[start + row] = self._invert(index[i:j], weight[i:j], probability[start + row])
+        return out
+
+    def _invert(self, index: Index, weight: Array, probability: Array) -> Array:
+        """Quantiles of one reading: the cumulative mass at every node, inverted in x."""
+        panels = index[::15] // 15
+        density = (weight / np.tile(KRONROD, len(weight) // 15)).reshape(-1, 15)
+        inside = density @ _RISE.T
+        before = np.concatenate([[0.0], np.cumsum(weight.reshape(-1, 15).sum(axis=1))])
+        x = self.left[panels, None] + self.half[panels, None] * (NODES + 1)
+        cumulative = np.maximum.accumulate((before[:-1, None] + inside).reshape(-1) / before[-1])
+        step = density.reshape(-1) / (before[-1] * np.repeat(self.half[panels], 15))
+        return _hermite_inverse(x.reshape(-1), cumulative, step, probability, self.observer)
+
+
+def _hermite_inverse(
+    x: Array, cumulative: Array, density: Array, probability: Array, observer: Observer
+) -> Array:
+    """r at which the cumulative mass reaches each probability: cubic between nodes, bisected."""
+    k = np.clip(np.searchsorted(cumulative, probability) - 1, 0, len(x) - 2)
+    h = x[k + 1] - x[k]
+    low, high = np.zeros_like(probability), np.ones_like(probability)
+    for _ in range(52):
+        t = (low + high) / 2
+        value = (
+            (1 + 2 * t) * (1 - t) ** 2 * cumulative[k]
+            + t**2 * (3 - 2 * t) * cumulative[k + 1]
+            + h * t * (1 - t) * ((1 - t) * density[k] - t * density[k + 1])
+        )
+        below = value < probability
+        low, high = np.where(below, t, low), np.where(below, high, t)
+    return observer.contact((x[k] + h * (low + high) / 2)[:, None])[0][:, 0]

@@ -1,0 +1,175 @@
+"""What an inference returns: moments, quantiles, draws, and a status that is always there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import finite
+from ..observer import Observer
+from ..receptors import Seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """How far a posterior can be relied on; `message` says it in words."""
+
+    CONVERGED = 0
+    UNIDENTIFIED = 1
+    IMPROBABLE_READING = 2
+    NOT_GAUSSIAN = 3
+    IMPRECISE = 4
+    NOT_CONVERGED = 5
+
+    @property
+    def message(self) -> str:
+        """The status in one sentence."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Status.CONVERGED: "converged",
+    Status.UNIDENTIFIED: "the reading does not determine the contact: in some direction the "
+    "posterior is as wide as the prior",
+    Status.IMPROBABLE_READING: "the reading lies more than 5 sd from every contact on this whisker",
+    Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
+    Status.IMPRECISE: "the estimated error is above the tolerance",
+    Status.NOT_CONVERGED: "the walkers have not converged",
+}
+
+
+class Estimate(NamedTuple):
+    """Posterior mean and sd of one unknown, (B,), and the estimated errors of both."""
+
+    mean: Any
+    sd: Any
+    mean_error: Any
+    sd_error: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The posterior of a contact given a reading, or of many.
+
+    With readings of shape (B, S) everything has a leading axis B; with one reading, none.
+
+    Attributes
+    ----------
+    observer : Observer
+    reading : array
+    method : str
+        ``"quadrature"``, ``"emcee"`` or ``"laplace"``.
+    estimates : mapping of name to Estimate
+        Mean, sd and their errors for each unknown.
+    status : Status or array of int
+    log_evidence : float or array
+        NaN where the method does not give it (emcee).
+    """
+
+    observer: Observer
+    reading: Array
+    method: str
+    estimates: Mapping[str, Estimate]
+    status: Any
+    log_evidence: Any
+    quantile_of: Callable[[Array], Array]  # (Q,) → (B, U, Q)
+    draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
+
+    @property
+    def mean(self) -> Any:
+        """Posterior mean of the radial distance, m."""
+        return self.estimates["radial_distance"].mean
+
+    @property
+    def sd(self) -> Any:
+        """Posterior sd of the radial distance, m."""
+        return self.estimates["radial_distance"].sd
+
+    @property
+    def mean_error(self) -> Any:
+        """Estimated error of `mean`, m."""
+        return self.estimates["radial_distance"].mean_error
+
+    @property
+    def sd_error(self) -> Any:
+        """Estimated error of `sd`, m."""
+        return self.estimates["radial_distance"].sd_error
+
+    def quantile(self, probability: Any, *, of: str = "radial_distance") -> Any:
+        """Posterior quantiles; probabilities (Q,) add a last axis.
+
+        Raises
+        ------
+        ValueError
+            For a probability outside 0 to 1.
+        """
+        p = finite("probability", probability, "write a number between 0 and 1")
+        if np.any((p <= 0) | (p >= 1)):
+            raise ValueError(f"A probability lies between 0 and 1, got {p}; write 0.975, say.")
+        values = self.quantile_of(np.atleast_1d(p))[:, self.observer.unknowns.index(of)]
+        values = values if p.ndim else values[:, 0]
+        return values if self.reading.ndim > 1 else values[0]
+
+    def interval(self, mass: float = 0.95, *, of: str = "radial_distance") -> Any:
+        """Equal-tailed interval: lower and upper end along the last axis.
+
+        Raises
+        ------
+        ValueError
+            For a mass outside 0 to 1.
+        """
+        tail = (1 - float(mass)) / 2
+        return self.quantile([tail, 1 - tail], of=of)
+
+    def summary(self) -> pd.DataFrame:
+        """One row for each reading and unknown: mean, sd, their errors, 95 % interval, status."""
+        import pandas as pd
+
+        rows = []
+        for name, estimate in self.estimates.items():
+            low, high = np.moveaxis(np.atleast_2d(self.interval(0.95, of=name)), -1, 0)
+            columns = {key: np.atleast_1d(v) for key, v in estimate._asdict().items()}
+            rows.append(
+                pd.DataFrame(
+                    {"reading": np.arange(len(low)), "unknown": name}
+                    | columns
+                    | {"low_95": low, "high_95": high}
+                    | {"status": [Status(int(s)).message for s in np.atleast_1d(self.status)]}
+                )
+            )
+        return pd.concat(rows, ignore_index=True)
+
+    def to_arviz(self, *, draws: int = 1000, seed: Seed = 0) -> Any:
+        """ArviZ data with draws of every unknown (InferenceData on 0.23, DataTree on 1.x).
+
+        Draws of emcee are the walkers' own, four or more independent ensembles as chains;
+        quadrature and Laplace are drawn from with `seed`. Many readings add a dimension.
+        """
+        from .arviz_io import to_arviz
+
+        values = self.draws_of(draws, seed)
+        values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
+        if self.reading.ndim == 1:
+            values = values[:, :, 0]
+        return to_arviz(
+            {name: values[..., i] for i, name in enumerate(self.observer.unknowns)},
+            observed_data={
+                name: self.reading[..., i] for i, name in enumerate(self.observer.cue.signal_names)
+            },
+            attrs={
+                "method": self.method,
+                "observer": repr(self.observer),
+                "status": "; ".join(
+                    sorted({Status(int(s)).message for s in np.atleast_1d(self.status)})
+                ),
+            },
+        )
