@@ -1,0 +1,136 @@
+"""One definition of the JND and its three routes."""
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.receptors import GeneralisedWeber, Weber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+L, A = W.length, W.apex_distance
+
+
+@pytest.mark.parametrize(
+    ("criterion", "value"),
+    [
+        ("d'=1", 0.1),
+        ("76.02% 2AFC", 0.1),
+        ("75% 2AFC", 0.0954),
+        ("84.13% 2IFC", 0.1414),
+        ("79.37% 2AFC", 0.1159),
+        ("70.71% 2AFC", 0.0771),
+        ("75% yes/no", 0.0674),
+    ],
+)
+def test_criteria_have_the_conventional_factors(criterion, value):
+    assert 0.1 * ww.criterion_factor(criterion) == pytest.approx(value, abs=6e-5)
+
+
+def test_conversion_goes_there_and_back():
+    there = ww.convert_jnd(0.2, from_criterion="75% 2AFC", to_criterion="75% yes/no")
+    back = ww.convert_jnd(there, from_criterion="75% yes/no", to_criterion="75% 2AFC")
+    assert there == pytest.approx(0.2 / np.sqrt(2))
+    assert back == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("criterion", ["75%", "100% 2AFC", "50% 2AFC", "loud", None, "75% 3AFC"])
+def test_unknown_criteria_are_refused(criterion):
+    with pytest.raises(ValueError, match="criterion"):
+        ww.criterion_factor(criterion)
+
+
+def test_fisher_beats_propagation_by_what_the_spread_tells():
+    r = np.linspace(0.05, 0.95, 20)[:, None] * L
+    for k in (0.05, 0.2, 0.5):
+        observer = ww.Observer(W, Compliance(), Weber(k))
+        ratio = weber_propagation(observer, r) / fisher_jnd(observer, r)
+        assert np.allclose(ratio, np.sqrt(1 + 2 * k**2))
+
+
+def test_a_floor_lifts_the_jnd_off_zero_at_the_tip():
+    """With dI = k(I + I₀) on the moment the tapered JND is k(1 + I₀/M) r(1 − r/A)."""
+    cone = ww.Whisker(50e-3, 100e-6, 0.0)
+    unit = float(cone.compliance_constant / L)
+    r = np.array([[0.5], [0.99], [0.9999]]) * L
+    plain = weber_propagation(ww.Observer(cone, Compliance(), Weber(0.1)), r)
+    floored = weber_propagation(
+        ww.Observer(cone, Compliance(), GeneralisedWeber(0.1, floor=0.01 * unit)), r
+    )
+    moment = ww.Observer(cone, Compliance()).signals(r)[0][:, 0]
+    expected = np.hypot(1, 0.01 * unit / (0.1 * moment)) * plain
+    assert np.allclose(floored, expected)
+    assert floored[-1] == pytest.approx(0.01 * L, rel=0.01)  # I₀ r²/C, not 0
+
+
+def test_jnd_curve_holds_the_routes_side_by_side():
+    observer = ww.Observer(W, Compliance(), Weber(0.05))
+    r = np.array([0.2, 0.5, 0.8]) * L
+    curve = ww.jnd_curve(observer, r, draws=400, seed=1)
+    closed = 0.05 * r * (1 - r / A)
+    assert np.allclose(curve["closed_form"], closed)
+    assert np.allclose(curve["propagation"], closed)
+    # Beyond the Monte Carlo error there is the next order in k.
+    difference = np.abs(curve["posterior"] - curve["fisher"])
+    assert np.all(difference < 4 * curve["posterior_error"] + 3 * 0.05**2 * closed)
+    assert np.all(np.abs(curve["estimator"] - closed) < 4 * curve["estimator_error"])
+    assert np.all(curve["unreliable"] == 0)
+    assert set(curve["criterion"]) == {"d'=1"}
+
+
+def test_the_criterion_scales_every_route():
+    observer = ww.Observer(W, Compliance())
+    one, two = (
+        ww.jnd_curve(observer, 20e-3, draws=20, seed=1, criterion=c) for c in ("d'=1", "75% 2AFC")
+    )
+    routes = ["closed_form", "propagation", "fisher", "posterior", "estimator", "posterior_error"]
+    ratio = (two[routes] / one[routes]).to_numpy()
+    assert np.allclose(ratio, ww.criterion_factor("75% 2AFC"))
+
+
+def test_engines_agree_on_the_curve():
+    observer = ww.Observer(W, Compliance(), Weber(0.1))
+    r = np.array([0.3, 0.7]) * L
+    a, b = (ww.jnd_curve(observer, r, draws=40, seed=1, method=m) for m in ("quadrature", "emcee"))
+    assert np.allclose(a["posterior"], b["posterior"], rtol=0.01)
+
+
+def test_contacts_that_are_not_held_stay_in_the_table():
+    observer = ww.Observer(W, ForceMap(), Weber(0.1))
+    curve = ww.jnd_curve(observer, np.array([0.5, 0.9]) * L, np.radians(20), draws=5, seed=1)
+    assert np.isfinite(curve.loc[0, "posterior"])
+    assert curve.loc[1, ["propagation", "fisher", "posterior"]].isna().all()
+    assert curve.loc[1, "outcome"].startswith("flicked past")
+
+
+def test_the_cylinders_force_map_has_an_infinite_jnd_and_says_so():
+    observer = ww.Observer(W.cylinder(), ForceMap(), Weber(0.1))
+    curve = ww.jnd_curve(observer, 25e-3, np.radians(10), draws=4, seed=1)
+    assert np.isinf(curve.loc[0, ["closed_form", "propagation", "fisher"]].astype(float)).all()
+    assert curve.loc[0, "unreliable"] == 1
+
+
+def test_seeds_repeat_and_matter():
+    observer = ww.Observer(W, Compliance())
+    a, b, c = (ww.jnd_curve(observer, 20e-3, draws=10, seed=s)["posterior"][0] for s in (1, 1, 2))
+    assert a == b != c
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"radial_distance": -1e-3}, "radial_distance must be above zero"),
+        ({"radial_distance": 1e-2, "draws": 1}, "at least two noisy readings, got draws=1"),
+        ({"radial_distance": 1e-2, "method": "nuts"}, "method 'nuts' is unknown"),
+        ({"radial_distance": 1e-2, "deflection_angle": 0.1}, "no unknown deflection angle"),
+    ],
+)
+def test_misuse_is_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        ww.jnd_curve(ww.Observer(W, Compliance()), **arguments)
+
+
+def test_the_force_map_asks_for_its_angle():
+    with pytest.raises(ValueError, match="needs the deflection angle"):
+        ww.jnd_curve(ww.Observer(W, ForceMap()), 1e-2)

@@ -1,0 +1,288 @@
+"""Just noticeable differences of radial distance: one definition, three routes.
+
+The JND here is an sd of distance times the factor of a *criterion* that is always named. The
+routes: Weber propagation (3.2)–(3.8), noise carried to distance through the slope of the signals;
+the Fisher information, which also counts what the spread itself tells; and the posterior, over
+many noisy readings.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+
+from ._checks import finite, one_of, positive
+from .mechanics.contact import Outcome
+from .observer import Observer
+from .receptors import Seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+#: The criterion that is meant where none is named: the sd of one observation.
+SD = "d'=1"
+_PATTERN = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*%\s*(2AFC|2IFC|yes/no)\s*$", re.IGNORECASE)
+_EXAMPLES = 'write "d\'=1", "75% 2AFC" or "75% yes/no", say'
+
+
+def criterion_factor(criterion: str = SD) -> float:
+    """How many sds of one observation make a JND under a named criterion.
+
+    Parameters
+    ----------
+    criterion : str
+        ``"d'=1"``: one sd (76.02 % correct in 2AFC). ``"75% 2AFC"`` (any percentage, also 2IFC):
+        the difference at which two noisy observations are put in the right order so often, √2·z.
+        ``"75% yes/no"``: the difference from a fixed criterion that is reported so often, z.
+
+    Raises
+    ------
+    ValueError
+        For a criterion that cannot be read, or a percentage outside 50 to 100.
+
+    Examples
+    --------
+    >>> [round(0.1 * criterion_factor(c), 4) for c in ("d'=1", "75% 2AFC", "75% yes/no")]
+    [0.1, 0.0954, 0.0674]
+    """
+    if criterion == SD:
+        return 1.0
+    match = _PATTERN.match(criterion) if isinstance(criterion, str) else None
+    if match is None:
+        raise ValueError(f"The criterion {criterion!r} is unknown; {_EXAMPLES}.")
+    percent = float(match.group(1))
+    if not 50 < percent < 100:
+        raise ValueError(
+            f"A criterion lies between 50 and 100 per cent, got {percent:g}; {_EXAMPLES}."
+        )
+    z = float(ndtri(percent / 100))
+    return z if match.group(2).lower() == "yes/no" else float(np.sqrt(2)) * z
+
+
+def convert_jnd(jnd: ArrayLike, *, from_criterion: str, to_criterion: str) -> Array:
+    """A JND under one criterion, expressed under another.
+
+    Examples
+    --------
+    >>> float(convert_jnd(0.0954, from_criterion="75% 2AFC", to_criterion="79.37% 2AFC").round(4))
+    0.1159
+    """
+    ratio = criterion_factor(to_criterion) / criterion_factor(from_criterion)
+    return np.asarray(jnd, dtype=float) * ratio
+
+
+def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | None = None) -> Array:
+    """Sd of radial distance by carrying receptor noise through the slope of the signals, (...), m.
+
+    Equations (3.2) and (3.7): Δr = |dr/dI| ΔI, for several signals √[J⁻¹ΣJ⁻ᵀ]_rr, with every
+    unknown of the cue unknown (at a second signal held fixed, as in (3.7), where its noise is
+    zero). With more signals than unknowns, the best linear combination.
+
+    Parameters
+    ----------
+    observer : Observer
+    contact : array, shape (..., U)
+    model : str, optional
+        ``"closed_form"`` gives the paper's closed forms, with the apex distance: k r(1 − r/A) for
+        the compliance cue, ½(A−r)(3A−2r)/(2A−r)·√(4k_M² + k_F² − 4ρk_M k_F) for the map cue. By
+        default the observer's own rung.
+
+    Returns
+    -------
+    array
+        NaN where the contact is not held, infinite where the signals cannot tell distance (the
+        cylinder's force map).
+
+    Notes
+    -----
+    Linear: at large angles the map cue's curve for axial-force noise alone passes through a false
+    zero, where ∂M/∂θ_d = 0; the posterior does not.
+    """
+    contact = observer.checked(contact)
+    model = model or observer.model
+    signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
+    held = outcome == Outcome.HELD
+    slope = observer.cue.jacobian(observer.whisker, contact, model=model)
+    covariance = observer.noise.covariance(np.where(held[..., None], signals, 1.0))
+    sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    unit = contact_scale(contact)
+    # In units of the noise and of the contact itself, so that singular means singular.
+    scaled = np.where(held[..., None, None], slope / sd[..., None] * unit[..., None, :], 0.0)
+    correlation = covariance / (sd[..., :, None] * sd[..., None, :])
+    if scaled.shape[-1] == scaled.shape[-2]:
+        inverse = _inverse(scaled)
+        row = np.where(np.isinf(inverse[..., 0, :]), 0.0, inverse[..., 0, :])
+        variance = np.einsum("...i,...ij,...j->...", row, correlation, row)
+        variance = np.where(np.isinf(inverse[..., 0, 0]), np.inf, variance)
+    else:
+        information = np.swapaxes(scaled, -1, -2) @ np.linalg.inv(correlation) @ scaled
+        variance = _inverse(information)[..., 0, 0]
+    # With perfectly correlated noise the exact variance can be zero, and rounding take it below.
+    return np.where(held, np.sqrt(np.maximum(variance, 0.0)) * unit[..., 0], np.nan)
+
+
+def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
+    """Least sd of radial distance that the information of one reading allows, (...), m.
+
+    The whole matrix is inverted, so that every other unknown of the cue is unknown too. For one
+    signal under Weber's law √(1 + 2k²) below (3.5), as the spread informs as well.
+
+    Parameters
+    ----------
+    observer : Observer
+    contact : array, shape (..., U)
+    """
+    contact = observer.checked(contact)
+    unit = contact_scale(contact)
+    information = observer.information(contact) * unit[..., :, None] * unit[..., None, :]
+    held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
+    variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
+    return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
+
+
+def contact_scale(contact: Array) -> Array:
+    """The contact itself, as the unit in which its matrices are of order one."""
+    return np.maximum(np.abs(contact), 1e-12)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverses (..., n, n) for n = 1 or 2; infinite throughout where singular to rounding."""
+    if matrix.shape[-1] == 1:
+        with np.errstate(divide="ignore"):
+            return np.where(matrix == 0, np.inf, 1 / matrix)
+    a, b, c, d = (matrix[..., i, j] for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
+    determinant = a * d - b * c
+    singular = np.abs(determinant) <= SINGULAR * (np.abs(a * d) + np.abs(b * c))
+    safe = np.where(singular, 1.0, determinant)
+    inverse = np.stack([np.stack([d, -b], -1), np.stack([-c, a], -1)], -2) / safe[..., None, None]
+    return np.where(singular[..., None, None], np.inf, inverse)
+
+
+#: Determinant of a 2 × 2 matrix, over its terms, below which rounding could have made it.
+SINGULAR = 1e-9
+
+
+def jnd_curve(
+    observer: Observer,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike | None = None,
+    *,
+    method: str = "quadrature",
+    criterion: str = SD,
+    draws: int = 200,
+    seed: Seed = None,
+) -> pd.DataFrame:
+    """The JND of radial distance by every route, one row a contact.
+
+    Parameters
+    ----------
+    observer : Observer
+    radial_distance : float or array
+        m.
+    deflection_angle : float or array, optional
+        rad; needed by cues to which the angle is unknown, and broadcast with the distance.
+    method : {"quadrature", "emcee", "laplace"}
+        How the posteriors are found; see `posterior`.
+    criterion : str
+        See `criterion_factor`.
+    draws : int
+        Noisy readings for each contact.
+    seed : int, SeedSequence or Generator
+        Of the readings and, for emcee, of the walkers.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``radial_distance``, ``deflection_angle`` (where given), ``criterion``, and in
+        metres: ``closed_form`` (small angle), ``propagation`` (at the observer's own rung),
+        ``fisher``, ``posterior`` (mean sd of the posteriors) with its Monte Carlo error
+        ``posterior_error``, ``estimator`` (sd of the posterior means: how much one observer's
+        estimate scatters) with ``estimator_error``; ``unreliable`` (share of posteriors whose
+        status is not `CONVERGED`) and ``outcome`` (in words). A contact that is not held has NaN.
+
+    Raises
+    ------
+    ValueError
+        For input that is not finite or positive, an unknown criterion or method, a cue that needs
+        a deflection angle, fewer than two draws.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues
+    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> curve = jnd_curve(observer, [10e-3, 40e-3], draws=100, seed=1)
+    >>> (curve[["closed_form", "fisher"]] * 1e3).round(3)
+       closed_form  fisher
+    0         0.81   0.802
+    1         0.96   0.951
+    """
+    import pandas as pd
+
+    from .posterior import Status, posterior
+
+    one_of("method", method, ("quadrature", "emcee", "laplace"))
+    factor = criterion_factor(criterion)
+    if draws < 2:
+        raise ValueError(f"A JND needs at least two noisy readings, got draws={draws}; write 200.")
+    contact = _contact(observer, radial_distance, deflection_angle)
+    _, outcome = observer.signals(contact)
+    held = outcome == Outcome.HELD
+    table = pd.DataFrame(
+        {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
+    )
+    table["closed_form"] = factor * weber_propagation(observer, contact, model="closed_form")
+    table["propagation"] = factor * weber_propagation(observer, contact)
+    table["fisher"] = factor * fisher_jnd(observer, contact)
+    columns = ("posterior", "posterior_error", "estimator", "estimator_error", "unreliable")
+    table[list(columns)] = np.nan
+    if held.any():
+        reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
+        readings = observer.read(np.repeat(contact[held], draws, axis=0), reading_seed)
+        result = posterior(observer, readings, method=method, seed=walker_seed)
+        sd, mean = (np.reshape(v, (-1, draws)) for v in (result.sd, result.mean))
+        scatter = mean.std(axis=1, ddof=1)
+        bad = np.reshape(np.asarray(result.status) != Status.CONVERGED, (-1, draws))
+        table.loc[held, list(columns)] = np.stack(
+            [
+                factor * sd.mean(axis=1),
+                factor * sd.std(axis=1, ddof=1) / np.sqrt(draws),
+                factor * scatter,
+                factor * scatter / np.sqrt(2 * (draws - 1)),
+                bad.mean(axis=1),
+            ],
+            axis=-1,
+        )
+    table["outcome"] = [Outcome(int(o)).message for o in outcome]
+    return table
+
+
+def _contact(
+    observer: Observer, radial_distance: ArrayLike, deflection_angle: ArrayLike | None
+) -> Array:
+    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3")
+    if "deflection_angle" not in observer.unknowns:
+        if deflection_angle is not None:
+            raise ValueError(
+                f"{observer.cue!r} has no unknown deflection angle, got one; leave it out."
+            )
+        return r.reshape(-1, 1)
+    if deflection_angle is None:
+        raise ValueError(
+            f"{observer.cue!r} needs the deflection angle of each contact, got none; "
+            "write deflection_angle=np.radians(10), say."
+        )
+    theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.2")
+    return np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1)
+
+
+def _entropy(seed: Seed) -> int | None:
+    """A whole number that stands for any seed."""
+    if seed is None:
+        return None
+    return int(np.random.default_rng(seed).integers(2**63))
