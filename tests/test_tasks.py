@@ -1,0 +1,266 @@
+"""The psychometric functions of the tasks, against simulation, closed forms and integrals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+from scipy.integrate import quad
+
+import weberwhisk as ww
+from weberwhisk.behaviour import (
+    CuePercept,
+    IdentityPercept,
+    LogAxisPercept,
+    LogPercept,
+    response_probability,
+    simulate_trials,
+    task_named,
+    threshold,
+)
+from weberwhisk.behaviour.percepts import refuse_unfelt, unit_percepts
+
+TWO = task_named("2AFC")
+MAGNITUDE = IdentityPercept()
+Z75 = stats.norm.ppf(0.75)
+
+
+def compliance(whisker: ww.Whisker, tap_angle: float = 0.0) -> CuePercept:
+    return CuePercept(ww.Observer(whisker, ww.cues.Compliance(tap_angle=tap_angle)))
+
+
+CONE, CYLINDER = (ww.Whisker(0.05, 1e-4, tip) for tip in (0.0, 1e-4))
+
+
+def probability(s1, s2, **parameters):  # type: ignore[no-untyped-def]
+    return response_probability(TWO, MAGNITUDE, s1, s2, **parameters)
+
+
+def test_signed_choice_is_two_noisy_signals_compared() -> None:
+    rng = np.random.default_rng(1)
+    n, k = 400_000, 0.3
+    for s1, s2 in ((1.0, 1.2), (1.0, 0.7), (2.0, 2.0)):
+        second = s2 * (1 + k * rng.standard_normal(n)) > s1 * (1 + k * rng.standard_normal(n))
+        p = probability(s1, s2, weber_fraction=k)[0]
+        assert abs(second.mean() - p) < 4 * np.sqrt(p * (1 - p) / n)
+
+
+def test_compliance_is_two_noisy_moments_compared() -> None:
+    rng = np.random.default_rng(2)
+    n, k, length = 400_000, 0.2, 0.05
+    near, far = 0.6 * length, 0.65 * length
+    moment = [1 / r - 1 / length for r in (near, far)]
+    felt = [m * (1 + k * rng.standard_normal(n)) for m in moment]
+    p = response_probability(TWO, compliance(CONE), near, far, weber_fraction=k)[0]
+    assert abs((felt[1] < felt[0]).mean() - p) < 4 * np.sqrt(p * (1 - p) / n)
+
+
+@pytest.mark.parametrize("m", [2, 3, 4, 8])
+def test_percent_correct_is_the_greatest_of_m(m: int) -> None:
+    task, k, s1, s2 = task_named(f"{m}AFC percent correct"), 0.2, 1.0, 1.25
+    exact, _ = quad(
+        lambda x: stats.norm.pdf(x, s2, k * s2) * stats.norm.cdf(x, s1, k * s1) ** (m - 1),
+        s2 - 12 * k * s2, s2 + 12 * k * s2, epsabs=1e-12,
+    )  # fmt: skip
+    p = response_probability(task, MAGNITUDE, s1, s2, weber_fraction=k)[0]
+    assert p == pytest.approx(exact, abs=1e-11)
+
+
+def test_percent_correct_of_the_least() -> None:
+    task = task_named("3AFC percent correct")
+    rng = np.random.default_rng(3)
+    n, k = 300_000, 0.25
+    target = 0.8 * (1 + k * rng.standard_normal(n))
+    others = 1 + k * rng.standard_normal((2, n))
+    p = response_probability(task, MAGNITUDE, 1.0, 0.8, weber_fraction=k)[0]
+    assert abs((target < others.min(axis=0)).mean() - p) < 4 * np.sqrt(p * (1 - p) / n)
+
+
+def test_guess_rates() -> None:
+    far_apart = dict(weber_fraction=0.01, lapse_low=0.03, lapse_high=0.07)
+    assert probability(1.0, [1e-3, 1e3], **far_apart) == pytest.approx([0.03, 0.93])
+    for m in (2, 4):
+        p = response_probability(
+            task_named(f"{m}AFC percent correct"), MAGNITUDE, 1.0, [1.0, 3.0],
+            weber_fraction=0.01, lapse_high=0.07,
+        )  # fmt: skip
+        assert p == pytest.approx([1 / m, 0.93])
+
+
+def test_bias_is_in_sds_of_the_decision_variable() -> None:
+    assert probability(1.0, 1.0, weber_fraction=0.1, bias=0.5)[0] == stats.norm.cdf(0.5)
+
+
+def test_log_form_knows_only_the_ratio() -> None:
+    d = np.array([-0.5, -0.1, 0.2, 0.7])
+    k = 0.15
+    own = response_probability(TWO, LogPercept(), 3.0, 3.0 + d, weber_fraction=k)
+    formula = stats.norm.cdf((np.exp(d) - 1) / (k * np.sqrt(1 + np.exp(2 * d))))
+    np.testing.assert_allclose(own, formula, rtol=1e-12)
+    np.testing.assert_allclose(own, probability(7.0, 7.0 * np.exp(d), weber_fraction=k), rtol=1e-12)
+    decades = response_probability(
+        TWO, LogPercept(np.log(10)), 0.0, d / np.log(10), weber_fraction=k
+    )
+    np.testing.assert_allclose(own, decades, rtol=1e-12)
+
+
+def test_equal_variance_forms() -> None:
+    d, k = np.array([-0.2, 0.3]), 0.15
+    linear = probability(2.0, 2.0 * (1 + d), weber_fraction=k, noise="equal-variance")
+    np.testing.assert_allclose(linear, stats.norm.cdf(d / (np.sqrt(2) * k)), rtol=1e-12)
+    log = response_probability(TWO, LogAxisPercept(), 1.0, 1.0 + d, weber_fraction=k)
+    np.testing.assert_allclose(log, stats.norm.cdf(d / (np.sqrt(2) * k)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("proportion", [0.01, 0.25, 0.5, 0.75, 0.9])
+@pytest.mark.parametrize("k", [0.005, 0.1, 0.4])
+def test_threshold_of_a_magnitude_has_a_closed_form(proportion: float, k: float) -> None:
+    q = k * stats.norm.ppf(proportion)
+    exact = (1 + q * np.sqrt(2 - q * q)) / (1 - q * q)
+    own = threshold(TWO, MAGNITUDE, 3.0, proportion, weber_fraction=k)
+    assert float(own) == pytest.approx(3.0 * exact, rel=1e-13)
+
+
+def test_threshold_of_percent_correct_inverts_the_curve() -> None:
+    task = task_named("4AFC percent correct")
+    for upward in (True, False):
+        at = threshold(task, MAGNITUDE, 1.0, 0.7, weber_fraction=0.2, upward=upward)
+        assert (at > 1) is np.bool_(upward)
+        p = response_probability(task, MAGNITUDE, 1.0, at, weber_fraction=0.2)
+        assert p[0] == pytest.approx(0.7, abs=1e-12)
+
+
+def test_threshold_that_no_comparison_reaches_is_infinite() -> None:
+    # Φ never passes Φ(1/k): the noise of the greater stimulus grows with it.
+    assert probability(1.0, 1e9, weber_fraction=1.0)[0] == pytest.approx(stats.norm.cdf(1.0))
+    assert np.isinf(threshold(TWO, MAGNITUDE, 1.0, 0.85, weber_fraction=1.0))
+    assert threshold(TWO, MAGNITUDE, 1.0, 0.15, weber_fraction=1.0) == 0.0
+    assert np.isfinite(threshold(TWO, MAGNITUDE, 1.0, 0.84, weber_fraction=1.0))
+
+
+@pytest.mark.parametrize("proportion", [0.0, 1.0, 1.2, np.nan])
+def test_threshold_refuses_proportions_that_are_none(proportion: float) -> None:
+    with pytest.raises(ValueError, match="proportion must"):
+        threshold(TWO, MAGNITUDE, 1.0, proportion, weber_fraction=0.1)
+
+
+def test_up_and_down_thresholds_differ_at_large_k() -> None:
+    """theory.md, JND conventions: at k = 0.2 by 11 % and 8 % from the linear one."""
+    k = 0.2
+    linear = Z75 * np.sqrt(2) * k
+    up, down = (float(threshold(TWO, MAGNITUDE, 1.0, p, weber_fraction=k)) for p in (0.75, 0.25))
+    assert (up - 1) / linear == pytest.approx(1.11, abs=5e-3)
+    assert (1 - down) / linear == pytest.approx(0.92, abs=5e-3)
+
+
+def equal_variance_pse(k: float, reach: float) -> float:
+    """PSE of the equal-variance curve that fits an unbiased Weber observer best.
+
+    Nine levels to ± `reach` × k; nearest by Kullback–Leibler, which endless data would give.
+    """
+    levels = 1 + np.linspace(-reach, reach, 9) * k
+    p = probability(1.0, levels, weber_fraction=k)
+
+    def cost(theta: np.ndarray) -> float:
+        z = (levels - theta[0]) / np.exp(theta[1])
+        return -float(p @ stats.norm.logcdf(z) + (1 - p) @ stats.norm.logcdf(-z))
+
+    options = {"xatol": 1e-8, "fatol": 1e-12}
+    start = [1.0, np.log(k * 1.4)]
+    return float(optimize.minimize(cost, start, method="Nelder-Mead", options=options).x[0] - 1)
+
+
+def test_equal_variance_moves_the_pse_of_an_unbiased_observer() -> None:
+    """theory.md: about 0.8 k² I, 0.033 I at k = 0.2.
+
+    That is for levels to ±2.5 k; the shift goes from 0.2 k² at ±1 k to 1.0 k² at ±3 k.
+    """
+    assert equal_variance_pse(0.2, reach=2.5) == pytest.approx(0.033, abs=1e-3)
+    for k in (0.05, 0.1, 0.2):
+        shifts = [equal_variance_pse(k, reach) / k**2 for reach in (1.0, 2.5, 3.0)]
+        assert shifts == pytest.approx([0.196, 0.85, 1.02], abs=0.03)
+
+
+def test_compliance_asymmetry_changes_sign_at_half_the_length() -> None:
+    """theory.md: k = 0.2, r = 0.9 L: 0.933 and 1.088 of the linear 75 % JND."""
+    length, k = 0.05, 0.2
+    percept = compliance(CONE)
+
+    def ratios(at: float) -> tuple[float, float]:
+        r = at * length
+        linear = Z75 * np.sqrt(2) * k * r * (1 - at)
+        out, back = (float(threshold(TWO, percept, r, p, weber_fraction=k)) for p in (0.75, 0.25))
+        return (out - r) / linear, (r - back) / linear
+
+    assert ratios(0.9) == pytest.approx((0.933, 1.088), abs=6e-4)
+    near, half, far = (np.subtract(*ratios(at)) for at in (0.4, 0.5, 0.6))
+    assert near > 0 > far
+    assert half == pytest.approx(0.0, abs=1e-9)
+
+
+def test_cue_percept_knows_which_way_its_signal_goes() -> None:
+    percept = compliance(CYLINDER)
+    assert percept.direction == -1
+    assert percept.domain == (0.0, 0.05)
+    force_map = ww.Observer(ww.Whisker(0.05, 1e-4, 5e-6), ww.cues.ForceMap())
+    assert CuePercept(force_map, 0.1).direction == 1
+    with pytest.raises(ValueError, match="needs the deflection angle"):
+        CuePercept(force_map)
+    # A cylinder's compliance signal goes as 1/r, so its curve is that of the magnitude, turned.
+    cylinder = response_probability(TWO, percept, 0.02, [0.016, 0.025], weber_fraction=0.2)
+    plain = probability(1.0, [0.8, 1.25], weber_fraction=0.2)
+    np.testing.assert_allclose(cylinder, plain, rtol=1e-12)
+
+
+def test_two_signals_are_carried_to_distance() -> None:
+    """At small angle the map's JND is (A−r)(3A−2r)/(2A−r)·√5/2 for k_M = k_F."""
+    whisker = ww.Whisker(0.05, 1e-4, 5e-6)
+    percept = CuePercept(ww.Observer(whisker, ww.cues.ForceMap()), deflection_angle=1e-5)
+    a, r = whisker.apex_distance, np.array([0.02, 0.025])
+    jnd = (a - r) * (3 * a - 2 * r) / (2 * a - r) * np.sqrt(5) / 2
+    p = response_probability(TWO, percept, *r, weber_fraction=0.2)
+    assert p == pytest.approx(stats.norm.cdf(0.005 / (0.2 * np.hypot(*jnd))), rel=1e-6)
+
+
+def test_a_cylinders_map_cannot_be_judged_by() -> None:
+    percept = CuePercept(ww.Observer(CYLINDER, ww.cues.ForceMap()), deflection_angle=0.1)
+    with pytest.raises(ValueError, match="these signals cannot tell distance"):
+        refuse_unfelt(percept, [0.02, 0.03])
+
+
+def test_millimetres_are_metres() -> None:
+    observer = ww.Observer(CONE, ww.cues.Compliance())
+    a = response_probability(TWO, CuePercept(observer), 0.02, 0.025, weber_fraction=0.2)
+    b = response_probability(TWO, CuePercept(observer, unit=1e-3), 20, 25, weber_fraction=0.2)
+    assert a == pytest.approx(b, rel=1e-12)
+
+
+def test_distances_without_a_signal_are_refused_with_their_outcome() -> None:
+    whisker = ww.Whisker(0.05, 1e-4, 5e-6)
+    percept = compliance(whisker, float(ww.flick_past(whisker, 0.04).deflection_angle))
+    with pytest.raises(ValueError, match=r"1 of 2 stimuli.*0\.045 \(flicked past"):
+        refuse_unfelt(percept, [0.03, 0.045])
+    # A threshold inside the reach is still found beside the part that gives no signal.
+    assert 0.03 < threshold(TWO, percept, 0.03, 0.75, weber_fraction=0.1) < 0.04
+    assert np.isinf(threshold(TWO, percept, 0.039, 0.99, weber_fraction=0.3))
+
+
+def test_simulated_choices_follow_the_curve() -> None:
+    observer = ww.Observer(CONE, ww.cues.Compliance())
+    trials = simulate_trials(
+        weber_fraction=0.15, standards=[0.02, 0.04], offsets=[-0.1, 0.1], trials_per_level=4000,
+        observer=observer, seed=5,
+    )  # fmt: skip
+    cells = trials.cells()
+    p = response_probability(
+        TWO, CuePercept(observer), cells.stimulus_1, cells.stimulus_2, weber_fraction=0.15
+    )
+    z = (cells.count / cells.n - p) / np.sqrt(p * (1 - p) / cells.n)
+    assert np.abs(z).max() < 3.5
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="did you mean '2AFC'"):
+        task_named("2AFCC")
+    with pytest.raises(ValueError, match="did you mean 'weber'"):
+        unit_percepts(MAGNITUDE, 1.0, 1.0, 1.0, "webber")

@@ -1,0 +1,271 @@
+"""Tables are read as they are, and what is wrong with them is said all at once."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from weberwhisk.behaviour import (
+    Trials,
+    load_numerosity,
+    load_rat_auditory,
+    read_trials,
+    simulate_trials,
+)
+
+GOOD = "stimulus_1,stimulus_2,choice\n1,1.1,1\n1,0.9,0\n"
+
+
+def table(tmp_path: Path, text: str, name: str = "table.csv") -> Path:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refusal(source: Path | pd.DataFrame, **options: object) -> str:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        read_trials(source, **options)  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+# -- what is read ---------------------------------------------------------------------------------
+
+
+def test_a_plain_table(tmp_path: Path) -> None:
+    trials = read_trials(table(tmp_path, GOOD))
+    assert trials.task.name == "2AFC"
+    assert trials.n_trials == 2
+    assert trials.frame["count"].tolist() == [1.0, 0.0]
+    assert trials.standards.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("name", ["t.csv", "t.csv.gz", "t.tsv", "t.tsv.gz"])
+def test_separators_and_gzip(tmp_path: Path, name: str) -> None:
+    text = GOOD.replace(",", "\t") if "tsv" in name else GOOD
+    path = tmp_path / name
+    path.write_bytes(gzip.compress(text.encode()) if name.endswith("gz") else text.encode())
+    assert read_trials(path).n_trials == 2
+
+
+def test_columns_by_any_name_and_text_labels(tmp_path: Path) -> None:
+    text = "first (g);second\n"  # not our separator: used below
+    assert "no column" in refusal(table(tmp_path, text + "1;2\n"))
+    frame = pd.DataFrame({"a": [1.0, 1.0, 2.0], "b": [1.2, 0.8, 2.2], "said": ["L", " R", None]})
+    trials = read_trials(
+        frame,
+        columns={"stimulus_1": "a", "stimulus_2": "b", "choice": "said"},
+        choice_labels={"L": "first", "R": "second"},
+    )
+    assert trials.frame["count"].tolist()[:2] == [0.0, 1.0]
+    assert (trials.n_trials, trials.n_missing) == (2, 1)
+    assert "1 trials have no answer" in trials.notes[0]
+
+
+def test_booleans_are_answers() -> None:
+    frame = pd.DataFrame({"standard": 1.0, "comparison": [1.1, 0.9], "correct": [True, False]})
+    trials = read_trials(frame)
+    assert trials.frame["count"].tolist() == [1.0, 0.0]
+    assert trials.task.name == "2AFC percent correct"
+
+
+def test_counts_and_single_trials_are_the_same_cells() -> None:
+    single = simulate_trials(standards=[1.0, 2.0], trials_per_level=5, seed=1)
+    c = single.cells()
+    counts = pd.DataFrame(
+        {"standard": c.standard, "comparison": c.stimulus_2, "n": c.n, "n_greater": c.count}
+    )
+    other = read_trials(counts).cells()
+    for name in ("stimulus_1", "stimulus_2", "standard", "n", "count"):
+        np.testing.assert_array_equal(getattr(c, name), getattr(other, name))
+
+
+def test_cells_gather_every_trial_once() -> None:
+    trials = simulate_trials(standards=[1.0, 2.0], trials_per_level=7, missing=0.1, seed=2)
+    cells = trials.cells()
+    assert cells.n.sum() == trials.n_trials
+    assert cells.count.sum() == np.nansum(trials.frame["count"])
+    grouped = trials.frame.groupby(["standard", "stimulus_2"])["count"]
+    assert cells.n.tolist() == grouped.count().tolist()
+    assert cells.count.tolist() == grouped.sum().tolist()
+
+
+def test_writing_and_reading_come_round(tmp_path: Path) -> None:
+    for task in ("2AFC", "3AFC percent correct"):
+        trials = simulate_trials(task=task, missing=0.1, subject="r1", sessions=2, seed=3)
+        path = trials.to_csv(tmp_path / "trials.csv")
+        again = read_trials(path, task=task)
+        pd.testing.assert_frame_equal(trials.frame, again.frame, check_dtype=False)
+        assert [p.name for p in tmp_path.iterdir()] == ["trials.csv"]
+
+
+def test_a_log_ratio_needs_no_magnitudes() -> None:
+    trials = read_trials(pd.DataFrame({"log_ratio": [-0.3, 0.0, 0.4], "choice": [0, 1, 1]}))
+    assert (trials.scale, trials.log_unit) == ("log", 1.0)
+    assert trials.frame["stimulus_1"].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_negative_logarithms_are_no_problem() -> None:
+    frame = pd.DataFrame({"stimulus_1": [-1.0], "stimulus_2": [-2.0], "choice": [0]})
+    assert read_trials(frame, scale="log").log_unit is None
+    assert "above zero" in refusal(frame)
+
+
+@pytest.mark.parametrize(
+    ("s1", "s2", "standards"),
+    [
+        ([1, 1, 1, 1], [0.8, 0.9, 1.1, 1.2], [1]),
+        ([0.8, 0.9, 1.1, 1.2], [1, 1, 1, 1], [1]),
+        ([1, 1, 1, 2, 2, 2], [0.8, 1, 1.3, 1.6, 2, 2.4], [1, 2]),
+        ([1, 4, 4, 9], [4, 1, 9, 4], [2, 6]),  # neighbours on a ladder: every pair its own
+    ],
+)
+def test_standards_are_read_off_the_design(s1: list, s2: list, standards: list) -> None:
+    frame = pd.DataFrame({"stimulus_1": s1, "stimulus_2": s2, "choice": 1})
+    assert read_trials(frame).standards.tolist() == pytest.approx(standards)
+
+
+def test_a_named_standard_is_kept() -> None:
+    frame = pd.DataFrame(
+        {"stimulus_1": [1.0, 1.2], "stimulus_2": [1.1, 1.0], "standard": [1.0, 1.0], "choice": 1}
+    )
+    assert read_trials(frame).standards.tolist() == [1.0]
+
+
+def test_selecting() -> None:
+    trials = simulate_trials(sessions=4, seed=4)
+    assert trials.select(session=2).sessions == [2]
+    assert trials.select(session=range(2, 4)).sessions == [2, 3]
+    with pytest.raises(ValueError, match="session = 9; choose values that occur"):
+        trials.select(session=9)
+    with pytest.raises(ValueError, match="did you mean 'session'"):
+        trials.select(sesion=1)
+
+
+def test_repeated_rows_are_noted_and_kept() -> None:
+    frame = pd.DataFrame({"trial": [1, 1], "log_ratio": 0.1, "choice": 1})
+    trials = read_trials(frame)
+    assert trials.n_trials == 2
+    assert "1 rows occur more than once, the first in row 2" in trials.notes[0]
+
+
+# -- real data ------------------------------------------------------------------------------------
+
+
+def test_the_rats_file() -> None:
+    trials = load_rat_auditory()
+    assert (len(trials), trials.n_trials, len(trials.sessions)) == (11489, 11489, 40)
+    assert trials.task.name == "2IFC"
+    assert trials.standards.size == 8
+    # The file says itself which answers were right: right is rewarded where s1 > s2.
+    raw = pd.read_csv(Path(__file__).parent.parent / "weberwhisk/data/rat_auditory_2ifc.csv.gz")
+    greater = trials.frame["stimulus_2"] > trials.frame["stimulus_1"]
+    assert ((trials.frame["count"] == greater) == (raw["correct"] == 1)).all()
+
+
+def test_the_numerosity_file() -> None:
+    trials = load_numerosity()
+    assert trials.subjects == ["s1", "s2"]
+    assert load_numerosity("s2").n_trials == 250
+    raw = pd.read_csv(Path(__file__).parent.parent / "weberwhisk/data/numerosity_2afc.csv")
+    assert (((trials.frame["stimulus_2"] > 0) == trials.frame["count"]) == raw["correct"]).all()
+
+
+# -- what is refused ------------------------------------------------------------------------------
+
+
+def one_sentence(message: str) -> bool:
+    return "\n" not in message and message.endswith(".") and message.count(". ") == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["table.csv", "empty"]),
+        ("stimulus_1,stimulus_2,choice\n", ["table.csv", "no rows"]),
+        ("stimulus_1,stimuls_2,choice\n1,2,1\n", ["'stimulus_2'", "did you mean 'stimuls_2'"]),
+        ("stimulus_1,stimulus_2,chioce\n1,2,1\n", ["'choice'", "did you mean 'chioce'"]),
+        ("stimulus_1,stimulus_2,n_greater\n1,2,1\n", ["'n'", "number of trials"]),
+        (GOOD + "1,,1\n", ["'stimulus_2'", "row 3", "empty"]),
+        (GOOD + "1,nan,1\n", ["'stimulus_2'", "row 3", "NaN"]),
+        (GOOD + "1,inf,1\n", ["'stimulus_2'", "row 3", "infinite"]),
+        (GOOD + "1,heavy,1\n", ["'stimulus_2'", "row 3", "'heavy' is not a number"]),
+        (GOOD + "1,-2,1\n", ["'stimulus_2'", "row 3", "above zero, got -2", "scale='log'"]),
+        (GOOD + "1,0,1\n1,0,1\n", ["rows 3, 4", "above zero"]),
+        (GOOD + "1,1,2\n", ["'choice'", "row 3", "'2' is not an answer", "choice_labels"]),
+        (GOOD + "1,1,left\n", ["'left' is not an answer"]),
+        ("standard,comparison,correct\n1,2,0.5\n", ["'correct'", "1 for correct"]),
+        ("standard,comparison,n,n_correct\n1,2,5,6\n", ["6 is above the 5 trials"]),
+        ("standard,comparison,n,n_correct\n1,2,5,-1\n", ["-1 is not a count"]),
+        ("standard,comparison,n,n_correct\n1,2,5.5,5\n", ["5.5 is not a count"]),
+        ("standard,comparison,n,n_correct\n1,2,five,5\n", ["'five' is not a number"]),
+        ("stimulus_1,choice\n1,1.1,1\n", ["more cells than the header"]),
+        ('a,b\n1,"2\n3,4\n', ["not readable as a table"]),
+    ],
+)
+def test_each_problem_is_one_sentence(tmp_path: Path, text: str, parts: list[str]) -> None:
+    message = refusal(table(tmp_path, text))
+    assert one_sentence(message), message
+    assert all(part in message for part in ["table.csv", *parts]), message
+
+
+def test_all_problems_are_named_at_once(tmp_path: Path) -> None:
+    text = "stimulus_1,stimulus_2,choice\n1,x,1\n-1,2,7\n1,,1\n"
+    lines = refusal(table(tmp_path, text)).splitlines()
+    assert len(lines) == 4
+    assert sum("'stimulus_2'" in line for line in lines) == 2
+    assert all(line.startswith("table.csv, column ") for line in lines)
+
+
+def test_missing_columns_are_all_named(tmp_path: Path) -> None:
+    path = table(tmp_path, "a,b\n1,2\n")
+    lines = refusal(path, columns={"stimulus_1": "s1", "choice": "c"}).splitlines()
+    assert len(lines) == 3
+    assert [name in line for name, line in zip(("'s1'", "'c'", "'stimulus_2'"), lines, strict=True)]
+
+
+def test_many_rows_are_counted_not_listed(tmp_path: Path) -> None:
+    message = refusal(table(tmp_path, GOOD + "1,x,1\n" * 50))
+    assert "rows 3, 4, 5 and 47 more" in message
+
+
+def test_distances_off_the_whisker() -> None:
+    frame = pd.DataFrame({"standard": [0.02, 0.02], "comparison": [0.03, 30.0], "choice": [1, 1]})
+    whisker = SimpleNamespace(length=0.05)
+    message = refusal(frame, whisker=whisker)
+    assert one_sentence(message)
+    assert "row 2: radial distance 30 m is beyond the whisker's length of 0.05 m" in message
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"task": "2AFCC"}, "did you mean '2AFC'"),
+        ({"scale": "logarithmic"}, "scale 'logarithmic' is unknown"),
+        ({"columns": {"stimulus1": "a"}}, "did you mean 'stimulus_1'"),
+        ({"choice_labels": {"1": "left"}}, "choose one of first, second"),
+        ({"log_unit": -1.0, "scale": "log"}, "log_unit must be above zero"),
+        ({"task": "3AFC percent correct"}, "'correct'"),
+    ],
+)
+def test_unknown_names_are_refused(tmp_path: Path, options: dict, part: str) -> None:
+    message = refusal(table(tmp_path, GOOD), **options)
+    assert one_sentence(message)
+    assert part in message
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="there is no such file"):
+        read_trials(tmp_path / "none.csv")
+
+
+def test_nothing_is_dropped_or_changed() -> None:
+    frame = pd.DataFrame({"standard": [1.0, 1.0], "comparison": [1.1, 0.9], "choice": [1, None]})
+    before = frame.copy()
+    trials: Trials = read_trials(frame)
+    pd.testing.assert_frame_equal(frame, before)
+    assert len(trials) == 2

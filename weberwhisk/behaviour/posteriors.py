@@ -1,0 +1,253 @@
+"""What is believed about an observer: marginals, quantiles, and joint draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline, RegularGridInterpolator
+from scipy.special import logsumexp
+
+from .likelihood import WeberModel
+from .mode import LEAD
+from .quadrature import Grid, evaluate, log_marginal
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Joint draws from a posterior, of every parameter whether inferred or fixed.
+
+    `weber_fraction`, `lapse_low`, `lapse_high` have shape (N,); `bias` (N, G), a column per group.
+    """
+
+    weber_fraction: Array
+    lapse_low: Array
+    lapse_high: Array
+    bias: Array
+
+    def named(self, model: WeberModel) -> dict[str, Array]:
+        """The inferred parameters by name, each (N,)."""
+        columns = {name: getattr(self, name) for name in LEAD}
+        columns |= {name: self.bias[:, i] for i, name in enumerate(model.group_names)}
+        return {name: columns[name] for name in model.names}
+
+
+class WeberPosterior(Protocol):
+    """What a fit asks of its posterior, whichever engine made it."""
+
+    def mean(self, name: str) -> float:
+        """Posterior mean of a parameter."""
+
+    def sd(self, name: str) -> float:
+        """Posterior sd of a parameter."""
+
+    def quantile(self, name: str, probability: ArrayLike) -> Array:
+        """Posterior quantiles of a parameter."""
+
+    def draws(self) -> Draws:
+        """Joint draws, in chains one after another."""
+
+    @property
+    def chains(self) -> int:
+        """How many independent chains the draws come in."""
+
+    @property
+    def log_evidence(self) -> float | None:
+        """Natural log of the probability of the answers; None where the engine has none."""
+
+    @property
+    def error(self) -> float:
+        """Estimated error, relative to the posterior sd."""
+
+    @property
+    def trouble(self) -> str:
+        """Why the numbers are not to be relied on; empty where they are."""
+
+
+@dataclass(frozen=True)
+class GridPosterior:
+    """The posterior integrated by quadrature; draws from it are independent and exact."""
+
+    model: WeberModel
+    grid: Grid
+    seed: int
+    n_draws: int = 4000
+    chains: int = 4
+    _curves: dict[str, tuple[Array, Array, Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @property
+    def log_evidence(self) -> float | None:
+        return self.grid.log_evidence
+
+    @property
+    def error(self) -> float:
+        return self.grid.error
+
+    @property
+    def trouble(self) -> str:
+        if self.grid.error > 0.01:
+            return f"the integral has an estimated error of {100 * self.grid.error:.2g} %"
+        return ""
+
+    def _curve(self, name: str) -> tuple[Array, Array, Array]:
+        """Values (rising), their cumulative probability, and the weight of each in a mean."""
+        if name not in self._curves:
+            self._curves[name] = self._make_curve(name)
+        return self._curves[name]
+
+    def _make_curve(self, name: str) -> tuple[Array, Array, Array]:
+        if name not in self.model.names:
+            fixed = float(self.model.fixed_value(name))
+            return np.array([fixed, fixed]), np.array([0.0, 1.0]), np.array([0.5, 0.5])
+        if name in LEAD:
+            axis = self.grid.axes[LEAD.index(name)]
+            fine = np.linspace(axis[0], axis[-1], 1601)
+            spline = CubicSpline(axis, np.maximum(log_marginal(self.grid, LEAD.index(name)), -80.0))
+            density = np.exp(spline(fine))
+            values = self.model.priors.value(name, fine)
+        else:
+            values, density = self._bias_density(self.model.group_names.index(name))
+        cdf = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        return values, cdf / cdf[-1], density / density.sum()
+
+    @cached_property
+    def _fine_bias(self) -> Grid:
+        """The grid with twice the bias nodes: integrals do without them, interpolation does not."""
+        g = self.grid
+        if g.centre.shape[1] > 1:  # nodes that follow the lapses are plenty already
+            return g
+        finer = np.linspace(g.offsets[0], g.offsets[-1], 2 * g.offsets.size - 1)
+        return evaluate(self.model, g.axes, finer, g.reference)
+
+    def _bias_density(self, group: int) -> tuple[Array, Array]:
+        """Density of one bias: the mixture over k of its conditionals, each a spline."""
+        g = self._fine_bias
+        mass = g.bias_mass[..., group].reshape(-1, g.offsets.size)
+        held = mass.sum(axis=1) > 1e-7 * mass.sum(axis=1).max()
+        mass, centre, spread = (
+            mass[held],
+            g.centre[..., group].reshape(-1)[held],
+            g.spread[..., group].reshape(-1)[held],
+        )
+        # One conditional alone must be as fine as the common axis; many fill it in between them.
+        factor = 32 if len(mass) < 100 else 8
+        finer = np.linspace(g.offsets[0], g.offsets[-1], factor * (g.offsets.size - 1) + 1)
+        log_mass = np.log(np.maximum(mass, 1e-40))
+        weight = np.exp(CubicSpline(g.offsets, log_mass, axis=1)(finer)).ravel()
+        place = (centre[:, None] + spread[:, None] * finer).ravel()
+        keep = weight > 1e-12 * weight.max()
+        place, weight = place[keep], weight[keep]
+        fine = np.linspace(place.min(), place.max(), 801)
+        # Each node's mass is shared between the two nearest points of the common axis.
+        at = (place - fine[0]) / (fine[1] - fine[0])
+        left = np.minimum(at.astype(np.intp), fine.size - 2)
+        share = at - left
+        density = np.bincount(left, weight * (1 - share), fine.size)
+        density = density + np.bincount(left + 1, weight * share, fine.size)
+        return fine, density.astype(float)
+
+    def quantile(self, name: str, probability: ArrayLike) -> Array:
+        values, cdf, _ = self._curve(name)
+        return np.interp(np.asarray(probability, dtype=float), cdf, values)
+
+    def mean(self, name: str) -> float:
+        values, _, weight = self._curve(name)
+        return float(weight @ values)
+
+    def sd(self, name: str) -> float:
+        values, _, weight = self._curve(name)
+        return float(np.sqrt(weight @ (values - weight @ values) ** 2))
+
+    def draws(self) -> Draws:
+        return self._draws
+
+    @cached_property
+    def _draws(self) -> Draws:
+        rng = np.random.default_rng(self.seed)
+        k, low, high = self._lead_draws(rng)
+        return Draws(k, low, high, self._bias_draws(rng, k, low, high))
+
+    def _lead_draws(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """k and lapses by rejection: proposed from the grid, interpolated linearly, kept by the
+        exact density. For a log-concave bump the ratio of the two is bounded in the tails."""
+        g = self.grid
+        free = [i for i, axis in enumerate(g.axes) if axis.size > 1]
+        joint = np.exp(g.joint - g.joint.max()).squeeze()
+        if not free:
+            zero = np.zeros((self.n_draws, 3))
+            return self._values(zero)
+        axes = [g.axes[i] for i in free]
+        joint = joint.reshape([a.size for a in axes])
+        steps = np.array([a[1] - a[0] for a in axes])
+        proposal = RegularGridInterpolator(axes, joint, bounds_error=False, fill_value=0.0)
+        cumulative = np.cumsum(joint.ravel())
+        kept: list[Array] = []
+        bound = 0.0
+        while sum(map(len, kept)) < self.n_draws:
+            node = np.searchsorted(cumulative, rng.random(2048) * cumulative[-1], side="right")
+            place = np.column_stack(
+                [a[i] for a, i in zip(axes, np.unravel_index(node, joint.shape), strict=True)]
+            )
+            place = place + steps * (rng.random(place.shape) - rng.random(place.shape))
+            inside = proposal(place)
+            place, inside = place[inside > 0], inside[inside > 0]
+            z = np.zeros((len(place), 3))
+            z[:, free] = place
+            ratio = np.exp(self._log_density(z, free) - g.joint.max()) / inside
+            # The largest ratios are far out, where hardly anything is proposed.
+            bound = bound or float(np.quantile(ratio, 0.999))
+            kept.append(z[rng.random(len(z)) * bound < ratio])
+        return self._values(np.concatenate(kept)[: self.n_draws])
+
+    def _values(self, z: Array) -> tuple[Array, Array, Array]:
+        present = ("weber_fraction", *self.model.lapse_names)
+        k, low, high = (
+            self.model.priors.value(name, z[:, i]) if name in present else np.zeros(len(z))
+            for i, name in enumerate(LEAD)
+        )
+        return k, low, high
+
+    def _log_density(self, z: Array, free: list[int]) -> Array:
+        """Log density of the lead scores at scattered places, (M,), biases integrated."""
+        k, low, high = self._values(z)
+        log_density, _, _ = self._conditional(k, low, high, half_width=8.0, nodes=17)
+        possible = np.where(sum(self.model.lapses(low, high)) < 1, 0.0, -np.inf)
+        prior = -0.5 * (z[:, free] ** 2).sum(axis=1) - 0.5 * len(free) * np.log(2 * np.pi)
+        return logsumexp(log_density, axis=1).sum(axis=1) + prior + possible
+
+    def _conditional(
+        self, k: Array, low: Array, high: Array, *, half_width: float, nodes: int
+    ) -> tuple[Array, Array, Array]:
+        """Log mass of bias nodes given the rest, (M, B, G); the nodes; their steps (M, G)."""
+        m = self.model
+        t = np.linspace(-half_width, half_width, nodes) if m.free_bias else np.zeros(1)
+        centre, spread = m.bias_mode(k, low, high)
+        bias = centre[:, None, :] + spread[:, None, :] * t[:, None]
+        step = spread * (t[1] - t[0] if t.size > 1 else 1.0)
+        cells = m.cell_log_likelihood(k[:, None], low[:, None], high[:, None], bias)
+        log_mass = cells @ m.membership
+        if m.free_bias:
+            log_mass = log_mass + m.log_bias_prior(bias) + np.log(step)[:, None, :]
+        return log_mass, bias, step
+
+    def _bias_draws(self, rng: np.random.Generator, k: Array, low: Array, high: Array) -> Array:
+        if not self.model.free_bias:
+            return np.full((k.size, self.model.n_groups), self.model.fixed_bias())
+        out = []
+        for part in np.array_split(np.arange(k.size), max(k.size // 500, 1)):
+            log_mass, bias, step = self._conditional(
+                k[part], low[part], high[part], half_width=7.0, nodes=57
+            )
+            weight = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
+            wanted = rng.random((len(part), 1, weight.shape[2])) * weight[:, -1:, :]
+            at = np.minimum((weight < wanted).sum(axis=1), bias.shape[1] - 1)
+            node = np.take_along_axis(bias, at[:, None, :], axis=1)[:, 0, :]
+            out.append(node + step * (rng.random(node.shape) - rng.random(node.shape)))
+        return np.concatenate(out)

@@ -1,0 +1,189 @@
+"""The psychometric function of the observer, and its inverse: the threshold."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri
+
+from .. import _checks
+from .percepts import Percept, unit_percepts
+from .tasks import Task
+
+Array = NDArray[np.float64]
+
+
+def with_lapses(eta: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
+    """P = λ_lo + (1 − λ_lo − λ_hi) Φ(η), as a mean of its two asymptotes; broadcasts.
+
+    Examples
+    --------
+    >>> with_lapses([-np.inf, 0.0, np.inf], 0.1, 0.02)
+    array([0.1 , 0.54, 0.98])
+    """
+    up = ndtr(np.asarray(eta, dtype=float))
+    return np.asarray(low) * (1 - up) + (1 - np.asarray(high)) * up
+
+
+def response_probability(
+    task: Task,
+    percept: Percept,
+    stimulus_1: ArrayLike,
+    stimulus_2: ArrayLike,
+    *,
+    standard: ArrayLike | None = None,
+    weber_fraction: ArrayLike,
+    lapse_low: ArrayLike = 0.0,
+    lapse_high: ArrayLike = 0.0,
+    bias: ArrayLike = 0.0,
+    noise: str = "weber",
+) -> Array:
+    """Probability that stimulus 2 is reported greater (signed tasks), or that the answer is right.
+
+    Parameters
+    ----------
+    task, percept
+        What was asked, and how a stimulus is felt.
+    stimulus_1, stimulus_2 : array_like, shape (C,)
+        In the stimulus's own unit.
+    standard : array_like, optional
+        Sets the noise of the equal-variance form; `stimulus_1` where not given.
+    weber_fraction, lapse_low, lapse_high, bias : array_like, shape (...)
+        Parameters of the observer; they broadcast with one another. Bias is in sds of the
+        difference between the two percepts, positive towards "second greater".
+    noise : {"weber", "equal-variance"}
+
+    Returns
+    -------
+    ndarray, shape (..., C)
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept, task_named
+    >>> response_probability(task_named("2AFC"), IdentityPercept(), 1.0, [0.9, 1.0, 1.1],
+    ...                      weber_fraction=0.1).round(3)
+    array([0.229, 0.5  , 0.749])
+    """
+    s1, s2 = np.broadcast_arrays(
+        np.atleast_1d(np.asarray(stimulus_1, float)), np.atleast_1d(np.asarray(stimulus_2, float))
+    )
+    cells = unit_percepts(percept, s1, s2, s1 if standard is None else standard, noise)
+    eta = task.decision_variable(cells, weber_fraction)
+    low, high = task.asymptotes(
+        np.asarray(lapse_low, dtype=float)[..., None],
+        np.asarray(lapse_high, dtype=float)[..., None],
+    )
+    if task.has_bias:
+        eta = eta + np.asarray(bias, dtype=float)[..., None]
+    return with_lapses(eta, low, high)
+
+
+def criterion(task: Task, proportion: float) -> str:
+    """The criterion of a threshold in words.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import task_named
+    >>> criterion(task_named("2AFC"), 0.75)
+    '75 % "second greater", 2AFC, lapses removed'
+    """
+    answer = '"second greater"' if task.response == "choice" else "correct"
+    return f"{100 * proportion:.4g} % {answer}, {task.name.split()[0]}, lapses removed"
+
+
+def check_proportion(task: Task, proportion: float) -> float:
+    """A proportion at which the task has a threshold."""
+    low = task.guess_rate or 0.0
+    value = float(_checks.finite("proportion", proportion, "write for example 0.75"))
+    if not low < value < 1:
+        raise ValueError(
+            f"proportion must lie between {low:g} and 1 for {task.name}, got {value:g}; "
+            "write for example 0.75."
+        )
+    return value
+
+
+def threshold(
+    task: Task,
+    percept: Percept,
+    standard: float,
+    proportion: float,
+    *,
+    weber_fraction: ArrayLike,
+    bias: ArrayLike = 0.0,
+    noise: str = "weber",
+    upward: bool = True,
+) -> Array:
+    """The comparison at which an observer that never lapses answers with that proportion.
+
+    Solved by bisection to machine precision, whatever the percept. Infinite (or the edge's own
+    side: −inf, or 0 for magnitudes) where no comparison reaches it: under Weber noise Φ never
+    passes Φ(1/k), so a poor observer has no 90 % point.
+
+    Parameters
+    ----------
+    standard : float
+        The stimulus compared against, as stimulus 1.
+    proportion : float
+        For signed tasks below ½ gives the downward threshold. For percent-correct tasks
+        `upward` chooses the side.
+    weber_fraction, bias : array_like, shape (...)
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Comparison in the stimulus's unit; NaN is never returned.
+
+    Examples
+    --------
+    The closed form for magnitudes, q = k z: (1 + q√(2 − q²))/(1 − q²).
+
+    >>> from weberwhisk.behaviour import IdentityPercept, task_named
+    >>> point = threshold(task_named("2AFC"), IdentityPercept(), 1.0, 0.75, weber_fraction=0.2)
+    >>> round(float(point), 5)
+    1.21196
+    """
+    check_proportion(task, proportion)
+    k, shift = np.broadcast_arrays(np.asarray(weber_fraction, float), np.asarray(bias, float))
+    goal = float(ndtri(proportion)) - (shift if task.has_bias else np.zeros(k.shape))
+    standard = float(_checks.finite("standard", standard, "give one stimulus"))
+
+    def eta(comparison: Array) -> Array:
+        with np.errstate(all="ignore"):
+            cells = unit_percepts(percept, standard, comparison, standard, noise)
+            return task.decision_variable(cells, k)
+
+    if task.has_bias:
+        upward_at = goal > eta(np.array([standard]))[..., 0]
+        sign = np.where(upward_at, 1.0, -1.0)[..., None]
+    else:  # percent correct grows with distance on both sides
+        upward_at = np.full(k.shape, upward)
+        sign = np.ones(k.shape)[..., None]
+    up, down = _ladder(percept, standard, +1), _ladder(percept, standard, -1)
+    rungs = np.where(upward_at[..., None], up, down)
+    passed = np.where(
+        upward_at[..., None],
+        sign * (eta(up) - goal[..., None]),
+        sign * (eta(down) - goal[..., None]),
+    )
+    beyond = passed >= 0
+    first = np.maximum(np.argmax(beyond, axis=-1), 1)[..., None]
+    inner = np.take_along_axis(rungs, first - 1, -1)
+    outer = np.take_along_axis(rungs, first, -1)
+    for _ in range(60):
+        middle = 0.5 * (inner + outer)
+        far = sign * (eta(middle) - goal[..., None]) >= 0
+        inner, outer = np.where(far, inner, middle), np.where(far, middle, outer)
+    answer = 0.5 * (inner + outer)[..., 0]
+    return np.where(beyond.any(axis=-1), answer, np.where(upward_at, np.inf, percept.domain[0]))
+
+
+def _ladder(percept: Percept, standard: float, sign: int) -> Array:
+    """Comparisons from the standard to the edge of what can be felt, close at both ends."""
+    low, high = percept.domain
+    edge = high if sign > 0 else low
+    if np.isfinite(edge):
+        share = np.concatenate([np.linspace(0, 0.99, 199), 1 - np.geomspace(0.009, 1e-12, 60)])
+        return standard + (edge - standard) * share
+    size = abs(standard) if low == 0 else 1.0
+    return standard + sign * size * np.concatenate([[0.0], np.geomspace(1e-6, 1e6, 258)])

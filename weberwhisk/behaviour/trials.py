@@ -1,0 +1,188 @@
+"""A table of trials: the schema, and the nouns made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .. import _checks
+from .tasks import Task
+
+Array = NDArray[np.float64]
+
+SCALES = ("linear", "log")
+LABELS = ("subject", "session", "trial")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Trials gathered into unique pairs of stimuli, sorted by standard; arrays (C,).
+
+    `count` of the `n` trials had the answer: "second greater", or correct.
+    """
+
+    stimulus_1: Array
+    stimulus_2: Array
+    standard: Array
+    n: Array
+    count: Array
+
+    def of(self, standard: float) -> Cells:
+        """The cells of one standard."""
+        keep = self.standard == standard
+        return Cells(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Choices of one or more observers, checked.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        One row a trial, or a row of `n` trials. Columns: `stimulus_1`, `stimulus_2` (magnitudes,
+        logarithms, or radial distances in metres), `standard`, `n`, `count` (how many of the n were
+        answered "second greater", or correctly; NaN where the animal gave no answer), and where
+        known `subject`, `session`, `trial`.
+    task : Task
+        What was asked.
+    scale : {"linear", "log"}
+        Whether the columns are magnitudes or their logarithms.
+    log_unit : float, optional
+        On a log scale: natural-log units per unit of the column, None where that is unknown.
+    source : str
+        Where the table came from, for messages.
+    notes : tuple of str
+        What a reader should know: missing answers, rows that occur twice.
+    """
+
+    frame: pd.DataFrame = field(repr=False)
+    task: Task
+    scale: str = "linear"
+    log_unit: float | None = None
+    source: str = "table"
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def n_trials(self) -> int:
+        """Trials with an answer."""
+        return int(self.frame.loc[self.frame["count"].notna(), "n"].sum())
+
+    @property
+    def n_missing(self) -> int:
+        """Trials without an answer: kept in the table, not in any likelihood."""
+        return int(self.frame.loc[self.frame["count"].isna(), "n"].sum())
+
+    @property
+    def subjects(self) -> list[Any]:
+        """Subjects in the table, empty where it has no such column."""
+        return self._levels("subject")
+
+    @property
+    def sessions(self) -> list[Any]:
+        """Sessions in the table, empty where it has no such column."""
+        return self._levels("session")
+
+    @property
+    def standards(self) -> Array:
+        """Standards in the table, rising."""
+        return np.unique(self.frame["standard"].to_numpy(float))
+
+    def _levels(self, column: str) -> list[Any]:
+        if column not in self.frame:
+            return []
+        return sorted(self.frame[column].unique().tolist())
+
+    def select(self, **wanted: Any) -> Trials:
+        """The trials whose columns have the values wanted.
+
+        Parameters
+        ----------
+        **wanted
+            Column = one value, or several: `select(subject="s1", session=range(20, 41))`.
+
+        Raises
+        ------
+        ValueError
+            For an unknown column, or where nothing is left.
+        """
+        keep = np.ones(len(self.frame), dtype=bool)
+        for column, value in wanted.items():
+            _checks.one_of("column", column, map(str, self.frame.columns))
+            values = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
+            keep &= self.frame[column].isin(list(values)).to_numpy()
+        if not keep.any():
+            words = ", ".join(f"{column} = {value!r}" for column, value in wanted.items())
+            raise ValueError(f"{self.source}: no trials have {words}; choose values that occur.")
+        return replace(self, frame=self.frame.loc[keep].reset_index(drop=True))
+
+    def cells(self) -> Cells:
+        """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
+        columns = ("standard", "stimulus_1", "stimulus_2", "n", "count")
+        rows = np.column_stack([self.frame[c].to_numpy(float) for c in columns])
+        rows = rows[~np.isnan(rows[:, 4]) & (rows[:, 3] > 0)]
+        order = np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))
+        rows = rows[order]
+        if not len(rows):
+            empty = np.zeros(0)
+            return Cells(empty, empty, empty, empty, empty)
+        new = np.r_[True, np.any(np.diff(rows[:, :3], axis=0) != 0, axis=1)]
+        starts = np.flatnonzero(new)
+        n, count = np.add.reduceat(rows[:, 3:], starts, axis=0).T
+        standard, s1, s2 = rows[starts, :3].T
+        return Cells(s1, s2, standard, n, count)
+
+    def table(self) -> pd.DataFrame:
+        """The trials under the names that `read_trials` takes without a mapping."""
+        single = bool((self.frame["n"] == 1).all())
+        answer = self.task.response if single else f"n_{_COUNT_NAMES[self.task.response]}"
+        out = self.frame.rename(columns={"count": answer})
+        out[answer] = out[answer].astype("Int64")
+        return out.drop(columns="n") if single else out
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write `table()`; the file is complete or absent, never half-written."""
+        target = Path(path)
+        partial = target.with_name(target.name + ".partial")
+        self.table().to_csv(partial, index=False, lineterminator="\n")
+        return partial.replace(target)
+
+
+_COUNT_NAMES = {"choice": "greater", "correct": "correct"}
+
+
+def standards_of(stimulus_1: Array, stimulus_2: Array, scale: str) -> Array:
+    """The standard of each trial, where the table names none.
+
+    The interval with fewer than half as many levels as the other holds the standards (interval 1
+    if both do). Otherwise every unordered pair is its own standard, named by its middle (geometric
+    for magnitudes): the design of a rat that compares neighbours on a ladder of levels.
+
+    Examples
+    --------
+    >>> standards_of(np.array([1.0, 1.0, 1.0]), np.array([0.9, 1.0, 1.1]), "linear")
+    array([1., 1., 1.])
+    >>> standards_of(np.array([0.0, 1.0]), np.array([1.0, 0.0]), "log")
+    array([0.5, 0.5])
+    """
+    levels_1, levels_2 = np.unique(stimulus_1).size, np.unique(stimulus_2).size
+    if levels_1 == 1 or 2 * levels_1 < levels_2:
+        return stimulus_1
+    if levels_2 == 1 or 2 * levels_2 < levels_1:
+        return stimulus_2
+    if scale == "log":
+        middle = 0.5 * (stimulus_1 + stimulus_2)
+    else:
+        middle = np.sqrt(stimulus_1) * np.sqrt(stimulus_2)
+    return (
+        np.round(middle, 12) if scale == "log" else np.array([float(f"{m:.12g}") for m in middle])
+    )

@@ -1,0 +1,104 @@
+"""What a posterior is worth: did the data move it, and which end of it is the prior's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .likelihood import WeberModel
+from .posteriors import GridPosterior, WeberPosterior
+from .quadrature import Grid, integrate, log_marginal
+from .status import FitStatus
+
+Array = NDArray[np.float64]
+
+FAR = 3.0  # prior sds at which an end counts as the prior's
+LIKELY = 0.1  # likelihood ratio to the best k above which that end is not excluded
+STRONG = np.log(100.0)  # evidence for exchanged labels
+
+
+def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tuple[str, ...]]:
+    """The status of a fit, and sentences beside it."""
+    notes = _notes(model)
+    if not model.cells.n.sum():
+        return FitStatus.NO_TRIALS, notes
+    # The judgement needs the evidence and the tails, which draws do not give.
+    grid = posterior.grid if isinstance(posterior, GridPosterior) else integrate(model.merged())
+    if _reversed(model, grid):
+        return FitStatus.REVERSED, notes
+    if posterior.trouble:
+        return FitStatus.NOT_CONVERGED, (
+            *notes,
+            f"{posterior.trouble[0].upper()}{posterior.trouble[1:]}.",
+        )
+    if "weber_fraction" not in model.names:
+        return FitStatus.DETERMINED, (*notes, "The Weber fraction was fixed, not fitted.")
+    below, above = _open_ends(grid)
+    if below and above:
+        return FitStatus.UNINFORMED, notes
+    if below:
+        return FitStatus.UPPER_BOUND, notes
+    if above:
+        return FitStatus.LOWER_BOUND, notes
+    return FitStatus.DETERMINED, notes
+
+
+def _notes(model: WeberModel) -> tuple[str, ...]:
+    cells, notes = model.cells, []
+    gap = np.abs(model.percepts.mean_2 - model.percepts.mean_1)
+    if cells.n.size and not np.any(gap > 0):
+        notes.append(
+            "All comparisons equal their standard: no difference was ever put to the animal."
+        )
+    elif cells.n.size == 1:
+        notes.append(
+            "There is one pair of stimuli: bias, lapses and Weber fraction cannot be told apart."
+        )
+    share = cells.count / np.maximum(cells.n, 1)
+    if (
+        cells.n.size > 1
+        and np.all(
+            np.where(
+                model.percepts.mean_2 == model.percepts.mean_1, True, (share == 0) | (share == 1)
+            )
+        )
+        and np.any(gap > 0)
+    ):
+        notes.append("Every level is answered all one way: only harder comparisons can tell more.")
+    return tuple(notes)
+
+
+def _reversed(model: WeberModel, grid: Grid) -> bool:
+    """Whether the opposite answers would be far more probable, judged by the evidence."""
+    c = model.cells
+    if model.task.guess_rate is None:
+        drive = (model.percepts.mean_2 - model.percepts.mean_1) / np.hypot(
+            model.percepts.sd_1, model.percepts.sd_2
+        )
+        suspect = drive @ (c.count - c.n * (c.count.sum() / c.n.sum())) < 0
+    else:
+        suspect = c.count.sum() < model.task.guess_rate * c.n.sum()
+    if not suspect:
+        return False
+    exchanged = replace(model, cells=replace(c, count=c.n - c.count))
+    return integrate(exchanged.merged()).log_evidence - grid.log_evidence > STRONG
+
+
+def _open_ends(grid: Grid) -> tuple[bool, bool]:
+    """Whether the likelihood leaves very small, or very large, Weber fractions open.
+
+    The likelihood of k is its posterior over its prior, biases and lapses integrated; in normal
+    scores the prior is known, and nodes that the grid does not reach are excluded.
+    """
+    axis = grid.axes[0]
+    likelihood = log_marginal(grid, 0) + 0.5 * axis**2
+    inside = np.abs(axis) <= FAR + 0.5
+    best = likelihood[inside].max() if inside.any() else likelihood.max()
+
+    def is_open(end: float) -> bool:
+        within = axis[0] <= end <= axis[-1]
+        return bool(within and np.interp(end, axis, likelihood) > best + np.log(LIKELY))
+
+    return is_open(-FAR), is_open(FAR)
