@@ -1,19 +1,98 @@
-"""Bayesian inference and psychophysics of touch through rat whiskers."""
+"""Bayesian inference and psychophysics of touch through rat whiskers.
 
-from .mechanics import Bending, FlickPast, Outcome, Rung, bend, flick_past, press, signal_jacobian
-from .whisker import Whisker, identities
+One argument, told by the modules in order: whisker → bending → cue → receptor noise → observer →
+posterior → JND → behaviour → fit.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
+if TYPE_CHECKING:
+    from . import cues, receptors
+    from .behaviour import Trials, WeberFit, fit_weber, read_trials, simulate_trials
+    from .jnd import convert_jnd, criterion_factor, jnd_curve
+    from .mechanics import (
+        Bending,
+        FlickPast,
+        Outcome,
+        Rung,
+        bend,
+        flick_past,
+        press,
+        signal_jacobian,
+    )
+    from .observer import Observer
+    from .posterior import Posterior, Status, posterior
+    from .whisker import Whisker, identities
+
+# Each public name and its home, imported when it is first used: `import weberwhisk` stays light.
+_HOME = {
+    "Whisker": "whisker",
+    "identities": "whisker",
+    "Bending": "mechanics",
+    "FlickPast": "mechanics",
+    "Outcome": "mechanics",
+    "Rung": "mechanics",
+    "bend": "mechanics",
+    "flick_past": "mechanics",
+    "press": "mechanics",
+    "signal_jacobian": "mechanics",
+    "cues": "cues",
+    "receptors": "receptors",
+    "Observer": "observer",
+    "Posterior": "posterior",
+    "Status": "posterior",
+    "posterior": "posterior",
+    "convert_jnd": "jnd",
+    "criterion_factor": "jnd",
+    "jnd_curve": "jnd",
+    "Trials": "behaviour",
+    "WeberFit": "behaviour",
+    "fit_weber": "behaviour",
+    "read_trials": "behaviour",
+    "simulate_trials": "behaviour",
+}
 __all__ = [
     "Bending",
     "FlickPast",
+    "Observer",
     "Outcome",
+    "Posterior",
     "Rung",
+    "Status",
+    "Trials",
+    "WeberFit",
     "Whisker",
     "bend",
+    "convert_jnd",
+    "criterion_factor",
+    "cues",
+    "fit_weber",
     "flick_past",
     "identities",
+    "jnd_curve",
+    "posterior",
     "press",
+    "read_trials",
+    "receptors",
     "signal_jacobian",
+    "simulate_trials",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'weberwhisk' has no attribute {name!r}")
+    module = import_module(f".{_HOME[name]}", __name__)
+    # A name that is its own home is the module; `posterior` can be called as well.
+    value = module if _HOME[name] == name else getattr(module, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,673 @@
+"""The command line: answers, refusals in one sentence, and quiet ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import pytest
+import typer
+
+import weberwhisk as ww
+from weberwhisk import _checks, cli
+from weberwhisk._terminal import new_app, progress, run_app
+from weberwhisk.runs import Run
+
+WHISKER = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
+SOFT = [*WHISKER, "--youngs-modulus-gpa", "3"]
+CONTACT = ["--radial-distance-mm", "20,40,60", "--deflection-angle-deg", "20"]
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The sentence that the command line refuses `arguments` with."""
+    assert run_app(cli.app, arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("weberwhisk: ")
+    assert printed.err.endswith("\n")
+    assert printed.err.count("\n") == 1
+    return printed.err.removeprefix("weberwhisk: ").strip()
+
+
+def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, object]:
+    """What `--json` prints, strictly read."""
+    assert run_app(cli.app, [*arguments, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    result = json.loads(printed.out, parse_constant=pytest.fail)
+    assert isinstance(result, dict)
+    return result
+
+
+def rows(result: dict[str, object]) -> pd.DataFrame:
+    return pd.DataFrame(result["rows"])
+
+
+# bend
+
+
+def test_bend_by_contact_gives_what_press_gives(capsys: pytest.CaptureFixture[str]) -> None:
+    table = rows(answer(capsys, "bend", *SOFT, *CONTACT))
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
+    expected = ww.press(whisker, np.array([20e-3, 40e-3, 60e-3]), np.radians(20))
+    assert list(table["outcome"]) == ["held", "flicked_past", "out_of_reach"]
+    assert list(table["radial_distance_mm"]) == [20, 40, 60]
+    assert list(table["deflection_angle_deg"]) == [20, 20, 20]
+    for column, values in {
+        "moment_micronewton_metre": expected.moment * 1e6,
+        "axial_force_micronewton": expected.axial_force * 1e6,
+        "transverse_force_micronewton": expected.transverse_force * 1e6,
+        "force_micronewton": expected.force * 1e6,
+        "arc_length_mm": expected.arc_length * 1e3,
+        "contact_angle_deg": np.degrees(expected.contact_angle),
+        "error": expected.error,
+    }.items():
+        np.testing.assert_allclose(table[column].astype(float), values, rtol=1e-12)
+    assert np.isfinite(table["moment_micronewton_metre"][0])
+    assert list(table["model"]) == ["elastica"] * 3
+
+
+def test_bend_by_force_gives_the_known_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = ["--arc-length-mm", "35", "--force-micronewton", "87.55567343"]
+    (row,) = rows(answer(capsys, "bend", *SOFT, *scene)).to_dict("records")
+    assert row["contact_angle_deg"] == pytest.approx(60, abs=1e-6)
+    assert row["moment_micronewton_metre"] == pytest.approx(2.311082, rel=1e-6)
+    assert (row["arc_length_mm"], row["force_micronewton"]) == (35, 87.55567343)
+
+
+def test_bend_combines_each_with_each(capsys: pytest.CaptureFixture[str]) -> None:
+    lists = ["--radial-distance-mm", "10, 15.7", "--radial-distance-mm", "31.4"]
+    angles = ["--deflection-angle-deg", "-7.5,7.5"]
+    table = rows(answer(capsys, "bend", "--identity", "C2", *lists, *angles))
+    # What was asked, to the last digit: these numbers change on the way to metres and back.
+    assert list(table["radial_distance_mm"]) == [10, 10, 15.7, 15.7, 31.4, 31.4]
+    assert list(table["deflection_angle_deg"]) == [-7.5, 7.5] * 3
+    moment = table["moment_micronewton_metre"].to_numpy()
+    np.testing.assert_allclose(moment[::2], -moment[1::2], rtol=1e-12)
+
+
+def test_bend_identity_modulus_seed_and_model(capsys: pytest.CaptureFixture[str]) -> None:
+    def result(*options: str) -> dict[str, object]:
+        return answer(capsys, "bend", "--identity", "C2", *options, *CONTACT)
+
+    mean = result()
+    assert mean["whisker"] == {
+        "length_mm": 33.6, "base_radius_um": 69.5, "tip_radius_um": 1.75,
+        "youngs_modulus_gpa": 3.34,
+    }  # fmt: skip
+    drawn = result("--seed", "3")
+    assert drawn != mean
+    assert drawn == result("--seed", "3")
+    stiff = rows(result("--youngs-modulus-gpa", "6.68"))["moment_micronewton_metre"][0]
+    assert stiff == pytest.approx(2 * rows(mean)["moment_micronewton_metre"][0], rel=1e-12)
+    forced = result("--model", "closed_form")
+    assert list(rows(forced)["model"]) == ["closed_form"] * 3
+
+
+def test_bend_prints_a_table_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(cli.app, ["bend", *SOFT, *CONTACT]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    lines = printed.out.splitlines()
+    assert lines[0] == (
+        "Whisker: 50 mm long, radius 100 µm at the base and 5 µm at the tip, 3 GPa."
+    )
+    assert "moment_micronewton_metre" in lines[1]
+    assert [line.split()[-3] for line in lines[2:5]] == ["held", "flicked_past", "out_of_reach"]
+    assert lines[5].startswith("Flicked past: ")
+    assert lines[6].startswith("Out of reach: ")
+    assert len(lines) == 7
+    assert "nan" not in printed.out
+
+
+def test_bend_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    arguments = ["bend", "--identity", "C2", "--seed", "3", *CONTACT, "--out", str(out)]
+    table = rows(answer(capsys, *arguments))
+    pd.testing.assert_frame_equal(
+        pd.read_csv(out / "bend.csv"), table, check_dtype=False, rtol=1e-12
+    )
+    record = json.loads((out / "bend.run.json").read_text("utf-8"))
+    assert record["seed"] == 3
+    assert record["inputs"]["identity"] == "C2"
+    assert record["inputs"]["radial_distance_mm"] == ["20,40,60"]
+    assert run_app(cli.app, arguments) == 0
+    assert f"Written to {out}: bend.csv" in capsys.readouterr().out
+
+
+def test_without_out_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer(capsys, "bend", "--identity", "C2", *CONTACT)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["bend2"], "No such command 'bend2'. Did you mean 'bend'?"),
+        (["zzz"], "No such command 'zzz'; `weberwhisk --help` says what it takes."),
+        (["--nope"], "No such option: --nope; `weberwhisk --help` says what it takes."),
+        (["bend", "extra"], "unexpected extra argument"),
+        (["bend", "--lenght-mm", "5"], "No such option: --lenght-mm (Possible options: "),
+        (["bend", "--length-mm"], "Option '--length-mm' requires an argument"),
+        (
+            ["bend", "--length-mm", "abc"],
+            "Invalid value for '--length-mm': 'abc' is not a number; write one such as 3.5",
+        ),
+        (["bend", "--length-mm", ""], "'' is not a number"),
+        (["bend", "--seed", "-1"], "'-1' is not a seed; write a whole number such as 1"),
+        (["bend", "--seed", "1.5"], "'1.5' is not a seed"),
+        (["bend"], "No whisker is given; write --identity C2, or its shape with --length-mm,"),
+        (
+            ["bend", "--length-mm", "50", *CONTACT],
+            "shape is incomplete, got --length-mm; write --base-radius-um and --tip-radius-um",
+        ),
+        (
+            ["bend", "--identity", "C2", *WHISKER, *CONTACT],
+            "an identity or a shape, got --identity and --length-mm; leave one of them out.",
+        ),
+        (["bend", "--identity", "Q7", *CONTACT], "whisker 'Q7' is unknown; choose one of A0, "),
+        (["bend", "--identity", "C22", *CONTACT], "(did you mean 'C2'?)"),
+        (["bend", *WHISKER, *CONTACT, "--seed", "1"], "--seed draws a whisker of an --identity"),
+        (["bend", *WHISKER], "got none of them; write both of one pair."),
+        (
+            ["bend", *WHISKER, "--radial-distance-mm", "2"],
+            "got --radial-distance-mm; write both of one pair.",
+        ),
+        (
+            ["bend", *WHISKER, *CONTACT, "--force-micronewton", "2"],
+            "got --radial-distance-mm and --deflection-angle-deg and --force-micronewton; write",
+        ),
+        (
+            ["bend", *WHISKER, "--radial-distance-mm", "2,x,y", "--deflection-angle-deg", "3"],
+            "--radial-distance-mm takes numbers such as 10,20,30, got 'x'.",
+        ),
+        (
+            ["bend", *WHISKER, "--radial-distance-mm", "2,", "--deflection-angle-deg", "3"],
+            "--radial-distance-mm takes numbers such as 10,20,30, got ''.",
+        ),
+        (
+            ["bend", *WHISKER, "--radial-distance-mm", "2,0", "--deflection-angle-deg", "3"],
+            "--radial-distance-mm must be above zero, got 0; give millimetres, such as 35.",
+        ),
+        (
+            ["bend", *WHISKER, "--radial-distance-mm", "2", "--deflection-angle-deg", "nan"],
+            "--deflection-angle-deg must be finite, got nan; give a number, such as 20.",
+        ),
+        (["bend", *WHISKER, "--length-mm", "-1"], "--length-mm must be above zero, got -1; give"),
+        (["bend", *WHISKER, "--length-mm", "nan"], "--length-mm must be finite, got nan; give"),
+        (["bend", *WHISKER, "--base-radius-um", "0"], "--base-radius-um must be above zero, got 0"),
+        (["bend", *WHISKER, "--tip-radius-um", "-1"], "--tip-radius-um must not be negative"),
+        (["bend", *WHISKER, "--youngs-modulus-gpa", "-3"], "--youngs-modulus-gpa must be above"),
+        (["bend", *WHISKER, "--tip-radius-um", "200"], "tip must not be wider than the base"),
+        (
+            ["bend", *WHISKER, *CONTACT, "--model", "elstica"],
+            "model 'elstica' is unknown (did you mean 'elastica'?); choose one of closed_form, ",
+        ),
+        (["bend", *WHISKER, *CONTACT, "--out", __file__], "is a file; name a folder"),
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_wrong_input_ends_with_one_sentence(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str, as_json: bool
+) -> None:
+    if as_json and arguments[0] == "bend":
+        arguments = ["bend", "--json", *arguments[1:]]
+    assert sentence in refused(capsys, *arguments)
+
+
+# The conventions, whatever the command: a command line made for the test
+
+
+def probe(command: Callable[..., None]) -> typer.Typer:
+    app = new_app()
+    app.command("probe")(command)
+    return app
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in ([], ["--help"], ["bend", "--help"]):
+        assert run_app(cli.app, arguments) == 0
+        printed = capsys.readouterr()
+        assert printed.out.startswith("Usage: weberwhisk")
+        assert printed.err == ""
+    assert run_app(cli.app, ["--version"]) == 0
+    assert capsys.readouterr().out == f"weberwhisk {ww.__version__}\n"
+
+
+def test_entry_point(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["anything", "bend", "--identity", "C2", *CONTACT])
+    assert cli.main() == 0
+    assert "out_of_reach" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["anything", "bend"])
+    assert cli.main() == 2
+
+
+def test_every_command_has_the_common_options() -> None:
+    commands = typer.main.get_command(cli.app).commands  # type: ignore[attr-defined]
+    assert "bend" in commands
+    for command in commands.values():
+        options = {name for parameter in command.params for name in parameter.opts}
+        assert {"--out", "--json", "--seed"} <= options, command.name
+
+
+def test_a_value_error_of_weberwhisk_is_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
+    def command() -> None:
+        _checks.positive("length", -1, "give metres,\nsuch as 1")
+
+    assert run_app(probe(command), ["probe"]) == 2
+    sentence = "weberwhisk: length must be above zero, got -1; give metres, such as 1.\n"
+    assert capsys.readouterr().err == sentence
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyError, TypeError, RuntimeError, OSError])
+def test_any_other_error_is_a_bug_and_shows(error: type[Exception]) -> None:
+    def command() -> None:
+        raise error("a bug")
+
+    with pytest.raises(error, match="a bug"):
+        run_app(probe(command), ["probe"])
+
+
+def test_a_value_error_inside_numpy_is_a_bug(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*arguments: object, **options: object) -> None:
+        np.linalg.cholesky(np.zeros((2, 3)))
+
+    monkeypatch.setattr(ww, "press", broken)
+    with pytest.raises(ValueError, match="square"):
+        run_app(cli.app, ["bend", *WHISKER, *CONTACT])
+
+
+def test_a_file_that_is_not_there_is_a_refusal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        (tmp_path / "trials.csv").open()
+
+    assert run_app(probe(command), ["probe"]) == 2
+    path = str(tmp_path / "trials.csv")
+    assert capsys.readouterr().err == f"weberwhisk: {path!r}: No such file or directory.\n"
+
+
+def test_an_interrupted_command_ends_quietly(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        with Run(tmp_path / "out", "probe", {}) as files:
+            files.path("half.txt").write_text("half")
+            raise KeyboardInterrupt
+
+    assert run_app(probe(command), ["probe"]) == 130
+    assert capsys.readouterr() == ("", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_termination_handler_is_put_back() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    run_app(cli.app, ["--version"])
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_progress_is_for_a_terminal_only(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(as_json: Annotated[bool, typer.Option("--json")] = False) -> None:
+        with progress("Posteriors", 4, as_json=as_json) as advance:
+            for _ in range(4):
+                advance()
+
+    app = probe(command)
+    assert run_app(app, ["probe"]) == 0
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    assert run_app(app, ["probe"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "Posteriors" in printed.err
+    assert "100%" in printed.err
+    assert run_app(app, ["probe", "--json"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+# As a process
+
+
+COMMAND = "import sys; from weberwhisk.cli import main; sys.exit(main())"
+
+
+def start(code: str, *arguments: str, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
+    root = str(Path(__file__).parent.parent)
+    # As a user's shell starts it: output is buffered when it goes into a pipe.
+    usual = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", code, *arguments],
+        env={**usual, "PYTHONPATH": root, "PYTHONIOENCODING": "utf-8"},
+        stdin=subprocess.DEVNULL,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_process_answers_and_refuses() -> None:
+    good = start(COMMAND, "bend", "--identity", "C2", *CONTACT, "--json")
+    out, err = good.communicate()
+    assert (good.returncode, err) == (0, "")
+    assert len(json.loads(out)["rows"]) == 3
+    bad = start(COMMAND, "bend", "--identity", "Q7", *CONTACT, "--json")
+    out, err = bad.communicate()
+    assert (bad.returncode, out) == (2, "")
+    assert err.startswith("weberwhisk: whisker 'Q7' is unknown")
+    assert err.count("\n") == 1
+
+
+def test_process_with_a_bug_shows_its_traceback() -> None:
+    process = start(f"import weberwhisk as ww; ww.press = None; {COMMAND}", "bend", *SOFT, *CONTACT)
+    out, err = process.communicate()
+    assert (process.returncode, out) == (1, "")
+    assert err.startswith("Traceback (most recent call last):")
+    assert err.endswith("TypeError: 'NoneType' object is not callable\n")
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_process_whose_reader_goes_is_quiet(many: bool) -> None:
+    angles = ",".join(map(str, np.linspace(1, 10, 5000 if many else 2)))
+    reading, writing = os.pipe()
+    os.close(reading)  # nobody reads
+    scene = [*WHISKER, "--radial-distance-mm", "20", "--deflection-angle-deg", angles]
+    process = start(COMMAND, "bend", *scene, "--json", stdout=writing)
+    os.close(writing)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (1, "")
+
+
+WAITING = """
+import signal, sys, typer
+from pathlib import Path
+from weberwhisk._terminal import new_app, run_app
+from weberwhisk.runs import Run
+
+app = new_app()
+
+@app.command()
+def wait() -> None:
+    with Run(sys.argv[1], "wait", {}) as files:
+        files.path("half.txt").write_text("half")
+        print("ready", flush=True)
+        while True:
+            signal.pause()
+
+sys.exit(run_app(app, ["wait"]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pause"), reason="no signals to end it with")
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_process_that_is_told_to_end_leaves_nothing(
+    tmp_path: Path, number: signal.Signals, status: int
+) -> None:
+    process = start(WAITING, str(tmp_path / "out"))
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    assert list(tmp_path.iterdir()), "something half-written is there to clean up"
+    process.send_signal(number)
+    out, err = process.communicate()
+    assert (process.returncode, out, err) == (status, "", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+# jnd, simulate, fit; quickstart has its own file
+
+
+def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = ["--radial-distance-mm", "10,40,60", "--draws", "20", "--seed", "4"]
+    result = answer(capsys, "jnd", *SOFT, *scene)
+    table = rows(result)
+    assert list(table["radial_distance_mm"]) == [10, 40, 60]
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9), ww.cues.Compliance())
+    expected = ww.jnd_curve(observer, [10e-3, 40e-3], draws=20, seed=1)
+    for column in ("closed_form", "fisher"):
+        found = table[f"{column}_mm"][:2].astype(float)
+        np.testing.assert_allclose(found, expected[column] * 1e3, rtol=1e-9)
+    assert table["posterior_mm"][0] == pytest.approx(expected["posterior"][0] * 1e3, rel=0.1)
+    assert table["posterior_mm"][2] is None or np.isnan(table["posterior_mm"][2])
+    assert table["outcome"][2].startswith("out of reach")
+    assert result == answer(capsys, "jnd", *SOFT, *scene)
+
+
+def test_jnd_criterion_scales_every_length(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = ["jnd", "--identity", "C2", "--radial-distance-mm", "20", "--draws", "10"]
+    one, other = (
+        rows(answer(capsys, *scene)),
+        rows(answer(capsys, *scene, "--criterion", "75% 2AFC")),
+    )
+    for column in ("closed_form_mm", "posterior_mm", "estimator_error_mm"):
+        assert other[column][0] / one[column][0] == pytest.approx(0.953873, rel=1e-6)
+
+
+def test_jnd_of_the_force_map_combines_each_with_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = ["--cue", "force-map", "--radial-distance-mm", "25,35", "--weber-fraction", "0.05,0.1"]
+    angles = ["--deflection-angle-deg", "5,15", "--draws", "4", "--out", str(tmp_path / "out")]
+    assert run_app(cli.app, ["jnd", *SOFT, *scene, *angles]) == 0
+    assert "criterion d'=1" in capsys.readouterr().out
+    table = pd.read_csv(tmp_path / "out" / "jnd.csv")
+    assert list(table["radial_distance_mm"]) == [25, 35, 25, 35]
+    np.testing.assert_allclose(table["deflection_angle_deg"], [5, 5, 15, 15])
+    r, apex = np.array([25, 35, 25, 35]), 50 / 0.95
+    small = 0.5 * (apex - r) * (3 * apex - 2 * r) / (2 * apex - r) * np.hypot(2 * 0.05, 0.1)
+    np.testing.assert_allclose(table["closed_form_mm"], small, rtol=1e-9)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "jnd.csv", "jnd.png", "jnd.svg", "jnd.run.json",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        ["--standard", "50,100"],
+        ["--identity", "C2", "--standard-mm", "15,24"],
+        ["--identity", "C2", "--cue", "force-map", "--standard-mm", "20"],
+    ],
+)
+def test_simulate_and_fit_find_the_truth_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: list[str]
+) -> None:
+    out = tmp_path / "out"
+    truth = ["--weber-fraction", "0.15", "--lapse-high", "0.02", "--trials-per-level", "60"]
+    simulated = answer(capsys, "simulate", *scene, *truth, "--out", str(out))
+    table = pd.read_csv(out / "trials.csv")
+    assert len(rows(simulated)) == len(table)
+    known = json.loads((out / "truth.json").read_text("utf-8"))
+    assert known["weber_fraction"] == 0.15
+    assert known == simulated["truth"]
+    standard = next(i for i, word in enumerate(scene) if word.startswith("--standard"))
+    felt = scene[:standard]
+    found = answer(capsys, "fit", str(out / "trials.csv"), *felt, "--out", str(out))
+    assert found["status"] == "DETERMINED"
+    sd = found["parameters"]["weber_fraction"]["sd"]  # type: ignore[index]
+    assert abs(found["weber_fraction"] - 0.15) < 4 * sd  # type: ignore[operator]
+    made = {path.name for path in out.iterdir()}
+    assert made == {
+        "trials.csv", "trials.png", "trials.svg", "truth.json", "simulate.run.json", "fit.csv",
+        "fit.json", "fit_report.txt", "psychometric.png", "psychometric.svg", "fit.run.json",
+    }  # fmt: skip
+    assert json.loads((out / "fit.json").read_text("utf-8")) == found
+
+
+def test_simulate_prints_its_table_or_where_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = ["simulate", "--trials-per-level", "1", "--offset", "-0.1,0.1", "--task", "2IFC"]
+    assert run_app(cli.app, short) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("2 trials of 2IFC, 0 without an answer; 1 standard, ")
+    assert lines[1] == "session,trial,standard,stimulus_1,stimulus_2,choice"
+    assert len(lines) == 4
+    assert run_app(cli.app, [*short, "--out", str(tmp_path)]) == 0
+    assert f"weberwhisk fit {tmp_path / 'trials.csv'} --task '2IFC'" in capsys.readouterr().out
+
+
+def write(path: Path, *lines: str) -> str:
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return str(path)
+
+
+def test_fit_takes_columns_labels_subjects_and_sessions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        f"{who},{day},10,{10 + gap},{'R' if (gap > 0) != (i % 10 == 0) else 'L'}"
+        for who in "ab"
+        for day in range(1, 5)
+        for gap in (-3, -1, 1, 3)
+        for i in range(10)
+    ]
+    file = write(tmp_path / "t.csv", "subject,session,left,right,said", *lines)
+    options = ["--column", "stimulus_1=left", "--column", "stimulus_2=right"]
+    options += ["--column", "choice=said", "--label", "L=first", "--label", "R=second"]
+    assert "write --subject a." in refused(capsys, "fit", file, *options)
+    found = answer(capsys, "fit", file, *options, "--subject", "b", "--session", "1,3-4")
+    assert found["data"]["n_trials"] == 120  # type: ignore[index]
+    assert "no trials have session" in refused(
+        capsys, "fit", file, *options, "--subject", "b", "--session", "9"
+    )
+
+
+def test_fit_by_emcee_agrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(cli.app, ["simulate", "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    file = str(tmp_path / "trials.csv")
+    one, other = answer(capsys, "fit", file), answer(capsys, "fit", file, "--method", "emcee")
+    assert other["settings"]["method"] == "emcee"  # type: ignore[index]
+    assert other["weber_fraction"] == pytest.approx(one["weber_fraction"], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("lines", "status", "words"),
+    [
+        (["1,1.2,1", "1,1.2,0", "1,1.2,1"], "UNINFORMED", "There is one pair of stimuli"),
+        (["1,1.2,1", "1,0.8,0"] * 10, "UPPER_BOUND", "only bound the Weber fraction from above"),
+        (["1,1.2,0", "1,0.8,1"] * 10, "REVERSED", "look exchanged"),
+        (["1,1.2,", "1,0.8,"], "NO_TRIALS", "There are no trials with an answer"),
+    ],
+)
+def test_fit_says_what_the_data_cannot_tell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], lines: list[str], status: str, words: str
+) -> None:
+    file = write(tmp_path / "t.csv", "stimulus_1,stimulus_2,choice", *lines)
+    out = tmp_path / "out"
+    assert run_app(cli.app, ["fit", file, "--out", str(out)]) == 0
+    assert words in capsys.readouterr().out
+    assert json.loads((out / "fit.json").read_text("utf-8"))["status"] == status
+    assert (out / "psychometric.png").exists() == (status != "NO_TRIALS")
+
+
+HEADER = "stimulus_1,stimulus_2,choice"
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "sentence"),
+    [
+        ([], [], "the file is empty; give a header"),
+        ([HEADER], [], "the table has no rows"),
+        (["a,b", "1,2"], [], "--column choice='<its name>' maps one"),
+        ([HEADER, "1,x,1"], [], "column 'stimulus_2', row 1: 'x' is not a number"),
+        ([HEADER, "1,,1"], [], "row 1: empty, NaN or infinite"),
+        ([HEADER, "-1,2,1"], [], "read logarithms with --scale log."),
+        ([HEADER, "1,2,L"], [], "or give --label LABEL=first and --label LABEL=second."),
+        (["standard,comparison,n,n_greater", "1,2,3,4"], [], "4 is above the 3 trials"),
+        ([HEADER, "1,2,1"], ["--label", "1=third"], "'third' is unknown"),
+        ([HEADER, "1,2,1"], ["--column", "choice"], "takes a pair such as choice=response"),
+        ([HEADER, "1,2,1"], ["--scale", "lg"], "scale 'lg' is unknown"),
+        ([HEADER, "1,2,1"], ["--bias", "some"], "bias 'some' is unknown"),
+        ([HEADER, "1,2,1"], ["--method", "laplace"], "method 'laplace' is unknown"),
+        ([HEADER, "1,2,1"], ["--noise", "white"], "noise 'white' is unknown"),
+        ([HEADER, "1,2,1"], ["--session", "1"], "there is no column 'session'"),
+        ([HEADER, "1,2,1"], ["--cue", "compliance"], "--cue needs a whisker to feel with"),
+        ([HEADER, ".02,.03,1"], ["--identity", "C2"], "as if written in metres"),
+        ([HEADER, "20,50,1"], ["--identity", "C2"], "50 mm is beyond the whisker's length"),
+        ([HEADER, "20,25,1"], ["--identity", "C2", "--scale", "log"], "leave --scale out"),
+    ],
+)
+def test_fit_refuses_and_leaves_nothing(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    lines: list[str],
+    options: list[str],
+    sentence: str,
+) -> None:
+    file = tmp_path / "t.csv"
+    file.write_text("\n".join(lines), "utf-8")
+    assert sentence in refused(capsys, "fit", str(file), *options, "--out", str(tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == [file]
+
+
+C2 = ["--identity", "C2"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["fit"], "Missing argument 'FILE'"),
+        (["fit", "nowhere.csv"], "'nowhere.csv' is not a file; give the path"),
+        (["jnd"], "No whisker is given"),
+        (["jnd", "--identity", "Q7"], "whisker 'Q7' is unknown"),
+        (["jnd", *WHISKER, "--length-mm", "-1"], "--length-mm must be above zero"),
+        (["jnd", *C2, "--weber-fraction", "-1"], "--weber-fraction must be above zero, got -1"),
+        (["jnd", *C2, "--weber-fraction", "nan"], "--weber-fraction must be finite"),
+        (["jnd", *C2, "--weber-fraction", "x"], "--weber-fraction takes numbers"),
+        (["jnd", *C2, "--weber-fraction", "0.1,0.2"], "each signal of the cue (1), got 2"),
+        (["jnd", *C2, "--cue", "smell"], "cue 'smell' is unknown"),
+        (["jnd", *C2, "--draws", "1"], "needs at least two noisy readings"),
+        (["jnd", *C2, "--criterion", "75%"], "The criterion '75%' is unknown"),
+        (["jnd", *C2, "--method", "x"], "method 'x' is unknown"),
+        (["jnd", *C2, "--radial-distance-mm", "-3"], "must be above zero, got -3"),
+        (["jnd", *C2, "--deflection-angle-deg", "5,9"], "one angle of tap, got 2 values"),
+        (["jnd", *C2, "--deflection-angle-deg", "-3"], "must not be negative, got -3"),
+        (["simulate", "--weber-fraction", "-1"], "weber_fraction must be above zero"),
+        (["simulate", "--weber-fraction", "x"], "'x' is not a number"),
+        (["simulate", "--standard", "0"], "--standard must be above zero, got 0"),
+        (["simulate", "--standard", "nan"], "--standard must be finite"),
+        (["simulate", "--standard-mm", "3"], "--standard-mm needs a whisker to feel with"),
+        (["simulate", *C2], "are given by --standard-mm, got none"),
+        (["simulate", *C2, "--standard", "3"], "are given by --standard-mm, got --standard"),
+        (["simulate", *C2, "--standard-mm", "40"], "stimulus 40 lies outside"),
+        (["simulate", "--lapse-low", "0.6", "--lapse-high", "0.6"], "must be below 1, got 1.2"),
+        (["simulate", "--task", "foo"], "task 'foo' is unknown"),
+        (
+            ["simulate", *C2, "--standard-mm", "9", "--cue", "force-map",
+             "--deflection-angle-deg", "5,9"],
+            "at one deflection angle, got 2",
+        ),
+        (["quickstart", "--identity", "Q7"], "whisker 'Q7' is unknown"),
+        (["quickstart", "--weber-fraction", "0"], "--weber-fraction must be above zero"),
+        (["quickstart", "--draws", "1"], "needs at least two noisy readings"),
+    ],
+)  # fmt: skip
+def test_other_commands_refuse_and_leave_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
+) -> None:
+    assert sentence in refused(capsys, *arguments, "--out", str(tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bend_draws_its_figure_whatever_is_held(tmp_path: Path) -> None:
+    forces = ["--arc-length-mm", "10,28", "--force-micronewton", "5,50,500"]
+    beyond = ["--radial-distance-mm", "60", "--deflection-angle-deg", "0"]
+    for i, scene in enumerate((CONTACT, forces, beyond)):
+        out = tmp_path / str(i)
+        assert run_app(cli.app, ["bend", *C2, *scene, "--out", str(out)]) == 0
+        assert {p.suffix for p in out.iterdir()} == {".csv", ".json", ".png", ".svg"}

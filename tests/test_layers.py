@@ -1,0 +1,282 @@
+"""Imports go one way, up the table; heavy packages stay where they belong; `import` stays light."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "weberwhisk"
+
+# Each place and what stands right below it. A place may import those, all that those may import,
+# its own folder and `_checks`. A folder's modules share its entry, unless they have their own.
+# "" is the package's __init__.
+TABLE: dict[str, tuple[str, ...]] = {
+    "_checks": (),
+    "whisker": (),
+    "mechanics.chebyshev": (),
+    "mechanics.contact": ("whisker",),
+    "mechanics.closed_form": ("mechanics.contact", "mechanics.chebyshev"),
+    "mechanics.elastica": ("mechanics.closed_form",),
+    "mechanics.build_map": ("mechanics.elastica",),
+    "mechanics.shape": ("whisker", "mechanics.chebyshev"),
+    "mechanics.trajectory": ("mechanics.shape",),
+    "mechanics.branch": ("mechanics.trajectory",),
+    "mechanics.equilibrium": ("mechanics.elastica", "mechanics.branch"),
+    "mechanics.profile": ("mechanics.equilibrium",),
+    "mechanics.cosserat": ("mechanics.profile",),
+    "mechanics.rod": ("mechanics.cosserat",),
+    "mechanics.bodies": ("mechanics.chebyshev",),
+    "mechanics.objects": ("mechanics.profile", "mechanics.bodies"),
+    "mechanics.muscle": ("mechanics.profile",),
+    "mechanics.modes": ("mechanics.shape",),
+    "mechanics.ladder": ("mechanics.rod",),
+    "mechanics": (
+        "mechanics.ladder",
+        "mechanics.objects",
+        "mechanics.muscle",
+        "mechanics.modes",
+    ),
+    "cues": ("mechanics",),
+    "receptors": (),
+    "observer": ("cues", "receptors"),
+    "posterior": ("observer",),
+    "jnd": ("posterior",),
+    "behaviour": ("jnd",),
+    "design": ("behaviour",),
+    "figures": ("design",),
+    "": ("figures",),
+    "runs": (),
+    "_terminal": (),
+    "commands": ("", "runs", "_terminal"),
+    "cli": ("commands",),
+}
+ONLY_IN = {
+    "emcee": "posterior",
+    "arviz": "posterior",
+    "arviz_base": "posterior",
+    "arviz_plots": "posterior",
+    "arviz_stats": "posterior",
+    "matplotlib": "figures",
+}
+HEAVY = ("arviz", "emcee", "matplotlib", "pandas", "rich", "scipy.stats", "typer")
+
+
+def offences(package: Path) -> list[str]:
+    """Everything under `package` that breaks a rule, a sentence each."""
+    modules = {_dotted(path, package): path for path in sorted(package.rglob("*.py"))}
+    found, graph = [], {}
+    for module, path in modules.items():
+        where = path.relative_to(package).as_posix()
+        place = _place(module)
+        if place is None:
+            found.append(f"{where} is not in the table: give it a line there.")
+            continue
+        allowed = _allowed(place)
+        imported = list(_imports(path, package, modules))
+        # A name imported for annotations alone cannot go round.
+        graph[module] = {m for m, runs in imported if runs and m in modules}
+        for target in sorted({target for target, _ in imported}):
+            if target.startswith("/"):  # from outside the package
+                only = ONLY_IN.get(target[1:])
+                if only not in (None, place):
+                    found.append(f"{where} imports {target[1:]}, which belongs in {only} alone.")
+            elif _place(target) not in allowed:
+                found.append(f"{where} imports {package.name}.{target}, which is not above it.")
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as cycle:
+        found.append(f"Imports go round: {' → '.join(cycle.args[1])}.")
+    return found
+
+
+def _dotted(path: Path, package: Path) -> str:
+    parts = path.relative_to(package).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _place(module: str) -> str | None:
+    """The entry of the table that a module falls under."""
+    if module in TABLE:
+        return module
+    folder = module.split(".")[0]
+    divided = any(place.startswith(f"{folder}.") for place in TABLE)
+    return folder if folder in TABLE and "." in module and not divided else None
+
+
+def _allowed(place: str) -> set[str]:
+    return {place, "_checks"}.union(*(_allowed(below) for below in TABLE[place]))
+
+
+def _imports(path: Path, package: Path, modules: dict[str, Path]) -> Iterator[tuple[str, bool]]:
+    """What a file imports: modules of the package by dotted name, others as ``/name``.
+
+    Imports inside functions, for type checkers only and by `import_module` count too; with each
+    comes whether it ever runs, which those for type checkers do not.
+    """
+    folder = _dotted(path.parent / "__init__.py", package)
+    here = [package.name, *folder.split(".")] if folder else [package.name]
+
+    def resolve(name: str, level: int) -> list[str]:
+        above = here[: len(here) + 1 - level] if level else []
+        return above + (name.split(".") if name else [])
+
+    tree = ast.parse(path.read_text("utf-8"))
+    for_types = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
+    for node in ast.walk(tree):
+        targets: list[list[str]] = []
+        if isinstance(node, ast.Import):
+            targets = [resolve(alias.name, 0) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve(node.module or "", node.level)
+            for alias in node.names:
+                if [*base, alias.name] == [package.name, "__version__"]:
+                    continue
+                is_module = ".".join([*base[1:], alias.name]) in modules
+                targets.append([*base, alias.name] if is_module else base)
+        elif isinstance(node, ast.Call) and node.args:
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            called = node.func.id if isinstance(node.func, ast.Name) else called
+            first = node.args[0]
+            if called in ("import_module", "__import__") and isinstance(first, ast.Constant):
+                name = str(first.value)
+                level = len(name) - len(name.lstrip("."))
+                targets = [resolve(name.lstrip("."), level)]
+        for target in targets:
+            if target[0] == package.name:
+                yield ".".join(target[1:]), node not in for_types
+            else:
+                yield f"/{target[0]}", node not in for_types
+
+
+def heavy_after_import(package: Path) -> list[str]:
+    """Which heavy packages a fresh interpreter has loaded after importing `package`."""
+    code = (
+        f"import sys, {package.name}\n"
+        f"print(*sorted(name for name in {HEAVY!r} if name in sys.modules), sep='\\n')"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=package.parent,  # what `python -c` looks in first
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return ended.stdout.split()
+
+
+def test_imports_go_up_the_table() -> None:
+    assert offences(PACKAGE) == []
+
+
+def test_import_is_light() -> None:
+    assert heavy_after_import(PACKAGE) == []
+
+
+def test_the_table_goes_one_way() -> None:
+    TopologicalSorter(TABLE).prepare()
+    assert {below for places in TABLE.values() for below in places} <= set(TABLE)
+
+
+@pytest.mark.parametrize(
+    ("path", "source", "sentence"),
+    [
+        ("whisker.py", "from . import cues", "whisker.py imports weberwhisk.cues"),
+        ("whisker.py", "from .cues import x", "whisker.py imports weberwhisk.cues"),
+        ("whisker.py", "import weberwhisk.cues", "whisker.py imports weberwhisk.cues"),
+        ("whisker.py", "from weberwhisk.cues import x", "whisker.py imports weberwhisk.cues"),
+        ("whisker.py", "import weberwhisk as ww", "whisker.py imports weberwhisk."),
+        ("whisker.py", "from . import Bending", "whisker.py imports weberwhisk."),
+        ("whisker.py", "def f():\n    from . import jnd", "whisker.py imports weberwhisk.jnd"),
+        ("whisker.py", "if TYPE_CHECKING:\n    from . import jnd", "imports weberwhisk.jnd"),
+        ("whisker.py", "importlib.import_module('.jnd', 'weberwhisk')", "imports weberwhisk.jnd"),
+        ("whisker.py", "__import__('weberwhisk.jnd')", "imports weberwhisk.jnd"),
+        ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
+        ("_checks.py", "from .whisker import Whisker", "_checks.py imports weberwhisk.whisker"),
+        ("runs.py", "from .figures import x", "runs.py imports weberwhisk.figures"),
+        ("cues/force_map.py", "from ..observer import x", "imports weberwhisk.observer"),
+        (
+            "mechanics/contact.py",
+            "from .elastica import x",
+            "weberwhisk.mechanics.elastica",
+        ),
+        ("mechanics/contact.py", "from . import x", "contact.py imports weberwhisk.mechanics,"),
+        ("mechanics/elastica.py", "from .ladder import bend", "weberwhisk.mechanics.ladder"),
+        (
+            "posterior/nested/deep.py",
+            "from ... import jnd",
+            "deep.py imports weberwhisk.jnd",
+        ),
+        ("jnd.py", "import emcee", "jnd.py imports emcee, which belongs in posterior alone"),
+        ("jnd.py", "def f():\n    from arviz.stats import ess", "jnd.py imports arviz"),
+        ("jnd.py", "import arviz_stats", "jnd.py imports arviz_stats"),
+        (
+            "cli.py",
+            "import matplotlib.pyplot as plt",
+            "matplotlib, which belongs in figures",
+        ),
+        ("posterior/engine.py", "import matplotlib", "posterior/engine.py imports matplotlib"),
+        ("novelty.py", "", "novelty.py is not in the table"),
+        ("mechanics/novelty.py", "", "mechanics/novelty.py is not in the table"),
+        ("novelties/__init__.py", "", "novelties/__init__.py is not in the table"),
+        ("novelties/one.py", "", "novelties/one.py is not in the table"),
+    ],
+)
+def test_offence_is_found(tmp_path: Path, path: str, source: str, sentence: str) -> None:
+    found = offences(_fake(tmp_path, {path: source}))
+    assert len(found) == 1
+    assert sentence in found[0]
+
+
+def test_imports_that_go_round_are_found(tmp_path: Path) -> None:
+    files = {"cues/one.py": "from . import two", "cues/two.py": "def f():\n    from .one import x"}
+    assert "Imports go round" in offences(_fake(tmp_path, files))[0]
+
+
+def test_a_good_tree_passes(tmp_path: Path) -> None:
+    files = {
+        "__init__.py": "from .whisker import Whisker\nfrom . import jnd",
+        "whisker.py": "import numpy\nfrom ._checks import finite",
+        "mechanics/__init__.py": "from .ladder import bend",
+        "mechanics/ladder.py": "from . import closed_form\nfrom .contact import Bending",
+        "cues/one.py": "def f():\n    from .two import x",
+        "cues/two.py": "if TYPE_CHECKING:\n    from .one import x",
+        "cues/force_map.py": "from ..mechanics import press\nfrom ..mechanics import elastica",
+        "posterior/engine.py": "import emcee, arviz.stats\nfrom .. import _checks\nfrom . import x",
+        "posterior/x.py": "from weberwhisk.observer import Observer",
+        "figures.py": "def f():\n    import matplotlib.pyplot",
+        "runs.py": "from . import __version__",
+        "cli.py": "import weberwhisk as ww\nfrom . import runs, figures",
+    }
+    assert offences(_fake(tmp_path, files)) == []
+
+
+@pytest.mark.parametrize("name", ["pandas", "scipy.stats"])
+def test_heavy_import_is_found(tmp_path: Path, name: str) -> None:
+    assert name in heavy_after_import(_fake(tmp_path, {"__init__.py": f"import {name}"}))
+
+
+def _fake(folder: Path, files: dict[str, str]) -> Path:
+    """A package tree with an empty module for every place that the sources may name."""
+    package = folder / "weberwhisk"
+    empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
+    folders = ("mechanics", "cues", "posterior", "behaviour", "design", "commands")
+    for path in [p for p in empty if p.removesuffix(".py") not in folders]:
+        files = {path: "", **files}
+    for name in ("", *(f"{f}/" for f in folders)):
+        files = {f"{name}__init__.py": "", **files}
+    for path, source in files.items():
+        (package / path).parent.mkdir(parents=True, exist_ok=True)
+        (package / path).write_text(source)
+    return package

@@ -1,0 +1,131 @@
+"""The quickstart: one run on real input, and whether what it says is what it found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import weberwhisk as ww
+from weberwhisk import cli
+from weberwhisk._terminal import run_app
+from weberwhisk.behaviour import load_rat_auditory
+from weberwhisk.commands import quickstart
+
+FIGURES = ("jnd_curve", "jnd_surface", "rat_psychometric")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The output of a short run."""
+    out = tmp_path_factory.mktemp("quick") / "out"
+    assert run_app(cli.app, ["quickstart", "--draws", "12", "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def numbers(folder: Path) -> dict:
+    text = (folder / "quickstart.json").read_text("utf-8")
+    return dict(json.loads(text, parse_constant=pytest.fail))
+
+
+def test_it_leaves_every_file(folder: Path) -> None:
+    record = json.loads((folder / "quickstart.run.json").read_text("utf-8"))
+    made = {path.name for path in folder.iterdir()}
+    assert made == {*record["files"], "quickstart.run.json"}
+    for name in FIGURES:
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (folder / f"{name}.svg").read_text("utf-8")
+
+
+def test_the_curve_is_of_the_whisker_named(folder: Path, numbers: dict) -> None:
+    whisker = ww.Whisker.from_identity("C2")
+    table = pd.read_csv(folder / "jnd_curve.csv").set_index("whisker")
+    for name, apex in (("tapered", whisker.apex_distance), ("cylinder", np.inf)):
+        rows = table.loc[name]
+        r = rows["radial_distance_mm"] * 1e-3
+        np.testing.assert_allclose(rows["closed_form_mm"], 100 * r * (1 - r / apex), rtol=1e-9)
+        # The same readings by both methods; emcee goes on to 2 % in each sd.
+        np.testing.assert_allclose(
+            rows["posterior_mm"], rows["posterior_by_quadrature_mm"], rtol=0.03
+        )
+        scale = whisker.length * 0.1 * 1e3
+        np.testing.assert_allclose(
+            numbers["jnd_curve"][name]["posterior"], rows["posterior_mm"] / scale
+        )
+
+
+def test_the_surface_falls_with_distance_and_deflection(numbers: dict) -> None:
+    for falling in ("at_10_degrees", "at_0.7_length"):
+        values = list(numbers["jnd_surface"][falling].values())
+        assert np.all(np.diff(values) < 0)
+    for point in numbers["jnd_surface"]["posteriors"]:
+        assert point["posterior"] == pytest.approx(point["surface"], rel=0.5)
+
+
+def test_the_surface_is_the_small_angle_form_at_small_angles() -> None:
+    whisker = ww.Whisker.from_identity("C2")
+    table = quickstart.surface_table(whisker, 0.1, distances=20)
+    first = table.groupby("radial_distance").first()
+    r, apex = first.index.to_numpy(), whisker.apex_distance
+    form = 0.1 * (apex - r) * (3 * apex - 2 * r) / (2 * apex - r)
+    # Angles start at 0.3 % of the limit: what is left goes as their square.
+    np.testing.assert_allclose(first["jnd"], form, rtol=2e-3)
+    limit = table.groupby("radial_distance")["deflection_angle"].last()
+    expected = ww.flick_past(whisker, r).deflection_angle
+    np.testing.assert_allclose(limit, expected, rtol=1e-4)
+
+
+def test_the_rat_is_the_one_shipped(folder: Path, numbers: dict) -> None:
+    rat = numbers["rat"]
+    trials = load_rat_auditory(range(31, 41))
+    assert rat["n_trials"] == trials.n_trials
+    fit = ww.fit_weber(trials, bias="per standard", seed=1)
+    assert rat["weber_fraction"] == pytest.approx(fit.weber_fraction)
+    assert rat["interval"] == pytest.approx(list(fit.interval()))
+    choices = pd.read_csv(folder / "rat_choices.csv")
+    assert choices["n"].sum() == trials.n_trials
+    assert rat["interval"][0] < rat["weber_fraction"] < rat["interval"][1]
+
+
+def test_the_text_says_what_was_found(folder: Path, numbers: dict) -> None:
+    text = " ".join((folder / "quickstart.txt").read_text("utf-8").split())
+    rat, curve = numbers["rat"], numbers["jnd_curve"]
+    for words in (
+        f"{rat['n_trials']} choices",
+        f"the Weber fraction is {rat['weber_fraction']:.2f}",
+        f"would be {rat['without_lapses']['weber_fraction']:.2f}",
+        f"{curve['tapered']['within_95_percent']} of 10 tapered points",
+        "psytrack package",
+        "unit is not published",
+        "Belli",
+    ):
+        assert words in text
+    assert "nan" not in text
+
+
+def test_it_says_on_the_terminal_what_it_wrote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_app(cli.app, ["quickstart", "--identity", "D1", "--draws", "2", "--seed", "5"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    folder = tmp_path / "quickstart"
+    assert (folder / "quickstart.txt").read_text("utf-8") in printed.out
+    assert f"Written to {folder}: " in printed.out
+    assert "D1 whisker" in printed.out
+
+
+@pytest.mark.parametrize(("misfit", "word"), [(0.0, "miss"), (0.05, "barely meet"), (0.5, "meet")])
+def test_words_for_a_misfit(misfit: float, word: str) -> None:
+    assert quickstart._fits(misfit) == word
+
+
+def test_words_for_lapses() -> None:
+    assert quickstart._most_lapses(0.02, 0.05) == ""
+    assert quickstart._most_lapses(0.2, 0.19) == ""
+    assert "hardly inattention" in quickstart._most_lapses(0.3, 0.05)

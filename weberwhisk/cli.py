@@ -1,0 +1,17 @@
+"""The command line: a thin shell over the public functions, see `weberwhisk.commands`."""
+
+from __future__ import annotations
+
+import sys
+
+from ._terminal import new_app, run_app
+from .commands import bend, fit, jnd, quickstart, simulate
+
+app = new_app()
+for command in (quickstart.quickstart, bend.bend, jnd.jnd, simulate.simulate, fit.fit):
+    app.command()(command)
+
+
+def main() -> int:
+    """Run the command line; returns the exit status."""
+    return run_app(app, sys.argv[1:])

@@ -1,0 +1,155 @@
+"""`weberwhisk bend`: the forces and moment at the base of a bent whisker."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import a_seed, numbers
+from ..runs import Run
+from .options import (
+    BaseRadiusOption,
+    DistanceOption,
+    IdentityOption,
+    JsonOption,
+    LengthOption,
+    ModulusOption,
+    OutOption,
+    TipRadiusOption,
+    option,
+    show,
+    the_whisker,
+)
+
+Array = NDArray[np.float64]
+
+#: Column of `bend`'s table: attribute of `Bending`, and its unit in SI.
+_BENDING_COLUMNS = {
+    "arc_length_mm": ("arc_length", 1e-3),
+    "force_micronewton": ("force", 1e-6),
+    "radial_distance_mm": ("radial_distance", 1e-3),
+    "deflection_angle_deg": ("deflection_angle", np.pi / 180),
+    "contact_angle_deg": ("contact_angle", np.pi / 180),
+    "moment_micronewton_metre": ("moment", 1e-6),
+    "axial_force_micronewton": ("axial_force", 1e-6),
+    "transverse_force_micronewton": ("transverse_force", 1e-6),
+}
+
+
+def bend(
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    radial_distance_mm: DistanceOption = None,
+    deflection_angle_deg: Annotated[
+        list[str] | None,
+        typer.Option("--deflection-angle-deg", metavar="LIST", help="Its angle to the base."),
+    ] = None,
+    arc_length_mm: Annotated[
+        list[str] | None,
+        typer.Option("--arc-length-mm", metavar="LIST", help="Arc length to the contact."),
+    ] = None,
+    force_micronewton: Annotated[
+        list[str] | None,
+        typer.Option("--force-micronewton", metavar="LIST", help="Contact force."),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option("--model", help="Force a model.  [default: the cheapest that will do]"),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            "--seed",
+            parser=a_seed,
+            metavar="NUMBER",
+            help="Draw the whisker from the spread of its identity.",
+        ),
+    ] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Bend a whisker against a point: the forces and moment at its base.
+
+    Say where the contact is (--radial-distance-mm and --deflection-angle-deg), or how hard it
+    pushes (--arc-length-mm and --force-micronewton); lists are combined, each with each. A contact
+    that cannot be held is part of the answer: its row says what becomes of it.
+    """
+    import pandas as pd
+
+    options = {
+        "identity": identity,
+        "length_mm": length_mm,
+        "base_radius_um": base_radius_um,
+        "tip_radius_um": tip_radius_um,
+        "youngs_modulus_gpa": youngs_modulus_gpa,
+        "radial_distance_mm": radial_distance_mm,
+        "deflection_angle_deg": deflection_angle_deg,
+        "arc_length_mm": arc_length_mm,
+        "force_micronewton": force_micronewton,
+        "model": model,
+    }
+    whisker = the_whisker(
+        identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, seed
+    )
+    pairs = {
+        ("radial_distance_mm", "deflection_angle_deg"): (radial_distance_mm, deflection_angle_deg),
+        ("arc_length_mm", "force_micronewton"): (arc_length_mm, force_micronewton),
+    }
+    named = [names for names, lists in pairs.items() if any(lists)]
+    if len(named) != 1 or not all(pairs[named[0]]):
+        got = " and ".join(option(n) for names in pairs for n in names if options[n])
+        raise ValueError(
+            "A contact is --radial-distance-mm and --deflection-angle-deg, or --arc-length-mm and "
+            f"--force-micronewton, got {got or 'none of them'}; write both of one pair."
+        )
+    names = named[0]
+    where, much = (
+        numbers(option(n), texts or []) for n, texts in zip(names, pairs[names], strict=True)
+    )
+    _checks.positive(option(names[0]), where, "give millimetres, such as 35")
+    _checks.finite(option(names[1]), much, "give a number, such as 20")
+    where, much = (grid.ravel() for grid in np.meshgrid(where, much, indexing="ij"))
+    units = [_BENDING_COLUMNS[name][1] for name in names]
+    with Run(out, "bend", options, seed) as run:
+        call = ww.press if names[0] == "radial_distance_mm" else ww.bend
+        bending = call(whisker, where * units[0], much * units[1], model=model)
+        columns = {
+            name: getattr(bending, attribute) / unit
+            for name, (attribute, unit) in _BENDING_COLUMNS.items()
+        }
+        # What was asked stays as it was written, also where there is no equilibrium.
+        columns |= dict(zip(names, (where, much), strict=True))
+        columns["outcome"] = [ww.Outcome(o).name.lower() for o in bending.outcome]
+        columns["model"] = [ww.Rung(m).name.lower() for m in bending.model]
+        columns["error"] = bending.error
+        table = pd.DataFrame(columns)
+        run.table("bend", table)
+        if run.out_dir is not None:
+            run.figure("bend", _figure(whisker, where * units[0], much * units[1], names[0], model))
+    show(table, run, whisker, as_json=as_json)
+    if not as_json:
+        for outcome in sorted({ww.Outcome(o) for o in bending.outcome[~bending.held]}):
+            print(f"{outcome.message[:1].upper()}{outcome.message[1:]}.")
+
+
+def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: str | None) -> Any:
+    """The signals along each contact asked for, from no load to the most asked for."""
+    from .. import figures
+
+    by_place = given == "radial_distance_mm"
+    against = "deflection_angle" if by_place else "force"
+    steps = np.linspace(min(load.min(), 0.0), max(load.max(), 0.0), 241)
+    places = np.unique(where)
+    call = ww.press if by_place else ww.bend
+    curves = call(whisker, places[:, None], steps, model=model)
+    marked = call(whisker, places[:, None], np.unique(load), model=model)
+    return figures.figure_of(figures.bending(curves, points=marked, against=against))

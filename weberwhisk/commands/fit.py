@@ -1,0 +1,248 @@
+"""`weberwhisk fit`: the Weber fraction of a table of choices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import weberwhisk as ww
+
+from .._terminal import a_number
+from ..behaviour import CuePercept, FitStatus
+from ..runs import Run, atomic_write, to_json
+from .distance import distance_percept
+from .options import (
+    AngleOption,
+    BaseRadiusOption,
+    CueOption,
+    IdentityOption,
+    JsonOption,
+    LengthOption,
+    ModulusOption,
+    OutOption,
+    SeedOption,
+    TipRadiusOption,
+    whisker_line,
+    wrote,
+)
+
+#: Columns that hold stimuli, and so may carry a unit.
+STIMULI = ("standard", "stimulus_1", "stimulus_2", "comparison")
+
+
+def fit(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV (also .gz) or .tsv of trials.")],
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column",
+            metavar="OURS=THEIRS",
+            help="Name of a column in the file, such as choice=response; may be repeated.",
+        ),
+    ] = None,
+    label: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--label",
+            metavar="LABEL=first|second",
+            help="Which stimulus an answer calls greater, such as L=first; may be repeated.",
+        ),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option("--task", help="2AFC, 2IFC, '2AFC percent correct' and the like."),
+    ] = None,
+    scale: Annotated[
+        str, typer.Option("--scale", help="linear, or log where stimuli are logarithms.")
+    ] = "linear",
+    log_unit: Annotated[
+        float | None,
+        typer.Option(
+            "--log-unit",
+            parser=a_number,
+            metavar="NUMBER",
+            help="Natural-log units per unit of a log column, where known.",
+        ),
+    ] = None,
+    subject: Annotated[
+        str | None, typer.Option("--subject", help="The one to fit, where there are several.")
+    ] = None,
+    session: Annotated[
+        str | None,
+        typer.Option("--session", metavar="LIST", help="Sessions to fit, such as 31-40 or 1,2."),
+    ] = None,
+    bias: Annotated[
+        str | None,
+        typer.Option("--bias", help="none, shared or 'per standard'.  [default: shared]"),
+    ] = None,
+    noise: Annotated[str, typer.Option("--noise", help="weber or equal-variance.")] = "weber",
+    method: Annotated[str, typer.Option("--method", help="quadrature or emcee.")] = "quadrature",
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    cue: CueOption = None,
+    deflection_angle_deg: AngleOption = None,
+    seed: SeedOption = 1,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit the Weber fraction of one observer to a table of choices.
+
+    Columns: stimulus_1 and stimulus_2, or standard and comparison, or log_ratio; choice or correct
+    (1 or 0), or counts n and n_greater or n_correct. With a whisker the stimuli are radial
+    distances in millimetres, and the columns may be called stimulus_1_mm and so on.
+    """
+    inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
+    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
+    trials = _trials(file, column, label, task, scale, log_unit, percept)
+    trials = _selected(trials, subject, session)
+    if percept is not None:
+        _refuse_metres(trials, percept)
+    with Run(out, "fit", inputs, seed) as run:
+        result = ww.fit_weber(
+            trials, percept=percept, bias=bias, noise=noise, method=method, seed=seed
+        )
+        summary = result.summary().reset_index()
+        run.table("fit", summary)
+        answer = result.to_dict()
+        report = result.report()
+        if run.out_dir is not None:
+            atomic_write(run.path("fit.json"), to_json(answer) + "\n")
+            atomic_write(run.path("fit_report.txt"), report)
+            if result.status is not FitStatus.NO_TRIALS:
+                from .. import figures
+
+                drawn = figures.psychometrics(result, unit="mm" if percept else "")
+                run.figure("psychometric", figures.figure_of(drawn))
+    if as_json:
+        print(to_json(answer))
+        return
+    if whisker is not None:
+        print(f"{whisker_line(whisker)} Distances are in millimetres.\n")
+    print(report)
+    wrote(run)
+
+
+def _trials(
+    file: Path,
+    column: list[str] | None,
+    label: list[str] | None,
+    task: str | None,
+    scale: str,
+    log_unit: float | None,
+    percept: CuePercept | None,
+) -> ww.Trials:
+    if not file.is_file():
+        raise ValueError(f"{str(file)!r} is not a file; give the path of a table of trials.")
+    columns = _pairs("--column", column, "choice=response")
+    if percept is not None:
+        columns = _with_millimetres(file) | columns
+        if scale != "linear":
+            raise ValueError(
+                f"Distances felt through a whisker are on a linear scale, got {scale!r}; "
+                "leave --scale out."
+            )
+    try:
+        return ww.read_trials(
+            file,
+            columns=columns,
+            task=task,
+            choice_labels=_pairs("--label", label, "L=first") or None,
+            scale=scale,
+            log_unit=log_unit,
+        )
+    except ValueError as error:
+        raise ValueError(_as_options(str(error))) from None
+
+
+def _pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:
+    pairs = {}
+    for text in texts or ():
+        left, sign, right = text.partition("=")
+        if not (left and sign and right):
+            raise ValueError(f"{name} takes a pair such as {example}, got {text!r}.")
+        pairs[left.strip()] = right.strip()
+    return pairs
+
+
+def _with_millimetres(file: Path) -> dict[str, str]:
+    """The stimulus columns whose names carry their unit, as `simulate` writes them."""
+    import pandas as pd
+
+    try:
+        tabs = {".tsv", ".tab"} & set(file.suffixes)
+        here = pd.read_csv(file, sep="\t" if tabs else ",", dtype=str, nrows=0).columns
+    except (ValueError, OSError, EOFError):  # `read_trials` says what is wrong with it
+        return {}
+    return {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in here and name not in here}
+
+
+def _as_options(sentence: str) -> str:
+    """A refusal of `read_trials` with its remedies as this command takes them."""
+    sentence = re.sub(r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'", sentence)
+    sentence = sentence.replace(
+        "choice_labels={label: 'first' or 'second'}", "--label LABEL=first and --label LABEL=second"
+    )
+    return sentence.replace("scale='log'", "--scale log")
+
+
+def _selected(trials: ww.Trials, subject: str | None, session: str | None) -> ww.Trials:
+    if subject is not None:
+        trials = trials.select(subject=subject)
+    elif len(trials.subjects) > 1:
+        shown = ", ".join(map(str, trials.subjects[:4]))
+        raise ValueError(
+            f"{trials.source}: there are {len(trials.subjects)} subjects ({shown}), and one is "
+            f"fitted at a time; write --subject {trials.subjects[0]}."
+        )
+    if session is not None:
+        if not trials.sessions:
+            raise ValueError(
+                f"{trials.source}: there is no column 'session'; leave --session out, or name it "
+                "with --column session='<its name>'."
+            )
+        wanted = _sessions(session)
+        numeric = all(isinstance(s, int) for s in trials.sessions)
+        trials = trials.select(session=wanted if numeric else list(map(str, wanted)))
+    return trials
+
+
+def _sessions(text: str) -> list[int | str]:
+    """Whole numbers and ranges, or names as they stand.
+
+    Examples
+    --------
+    >>> _sessions("1,3-5")
+    [1, 3, 4, 5]
+    """
+    wanted: list[int | str] = []
+    for part in map(str.strip, text.split(",")):
+        ends = re.fullmatch(r"(\d{1,6})-(\d{1,6})", part)
+        if ends:
+            wanted.extend(range(int(ends[1]), int(ends[2]) + 1))
+        else:
+            wanted.append(int(part) if part.isdecimal() else part)
+    return wanted
+
+
+def _refuse_metres(trials: ww.Trials, percept: CuePercept) -> None:
+    """Distances in metres would be taken for contacts at the base, and give an answer."""
+    values = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
+    length = percept.domain[1]
+    if values.max() < 0.002 * length:
+        raise ValueError(
+            f"{trials.source}: no distance is above {values.max():.3g} mm on a whisker of "
+            f"{length:.3g} mm, as if written in metres; write millimetres."
+        )
+    if values.max() >= length:
+        raise ValueError(
+            f"{trials.source}: the radial distance {values.max():.4g} mm is beyond the whisker's "
+            f"length of {length:.4g} mm; write millimetres, or give the whisker that was used."
+        )

@@ -1,0 +1,204 @@
+"""`weberwhisk jnd`: the just noticeable difference of radial distance along a whisker."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import numbers, progress
+from ..jnd import criterion_factor, weber_propagation
+from ..runs import Run
+from .options import (
+    AngleOption,
+    BaseRadiusOption,
+    CueOption,
+    DistanceOption,
+    IdentityOption,
+    JsonOption,
+    LengthOption,
+    ModulusOption,
+    OutOption,
+    SeedOption,
+    TipRadiusOption,
+    show,
+    the_cue,
+    the_noise,
+    the_whisker,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+#: Columns of `jnd_curve` that are lengths.
+LENGTHS = (
+    "closed_form",
+    "propagation",
+    "fisher",
+    "posterior",
+    "posterior_error",
+    "estimator",
+    "estimator_error",
+)
+#: Distances in one call of `jnd_curve`: what the progress bar moves by.
+STEP = 4
+
+
+def jnd(
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    cue: CueOption = None,
+    weber_fraction: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--weber-fraction",
+            metavar="LIST",
+            help="Of all signals, or one each (moment, axial force).  [default: 0.1]",
+        ),
+    ] = None,
+    radial_distance_mm: DistanceOption = None,
+    deflection_angle_deg: AngleOption = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            "--method",
+            help="Posteriors by quadrature, emcee or laplace.  [default: quadrature]",
+        ),
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option("--criterion", help="What counts as noticeable, such as '75% 2AFC'.")
+    ] = "d'=1",
+    draws: Annotated[
+        int, typer.Option("--draws", help="Noisy readings at each distance, 2 or more.")
+    ] = 100,
+    seed: SeedOption = 1,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Just noticeable differences of radial distance: closed form, Fisher information, posterior.
+
+    Without --radial-distance-mm at ten places along the whisker. A contact that the whisker cannot
+    hold is part of the answer: its row says what becomes of it.
+    """
+    inputs = dict(locals())
+    whisker = the_whisker(
+        identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, None
+    )
+    felt, angles = the_cue(cue, deflection_angle_deg)
+    observer = ww.Observer(whisker, felt, the_noise(weber_fraction, len(felt.signal_names)))
+    if radial_distance_mm:
+        asked = numbers("--radial-distance-mm", radial_distance_mm)
+        _checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
+    else:
+        asked = np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6)
+    for name in ("out", "as_json", "seed"):
+        inputs.pop(name)
+    with Run(out, "jnd", inputs, seed) as run:
+        table = jnd_table(
+            observer, asked * 1e-3, angles, method or "quadrature", criterion, draws, seed, as_json
+        )
+        written = in_millimetres(table)
+        # What was asked stays as it was written.
+        written["radial_distance_mm"] = np.tile(asked, max(angles.size, 1))
+        run.table("jnd", written)
+        if run.out_dir is not None:
+            from .. import figures
+
+            lines = lines_and_points(observer, table, angles, criterion)
+            run.figure("jnd", figures.figure_of(figures.jnd_curve(lines)))
+    show(written, run, whisker, as_json=as_json)
+    if not as_json:
+        print(f"Every column of lengths is a JND of radial distance, criterion {criterion}.")
+        bad = written["unreliable"].fillna(0.0)
+        if (bad > 0).any():
+            print(
+                f"At {int((bad > 0).sum())} of {len(bad)} places some posteriors are not to be "
+                f"relied on (up to {bad.max():.0%}): the reading does not pin the contact down, or "
+                "the method did not reach its precision."
+            )
+        for outcome in sorted(set(written["outcome"])):
+            if not outcome.startswith("held"):
+                print(f"{outcome[:1].upper()}{outcome[1:]}.")
+
+
+def jnd_table(
+    observer: ww.Observer,
+    distances: Array,
+    angles: Array,
+    method: str,
+    criterion: str,
+    draws: int,
+    seed: int,
+    as_json: bool,
+    description: str = "Posteriors",
+) -> pd.DataFrame:
+    """`jnd_curve` in steps, with a progress bar; angles are combined with distances."""
+    import pandas as pd
+
+    pairs: list[tuple[float | None, Array]] = [
+        (angle, distances[i : i + STEP])
+        for angle in (angles.tolist() or [None])
+        for i in range(0, distances.size, STEP)
+    ]
+    seeds = np.random.SeedSequence(seed).spawn(len(pairs))
+    parts = []
+    with progress(description, len(pairs), as_json=as_json) as advance:
+        for (angle, r), own in zip(pairs, seeds, strict=True):
+            parts.append(
+                ww.jnd_curve(
+                    observer, r, angle, method=method, criterion=criterion, draws=draws, seed=own
+                )
+            )
+            advance()
+    return pd.concat(parts, ignore_index=True)
+
+
+def in_millimetres(table: pd.DataFrame) -> pd.DataFrame:
+    """A table of `jnd_curve` in the units of the command line."""
+    written = table.copy()
+    written["radial_distance"] *= 1e3
+    if "deflection_angle" in written:
+        written["deflection_angle"] = np.degrees(written["deflection_angle"])
+    for name in LENGTHS:
+        written[name] *= 1e3
+    units = {name: f"{name}_mm" for name in ("radial_distance", *LENGTHS)}
+    return written.rename(columns=units | {"deflection_angle": "deflection_angle_deg"})
+
+
+def lines_and_points(
+    observer: ww.Observer, table: pd.DataFrame, angles: Array, criterion: str
+) -> dict[str, pd.DataFrame]:
+    """What the figure shows: the table's rows, and closed forms in between; a table an angle."""
+    import pandas as pd
+
+    factor = criterion_factor(criterion)
+    r = np.linspace(0.005, 0.999, 200) * observer.whisker.length
+    parts = {}
+    for angle in angles.tolist() or [None]:
+        columns = [r] if angle is None else [r, np.full_like(r, angle)]
+        contact = np.stack(columns, axis=-1)
+        line = pd.DataFrame(
+            {
+                "radial_distance": r,
+                "criterion": criterion,
+                "closed_form": factor * weber_propagation(observer, contact, model="closed_form"),
+                "propagation": factor * weber_propagation(observer, contact),
+                "posterior": np.nan,
+                "posterior_error": np.nan,
+            }
+        )
+        rows = table if angle is None else table[table["deflection_angle"] == angle]
+        label = "" if angle is None else f"{np.degrees(angle):.4g}°"
+        both = [line, rows[list(line.columns)]]
+        parts[label] = pd.concat(both).dropna(subset=["propagation"])
+    return parts

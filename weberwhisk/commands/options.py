@@ -1,0 +1,213 @@
+"""Options and helpers that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import a_number, a_seed, numbers
+from ..runs import Run, to_json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Options that several commands share.
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="FOLDER", help="Folder for the tables, figures and record."),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result alone on standard output, as JSON.")
+]
+IdentityOption = Annotated[
+    str | None, typer.Option("--identity", help="A rat's whisker by row and column, such as C2.")
+]
+LengthOption = Annotated[
+    float | None,
+    typer.Option(
+        "--length-mm", parser=a_number, metavar="NUMBER", help="Arc length from base to tip."
+    ),
+]
+BaseRadiusOption = Annotated[
+    float | None,
+    typer.Option("--base-radius-um", parser=a_number, metavar="NUMBER", help="Radius at the base."),
+]
+TipRadiusOption = Annotated[
+    float | None,
+    typer.Option(
+        "--tip-radius-um",
+        parser=a_number,
+        metavar="NUMBER",
+        help="Radius at the tip, 0 for a perfect cone.",
+    ),
+]
+ModulusOption = Annotated[
+    float | None,
+    typer.Option(
+        "--youngs-modulus-gpa",
+        parser=a_number,
+        metavar="NUMBER",
+        help="Young's modulus.  [default: 3.34]",
+    ),
+]
+DistanceOption = Annotated[
+    list[str] | None,
+    typer.Option("--radial-distance-mm", metavar="LIST", help="Straight line to the contact."),
+]
+SeedOption = Annotated[
+    int,
+    typer.Option(
+        "--seed",
+        parser=a_seed,
+        metavar="NUMBER",
+        help="Makes the draws repeatable.",
+    ),
+]
+CueOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cue", help="What tells of distance: compliance or force-map.  [default: compliance]"
+    ),
+]
+AngleOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--deflection-angle-deg",
+        metavar="LIST",
+        help="Deflection of the contact.  [default: 10 for the force map; for compliance 0, the "
+        "lightest tap]",
+    ),
+]
+
+CUES = ("compliance", "force-map")
+
+
+def the_cue(
+    cue: str | None, angles_deg: list[str] | None
+) -> tuple[ww.cues.Cue, NDArray[np.float64]]:
+    """The cue, and the deflection angles (rad) at which it is used; none where it knows them."""
+    name = _checks.one_of("cue", cue or CUES[0], CUES)
+    angles = numbers("--deflection-angle-deg", angles_deg or [])
+    if name == "compliance":
+        if angles.size > 1:
+            raise ValueError(
+                f"The compliance cue has one angle of tap, got {angles.size} values of "
+                "--deflection-angle-deg; give one."
+            )
+        tap = _checks.non_negative(
+            "--deflection-angle-deg", angles if angles.size else np.zeros(1), "give degrees, 0 say"
+        )
+        return ww.cues.Compliance(tap_angle=float(np.radians(tap[0]))), np.array([])
+    angles = _checks.positive(
+        "--deflection-angle-deg",
+        angles if angles.size else np.full(1, 10.0),
+        "give degrees, 10 say",
+    )
+    return ww.cues.ForceMap(), np.radians(angles)
+
+
+def the_noise(texts: list[str] | None, signals: int) -> ww.receptors.Weber:
+    """Weber noise from ``--weber-fraction``: one for all signals or one each."""
+    fractions = numbers("--weber-fraction", texts or ["0.1"])
+    _checks.positive("--weber-fraction", fractions, "write 0.1, say")
+    if fractions.size not in (1, signals):
+        raise ValueError(
+            f"--weber-fraction takes one number, or one for each signal of the cue ({signals}), "
+            f"got {fractions.size}; write 0.1, say."
+        )
+    return ww.receptors.Weber(fractions if fractions.size > 1 else float(fractions[0]))
+
+
+def the_whisker(
+    identity: str | None,
+    length_mm: float | None,
+    base_radius_um: float | None,
+    tip_radius_um: float | None,
+    youngs_modulus_gpa: float | None,
+    seed: int | None,
+) -> ww.Whisker:
+    """The whisker that the shared options describe."""
+    modulus = {}
+    if youngs_modulus_gpa is not None:
+        _checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
+        modulus["youngs_modulus"] = youngs_modulus_gpa * 1e9
+    shape = {
+        "--length-mm": length_mm,
+        "--base-radius-um": base_radius_um,
+        "--tip-radius-um": tip_radius_um,
+    }
+    given = [name for name, value in shape.items() if value is not None]
+    if identity is not None:
+        if given:
+            raise ValueError(
+                f"A whisker has an identity or a shape, got --identity and {given[0]}; "
+                "leave one of them out."
+            )
+        return ww.Whisker.from_identity(identity, seed=seed, **modulus)
+    if not given:
+        raise ValueError(
+            "No whisker is given; write --identity C2, or its shape with "
+            "--length-mm, --base-radius-um and --tip-radius-um."
+        )
+    if length_mm is None or base_radius_um is None or tip_radius_um is None:
+        missing = [name for name in shape if name not in given]
+        raise ValueError(
+            f"The whisker's shape is incomplete, got {' and '.join(given)}; "
+            f"write {' and '.join(missing)} as well."
+        )
+    if seed is not None:
+        raise ValueError(
+            f"--seed draws a whisker of an --identity, got a shape and --seed {seed}; "
+            "leave --seed out."
+        )
+    _checks.positive("--length-mm", length_mm, "give millimetres, such as 50")
+    _checks.positive("--base-radius-um", base_radius_um, "give micrometres, such as 100")
+    _checks.non_negative("--tip-radius-um", tip_radius_um, "give micrometres, such as 5")
+    return ww.Whisker(length_mm * 1e-3, base_radius_um * 1e-6, tip_radius_um * 1e-6, **modulus)
+
+
+def describe(whisker: ww.Whisker) -> dict[str, float]:
+    """A whisker in the units of the command line."""
+    values = {
+        "length_mm": whisker.length * 1e3,
+        "base_radius_um": whisker.base_radius * 1e6,
+        "tip_radius_um": whisker.tip_radius * 1e6,
+        "youngs_modulus_gpa": whisker.youngs_modulus / 1e9,
+    }
+    return {name: float(f"{value:.12g}") for name, value in values.items()}
+
+
+def show(table: pd.DataFrame, run: Run, whisker: ww.Whisker, *, as_json: bool) -> None:
+    """Print a result: the whisker and a table for people, or the same as JSON."""
+    if as_json:
+        print(to_json({"whisker": describe(whisker), "rows": table.to_dict("records")}))
+        return
+    print(whisker_line(whisker))
+    print(table.to_string(index=False, float_format="{:.6g}".format, na_rep="-"))
+    wrote(run)
+
+
+def wrote(run: Run) -> None:
+    """Say where the files are."""
+    if run.out_dir is not None:
+        print(f"Written to {run.out_dir}: {', '.join(run.files)}.")
+
+
+def whisker_line(whisker: ww.Whisker) -> str:
+    """A whisker in one sentence."""
+    return (
+        "Whisker: {length_mm:g} mm long, radius {base_radius_um:g} µm at the base and "
+        "{tip_radius_um:g} µm at the tip, {youngs_modulus_gpa:g} GPa.".format(**describe(whisker))
+    )
+
+
+def option(parameter: str) -> str:
+    """The option that a parameter is written as."""
+    return f"--{parameter.replace('_', '-')}"

@@ -1,0 +1,401 @@
+"""`weberwhisk quickstart`: the main job end to end, on a real whisker and a real rat."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import a_number, progress
+from ..behaviour import load_rat_auditory
+from ..jnd import weber_propagation
+from ..runs import Run, atomic_write, to_json
+from .jnd import in_millimetres, jnd_table, lines_and_points
+from .options import JsonOption, SeedOption, describe, whisker_line, wrote
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+#: Where along the whisker the posteriors of figure 4a are, as fractions of the length.
+PLACES = np.linspace(0.05, 0.95, 10)
+#: Contacts of figure 4b at which there are posteriors: r/L and degrees.
+MARKED = ((0.3, 10.0), (0.5, 10.0), (0.7, 5.0), (0.7, 15.0), (0.9, 3.0))
+#: Axial-force noise over moment noise in the moment-dominated limit: for the surface, of no
+#: consequence; for posteriors a tenth. With a twentieth or a hundredth the ridge is so thin that at
+#: 0.3 L and 10 degrees most quadratures were flagged; with a tenth, up to four in ten at the worst
+#: of the contacts marked.
+NO_NOISE, LITTLE_NOISE = 1e-9, 0.1
+#: The last sessions of the rat's table before its ladder of levels changed: it has learnt most.
+SESSIONS = (31, 37)
+
+
+def quickstart(
+    identity: Annotated[
+        str, typer.Option("--identity", help="A rat's whisker by row and column.")
+    ] = "C2",
+    weber_fraction: Annotated[
+        float,
+        typer.Option(
+            "--weber-fraction", parser=a_number, metavar="NUMBER", help="Of the receptors."
+        ),
+    ] = 0.1,
+    draws: Annotated[
+        int, typer.Option("--draws", help="Noisy readings at each place of the JND curve.")
+    ] = 100,
+    seed: SeedOption = 1,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for figures, tables and text.")
+    ] = Path("quickstart"),
+    as_json: JsonOption = False,
+) -> None:
+    """The paper's figures 4a and 4b for a real whisker, and the Weber fraction of a real rat.
+
+    Takes under a minute, writes everything into one folder, and says in plain words what came out.
+    """
+    _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
+    whisker = ww.Whisker.from_identity(identity)
+    inputs = {"identity": identity, "weber_fraction": weber_fraction, "draws": draws}
+    with Run(out, "quickstart", inputs, seed) as run:
+        curve = curves(run, whisker, weber_fraction, draws, seed, as_json)
+        surface = jnd_surface(run, whisker, weber_fraction, max(draws // 3, 2), seed, as_json)
+        rat = rat_choices(run, seed, as_json)
+        numbers = {
+            "whisker": {"identity": identity, **describe(whisker)},
+            "weber_fraction": weber_fraction,
+            "jnd_curve": curve,
+            "jnd_surface": surface,
+            "rat": rat,
+        }
+        text = explanation(identity, whisker, weber_fraction, draws, numbers)
+        atomic_write(run.path("quickstart.txt"), text)
+        atomic_write(run.path("quickstart.json"), to_json(numbers) + "\n")
+    if as_json:
+        print(to_json(numbers))
+        return
+    print(text)
+    wrote(run)
+
+
+# -- what is computed ----------------------------------------------------------------------------
+
+
+def curves(
+    run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
+) -> dict[str, Any]:
+    """Figure 4a: emcee's posteriors and the closed forms, tapered and cylindrical."""
+    import pandas as pd
+
+    from .. import figures
+
+    r = PLACES * whisker.length
+    none = np.array([])
+    tables, shown, findings = [], {}, {}
+    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+        observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
+        common = ("d'=1", draws, seed, as_json)
+        table = jnd_table(observer, r, none, "emcee", *common, f"Posteriors, {name} whisker")
+        exact = jnd_table(observer, r, none, "quadrature", *common, "Check by quadrature")
+        written = in_millimetres(table)
+        written.insert(0, "whisker", name)
+        written["posterior_by_quadrature_mm"] = exact["posterior"] * 1e3
+        tables.append(written)
+        shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
+        findings[name] = _compared(table, exact, whisker.length * k)
+    run.table("jnd_curve", pd.concat(tables, ignore_index=True))
+    drawn = figures.jnd_curve(shown, length=whisker.length, weber_fraction=k)
+    run.figure("jnd_curve", figures.figure_of(drawn))
+    return findings
+
+
+def _compared(table: pd.DataFrame, exact: pd.DataFrame, scale: float) -> dict[str, Any]:
+    """One whisker's posteriors against the closed form and against quadrature, JND/(kL)."""
+    closed, found, error = (
+        table[name].to_numpy(float) for name in ("closed_form", "posterior", "posterior_error")
+    )
+    excess = found / closed - 1
+    by_quadrature = exact["posterior"].to_numpy(float)
+    return {
+        "r_over_length": PLACES,
+        "closed_form": closed / scale,
+        "posterior": found / scale,
+        "posterior_95_percent": 1.96 * error / scale,
+        "estimator": table["estimator"].to_numpy(float) / scale,
+        "within_95_percent": int(np.sum(np.abs(found - closed) <= 1.96 * error)),
+        "excess": excess,
+        "emcee_from_quadrature": float(np.max(np.abs(found / by_quadrature - 1))),
+        "not_converged": float(table["unreliable"].mean()),
+    }
+
+
+def jnd_surface(
+    run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
+) -> dict[str, Any]:
+    """Figure 4b: moment-dominated JND of the force map, with posteriors at a few contacts."""
+    import pandas as pd
+
+    from .. import figures
+
+    table = surface_table(whisker, k)
+    run.table("jnd_surface", surface_in_degrees(table))
+    observer = moment_dominated(whisker, k, LITTLE_NOISE)
+    places, degrees = np.array(MARKED).T
+    r, theta = places * whisker.length, np.radians(degrees)
+    limit = np.asarray(ww.flick_past(whisker, r).deflection_angle)
+    held = theta < limit
+    r, theta = r[held], theta[held]
+    own = np.random.SeedSequence(seed).spawn(r.size)
+    with progress("Posteriors, force map", r.size, as_json=as_json) as advance:
+        parts = []
+        for distance, angle, child in zip(r, theta, own, strict=True):
+            parts.append(ww.jnd_curve(observer, distance, angle, draws=draws, seed=child))
+            advance()
+    points = pd.concat(parts, ignore_index=True)
+    run.table("jnd_surface_posteriors", in_millimetres(points))
+    drawn = figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
+    run.figure("jnd_surface", figures.figure_of(drawn))
+    scale = whisker.length * k
+    along = moment_dominated(whisker, k)
+
+    def at(place: float, angle: float) -> float:
+        contact = np.array([place * whisker.length, np.radians(angle)])
+        return float(weber_propagation(along, contact)) / scale
+
+    return {
+        "flick_past_degrees_at_half_length": float(
+            np.degrees(ww.flick_past(whisker, 0.5 * whisker.length).deflection_angle)
+        ),
+        "at_10_degrees": {f"{p:g}": at(p, 10.0) for p in (0.3, 0.5, 0.7)},
+        "at_0.7_length": {f"{a:g}": at(0.7, a) for a in (1.0, 10.0, 20.0)},
+        "posteriors": [
+            {
+                "r_over_length": row["radial_distance"] / whisker.length,
+                "degrees": float(np.degrees(row["deflection_angle"])),
+                "surface": row["propagation"] / scale,
+                "posterior": row["posterior"] / scale,
+                "posterior_95_percent": 1.96 * row["posterior_error"] / scale,
+                "unreliable": row["unreliable"],
+            }
+            for row in points.to_dict("records")
+        ],
+    }
+
+
+def moment_dominated(whisker: ww.Whisker, k: float, ratio: float = NO_NOISE) -> ww.Observer:
+    """The force map with noise in the moment alone, or with `ratio` of it in the axial force."""
+    return ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber([k, k * ratio]))
+
+
+def surface_table(whisker: ww.Whisker, k: float, *, distances: int = 90) -> pd.DataFrame:
+    """The moment-dominated JND over every contact that the whisker holds.
+
+    Returns
+    -------
+    DataFrame
+        ``radial_distance`` (m), ``deflection_angle`` (rad) up to flick-past, and ``jnd`` (m).
+    """
+    import pandas as pd
+
+    r = np.linspace(0.02, 0.99, distances) * whisker.length
+    limit = np.asarray(ww.flick_past(whisker, r).deflection_angle)
+    # Close to the limit the slopes vary fast: angles stand denser there.
+    share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, 90))
+    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * share), axis=-1)
+    jnd = weber_propagation(moment_dominated(whisker, k), contact)
+    columns = (contact[..., 0], contact[..., 1], jnd)
+    names = ("radial_distance", "deflection_angle", "jnd")
+    return pd.DataFrame({n: c.ravel() for n, c in zip(names, columns, strict=True)})
+
+
+def surface_in_degrees(table: pd.DataFrame) -> pd.DataFrame:
+    """`surface_table` in the units of the command line."""
+    import pandas as pd
+
+    return pd.DataFrame(
+        {
+            "radial_distance_mm": table["radial_distance"] * 1e3,
+            "deflection_angle_deg": np.degrees(table["deflection_angle"]),
+            "jnd_mm": table["jnd"] * 1e3,
+        }
+    )
+
+
+def rat_choices(run: Run, seed: int, as_json: bool) -> dict[str, Any]:
+    """The Weber fraction of a real rat, with and without lapses, and its choices by standard."""
+    from .. import figures
+
+    trials = load_rat_auditory(range(SESSIONS[0], SESSIONS[1] + 1))
+    never = {"lapse_low": 0.0, "lapse_high": 0.0}
+    with progress("Weber fraction of the rat", 2, as_json=as_json) as advance:
+        fit = ww.fit_weber(trials, bias="per standard", seed=seed)
+        advance()
+        without = ww.fit_weber(trials, bias="per standard", priors=never, seed=seed)
+        advance()
+    seen = fit.residuals()
+    run.table("rat_choices", seen)
+    run.table("rat_fit", fit.summary().reset_index())
+    atomic_write(run.path("rat_report.txt"), fit.report())
+    drawn = figures.psychometrics(fit)
+    run.figure("rat_psychometric", figures.figure_of(drawn))
+    step = float(np.median(np.abs(seen["stimulus_2"] - seen["stimulus_1"])))
+    louder = seen["stimulus_2"] > seen["stimulus_1"]
+    right = seen["observed"].where(louder, 1 - seen["observed"])
+    biases = [fit.posterior.mean(name) for name in fit.parameters if name.startswith("bias")]
+    return {
+        "sessions": SESSIONS,
+        "n_trials": trials.n_trials,
+        "standards": trials.standards,
+        "status": fit.status.name,
+        "message": fit.status.message,
+        "weber_fraction": fit.weber_fraction,
+        "interval": fit.interval(),
+        "step": step,
+        "lapse_low": [fit.posterior.mean("lapse_low"), *fit.interval(parameter="lapse_low")],
+        "lapse_high": [fit.posterior.mean("lapse_high"), *fit.interval(parameter="lapse_high")],
+        "bias_range": [min(biases), max(biases)],
+        "misfit": fit.misfit,
+        # Both orders count alike, however often each came.
+        "right_by_standard": right.groupby(seen["standard"]).mean().to_list(),
+        "without_lapses": {
+            "weber_fraction": without.weber_fraction,
+            "interval": without.interval(),
+            "misfit": without.misfit,
+        },
+    }
+
+
+# -- what is said --------------------------------------------------------------------------------
+
+
+def explanation(
+    identity: str, whisker: ww.Whisker, k: float, draws: int, numbers: dict[str, Any]
+) -> str:
+    """Everything in plain words; every number comes from `numbers`."""
+    parts = [
+        f"A mean {identity} whisker of rats (Belli et al. 2017). {whisker_line(whisker)} Receptor "
+        f"noise follows Weber's law with k = {k:g}: the sd of a reading is {k:.3g} of the signal. "
+        "All JNDs here are one sd (d' = 1), and are given over k times the whisker's length L.",
+        _of_curve(numbers["jnd_curve"], draws),
+        _of_surface(numbers["jnd_surface"]),
+        *_of_rat(numbers["rat"]),
+    ]
+    return "\n\n".join(textwrap.fill(part, 92) for part in parts) + "\n"
+
+
+def _of_curve(curve: dict[str, Any], draws: int) -> str:
+    taper, cylinder = curve["tapered"], curve["cylinder"]
+    middle, last = len(PLACES) // 2, -1
+    worst = int(np.argmax(np.abs(taper["excess"])))
+    agree = max(w["emcee_from_quadrature"] for w in curve.values())
+    lost = max(w["not_converged"] for w in curve.values())
+    end = cylinder["excess"][last]
+    why = (
+        "The closed form takes the slope at the contact alone; the observer also knows that the "
+        "whisker ends, which cuts the wide posteriors of the cylinder short there. "
+        if end < -0.05
+        else ""
+    )
+    return (
+        f"1. JND curve (jnd_curve.png; the paper's figure 4a). Lines are the closed forms of the "
+        f"rotational compliance cue, points the mean sd of {draws} emcee posteriors each. Tapered: "
+        f"the JND is {taper['closed_form'][middle]:.2f} kL at {PLACES[middle]:.2f} L and "
+        f"{taper['closed_form'][last]:.2f} kL at {PLACES[last]:.2f} L, so resolution is better "
+        f"towards the tip; posterior {taper['posterior'][middle]:.2f} and "
+        f"{taper['posterior'][last]:.3f} ± {taper['posterior_95_percent'][last]:.3f}. Cylinder: it "
+        f"grows all the way, {cylinder['closed_form'][middle]:.2f} and "
+        f"{cylinder['closed_form'][last]:.2f} kL; posterior {cylinder['posterior'][middle]:.2f} "
+        f"and {cylinder['posterior'][last]:.2f}. "
+        f"Where they disagree: {taper['within_95_percent']} of {len(PLACES)} tapered points and "
+        f"{cylinder['within_95_percent']} of {len(PLACES)} cylindrical ones lie on the line within "
+        f"95 %; the tapered posterior is furthest off at {PLACES[worst]:.2f} L "
+        f"({taper['excess'][worst]:+.1%}), the cylinder's at {PLACES[last]:.2f} L is {end:+.0%}. "
+        f"{why}emcee is within {agree:.1%} of quadrature everywhere, and {lost:.0%} of its "
+        "posteriors have not converged."
+    )
+
+
+def _of_surface(surface: dict[str, Any]) -> str:
+    distances = ", ".join(f"{v:.2f} at {p} L" for p, v in surface["at_10_degrees"].items())
+    angles = ", ".join(
+        f"{v:.2f} at {a}°" for a, v in surface["at_0.7_length"].items() if np.isfinite(v)
+    )
+    told = "; ".join(
+        f"{p['posterior']:.2f} ± {p['posterior_95_percent']:.2f} against {p['surface']:.2f} at "
+        f"{p['r_over_length']:.1f} L and {p['degrees']:.0f}°"
+        for p in surface["posteriors"]
+    )
+    bad = max((p["unreliable"] for p in surface["posteriors"]), default=0.0)
+    return (
+        "2. JND surface (jnd_surface.png; the paper's figure 4b). Moment and axial force together "
+        "give distance and angle; noise is in the moment alone. The JND over kL falls with "
+        f"distance (at 10°: {distances}) and with deflection (at 0.7 L: {angles}), as the paper "
+        "says. Past the black line the whisker flicks past the object, at "
+        f"{surface['flick_past_degrees_at_half_length']:.1f}° for 0.5 L, and there is nothing to "
+        f"feel. Full posteriors with a tenth of the noise in the axial force (the dots): {told}. "
+        "They need not agree: the surface is the slope at one contact, a posterior averages over "
+        "the contacts that a reading allows and ends where the whisker does. The dark band along "
+        "the edge is of that kind: there the axial force stops changing with angle, and the slope "
+        "alone would call distance known exactly; do not take it for resolution. "
+        f"Of those posteriors up to {bad:.0%} at one place are flagged as not reliable, and ± is "
+        "the scatter over readings only, so read the dots as a rough check."
+    )
+
+
+def _of_rat(rat: dict[str, Any]) -> list[str]:
+    (low, high), (low_0, high_0) = rat["interval"], rat["without_lapses"]["interval"]
+    k, step = rat["weber_fraction"], rat["step"]
+    lapse, lapse_high = rat["lapse_low"], rat["lapse_high"]
+    softest, loudest = (rat["right_by_standard"][i] for i in (0, -1))
+    return [
+        f"3. A real rat (rat_psychometric.png, rat_report.txt). {rat['n_trials']} choices of one "
+        f"rat, sessions {rat['sessions'][0]} to {rat['sessions'][1]}: which of two sounds was "
+        f"louder, around {len(rat['standards'])} standards. Fitted with a response bias for each "
+        f"standard, the Weber fraction is {k:.2f} (95 %: {low:.2f} to {high:.2f}) per unit of the "
+        f"stimulus column, or {k / step:.2f} of the usual step of {step:.2f} between the two "
+        f"sounds. Lapses: {lapse[0]:.0%} ({lapse[1]:.0%} to {lapse[2]:.0%}) where the second is "
+        f"softer, {lapse_high[0]:.0%} ({lapse_high[1]:.0%} to {lapse_high[2]:.0%}) where it is "
+        f"louder. {rat['message'][0].upper()}{rat['message'][1:]}, if the model holds; "
+        f"its curves {_fits(rat['misfit'])} the choices (posterior-predictive "
+        f"p = {rat['misfit']:.2g}).",
+        "What these data cannot say. The column is a normalised logarithm of sound level whose "
+        "unit is not published with it, so this Weber fraction cannot be put beside another, nor "
+        "beside the k of the whisker above, which is an assumption: no Weber fraction of whisker "
+        "force or moment has been measured. There are only two pairs of sounds at each standard, "
+        "so its size hangs on the lapses: held at none, it would be "
+        f"{rat['without_lapses']['weber_fraction']:.2f} ({low_0:.2f} to {high_0:.2f}), with curves "
+        f"that {_fits(rat['without_lapses']['misfit'])} the choices "
+        f"(p = {rat['without_lapses']['misfit']:.2g}). {_most_lapses(lapse[0], lapse_high[0])}The "
+        f"biases, from {rat['bias_range'][0]:+.1f} to {rat['bias_range'][1]:+.1f} sds, depend on "
+        "the standard, as when the first sound is remembered as nearer to the mean of all; the "
+        "model describes this and does not explain it. Nor do the steps look equally easy, as "
+        "they would to one Weber fraction without bias: the mean share of right answers is "
+        f"{softest:.0%} at the softest standard and {loudest:.0%} at the loudest; "
+        "WeberFit.weber_law_test() weighs that (some 20 s).",
+        "Data: rat W053, first 40 sessions; sample data of the psytrack package "
+        "(github.com/nicholas-roy/psytrack), MIT licence, copyright Nicholas A. Roy; task of "
+        "Akrami, Kopec, Diamond & Brody 2018, Nature 554:368. Whisker: Belli, Yang, Bresee & "
+        "Hartmann 2017, J Neurophysiol 117:1807.",
+    ]
+
+
+def _fits(misfit: float) -> str:
+    """What a posterior-predictive p says of curves and choices."""
+    return "miss" if misfit < 0.01 else "barely meet" if misfit < 0.1 else "meet"
+
+
+def _most_lapses(low: float, high: float) -> str:
+    """A remark on lapses that are not lapses of attention."""
+    if max(low, high) < 0.1 or max(low, high) < 2 * min(low, high):
+        return ""
+    return (
+        "Lapses so much larger on one side are hardly inattention: they stand for habits that "
+        "the model does not know. "
+    )

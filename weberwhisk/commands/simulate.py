@@ -1,0 +1,179 @@
+"""`weberwhisk simulate`: choices of an observer whose Weber fraction is known."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import a_number, numbers
+from ..behaviour.simulate import SIGNED_OFFSETS
+from ..runs import Run, atomic_write, to_json
+from .distance import distance_percept
+from .options import (
+    AngleOption,
+    BaseRadiusOption,
+    CueOption,
+    IdentityOption,
+    JsonOption,
+    LengthOption,
+    ModulusOption,
+    OutOption,
+    SeedOption,
+    TipRadiusOption,
+    describe,
+    whisker_line,
+    wrote,
+)
+
+
+def a_share(name: str, text: str) -> Any:
+    """An option that takes one number, with its help."""
+    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
+
+
+def simulate(
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    cue: CueOption = None,
+    deflection_angle_deg: AngleOption = None,
+    standard: Annotated[
+        list[str] | None,
+        typer.Option("--standard", metavar="LIST", help="Magnitudes compared with.  [default: 1]"),
+    ] = None,
+    standard_mm: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--standard-mm", metavar="LIST", help="Radial distances, where there is a whisker."
+        ),
+    ] = None,
+    offset: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--offset",
+            metavar="LIST",
+            help="Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]",
+        ),
+    ] = None,
+    weber_fraction: Annotated[float, a_share("--weber-fraction", "The truth to find.")] = 0.1,
+    lapse_low: Annotated[float, a_share("--lapse-low", "Share lost at the low end.")] = 0.0,
+    lapse_high: Annotated[float, a_share("--lapse-high", "Share lost at the high end.")] = 0.0,
+    bias: Annotated[float, a_share("--bias", "Towards the second, in sds.")] = 0.0,
+    missing: Annotated[float, a_share("--missing", "Share of trials without an answer.")] = 0.0,
+    trials_per_level: Annotated[
+        int, typer.Option("--trials-per-level", help="Trials of each comparison.")
+    ] = 40,
+    sessions: Annotated[int, typer.Option("--sessions", help="Dealt out over these.")] = 1,
+    task: Annotated[
+        str, typer.Option("--task", help="2AFC, 2IFC, or '2AFC percent correct' and the like.")
+    ] = "2AFC",
+    seed: SeedOption = 1,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate choices between two stimuli, with the truth beside them.
+
+    Stimuli are magnitudes (--standard), or radial distances felt through a whisker (--standard-mm
+    with --identity or a shape). `weberwhisk fit` reads the table.
+    """
+    inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
+    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
+    if percept is None and standard_mm:
+        raise ValueError(
+            "--standard-mm needs a whisker to feel with, got none; write --identity C2, or "
+            "--standard for magnitudes."
+        )
+    if percept is not None and (standard or not standard_mm):
+        raise ValueError(
+            f"Distances felt through a whisker are given by --standard-mm, got "
+            f"{'--standard' if standard else 'none'}; write --standard-mm 20, say."
+        )
+    base = numbers("--standard-mm" if percept else "--standard", standard_mm or standard or ["1"])
+    _checks.positive("--standard-mm" if percept else "--standard", base, "write 20, say")
+    levels = numbers("--offset", offset) if offset else None
+    truth: dict[str, Any] = {
+        "weber_fraction": weber_fraction,
+        "lapse_low": lapse_low,
+        "lapse_high": lapse_high,
+        "bias": bias,
+    }
+    with Run(out, "simulate", inputs, seed) as run:
+        trials = ww.simulate_trials(
+            **truth,
+            standards=base,
+            offsets=levels,
+            trials_per_level=trials_per_level,
+            percept=percept,
+            sessions=sessions,
+            missing=missing,
+            task=task,
+            seed=seed,
+        )
+        table = trials.table()
+        if percept is not None:
+            names = ("standard", "stimulus_1", "stimulus_2")
+            table = table.rename(columns={name: f"{name}_mm" for name in names})
+        run.table("trials", table)
+        known = {
+            **truth,
+            "standards": base,
+            "offsets": SIGNED_OFFSETS if levels is None else levels,
+            "task": trials.task.name,
+            "seed": seed,
+            "whisker": None if whisker is None else describe(whisker),
+        }
+        if run.out_dir is not None:
+            from .. import figures
+
+            atomic_write(run.path("truth.json"), to_json(known) + "\n")
+            free = {name: truth[name] for name in trials.task.lapses}
+            free |= {"bias": bias} if trials.task.has_bias else {}
+            exact = ww.fit_weber(
+                trials, percept=percept, priors={"weber_fraction": weber_fraction, **free}
+            )
+            unit = "mm" if percept else ""
+            drawn = figures.psychometrics(exact, unit=unit)
+            run.figure("trials", figures.figure_of(drawn))
+    if as_json:
+        print(to_json({"truth": known, "rows": table.astype(object).to_dict("records")}))
+        return
+    if whisker is not None:
+        print(whisker_line(whisker))
+    print(
+        f"{len(table)} trials of {trials.task.name}, {trials.n_missing} without an answer; "
+        f"{base.size} standard{'s' if base.size > 1 else ''}, Weber fraction {weber_fraction:g}, "
+        f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
+    )
+    if run.out_dir is None:
+        print(table.to_csv(index=False, lineterminator="\n"), end="")
+    else:
+        wrote(run)
+        print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
+
+
+def _again(inputs: dict[str, Any]) -> str:
+    """The options that `fit` needs to feel the same distances."""
+    words = []
+    for name in (
+        "identity",
+        "length_mm",
+        "base_radius_um",
+        "tip_radius_um",
+        "youngs_modulus_gpa",
+        "cue",
+        "deflection_angle_deg",
+    ):
+        value = inputs[name]
+        if value:
+            text = ",".join(value) if isinstance(value, list) else f"{value}"
+            words.append(f" --{name.replace('_', '-')} {text}")
+    if inputs["task"] not in ("2AFC", "2AFC percent correct"):
+        words.append(f" --task '{inputs['task']}'")
+    return "".join(words)
