@@ -111,7 +111,7 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     slope = observer.cue.jacobian(observer.whisker, contact, model=model)
     covariance = observer.noise.covariance(np.where(held[..., None], signals, 1.0))
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    unit = contact_scale(contact)
+    unit = _contact_scale(contact)
     # In units of the noise and of the contact itself, so that singular means singular.
     scaled = np.where(held[..., None, None], slope / sd[..., None] * unit[..., None, :], 0.0)
     correlation = covariance / (sd[..., :, None] * sd[..., None, :])
@@ -139,14 +139,14 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     contact : array, shape (..., U)
     """
     contact = observer.checked(contact)
-    unit = contact_scale(contact)
+    unit = _contact_scale(contact)
     information = observer.information(contact) * unit[..., :, None] * unit[..., None, :]
     held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
     variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
 
 
-def contact_scale(contact: Array) -> Array:
+def _contact_scale(contact: Array) -> Array:
     """The contact itself, as the unit in which its matrices are of order one."""
     return np.maximum(np.abs(contact), 1e-12)
 

@@ -26,6 +26,7 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
     c = model.cells
     expected = _probability(model, draws)[0].mean(axis=0)
     se = np.sqrt(expected * (1 - expected) / c.n)
+    off = c.count / c.n - expected
     return pd.DataFrame(
         {
             "standard": c.standard,
@@ -34,7 +35,8 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
             "n": c.n.astype(int),
             "observed": c.count / c.n,
             "expected": expected,
-            "z": (c.count / c.n - expected) / se,
+            # Where the model is certain and the data agree there is nothing off.
+            "z": np.divide(off, se, out=np.zeros_like(off), where=se > 0),
         }
     )
 
@@ -51,8 +53,12 @@ def misfit(model: WeberModel, draws: Draws) -> float:
     p, q = _probability(model, draws)
     again = np.random.default_rng(0).binomial(c.n.astype(np.int64), np.clip(p, 0, 1))
     spread = c.n * p * q
-    seen = ((c.count - c.n * p) ** 2 / spread).sum(axis=1)
-    return float(np.mean(((again - c.n * p) ** 2 / spread).sum(axis=1) >= seen))
+
+    def distance(count: Array) -> Array:
+        square = (count - c.n * p) ** 2
+        return np.divide(square, spread, out=np.zeros_like(spread), where=spread > 0).sum(axis=1)
+
+    return float(np.mean(distance(again.astype(float)) >= distance(c.count)))
 
 
 def _probability(model: WeberModel, draws: Draws) -> tuple[Array, Array]:

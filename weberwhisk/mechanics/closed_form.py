@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import Bending, Outcome, Rung, by_rows
+from .contact import Bending, Outcome, Rung, beyond_tip, by_rows
 
-TIP_ROUNDING = 1e-12
 #: Largest relative error of any signal over the squared contact angle, for every taper and
 #: distance, as that angle goes to zero (the transverse force's); the tests hold it to rung 1.
 ERROR_PER_SQUARED_ANGLE = 0.65
@@ -77,7 +76,7 @@ def _press(
 
 def _place(length: Array, taper: Array, r: Array) -> tuple[Array, NDArray[np.bool_]]:
     u = r / length * taper
-    lost = (r > length * (1 + TIP_ROUNDING)) | (u >= 1)
+    lost = beyond_tip(r, length, u)
     return np.where(lost, 0.0, u), lost
 
 

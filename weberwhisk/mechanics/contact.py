@@ -112,6 +112,22 @@ ROWS = 8192
 NUMBERS = tuple(f.name for f in fields(Bending))[:8]
 
 
+#: A contact this close beyond the tip (relative) is rounding, not a contact beyond the tip.
+TIP_ROUNDING = 1e-12
+
+
+def beyond_tip(
+    distance: NDArray[np.float64],
+    length: NDArray[np.float64] | float,
+    fraction: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back.
+
+    `fraction` is the distance over the apex distance.
+    """
+    return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
+
+
 def by_rows(
     solve: Callable[..., tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]],
     rung: Rung,

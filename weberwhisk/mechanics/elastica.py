@@ -28,12 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
 from .chebyshev import Array, Curve, Table, fit, nodes
-from .contact import ROWS, Bending, Outcome, Rung, by_rows
+from .contact import ROWS, TIP_ROUNDING, Bending, Outcome, Rung, beyond_tip, by_rows
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
 MAP_ERROR = 1e-12
-#: A contact this close beyond the tip (relative) is rounding, not a contact beyond the tip.
-TIP_ROUNDING = 1e-12
 
 
 def load_cap(u: Array) -> Array:
@@ -99,7 +97,7 @@ def _bend(
 ) -> tuple[Array, NDArray[np.int8], Array]:
     table = _map()
     u = arc / length * taper
-    beyond = _beyond_tip(arc, length, u)
+    beyond = beyond_tip(arc, length, u)
     u = np.where(beyond, 0.0, u)
     load = np.abs(force) * arc**2 * (3 - 2 * u) / (6 * stiffness * (1 - u) ** 2)
     ratio = load / load_cap(u)
@@ -150,7 +148,7 @@ def _press(
 ) -> tuple[Array, NDArray[np.int8], Array]:
     table = _map()
     v = r / length * taper
-    beyond = _beyond_tip(r, length, v)
+    beyond = beyond_tip(r, length, v)
     v = np.where(beyond, 0.0, v)
     fold_angle = table.fold_angle(v)
     tangent = np.abs(theta) / fold_angle
@@ -202,11 +200,6 @@ def _numbers(
             sign * force,
         ]
     )
-
-
-def _beyond_tip(distance: Array, length: Array | float, fraction: Array) -> NDArray[np.bool_]:
-    """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back."""
-    return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +298,7 @@ class DeflectionLimit:
     def __call__(self, radial_distance: Array) -> Array:
         """Largest angle at each distance (n,), rad; NaN out of reach."""
         v = radial_distance / self.length * self.taper
-        beyond = _beyond_tip(radial_distance, self.length, v)
+        beyond = beyond_tip(radial_distance, self.length, v)
         angle = _map().fold_angle(np.where(beyond, 0.0, v))
         tip = ~beyond & (radial_distance > self.tip_from)
         if np.any(tip):
@@ -324,7 +317,7 @@ def _limit(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, 
     """Largest angle, c there, fold angle and c at the moment peak, at each r (n,)."""
     table = _map()
     v = r / length * taper
-    beyond = _beyond_tip(r, length, v)
+    beyond = beyond_tip(r, length, v)
     v = np.where(beyond, 0.0, v)
     x = unfold(v)
     scaled_angle, c_peak = table.fold(x)

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from . import elastica
 from .branch import REACHED, TIP, Branch, walk, zero_load
 from .chebyshev import Array
-from .contact import Outcome
+from .contact import TIP_ROUNDING, Outcome
 from .trajectory import Path, Rows, follow_blocks, pilot, resolve
-
-TIP_ROUNDING = 1e-12
 
 Solved = tuple[Array, NDArray[np.int8], Array]
 

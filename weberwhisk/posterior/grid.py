@@ -472,7 +472,9 @@ def _edges(terms: Array) -> tuple[Array, Array, Array]:
     outer = np.stack([np.stack([v[:, 0], v[:, 3]], axis=1) for v in layers], axis=2)
     inner = np.stack([v[:, 1:3] for v in layers], axis=2)
     second = slice(columns + 1, None)
-    ratio = (outer[..., second] / np.where(inner[..., second] > 0, inner[..., second], 1.0)).max(-1)
+    with np.errstate(over="ignore"):  # a layer that grows without measure is clipped below
+        ratio = outer[..., second] / np.where(inner[..., second] > 0, inner[..., second], 1.0)
+    ratio = ratio.max(axis=-1)
     beyond = 2.0 * outer / (1.0 - np.clip(ratio, 0.0, SLOWEST_FALL))[..., None]
     pull = np.abs(beyond[..., 1 : columns + 1])
     return beyond[..., 0], pull, beyond[..., columns + 1 :] / 2

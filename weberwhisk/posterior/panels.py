@@ -18,6 +18,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
+from .solution import IMPROBABLE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -73,8 +74,6 @@ SHORTEST = 1e-6
 WINDOW = 10.0
 #: … and its middle is not this far (in ln) below the highest.
 NEGLIGIBLE = 40.0
-#: A reading this many sd away from every signal is improbable under the model.
-IMPROBABLE = 5.0
 
 
 class _Window:

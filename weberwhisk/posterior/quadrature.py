@@ -1,0 +1,128 @@
+"""Quadrature, the reference: panels for one unknown, adaptive grids for two."""
+
+from __future__ import annotations
+
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..observer import Observer
+from ..receptors import Seed
+from .grid import GridPosterior, Nodes, integrate
+from .mode import find_mode
+from .panels import Panels
+from .result import Estimate, Status
+from .solution import WIDEST, Array, Solution, is_improbable, is_unidentified
+
+#: Error of mean and sd, over the sd, above which a quadrature is called imprecise.
+TOLERANCE = {1: 1e-6, 2: 1e-2}
+#: Posteriors whose grids are worked on together.
+TOGETHER = 1024
+
+_PANELS: WeakKeyDictionary[Observer, Panels] = WeakKeyDictionary()
+
+
+def quadrature(
+    observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
+) -> Solution:
+    if len(observer.unknowns) > 1:
+        return _grid(observer, reading, tolerance, progress)
+    panels = _PANELS.get(observer) or _PANELS.setdefault(observer, Panels(observer))
+    m = panels.moments(reading)
+    error = np.maximum(m.mean_error, m.sd_error) / m.sd
+    status = np.where(error > (tolerance or TOLERANCE[1]), Status.IMPRECISE, Status.CONVERGED)
+    status = np.where(m.improbable, Status.IMPROBABLE_READING, status)
+
+    def quantile_of(p: Array) -> Array:
+        return panels.quantiles(reading, p)[:, None, :]
+
+    def draws_of(count: int, seed: Seed) -> Array:
+        u = _stratified(len(reading), count, seed)
+        return panels.quantiles(reading, u).reshape(len(reading), 4, -1, 1)
+
+    estimate = Estimate(m.mean, m.sd, m.mean_error, m.sd_error)
+    return Solution([estimate], status.astype(np.int8), m.log_evidence, quantile_of, draws_of)
+
+
+def _grid(observer: Observer, reading: Array, tolerance: float | None, progress: Any) -> Solution:
+    dim = len(observer.unknowns)
+    mode = find_mode(observer, reading)
+    root = np.linalg.cholesky(mode.covariance)
+    root = root * np.minimum(1.0, WIDEST / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
+
+    contact = observer.contact(mode.x)[0]
+    unidentified = is_unidentified(observer, contact)
+    improbable = is_improbable(observer, reading, contact)
+
+    def integral(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
+        return integrate(
+            lambda x, index: observer.log_density(x, reading[rows[index], None]),
+            mode.x[rows],
+            root[rows],
+            functions=lambda x: observer.contact(x)[0],
+            only_functions=True,
+            tolerance=tolerance or TOLERANCE[dim],
+            # A ridge that no reading resolves is not worth resolving either.
+            max_points=MOST_NODES // 100 if unidentified[rows].any() else MOST_NODES,
+            keep_points=keep_points,
+        )
+
+    order = np.argsort(unidentified, kind="stable")
+    parts = []
+    for start in range(0, len(reading), TOGETHER):
+        parts.append(integral(order[start : start + TOGETHER]))
+        if progress:
+            progress(min(start + TOGETHER, len(reading)), len(reading))
+    back = np.argsort(order)
+    mean, sd, mean_error, sd_error = (
+        np.concatenate([getattr(part, name)[:, dim:] for part in parts])[back]
+        for name in ("mean", "sd", "mean_error", "sd_error")
+    )
+    estimates = [
+        Estimate(mean[:, i], sd[:, i], mean_error[:, i] * sd[:, i], sd_error[:, i] * sd[:, i])
+        for i in range(dim)
+    ]
+    converged = np.concatenate([part.converged for part in parts])[back]
+    status = np.where(converged, Status.CONVERGED, Status.IMPRECISE)
+    status = np.where(unidentified, Status.UNIDENTIFIED, status)
+    status = np.where(improbable, Status.IMPROBABLE_READING, status)
+
+    def nodes(row: int) -> Nodes:
+        kept = integral(np.array([row]), keep_points=True).nodes
+        assert kept is not None
+        return kept[0]
+
+    def quantile_of(p: Array) -> Array:
+        out = np.empty((len(reading), dim, p.size))
+        for row in range(len(reading)):
+            kept = nodes(row)
+            contact = observer.contact(kept.points)[0]
+            out[row] = [kept.quantile(contact[:, i], p) for i in range(dim)]
+        return out
+
+    def draws_of(count: int, seed: Seed) -> Array:
+        from .arviz_io import resample
+
+        rng = np.random.default_rng(seed)
+        out = np.empty((len(reading), 4, count, dim))
+        for row in range(len(reading)):
+            kept = nodes(row)
+            x = resample(kept.points, kept.weights, 4 * count, seed=rng, edges=kept.edges)
+            out[row] = observer.contact(rng.permutation(x))[0].reshape(4, count, dim)
+        return out
+
+    log_evidence = np.concatenate([part.log_evidence for part in parts])[back]
+    return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
+
+
+#: Most nodes in one pass over one posterior.
+MOST_NODES = 2_000_000
+
+
+def _stratified(rows: int, count: int, seed: Seed) -> Array:
+    """Probabilities (rows, 4·count), one from each stratum, in random order: four chains."""
+    rng = np.random.default_rng(seed)
+    u = (np.arange(4 * count) + rng.random((rows, 4 * count))) / (4 * count)
+    return rng.permuted(np.clip(u, 1e-12, 1 - 1e-12), axis=1)

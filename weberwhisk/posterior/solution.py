@@ -1,0 +1,65 @@
+"""What every engine gives back, and what it asks of a posterior before it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..observer import Observer
+from ..receptors import Seed
+from .result import Estimate
+
+Array = NDArray[np.float64]
+
+#: A reading this many sd from the signals is improbable under the model.
+IMPROBABLE = 5.0
+#: Widest start of a search or of the walkers, in x: the prior itself is a few units wide.
+WIDEST = 2.0
+
+
+class Solution(NamedTuple):
+    """What a method gives for readings (B, S)."""
+
+    estimates: list[Estimate]
+    status: NDArray[np.int8]
+    log_evidence: Array
+    quantile_of: Callable[[Array], Array]
+    draws_of: Callable[[int, Seed], Array]
+
+
+def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:
+    """Readings more than 5 sd from the signals of their own most probable contact."""
+    signals, _ = observer.signals(contact)
+    covariance = observer.noise.covariance(signals)
+    miss = reading - signals
+    square = np.einsum("bi,bi->b", miss, np.linalg.solve(covariance, miss[..., None])[..., 0])
+    return np.sqrt(square) > IMPROBABLE
+
+
+def contact_slope(observer: Observer, x: Array) -> Array:
+    """d contact/dx, (B, U, U), by central differences."""
+    h = 1e-5
+    columns = []
+    for axis in range(x.shape[1]):
+        offset = np.zeros(x.shape[1])
+        offset[axis] = h
+        rise = observer.contact(x + offset)[0] - observer.contact(x - offset)[0]
+        columns.append(rise / (2 * h))
+    return np.stack(columns, axis=-1)
+
+
+def is_unidentified(observer: Observer, contact: Array) -> NDArray[np.bool_]:
+    """Posteriors to which the reading adds less than the prior in some direction.
+
+    In the coordinates x a flat prior has a curvature of ¼ and more: information below that
+    leaves the prior to decide.
+    """
+    slope = contact_slope(observer, observer.coordinates(contact))
+    information = np.swapaxes(slope, 1, 2) @ observer.information(contact) @ slope
+    known = np.isfinite(information).all(axis=(1, 2))
+    least = np.zeros(len(contact))
+    least[known] = np.linalg.eigvalsh(information[known])[:, 0]
+    return least < 0.25

@@ -1,0 +1,103 @@
+"""emcee on contacts: where the walkers start, and what their sample says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..observer import Observer
+from ..receptors import Seed
+from .ensemble import sample_stacked
+from .mode import Mode, find_mode
+from .result import Estimate, Status
+from .solution import WIDEST, Array, Solution, is_improbable, is_unidentified
+
+#: Monte Carlo error of the sd, over the sd, that emcee goes on for.
+PRECISION = {1: 0.02, 2: 0.03}
+ENSEMBLES, WALKERS = 4, {1: 8, 2: 6}
+#: Steps after which a posterior that has not converged is called so.
+MOST_STEPS = {1: 20_000, 2: 6_000}
+#: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
+STACKED = {1: 1024, 2: 1024}
+
+
+def sample(
+    observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
+) -> Solution:
+    dim = len(observer.unknowns)
+    size = STACKED[dim]
+    # The grid of pieces belongs to the seed, so that results do not depend on who runs which.
+    pieces = range(0, len(reading), size)
+    seeds = np.random.SeedSequence(int(np.random.default_rng(seed).integers(2**63))).spawn(
+        len(pieces)
+    )
+    samples, modes = [], []
+    for i, start in enumerate(pieces):
+        rows = reading[start : start + size]
+        rng = np.random.default_rng(seeds[i])
+        mode = find_mode(observer, rows)
+
+        def density(x: Array, index: NDArray[np.intp], rows: Array = rows) -> Array:
+            return observer.log_density(x, rows[index, None])
+
+        def contact(x: Array) -> Array:
+            return observer.contact(x)[0]
+
+        samples.append(
+            sample_stacked(
+                density,
+                _start(observer, rows, mode, rng),
+                seed=rng,
+                functions=contact,
+                precision=tolerance or PRECISION[dim],
+                max_steps=MOST_STEPS[dim],
+                indexed=True,
+            )
+        )
+        modes.append(mode.x)
+        if progress:
+            progress(min(start + size, len(reading)), len(reading))
+    joined = {
+        name: np.concatenate([getattr(s, name) for s in samples])
+        for name in ("mean", "sd", "mcse_mean", "mcse_sd", "shortfall")
+    }
+    values = [part for s in samples for part in s.values[..., dim:]]  # each (E, N, U)
+    estimates = [
+        Estimate(*(joined[key][:, dim + i] for key in ("mean", "sd", "mcse_mean", "mcse_sd")))
+        for i in range(dim)
+    ]
+    at_mode = observer.contact(np.concatenate(modes))[0]
+    status = np.where(is_unidentified(observer, at_mode), Status.UNIDENTIFIED, 0)
+    status = np.where(is_improbable(observer, reading, at_mode), Status.IMPROBABLE_READING, status)
+    status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
+
+    def quantile_of(p: Array) -> Array:
+        flat = [v.reshape(-1, dim) for v in values]
+        return np.stack([np.quantile(v, p, axis=0).T for v in flat])
+
+    def draws_of(count: int, seed: Seed) -> Array:
+        return np.stack([v[:, -count:] for v in values])
+
+    evidence = np.full(len(reading), np.nan)
+    return Solution(estimates, status.astype(np.int8), evidence, quantile_of, draws_of)
+
+
+def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:
+    """Walkers (B, E, W, U) about the modes, wider than the posterior, all inside its support."""
+    dim = mode.x.shape[1]
+    shape = (len(reading), ENSEMBLES, WALKERS[dim], dim)
+    root = 1.5 * np.linalg.cholesky(mode.covariance)
+    # On a ridge the curvature knows no bound; the prior's width in x is a few units.
+    root *= np.minimum(1.0, WIDEST / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
+    z = rng.standard_normal(shape)
+    x = mode.x[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
+    for _ in range(30):  # draw in towards the mode what has fallen outside
+        value = observer.log_density(x.reshape(len(reading), -1, dim), reading[:, None])
+        bad = ~np.isfinite(value).reshape(shape[:3])
+        if not bad.any():
+            break
+        z = np.where(bad[..., None], 0.5 * z, z)
+        x = mode.x[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
+    return x
