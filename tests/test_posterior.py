@@ -48,8 +48,10 @@ def test_quadrature_in_one_dimension_is_exact_to_1e_8(k, taper):
         mean, sd = brute_force(observer, float(y))
         assert abs(p.mean[i] - mean) < 1e-8 * sd
         assert abs(p.sd[i] / sd - 1) < 1e-8
-        assert abs(p.mean[i] - mean) <= p.mean_error[i] + 1e-11 * sd
-        assert abs(p.sd[i] - sd) <= p.sd_error[i] + 1e-11 * sd
+        # The estimates are of the rule's error; the rounding of sums over r comes on top.
+        rounding = 1e-11 * sd + 1e-12 * mean
+        assert abs(p.mean[i] - mean) <= p.mean_error[i] + rounding
+        assert abs(p.sd[i] - sd) <= p.sd_error[i] + rounding
     assert np.all(p.status == Status.CONVERGED)
 
 
@@ -88,7 +90,7 @@ def test_quantiles_are_those_of_the_density():
         exact = np.interp(probability, cumulative, r)
         assert p.quantile(probability) == pytest.approx(exact, rel=1e-5)
     low, high = p.interval(0.95)
-    assert (low, high) == tuple(p.quantile([0.025, 0.975]))
+    assert [low, high] == pytest.approx(p.quantile([0.025, 0.975]), rel=1e-13)
 
 
 def grid_truth(observer, reading):

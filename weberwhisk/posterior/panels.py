@@ -73,7 +73,7 @@ SHORTEST = 1e-6
 #: A panel is weighed where the reading lies within this many sd of its signals …
 WINDOW = 10.0
 #: … and its middle is not this far (in ln) below the highest.
-NEGLIGIBLE = 40.0
+NEGLIGIBLE = 32.0
 
 
 class _Window:
@@ -161,8 +161,8 @@ class Panels:
         self._probable = _Window(mean, sd, IMPROBABLE)
 
     def _edges(self) -> Array:
-        """First cuts in x: even ones, and half an sd apart where a prior has its mass."""
-        cuts = np.linspace(*X_RANGE, 45)
+        """First cuts in x: finer where the tip is near, and half an sd apart under a prior."""
+        cuts = np.concatenate([np.linspace(X_RANGE[0], 0, 20), np.linspace(0, X_RANGE[1], 14)])
         prior = self.observer.prior.get("radial_distance")
         if prior is not None:
             low, high = self.observer.reach
