@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from weberwhisk.posterior import diagnostics
+from weberwhisk.posterior.densities import checked_density
 from weberwhisk.posterior.moves import (
     Array,
     StackedDifferentialEvolution,
@@ -308,19 +309,7 @@ class _Run:
         """The log-density of rows in block order; refuses NaN and +inf, which would stick."""
         x = rows.reshape(len(self.alive), -1, self.shape[-1])
         out = self.log_density(x, self.alive) if self.indexed else self.log_density(x)
-        value = np.asarray(out, dtype=float)
-        if value.shape != x.shape[:2]:
-            raise ValueError(
-                f"The log-density must have shape {x.shape[:2]} for points of shape {x.shape}, "
-                f"got {value.shape}; return one value for each point."
-            )
-        if not np.max(value) < np.inf:
-            bad = tuple(np.argwhere(~(value < np.inf))[0])
-            raise ValueError(
-                f"The log-density of posterior {self.alive[bad[0]]} is {value[bad]} at "
-                f"{x[bad].tolist()}; return -inf where the density is zero."
-            )
-        return value.ravel()
+        return checked_density(out, x, self.alive).ravel()
 
     def columns(self, coords: Array) -> Array:
         """Coordinates (n, b, E, W, D) and the functions of them side by side, (n, b, E, W, C)."""

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
+from weberwhisk.posterior.densities import checked_density
+
 Array = NDArray[np.float64]
 Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
 Functions = Callable[[Array], ArrayLike]
@@ -384,7 +386,7 @@ def _evaluate(
     node = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, work.dim)
     z = lowest[:, None] + node * spacing[:, None]
     points = work.centre[index, None] + z @ work.root[index].swapaxes(1, 2)
-    log_value = _checked_density(log_density(points, index), points, index)
+    log_value = checked_density(log_density(points, index), points, index)
     peak = log_value.max(axis=1)
     peak = np.where(np.isfinite(peak), peak, 0.0)
     weights = np.exp(log_value - peak[:, None])
@@ -513,23 +515,6 @@ def _columns(points: Array, weights: Array, functions: Functions | None) -> Arra
             f"{points[tuple(bad[:2])].tolist()}; return -inf as log-density there."
         )
     return np.concatenate([points, np.where(inside, extra, 0.0)], axis=-1)
-
-
-def _checked_density(value: ArrayLike, points: Array, index: NDArray[np.intp]) -> Array:
-    """The log-density as (b, N), refused where it is NaN, +inf or of another shape."""
-    out = np.asarray(value, dtype=float)
-    if out.shape != points.shape[:2]:
-        raise ValueError(
-            f"The log-density must have shape {points.shape[:2]} for points of shape "
-            f"{points.shape}, got {out.shape}; return one value for each point."
-        )
-    if not np.max(out) < np.inf:
-        bad = tuple(np.argwhere(~(out < np.inf))[0])
-        raise ValueError(
-            f"The log-density of posterior {index[bad[0]]} is {out[bad]} at "
-            f"{points[bad].tolist()}; return -inf where the density is zero."
-        )
-    return out
 
 
 def _checked_start(

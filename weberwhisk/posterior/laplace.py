@@ -25,7 +25,7 @@ def laplace(
     to_contact = contact_slope(observer, mode.x)
     covariance = to_contact @ mode.covariance @ np.swapaxes(to_contact, 1, 2)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    mean_error, sd_error = _along_axes(observer, reading, mode, sd)
+    mean_error, sd_error = _along_axes(observer, reading, mode, to_contact, sd)
     worst = (np.maximum(mean_error, sd_error) / sd).max(axis=1)
     status = np.where(worst > (tolerance or LAPLACE_MISFIT), Status.NOT_GAUSSIAN, Status.CONVERGED)
     status = np.where(is_unidentified(observer, contact), Status.UNIDENTIFIED, status)
@@ -53,7 +53,9 @@ def laplace(
     return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
 
 
-def _along_axes(observer: Observer, reading: Array, mode: Mode, sd: Array) -> tuple[Array, Array]:
+def _along_axes(
+    observer: Observer, reading: Array, mode: Mode, to_contact: Array, sd: Array
+) -> tuple[Array, Array]:
     """How far mean and sd of the contact are from the Gaussian's, (B, U) each.
 
     Along each axis of the Gaussian the density itself is summed, out to six sd.
@@ -71,7 +73,7 @@ def _along_axes(observer: Observer, reading: Array, mode: Mode, sd: Array) -> tu
         contact = observer.contact(x)[0]
         mean = np.einsum("bt,btu->bu", weight, contact)
         variance = np.einsum("bt,btu->bu", weight, (contact - mean[:, None]) ** 2)
-        claimed = np.einsum("bue,be->bu", contact_slope(observer, mode.x), reach) ** 2
+        claimed = np.einsum("bue,be->bu", to_contact, reach) ** 2
         mean_error += np.abs(mean - at_mode)
         variance_error += variance - claimed
     return mean_error, np.abs(np.sqrt(np.maximum(sd**2 + variance_error, 0.0)) - sd)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,18 @@ from .grid import GridPosterior, Nodes, integrate
 from .mode import find_mode
 from .panels import Panels
 from .result import Estimate, Status
-from .solution import WIDEST, Array, Solution, is_improbable, is_unidentified
+from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
 #: Error of mean and sd, over the sd, above which a quadrature is called imprecise.
 TOLERANCE = {1: 1e-6, 2: 1e-2}
 #: Posteriors whose grids are worked on together.
 TOGETHER = 1024
 
-_PANELS: WeakKeyDictionary[Observer, Panels] = WeakKeyDictionary()
+
+@lru_cache(maxsize=32)
+def _panels(observer: Observer) -> Panels:
+    """The panels of an observer, kept for its next readings."""
+    return Panels(observer)
 
 
 def quadrature(
@@ -29,7 +33,7 @@ def quadrature(
 ) -> Solution:
     if len(observer.unknowns) > 1:
         return _grid(observer, reading, tolerance, progress)
-    panels = _PANELS.get(observer) or _PANELS.setdefault(observer, Panels(observer))
+    panels = _panels(observer)
     m = panels.moments(reading)
     error = np.maximum(m.mean_error, m.sd_error) / m.sd
     status = np.where(error > (tolerance or TOLERANCE[1]), Status.IMPRECISE, Status.CONVERGED)
@@ -49,9 +53,7 @@ def quadrature(
 def _grid(observer: Observer, reading: Array, tolerance: float | None, progress: Any) -> Solution:
     dim = len(observer.unknowns)
     mode = find_mode(observer, reading)
-    root = np.linalg.cholesky(mode.covariance)
-    root = root * np.minimum(1.0, WIDEST / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
-
+    root = mode_root(mode)
     contact = observer.contact(mode.x)[0]
     unidentified = is_unidentified(observer, contact)
     improbable = is_improbable(observer, reading, contact)
@@ -65,17 +67,23 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
             only_functions=True,
             tolerance=tolerance or TOLERANCE[dim],
             # A ridge that no reading resolves is not worth resolving either.
-            max_points=MOST_NODES // 100 if unidentified[rows].any() else MOST_NODES,
+            max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
             keep_points=keep_points,
         )
 
-    order = np.argsort(unidentified, kind="stable")
-    parts = []
-    for start in range(0, len(reading), TOGETHER):
-        parts.append(integral(order[start : start + TOGETHER]))
+    # Ridges go apart from the rest, so that no posterior depends on its neighbours.
+    pieces = [
+        rows[start : start + TOGETHER]
+        for rows in (np.flatnonzero(~unidentified), np.flatnonzero(unidentified))
+        for start in range(0, len(rows), TOGETHER)
+    ]
+    parts, done = [], 0
+    for rows in pieces:
+        parts.append(integral(rows))
+        done += len(rows)
         if progress:
-            progress(min(start + TOGETHER, len(reading)), len(reading))
-    back = np.argsort(order)
+            progress(done, len(reading))
+    back = np.argsort(np.concatenate(pieces))
     mean, sd, mean_error, sd_error = (
         np.concatenate([getattr(part, name)[:, dim:] for part in parts])[back]
         for name in ("mean", "sd", "mean_error", "sd_error")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
+from .mode import Mode
 from .result import Estimate
 
 Array = NDArray[np.float64]
@@ -28,6 +29,17 @@ class Solution(NamedTuple):
     log_evidence: Array
     quantile_of: Callable[[Array], Array]
     draws_of: Callable[[int, Seed], Array]
+
+
+def mode_root(mode: Mode, *, widen: float = 1.0) -> Array:
+    """A square root of each mode's covariance, (B, U, U), no wider than `WIDEST`.
+
+    On a ridge the curvature knows no bound; the prior's width in x is a few units.
+    """
+    root = widen * np.linalg.cholesky(mode.covariance)
+    return np.asarray(
+        root * np.minimum(1.0, WIDEST / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
+    )
 
 
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from ..receptors import Seed
 from .ensemble import sample_stacked
 from .mode import Mode, find_mode
 from .result import Estimate, Status
-from .solution import WIDEST, Array, Solution, is_improbable, is_unidentified
+from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for.
 PRECISION = {1: 0.02, 2: 0.03}
@@ -88,9 +88,7 @@ def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Genera
     """Walkers (B, E, W, U) about the modes, wider than the posterior, all inside its support."""
     dim = mode.x.shape[1]
     shape = (len(reading), ENSEMBLES, WALKERS[dim], dim)
-    root = 1.5 * np.linalg.cholesky(mode.covariance)
-    # On a ridge the curvature knows no bound; the prior's width in x is a few units.
-    root *= np.minimum(1.0, WIDEST / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
+    root = mode_root(mode, widen=1.5)
     z = rng.standard_normal(shape)
     x = mode.x[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
     for _ in range(30):  # draw in towards the mode what has fallen outside
