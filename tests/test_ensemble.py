@@ -21,6 +21,7 @@ from weberwhisk.posterior.ensemble import (
     sample_stacked,
 )
 from weberwhisk.posterior.grid import integrate
+from weberwhisk.posterior.moves import StackedIndependence
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
@@ -459,3 +460,23 @@ def test_misuse_is_refused_in_one_sentence(
     assert str(caught.value).endswith(".")
     assert "\n" not in str(caught.value)
     assert capsys.readouterr().out == ""  # emcee would print the walkers
+
+
+def test_independent_proposals_leave_a_density_as_it_is() -> None:
+    # A skewed density and a guess that is off: exact moments of ln of a gamma variable.
+    shape = np.array([3.0, 8.0])
+
+    def density(x: Array, index: NDArray[np.intp]) -> Array:
+        a = shape[index][:, None]
+        return (a * x[..., 0] - np.exp(x[..., 0])) - 0.5 * x[..., 1] ** 2
+
+    centre = np.stack([np.log(shape) + 0.3, np.full(2, 0.2)], axis=1)
+    root = np.eye(2) * np.stack([1.5 / np.sqrt(shape), np.full(2, 1.3)], axis=1)[:, None]
+    start = centre[:, None, None] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 6, 2))
+    guess = partial(StackedIndependence, centre=centre, root=root)
+    fit = sample_stacked(density, start, seed=4, moves=[(guess, 1.0)], indexed=True)
+    assert fit.converged.all()
+    mean, sd = special.digamma(shape), np.sqrt(special.polygamma(1, shape))
+    assert np.all(np.abs(fit.mean[:, 0] - mean) < 4 * fit.mcse_mean[:, 0])
+    assert np.all(np.abs(fit.sd[:, 0] - sd) < 4 * fit.mcse_sd[:, 0])
+    assert np.all(np.abs(fit.sd[:, 1] - 1) < 4 * fit.mcse_sd[:, 1])

@@ -24,6 +24,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.closed_form": ("mechanics.contact", "mechanics.chebyshev"),
     "mechanics.elastica": ("mechanics.closed_form",),
     "mechanics.build_map": ("mechanics.elastica",),
+    "mechanics.surface": ("mechanics.elastica",),
     "mechanics.shape": ("whisker", "mechanics.chebyshev"),
     "mechanics.trajectory": ("mechanics.shape",),
     "mechanics.branch": ("mechanics.trajectory",),
@@ -38,6 +39,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.ladder": ("mechanics.rod",),
     "mechanics": (
         "mechanics.ladder",
+        "mechanics.surface",
         "mechanics.objects",
         "mechanics.muscle",
         "mechanics.modes",

@@ -280,7 +280,7 @@ def test_seeds_repeat():
         (lambda o: ww.posterior(o, [1.0]).interval(1.5), "probability lies between 0 and 1"),
         (
             lambda o: ww.posterior(ww.Observer(W, ForceMap()), [1.0, 2.0, 3.0]),
-            r"has 2 numbers \(moment, axial_force\), got shape \(3,\)",
+            r"has 2 numbers \(of moment, axial_force\), got shape \(3,\)",
         ),
     ],
 )

@@ -1,25 +1,48 @@
-"""Receptor noise: sd, likelihood, sampling and information agree with each other."""
+"""Receptor noise: moments, likelihood, sampling and information agree with each other."""
 
 import numpy as np
 import pytest
+from numpy.polynomial.legendre import leggauss
 from scipy import stats
 
-from weberwhisk.receptors import GeneralisedWeber, ReceptorNoise, Weber
+import weberwhisk as ww
+from weberwhisk import Status
+from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.receptors import (
+    Afferents,
+    GeneralisedWeber,
+    LogNormal,
+    NearMiss,
+    ReceptorNoise,
+    Saturating,
+    SpikeCount,
+    Weber,
+)
 
-MODELS = {
+GAUSSIAN = {
     "weber": Weber(0.1),
     "per signal": Weber([0.1, 0.3]),
     "correlated": Weber([0.1, 0.2], correlation=0.6),
     "negative": Weber(0.2, correlation=-0.9),
     "floor": GeneralisedWeber(0.1, floor=[0.2, 0.1]),
     "ceiling": GeneralisedWeber(0.1, floor=0.2, ceiling=[1.5, 9.0], correlation=0.3),
+    "saturating": Saturating([0.1, 0.2], ceiling=[3.0, 9.0], sharpness=2.0, floor=0.1),
+    "near miss": NearMiss([0.1, 0.2], exponent=0.8, reference=[1.0, 4.0], correlation=-0.3),
 }
+OTHER = {
+    "log-normal": LogNormal([0.1, 0.4]),
+    "log-normal, correlated": LogNormal([0.5, 0.3], correlation=0.7),
+    "counts": SpikeCount(Afferents(3, 0.5, [8.0, 20.0]), Afferents(2, 30.0, 300.0)),
+    "counts, gain": SpikeCount(Afferents(3, 0.5, 8.0, exponent=1.3), gain_sd=0.4),
+}
+MODELS = GAUSSIAN | OTHER
+every_model = pytest.mark.parametrize("noise", MODELS.values(), ids=MODELS)
 SIGNALS = np.array([[2.0, 5.0], [0.3, -4.0], [1.0, 10.0]])
 
 
-@pytest.mark.parametrize("noise", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("noise", GAUSSIAN.values(), ids=GAUSSIAN)
 def test_likelihood_is_scipys_normal_with_the_models_covariance(noise):
-    assert isinstance(noise, ReceptorNoise)
     reading = SIGNALS * [[1.1, 0.9]]
     for y, mean, covariance, ours in zip(
         reading,
@@ -33,20 +56,35 @@ def test_likelihood_is_scipys_normal_with_the_models_covariance(noise):
         )
 
 
-@pytest.mark.parametrize("noise", MODELS.values(), ids=MODELS)
+@every_model
+def test_parts_of_a_model_fit_together(noise):
+    assert isinstance(noise, ReceptorNoise)
+    size = noise.reading_size(2)
+    mean, sd, jacobian = noise.mean(SIGNALS), noise.sd(SIGNALS), noise.jacobian(SIGNALS)
+    assert mean.shape == sd.shape == noise.sample(SIGNALS, seed=1).shape == (3, size)
+    assert jacobian.shape == (3, size, 2)
+    variance = np.diagonal(noise.covariance(SIGNALS), axis1=-2, axis2=-1)
+    assert np.allclose(sd**2, variance, rtol=1e-12)
+    for axis, h in enumerate(1e-5 * np.eye(2)):
+        rise = (noise.mean(SIGNALS + h) - noise.mean(SIGNALS - h)) / 2e-5
+        assert np.allclose(jacobian[..., axis], rise, rtol=1e-6, atol=1e-8)
+
+
+@every_model
 def test_samples_have_the_models_moments(noise):
-    n = 200_000
+    n = 100_000
     draws = noise.sample(np.broadcast_to(SIGNALS[0], (n, 2)), seed=4)
     covariance = noise.covariance(SIGNALS[0])
-    z = (draws.mean(axis=0) - noise.mean(SIGNALS[0])) / np.sqrt(np.diag(covariance) / n)
-    assert np.all(np.abs(z) < 4)
-    spread = np.sqrt((np.outer(np.diag(covariance), np.diag(covariance)) + covariance**2) / n)
-    assert np.all(np.abs(np.cov(draws.T) - covariance) < 4 * spread)
+    off = draws - noise.mean(SIGNALS[0])
+    assert np.all(np.abs(off.mean(axis=0)) < 4.5 * np.sqrt(np.diag(covariance) / n))
+    products = off[:, :, None] * off[:, None, :]
+    error = products.std(axis=0) / np.sqrt(n)
+    assert np.all(np.abs(products.mean(axis=0) - covariance) < 4.5 * error)
 
 
-@pytest.mark.parametrize("noise", MODELS.values(), ids=MODELS)
+@every_model
 def test_fisher_information_is_the_variance_of_the_score(noise):
-    signal, n, h = SIGNALS[0], 400_000, 1e-4
+    signal, n, h = SIGNALS[0], 200_000, 1e-4
     draws = noise.sample(np.broadcast_to(signal, (n, 2)), seed=7)
     score = np.stack(
         [
@@ -65,17 +103,153 @@ def test_fisher_information_is_the_variance_of_the_score(noise):
     assert np.all(np.abs(products.mean(axis=0) - information) <= 4.5 * error + 1e-9)
 
 
+ONE_SIGNAL = {
+    "weber": Weber(0.2),
+    "ceiling": GeneralisedWeber(0.1, floor=0.2, ceiling=5.0),
+    "saturating": Saturating(0.1, ceiling=2.0, sharpness=3.0),
+    "near miss": NearMiss(0.3, exponent=1.2, reference=10.0),
+    "log-normal": LogNormal(0.1),
+    "wide log-normal": LogNormal(1.0),
+    "count": SpikeCount(Afferents(1, 2.0, 2.0, exponent=1.5), window=0.2),
+    "count, gain": SpikeCount(None, Afferents(1, 90.0, 90.0, peak_rate=900.0), gain_sd=0.3),
+}
+
+
+def over_all_readings(noise, signal):
+    """All readings of one signal, as nodes (n, 1) and weights of an integral or a sum."""
+    low, high = (float(end[0]) for end in noise.interval([signal], 9.0))
+    if isinstance(noise, SpikeCount):
+        counts = np.arange(np.ceil(high) + 1)[:, None]
+        return counts, np.ones(len(counts))
+    x, w = leggauss(300)
+    if isinstance(noise, LogNormal):
+        logs = np.log(low) + (np.log(high) - np.log(low)) * (x + 1) / 2
+        return np.exp(logs)[:, None], w * (np.log(high) - np.log(low)) / 2 * np.exp(logs)
+    return (low + (high - low) * (x + 1) / 2)[:, None], w * (high - low) / 2
+
+
+@pytest.mark.parametrize("signal", [0.7, 3.0, 20.0])
+@pytest.mark.parametrize("noise", ONE_SIGNAL.values(), ids=ONE_SIGNAL)
+def test_the_integral_over_all_readings_gives_one_mean_variance_and_information(noise, signal):
+    reading, weight = over_all_readings(noise, signal)
+
+    def log(at):
+        return noise.log_likelihood(reading, np.full((len(reading), 1), at))
+
+    weight = weight * np.exp(log(signal))
+    assert weight.sum() == pytest.approx(1, rel=1e-10)
+    assert weight @ reading[:, 0] == pytest.approx(noise.mean([signal])[0], rel=1e-10)
+    off = reading[:, 0] - noise.mean([signal])[0]
+    assert weight @ off**2 == pytest.approx(noise.covariance([signal])[0, 0], rel=1e-9)
+    h = 1e-4 * signal
+    score = (
+        8 * (log(signal + h) - log(signal - h)) - log(signal + 2 * h) + log(signal - 2 * h)
+    ) / (12 * h)
+    assert weight @ score**2 == pytest.approx(noise.fisher([signal])[0, 0], rel=1e-8, abs=1e-18)
+
+
+@pytest.mark.parametrize("width", [1.0, 3.0, 5.0, 10.0])
+@pytest.mark.parametrize("noise", ONE_SIGNAL.values(), ids=ONE_SIGNAL)
+def test_readings_outside_the_interval_are_as_rare_as_it_says(noise, width):
+    for signal in (0.01, 0.7, 3.0, 20.0):
+        (low,), (high,) = noise.interval([signal], width)
+        mean, variance = float(noise.mean([signal])[0]), float(noise.covariance([signal])[0, 0])
+        if isinstance(noise, LogNormal):
+            tails = stats.lognorm(noise.sigma, scale=signal * np.exp(-(noise.sigma**2) / 2))
+        elif isinstance(noise, SpikeCount) and noise.gain_sd:
+            shape = noise.gain_sd**-2
+            tails = stats.nbinom(shape, shape / (shape + mean))
+        elif isinstance(noise, SpikeCount):
+            tails = stats.poisson(mean)
+        else:
+            tails = stats.norm(mean, np.sqrt(variance))
+        bound = np.exp(-0.5 * width**2)
+        assert tails.cdf(np.nextafter(low, -np.inf)) <= bound
+        assert tails.sf(high) <= bound
+
+
+# -- limits ---------------------------------------------------------------------------------------
+
+
 def test_one_weber_signal_carries_1_plus_2k_squared():
     k, signal = 0.2, 3.0
     assert Weber(k).fisher([signal])[0, 0] == pytest.approx((1 + 2 * k**2) / (k * signal) ** 2)
 
 
-def test_generalised_weber_has_weber_and_constant_noise_as_limits():
-    weber, no_floor = Weber(0.1), GeneralisedWeber(0.1, floor=0.0)
-    assert np.allclose(weber.covariance(SIGNALS), no_floor.covariance(SIGNALS))
-    assert np.allclose(weber.fisher(SIGNALS), no_floor.fisher(SIGNALS))
+def same(a, b, rtol=1e-12):
+    reading = SIGNALS * [[1.1, 0.9]]
+    for part in ("mean", "sd", "covariance", "fisher", "jacobian"):
+        assert np.allclose(getattr(a, part)(SIGNALS), getattr(b, part)(SIGNALS), rtol=rtol), part
+    assert np.allclose(a.log_likelihood(reading, SIGNALS), b.log_likelihood(reading, SIGNALS), rtol)
+
+
+def test_weber_is_the_limit_of_its_generalisations():
+    weber = Weber([0.1, 0.2], correlation=0.4)
+    options = {"weber_fraction": [0.1, 0.2], "correlation": 0.4}
+    same(weber, GeneralisedWeber(**options, floor=0.0))
+    same(weber, NearMiss(**options, exponent=1.0, reference=[1e-6, 7.0]))
+    same(weber, Saturating(**options, ceiling=1e15), rtol=1e-10)
+
+
+def test_without_a_weber_fraction_the_floor_is_constant_noise():
     constant = GeneralisedWeber(1e-9, floor=0.5)
     assert np.allclose(constant.fisher(SIGNALS), np.eye(2) / 0.25)
+
+
+def test_a_saturating_response_is_naka_rushtons_or_a_hard_ceiling():
+    soft = Saturating(0.1, ceiling=3.0)
+    assert np.allclose(soft.mean(SIGNALS), 3 * SIGNALS / (3 + np.abs(SIGNALS)), rtol=1e-14)
+    hard = GeneralisedWeber(0.1, floor=0.2, ceiling=3.0)
+    same(hard, Saturating(0.1, ceiling=3.0, floor=0.2, sharpness=1000.0))
+    assert np.array_equal(hard.saturated(SIGNALS), soft.saturated(SIGNALS))
+
+
+def test_information_falls_as_a_power_beyond_the_ceiling():
+    for p in (1.0, 2.5):
+        noise = Saturating(0.1, ceiling=1.0, sharpness=p)
+        about_log = [noise.fisher([s])[0, 0] * s**2 for s in (1e3, 1e4)]
+        assert about_log[1] / about_log[0] == pytest.approx(10 ** (-2 * p), rel=5e-3)
+    assert Saturating(0.1, ceiling=1.0).fisher([1e200])[0, 0] == 0
+
+
+def test_near_miss_has_the_slope_of_its_exponent():
+    noise = NearMiss(0.1, exponent=0.9, reference=2.0)
+    assert noise.sd([2.0])[0] == pytest.approx(0.2, rel=1e-14)
+    assert np.log10(noise.sd([20.0])[0] / noise.sd([2.0])[0]) == pytest.approx(0.9, rel=1e-14)
+    # The same law from another reference: k goes by its own power of it.
+    same(NearMiss(0.1 * 2**0.1, exponent=0.9, reference=1.0), NearMiss(0.1, reference=2.0))
+
+
+def test_log_normal_noise_has_webers_moments_and_its_shape_as_k_falls():
+    for k in (0.05, 0.5, 2.0):
+        weber, log_normal = Weber(k), LogNormal(k)
+        assert np.allclose(log_normal.mean(SIGNALS), weber.mean(SIGNALS))
+        assert np.allclose(log_normal.sd(SIGNALS), weber.sd(SIGNALS))
+        ratio = weber.fisher([3.0])[0, 0] / log_normal.fisher([3.0])[0, 0]
+        assert ratio == pytest.approx((1 + 2 * k**2) * np.log1p(k**2) / k**2, rel=1e-12)
+    # The leading difference is the skewness, 3k: a Kullback–Leibler divergence of (3k)²/12.
+    for k in (0.02, 0.01):
+        reading, weight = over_all_readings(LogNormal(k), 3.0)
+        signals = np.full((len(reading), 1), 3.0)
+        log = LogNormal(k).log_likelihood(reading, signals)
+        divergence = weight @ (np.exp(log) * (log - Weber(k).log_likelihood(reading, signals)))
+        assert divergence == pytest.approx(0.75 * k**2, rel=20 * k**2)
+
+
+def test_log_normal_is_scipys():
+    noise, reading = LogNormal(0.4), SIGNALS * [[1.3, 0.6]]
+    centre = np.abs(SIGNALS) * np.exp(-(noise.sigma**2) / 2)
+    expected = stats.lognorm.logpdf(np.abs(reading), noise.sigma, scale=centre).sum(axis=-1)
+    assert np.allclose(noise.log_likelihood(reading, SIGNALS), expected, rtol=1e-13)
+
+
+def test_a_log_normal_receptor_does_not_mistake_the_sign():
+    noise = LogNormal(0.5)
+    assert np.array_equal(np.sign(noise.sample(SIGNALS, seed=2)), np.sign(SIGNALS))
+    readings = np.array([[-2.0, 5.0], [2.0, -5.0], [0.0, 5.0]])
+    assert np.all(noise.log_likelihood(readings, SIGNALS[:1]) == -np.inf)
+    assert noise.log_likelihood(-readings[0], -SIGNALS[0]) == -np.inf
+    assert np.isfinite(noise.log_likelihood([0.3, -4.4], SIGNALS[1]))
 
 
 def test_a_saturated_receptor_knows_nothing():
@@ -88,11 +262,94 @@ def test_a_saturated_receptor_knows_nothing():
 def test_a_signal_without_spread_is_impossible_not_nan():
     assert Weber(0.1).log_likelihood([1.0], [0.0]) == -np.inf
     assert Weber(0.1).log_likelihood([0.0], [0.0]) == -np.inf
+    assert LogNormal(0.1).log_likelihood([0.0], [0.0]) == -np.inf
 
 
-def test_sampling_is_repeatable():
-    a, b = (Weber(0.1).sample(SIGNALS, seed=3) for _ in range(2))
+@every_model
+def test_sampling_is_repeatable(noise):
+    a, b = (noise.sample(SIGNALS, seed=3) for _ in range(2))
     assert np.array_equal(a, b)
+
+
+# -- observers ------------------------------------------------------------------------------------
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+UNIT = float(W.compliance_constant / W.length)
+# Saturated, the posterior reaches the base; quadrature leaves out the last 1e-7 of the reach.
+OBSERVED = {
+    "near miss": (NearMiss(0.1, exponent=0.8, reference=UNIT), 1e-8),
+    "saturating": (Saturating(0.1, ceiling=4 * UNIT, floor=0.01 * UNIT), 1e-6),
+    "log-normal": (LogNormal(0.1), 1e-8),
+    "wide log-normal": (LogNormal(0.7), 1e-8),
+}
+
+
+def brute_force(observer, reading):
+    """Mean and sd of r for a flat prior, by Gauss–Legendre on many cells in r."""
+    x, w = leggauss(6)
+    top = 1 - np.geomspace(1e-14, 1e-3, 200)[::-1]
+    edges = np.concatenate([[0.0], np.geomspace(1e-9, 1e-2, 800), np.linspace(0.011, 0.998, 4000)])
+    edges = np.concatenate([edges, top]) * observer.whisker.length
+    half = np.diff(edges) / 2
+    r = ((edges[:-1] + half)[:, None] + half[:, None] * x).ravel()
+    log = observer.log_likelihood(reading, r[:, None])
+    weight = np.exp(log - log.max()) * (half[:, None] * w).ravel()
+    mean = weight @ r / weight.sum()
+    return mean, np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+
+
+@pytest.mark.parametrize(("noise", "tolerance"), OBSERVED.values(), ids=OBSERVED)
+def test_quadrature_agrees_with_brute_force(noise, tolerance):
+    observer = ww.Observer(W, Compliance(), noise)
+    readings = observer.read(np.array([[0.05], [0.3], [0.7], [0.95]]) * W.length, seed=2)
+    p = ww.posterior(observer, readings)
+    assert np.all(p.status == Status.CONVERGED)
+    for mean, sd, reading in zip(p.mean, p.sd, readings, strict=True):
+        expected_mean, expected_sd = brute_force(observer, reading)
+        assert abs(mean - expected_mean) < tolerance * expected_sd
+        assert sd == pytest.approx(expected_sd, rel=tolerance)
+
+
+def test_a_far_tail_of_a_log_normal_reading_is_integrated_too():
+    """At k = 0.7 a reading 3.7 sd up the log scale lies 10 sd from the mean on the linear one."""
+    noise = LogNormal(0.7)
+    prior = {"radial_distance": stats.norm(0.9 * W.length, 0.002 * W.length)}
+    observer = ww.Observer(W, Compliance(), noise, prior)
+    signal = observer.signals([0.9 * W.length])[0]
+    reading = signal * np.exp(4.5 * noise.sigma)
+    assert reading > signal + 10 * noise.sd(signal)
+    p = ww.posterior(observer, reading)
+    assert p.status == Status.CONVERGED
+    assert abs(p.mean - 0.9 * W.length) < 2 * 0.002 * W.length
+
+
+@pytest.mark.parametrize("method", ["quadrature", "laplace"])
+@pytest.mark.parametrize("reading", [0.0, -UNIT])
+def test_a_reading_that_no_contact_can_give_is_refused(reading, method):
+    observer = ww.Observer(W, Compliance(), LogNormal(0.1))
+    with pytest.raises(ValueError, match=r"No contact can give the reading \[-?[0-9.e-]+\]"):
+        ww.posterior(observer, [UNIT, reading], method)
+
+
+def test_the_linear_jnd_goes_by_the_slope_of_the_response():
+    contact, weber = [0.4 * W.length], Weber(0.1)
+    noise = Saturating(0.1, ceiling=UNIT)
+    signal = ww.Observer(W, Compliance(), weber).signals(contact)[0]
+    ratio = noise.mean(signal)[0] / signal[0] / noise.jacobian(signal)[0, 0]
+    expected = ratio * weber_propagation(ww.Observer(W, Compliance(), weber), contact)
+    found = weber_propagation(ww.Observer(W, Compliance(), noise), contact)
+    assert found == pytest.approx(expected, rel=1e-12)
+    blind = ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=0.0, ceiling=0.1 * UNIT))
+    assert weber_propagation(blind, contact) == np.inf
+    assert fisher_jnd(blind, contact) == np.inf
+
+
+def test_a_log_normal_force_map_has_webers_linear_jnd():
+    contact = [0.5 * W.length, 0.1]
+    weber, log_normal = (ww.Observer(W, ForceMap(), n) for n in (Weber(0.1), LogNormal(0.1)))
+    assert weber_propagation(log_normal, contact) == pytest.approx(
+        weber_propagation(weber, contact), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -107,6 +364,13 @@ def test_sampling_is_repeatable():
         (lambda: GeneralisedWeber(0.1, floor=1, ceiling=0), "ceiling must be above zero"),
         (lambda: Weber(0.1, correlation=1).log_likelihood([1.0, 2], [1.0, 2]), "has no likelihood"),
         (lambda: Weber(0.1, correlation=-0.7).sample([1.0, 2, 3]), "cannot all be correlated"),
+        (lambda: Saturating(0.1, ceiling=-1), "ceiling must be above zero, got -1"),
+        (lambda: Saturating(0.1, ceiling=1, sharpness=0), "sharpness must be above zero, got 0"),
+        (lambda: NearMiss(0.1, exponent=0, reference=1), "exponent must be above zero, got 0"),
+        (lambda: NearMiss(0.1, reference=0), "reference must be above zero, got 0"),
+        (lambda: LogNormal(0), "weber_fraction must be above zero, got 0"),
+        (lambda: LogNormal(0.1, correlation=2), "correlation must lie between -1 and 1, got 2"),
+        (lambda: LogNormal(correlation=-1).log_likelihood([1.0, 2], [1.0, 2]), "no likelihood"),
     ],
 )
 def test_nonsense_is_refused(make, words):

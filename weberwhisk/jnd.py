@@ -108,8 +108,11 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     model = model or observer.model
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
     held = outcome == Outcome.HELD
-    slope = observer.cue.jacobian(observer.whisker, contact, model=model)
-    covariance = observer.noise.covariance(np.where(held[..., None], signals, 1.0))
+    signals = np.where(held[..., None], signals, 1.0)
+    slope = observer.noise.jacobian(signals) @ observer.cue.jacobian(
+        observer.whisker, contact, model=model
+    )
+    covariance = observer.noise.covariance(signals)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     unit = _contact_scale(contact)
     # In units of the noise and of the contact itself, so that singular means singular.

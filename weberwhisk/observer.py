@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from scipy.special import logit, wrightomega
 from ._checks import finite, one_of
 from .cues.protocol import Cue
 from .mechanics.contact import Outcome
-from .mechanics.elastica import DeflectionLimit
+from .mechanics.surface import surface_of
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
 
@@ -46,11 +45,11 @@ class Observer:
 
     Notes
     -----
-    Posteriors are explored in coordinates x that have no edges. With f = logistic(y + eʸ), which is
-    eʸ far down and closes in on 1 double-exponentially, x₁ is the y of r as a fraction of its
-    reach, and x₂ the y of θ_d as a fraction of the largest angle at that r, plus the ln of what
-    makes a moment of an angle. So a relative change of r, θ_d or M is a step of x, the fold and the
-    tip cut tails short, and the force map's ridge, along which M is constant, is straight.
+    Posteriors are explored in coordinates x that have no edges: x₁ = asinh(logit(r/reach)), in
+    which base and tip lie double-exponentially far off, and x₂ = y + ln(M/θ_d), with M the small-
+    angle moment and logistic(y + eʸ) the fraction of the largest θ_d at that r. Down low x₂ is
+    ln M, up high it closes in on the fold or the tip double-exponentially. So the tails of
+    posteriors are short, and the force map's ridge, along which M is constant, is straight.
 
     Examples
     --------
@@ -107,10 +106,6 @@ class Observer:
             )
         return low, high
 
-    @cached_property
-    def _limit(self) -> DeflectionLimit:
-        return DeflectionLimit(self.whisker)
-
     # -- coordinates ---------------------------------------------------------------------------
 
     def contact(self, x: ArrayLike) -> tuple[Array, Array]:
@@ -118,7 +113,7 @@ class Observer:
         x = np.asarray(x, dtype=float)
         low, high = self.reach
         out = np.empty(x.shape)
-        fraction, log_jacobian = _squash(x[..., 0])
+        fraction, log_jacobian = _place(x[..., 0])
         # Rounding must not put a contact on an edge, where there is none.
         out[..., 0] = np.clip(
             low + (high - low) * fraction, np.nextafter(low, high), np.nextafter(high, low)
@@ -137,7 +132,7 @@ class Observer:
         contact = np.asarray(contact, dtype=float)
         low, high = self.reach
         out = np.empty(contact.shape)
-        out[..., 0] = _unsquash((contact[..., 0] - low) / (high - low))
+        out[..., 0] = _unplace((contact[..., 0] - low) / (high - low))
         if contact.shape[-1] > 1:
             low_angle, width = self._angles(contact[..., 0])
             out[..., 1] = _unsquash((contact[..., 1] - low_angle) / width) + self._shear(
@@ -147,7 +142,8 @@ class Observer:
 
     def spread(self, fractions: Array) -> Array:
         """Coordinates (n, U) of contacts at all combinations of fractions of each range."""
-        axes = np.meshgrid(*[_unsquash(fractions)] * len(self.unknowns), indexing="ij")
+        inverses = (_unplace, _unsquash)[: len(self.unknowns)]
+        axes = np.meshgrid(*(inverse(fractions) for inverse in inverses), indexing="ij")
         x = np.stack([a.ravel() for a in axes], axis=-1)
         if x.shape[-1] > 1:
             r = self.contact(x[:, :1])[0][:, 0]
@@ -161,7 +157,7 @@ class Observer:
 
     def _angles(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""
-        limit = self._limit(r.reshape(-1)).reshape(r.shape)
+        limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)
@@ -191,9 +187,13 @@ class Observer:
 
     def log_density(self, x: ArrayLike, reading: ArrayLike) -> Array:
         """ln of the posterior density in the coordinates x, up to the evidence, (...)."""
+        return self.log_density_and_contact(x, reading)[0]
+
+    def log_density_and_contact(self, x: ArrayLike, reading: ArrayLike) -> tuple[Array, Array]:
+        """ln of the posterior density in the coordinates x (...), and the contact (..., U)."""
         contact, log_jacobian = self.contact(x)
         value = self.log_likelihood(reading, contact) + log_jacobian
-        return value + self.log_prior(contact) if self.prior else value
+        return (value + self.log_prior(contact) if self.prior else value), contact
 
     def information(self, contact: ArrayLike) -> Array:
         """Fisher information of one reading about the contact, (..., U, U).
@@ -243,16 +243,31 @@ class Observer:
     def checked_reading(self, reading: ArrayLike) -> Array:
         """`reading` as an array (..., S) of finite numbers."""
         array = finite("reading", reading, "give the base signals in SI units")
-        count = len(self.cue.signal_names)
+        count = self.noise.reading_size(len(self.cue.signal_names))
         if count == 1 and (array.ndim == 0 or array.shape[-1] != 1):
             array = array[..., None]
         if array.ndim == 0 or array.shape[-1] != count:
             raise ValueError(
-                f"A reading of {self.cue!r} has {count} numbers "
-                f"({', '.join(self.cue.signal_names)}), got shape {array.shape}; "
+                f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
+                f"(of {', '.join(self.cue.signal_names)}), got shape {array.shape}; "
                 "put them along the last axis."
             )
         return array
+
+
+def _place(y: Array) -> tuple[Array, Array]:
+    """f = logistic(sinh y) and the ln of its slope."""
+    z = np.sinh(np.clip(y, -5.0, 5.0))  # the fraction 1e-32 and its mirror image
+    distance = np.abs(z)
+    tail = np.exp(-distance)
+    upper = 1 / (1 + tail)
+    log_slope = -distance + 2 * np.log(upper) + 0.5 * np.log1p(z * z)
+    return np.where(z < 0, tail * upper, upper), log_slope
+
+
+def _unplace(fraction: Array) -> Array:
+    """The y of a fraction."""
+    return np.asarray(np.arcsinh(logit(fraction)))
 
 
 def _squash(y: Array) -> tuple[Array, Array]:

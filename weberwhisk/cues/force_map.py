@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
+from ..mechanics.surface import base_signals
 from ..whisker import Whisker
 from .protocol import Array
 
@@ -37,7 +38,11 @@ class ForceMap:
     ) -> tuple[Array, NDArray[np.int8]]:
         """Moment and axial force (..., 2), N m and N, and outcome of a contact (..., 2)."""
         contact = np.asarray(contact, dtype=float)
-        bent = ladder.press(whisker, contact[..., 0], contact[..., 1], model=model)
+        r, theta = contact[..., 0], contact[..., 1]
+        if model is None:
+            signals, outcome = base_signals(whisker, r, theta)
+            return signals[..., :2], outcome
+        bent = ladder.press(whisker, r, theta, model=model)
         return np.stack([bent.moment, bent.axial_force], axis=-1), np.asarray(
             bent.outcome, dtype=np.int8
         )
@@ -107,7 +112,7 @@ class ForceMap:
         for _ in range(steps):
             theta = np.minimum(theta, 0.995 * ladder.flick_past(whisker, r).deflection_angle)
             point = np.stack([r, theta], axis=-1)
-            now, _ = self.signals(whisker, point)
+            now, _ = self.signals(whisker, point, model="elastica")
             miss = np.log(wanted / now)
             if np.all(np.abs(miss) < 1e-13):
                 break

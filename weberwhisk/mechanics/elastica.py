@@ -44,6 +44,16 @@ def unfold(v: Array) -> Array:
     return (np.sqrt(1 + 8 * v) - 1) / 2
 
 
+def place_of(x: Array) -> Array:
+    """The v of a coordinate x: the inverse of `unfold`."""
+    return x * (1 + x) / 2
+
+
+def fold_angle(v: Array) -> Array:
+    """θ_fold at r = vA of any straight whisker, the tip aside."""
+    return _map().fold_angle(v)
+
+
 @dataclass(frozen=True, eq=False)
 class _Map:
     force_given: Table  # (u, (ℓ/ℓ_cap)²) → ln α/ℓ, ln height ratio, ln shortening ratio
@@ -297,15 +307,20 @@ class DeflectionLimit:
 
     def __call__(self, radial_distance: Array) -> Array:
         """Largest angle at each distance (n,), rad; NaN out of reach."""
+        v = np.clip(radial_distance / self.length * self.taper, 0.0, 1.0)
+        return self.of(radial_distance, _map().fold_angle(v))
+
+    def of(self, radial_distance: Array, fold: Array) -> Array:
+        """The same where the angles of the folds (n,) are known."""
         v = radial_distance / self.length * self.taper
-        beyond = beyond_tip(radial_distance, self.length, v)
-        angle = _map().fold_angle(np.where(beyond, 0.0, v))
-        tip = ~beyond & (radial_distance > self.tip_from)
+        angle = np.where(beyond_tip(radial_distance, self.length, v), np.nan, fold)
+        tip = radial_distance > self.tip_from
         if np.any(tip):
             room = np.maximum(self.length - radial_distance[tip], 0.0)
             x = 1 - room / max(self.length - self.tip_from, 1e-300)
-            angle[tip] = np.sqrt(room * self.tip(x)[0])
-        angle[beyond] = np.nan
+            angle[tip] = np.where(
+                np.isnan(angle[tip]), np.nan, np.sqrt(room * self.tip(np.maximum(x, 0.0))[0])
+            )
         return angle
 
 

@@ -23,3 +23,13 @@ def checked_density(value: ArrayLike, points: Array, index: NDArray[np.intp]) ->
             f"{points[bad].tolist()}; return -inf where the density is zero."
         )
     return out
+
+
+def refuse_impossible(reading: Array, highest: Array) -> None:
+    """Refuse readings (B, R) whose log-density is −inf everywhere: there is no posterior."""
+    impossible = np.isneginf(highest)
+    if np.any(impossible):
+        raise ValueError(
+            f"No contact can give the reading {reading[impossible][0].tolist()} under this noise; "
+            "check its sign, or choose noise that allows it, such as Weber."
+        )

@@ -293,6 +293,8 @@ class _Run:
         self.log_density, self.moves, self.functions = log_density, moves, functions
         self.indexed, self.selected = indexed, selected
         self.alive = np.arange(len(start))
+        for move, _ in moves:
+            move.alive = self.alive
         self.shape = start.shape[1:]
         self.batch, self.steps, self.checked = 1, 0, 0
         self.moved = np.zeros(start.shape[:-1])
@@ -363,6 +365,8 @@ class _Run:
     def leave(self, stay: NDArray[np.bool_]) -> None:
         """Go on with some of the posteriors only."""
         self.alive, self.moved = self.alive[stay], self.moved[stay]
+        for move, _ in self.moves:
+            move.alive = self.alive
         self.series, self.origin = self.series[:, stay], self.origin[stay]
         self.coords = self.coords[:, stay]
         rows = np.repeat(stay, self.shape[0] * self.shape[1])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from ..observer import Observer
+from .densities import refuse_impossible
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,7 @@ def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
     for i in range(0, len(reading), 256):
         part = slice(i, i + 256)
         value = observer.noise.log_likelihood(reading[part, None], signals) + log_weight
+        refuse_impossible(reading[part], value.max(axis=1))
         best[part] = np.argmax(value, axis=1)
 
     x = grid[best].copy()

@@ -31,6 +31,7 @@ class StackedMove(emcee.moves.Move):
     def __init__(self, walkers: int, rng: np.random.Generator) -> None:
         self.walkers = walkers
         self.rng = rng
+        self.alive = np.zeros(1, dtype=np.intp)
 
     def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
         """New places for `active` (blocks, W/2, D) from `rest`, and the log Hastings factor."""
@@ -110,3 +111,45 @@ class StackedDifferentialEvolution(StackedMove):
         step = np.where(self.rng.random(half) < self.unit, 1.0, step)
         sign = self.rng.integers(0, 2, size=(blocks, half), dtype=np.int8) * 2 - 1
         return active + (sign * step)[..., None] * (rest[:, first] - rest[:, second]), 0.0
+
+
+class StackedIndependence(StackedMove):
+    """Proposals that do not depend on where a walker is: Student's t about a guess, in each block.
+
+    The guess, a centre and a root of the covariance, is fixed before the run, so this is plain
+    Metropolis–Hastings (Tierney 1994, Ann. Stat. 22, 1701). Where the guess is good nearly every
+    step is an independent draw; where it is not, walkers linger in tails heavier than t's, which
+    the other moves of a mixture help and the run's diagnostics see.
+
+    Parameters
+    ----------
+    centre : array, shape (B, D)
+    root : array, shape (B, D, D)
+        Of the covariance of every posterior.
+    freedom : float
+        Degrees of freedom: tails of the proposal.
+    """
+
+    def __init__(
+        self,
+        walkers: int,
+        rng: np.random.Generator,
+        *,
+        centre: Array,
+        root: Array,
+        freedom: float = 5.0,
+    ) -> None:
+        super().__init__(walkers, rng)
+        self.centre, self.root, self.freedom = centre, root, freedom
+        self.inverse = np.linalg.inv(root)
+
+    def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
+        index = np.repeat(self.alive, len(active) // len(self.alive))
+        centre, dim = self.centre[index][:, None], active.shape[-1]
+        z = self.rng.standard_normal(active.shape)
+        z /= np.sqrt(self.rng.chisquare(self.freedom, active.shape[:2]) / self.freedom)[..., None]
+        new = centre + z @ self.root[index].swapaxes(1, 2)
+        old = (active - centre) @ self.inverse[index].swapaxes(1, 2)
+        squares = [np.square(v).sum(axis=-1) for v in (z, old)]
+        logs = [np.log1p(square / self.freedom) for square in squares]
+        return new, (self.freedom + dim) / 2 * (logs[0] - logs[1])

@@ -18,6 +18,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
+from .densities import refuse_impossible
 from .solution import IMPROBABLE
 
 Array = NDArray[np.float64]
@@ -64,8 +65,8 @@ _RISE = (
     @ _TO_LEGENDRE
 )
 
-#: From r = 1e-7 of the reach to 1 − 1e-12 of it: beyond, there is no mass to speak of.
-X_RANGE = (-16.0, 3.25)
+#: From r = 1e-8 of the reach to 1 − 4e-15 of it: beyond, there is no mass to speak of.
+X_RANGE = (-3.6, 4.2)
 #: Longest panel in JNDs, and in x.
 LONGEST = 2.0
 #: Half-length at which a kink is close enough: its square is the error.
@@ -77,14 +78,14 @@ NEGLIGIBLE = 32.0
 
 
 class _Window:
-    """The panels on which a reading lies within so many sd of the signals (panels, nodes, S).
+    """The panels on which a reading lies between bounds given at the nodes (panels, nodes, R).
 
     Panel j is among them where low_j ≤ y ≤ high_j. These bounds, made monotone from either end,
     give the first and the last such panel by bisection; panels between them come along.
     """
 
-    def __init__(self, mean: Array, sd: Array, width: float) -> None:
-        low, high = (mean - width * sd).min(axis=1), (mean + width * sd).max(axis=1)
+    def __init__(self, low: Array, high: Array) -> None:
+        low, high = low.min(axis=1), high.max(axis=1)
         self.low = np.minimum.accumulate(low, axis=0)
         self.high = np.maximum.accumulate(high, axis=0)
         self.low_back = np.minimum.accumulate(low[::-1], axis=0)
@@ -156,13 +157,16 @@ class Panels:
             + np.log(self.half[:, None] * KRONROD).reshape(-1),
             -np.inf,
         )
-        mean, sd = (part.reshape(*x.shape, -1) for part in self._spread(self.signals))
-        self._plausible = _Window(mean, sd, WINDOW)
-        self._probable = _Window(mean, sd, IMPROBABLE)
+        self._plausible, self._probable = (
+            _Window(
+                *(b.reshape(*x.shape, -1) for b in observer.noise.interval(self.signals, width))
+            )
+            for width in (WINDOW, IMPROBABLE)
+        )
 
     def _edges(self) -> Array:
         """First cuts in x: finer where the tip is near, and half an sd apart under a prior."""
-        cuts = np.concatenate([np.linspace(X_RANGE[0], 0, 20), np.linspace(0, X_RANGE[1], 14)])
+        cuts = np.concatenate([np.linspace(X_RANGE[0], 0, 15), np.linspace(0, X_RANGE[1], 17)])
         prior = self.observer.prior.get("radial_distance")
         if prior is not None:
             low, high = self.observer.reach
@@ -181,10 +185,11 @@ class Panels:
         mean, sd = self._spread(np.where(held[:, None], signals, 1.0))
         features = np.concatenate([mean / sd, np.log(sd)], axis=-1)
         features = np.where(held[:, None], features, 0.0).reshape(*x.shape, -1)
-        # The signal's way across the panel in units of its sd: the length in JNDs.
+        # The readings' way across the panel in units of their sd: the length in JNDs.
         size, unit = np.abs(mean) + sd, sd / (np.abs(mean) + sd)
         steps = np.abs(np.diff(np.log(size).reshape(*x.shape, -1), axis=1))
-        length = np.sum(steps / unit.reshape(*x.shape, -1)[:, :-1], axis=1).max(axis=-1)
+        steps = steps / unit.reshape(*x.shape, -1)[:, :-1]
+        length = np.sqrt(np.square(steps).sum(axis=-1)).sum(axis=1)
         tail = np.abs(np.einsum("ni,pif->pnf", _TO_LEGENDRE[-3:], features)).sum(axis=1)
         # What the last bit of r does to them is not roughness: at a cone's tip signals vanish.
         r = contact.reshape(x.shape)
@@ -197,11 +202,9 @@ class Panels:
         return ((length > LONGEST) | rough) & (half > SHORTEST)
 
     def _spread(self, signals: Array) -> tuple[Array, Array]:
-        """Mean and sd of the readings of signals (n, S)."""
+        """Mean and sd of the readings of signals (n, S), (n, R) each."""
         noise = self.observer.noise
-        return noise.mean(signals), np.sqrt(
-            np.diagonal(noise.covariance(signals), axis1=-2, axis2=-1)
-        )
+        return noise.mean(signals), noise.sd(signals)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
         """First panel and one past the last in which each reading (B, S) has mass."""
@@ -218,6 +221,7 @@ class Panels:
             np.repeat(reading, counts, axis=0), self.signals[middle]
         )
         top = np.maximum.reduceat(log, starts)
+        refuse_impossible(reading, top)
         slight = log < np.repeat(top, counts) - NEGLIGIBLE
         first = np.minimum.reduceat(np.where(slight, count, panel), starts)
         last = np.maximum.reduceat(np.where(slight, -1, panel), starts) + 1

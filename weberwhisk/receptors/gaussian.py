@@ -1,47 +1,27 @@
-"""Receptor noise: what the follicle reports of the signals at the base.
+"""Gaussian receptor noise with a spread that grows with the signal (Weber's law, (3.1)).
 
-All models here are Gaussian with a spread that grows with the signal (Weber's law, equation
-(3.1)); a model is one short class that gives the mean, the sd and their slopes. Signals and
-readings carry their kinds (moment, axial force, …) along the last axis.
+A model is one short class that gives the mean, the sd and their slopes.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import finite, non_negative, positive
-
-Array = NDArray[np.float64]
-Seed = int | np.random.SeedSequence | np.random.Generator | None
+from .._checks import finite, non_negative, positive
+from .protocol import Array, Seed
 
 
-@runtime_checkable
-class ReceptorNoise(Protocol):
-    """What an observer needs of a noise model. S kinds of signal along the last axis."""
-
-    def mean(self, signals: ArrayLike) -> Array:
-        """Mean of the readings, (..., S)."""
-
-    def covariance(self, signals: ArrayLike) -> Array:
-        """Covariance of the readings, (..., S, S)."""
-
-    def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
-        """ln p(reading | signals), shape (...)."""
-
-    def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
-        """Readings of these signals, (..., S)."""
-
-    def fisher(self, signals: ArrayLike) -> Array:
-        """Fisher information of a reading about the signals, (..., S, S)."""
-
-
-class _Gaussian:
+class Gaussian:
     """Independent or equally correlated Gaussian noise whose sd depends on the signal."""
 
     correlation: float
+
+    def reading_size(self, signals: int) -> int:
+        """One number for each signal."""
+        return signals
 
     def mean(self, signals: ArrayLike) -> Array:
         """Mean reading, (..., S)."""
@@ -54,6 +34,16 @@ class _Gaussian:
     def _slopes(self, signals: Array) -> tuple[Array, Array]:
         """d mean/d signal and d sd/d signal, (..., S) each."""
         raise NotImplementedError
+
+    def jacobian(self, signals: ArrayLike) -> Array:
+        """d mean/d signal, (..., S, S): each reading is of its own signal."""
+        slope, _ = self._slopes(np.asarray(signals, dtype=float))
+        return np.asarray(slope[..., None] * np.eye(slope.shape[-1]))
+
+    def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
+        """`width` sd to either side of the mean, (..., S) each."""
+        mean, reach = self.mean(signals), width * self.sd(signals)
+        return mean - reach, mean + reach
 
     def _correlations(self, size: int) -> Array:
         rho = self.correlation
@@ -119,7 +109,7 @@ class _Gaussian:
         )
 
 
-class Weber(_Gaussian):
+class Weber(Gaussian):
     """Weber's law: each reading is Gaussian about its signal with sd = k·|signal|.
 
     Parameters
@@ -146,7 +136,7 @@ class Weber(_Gaussian):
 
     def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
         self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
-        self.correlation = _correlation(correlation)
+        self.correlation = checked_correlation(correlation)
 
     def __repr__(self) -> str:
         return f"Weber({self.weber_fraction.tolist()}, correlation={self.correlation:g})"
@@ -159,7 +149,7 @@ class Weber(_Gaussian):
         return np.ones_like(signals), self.weber_fraction * np.sign(signals)
 
 
-class GeneralisedWeber(_Gaussian):
+class GeneralisedWeber(Gaussian):
     """Weber's law between a floor and a ceiling: sd² = floor² + (k·signal)².
 
     Parameters
@@ -199,7 +189,7 @@ class GeneralisedWeber(_Gaussian):
         self.ceiling: Any = np.inf
         if ceiling is not None:
             self.ceiling = positive("ceiling", ceiling, "write None for no ceiling")
-        self.correlation = _correlation(correlation)
+        self.correlation = checked_correlation(correlation)
 
     def __repr__(self) -> str:
         return (
@@ -219,13 +209,156 @@ class GeneralisedWeber(_Gaussian):
         """√(floor² + (k·signal)²), (..., S)."""
         return np.hypot(self.floor, self.weber_fraction * self.mean(signals))
 
+    def _mean_slope(self, signals: Array) -> Array:
+        return np.where(self.saturated(signals), 0.0, 1.0)
+
     def _slopes(self, signals: Array) -> tuple[Array, Array]:
-        free = np.where(self.saturated(signals), 0.0, 1.0)
-        slope = self.weber_fraction**2 * signals / self.sd(signals)
-        return free, free * slope
+        slope = self._mean_slope(signals)
+        return slope, slope * self.weber_fraction**2 * self.mean(signals) / self.sd(signals)
 
 
-def _correlation(value: float) -> float:
+class Saturating(GeneralisedWeber):
+    """Weber's law on a response that levels off: sd² = floor² + (k·response)².
+
+    The mean reading is I/(1 + (|I|/ceiling)ᵖ)^(1/p): the signal itself far below the ceiling, the
+    ceiling far above. With p = 1 this is the Naka–Rushton function ceiling·I/(ceiling + I); the
+    larger p, the sharper the bend, and p → ∞ is the hard ceiling of `GeneralisedWeber`.
+
+    Parameters
+    ----------
+    weber_fraction : float or sequence of float
+        k, one for all signals or one each.
+    ceiling : float or sequence of float
+        Largest response, in the unit of each signal; at a signal of the same size the response
+        is 2^(−1/p) of it.
+    sharpness : float
+        p.
+    floor : float or sequence of float
+        Receptor threshold noise σ₀, in the unit of each signal.
+    correlation : float
+        Correlation between signals, −1 to 1.
+
+    Raises
+    ------
+    ValueError
+        For a Weber fraction, ceiling or sharpness that is not positive, a negative floor, a
+        correlation outside −1 … 1.
+
+    Notes
+    -----
+    d mean/dI = (1 + (|I|/ceiling)ᵖ)^(−1−1/p), so the information about ln I far above the ceiling
+    falls as (ceiling/I)²ᵖ: every further JND costs a larger ratio of signals. Naka & Rushton
+    (1966), J. Physiol. 185, 536; the family in p is an assumption between it and the hard ceiling.
+
+    Examples
+    --------
+    >>> noise = Saturating(0.1, ceiling=10.0)
+    >>> noise.mean([0.1, 10.0, 1000.0]).round(3), noise.saturated([0.1, 10.0, 1000.0])
+    (array([0.099, 5.   , 9.901]), array([False, False,  True]))
+    """
+
+    def __init__(
+        self,
+        weber_fraction: ArrayLike = 0.1,
+        *,
+        ceiling: ArrayLike,
+        sharpness: float = 1.0,
+        floor: ArrayLike = 0.0,
+        correlation: float = 0.0,
+    ) -> None:
+        super().__init__(weber_fraction, floor=floor, ceiling=ceiling, correlation=correlation)
+        self.sharpness = float(positive("sharpness", sharpness, "write 1 for Naka–Rushton"))
+
+    def __repr__(self) -> str:
+        return (
+            f"Saturating({self.weber_fraction.tolist()}, ceiling={self.ceiling.tolist()}, "
+            f"sharpness={self.sharpness:g}, floor={self.floor.tolist()}, "
+            f"correlation={self.correlation:g})"
+        )
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """The response, (..., S)."""
+        return np.asarray(signals, dtype=float) * np.exp(self._log_ratio(signals))
+
+    def _log_ratio(self, signals: ArrayLike) -> Array:
+        """ln of response/signal, −ln(1 + (|I|/ceiling)ᵖ)/p, without overflow."""
+        with np.errstate(divide="ignore"):
+            excess = self.sharpness * np.log(np.abs(np.asarray(signals)) / self.ceiling)
+        return np.asarray(-np.logaddexp(0.0, excess) / self.sharpness)
+
+    def _mean_slope(self, signals: Array) -> Array:
+        return np.asarray(np.exp((1 + self.sharpness) * self._log_ratio(signals)))
+
+
+class NearMiss(Gaussian):
+    """The near-miss to Weber's law: sd = k·I₀·(|I|/I₀)ᵐ.
+
+    McGill & Goldberg (1968), Perception & Psychophysics 4, 105: for the intensity (energy) of
+    tones the logarithm of the JND grows by 9/10 of that of the intensity, so that the Weber
+    fraction falls slowly. No exponent is known for whiskers. m = 1 is Weber's law, m = 0 would be
+    constant noise.
+
+    Parameters
+    ----------
+    weber_fraction : float or sequence of float
+        k, the Weber fraction at the reference; one for all signals or one each.
+    exponent : float
+        m. If m belongs to an energy, that of its amplitude is 2m − 1.
+    reference : float or sequence of float
+        I₀, in the unit of each signal.
+    correlation : float
+        Correlation between signals, −1 to 1.
+
+    Raises
+    ------
+    ValueError
+        For a Weber fraction, exponent or reference that is not positive, a correlation outside
+        −1 … 1.
+
+    Examples
+    --------
+    >>> noise = NearMiss(0.1, exponent=0.9, reference=1e-6)
+    >>> noise.weber_fraction_at([1e-6, 1e-5]).round(4)
+    array([0.1   , 0.0794])
+    """
+
+    def __init__(
+        self,
+        weber_fraction: ArrayLike = 0.1,
+        *,
+        exponent: float = 0.9,
+        reference: ArrayLike,
+        correlation: float = 0.0,
+    ) -> None:
+        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
+        self.exponent = float(positive("exponent", exponent, "write 1 for Weber's law"))
+        self.reference: Any = positive("reference", reference, "write it in the signal's unit")
+        self.correlation = checked_correlation(correlation)
+
+    def __repr__(self) -> str:
+        return (
+            f"NearMiss({self.weber_fraction.tolist()}, exponent={self.exponent:g}, "
+            f"reference={self.reference.tolist()}, correlation={self.correlation:g})"
+        )
+
+    def weber_fraction_at(self, signals: ArrayLike) -> Array:
+        """sd/|signal|, (..., S)."""
+        ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.weber_fraction * ratio ** (self.exponent - 1))
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """k·I₀·(|I|/I₀)ᵐ, (..., S)."""
+        ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
+        return np.asarray(self.weber_fraction * self.reference * ratio**self.exponent)
+
+    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+        slope = self.exponent * self.weber_fraction_at(signals) * np.sign(signals)
+        return np.ones_like(signals), slope
+
+
+def checked_correlation(value: float) -> float:
+    """A correlation, refused outside −1 … 1."""
     rho = float(finite("correlation", value, "write a number from -1 to 1"))
     if not -1 <= rho <= 1:
         raise ValueError(f"correlation must lie between -1 and 1, got {rho:g}; write 0 for none.")

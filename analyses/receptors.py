@@ -1,0 +1,91 @@
+"""How well each receptor model knows a moment, and how far Weber's law of a population reaches.
+
+    python analyses/receptors.py [folder]
+
+Writes receptors (CSV, PNG, SVG): the effective Weber fraction, 1/√(I²·Fisher information), of every
+model over eight decades of moment I, and for spike counts the closed form beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from weberwhisk import figures
+from weberwhisk.receptors import (
+    Afferents,
+    GeneralisedWeber,
+    LogNormal,
+    NearMiss,
+    ReceptorNoise,
+    Saturating,
+    SpikeCount,
+    Weber,
+)
+from weberwhisk.runs import Run
+
+LOWEST, HIGHEST = 1e-8, 1e-5
+POPULATION = SpikeCount(Afferents(75, LOWEST, HIGHEST), Afferents(25, 100 * LOWEST, 100 * HIGHEST))
+MODELS: dict[str, ReceptorNoise] = {
+    "Weber": Weber(0.1),
+    "floor": GeneralisedWeber(0.1, floor=0.1 * LOWEST),
+    "saturating": Saturating(0.1, ceiling=HIGHEST),
+    "near miss, exponent 0.9": NearMiss(0.1, exponent=0.9, reference=np.sqrt(LOWEST * HIGHEST)),
+    "log-normal": LogNormal(0.1),
+    "100 afferents' counts": POPULATION,
+}
+CLOSED_FORM = "100 afferents, closed form"
+
+
+def effective(points: int = 201) -> pd.DataFrame:
+    """The effective Weber fraction, a column a model, at moments in N m."""
+    moment = np.geomspace(10**-10.5, 10**-2.5, points)[:, None]
+    table = {"moment": moment[:, 0]}
+    for name, noise in MODELS.items():
+        table[name] = 1 / np.sqrt(moment[:, 0] ** 2 * noise.fisher(moment)[:, 0, 0])
+    table[CLOSED_FORM] = POPULATION.weber_law(moment)[:, 0]
+    return pd.DataFrame(table)
+
+
+def draw(table: pd.DataFrame) -> Figure:
+    """One line a model; the range of the afferents' thresholds is shaded."""
+    figure = Figure(figsize=(figures.DOUBLE / 1.6, figures.SINGLE * 0.9), layout="constrained")
+    ax = figure.subplots()
+    ax.axvspan(LOWEST, HIGHEST, color="0.93", label="the afferents' thresholds")
+    for i, name in enumerate(MODELS):
+        style = figures.LINES[i % len(figures.LINES)]
+        ax.loglog(table["moment"], table[name], style, color=figures.COLOURS[i], label=name)
+    marked = table.iloc[::8]
+    ax.plot(marked["moment"], marked[CLOSED_FORM], "kx", markersize=4, label=CLOSED_FORM)
+    ax.set(
+        xlabel="moment (N m)",
+        ylabel="effective Weber fraction",
+        ylim=(0.02, 10),
+        xlim=(table["moment"].min(), table["moment"].max()),
+    )
+    ax.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def make(folder: Path) -> pd.DataFrame:
+    """Table and figure into `folder`."""
+    with Run(
+        folder, "receptors", {name: repr(noise) for name, noise in MODELS.items()}, None
+    ) as run:
+        table = effective()
+        run.table("receptors", table)
+        run.figure("receptors", draw(table))
+    return table
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = Path(__file__).parent.parent / "results" / "receptors"
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    given = parser.parse_args()
+    print(make(given.folder).iloc[::25].to_string(index=False, float_format="{:.3g}".format))
+    print(f"Written to {given.folder}.")

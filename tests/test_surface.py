@@ -1,0 +1,51 @@
+"""The surface of signals that observers use: rung 1's signals and outcomes, for one whisker."""
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.mechanics.surface import Surface, base_signals
+
+TIPS = {"truncated": 5e-6, "cone": 0.0, "needle": 1e-7, "blunt": 50e-6, "cylinder": 100e-6}
+
+
+@pytest.mark.parametrize("tip", TIPS.values(), ids=TIPS)
+def test_signals_and_outcomes_are_those_of_rung_1(tip):
+    w = ww.Whisker(50e-3, 100e-6, tip)
+    rng = np.random.default_rng(5)
+    r = rng.uniform(1e-4, 1.02, 20_000) * w.length
+    limit = ww.flick_past(w, r).deflection_angle
+    # To the fold and beyond, on either side, and close to it.
+    share = np.where(rng.random(r.size) < 0.2, 1 - 10 ** rng.uniform(-9, -1, r.size), 1.1)
+    theta = np.where(np.isnan(limit), 0.1, limit) * share * np.sqrt(rng.random(r.size))
+    theta *= rng.choice([-1, 1], r.size)
+    signals, outcome = Surface(w)(r, theta)
+    bent = ww.press(w, r, theta, model="elastica")
+    assert np.array_equal(outcome, bent.outcome)
+    assert {Outcome.HELD, Outcome.OUT_OF_REACH} < {Outcome(int(o)) for o in np.unique(outcome)}
+    held = outcome == Outcome.HELD
+    assert np.isnan(signals[~held]).all()
+    assert np.allclose(signals[held, 0], bent.moment[held], rtol=1e-8, atol=0)
+    # Along a cylinder the axial force falls to 4 % of the closed form's on the way to the fold.
+    assert np.allclose(signals[held, 1], bent.axial_force[held], rtol=3e-8, atol=0)
+    force = np.abs(bent.force[held])
+    assert np.all(np.abs(signals[held, 2] - bent.transverse_force[held]) < 1e-8 * force)
+
+
+def test_the_limit_is_flick_pasts():
+    w = ww.Whisker(50e-3, 100e-6, 5e-6)
+    r = np.linspace(1e-3, 51e-3, 500)
+    limit = ww.flick_past(w, r).deflection_angle
+    assert np.allclose(Surface(w).limit(r), limit, rtol=1e-10, atol=0, equal_nan=True)
+
+
+def test_any_shape_in_pieces_or_whole():
+    w = ww.Whisker(50e-3, 100e-6, 5e-6)
+    r, theta = np.linspace(5e-3, 45e-3, 150)[:, None], np.linspace(0.01, 1.5, 100)
+    signals, outcome = base_signals(w, r, theta)
+    assert signals.shape == (150, 100, 3)
+    assert outcome.shape == (150, 100)
+    row, held = base_signals(w, r[40], theta)
+    assert np.allclose(signals[40], row, rtol=1e-13, atol=0, equal_nan=True)
+    assert np.array_equal(outcome[40], held)

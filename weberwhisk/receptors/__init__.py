@@ -1,0 +1,34 @@
+"""Receptor noise: what the follicle reports of the signals at the base.
+
+=================== ========================================== ==================================
+model               sd of a reading of a signal I              information about ln I
+=================== ========================================== ==================================
+`Weber`             k·I (equation (3.1))                       1/k² + 2 at every I
+`GeneralisedWeber`  √(σ₀² + (k·I)²), up to a ceiling           falls below σ₀/k; 0 above a ceiling
+`Saturating`        of a response that levels off              falls smoothly about the ceiling
+`NearMiss`          k·I₀·(I/I₀)ᵐ                               grows as I²⁽¹⁻ᵐ⁾
+`LogNormal`         k·I, never across zero                     1/ln(1 + k²) at every I
+`SpikeCount`        counts of single afferents                 1/k² within their thresholds' range
+=================== ========================================== ==================================
+
+Signals carry their kinds (moment, axial force, …) along the last axis, and so do readings, but for
+`SpikeCount`, whose readings are counts, one for each afferent.
+"""
+
+from .gaussian import GeneralisedWeber, NearMiss, Saturating, Weber
+from .log_normal import LogNormal
+from .protocol import Array, ReceptorNoise, Seed
+from .spike_count import Afferents, SpikeCount
+
+__all__ = [
+    "Afferents",
+    "Array",
+    "GeneralisedWeber",
+    "LogNormal",
+    "NearMiss",
+    "ReceptorNoise",
+    "Saturating",
+    "Seed",
+    "SpikeCount",
+    "Weber",
+]

@@ -1,0 +1,137 @@
+"""Log-normal receptor noise: Weber's law with a spread that never crosses zero."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._checks import positive
+from .gaussian import Gaussian, checked_correlation
+from .protocol import Array, Seed
+
+
+class _Constant(Gaussian):
+    """Gaussian noise of the same sd everywhere: of the logs of the readings."""
+
+    def __init__(self, sd: Array, correlation: float) -> None:
+        self.constant, self.correlation = sd, correlation
+
+    def sd(self, signals: ArrayLike) -> Array:
+        return np.broadcast_to(self.constant, np.shape(signals))
+
+    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+        return np.ones_like(signals), np.zeros_like(signals)
+
+
+class LogNormal:
+    """Weber's law with log-normal readings: mean the signal, sd = k·|signal|.
+
+    The ln of a reading is Gaussian with variance σ² = ln(1 + k²) about ln|signal| − σ²/2: constant
+    noise on Fechner's logarithmic scale. Mean and sd are exactly those of `Weber`, so the two
+    differ in shape alone, and less the smaller k is. The median is the signal/√(1 + k²), and the
+    reading has the signal's sign: that of a moment, which follows the side of the deflection, is
+    never mistaken.
+
+    Parameters
+    ----------
+    weber_fraction : float or sequence of float
+        k, one for all signals or one each.
+    correlation : float
+        Correlation between the logs of the readings' magnitudes, −1 to 1. At ±1 there is a
+        covariance but no likelihood.
+
+    Raises
+    ------
+    ValueError
+        For a Weber fraction that is not positive, a correlation outside −1 … 1.
+
+    Notes
+    -----
+    Only the mean of the logs moves with the signal, so that one reading carries 1/(σI)². With
+    σ² = ln(1 + k²) that is (1 + k²/2 + …)/(kI)², where `Weber` has (1 + 2k²)/(kI)². Moments as in
+    Johnson, Kotz & Balakrishnan (1994), Continuous Univariate Distributions 1, chapter 14.
+
+    Examples
+    --------
+    >>> noise = LogNormal(0.1)
+    >>> noise.mean([2.0, -5.0]), noise.sd([2.0, -5.0])
+    (array([ 2., -5.]), array([0.2, 0.5]))
+    >>> float(noise.fisher([2.0])[0, 0].round(3))
+    25.125
+    """
+
+    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
+        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
+        self.correlation = checked_correlation(correlation)
+        self._logs = _Constant(self.sigma, self.correlation)
+
+    def __repr__(self) -> str:
+        return f"LogNormal({self.weber_fraction.tolist()}, correlation={self.correlation:g})"
+
+    @property
+    def sigma(self) -> Any:
+        """Sd σ of the ln of a reading: √ln(1 + k²)."""
+        return np.sqrt(np.log1p(self.weber_fraction**2))
+
+    def reading_size(self, signals: int) -> int:
+        """One number for each signal."""
+        return signals
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """The signal, (..., S)."""
+        return np.asarray(signals, dtype=float)
+
+    def jacobian(self, signals: ArrayLike) -> Array:
+        """d mean/d signal, the unit matrix, (..., S, S)."""
+        size = np.shape(signals)[-1]
+        return np.broadcast_to(np.eye(size), (*np.shape(signals), size))
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """k·|signal|, (..., S)."""
+        return np.asarray(self.weber_fraction * np.abs(np.asarray(signals, dtype=float)))
+
+    def covariance(self, signals: ArrayLike) -> Array:
+        """Covariance of the readings, (..., S, S): IᵢIⱼ(exp(ρσᵢσⱼ) − 1)."""
+        signals = np.asarray(signals, dtype=float)
+        logs = self._logs.covariance(signals)
+        return np.asarray(signals[..., :, None] * np.expm1(logs) * signals[..., None, :])
+
+    def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
+        """Readings `width`·σ to either side of the median on the log scale, (..., S) each."""
+        signals = np.asarray(signals, dtype=float)
+        ends = signals * np.exp(
+            -0.5 * self.sigma**2
+            + np.multiply.outer([-width, width], self.sigma).reshape(
+                2, *[1] * (signals.ndim - 1), -1
+            )
+        )
+        return ends.min(axis=0), ends.max(axis=0)
+
+    def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
+        """ln p(reading | signals), shape (...); −∞ where a reading has not its signal's sign."""
+        reading, signals = np.asarray(reading, dtype=float), np.asarray(signals, dtype=float)
+        possible = np.all(reading * np.sign(signals) > 0, axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_reading = np.log(np.abs(reading))
+            value = self._logs.log_likelihood(log_reading, self._centre(signals))
+            value = value - log_reading.sum(axis=-1)
+        return np.where(possible, value, -np.inf)
+
+    def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
+        """Readings of these signals, (..., S)."""
+        signals = np.asarray(signals, dtype=float)
+        return np.sign(signals) * np.exp(self._logs.sample(self._centre(signals), seed))
+
+    def fisher(self, signals: ArrayLike) -> Array:
+        """Fisher information about the signals, (..., S, S): 1/(σI)² for one signal."""
+        signals = np.asarray(signals, dtype=float)
+        with np.errstate(divide="ignore"):
+            slope = 1 / signals
+        return slope[..., :, None] * self._logs.fisher(signals) * slope[..., None, :]
+
+    def _centre(self, signals: Array) -> Array:
+        """Mean of the logs, (..., S)."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(np.abs(signals)) - 0.5 * self.sigma**2)

@@ -1,0 +1,377 @@
+"""Spike counts of slowly and rapidly adapting afferents, from which Weber's law emerges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import expit, gammaln
+
+from .._checks import non_negative, positive
+from .protocol import Array, Seed
+
+#: Counts worked on together: what fits the cache.
+_BLOCK = 100_000
+#: An afferent this far (ln uⁿ) from its threshold is at rest, or saturated, to any precision.
+_FARTHEST = 460.0
+
+
+@dataclass(frozen=True, eq=False)
+class Afferents:
+    """One class of afferents, its thresholds evenly spread on a logarithmic axis.
+
+    An afferent of threshold c fires at spontaneous_rate + peak_rate·s(u), u = drive/c, with the
+    Naka–Rushton function s = uⁿ/(1 + uⁿ): half its range at its threshold.
+
+    Parameters
+    ----------
+    number : int
+        Afferents for each kind of signal.
+    lowest, highest : float or sequence of float
+        Thresholds of the most and the least sensitive one; for slowly adapting afferents in the
+        unit of the signal, for rapidly adapting ones in that unit per second. One for all kinds
+        of signal or one each.
+    peak_rate : float
+        Evoked rate of a saturated afferent, spikes/s.
+    exponent : float
+        Steepness n of the tuning.
+    spontaneous_rate : float
+        Rate without a stimulus, spikes/s.
+
+    Raises
+    ------
+    ValueError
+        For values that are not positive (spontaneous rate: negative), a number that is not whole,
+        a highest threshold below the lowest.
+
+    Examples
+    --------
+    >>> Afferents(3, 1e-7, 1e-5).thresholds
+    array([1.e-07, 1.e-06, 1.e-05])
+    """
+
+    number: int
+    lowest: ArrayLike
+    highest: ArrayLike
+    peak_rate: float = 150.0
+    exponent: float = 2.0
+    spontaneous_rate: float = 0.5
+
+    def __post_init__(self) -> None:
+        count = float(positive("number", self.number, "write how many afferents there are"))
+        if count != int(count):
+            raise ValueError(f"number must be whole, got {count:g}; write {round(count)}, say.")
+        low = positive("lowest", self.lowest, "write a threshold in the signal's unit")
+        high = positive("highest", self.highest, "write a threshold in the signal's unit")
+        if np.any(high < low):
+            raise ValueError(
+                f"highest must not lie below lowest, got {high} below {low}; swap them."
+            )
+        positive("peak_rate", self.peak_rate, "write spikes/s")
+        positive("exponent", self.exponent, "write 2, say")
+        non_negative("spontaneous_rate", self.spontaneous_rate, "write spikes/s")
+
+    @property
+    def thresholds(self) -> Array:
+        """Thresholds, (number,), or (S, number) where signals differ."""
+        ends = np.asarray(self.lowest, dtype=float), np.asarray(self.highest, dtype=float)
+        return np.geomspace(*ends, self.number, axis=-1)
+
+
+class SpikeCount:
+    """Counts of a population of slowly (SA) and rapidly adapting (RA) trigeminal afferents.
+
+    Every kind of signal has afferents of its own. SA afferents respond to its magnitude throughout
+    the window, RA afferents to the speed of its onset (it rises evenly within `rise_time`), and
+    only while it lasts. A reading is one count for each afferent: SA then RA, in the order of
+    their thresholds, signal by signal. The sign of a signal is not read from these counts: they
+    are those of the afferents tuned to its direction.
+
+    Parameters
+    ----------
+    slow, rapid : Afferents, optional
+        Either may be left out, not both.
+    window : float
+        Time over which spikes are counted, s.
+    rise_time : float
+        Time that the signal takes to build up, s.
+    gain_sd : float
+        Sd of a random gain of each afferent from trial to trial (gamma-distributed, mean 1): the
+        variance is μ + (gain_sd·μ)², the counts are negative binomial. 0, the default: Poisson.
+
+    Raises
+    ------
+    ValueError
+        For no afferents at all, times that are not positive, a negative gain_sd.
+
+    Notes
+    -----
+    *Weber's law emerges.* A Poisson count of mean μ carries μ'²/μ. With μ = a(β + s) that of one
+    afferent about ln I is a(ds/dlnI)²/(β + s), where ds/dlnI = n·s(1 − s). Summed over thresholds
+    of density ρ per unit of ln c (number − 1 over ln(highest/lowest)) it does not depend on I:
+
+        1/k² = ρ a n J(β),  J(β) = ∫₀¹ s(1 − s)/(β + s) ds = ½ + β − β(1 + β) ln(1 + 1/β),
+
+    and J(β) − J(β + 1/(gain_sd²·a)) in place of J with a random gain. *It stops* where the
+    thresholds do: the integral runs from the s of the least to that of the most sensitive
+    afferent. Below the lowest threshold k rises as I^(−n/2), in the end, where spontaneous spikes
+    outnumber evoked ones, as I⁻ⁿ; above the highest as Iⁿ. The faster the onset, the smaller the
+    signal that reaches the RA afferents.
+
+    *Sources.* Naka–Rushton populations with gamma-distributed gain: May & Solomon (2015), J. Vis.
+    15(6):8 (there the gain is shared). Other tuning that gives Weber's law: Shouval et al. (2013),
+    Phys. Rev. Lett. 110, 168102. SA : RA is 60 : 21 in rats (Shoykhet et al. 2000, Somatosens. Mot.
+    Res. 17, 171), 75 : 25 % of 123 (Lichtenstein et al. 1990, ibid. 7, 47), 53 : 47 % in mice
+    (Kwegyir-Afful et al. 2008, ibid. 25, 209). RA have low amplitude and high velocity thresholds,
+    SA the reverse (Stüttgen et al. 2006, J. Neurosci. 26, 7933). Spontaneous rates are mostly
+    below 1/s (Hahn 1971, J. Physiol. 213, 215, in cats). Moments drive the afferents rather than
+    angles (Bush et al. 2016, eLife 5, e13969). *Assumed, for want of numbers:* thresholds even in
+    ln c and their range, the peak rate, n, independence, one kind of signal for each afferent, SA
+    at the rate of the full signal from the start. Bush, Solla & Hartmann (2019), bioRxiv 869255,
+    find mixtures of signals and a continuum from SA to RA instead.
+
+    Examples
+    --------
+    A hundred afferents over three decades of moment:
+
+    >>> noise = SpikeCount(
+    ...     slow=Afferents(75, 1e-8, 1e-5), rapid=Afferents(25, 1e-6, 1e-3), rise_time=0.01
+    ... )
+    >>> noise.effective_weber_fraction([1e-10, 1e-7, 1e-6, 1e-3]).round(3)
+    array([5.89420e+01, 1.10000e-01, 1.11000e-01, 9.77933e+02])
+    """
+
+    def __init__(
+        self,
+        slow: Afferents | None = None,
+        rapid: Afferents | None = None,
+        *,
+        window: float = 0.05,
+        rise_time: float = 0.01,
+        gain_sd: float = 0.0,
+    ) -> None:
+        if slow is None and rapid is None:
+            raise ValueError("A population needs afferents, got none; write slow=Afferents(...).")
+        self.slow, self.rapid = slow, rapid
+        self.window = float(positive("window", window, "write seconds, such as 0.05"))
+        self.rise_time = float(positive("rise_time", rise_time, "write seconds, such as 0.01"))
+        self.gain_sd = float(non_negative("gain_sd", gain_sd, "write 0 for Poisson counts"))
+        # From here on both classes are alike: thresholds in the signal's unit, times to count in.
+        classes = []
+        if slow is not None:
+            classes.append((slow, self.window))
+        if rapid is not None:
+            t = self.rise_time
+            magnitude = replace(
+                rapid, lowest=np.multiply(rapid.lowest, t), highest=np.multiply(rapid.highest, t)
+            )
+            classes.append((magnitude, min(t, self.window)))
+        self._classes = classes
+        logs = [np.log(part.thresholds) for part, _ in classes]
+        signals = np.broadcast_shapes(*(c.shape[:-1] for c in logs))
+        self._log_threshold = np.concatenate(
+            [np.broadcast_to(c, (*signals, c.shape[-1])) for c in logs], axis=-1
+        )
+        self._exponent = self._each([part.exponent for part, _ in classes])
+        self._peak = self._each([part.peak_rate * time for part, time in classes])
+        self._rest = self._each([part.spontaneous_rate * self.window for part, _ in classes])
+
+    def __repr__(self) -> str:
+        return (
+            f"SpikeCount(slow={self.slow}, rapid={self.rapid}, window={self.window:g}, "
+            f"rise_time={self.rise_time:g}, gain_sd={self.gain_sd:g})"
+        )
+
+    def _each(self, values: list[float]) -> Array:
+        """A value of each class, for each of its afferents."""
+        return np.repeat(np.asarray(values, float), [part.number for part, _ in self._classes])
+
+    # -- readings ------------------------------------------------------------------------------
+
+    @property
+    def number(self) -> int:
+        """Afferents for each kind of signal."""
+        return self._log_threshold.shape[-1]
+
+    def reading_size(self, signals: int) -> int:
+        """A count for each afferent of each signal."""
+        return signals * self.number
+
+    def _activation(self, signals: ArrayLike) -> Array:
+        """s of every afferent, (..., S, number); above zero, so that it has a logarithm."""
+        signals = np.asarray(signals, dtype=float)
+        if self._log_threshold.ndim > 1 and signals.shape[-1] != len(self._log_threshold):
+            raise ValueError(
+                f"These afferents have thresholds for {len(self._log_threshold)} signals, got "
+                f"{signals.shape[-1]}; give one threshold for each signal, or one for all."
+            )
+        with np.errstate(divide="ignore"):
+            log_ratio = np.log(np.abs(signals))[..., None] - self._log_threshold
+        power = np.exp(np.clip(self._exponent * log_ratio, -_FARTHEST, _FARTHEST))
+        return np.asarray(power / (1 + power))
+
+    def _mean(self, activation: Array) -> Array:
+        return self._rest + self._peak * activation
+
+    def _slope(self, activation: Array) -> Array:
+        """d mean/d ln signal, (..., S, number)."""
+        return self._peak * self._exponent * activation * (1 - activation)
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """Mean counts, (..., R)."""
+        return _flat(self._mean(self._activation(signals)))
+
+    def variance(self, signals: ArrayLike) -> Array:
+        """Variance of the counts, μ + (gain_sd·μ)², (..., R)."""
+        mean = self.mean(signals)
+        return mean + (self.gain_sd * mean) ** 2
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """Standard deviation of the counts, (..., R)."""
+        return np.sqrt(self.variance(signals))
+
+    def covariance(self, signals: ArrayLike) -> Array:
+        """Covariance of the counts, diagonal, (..., R, R)."""
+        variance = self.variance(signals)
+        return np.asarray(variance[..., None] * np.eye(variance.shape[-1]))
+
+    def jacobian(self, signals: ArrayLike) -> Array:
+        """d mean/d signal, (..., R, S)."""
+        signals = np.asarray(signals, dtype=float)
+        slope = self._slope(self._activation(signals)) / _off_zero(signals)[..., None]
+        size = signals.shape[-1]
+        return np.asarray(_flat(slope)[..., None] * np.repeat(np.eye(size), self.number, axis=0))
+
+    def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
+        """Counts beyond which the chance is at most exp(−width²/2) on either side, (..., R) each.
+
+        Bernstein's inequalities for sub-gamma sums (Boucheron, Lugosi & Massart 2013, §2.4): the
+        lower tail is Gaussian at worst, the upper one that of a gamma whose scale is the Fano
+        factor.
+        """
+        mean, variance = self.mean(signals), self.variance(signals)
+        reach = width * np.sqrt(variance)
+        return mean - reach, mean + reach + 0.5 * width**2 * variance / mean
+
+    # -- likelihood ----------------------------------------------------------------------------
+
+    def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
+        """ln p(counts | signals), shape (...).
+
+        Poisson and negative binomial (of fixed gain_sd) are exponential families: η(I)·counts −
+        A(I) + a term without I.
+        """
+        reading, signals = np.asarray(reading, dtype=float), np.asarray(signals, dtype=float)
+        refused = ~((reading >= 0) & (reading < np.inf) & (reading == np.floor(reading)))
+        if np.any(refused):
+            raise ValueError(
+                f"Spike counts are whole and not negative, got {reading[refused][0]:g}; "
+                "a reading has one for each afferent."
+            )
+        if signals.ndim > 1 and reading.ndim in (1, signals.ndim):  # long tables go in pieces
+            rows = max(1, _BLOCK // max(1, signals[0].size * self.number))
+            one = reading.ndim == 1 or len(reading) == 1
+            if len(signals) > rows and (one or len(reading) == len(signals)):
+                pieces = [slice(i, i + rows) for i in range(0, len(signals), rows)]
+                return np.concatenate(
+                    [
+                        self._log_likelihood(reading if one else reading[p], signals[p])
+                        for p in pieces
+                    ]
+                )
+        return self._log_likelihood(reading, signals)
+
+    def _log_likelihood(self, counts: Array, signals: Array) -> Array:
+        mean = _flat(self._mean(self._activation(signals)))
+        natural, normaliser = np.log(mean), mean
+        if self.gain_sd > 0:
+            gain = self.gain_sd**2
+            normaliser = np.log1p(gain * mean) / gain
+            natural = natural - gain * normaliser
+        value = np.einsum("...r,...r->...", counts, natural) - normaliser.sum(axis=-1)
+        return np.asarray(value + self._log_base(counts).sum(axis=-1))
+
+    def _log_base(self, counts: Array) -> Array:
+        """The term without I, looked up where counts are fewer than readings."""
+        top = int(counts.max(initial=0))
+        n = np.arange(top + 1.0) if top < counts.size else counts
+        value = -gammaln(n + 1)
+        if self.gain_sd > 0:
+            shape = self.gain_sd**-2
+            value = value + gammaln(n + shape) - gammaln(shape) - n * np.log(shape)
+        return np.asarray(value if n is counts else value[counts.astype(np.intp)])
+
+    def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
+        """Counts for these signals, (..., R)."""
+        rng = np.random.default_rng(seed)
+        mean = self.mean(signals)
+        if self.gain_sd > 0:
+            mean = mean * rng.gamma(self.gain_sd**-2, self.gain_sd**2, size=mean.shape)
+        return rng.poisson(mean).astype(float)
+
+    # -- information ---------------------------------------------------------------------------
+
+    def _log_information(self, signals: Array) -> Array:
+        """Fisher information about ln |signal|, Σ μ'²/variance, (..., S)."""
+        activation = self._activation(signals)
+        mean = self._mean(activation)
+        slope = self._slope(activation)
+        return np.asarray((slope**2 / (mean + (self.gain_sd * mean) ** 2)).sum(axis=-1))
+
+    def fisher(self, signals: ArrayLike) -> Array:
+        """Fisher information about the signals, diagonal, (..., S, S)."""
+        signals = np.asarray(signals, dtype=float)
+        information = self._log_information(signals) / _off_zero(signals) ** 2
+        return np.asarray(information[..., None] * np.eye(signals.shape[-1]))
+
+    def effective_weber_fraction(self, signals: ArrayLike) -> Array:
+        """Least sd of ln |signal| that the counts allow, 1/√(I²·Fisher information), (..., S)."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / np.sqrt(self._log_information(np.asarray(signals, dtype=float))))
+
+    def weber_law(self, signals: ArrayLike) -> Array:
+        """`effective_weber_fraction` in closed form, as if thresholds lay densely, (..., S).
+
+        Each afferent's share of the axis of ln c is integrated over, so that the plateau and both
+        of its ends are there; see the class's notes. Classes of one afferent are left out.
+        """
+        with np.errstate(divide="ignore"):
+            log_magnitude = np.log(np.abs(np.asarray(signals, dtype=float)))
+        total = np.zeros(log_magnitude.shape)
+        for part, time in self._classes:
+            if part.number == 1:
+                continue
+            low, high = np.log(part.lowest), np.log(part.highest)
+            spacing = (high - low) / (part.number - 1)
+            s_low, s_high = (
+                expit(part.exponent * (log_magnitude - edge))
+                for edge in (low - spacing / 2, high + spacing / 2)
+            )
+            peak = part.peak_rate * time
+            rest = part.spontaneous_rate * self.window / peak
+            share = _j(rest, s_high, s_low)
+            if self.gain_sd > 0:
+                share = share - _j(rest + 1 / (self.gain_sd**2 * peak), s_high, s_low)
+            total = total + peak * part.exponent / spacing * share
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / np.sqrt(np.maximum(total, 0.0)))
+
+
+def _j(beta: float, low: Array, high: Array) -> Array:
+    """∫ s(1 − s)/(β + s) ds from low to high."""
+    width = high - low
+    value = (1 + beta) * width - (high**2 - low**2) / 2
+    if beta > 0:
+        value = value - beta * (1 + beta) * np.log1p(width / (beta + low))
+    return np.asarray(value)
+
+
+def _off_zero(signals: Array) -> Array:
+    """Signals to divide by: where there is none, slopes are none either."""
+    return np.where(signals == 0, np.inf, signals)
+
+
+def _flat(values: Array) -> Array:
+    """(..., S, number) as (..., S·number)."""
+    return values.reshape(*values.shape[:-2], -1)
