@@ -124,7 +124,8 @@ def test_bend_prints_a_table_for_people(capsys: pytest.CaptureFixture[str]) -> N
     assert [line.split()[-3] for line in lines[2:5]] == ["held", "flicked_past", "out_of_reach"]
     assert lines[5].startswith("Flicked past: ")
     assert lines[6].startswith("Out of reach: ")
-    assert len(lines) == 7
+    assert lines[7].startswith("At k = 0.1, the straight elastica is enough for 1 of 1: ")
+    assert len(lines) == 8
     assert "nan" not in printed.out
 
 

@@ -1,9 +1,10 @@
-"""§2h against the paper's figure, the theory notes and a plain root finder."""
+"""§2h against SciPy's integrator and root finders, and plain sampling; see also figure 3."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from integrators import follow
 from scipy.optimize import brentq, minimize_scalar
 
 from weberwhisk.mechanics import elastica
@@ -14,23 +15,44 @@ W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 IMPACT = np.radians(60)
 
 
-def test_figure_3b():
-    """The five values read off the figure, by the theory notes' reading of its curve."""
-    r = np.linspace(0.3, 0.68, 2000) * W.length
-    b = moment_balance(W, r, IMPACT)
-    assert np.all(np.diff(b.balance_angle[b.outcome == 0]) > 0)  # monotonic, so a cue
-    got = moment_balance(W, np.array([0.3, 0.4, 0.5, 0.6, 0.65]) * W.length, IMPACT)
-    np.testing.assert_allclose(
-        np.degrees(got.balance_angle), [2.55, 4.06, 6.29, 10.09, 13.54], atol=0.006
-    )
+def pressed(distance, force):
+    """Normalised moment and deflection angle of W at a distance under a force, by DOP853."""
+    length, scale = float(W.length), float(W.moment_scale)
+
+    def bent(s):
+        return follow(length, float(W.base_radius), float(W.tip_radius), 3e9, s, force)
+
+    s = brentq(lambda s: bent(s)[3] - distance, distance, length, xtol=1e-15)
+    return bent(s)[0] / scale, bent(s)[4]
 
 
-def test_the_curve_of_figure_3b_ends_at_0_684_of_the_length():
-    def balanced(share):
-        return float(moment_balance(W, share * W.length, IMPACT).outcome == Balance.BALANCED) - 0.5
+def extreme(function, bounds):
+    """Smallest value of a function of the force in µN."""
+    return minimize_scalar(
+        lambda f: function(f * 1e-6), bounds=bounds, method="bounded", options={"xatol": 1e-4}
+    ).fun
 
-    end = brentq(balanced, 0.6, 0.8, xtol=1e-5)
-    assert end == pytest.approx(0.684, abs=1e-3)  # "≈": the curves touch at 0.6848
+
+def test_the_curve_of_figure_3b_ends_where_the_two_curves_touch():
+    """Where the smallest excess of muscle over whisker is zero, by SciPy: r = 0.684828 L.
+
+    The theory notes print 0.684.
+    """
+
+    def least_excess(share):
+        def excess(force):
+            moment, theta = pressed(share * W.length, force)
+            return np.sin(IMPACT + theta - np.radians(23)) - 2 * moment
+
+        return extreme(excess, (50, 100))
+
+    def outcome(share):
+        return moment_balance(W, share * W.length, IMPACT).outcome
+
+    end, tiny = 0.684827922, 1e-8
+    assert least_excess(end - tiny) < 0 < least_excess(end + tiny)
+    assert outcome(end - tiny) is Balance.BALANCED
+    assert outcome(end + tiny) is Balance.FLICKED_PAST
 
 
 def test_printed_curve_peaks_at_half_w_near_128_7_degrees():
@@ -74,34 +96,64 @@ def test_balance_is_the_root_that_scipy_finds(curve):
         )
 
 
-def test_white_areas_of_figure_3c():
+@pytest.mark.parametrize("curve", MuscleCurve)
+def test_every_outcome_of_figure_3c_by_plain_sampling(curve):
     """Below the dashed line the whisker flicks past; above it the range of whisking ends."""
-    late = moment_balance(W, np.array([0.3, 0.6, 0.9, 1.01]) * W.length, np.radians([[60], [147]]))
-    assert late.outcome.shape == (2, 4)
-    assert [Balance(k) for k in late.outcome[0]] == [
+    share = np.append(np.linspace(0.3, 0.96, 23), [0.99, 1.01])
+    impact = np.radians(np.linspace(30, 150, 31))[:, None]
+    b = moment_balance(W, share * W.length, impact, curve=curve)
+    limit = elastica.flick_past(W, share * W.length)
+    flick = np.nan_to_num(limit.deflection_angle)
+    reach = np.minimum(flick, np.radians(150) - impact)
+    theta = np.linspace(0, 1 - 1e-9, 1500)[:, None, None] * reach
+    moment = elastica.press(W, share * W.length, theta).normalised_moment
+    excess = curve.moment(impact + theta) - 2 * np.nan_to_num(moment, nan=0.0)
+    expected = np.where(
+        np.any(excess <= 0, axis=0),
         Balance.BALANCED,
-        Balance.BALANCED,
-        Balance.FLICKED_PAST,
-        Balance.OUT_OF_REACH,
-    ]
-    assert [Balance(k) for k in late.outcome[1]] == [Balance.END_OF_WHISKING] * 3 + [
-        Balance.OUT_OF_REACH
-    ]
-    assert np.all(np.isnan(late.balance_angle[late.outcome != 0]))
-    np.testing.assert_allclose(late.end_angle[1, :3], np.radians(3))
-    tip = moment_balance(W, 0.99 * W.length, IMPACT)
-    assert tip.outcome is Balance.SLIPPED_OFF_TIP
+        np.where(
+            flick > np.radians(150) - impact,
+            Balance.END_OF_WHISKING,
+            np.where(limit.ended_by == 3, Balance.SLIPPED_OFF_TIP, Balance.FLICKED_PAST),
+        ),
+    )
+    expected[:, share > 1] = Balance.OUT_OF_REACH
+    np.testing.assert_array_equal(b.outcome, expected)
+    assert set(np.unique(expected)) == {0, 1, 2, 3, 4}
+    first = np.argmax(excess <= 0, axis=0)
+    at = np.take_along_axis(theta, first[None], axis=0)[0]
+    held = b.outcome == Balance.BALANCED
+    gap = np.broadcast_to(reach / 1499, held.shape)[held]
+    np.testing.assert_array_less(b.balance_angle[held], at[held] + 1e-12)
+    np.testing.assert_array_less(at[held] - gap * 1.001, b.balance_angle[held] + 1e-12)
+    assert np.all(np.isnan(b.balance_angle[~held]))
+    np.testing.assert_allclose(b.end_angle[~held & (share <= 1)], reach[~held & (share <= 1)])
     assert all(outcome.message for outcome in Balance)
 
 
-def test_flick_past_under_a_limited_moment_comes_at_the_moment_peak():
-    """A muscle of constant moment just below the peak holds; just above it, it flicks past."""
+@pytest.mark.parametrize("share", [0.5, 0.7])
+def test_the_fold_and_the_moment_peak_end_the_two_kinds_of_flick_past(share):
+    """Imposed angle: the largest angle of any force. Limited moment: the largest moment."""
+    r, most = share * W.length, 700 if share == 0.5 else 200
+    limit = elastica.flick_past(W, r)
+    fold = -extreme(lambda force: -pressed(r, force)[1], (10, most))
+    peak = -extreme(lambda force: -pressed(r, force)[0], (10, most))
+    assert limit.deflection_angle == pytest.approx(fold, rel=1e-9)
+    assert limit.at_moment_peak.normalised_moment == pytest.approx(peak, rel=1e-9)
+    assert limit.at_moment_peak.deflection_angle < limit.deflection_angle
+
+
+def test_flick_past_under_a_limited_muscle_is_where_it_can_no_more_be_balanced():
+    """The gain at which a balance first exists, against SciPy's smallest muscle over moment."""
     r = 0.7 * W.length
-    peak = elastica.flick_past(W, r).at_moment_peak
-    need = MuscleCurve.FIGURE.moment(IMPACT + peak.deflection_angle) / peak.normalised_moment
-    # The muscle still grows with the angle, so it is the gain that decides, just off the peak.
-    assert moment_balance(W, r, IMPACT, gain=1.05 * need).outcome is Balance.BALANCED
-    assert moment_balance(W, r, IMPACT, gain=0.9 * need).outcome is Balance.FLICKED_PAST
+
+    def ratio(force):
+        moment, theta = pressed(r, force)
+        return np.sin(IMPACT + theta - np.radians(23)) / moment
+
+    need = extreme(ratio, (20, 110))
+    outcomes = [moment_balance(W, r, IMPACT, gain=need * (1 + d)).outcome for d in (1e-9, -1e-9)]
+    assert outcomes == [Balance.BALANCED, Balance.FLICKED_PAST]
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,12 @@
-"""Sweeps against rung 1 and 2 at a point, geometry at a wall, and limits between objects."""
+"""Sweeps against rung 1 and 2 at a point, SciPy at rounded and flat objects, and geometry."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from integrators import follow
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, minimize_scalar
 
 from weberwhisk.mechanics import elastica
 from weberwhisk.mechanics.contact import Outcome
@@ -12,6 +15,7 @@ from weberwhisk.mechanics.profile import flick_past, press, rest_angle
 from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+CURLED = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)  # towards the object
 SQUARE = np.array([[20, -5], [30, -5], [30, -15], [20, -15]]) * 1e-3
 
 
@@ -38,7 +42,7 @@ def test_a_peg_near_the_tip_ends_at_the_tip():
 
 
 def test_a_curved_whisker_and_friction_at_a_peg():
-    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    w = CURLED
     x, y = 30e-3 * np.cos(-0.4), 30e-3 * np.sin(-0.4)
     s = sweep(w, peg(x, y), np.linspace(0.0, 1.4, 8), friction_angle=-0.2)
     rest = float(rest_angle(w, 30e-3))
@@ -119,6 +123,124 @@ def test_a_many_sided_contour_is_nearly_its_circle():
     np.testing.assert_allclose(many.bending.moment[1:], circle.bending.moment[1:], rtol=5e-3)
 
 
+def test_angles_right_after_first_contact_are_held():
+    s = sweep(W, peg(35e-3, 0.0), [-1e-3, 1e-8, 2e-8, 1e-3])
+    np.testing.assert_array_equal(s.bending.outcome, [4, 0, 0, 0])
+    exact = elastica.press(W, 35e-3, s.rotation[1:]).moment
+    np.testing.assert_allclose(s.bending.moment[1:], exact, rtol=1e-6)
+
+
+def test_an_object_that_the_sweep_does_not_reach_is_out_of_reach():
+    s = sweep(W, peg(35e-3, 0.0), [0.1, 0.5, 1.0])  # it starts past the peg
+    assert s.ended_by is Outcome.OUT_OF_REACH
+    assert np.isnan(s.first_contact)
+
+
+@pytest.mark.parametrize("radius", [5e-3, 12e-3])
+def test_the_fold_at_a_cylinder_is_the_largest_rotation_of_any_tangent_whisker(radius):
+    """All whiskers tangent to the circle, found one force at a time by SciPy, know no path."""
+    centre = np.array([30e-3, -1e-3 - radius])
+
+    def seen(s, force):
+        """Centre of the circle in the base frame."""
+        *_, r, theta, alpha = follow(50e-3, 100e-6, 5e-6, 3e9, s, force)
+        x, y = r * np.cos(theta), r * np.sin(theta)
+        return x + radius * np.sin(alpha), y - radius * np.cos(alpha)
+
+    def rotation(force):
+        far = np.hypot(*centre)
+        s = brentq(lambda s: np.hypot(*seen(s, force)) - far, 20e-3, 40e-3, xtol=1e-14)
+        x, y = seen(s, force)
+        return np.arctan2(y, x) - np.arctan2(*centre[::-1])
+
+    peak = minimize_scalar(
+        lambda f: -rotation(f * 1e-4), bounds=(2, 9), method="bounded", options={"xatol": 1e-7}
+    )
+    s = sweep(W, cylinder(*centre, radius), np.radians(np.arange(0, 120, 10)))
+    assert s.ended_by is Outcome.FLICKED_PAST
+    assert s.end == pytest.approx(-peak.fun, abs=5e-6)
+
+
+def drawn(whisker, s, force, tilt):
+    """x and y of the whole whisker in the base frame, by SciPy from the contact both ways.
+
+    The force leans by `tilt` from the normal towards the base.
+    """
+    kappa = whisker.curvature
+
+    def rates(at, state):
+        angle, x, y = state  # as seen from the contact
+        moment = force * (-x * np.cos(tilt) - y * np.sin(tilt)) * (at <= s)
+        stiff = whisker.stiffness * (1 - at / whisker.apex_distance) ** 4
+        return [kappa + moment / stiff, np.cos(angle), np.sin(angle)]
+
+    def to(end):
+        if end == s:
+            return np.zeros((3, 1))
+        at = np.linspace(s, end, 1500)
+        return solve_ivp(rates, (s, end), [0.0] * 3, t_eval=at, rtol=1e-11, atol=1e-14).y
+
+    inner, outer = to(0.0), to(whisker.length)
+    alpha = -inner[0, -1]
+    x, y = np.concatenate([inner[1:, ::-1], outer[1:, 1:]], axis=1) - inner[1:, [-1]]
+    c, s = np.cos(alpha), np.sin(alpha)
+    return c * x - s * y, s * x + c * y, alpha
+
+
+BODIES = {
+    "peg": peg(30e-3, -10e-3),
+    "cylinder": cylinder(30e-3, -12e-3, 5e-3),
+    "level": wall(0.0, -30e-3, 0.0),
+    "steep": wall(45e-3, -10e-3, 1.2),
+    "square": contour(SQUARE - [0, 10e-3]),
+    "rounded": contour(SQUARE - [0, 10e-3], 2e-3),
+}
+
+
+@pytest.mark.parametrize("whisker", [W, CURLED], ids=["straight", "curled"])
+@pytest.mark.parametrize("name", BODIES)
+def test_the_whisker_is_never_inside_the_object(name, whisker):
+    body = BODIES[name]
+    s = sweep(whisker, body, np.radians(np.arange(-42, 60, 4.0)))
+    b = s.bending
+    assert np.any(b.held)
+    for i in np.flatnonzero(b.held)[::3]:
+        lean = np.arctan2(b.axial_force[i], b.transverse_force[i]) - b.contact_angle[i]
+        x, y, alpha = drawn(whisker, b.arc_length[i], b.force[i], lean)
+        assert alpha == pytest.approx(b.contact_angle[i], abs=1e-8)
+        c, q = np.cos(s.rotation[i]), np.sin(s.rotation[i])
+        depth = body.depth(c * x + q * y, c * y - q * x)
+        assert -2e-8 < np.max(depth) < 1e-9  # it touches, within the spacing of the points
+
+
+def test_a_whisker_curved_towards_a_wall_ends_where_it_touches_twice():
+    """Tip first, then flush; there the free end dips into the wall, which two points must hold.
+
+    By SciPy: where a whisker flush with the wall at s has its tip a millionth of L inside.
+    """
+
+    def flush(s):
+        def heights(force):
+            x, y, alpha = drawn(CURLED, s, force, 0.0)
+            return 30e-3 + y * np.cos(alpha) - x * np.sin(alpha), alpha
+
+        return heights(brentq(lambda f: heights(f)[0][1499], 1e-8, 1e-5, xtol=1e-17))
+
+    s = brentq(lambda s: flush(s)[0][-1] + 1e-6 * 50e-3, 49.7e-3, 49.99e-3, xtol=1e-11)
+    end = flush(s)[1]
+    s = sweep(CURLED, wall(0.0, -30e-3, 0.0), np.radians(np.arange(0, 60, 2.0)))
+    assert s.ended_by is Outcome.TOUCHES_TWICE
+    assert s.end == pytest.approx(end, abs=5e-6)
+    assert np.all(s.tip[s.bending.held])
+    assert s.bending.outcome[-1] == Outcome.TOUCHES_TWICE
+
+
+def test_depth_is_the_signed_distance():
+    box = contour(SQUARE, 1e-3)
+    x, y = np.array([25, 25, 20.5, 10, 17, 25]), np.array([-5, -10, -10, -10, -1, -3])
+    np.testing.assert_allclose(box.depth(x * 1e-3, y * 1e-3) * 1e3, [1, 6, 1.5, -9, -4, -1])
+
+
 def test_nothing_in_reach_and_a_sweep_that_ends_in_contact():
     far = sweep(W, peg(60e-3, 0.0), np.radians([-5, 5]))
     np.testing.assert_array_equal(far.bending.outcome, Outcome.OUT_OF_REACH)
@@ -135,6 +257,7 @@ def test_nothing_in_reach_and_a_sweep_that_ends_in_contact():
         (lambda: contour([[0, 0], [1, 0]]), "must be convex, of three points"),
         (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending angles"),
         (lambda: sweep(W, wall(0.0, 0.01, 0.0), [0.0, 0.1]), "base of the whisker must be outside"),
+        (lambda: sweep(W, cylinder(0.03, 0.0, 2e-3), [0.0, 0.1]), "start clear of the object"),
         (lambda: sweep(Whisker([0.05, 0.04], 1e-4, 5e-6), peg(0.03, 0), [0.0]), "one whisker"),
     ],
 )

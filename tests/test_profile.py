@@ -107,7 +107,7 @@ def test_a_smaller_tolerance_is_met_and_the_error_is_an_upper_estimate(straight_
         for name in ("moment", "deflection_angle"):
             off = np.abs(getattr(b, name)[held] / getattr(exact, name)[held] - 1)
             assert np.all(off <= b.error[held] + 1e-11)
-        assert np.all(b.error[held] <= tolerance)
+            assert np.all(off <= tolerance)
 
 
 # An integrator nobody here wrote, with its own formulas for radius and curvature.
@@ -302,7 +302,10 @@ def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):
     assert end.ended_by is Outcome.FLICKED_PAST
     at = end.deflection_angle
     assert press(w, r, at - 1e-7, psi).outcome is Outcome.HELD
-    assert press(w, r, at + 1e-7, psi).outcome is Outcome.FLICKED_PAST
+    # Beyond its own fold a frictional contact may still be held without friction: it is stuck.
+    beyond = press(w, r, at + 1e-7, psi).outcome
+    free = press(w, r, at + 1e-7).outcome
+    assert beyond is (Outcome.STUCK if psi and free is Outcome.HELD else Outcome.FLICKED_PAST)
     s, f = end.at_end.arc_length, end.at_end.force
     largest = -np.inf
     for shift in np.linspace(-0.02, 0.02, 41):
@@ -358,7 +361,7 @@ def test_friction_at_which_nothing_slides():
     """Towards the base a strong tilt buckles the whisker: no sliding equilibrium is left."""
     s = sticking(STRAIGHT, 44e-3, np.radians(9), friction_coefficient=[0.1, 20.0])
     np.testing.assert_array_equal(s.stuck_outward, [False, True])
-    assert s.outward.outcome[1] == Outcome.FLICKED_PAST
+    assert s.outward.outcome[1] == Outcome.STUCK
     assert np.isnan(s.outward.moment[1])
 
 

@@ -34,20 +34,21 @@ def test_in_its_plane_it_is_rung_2(law, psi):
 def test_a_straight_whisker_bends_in_a_turned_plane_as_rung_1():
     rng = np.random.default_rng(3)
     n = 12
-    r, theta = rng.uniform(0.1, 0.8, n) * 50e-3, rng.uniform(0.05, 0.35, n)
+    r, theta = rng.uniform(0.1, 0.8, n) * 50e-3, rng.uniform(0.05, 1.0, n)
     azimuth = rng.uniform(-np.pi, np.pi, n)
     point = r[:, None] * np.stack(
         [np.cos(theta), np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth)], axis=-1
     )
     got, exact = rod.press(STRAIGHT, point), elastica.press(STRAIGHT, r, theta)
+    assert set(exact.outcome) == {Outcome.HELD, Outcome.FLICKED_PAST}
     np.testing.assert_array_equal(got.outcome, exact.outcome)
-    np.testing.assert_allclose(got.axial_force, exact.axial_force, rtol=1e-8)
+    np.testing.assert_allclose(got.axial_force, exact.axial_force, rtol=1e-9)
     y, z = np.cos(azimuth), np.sin(azimuth)
-    np.testing.assert_allclose(got.force[:, 1], exact.transverse_force * y, rtol=1e-8)
-    np.testing.assert_allclose(got.force[:, 2], exact.transverse_force * z, rtol=1e-8)
-    np.testing.assert_allclose(got.moment[:, 2], exact.moment * y, rtol=1e-8)
-    np.testing.assert_allclose(got.moment[:, 1], -exact.moment * z, rtol=1e-8)
-    np.testing.assert_allclose(got.moment[:, 0], 0, atol=1e-9 * exact.moment.max())
+    np.testing.assert_allclose(got.force[:, 1], exact.transverse_force * y, rtol=1e-9)
+    np.testing.assert_allclose(got.force[:, 2], exact.transverse_force * z, rtol=1e-9)
+    np.testing.assert_allclose(got.moment[:, 2], exact.moment * y, rtol=1e-9)
+    np.testing.assert_allclose(got.moment[:, 1], -exact.moment * z, rtol=1e-9)
+    np.testing.assert_allclose(got.moment[exact.held, 0], 0, atol=1e-9 * np.nanmax(exact.moment))
 
 
 def cosserat(whisker, b, plane=0.0, nu=rod.POISSON_RATIO):
@@ -110,13 +111,13 @@ def test_turning_whisker_and_object_together_turns_the_signals():
     turn = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     a, b = rod.press(CURVED, point), rod.press(CURVED, turn @ point, plane=roll)
     assert a.outcome is b.outcome is Outcome.HELD
-    np.testing.assert_allclose(turn @ a.force, b.force, atol=1e-8 * a.magnitude)
-    np.testing.assert_allclose(turn @ a.moment, b.moment, atol=1e-8 * np.abs(a.moment).max())
+    np.testing.assert_allclose(turn @ a.force, b.force, atol=1e-9 * a.magnitude)
+    np.testing.assert_allclose(turn @ a.moment, b.moment, atol=1e-9 * np.abs(a.moment).max())
 
 
 def test_mirror_image_in_the_plane_of_curvature():
     a, b = rod.press(CURVED, [[30e-3, 1e-3, 5e-3], [30e-3, 1e-3, -5e-3]]).force
-    np.testing.assert_allclose(a * [1, 1, -1], b, rtol=1e-8)
+    np.testing.assert_allclose(a * [1, 1, -1], b, rtol=1e-9)
 
 
 def test_press_inverts_bend_and_ends_as_rung_2_does():

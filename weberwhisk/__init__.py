@@ -12,18 +12,32 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from . import cues, receptors
-    from .behaviour import Trials, WeberFit, fit_weber, read_trials, simulate_trials
+    from . import cues, mechanics, receptors
+    from .behaviour import (
+        Trials,
+        WeberFit,
+        fit_weber,
+        read_trials,
+        simulate_trials,
+    )
     from .jnd import convert_jnd, criterion_factor, jnd_curve
     from .mechanics import (
         Bending,
+        Choice,
         FlickPast,
         Outcome,
+        Parabola,
+        Profile,
         Rung,
+        Spiral,
         bend,
+        choose_rung,
         flick_past,
         press,
+        rest_angle,
         signal_jacobian,
+        sticking,
+        sweep,
     )
     from .observer import Observer
     from .posterior import Posterior, Status, posterior
@@ -33,14 +47,23 @@ if TYPE_CHECKING:
 _HOME = {
     "Whisker": "whisker",
     "identities": "whisker",
+    "mechanics": "mechanics",
     "Bending": "mechanics",
+    "Choice": "mechanics",
     "FlickPast": "mechanics",
     "Outcome": "mechanics",
+    "Parabola": "mechanics",
+    "Profile": "mechanics",
     "Rung": "mechanics",
+    "Spiral": "mechanics",
     "bend": "mechanics",
+    "choose_rung": "mechanics",
     "flick_past": "mechanics",
     "press": "mechanics",
+    "rest_angle": "mechanics",
     "signal_jacobian": "mechanics",
+    "sticking": "mechanics",
+    "sweep": "mechanics",
     "cues": "cues",
     "receptors": "receptors",
     "Observer": "observer",
@@ -58,16 +81,21 @@ _HOME = {
 }
 __all__ = [
     "Bending",
+    "Choice",
     "FlickPast",
     "Observer",
     "Outcome",
+    "Parabola",
     "Posterior",
+    "Profile",
     "Rung",
+    "Spiral",
     "Status",
     "Trials",
     "WeberFit",
     "Whisker",
     "bend",
+    "choose_rung",
     "convert_jnd",
     "criterion_factor",
     "cues",
@@ -75,12 +103,16 @@ __all__ = [
     "flick_past",
     "identities",
     "jnd_curve",
+    "mechanics",
     "posterior",
     "press",
     "read_trials",
     "receptors",
+    "rest_angle",
     "signal_jacobian",
     "simulate_trials",
+    "sticking",
+    "sweep",
 ]
 
 

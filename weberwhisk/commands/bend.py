@@ -139,6 +139,20 @@ def bend(
     if not as_json:
         for outcome in sorted({ww.Outcome(o) for o in bending.outcome[~bending.held]}):
             print(f"{outcome.message[:1].upper()}{outcome.message[1:]}.")
+        if model is None:
+            _say_which_rung(whisker, bending)
+
+
+def _say_which_rung(whisker: ww.Whisker, bending: ww.Bending) -> None:
+    """One line for each rung that the contacts held would need, with the reason of the first."""
+    at = bending.held
+    if not np.any(at):
+        return
+    choice = ww.choose_rung(whisker, bending.radial_distance[at], bending.deflection_angle[at])
+    rungs, first, counts = np.unique(choice.rung, return_index=True, return_counts=True)
+    for rung, k, count in zip(rungs, first, counts, strict=True):
+        title = ww.Rung(rung).title
+        print(f"At k = 0.1, {title} is enough for {count} of {at.sum()}: {choice.why[k]}.")
 
 
 def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: str | None) -> Any:

@@ -1,16 +1,91 @@
-"""Whisker mechanics: a ladder of beam models, from the closed form up."""
+"""Whisker mechanics: a ladder of beam models, from the closed form up.
 
-from .contact import Bending, Outcome, Rung
+`bend`, `press`, `flick_past` and `signal_jacobian` stand before all rungs, `choose_rung` says which
+one a scene needs. The rungs themselves are the modules `closed_form`, `elastica`, `profile` and
+`rod`; `modes` has the small vibrations.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from .contact import Bending, Choice, Outcome, Rung
 from .elastica import FlickPast
 from .ladder import bend, flick_past, press, signal_jacobian
 
+if TYPE_CHECKING:
+    from . import closed_form, elastica, modes, profile, rod
+    from .bodies import Body, contour, cylinder, peg, wall
+    from .choice import choose_rung
+    from .modes import Modes, impulse_response, transfer
+    from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
+    from .objects import Sweep, sweep
+    from .profile import Sticking, rest_angle, sticking
+    from .rod import RodBending
+    from .shape import Parabola, Profile, Spiral
+
+# What a plain straight whisker does not need, imported when it is first used.
+_HOME = {
+    "choice": ("choose_rung",),
+    "shape": ("Parabola", "Profile", "Spiral"),
+    "profile": ("Sticking", "rest_angle", "sticking"),
+    "rod": ("RodBending",),
+    "bodies": ("Body", "contour", "cylinder", "peg", "wall"),
+    "objects": ("Sweep", "sweep"),
+    "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
+    "modes": ("Modes", "impulse_response", "transfer"),
+}
+_MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
+    "Balance",
     "Bending",
+    "Body",
+    "Choice",
     "FlickPast",
+    "Modes",
+    "MomentBalance",
+    "MuscleCurve",
     "Outcome",
+    "Parabola",
+    "Profile",
+    "RodBending",
     "Rung",
+    "Spiral",
+    "Sticking",
+    "Sweep",
     "bend",
+    "choose_rung",
+    "closed_form",
+    "contour",
+    "cylinder",
+    "elastica",
     "flick_past",
+    "impulse_response",
+    "modes",
+    "moment_balance",
+    "peg",
     "press",
+    "profile",
+    "rest_angle",
+    "rod",
     "signal_jacobian",
+    "sticking",
+    "sweep",
+    "transfer",
+    "wall",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f".{name}", __name__)
+    for home, names in _HOME.items():
+        if name in names:
+            globals()[name] = value = getattr(import_module(f".{home}", __name__), name)
+            return value
+    raise AttributeError(f"module 'weberwhisk.mechanics' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -21,6 +21,27 @@ class Body:
     corners: Array
     radius: float = 0.0
 
+    def depth(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """How deep points lie inside, m; negative outside. Two corners are a wall, solid below.
+
+        Examples
+        --------
+        >>> print(cylinder(0.0, -3e-3, 1e-3).depth(0.0, [0.0, -2.5e-3]))
+        [-0.002   0.0005]
+        """
+        place = np.stack(np.broadcast_arrays(x, y), axis=-1)[..., None, :] - self.corners
+        if len(self.corners) == 1:
+            return np.asarray(self.radius - np.hypot(place[..., 0, 0], place[..., 0, 1]))
+        step = np.diff(np.vstack([self.corners, self.corners[:1]]), axis=0)
+        span = np.hypot(step[:, 0], step[:, 1])
+        along = (place * step).sum(axis=-1) / span
+        over = (place[..., 1] * step[:, 0] - place[..., 0] * step[:, 1]) / span
+        if len(self.corners) == 2:
+            return np.asarray(self.radius - over[..., 0])
+        off = along - np.clip(along, 0, span)
+        edge = np.min(np.hypot(off, over), axis=-1)
+        return self.radius - np.where(np.all(over <= 0, axis=-1), -edge, edge)
+
 
 def peg(x: float, y: float) -> Body:
     """A point, such as a thin peg, at (x, y), m."""

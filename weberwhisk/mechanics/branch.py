@@ -13,14 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .chebyshev import Array
 from .shape import Law
-from .trajectory import Path, Rows, resolve
+from .trajectory import Path, Rows, needed, resolve
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)
-_LONGEST, _SHORTEST = 0.3, 1e-5
+#: Steps along a branch: the first, the longest, and the shortest, where a walk gives up.
+_FIRST, _LONGEST, _SHORTEST = 0.1, 0.4, 1e-5
 
 
 def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
@@ -54,11 +55,8 @@ def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
 
 
 def rest_point(law: Law, arc: Array) -> tuple[Array, Array]:
-    """Where the points at the arc lengths `arc` of the whisker at rest lie, by quadrature."""
-    winding = float(np.max(np.abs(law.turn(arc)), initial=0.0))
-    x, w = np.polynomial.legendre.leggauss(10 + int(4 * winding))
-    turn = law.turn((x[:, None] + 1) / 2 * arc)
-    return w @ np.cos(turn) * arc / 2, w @ np.sin(turn) * arc / 2
+    """Where the points at the arc lengths `arc` of the whisker at rest lie."""
+    return law.point(arc)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +96,13 @@ class Branch:
         return np.minimum(v[0] * self.unit * self.r, 1.0), v[1] * self.unit / self.compliance
 
     @property
-    def loose(self) -> float:
-        """The error that is small against a walk's steps."""
-        return float(1e-6 * np.clip(10 * np.min(self.unit, initial=1.0), 1e-4, 1.0))
+    def loose(self) -> Array:
+        """An error (n,) that is small against a walk's steps."""
+        return np.asarray(np.clip(1e-3 * self.unit, 1e-10, 1e-4))
 
-    def path(self, v: Array, tolerance: float) -> Path:
+    def path(self, v: Array, tolerance: ArrayLike, steps: NDArray[np.int64] | None = None) -> Path:
         """The pass at the points v (2, n)."""
-        return resolve(self.rows, *self.contact(v), self.friction, tolerance)
+        return resolve(self.rows, *self.contact(v), self.friction, tolerance, steps)
 
     def slopes(self, path: Path) -> tuple[Array, Array]:
         """Gradients of (ln r)/m and of θ_d/m to v, each (2, n)."""
@@ -112,15 +110,14 @@ class Branch:
         k = self.compliance
         return np.stack([r_s, r_f / (k * self.r)]), np.stack([t_s * self.r, t_f / k])
 
-    def correct(self, v: Array, tolerance: float, count: int, fixed: Array) -> tuple[Array, Path]:
-        """v brought onto the branch across it (or along the force where `fixed`)."""
-        for _ in range(count):
-            path = self.path(v, tolerance)
-            up, _ = self.slopes(path)
-            up[0] = np.where(fixed, 0.0, up[0])
-            miss = (path.distance / self.r - 1) / self.unit
-            v = v - up * (miss / np.maximum((up**2).sum(0), 1e-12))
-        return v, self.path(v, tolerance)
+    def onto(self, path: Path, fixed: ArrayLike = False) -> tuple[Array, Path]:
+        """From the point of a pass to the branch, across it (along the force where `fixed`)."""
+        up, _ = self.slopes(path)
+        up[0] = np.where(fixed, 0.0, up[0])
+        miss = (path.distance / self.r - 1) / self.unit
+        off = -up * (miss / np.maximum((up**2).sum(0), 1e-12))
+        scale = off * self.unit
+        return off, path.moved(scale[0] * self.r, scale[1] / self.compliance)
 
 
 def _tangent(up: Array) -> Array:
@@ -128,18 +125,58 @@ def _tangent(up: Array) -> Array:
     return np.asarray(t / np.hypot(*t))
 
 
-def _stable(branch: Branch, path: Path) -> Array:
+# Measures that fall through zero on the way along a branch.
+
+
+def stability(branch: Branch, _v: Array, path: Path, _goal: Array | None = None) -> Array:
     """D, with the sign of what the whole pass says."""
     up, across = branch.slopes(path)
     d = up[0] * across[1] - up[1] * across[0]
     return np.where(path.flips > 0, -np.abs(d), d)
 
 
-def _moment_slope(branch: Branch, v: Array, path: Path) -> Array:
+def moment_slope(branch: Branch, v: Array, path: Path, _goal: Array | None = None) -> Array:
     """dM along the branch, in the direction of growing angle before the fold."""
     t = _tangent(branch.slopes(path)[0])
     d_lever = path.d_arc[1] * t[0] * branch.r + path.d_force[1] * t[1] / branch.compliance
     return np.asarray(t[1] * path.lever + v[1] * branch.unit * d_lever)
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of branch between two points, each (2, n), and the measure (n,) at either end.
+
+    Between them the branch is followed by the cubic through both points and both tangents.
+    """
+
+    low: Array
+    high: Array
+    low_tangent: Array
+    high_tangent: Array
+    at_low: Array
+    at_high: Array
+
+    @classmethod
+    def empty(cls, n: int) -> Stretch:
+        """n stretches, not yet known."""
+        low, high, low_tangent, high_tangent = np.full((4, 2, n), np.nan)
+        return cls(low, high, low_tangent, high_tangent, np.full(n, np.nan), np.zeros(n))
+
+    def put(self, index: NDArray[np.intp], which: NDArray[np.bool_], *values: Array) -> None:
+        """Set those of the stretches at `index` that are `which`."""
+        for old, new in zip(vars(self).values(), values, strict=True):
+            old[..., index[which]] = new[..., which]
+
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Stretch:
+        """The stretches at `index`."""
+        return Stretch(*(value[..., index] for value in vars(self).values()))
+
+    def __call__(self, x: Array) -> Array:
+        """The points (2, n) at 0 ≤ x ≤ 1."""
+        chord = self.high - self.low
+        span = np.hypot(*chord)
+        start, stop = self.low_tangent * span - chord, chord - self.high_tangent * span
+        return np.asarray(self.low + x * chord + x * (1 - x) * ((1 - x) * start + x * stop))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,145 +201,169 @@ def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
     n = branch.r.size
     v = np.stack([branch.start / (branch.r * branch.unit), np.zeros(n)])
     end = np.full(n, FOLD, dtype=np.int8)
-    before, after = v.copy(), v.copy()
-    peak_from, peak_to = np.full_like(v, np.nan), np.full_like(v, np.nan)
     moves = branch.compliance > 0
     end[~moves] = NO_MOVE
     at_once = moves & (branch.start >= 1 - 1e-12)  # it rests on the object with its very tip
     end[at_once] = TIP
-    bracketed = np.zeros(n, dtype=bool)
+    last, top = Stretch.empty(n), Stretch.empty(n)
+    best = np.full(n, np.inf)  # the largest angle that the last stretch can hold
 
     active = np.flatnonzero(moves & ~at_once)
-    step = np.full(n, 0.1)
-    direction = np.zeros((2, n))
-    here = branch.take(active).path(v[:, active], branch.loose)
-    for _k in range(400):
+    here = branch.take(active)
+    path = here.path(v[:, active], here.loose)
+    tangent = np.zeros((2, n))
+    tangent[:, active] = _tangent(here.slopes(path)[0])
+    bend, step = np.zeros((2, n)), np.full(n, _FIRST)
+    theta, steady, growing = np.zeros(n), np.zeros(n), np.ones(n)
+    theta[active], steady[active] = path.deflection, stability(here, v[:, active], path)
+    for _ in range(400):
         if not active.size:
             break
         part = branch.take(active)
-        now = v[:, active]
-        t = _tangent(part.slopes(here)[0])
-        turn = np.where((t * direction[:, active]).sum(0) < 0, -1.0, 1.0)
-        t = t * turn
-        h = step[active]
+        now, t, h = v[:, active], tangent[:, active], step[active]
         tip = 1 / (part.r * part.unit)
-        over = now[0] + h * t[0] > tip
-        h = np.where(over, (tip - now[0]) / np.where(over, t[0], 1.0), h)
-        guess = now + h * t
+        guess = now + h * t + h**2 / 2 * bend[:, active]
+        over = guess[0] > tip
+        with np.errstate(divide="ignore", invalid="ignore"):
+            short = np.clip((tip - now[0]) / (guess[0] - now[0]), 0.0, 1.0)
+        h = np.where(over, h * short, h)
+        guess = np.where(over, now + h * t + h**2 / 2 * bend[:, active], guess)
         guess[0] = np.where(over, tip, guess[0])
-        found, path = part.correct(guess, branch.loose, 2, over)
-        off = np.hypot(*(found - guess))
-        good = (off < 0.25 * h + 1e-9) & (np.abs(path.distance / part.r - 1) < 1e-5 * part.unit)
-        tiny = h < _SHORTEST
-        good |= tiny & np.isfinite(off)
-        stuck = tiny & ~good
-        step[active] = np.where(
-            good, np.minimum(h * np.where(off < 0.05 * h, 1.6, 1.0), _LONGEST), h / 3
-        )
-        theta = path.deflection
-        if peaks:
-            top = good & np.isnan(peak_to[0, active]) & (_moment_slope(part, found, path) < 0)
-            peak_from[:, active[top]], peak_to[:, active[top]] = now[:, top], found[:, top]
-        reached = good & (theta >= target[active])
-        folded = good & ~reached & (_stable(part, path) <= 0)
-        at_tip = good & ~reached & ~folded & over
-        stop = reached | folded | at_tip | stuck
-        end[active[reached]], end[active[folded]] = REACHED, FOLD
-        end[active[at_tip]] = TIP
-        bracketed[active[reached | folded]] = True
-        before[:, active] = np.where(good & ~at_tip, now, before[:, active])
-        after[:, active] = np.where(good, found, after[:, active])
-        direction[:, active] = np.where(good, t, direction[:, active])
-        v[:, active] = np.where(good, found, now)
-        keep = ~stop
-        names = vars(path)
-        here = Path(**{k: np.where(good, names[k], vars(here)[k])[..., keep] for k in names})
-        active = active[keep]
+        off, path = part.onto(part.path(guess, part.loose), over)
+        found, far = guess + off, np.hypot(*off)
+        again, path = part.onto(part.path(found, part.loose), over)
+        found += again
+        up, across = part.slopes(path)
+        new = _tangent(up)
+        new = new * np.where((new * t).sum(0) < 0, -1.0, 1.0)
+        tiny, straight = h < _SHORTEST, (new * t).sum(0) > 0.8
+        good = (far < 0.2 * h) & (np.hypot(*again) < 0.02 * h) & straight
+        good |= tiny & np.isfinite(far)
+        angle = path.deflection
+        sound, rise = stability(part, found, path), moment_slope(part, found, path)
 
-    point = after.copy()
+        ends = now, found, t, new
+        if peaks:
+            falls = good & np.isnan(top.at_low[active]) & (rise < 0)
+            top.put(active, falls, *ends, growing[active], rise)
+        goal = target[active]
+        reached = good & (angle >= goal)
+        folded = good & ~reached & (sound <= 0)
+        at_tip = good & ~reached & ~folded & over
+        last.put(active, reached, *ends, goal - theta[active], goal - angle)
+        last.put(active, folded | at_tip, *ends, steady[active], sound)
+        end[active[reached]], end[active[at_tip]] = REACHED, TIP
+        climb = part.unit * np.abs((across * new).sum(0)) * 2 * h
+        best[active[folded]] = (np.maximum(angle, theta[active]) + climb)[folded]
+
+        on = active[good]
+        bend[:, on] = ((new - t) / np.maximum(h, _SHORTEST))[:, good]
+        v[:, on], tangent[:, on] = found[:, good], new[:, good]
+        theta[on], steady[on], growing[on] = angle[good], sound[good], rise[good]
+        grown = np.where(far < 0.03 * h, 2.0, np.where(far < 0.1 * h, 1.2, 0.7))
+        step[active] = np.where(good, np.minimum(h * grown, _LONGEST), h / 3)
+        active = active[~(reached | folded | at_tip | (tiny & ~good))]
+
+    point = np.where(np.isnan(last.high), v, last.high)
     tips = np.flatnonzero((end == TIP) & ~at_once)
     if tips.size:
-        fixed = np.ones(tips.size, dtype=bool)
-        point[:, tips], _ = branch.take(tips).correct(after[:, tips], branch.tolerance, 3, fixed)
-    folds = np.flatnonzero(bracketed & (end == FOLD))
+        part = branch.take(tips)
+        for _ in range(3):
+            path = part.path(point[:, tips], part.tolerance)
+            point[:, tips] += part.onto(path, True)[0]
+    # A fold may lie behind the angle asked for, though the walk's points do not.
+    folds = np.flatnonzero(
+        (end == FOLD) & ~np.isnan(last.at_low) & ((best >= target) | np.isinf(target))
+    )
     if folds.size:
-        part = branch.take(folds)
-        point[:, folds], path = refine(
-            part, before[:, folds], after[:, folds], lambda b, _v, p: _stable(b, p)
-        )
+        part, stretch = branch.take(folds), last.take(folds)
+        point[:, folds], path = refine(part, stretch, stability)
+        turned = _tangent(part.slopes(path)[0])
         inside = path.deflection >= target[folds]
         end[folds[inside]] = REACHED
-        after[:, folds[inside]] = point[:, folds[inside]]
-    hits = np.flatnonzero(bracketed & (end == REACHED))
+        goal = target[folds]
+        last.put(
+            folds,
+            inside,
+            *(stretch.low, point[:, folds], stretch.low_tangent, turned),
+            *(goal - theta[folds], goal - path.deflection),
+        )
+    hits = np.flatnonzero(end == REACHED)
     if hits.size:
-        goal = target[hits]
-        point[:, hits], _ = refine(
-            branch.take(hits),
-            before[:, hits],
-            after[:, hits],
-            lambda _b, _v, p: goal - p.deflection,
-        )
+        point[:, hits], _ = refine(branch.take(hits), last.take(hits), _short_of, target[hits])
     peak = point.copy()
-    tops = np.flatnonzero(np.isfinite(peak_to[0]))
-    if peaks and tops.size:
-        peak[:, tops], _ = refine(
-            branch.take(tops),
-            peak_from[:, tops],
-            peak_to[:, tops],
-            lambda b, v, p: _moment_slope(b, v, p),
-        )
+    tops = np.flatnonzero(np.isfinite(top.at_low))
+    if tops.size:
+        peak[:, tops], _ = refine(branch.take(tops), top.take(tops), moment_slope)
     return Walk(point, end, peak)
 
 
+Measure = Callable[[Branch, Array, Path, Array], Array]
+
+
 def refine(
-    branch: Branch,
-    low: Array,
-    high: Array,
-    measure: Callable[[Branch, Array, Path], Array],
+    branch: Branch, stretch: Stretch, measure: Measure, goal: Array | None = None
 ) -> tuple[Array, Path]:
-    """The point between `low` and `high` where `measure` falls through zero, by Chandrupatla."""
-    fixed = np.zeros(branch.r.size, dtype=bool)
+    """The point of a stretch where `measure` falls through zero, and its pass.
 
-    def at(x: Array, tolerance: float = branch.loose) -> tuple[Array, Array, Path]:
-        v, path = branch.correct(low + x * (high - low), tolerance, 2, fixed)
-        return measure(branch, v, path), v, path
+    The secant method in the coordinate x along the chord, inside the bracket that it narrows; each
+    pass corrects its point across the branch and says how the branch goes on from there.
+    """
+    n = branch.r.size
+    goal = np.zeros(n) if goal is None else goal
+    low, high = np.zeros(n), np.ones(n)
+    old, old_value = low.copy(), stretch.at_low.copy()
+    share = old_value - stretch.at_high
+    x = np.clip(np.divide(old_value, share, out=np.full(n, 0.5), where=share > 0), 0.02, 0.98)
+    point, last = stretch(x), np.ones(n)
+    left = np.ones(n, dtype=bool)
+    path: Path | None = None
+    for _ in range(40):
+        active = np.flatnonzero(left)
+        if not active.size:
+            break
+        part, span = branch.take(active), stretch.take(active)
+        # Passes need to be no better than the point yet is.
+        enough = np.clip(1e-4 * part.unit * last[active], part.tolerance, part.loose)
+        steps = None
+        if path is not None:
+            steps = needed(path.steps[active], path.error[active], enough)
+        across, now = part.onto(part.path(point[:, active], enough, steps))
+        v = point[:, active] + across
+        value = measure(part, v, now, goal[active])
+        path = now if path is None else path.put(active, now)
+        far, chord = np.hypot(*across), span.high - span.low
+        square = (chord**2).sum(0)
+        at = ((v - span.low) * chord).sum(0) / square
+        tangent = _tangent(part.slopes(now)[0])
+        tangent /= (tangent * chord).sum(0) / square
+        # Far from the branch the measure may be that of another point: only go there.
+        point[:, active] = v
+        near = far < 1e-4
+        active, v, at, value, far = active[near], v[:, near], at[near], value[near], far[near]
+        tangent, span, exact = tangent[:, near], span.take(near), enough[near] <= part.tolerance
+        above = value > 0
+        low[active[above]], high[active[~above]] = at[above], at[~above]
+        change = value - old_value[active]
+        move = np.divide(
+            -value * (at - old[active]), change, out=np.zeros_like(at), where=change != 0
+        )
+        old[active], old_value[active] = at, value
+        # Close in, rounding and what the branch was off may put the root just outside.
+        size, room = np.abs(move), high[active] - low[active]
+        ahead = at + move
+        inside = (ahead > low[active]) & (ahead < high[active]) | (size < 1e-3)
+        ahead = np.where(inside, ahead, (low[active] + high[active]) / 2)
+        beside = np.abs(ahead - at) < 0.2
+        point[:, active] = np.where(beside, v + tangent * (ahead - at), span(ahead))
+        noise = (size < 1e-5) & (size > 0.3 * last[active]) | (room < 1e-12)
+        done = ((size < 3e-8) | noise) & (far < 1e-6) & exact
+        last[active] = np.minimum(np.where(inside, size, room / 2), 1.0)
+        left[active[done]] = False
+    assert path is not None
+    return point, path
 
-    a, b = np.ones_like(branch.r), np.zeros_like(branch.r)
-    fa, fb = at(a)[0], at(b)[0]
-    c, fc = a.copy(), fa.copy()
-    t = np.full_like(a, 0.5)
-    for _ in range(60):
-        x = a + t * (b - a)
-        fx, v, path = at(x)
-        same = np.sign(fx) == np.sign(fa)
-        c, fc = np.where(same, a, b), np.where(same, fa, fb)
-        b, fb = np.where(same, b, a), np.where(same, fb, fa)
-        a, fa = x, fx
-        best = np.abs(fa) < np.abs(fb)
-        room = np.abs(b - a)
-        if np.all((room < 1e-5) | (fa == 0)):
-            break
-        with np.errstate(divide="ignore", invalid="ignore"):
-            xi = (a - b) / (c - b)
-            phi = (fa - fb) / (fc - fb)
-            quadratic = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi)
-            t = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (
-                fc - fb
-            )
-            t = np.where(quadratic & np.isfinite(t), t, 0.5)
-            least = np.minimum(0.5, 2e-6 / np.maximum(room, 1e-300))
-        t = np.clip(t, least, 1 - least)
-    # The last digits by secants in the full tolerance.
-    old = np.where(best, a, b)
-    f_old, v, path = at(old, branch.tolerance)
-    x = old + np.where(old < 0.5, 1e-5, -1e-5)
-    for _ in range(6):
-        f, v, path = at(x, branch.tolerance)
-        slope = np.divide(f - f_old, x - old, out=np.zeros_like(f), where=x != old)
-        move = np.divide(-f, slope, out=np.zeros_like(f), where=slope != 0)
-        old, f_old = x, f
-        x = x + np.where(np.abs(move) < 0.1, move, 0.0)
-        if np.all(np.abs(move) < 1e-13):
-            break
-    _, v, path = at(x, branch.tolerance)
-    return v, path
+
+def _short_of(_branch: Branch, _v: Array, path: Path, goal: Array) -> Array:
+    """How far the angle is from the goal."""
+    return goal - path.deflection

@@ -21,6 +21,8 @@ class Outcome(IntEnum):
     FLICKED_PAST = 2
     SLIPPED_OFF_TIP = 3
     OUT_OF_REACH = 4
+    STUCK = 5
+    TOUCHES_TWICE = 6
 
     @property
     def message(self) -> str:
@@ -35,6 +37,8 @@ _MESSAGES = {
     Outcome.FLICKED_PAST: "flicked past: no equilibrium on the first branch reaches this load",
     Outcome.SLIPPED_OFF_TIP: "slipped off the tip: the contact would lie beyond the tip",
     Outcome.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
+    Outcome.STUCK: "stuck: at this friction the contact does not slide so far",
+    Outcome.TOUCHES_TWICE: "touches twice: the whisker meets the object at a second point",
 }
 
 
@@ -45,6 +49,64 @@ class Rung(IntEnum):
     ELASTICA = 1
     PROFILE = 2
     ROD = 3
+
+    @property
+    def title(self) -> str:
+        """The rung's name in words."""
+        return _TITLES[self]
+
+
+_TITLES = {
+    Rung.CLOSED_FORM: "the closed form",
+    Rung.ELASTICA: "the straight elastica",
+    Rung.PROFILE: "the curved planar beam",
+    Rung.ROD: "the rod in space",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The rung that each scene needs, and why: what `choose_rung` returns.
+
+    Attributes
+    ----------
+    rung : Rung or array of int
+        The cheapest rung whose bias is within the tolerance.
+    error : array (..., 4)
+        Largest relative error of the moment and the two forces, estimated, by rung. Infinite where
+        the estimate does not vouch for a rung, 0 from the first rung on that models all there is.
+    bias : array (..., 4)
+        Shift of the inferred radial distance by that error, in JNDs, by rung.
+    tolerance : float or array
+        The largest bias allowed, in JNDs.
+    """
+
+    rung: Any
+    error: NDArray[np.float64]
+    bias: NDArray[np.float64]
+    tolerance: Any
+
+    @property
+    def why(self) -> Any:
+        """The reason in words: one sentence, or an array of them."""
+        tolerance = np.broadcast_to(self.tolerance, np.shape(self.rung))
+        why = np.empty(np.shape(self.rung), dtype=object)
+        for at in np.ndindex(why.shape):
+            rung = Rung(int(np.asarray(self.rung)[at]))
+            why[at] = _reason(rung, self.bias[at], float(tolerance[at]))
+        return why[()]
+
+
+def _reason(rung: Rung, bias: NDArray[np.float64], tolerance: float) -> str:
+    here = f"{rung.title} is off by {bias[rung]:.2g} JND"
+    if bias[rung] == 0:
+        here = f"{rung.title} models all there is in this scene"
+    if rung == Rung.CLOSED_FORM:
+        return f"{here}, {tolerance:g} allowed, and nothing is cheaper"
+    below = Rung(rung - 1)
+    if np.isinf(bias[below]):
+        return f"{here}; {below.title} finds no contact here, or one too far off to judge"
+    return f"{here}; {below.title} is off by {bias[below]:.2g} JND, {tolerance:g} allowed"
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,15 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import elastica
-from .branch import REACHED, TIP, Branch, walk, zero_load
+from .branch import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .chebyshev import Array
 from .contact import TIP_ROUNDING, Outcome
 from .trajectory import Path, Rows, follow_blocks, pilot, resolve
+
+#: Of contact distance and angle, a few last digits.
+ROUNDING = 3e-15
 
 Solved = tuple[Array, NDArray[np.int8], Array]
 
 
 def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float) -> Solved:
+    """Numbers, outcomes and errors of whiskers pressed against points (r, θ)."""
     n = r.size
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
@@ -34,9 +38,11 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
         start[good],
         (rest[good] * sign),
     )
-    s, f, path, found = _newton(part, distance, angle, psi_, start, angle - rest, tolerance)
+    s, f, path, rest_error, found = _newton(
+        part, distance, angle, psi_, start, angle - rest, tolerance
+    )
     values = numbers_of(path.angle, path.lever, path.along, s, f, psi_, sign)
-    error[good] = path.error
+    error[good] = np.minimum(signal_error(path, f, given_contact=True) + rest_error, 1.0)
     outcome[good] = Outcome.HELD
 
     hard = np.flatnonzero(~found)
@@ -45,10 +51,17 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
         ended = walk(branch, angle[hard])
         values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard])
         outcome[good[hard]] = np.select(
-            [ended.end == REACHED, ended.end == TIP],
-            [Outcome.HELD, Outcome.SLIPPED_OFF_TIP],
+            [ended.end == REACHED, ended.end == TIP, ended.end == NO_MOVE],
+            [Outcome.HELD, Outcome.SLIPPED_OFF_TIP, Outcome.STUCK],
             Outcome.FLICKED_PAST,
         )
+        # Where no sliding contact gets, one without friction may hold: then friction holds it.
+        folded = good[hard[(ended.end == FOLD) & (psi_[hard] != 0)]]
+        if folded.size:
+            slick = press_rows(rows.take(folded), r[folded], theta[folded], 0 * folded, tolerance)[
+                1
+            ]
+            outcome[folded[slick == Outcome.HELD]] = Outcome.STUCK
     held = outcome[good] == Outcome.HELD
     numbers[:, good] = np.where(held, values, np.nan)
     error[good] = np.where(held, error[good], np.nan)
@@ -58,33 +71,31 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
 
 def _newton(
     rows: Rows, r: Array, theta: Array, psi: Array, start: Array, push: Array, tolerance: float
-) -> tuple[Array, Array, Path, NDArray[np.bool_]]:
-    """Arc, force and pass at (r, θ); True where they are found and proved stable."""
+) -> tuple[Array, Array, Path, Array, NDArray[np.bool_]]:
+    """Arc, force and pass at (r, θ), what the last step leaves; True where proved stable."""
+    n = r.size
     v = np.clip(r * (1 - rows.radius[-1] / rows.radius[0]), 0.0, 0.999)
     f, s = _straight(v, push, r)
     s = np.minimum(s / r * start, 1.0)
     compliance = r**2 / (3 * (1 - v))
     if rows.law is not None or rows.core is not None or len(rows.arc) > 2 or np.any(psi != 0):
-        path = follow_blocks(rows, start, np.zeros_like(r), psi, pilot(rows))
+        path = follow_blocks(rows, start, np.zeros_like(r), psi, max(1, pilot(rows) // 2))
         r_s, r_f, t_s, t_f = path.jacobian()
         true = np.maximum(t_f - t_s * r_f / r_s, 1e-3 * compliance)
         f = f * compliance / true
         compliance = true
 
     floor = 1e-6 / compliance
-    active = np.arange(r.size)
-    size = np.full(r.size, np.inf)
+    size, before, left = np.full(n, np.inf), np.ones(n), np.zeros(n)
     paths: Path | None = None
-    enough = 1e-2 * np.sqrt(tolerance)
-    fine = np.zeros(r.size, dtype=bool)
-    for _ in range(12):
-        new = np.zeros((2, active.size))
+    fine = np.zeros(n, dtype=bool)
+    active = np.arange(n)
+    for count in range(12):
         for exact in (False, True):
-            which = np.flatnonzero(fine[active] == exact)
-            if not which.size:
+            at = active[fine[active] == exact]
+            if not at.size:
                 continue
-            at = active[which]
-            part = rows.take(at) if at.size < r.size else rows
+            part = rows.take(at) if at.size < n else rows
             with np.errstate(all="ignore"):
                 if exact:
                     path = resolve(part, s[at], f[at], psi[at], tolerance)
@@ -98,41 +109,64 @@ def _newton(
                 ds = np.clip(np.nan_to_num(ds), -0.2 * r[at], 0.2 * r[at])
                 df = np.clip(np.nan_to_num(df), -0.5 * f[at] - floor[at], f[at] + floor[at])
                 ds = np.minimum(ds, 1.0 - s[at])
-            size[at] = np.maximum(np.abs(ds) / r[at], np.abs(df) / (f[at] + floor[at]))
+                now = np.maximum(np.abs(ds) / r[at], np.abs(df) / (f[at] + floor[at]))
+                # What the step leaves in the signals, C·size²: C from the step before, but no
+                # less than is usual, which goes up towards the fold as D falls.
+                usual = 3 * np.maximum(1.0, (compliance[at] / d) ** 2)
+                left[at] = 10 * now**2 * np.maximum(now / before[at] ** 2, usual)
+                path = path.moved(ds, df)
+            size[at] = now
             s[at] += ds
             f[at] += df
-            path.angle[:] += path.d_arc[0] * ds + path.d_force[0] * df
-            path.lever[:] += path.d_arc[1] * ds + path.d_force[1] * df
-            path.along[:] += path.d_arc[2] * ds + path.d_force[2] * df
-            if paths is None:
-                paths = path
-            else:
-                for name, value in vars(path).items():
-                    getattr(paths, name)[..., at] = value
+            paths = path if paths is None else paths.put(at, path)
+            before[at] = np.minimum(now, 1.0)
             if not exact:
                 # A pilot that is good enough, or a start close enough for the fine pass.
-                fine[at] = (size[at] < 3e-3) & (path.error > tolerance)
-                size[at[fine[at]]] = np.inf
-        del new
-        active = active[size[active] > enough]
+                fine[at] = (now < 3e-3) & (path.error > tolerance)
+                left[at[fine[at]]] = np.inf
+        lost = (count > 4) & (size > 0.1)
+        active = active[(~(left <= tolerance) & ~lost)[active]]
         if not active.size:
             break
     assert paths is not None
-    found = (size <= enough) & (paths.flips == 0) & (paths.error <= tolerance) & (f > -floor)
+    found = (left <= tolerance) & (size < 1e-2) & (paths.flips == 0)
+    found &= (paths.error <= tolerance) & (f > -floor)
     with np.errstate(invalid="ignore"):
-        found &= np.abs(paths.distance - r) <= 1e-3 * enough * r + 10 * tolerance * r
-        found &= np.abs(paths.deflection - theta) <= 1e-3 * enough + 10 * tolerance
-    return s, f, paths, found
+        slack = 1e-5 * np.sqrt(tolerance) + 10 * tolerance
+        found &= np.abs(paths.distance - r) <= (slack + left) * r
+        found &= np.abs(paths.deflection - theta) <= slack + left
+    return s, f, paths, left, found
 
 
 def at_points(branch: Branch, v: Array, sign: Array) -> tuple[Array, Array]:
     """The eight numbers and the error at points of branches."""
-    path = branch.path(v, branch.tolerance)
-    arc, force = branch.contact(v)
-    return (
-        numbers_of(path.angle, path.lever, path.along, arc, force, branch.friction, sign),
-        path.error,
-    )
+    off, path = branch.onto(branch.path(v, branch.tolerance), v[0] * branch.unit * branch.r >= 1)
+    arc, force = branch.contact(v + off)
+    error = signal_error(path, force, given_contact=True)
+    # At a fold signals go as the square root of what is left of the angle: no worse than that.
+    error = np.minimum(error, 3 * np.sqrt(path.error))
+    return numbers_of(path.angle, path.lever, path.along, arc, force, branch.friction, sign), error
+
+
+def signal_error(path: Path, force: Array, *, given_contact: bool) -> Array:
+    """The relative error of the signals that an error of the pass makes.
+
+    Given contact arc and force, those of the base angle and lever; given the contact in space,
+    also those of arc and force that go with it: without bound towards the fold. An axial or
+    transverse force that passes through zero is compared with a thousandth of the force.
+    """
+    r, sine, cosine = path.distance, np.sin(path.angle), np.cos(path.angle)
+    e_r, e_t = r * (path.error + ROUNDING), path.scale * path.error + ROUNDING * np.abs(path.angle)
+    with np.errstate(all="ignore"):
+        off = force * np.stack([e_r, np.abs(cosine) * e_t, np.abs(sine) * e_t])
+        if given_contact:
+            slopes = np.abs(signal_slopes(path, force, np.ones_like(force)))
+            off += slopes[:, 0] * e_r + slopes[:, 1] * e_t
+        whole = np.abs(force * np.stack([path.lever, sine, cosine]))
+        least = 1e-3 * np.abs(force) * np.stack([r, np.minimum(path.scale, 1.0), np.ones_like(r)])
+        error = (off / np.maximum(whole, least)).max(axis=0)
+    error = np.where(np.isnan(error), path.error, np.maximum(error, path.error))
+    return np.asarray(np.minimum(error, 1.0))
 
 
 def numbers_of(
@@ -151,6 +185,27 @@ def numbers_of(
             sign * force,
         ]
     )
+
+
+def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
+    """Derivatives (3, 2, n) of the signals to (r, θ_d), from those to contact arc and force."""
+    sine, cosine = np.sin(path.angle), np.cos(path.angle)
+    turn_s, turn_f = path.d_arc[0], path.d_force[0]
+    to_arc = force * np.stack([path.d_arc[1], cosine * turn_s, -sine * turn_s])
+    to_force = np.stack([path.lever, sine, cosine]) + force * np.stack(
+        [path.d_force[1], cosine * turn_f, -sine * turn_f]
+    )
+    r_s, r_f, t_s, t_f = path.jacobian()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = r_s * t_f - r_f * t_s
+        slopes = (
+            np.stack([to_arc * t_f - to_force * t_s, to_force * r_s - to_arc * r_f], axis=1)
+            / determinant
+        )
+    # Moment, transverse force and angle are mirrored, axial force and distance are not.
+    slopes[[0, 2], 0] *= sign
+    slopes[1, 1] *= sign
+    return np.asarray(slopes)
 
 
 def on_whisker(rows: Rows, arc: Array) -> NDArray[np.bool_]:

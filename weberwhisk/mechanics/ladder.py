@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,16 +11,22 @@ from numpy.typing import ArrayLike
 from .._checks import finite, one_of, positive
 from ..whisker import Whisker
 from . import closed_form, elastica
-from .contact import Bending
+from .chebyshev import Array
+from .contact import Bending, Choice, Rung
 from .elastica import FlickPast
 
+if TYPE_CHECKING:
+    from .shape import Profile
+
 #: The rungs that a name can force, cheapest first.
-MODELS = ("closed_form", "elastica", "profile")
+MODELS = tuple(rung.name.lower() for rung in Rung)
 _METRES = "give metres, such as 35e-3"
+_NEWTONS, _RADIANS = "give newtons, such as 1e-5", "give radians, such as 0.35"
+_NO_FRICTION, _NO_ROLL = "give radians, 0 for no friction", "give radians, 0 for contact in plane"
 
 
 def bend(
-    whisker: Whisker,
+    whisker: Whisker | Profile,
     arc_length: ArrayLike,
     force: ArrayLike,
     friction_angle: ArrayLike = 0.0,
@@ -31,7 +37,7 @@ def bend(
 
     Parameters
     ----------
-    whisker : Whisker
+    whisker : Whisker or Profile
     arc_length : float or array
         Arc length from base to contact, m.
     force : float or array
@@ -39,9 +45,10 @@ def bend(
     friction_angle : float or array
         Angle by which friction tilts the force from the normal towards the base, rad.
     model : {"closed_form", "elastica", "profile"}, optional
-        The rung to use. By default the cheapest that the scene needs: the elastica for every
-        straight whisker without friction, as its map costs no more than the closed form, and the
-        profile, some hundred times dearer, for intrinsic curvature and friction.
+        The rung to use. By default the cheapest that models all there is: the elastica for every
+        straight whisker without friction, and the profile, some hundred times dearer, for
+        intrinsic curvature, other stiffness profiles and friction. `rod.bend` takes forces out of
+        the plane.
 
     Returns
     -------
@@ -52,7 +59,7 @@ def bend(
     ------
     ValueError
         For input that is not finite, a distance that is not positive, an unknown model, and
-        for curvature or friction on a rung that has none.
+        for what the model named leaves out.
 
     Examples
     --------
@@ -62,42 +69,64 @@ def bend(
     2.311082e-06 N m, 60.000 degrees, HELD
     """
     arc = positive("arc_length", arc_length, _METRES)
-    load = finite("force", force, "give newtons, such as 1e-5")
-    tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
-    name = _rung(whisker, model, tilt)
-    if name == "profile":
-        return _profile().bend(whisker, arc, load, tilt)
-    return _STRAIGHT[name].bend(whisker, arc, load)
+    load = finite("force", force, _NEWTONS)
+    tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
+    name = _rung(whisker, model, tilt, known=MODELS[:3])
+    if name in _STRAIGHT:
+        return _STRAIGHT[name].bend(whisker, arc, load)
+    return _module("profile").bend(whisker, arc, load, tilt)
 
 
 def press(
-    whisker: Whisker,
+    whisker: Whisker | Profile,
     radial_distance: ArrayLike,
     deflection_angle: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
     *,
-    model: str | None = None,
+    roll: ArrayLike = 0.0,
+    model: str | Choice | None = None,
+    tolerance: ArrayLike | None = None,
+    weber_fraction: ArrayLike = 0.1,
+    cue: Any = None,
 ) -> Bending:
     """Press a whisker against a point at a given radial distance and deflection angle.
 
     Parameters
     ----------
-    whisker : Whisker
+    whisker : Whisker or Profile
     radial_distance : float or array
         Straight line from base to contact, m.
     deflection_angle : float or array
-        Angle between the base tangent and that line, rad; its sign is that of the deflection.
-    model : {"closed_form", "elastica", "profile"}, optional
-        The rung to use; see `bend`.
+        Angle between the base tangent and that line, rad; its sign is that of the deflection. A
+        curved whisker at rest lies at an angle of its own, `rest_angle`.
+    friction_angle : float or array
+        Angle by which friction tilts the force from the normal towards the base, rad.
+    roll : float or array
+        Angle about the base tangent from the plane of the push to that of the intrinsic curvature,
+        rad. The object is met at the height at which the resting whisker reaches that distance;
+        the deflection angle is then its azimuth. Moment and forces are those in the plane of the
+        push; `rod.press` has all six.
+    model : {"closed_form", "elastica", "profile", "rod"} or Choice, optional
+        The rung to use, or what `choose_rung` chose for these scenes. By default the cheapest that
+        models all there is, as in `bend`; the rod where a curved whisker is rolled.
+    tolerance : float or array, optional
+        Allow the inferred radial distance this bias, as a fraction of its JND, and take the
+        cheapest rung that keeps to it, scene by scene: 0.1 is a good value. Signals may then jump
+        by as much from one contact to the next, and those that the cue does not feel are off by
+        whatever `error` says. By default no bias is allowed.
+    weber_fraction, cue
+        What the JND is of; see `choose_rung`.
 
     Returns
     -------
     Bending
-        Arrays of the broadcast shape. Signals are NaN where `outcome` is not `HELD`.
+        Arrays of the broadcast shape. Signals are NaN where `outcome` is not `HELD`; `model` is
+        the rung of each scene and `error` its relative error.
 
     Raises
     ------
     ValueError
-        As for `bend`.
+        As for `bend` and `choose_rung`.
 
     Examples
     --------
@@ -105,23 +134,61 @@ def press(
     >>> b = press(w, radial_distance=[20e-3, 40e-3, 60e-3], deflection_angle=np.radians(20))
     >>> b.outcome
     array([0, 2, 4], dtype=int8)
+
+    A slightly curved whisker needs different rungs near the base, far out and at large angles.
+
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, curvature=2.0)
+    >>> press(w, [8e-3, 20e-3, 40e-3], np.radians([2, 12, 14]), tolerance=0.1).model
+    array([0, 1, 2], dtype=int8)
     """
     r = positive("radial_distance", radial_distance, _METRES)
-    theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
-    name = _rung(whisker, model)
+    theta = finite("deflection_angle", deflection_angle, _RADIANS)
+    tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
+    turn = finite("roll", roll, _NO_ROLL)
+    if tolerance is not None:
+        if model is not None:
+            raise ValueError(
+                f"A model was forced and a tolerance given, got tolerance {tolerance} and model "
+                f"{model if isinstance(model, str) else 'a Choice'}; write one of the two."
+            )
+        model = _module("choice").choose_rung(
+            whisker,
+            r,
+            theta,
+            tilt,
+            roll=turn,
+            cue=cue,
+            weber_fraction=weber_fraction,
+            tolerance=tolerance,
+        )
+    if isinstance(model, Choice):
+        return _module("scene").press_chosen(whisker, r, theta, tilt, turn, model)
+    name = _rung(whisker, model, tilt, turn)
+    if name in _STRAIGHT:
+        return _STRAIGHT[name].press(whisker, r, theta)
     if name == "profile":
-        return _profile().press(whisker, r, theta)
-    return _STRAIGHT[name].press(whisker, r, theta)
+        return _module("profile").press(whisker, r, theta, tilt)
+    return _module("scene").press_in_space(whisker, r, theta, tilt, turn)
 
 
-def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
-    """The largest deflection angle at a radial distance, why it ends, and the peak of the moment.
+def flick_past(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    side: ArrayLike = 1.0,
+) -> FlickPast:
+    """The last deflection angle at a radial distance, why it ends, and the peak of the moment.
 
     Parameters
     ----------
-    whisker : Whisker
+    whisker : Whisker or Profile
     radial_distance : float or array
         m.
+    friction_angle : float or array
+        As for `press`.
+    side : +1, -1 or array
+        Which way the whisker is pushed.
 
     Returns
     -------
@@ -130,7 +197,7 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     Raises
     ------
     ValueError
-        As for `bend`.
+        As for `bend`, and for a side other than 1 and -1.
 
     Examples
     --------
@@ -140,21 +207,37 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     24.57 degrees, FLICKED_PAST
     """
     r = positive("radial_distance", radial_distance, _METRES)
-    if _rung(whisker, None) == "profile":
-        return _profile().flick_past(whisker, r)
-    return elastica.flick_past(whisker, r)
+    tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
+    sides = finite("side", side, "write 1 or -1")
+    if _rung(whisker, None, tilt) == "profile" or np.any(np.abs(sides) != 1):
+        return _module("profile").flick_past(whisker, r, tilt, side=sides)
+    assert isinstance(whisker, Whisker)
+    r, sides = np.broadcast_arrays(r, sides)
+    end = elastica.flick_past(whisker, r)
+    if np.all(sides == 1):
+        return end
+    last, peak = (b.deflection_angle * sides for b in (end.at_end, end.at_moment_peak))
+    return FlickPast(
+        end.deflection_angle * sides,
+        end.ended_by,
+        elastica.press(whisker, r, last),
+        elastica.press(whisker, r, peak),
+    )
 
 
 def signal_jacobian(
-    whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
-) -> np.ndarray:
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+) -> Array:
     """Derivatives of the base signals with respect to the contact.
 
     Parameters
     ----------
-    whisker : Whisker
-    radial_distance, deflection_angle : float or array
-        m, rad.
+    whisker : Whisker or Profile
+    radial_distance, deflection_angle, friction_angle : float or array
+        m, rad, rad; as for `press`.
 
     Returns
     -------
@@ -165,36 +248,55 @@ def signal_jacobian(
     Raises
     ------
     ValueError
-        As for `bend`, and for an intrinsically curved whisker.
+        As for `bend`.
     """
     r = positive("radial_distance", radial_distance, _METRES)
-    theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
-    _rung(whisker, "elastica")
+    theta = finite("deflection_angle", deflection_angle, _RADIANS)
+    tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
+    if _rung(whisker, None, tilt) == "profile":
+        return _module("profile").signal_jacobian(whisker, r, theta, tilt)
+    assert isinstance(whisker, Whisker)
     return elastica.signal_jacobian(whisker, r, theta)
 
 
 _STRAIGHT: dict[str, Any] = {"closed_form": closed_form, "elastica": elastica}
 
 
-def _profile() -> Any:
-    """Rung 2, imported when a scene first needs it."""
-    return import_module(".profile", __package__)
+def _module(name: str) -> Any:
+    """A module of rungs 2 and 3, imported when a scene first needs it."""
+    return import_module(f"{__package__}.{name}")
 
 
-def _rung(whisker: Whisker, model: str | None, friction_angle: ArrayLike = 0.0) -> str:
-    """The name of the rung to use."""
-    needs_profile = {
-        "Intrinsic curvature": (np.max(np.abs(whisker.curvature)), "1/m"),
-        "Friction": (np.max(np.abs(friction_angle)), "rad"),
-    }
-    found = {name: value for name, value in needs_profile.items() if value[0] > 0}
+def _rung(
+    whisker: Whisker | Profile,
+    model: str | None,
+    friction_angle: ArrayLike,
+    roll: ArrayLike = 0.0,
+    known: tuple[str, ...] = MODELS,
+) -> str:
+    """The name of the rung to use: the one asked for, or the lowest that models all there is."""
+    found = {}  # what the scene has: its size and unit, and the lowest rung that models it
+    if isinstance(whisker, Whisker):
+        bow = np.max(np.abs(whisker.curvature))
+    else:
+        found["A stiffness profile"] = (f"{len(whisker.arc)} knots", Rung.PROFILE)
+        bow = max(np.max(np.abs(value)) for value in vars(whisker.law).values())
+    if bow > 0:
+        found["Intrinsic curvature"] = (f"{bow:g} 1/m", Rung.PROFILE)
+    tilt, turn = np.max(np.abs(friction_angle)), np.max(np.abs(np.sin(roll)))
+    if tilt > 0:
+        found["Friction"] = (f"{tilt:g} rad", Rung.PROFILE)
+    if turn > 0 and bow > 0:
+        found["Roll of the plane of curvature"] = (f"{np.max(np.abs(roll)):g} rad", Rung.ROD)
+    needed = max((rung for _, rung in found.values()), default=Rung.ELASTICA)
     if model is None:
-        return "profile" if found else "elastica"
-    one_of("model", model, MODELS)
-    if found and model != "profile":
-        name, (size, unit) = next(iter(found.items()))
-        raise ValueError(
-            f"{name} is not modelled by the {model} rung, got {size:g} {unit}; "
-            'write model="profile" or leave model out.'
-        )
+        return needed.name.lower()
+    one_of("model", model, known)
+    forced = Rung[model.upper()]
+    for what, (size, lowest) in found.items():
+        if forced < lowest:
+            raise ValueError(
+                f"{what} is not modelled by the {model} rung, got {size}; "
+                f'write model="{needed.name.lower()}" or leave model out.'
+            )
     return model

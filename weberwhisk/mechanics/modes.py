@@ -26,7 +26,7 @@ from ..whisker import Whisker
 from .chebyshev import Array
 from .shape import Profile
 
-_BASIS = 40
+_BASIS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Modes:
     def base_moment(self) -> Array:
         """Moment at the base, N m per unit modal coordinate, shape (n,): ω² ∫ m φ_n s ds.
 
-        The inertia's moment: equal to EI₀ φ_n″(0), and more accurate in the higher modes.
+        The inertia's moment: equal to EI(0) φ_n″(0), and more accurate where a profile has kinks.
         """
         s, weight = _gauss(self.profile.arc, _BASIS)
         load = self.profile.line_density(s) * weight * s
@@ -154,7 +154,7 @@ def modes(
             "write damping_ratio=0.1."
         )
     pieces = int(np.sum(np.diff(profile.arc) > 0))
-    size = _BASIS if pieces == 1 else _BASIS + 30
+    size = _BASIS if pieces == 1 else _BASIS + 10
     omega, vectors = _ritz(profile, size, count)
     coarse, _ = _ritz(profile, 3 * size // 4, count)
     error = np.abs(coarse / omega - 1) + 1e-12
@@ -221,6 +221,9 @@ def impulse_response(
     modes: Modes, arc_length: ArrayLike, time: ArrayLike, impulse: ArrayLike = 1.0
 ) -> Ringing:
     """Base signals after an impulse at a point of the whisker at rest.
+
+    The sum over the modes at hand of damped sinusoids, each excited by its shape at that point. The
+    signals are those of the whisker's bending, EI y″ and (EI y″)′; damping adds nothing of its own.
 
     Parameters
     ----------

@@ -15,20 +15,28 @@ is negative. The sign of the friction angle does not depend on the side.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite, non_negative, positive
 from ..whisker import Whisker
-from .branch import TIP, Branch, walk, zero_load
+from .branch import NO_MOVE, TIP, Branch, walk, zero_load
 from .chebyshev import Array
 from .contact import NUMBERS, Bending, Outcome, Rung
 from .elastica import FlickPast
-from .equilibrium import Solved, at_points, numbers_of, on_whisker, press_rows
+from .equilibrium import (
+    Solved,
+    at_points,
+    numbers_of,
+    on_whisker,
+    press_rows,
+    signal_error,
+    signal_slopes,
+)
 from .shape import Profile
 from .trajectory import Rows, resolve, rows_of
 
@@ -104,7 +112,7 @@ def bend(
         held = outcome[good] != Outcome.FLICKED_PAST
         values = numbers_of(path.angle, path.lever, path.along, s, f, psi, sign)
         numbers[:, good] = np.where(held, values, np.nan)
-        error[good] = np.where(held, path.error, np.nan)
+        error[good] = np.where(held, signal_error(path, f, given_contact=False), np.nan)
         return numbers, outcome, error
 
     return _by_rows(solve, whisker, length=arc, force=load, angle=tilt)
@@ -132,8 +140,12 @@ def press(
     Returns
     -------
     Bending
-        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`.
-        `FLICKED_PAST` also says that at this friction angle the contact does not slide so far.
+        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`, or
+        `STUCK`: no contact that slides at this friction angle is in balance there, though one
+        without friction is, or this much friction never lets the contact slide at all.
+        ``error`` is an upper estimate of the relative error of the signals. It is below `tolerance`
+        by some factors of ten in most scenes, and grows without bound towards the fold, where
+        signals go as the square root of the angle left, and towards zero load.
 
     Raises
     ------
@@ -155,6 +167,66 @@ def press(
         return press_rows(rows, r, theta, psi, tolerance)
 
     return _by_rows(solve, whisker, length=distance, angle=angle, tilt=tilt)
+
+
+def signal_jacobian(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_angle: ArrayLike = 0.0,
+    *,
+    tolerance: float = TOLERANCE,
+) -> Array:
+    """Derivatives of the base signals with respect to the contact, at fixed friction angle.
+
+    Parameters
+    ----------
+    radial_distance, deflection_angle, friction_angle : float or array
+        m, rad, rad; as for `press`.
+    tolerance : float
+        Relative error of the equilibrium.
+
+    Returns
+    -------
+    array, shape (..., 3, 2)
+        Rows moment, axial force, transverse force; columns d/dr (per m), d/dθ_d (per rad). NaN
+        where the contact is not held. They grow without bound towards the fold.
+
+    Raises
+    ------
+    ValueError
+        As for `press`.
+
+    Notes
+    -----
+    The pass's derivatives of signals and contact point to contact arc and force, the latter
+    inverted.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=8.0)
+    >>> slope = signal_jacobian(w, radial_distance=30e-3, deflection_angle=np.radians(10))
+    >>> print(f"dM/dr = {slope[0, 0]:.4e} N")
+    dM/dr = -8.1500e-05 N
+    """
+    distance = positive("radial_distance", radial_distance, _METRES)
+    angle = finite("deflection_angle", deflection_angle, "give radians, such as 0.35")
+    tilt = _friction(friction_angle)
+    scenes = _Scenes.of(whisker, length=distance, angle=angle, tilt=tilt)
+    out = np.full((3, 2, scenes.length.size), np.nan)
+    for part, rows, (r, theta, psi) in scenes.pieces():
+        numbers, outcome, _ = press_rows(rows, r, theta, psi, tolerance)
+        held = np.flatnonzero(outcome == Outcome.HELD)
+        _, rest = zero_load(rows.take(held), r[held])
+        sign = np.where(theta[held] < rest, -1.0, 1.0)
+        s, f = numbers[6, held], numbers[7, held] * sign
+        path = resolve(rows.take(held).mirrored(sign), s, f, psi[held], tolerance)
+        out[..., part][..., held] = signal_slopes(path, f, sign)
+    force = scenes.force
+    out[0] *= force * scenes.length
+    out[1:] *= force
+    out[:, 0] /= scenes.length
+    return np.moveaxis(out, -1, 0).reshape(*scenes.shape, 3, 2)
 
 
 def rest_angle(whisker: Whisker | Profile, radial_distance: ArrayLike) -> Array:
@@ -224,34 +296,34 @@ def flick_past(
     sides = finite("side", side, "write 1 or -1")
     if np.any(np.abs(sides) != 1):
         raise ValueError(f"side must be 1 or -1, got {np.ravel(sides)[0]:g}; write side=1.")
-    ends: list[Bending] = []
-    for peak in (False, True):
-
-        def solve(rows: Rows, r: Array, psi: Array, sign: Array, peak: bool = peak) -> Solved:
-            n = r.size
-            numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
-            outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-            rows = rows.mirrored(sign)
-            start, _ = zero_load(rows, r)
-            good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
-            if not good.size:
-                return numbers, outcome, error
-            branch = Branch.of(rows.take(good), r[good], psi[good], start[good], tolerance)
-            ended = walk(branch, np.full(good.size, np.inf), peaks=peak)
-            values, error[good] = at_points(branch, ended.peak if peak else ended.point, sign[good])
-            numbers[:, good] = values
-            outcome[good] = np.where(
-                ended.end == TIP, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST
-            )
-            return numbers, outcome, error
-
-        ends.append(_by_rows(solve, whisker, length=r, tilt=tilt, side=sides))
-    ended_by = ends[0].outcome
-    lost = np.equal(ended_by, Outcome.OUT_OF_REACH)
+    scenes = _Scenes.of(whisker, length=r, tilt=tilt, side=sides)
+    n = scenes.length.size
+    at_end, at_peak = np.full((2, 8, n), np.nan)
+    errors = np.full((2, n), np.nan)
+    ended_by = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
+    for part, rows, (distance, psi, sign) in scenes.pieces():
+        rows = rows.mirrored(sign)
+        start, _ = zero_load(rows, distance)
+        good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
+        if not good.size:
+            continue
+        branch = Branch.of(rows.take(good), distance[good], psi[good], start[good], tolerance)
+        ended = walk(branch, np.full(good.size, np.inf), peaks=True)
+        which = np.arange(n)[part][good]
+        for i, (numbers, point) in enumerate(((at_end, ended.point), (at_peak, ended.peak))):
+            numbers[:, which], errors[i, which] = at_points(branch, point, sign[good])
+        ended_by[which] = np.select(
+            [ended.end == TIP, ended.end == NO_MOVE],
+            [Outcome.SLIPPED_OFF_TIP, Outcome.STUCK],
+            Outcome.FLICKED_PAST,
+        )
+    lost = ended_by == Outcome.OUT_OF_REACH
     held = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
-    shaped = held if np.ndim(ended_by) else Outcome(int(held))
-    at_end, at_peak = (replace(b, outcome=shaped) for b in ends)
-    return FlickPast(at_end.deflection_angle, ended_by, at_end, at_peak)
+    end, peak = (
+        scenes.bending(numbers, held, error)
+        for numbers, error in zip((at_end, at_peak), errors, strict=True)
+    )
+    return FlickPast(end.deflection_angle, scenes.outcome(ended_by), end, peak)
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,55 +401,80 @@ def _friction(friction_angle: ArrayLike) -> Array:
     return tilt
 
 
+@dataclass(frozen=True, eq=False)
+class _Scenes:
+    """Whiskers and scenes of one broadcast shape, flat and in natural units."""
+
+    whisker: Whisker
+    shape: tuple[int, ...]
+    length: Array
+    force: Array
+    rows: Rows
+    given: list[Array]
+
+    @classmethod
+    def of(cls, whisker: Whisker | Profile, **arguments: ArrayLike) -> _Scenes:
+        """Scenes with the arguments named ``length`` and ``force`` brought to natural units."""
+        profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+        base = profile.whisker
+        whiskers = profile.arc[0], profile.radius[0], base.stiffness, *vars(profile.law).values()
+        try:
+            shape = np.broadcast_shapes(*(np.shape(a) for a in (*whiskers, *arguments.values())))
+        except ValueError:
+            shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
+            raise ValueError(
+                f"The scenes must broadcast with each other and the whisker, got {shapes} and a "
+                f"whisker of {np.shape(profile.radius[0])}; give arrays of one shape."
+            ) from None
+
+        def flat(value: ArrayLike) -> Array:
+            return np.broadcast_to(np.asarray(value, dtype=float), shape).reshape(-1)
+
+        length, force = flat(base.length), flat(base.force_scale)
+        unit: dict[str, Any] = {"length": length, "force": force}
+        given = [flat(value) / unit.get(name, 1.0) for name, value in arguments.items()]
+        return cls(base, shape, length, force, rows_of(profile, shape), given)
+
+    def pieces(self) -> Iterator[tuple[slice, Rows, list[Array]]]:
+        """Pieces of `ROWS` scenes: where they are, their whiskers and their arguments."""
+        for start in range(0, self.length.size, ROWS):
+            part = slice(start, start + ROWS)
+            yield part, self.rows.take(part), [a[part] for a in self.given]
+
+    def outcome(self, flat: NDArray[np.int8]) -> Any:
+        """Outcomes in the scenes' shape."""
+        return flat.reshape(self.shape) if self.shape else Outcome(int(flat[0]))
+
+    def bending(self, numbers: Array, outcome: NDArray[np.int8], error: Array) -> Bending:
+        """Results in the scenes' shape and in SI units."""
+        length, force, shape = self.length, self.force, self.shape
+        scale = {
+            "moment": force * length,
+            "axial_force": force,
+            "transverse_force": force,
+            "radial_distance": length,
+            "arc_length": length,
+            "force": force,
+        }
+        return Bending(
+            **{
+                name: (row * scale.get(name, 1.0)).reshape(shape)[()]
+                for name, row in zip(NUMBERS, numbers, strict=True)
+            },
+            outcome=self.outcome(outcome),
+            model=np.full(shape, Rung.PROFILE, dtype=np.int8) if shape else Rung.PROFILE,
+            error=error.reshape(shape)[()],
+            whisker=self.whisker,
+        )
+
+
 def _by_rows(
     solve: Callable[..., Solved], whisker: Whisker | Profile, **arguments: ArrayLike
 ) -> Bending:
-    """Broadcast a profile and its scenes, solve them in pieces, and restore units and shape.
-
-    The arguments named ``length`` and ``force`` are brought to natural units; the rest are passed
-    as they are.
-    """
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
-    base = profile.whisker
-    whiskers = profile.arc[0], profile.radius[0], base.stiffness, *vars(profile.law).values()
-    try:
-        shape = np.broadcast_shapes(*(np.shape(a) for a in (*whiskers, *arguments.values())))
-    except ValueError:
-        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
-        raise ValueError(
-            f"The scenes must broadcast with each other and the whisker, got {shapes} and a "
-            f"whisker of {np.shape(profile.radius[0])}; give arrays of one shape."
-        ) from None
-
-    def flat(value: ArrayLike) -> Array:
-        return np.broadcast_to(np.asarray(value, dtype=float), shape).reshape(-1)
-
-    length, force = flat(base.length), flat(base.force_scale)
-    unit: dict[str, Any] = {"length": length, "force": force}
-    given = [flat(value) / unit.get(name, 1.0) for name, value in arguments.items()]
-    rows = rows_of(profile, shape)
-    n = length.size
+    """Solve scenes in pieces, and restore units and shape."""
+    scenes = _Scenes.of(whisker, **arguments)
+    n = scenes.length.size
     numbers, outcome, error = np.empty((8, n)), np.empty(n, dtype=np.int8), np.empty(n)
-    for start in range(0, n, ROWS):
-        part = slice(start, start + ROWS)
-        numbers[:, part], outcome[part], error[part] = solve(
-            rows.take(part), *(a[part] for a in given)
-        )
-    scale = {
-        "moment": force * length,
-        "axial_force": force,
-        "transverse_force": force,
-        "radial_distance": length,
-        "arc_length": length,
-        "force": force,
-    }
-    return Bending(
-        **{
-            name: (row * scale.get(name, 1.0)).reshape(shape)[()]
-            for name, row in zip(NUMBERS, numbers, strict=True)
-        },
-        outcome=outcome.reshape(shape) if shape else Outcome(int(outcome[0])),
-        model=np.full(shape, Rung.PROFILE, dtype=np.int8) if shape else Rung.PROFILE,
-        error=error.reshape(shape)[()],
-        whisker=base,
-    )
+    for part, rows, given in scenes.pieces():
+        numbers[:, part], outcome[part], error[part] = solve(rows, *given)
+    return scenes.bending(numbers, outcome, error)

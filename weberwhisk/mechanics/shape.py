@@ -49,6 +49,13 @@ class Spiral:
         """Tangent angle at the arc lengths `arc`, rad."""
         return np.asarray(arc * (self.base + self.rate * arc / 2))
 
+    def point(self, arc: Array) -> tuple[Array, Array]:
+        """Where the points at the arc lengths `arc` (n,) lie, by quadrature."""
+        winding = float(np.max(np.abs(self.turn(arc)), initial=0.0))
+        x, w = np.polynomial.legendre.leggauss(10 + int(4 * winding))
+        turn = self.turn((x[:, None] + 1) / 2 * arc)
+        return w @ np.cos(turn) * arc / 2, w @ np.sin(turn) * arc / 2
+
     def scaled(self, length: Array, sign: ArrayLike = 1.0) -> Spiral:
         """The law with `length` as unit, mirrored where `sign` is −1."""
         return Spiral(self.base * length * sign, self.rate * length**2 * sign)
@@ -71,26 +78,36 @@ class Parabola:
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
-        return np.asarray(2 * self.coefficient / (1 + self._slope(arc) ** 2) ** 1.5)
+        square = 1 + self._slope(arc) ** 2
+        return np.asarray(2 * self.coefficient / (square * np.sqrt(square)))
 
     def turn(self, arc: Array) -> Array:
         """Tangent angle at the arc lengths `arc`, rad."""
         return np.arctan(self._slope(arc))
+
+    def point(self, arc: Array) -> tuple[Array, Array]:
+        """Where the points at the arc lengths `arc` (n,) lie."""
+        straight = np.asarray(2 * self.coefficient * arc)
+        x = arc * np.divide(
+            self._slope(arc), straight, out=np.ones_like(straight), where=straight != 0
+        )
+        return x, self.coefficient * x**2
 
     def scaled(self, length: Array, sign: ArrayLike = 1.0) -> Parabola:
         """The law with `length` as unit, mirrored where `sign` is −1."""
         return Parabola(self.coefficient * length * sign)
 
     def _slope(self, arc: Array) -> Array:
-        """t = 2ax at arc s: t√(1+t²) + asinh t = 4as, by Halley's method from a close guess."""
+        """t = 2ax at arc s: t√(1+t²) + asinh t = 4as."""
         sigma = np.asarray(2 * self.coefficient * arc)
-        q = sigma**2
-        t = sigma * np.sqrt((1 + q / 3) / (1 + 2 * q / 3 + q * np.sqrt(q) / 18))
-        for _ in range(4):
-            root = np.sqrt(1 + t * t)
-            miss = (t * root + np.arcsinh(t)) / 2 - sigma
-            t = t - miss / (root - miss * t / (2 * root * root))
-        return np.asarray(t)
+        # A fit good to 2e-4 for every σ = 2as, in a variable that has its branch points where t has
+        # them (σ = ±iπ/4) and its growth; one step of Halley's method makes that 1e-12.
+        z = np.sqrt(np.sqrt(1 + (sigma * (4 / np.pi)) ** 2))
+        t = sigma * (1.02674404 + z * (1.82957611 + z * 0.03793815))
+        t /= 1 + z * (0.72496427 + z * (1.14584214 + z * 0.02377654))
+        root = np.sqrt(1 + t * t)
+        miss = (t * root + np.arcsinh(t)) / 2 - sigma
+        return np.asarray(t - miss / (root - miss * t / (2 * root * root)))
 
 
 Law = Spiral | Parabola

@@ -21,7 +21,7 @@ what was lost does not come back): one pass says whether the contact is stable.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,8 @@ from .chebyshev import Array
 from .shape import Law, Profile
 
 STAGES = 12
+#: −sin χ, cos χ, −Y, X, and the derivatives of χ, X, Y, each to contact arc and to force.
+SIZE = 10
 TABLEAU = np.ascontiguousarray(DOP853.A[:STAGES, :STAGES], dtype=float)
 WEIGHTS = np.ascontiguousarray(DOP853.B, dtype=float)
 _C = np.asarray(DOP853.C[:STAGES], dtype=float)
@@ -41,7 +43,9 @@ CAUTION = 4.0
 #: Rows followed at a time: slopes that fit the cache.
 BLOCK = 1500
 #: So few rows cost no more together than one by one.
-FEW = 100
+FEW = 400
+#: Steps a piece at most.
+MOST = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +108,30 @@ class Path:
     """The base as reached from the contact, in the frame of the force.
 
     ``angle`` is β = α + ψ, the direction of the force's normal; ``lever, along`` the contact's
-    place X, Y; ``error`` a bound on the error of β and of X, Y over r; ``d_arc, d_force`` (3, n)
-    the derivatives of (β, X, Y); ``flips`` how often D changed sign.
+    place X, Y; ``error`` a bound on the error of β over ``scale`` and of X, Y over r; ``d_arc,
+    d_force`` (3, n)
+    the derivatives of (β, X, Y); ``flips`` how often D changed sign; ``steps`` those taken.
     """
 
     angle: Array
     lever: Array
     along: Array
     error: Array
+    scale: Array
     d_arc: Array
     d_force: Array
     flips: NDArray[np.int8]
+    steps: NDArray[np.int64]
+
+    def room(self, n: int) -> Path:
+        """Room for n rows of the kind."""
+        return Path(**{k: np.empty((*v.shape[:-1], n), v.dtype) for k, v in vars(self).items()})
+
+    def put(self, index: NDArray[np.intp], other: Path) -> Path:
+        """Set the rows at `index`; returns this path."""
+        for name, value in vars(other).items():
+            getattr(self, name)[..., index] = value
+        return self
 
     @property
     def distance(self) -> Array:
@@ -125,6 +142,13 @@ class Path:
     def deflection(self) -> Array:
         """θ_d."""
         return self.angle + np.arctan2(self.along, self.lever)
+
+    def moved(self, arc: Array, force: Array) -> Path:
+        """The base to first order in a change of contact arc and force."""
+        turn, lever, along = self.d_arc * arc + self.d_force * force
+        return replace(
+            self, angle=self.angle + turn, lever=self.lever + lever, along=self.along + along
+        )
 
     def jacobian(self) -> tuple[Array, Array, Array, Array]:
         """r_s, r_F, θ_s, θ_F: derivatives of (r, θ_d) to contact arc and force."""
@@ -148,14 +172,12 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
         Runge–Kutta steps on each piece.
     """
     n = arc.size
-    size = 10
-    state = np.zeros((size, n))
-    cosine, sine = np.cos(friction), np.sin(friction)
-    state[0], state[1] = cosine, -sine
+    state = np.zeros((SIZE, n))
+    state[0], state[1] = np.sin(friction), np.cos(friction)
     if rows.law is not None:
         state[4] = -rows.law(arc)
-    state[5], state[6] = cosine, -sine
-    slopes = np.zeros((STAGES, size, n))
+    state[6], state[8] = state[1], -state[0]
+    slopes = np.zeros((STAGES, SIZE, n))
     wound = np.zeros(n)
     error = np.zeros((4, n))
     flips = np.zeros(n, dtype=np.int8)
@@ -169,39 +191,42 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
         path = Piece(rows, piece, low, np.maximum(high, low), steps)
         for step in range(steps):
             weight, give, curl = path.at(step)
-            before = state[1].copy()
+            load = -force * give
+            left = state[0] > 0
             for i in range(STAGES):
                 if i:
                     np.dot(TABLEAU[i, :i], slopes[:i].reshape(i, -1), out=point.reshape(-1))
                     point += state
-                    _slope(point, weight[i], give[i], curl[i], force, slopes[i])
-                else:
-                    _slope(state, weight[i], give[i], curl[i], force, slopes[i])
-            state += np.dot(WEIGHTS, slopes.reshape(STAGES, -1)).reshape(size, n)
+                now = point if i else state
+                _slope(now, weight[i], give[i], load[i], curl[i], slopes[i])
+            state += np.dot(WEIGHTS, slopes.reshape(STAGES, -1)).reshape(SIZE, n)
             # The estimate of DOP853 (Hairer, Nørsett & Wanner I, II.10), summed over the steps.
             third, fifth = np.dot(ERRORS, slopes[:, :4].reshape(STAGES, -1)) ** 2
             error += (fifth / np.sqrt(fifth + 0.01 * third + 1e-300)).reshape(4, n)
-            turned = (state[0] < 0) & ((state[1] < 0) != (before < 0))
+            turned = (state[1] < 0) & ((state[0] > 0) != left)
             if np.any(turned):
-                wound += np.where(turned, np.where(state[1] < 0, 1.0, -1.0), 0.0)
-            now = np.where(span > 0, _determinant(state) > 0, above)
-            flips += now != above
-            above = now
-    angle = -(np.arctan2(state[1], state[0]) + 2 * np.pi * wound)
-    d_arc, d_force = state[4:7], state[7:10]
+                wound += np.where(turned, np.where(state[0] > 0, 1.0, -1.0), 0.0)
+            now_above = np.where(span > 0, _determinant(state) > 0, above)
+            flips += now_above != above
+            above = now_above
+    angle = np.arctan2(state[0], state[1]) - 2 * np.pi * wound
+    lever, along = state[3], -state[2]
+    d_arc, d_force = state[4::2], state[5::2]
     d_arc[0] *= -1
     d_force[0] *= -1
     # Relative to the angles, but no closer than a thousandth of what makes them up: they may
     # pass through zero where the whisker is curved or the force is tilted.
-    deflection = np.abs(angle + np.arctan2(state[3], state[2]))
+    deflection = np.abs(angle + np.arctan2(along, lever))
     parts = np.abs(angle) + np.abs(friction)
     if rows.law is not None:
         parts += np.abs(rows.law(arc)) * arc
     scale = np.minimum(np.maximum(deflection, 1e-3 * parts) + 1e-300, 1.0)
-    r = np.hypot(state[2], state[3])
-    turned = np.abs(state[1]) * error[0] + np.abs(state[0]) * error[1]
-    bound = ((turned + error[3] / r) / scale + error[2] / r) / CAUTION
-    return Path(angle, state[2], state[3], np.nan_to_num(bound, nan=np.inf), d_arc, d_force, flips)
+    r = np.hypot(lever, along)
+    turned = np.abs(state[0]) * error[1] + np.abs(state[1]) * error[0]
+    bound = ((turned + error[2] / r) / scale + error[3] / r) / CAUTION
+    bound = np.nan_to_num(bound, nan=np.inf)
+    taken = np.full(n, steps)
+    return Path(angle, lever, along, bound, scale, d_arc, d_force, flips, taken)
 
 
 class Piece:
@@ -213,13 +238,17 @@ class Piece:
         share = np.divide(high - left, gap, out=np.zeros_like(gap), where=gap > 0)
         a_low = rows.radius[piece]
         self.a_high = a_low + share * (rows.radius[piece + 1] - a_low)
-        self.widening = a_low - self.a_high
-        # ln(a_low/a_high), kept off zero: any one-to-one τ is exact.
-        rate = np.log(a_low / self.a_high)
-        self.rate = np.where(np.abs(rate) < 1e-6, 1e-6, rate) / steps
-        self.within = np.exp(_C[:, None] * self.rate)
-        self.whole = np.expm1(self.rate * steps)
+        # τ is even in ln a. For a cylinder its rate is kept off zero: that a goes as its own
+        # exponential of τ is then off by less than 1e-14.
+        own = np.log(a_low / self.a_high) / steps
+        rate = np.where(np.abs(own) * steps < 1e-7, 1e-7 / steps, own)
+        self.rate, self.own = rate, own
         self.high, self.span = high, high - low
+        whole = np.expm1(rate * steps)
+        self.gone, self.whole = np.expm1(_C[:, None] * rate), whole
+        self.weight = (1 + self.gone) * (self.span * rate / whole)
+        self.fourth = np.square(np.square(self.a_high + self.gone * (self.a_high * own / rate)))
+        self.give = self.weight / self.fourth
         self.core: tuple[Array, Array] | None = None
         if rows.core is not None:
             c_low = rows.core[piece]
@@ -229,49 +258,40 @@ class Piece:
 
     def at(self, step: int) -> tuple[Array, Array, Array | list[None]]:
         """ds/dτ, ds/dτ/EI and κ₀ ds/dτ at the stages of a step, each (stages, n)."""
-        growth = (
-            self.within * (np.exp(step * self.rate) / self.whole)
-            if step
-            else (self.within / self.whole)
-        )
-        weight = growth * (self.span * self.rate)
-        share = growth - 1 / self.whole  # of the span gone
-        fourth = np.square(np.square(self.a_high + self.widening * share))
+        growth, wider = np.exp(step * self.rate), np.exp(4 * step * self.own)
+        weight = self.weight * growth
+        give = self.give * (growth / wider)
+        if self.law is None and self.core is None:
+            return weight, give, [None] * STAGES
+        share = self.gone * (growth / self.whole) + np.expm1(step * self.rate) / self.whole
         if self.core is not None:
-            fourth -= np.square(np.square(self.core[0] + self.core[1] * share))
+            core = np.square(np.square(self.core[0] + self.core[1] * share))
+            give = weight / (self.fourth * wider - core)
         if self.law is None:
-            return weight, weight / fourth, [None] * STAGES
-        return weight, weight / fourth, weight * self.law(self.high - self.span * share)
+            return weight, give, [None] * STAGES
+        return weight, give, weight * self.law(self.high - self.span * share)
 
 
 def _slope(
-    state: Array, weight: Array, give: Array, curl: Array | None, force: Array, out: Array
+    state: Array, weight: Array, give: Array, load: Array, curl: Array | None, out: Array
 ) -> None:
-    """The right side of the equations, into `out`."""
-    c, s, lever = state[0], state[1], state[2]
-    load = give * force
-    turn = load * lever
+    """The right side of the equations, into `out`; `load` is −F·give."""
+    turn = load * state[3]  # χ'
     if curl is not None:
-        turn += curl
-    np.multiply(turn, s, out=out[0])  # (cos χ)' = −sin χ·χ',  χ' = −turn
-    np.multiply(turn, c, out=out[1])
-    np.negative(out[1], out=out[1])
-    np.multiply(weight, c, out=out[2])
-    np.multiply(weight, s, out=out[3])
-    np.negative(load, out=load)
-    for first in (4, 7):
-        np.multiply(load, state[first + 1], out=out[first])
-        np.multiply(out[3], state[first], out=out[first + 1])
-        np.negative(out[first + 1], out=out[first + 1])
-        np.multiply(out[2], state[first], out=out[first + 2])
-    out[7] -= give * lever
+        turn -= curl
+    np.multiply(turn, state[1::-1], out=out[:2])  # (−sin χ)' = −cos χ·χ',  (cos χ)' = −sin χ·χ'
+    np.negative(out[0], out=out[0])
+    np.multiply(weight, state[:2], out=out[2:4])
+    np.multiply(load, state[6:8], out=out[4:6])
+    out[5] -= give * state[3]
+    changes = out[6:].reshape(2, 2, -1)  # (X, Y)' = (cos χ, sin χ), so (δX, δY)' = (−Y', X') δχ
+    np.multiply(out[2:4, None], state[4:6], out=changes)
 
 
 def _determinant(state: Array) -> Array:
     """D: the area that contact arc and force span at the contact, seen from the running point."""
-    x, y = state[2], state[3]
-    arc_x, arc_y = state[5] + state[4] * y, state[6] - state[4] * x
-    force_x, force_y = state[8] + state[7] * y, state[9] - state[7] * x
+    x, y = state[3], -state[2]
+    (arc_x, force_x), (arc_y, force_y) = state[6:8] + state[4:6] * y, state[8:] - state[4:6] * x
     return np.asarray(arc_x * force_y - arc_y * force_x)
 
 
@@ -289,34 +309,49 @@ def follow_blocks(rows: Rows, arc: Array, force: Array, friction: Array, steps: 
 
 
 def resolve(
-    rows: Rows, arc: Array, force: Array, friction: Array, tolerance: float, most: int = 256
+    rows: Rows,
+    arc: Array,
+    force: Array,
+    friction: Array,
+    tolerance: ArrayLike,
+    steps: NDArray[np.int64] | None = None,
 ) -> Path:
     """`follow` with as many steps as each row needs for an error below `tolerance`.
 
-    A pilot of few steps tells from its error estimate and the order of the method how many are
-    needed. Rows that `most` steps do not resolve keep their error; no warning is raised.
+    A pilot of few steps, or of `steps`, tells from its error estimate how many are needed. Rows
+    that `MOST` steps do not resolve keep their error; no warning is raised.
     """
-    steps = pilot(rows)
-    with np.errstate(all="ignore"):
-        path = follow_blocks(rows, arc, force, friction, steps)
-    left = np.flatnonzero(path.error > tolerance)
-    while left.size and steps < most:
-        ratio = np.minimum(path.error[left] / tolerance, 1e12)
-        wanted = np.exp2(np.ceil(2 * np.log2(steps * 1.05 * ratio ** (2 / 15))) / 2)
-        wanted = np.clip(np.ceil(wanted), steps + 1, most).astype(int)
-        if left.size <= FEW:
-            wanted[:] = wanted.max()
+    n = arc.size
+    bound = np.broadcast_to(np.asarray(tolerance, dtype=float), n)
+    wanted = np.full(n, pilot(rows)) if steps is None else steps
+    left = np.arange(n)
+    path: Path | None = None
+    while True:
         for count in np.unique(wanted):
-            rows_now = left[wanted == count]
+            at = left[wanted == count]
+            whole = at.size == n
+            part = (rows, arc, force, friction)
+            if not whole:
+                part = (rows.take(at), arc[at], force[at], friction[at])
             with np.errstate(all="ignore"):
-                finer = follow_blocks(
-                    rows.take(rows_now), arc[rows_now], force[rows_now], friction[rows_now], count
-                )
-            for name, value in vars(finer).items():
-                getattr(path, name)[..., rows_now] = value
-        steps = int(wanted.min())
-        left = left[(path.error[left] > tolerance) & (wanted < most)]
-    return path
+                now = follow_blocks(*part, int(count))
+            path = now if whole else (path or now.room(n)).put(at, now)
+        if path is None:  # no rows at all
+            return follow(rows, arc, force, friction, 1)
+        left = left[(path.error[left] > bound[left]) & (wanted < MOST)]
+        if not left.size:
+            return path
+        wanted = needed(path.steps[left], path.error[left], bound[left])
+        wanted = np.maximum(wanted, path.steps[left] + 1)
+
+
+def needed(steps: NDArray[np.int64], error: Array, bound: Array) -> NDArray[np.int64]:
+    """Steps for an error below `bound`, by the order of the method, from a pass with `steps`."""
+    ratio = np.clip(error / bound, 1e-12, 1e12)
+    # Counts in powers of √2; for few rows in powers of 4, as every count costs a pass.
+    coarse = 0.5 if steps.size > FEW else 2.0
+    exponent = np.ceil(np.log2(steps * 1.05 * ratio ** (2 / 15)) / coarse) * coarse
+    return np.clip(np.ceil(np.exp2(exponent)), 1, MOST).astype(np.int64)
 
 
 def pilot(rows: Rows) -> int:

@@ -1,0 +1,159 @@
+"""What the paper's text and captions say of figures 2 and 3, a test for each claim in words."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
+IMPACT = np.radians(60)
+
+
+def load(name: str) -> ModuleType:
+    path = Path(__file__).parent.parent / "analyses" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+FIGURE_2, FIGURE_3 = load("figure_2"), load("figure_3")
+
+
+def test_2a_the_whiskers_drawn_are_free_of_moment_at_the_contact_and_at_90_degrees():
+    """Drawn from the base's signals alone, they end where, and as steep as, the contact says."""
+    for share in FIGURE_2.EXAMPLES:
+        bent = FIGURE_2.loaded(W, np.array(share * W.length), np.array(np.pi / 2))
+        x, y = FIGURE_2.shape(W, bent)
+        assert np.hypot(x[-2], y[-2]) == pytest.approx(float(bent.radial_distance), rel=1e-6)
+        assert np.arctan2(y[-1] - y[-2], x[-1] - x[-2]) == pytest.approx(np.pi / 2, abs=1e-6)
+        lever = [x[-2], y[-2]] @ np.array([bent.transverse_force, bent.axial_force])
+        assert lever == pytest.approx(float(bent.moment), rel=1e-6)
+
+
+def test_2bc_the_taper_needs_less_force_for_90_degrees_the_less_the_nearer_to_the_tip():
+    arc = np.linspace(0.1, 1.0, 19) * W.length
+    taper, cylinder = (
+        FIGURE_2.loaded(w, arc, np.array(np.pi / 2)).force for w in FIGURE_2.WHISKERS.values()
+    )
+    assert np.all(taper < cylinder)
+    assert np.all(np.diff(taper / cylinder) < 0)
+
+
+def test_2de_the_tapered_map_is_one_to_one():
+    """One sign of the Jacobian, and an edge whose image does not cross itself: no two contacts.
+
+    The domain is the paper's, up to a contact angle of 90°, past the folds too.
+    """
+    assert set(np.sign(FIGURE_2.map_jacobian(W)).ravel()) == {-1.0}
+    edge = FIGURE_2.map_boundary(W, 120)
+    assert np.all(np.isfinite(edge))
+    assert FIGURE_2.crossings(edge) == 0
+    # The count sees a crossing where there is one.
+    assert FIGURE_2.crossings(np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])) == 1
+
+
+def test_2de_distinct_contacts_have_distinct_signals_by_plain_comparison():
+    """All pairs of 1600 contacts: near in both signals only where near as contacts."""
+    arc = np.linspace(0.05, 1.0, 40) * W.length
+    angle = np.radians(np.linspace(2, 90, 40))[:, None]
+    bent = FIGURE_2.loaded(W, arc, angle)
+    ratio = bent.moment**2 / (2 * W.stiffness * bent.axial_force)
+    signals = np.log([bent.normalised_moment, ratio]).reshape(2, -1)
+    place = np.indices(ratio.shape).reshape(2, -1)
+    apart = np.max(np.abs(place[:, :, None] - place[:, None]), axis=0)
+    gap = np.hypot(*(signals[:, :, None] - signals[:, None]))
+    assert np.min(gap[apart > 2]) > 0.1 * np.median(gap[apart == 1])
+
+
+def test_2f_the_cylinders_map_is_the_parabola():
+    cylinder = W.cylinder()
+    bent = FIGURE_2.loaded(
+        cylinder,
+        np.linspace(0.05, 1, 30) * W.length,
+        np.radians(np.linspace(1, 90, 40))[:, None],
+    )
+    ratio = bent.moment**2 / (2 * cylinder.stiffness * bent.axial_force)
+    np.testing.assert_allclose(ratio, 1, rtol=1e-12)
+    # Contacts far apart share their signals, as they cannot on the tapered whisker.
+    moment = 2.5 * cylinder.moment_scale
+    places = []
+    for share in (0.4, 0.9):
+        force = np.geomspace(1e-6, 1e-2, 4000)
+        at = ww.bend(cylinder, share * W.length, force)
+        i = int(np.nanargmin(np.abs(at.moment - moment)))
+        places.append((at.axial_force[i], at.radial_distance[i]))
+    assert places[0][0] == pytest.approx(places[1][0], rel=0.01)
+    assert places[1][1] > 2 * places[0][1]
+
+
+def test_3a_of_four_distances_two_are_held_and_two_flick_past():
+    outcome = moment_balance(W, np.array([0.3, 0.5, 0.7, 0.9]) * W.length, IMPACT).outcome
+    assert [Balance(k).name for k in outcome] == ["BALANCED"] * 2 + ["FLICKED_PAST"] * 2
+
+
+def test_3b_the_five_values():
+    """Read off the figure to 0.01°, which the figure's curve and a gain of 2 reproduce."""
+    for share, degrees in FIGURE_3.PAPER_3B.items():
+        found = np.degrees(moment_balance(W, share * W.length, IMPACT).balance_angle)
+        assert round(float(found), 2) == degrees
+
+
+@pytest.mark.parametrize("curve", MuscleCurve)
+def test_3b_the_angle_of_balance_grows_with_distance_from_any_impact(curve):
+    impact = np.radians(np.linspace(30, 140, 9))[:, None]
+    share = np.linspace(0.3, 1.0, 60)
+    b = moment_balance(W, share * W.length, impact, curve=curve)
+    for row, outcome in zip(b.balance_angle, b.outcome, strict=True):
+        held = np.flatnonzero(outcome == Balance.BALANCED)
+        assert held.size > 1
+        assert np.all(np.diff(held) == 1)
+        assert np.all(np.diff(row[held]) > 0)
+
+
+@pytest.mark.parametrize(("curve", "end"), [("figure", 0.6848), ("normalised", 0.6970)])
+def test_3b_the_curve_ends_at_around_70_per_cent(curve, end):
+    """§2h: scaled so that it tended to flick past at around 70 %; see also test_muscle."""
+    found = FIGURE_3.curve_end(MuscleCurve(curve))
+    assert found == pytest.approx(0.7, abs=0.02)
+    assert round(found, 4) == end
+
+
+def test_3c_flick_past_below_the_dashed_line_and_the_end_of_whisking_above():
+    share = np.linspace(0.3, 0.98, 25)
+    impact = np.radians(np.linspace(30, 150, 41))[:, None]
+    outcome = moment_balance(W, share * W.length, impact).outcome
+    flick = ww.flick_past(W, share * W.length).deflection_angle
+    below = impact + flick <= np.radians(150)
+    early = np.isin(outcome, [Balance.FLICKED_PAST, Balance.SLIPPED_OFF_TIP])
+    late = outcome == Balance.END_OF_WHISKING
+    assert early.any()
+    assert late.any()
+    assert np.all(below[early])
+    assert not np.any(below[late])
+
+
+def test_both_scripts_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(FIGURE_2, "ARCS", np.linspace(0.05, 1.0, 20))
+    monkeypatch.setattr(FIGURE_2, "DEGREES", np.linspace(0.5, 90.0, 18))
+    monkeypatch.setattr(FIGURE_3, "DISTANCES", np.linspace(0.3, 1.0, 15))
+    monkeypatch.setattr(FIGURE_3, "IMPACTS", np.linspace(30.0, 150.0, 13))
+    monkeypatch.setattr(FIGURE_3, "curve_end", lambda curve: 0.68)  # it has a test of its own
+    two, three = FIGURE_2.make(tmp_path / "2"), FIGURE_3.make(tmp_path / "3")
+    for name, parts in (("2", ["", "_check"]), ("3", ["a", "b", "c", "_check"])):
+        made = {path.name for path in (tmp_path / name).iterdir()}
+        tables = {f"figure_{name}{part}.csv" for part in parts}
+        assert made == tables | {f"figure_{name}.{kind}" for kind in ("png", "svg", "run.json")}
+    given = two["expected"].notna()
+    np.testing.assert_allclose(two["found"][given], two["expected"][given], atol=1e-12)
+    given = three["paper"].notna() & ~three["claim"].str.contains("end of the curve")
+    np.testing.assert_allclose(three["found"][given], three["paper"][given], atol=5e-3)

@@ -1,0 +1,144 @@
+"""How far each rung is off at a scene, from the first Newton step of the rung above it.
+
+A rung's contact arc and force, put into the next rung's equations, miss the point that the whisker
+is pressed against. One Newton step on that miss gives the next rung's signals up to the square of
+the step, for a pass or two in the place of a solution. Rung 1 checks rung 0 (both are formulas);
+one pass of rung 2 at rung 1's contact checks both for curvature, stiffness profile and friction;
+two steps of rung 3 at rung 2's contact check all of them for what is out of the plane. Where a step
+is large, or leaves the stable branch or the whisker, it vouches for nothing, and the scene is left
+to the rung above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import elastica
+from .chebyshev import Array
+from .contact import Outcome, Rung
+from .cosserat import POISSON_RATIO
+from .cosserat import Scenes as Rods
+from .equilibrium import numbers_of, signal_slopes
+from .scene import Scene, _closed_form, _elastica, _planar
+from .trajectory import follow_blocks
+
+#: Largest relative Newton step that is believed.
+LARGEST_STEP = 0.2
+#: Below this push, rad, signals are proportional to it, so that their relative errors stay.
+LEAST_PUSH = 1e-6
+#: Runge–Kutta steps a piece, and the largest error bound of such a pass that is believed; the
+#: bound exceeds the error by far.
+STEPS, RESOLVED = 4, 1e-4
+#: Accuracy of the rung 2 solution that rung 3 steps from.
+COARSE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Of n scenes.
+
+    ``top`` is the lowest rung that models all there is in the scene; ``signals`` (3, n) and
+    ``slopes`` (3, 2, n), their derivatives to (r, θ_d), are that rung's as far as the first step
+    tells. ``misses`` (4, 3, n) are the errors of each rung's signals, infinite where the step does
+    not vouch for that rung and zero from the top on.
+    """
+
+    top: NDArray[np.int8]
+    signals: Array
+    slopes: Array
+    misses: Array
+
+
+def estimate(scene: Scene) -> Estimates:
+    """The estimates at n scenes, in natural units."""
+    top = scene.top()
+    nudge = np.where(scene.push < 0, -LEAST_PUSH, LEAST_PUSH)
+    push = np.where(np.abs(scene.push) < LEAST_PUSH, nudge, scene.push)
+    scene = replace(scene, push=push, angle=scene.angle + push - scene.push)
+
+    numbers, outcome, _ = _elastica(scene)
+    small, straight = _closed_form(scene)[0][:3], numbers[:3]
+    planar, true = straight.copy(), straight.copy()
+    unit = np.ones_like(push)
+    slopes = np.moveaxis(
+        elastica._signal_jacobian(unit, scene.taper, unit, scene.distance, np.nan_to_num(push)),
+        0,
+        -1,
+    )
+    held = outcome == Outcome.HELD
+    flat = np.flatnonzero((top == Rung.PROFILE) & held)
+    if flat.size:
+        part, contact = scene.take(flat), numbers[6:, flat]
+        contact[0] *= part.start / part.distance
+        true[:, flat], slopes[..., flat], held[flat] = _planar_step(part, contact)
+    vouched = np.stack([held, held, np.ones_like(held)])
+
+    high = np.flatnonzero(top == Rung.ROD)
+    if high.size:
+        part = scene.take(high)
+        numbers, outcome, _ = _planar(part, COARSE)
+        planar[:, high] = numbers[:3]
+        vouched[2, high] = outcome == Outcome.HELD
+        high, part, contact = _where(outcome == Outcome.HELD, high, part, numbers[6:])
+    if high.size:
+        _, slopes[..., high], _ = _planar_step(part, contact)
+        true[:, high], good = _spatial_step(part, contact)
+        vouched[2, high] = good
+    vouched[:2] &= vouched[2]
+
+    misses = np.zeros((4, 3, push.size))
+    for rung, signals in enumerate((small, straight, planar)):
+        miss = np.where(vouched[rung], signals - true, np.inf)
+        misses[rung] = np.where(rung < top, miss, 0.0)
+    return Estimates(top, true, slopes, misses)
+
+
+def _where(
+    mask: NDArray[np.bool_], index: NDArray[np.intp], scene: Scene, numbers: Array
+) -> tuple[NDArray[np.intp], Scene, Array]:
+    return index[mask], scene.take(np.flatnonzero(mask)), numbers[:, mask]
+
+
+def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Rung 2's signals and slopes one Newton step from a contact (arc, force), and its vouching."""
+    rows, angle = scene.planar()
+    sign = np.where(scene.push < 0, -1.0, 1.0)
+    r, angle = scene.distance, angle * sign
+    s, f = np.minimum(contact[0], 1.0), np.abs(contact[1])
+    with np.errstate(all="ignore"):
+        path = follow_blocks(rows.mirrored(sign), s, f, scene.friction, STEPS)
+        slopes = signal_slopes(path, f, sign)
+        r_s, r_f, t_s, t_f = path.jacobian()
+        miss_r, miss_t = r - path.distance, angle - path.deflection
+        determinant = r_s * t_f - r_f * t_s
+        ds = (miss_r * t_f - miss_t * r_f) / determinant
+        df = (miss_t * r_s - miss_r * t_s) / determinant
+        size = np.maximum(np.abs(ds) / r, np.abs(df) / f)
+    good = (size < LARGEST_STEP) & (path.flips == 0) & (s + ds <= 1) & (path.error < RESOLVED)
+    ds, df = np.where(good, ds, 0.0), np.where(good, df, 0.0)
+    beta, lever, along = (
+        value + path.d_arc[k] * ds + path.d_force[k] * df
+        for k, value in enumerate((path.angle, path.lever, path.along))
+    )
+    numbers = numbers_of(beta, lever, along, s + ds, f + df, scene.friction, sign)
+    return numbers[:3], slopes, good
+
+
+def _spatial_step(scene: Scene, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Rung 3's signals two Newton steps from a planar contact, and their vouching."""
+    rods = Rods.of(scene.profile(), (scene.distance,), scene.friction, scene.roll, POISSON_RATIO)
+    v = np.stack([np.minimum(contact[0], 1.0), contact[1], np.zeros_like(contact[1])])
+    point, good = scene.point().T, np.ones(v.shape[1], dtype=bool)
+    scale = np.stack([scene.distance, np.abs(v[1]), np.abs(v[1])])
+    for _ in range(2):
+        step = rods.newton(v, point, STEPS)
+        good &= np.max(np.abs(step) / scale, axis=0) < LARGEST_STEP
+        v = v + np.where(good, step, 0.0)
+    good &= v[0] <= 1
+    base = rods.follow(v, STEPS)
+    force, lever = base.seen(base.force), base.seen(base.lever)
+    moment = lever[0] * force[1] - lever[1] * force[0]
+    return np.stack([moment, -force[0], force[1]]), good & (base.error < RESOLVED)

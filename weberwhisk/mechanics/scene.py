@@ -1,0 +1,214 @@
+"""One scene, any rung: what each rung makes of the same whisker pressed against the same point.
+
+A scene is a whisker, the radial distance and deflection angle of the contact, a friction angle,
+and a *roll*: the angle about the base tangent between the plane in which the whisker is pushed
+(xy) and the plane of its intrinsic curvature. The point lies as high above the xy plane as the
+resting whisker does where it reaches that distance, so that the push begins at first touch; the
+deflection angle is the azimuth of the point.
+
+Each rung sees of it what it can model:
+
+- rungs 0 and 1 a straight taper, deflected by the *push*: the deflection angle less the angle of
+  the resting whisker;
+- rung 2 the whisker's projection on the xy plane: curvature times cos(roll), the same push;
+- rung 3 everything.
+
+In units of the whisker's length, base radius and base stiffness; signals are M_z, −F_x, F_y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..whisker import Whisker
+from . import closed_form, elastica, rod
+from .branch import zero_load
+from .chebyshev import Array
+from .contact import Bending, Choice, Outcome, Rung
+from .equilibrium import Solved, press_rows
+from .profile import _by_rows, _friction
+from .shape import Profile, Spiral
+from .trajectory import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """n scenes, each array (n,).
+
+    ``start`` is the arc at which the resting whisker is touched, ``push`` the deflection from
+    there, both NaN beyond its reach; ``height`` is the elevation of the point, an angle at the
+    base.
+    """
+
+    rows: Rows
+    distance: Array
+    angle: Array
+    friction: Array
+    roll: Array
+    start: Array
+    push: Array
+    height: Array
+
+    @classmethod
+    def of(cls, rows: Rows, r: Array, theta: Array, psi: Array, roll: Array) -> Scene:
+        """The scenes and their pushes."""
+        start, rest = zero_load(rows, r)
+        azimuth = np.arctan2(np.sin(rest) * np.cos(roll), np.cos(rest))
+        height = np.arcsin(np.sin(rest) * np.sin(roll))
+        return cls(rows, r, theta, psi, roll, start, theta - azimuth, height)
+
+    def take(self, index: NDArray[np.intp]) -> Scene:
+        """The scenes at `index`."""
+        rest = (value[index] for name, value in vars(self).items() if name != "rows")
+        return Scene(self.rows.take(index), *rest)
+
+    @property
+    def taper(self) -> Array:
+        """1 − 1/R of the straight whisker that rungs 0 and 1 see."""
+        return np.clip(1 - self.rows.radius[-1] / self.rows.radius[0], 0.0, 1.0)
+
+    def top(self) -> NDArray[np.int8]:
+        """The lowest rung that models all there is in each scene."""
+        plain = self.rows.core is None and len(self.rows.arc) == 2
+        rung = np.where((self.friction != 0) | (not plain), Rung.PROFILE, Rung.ELASTICA)
+        if self.rows.law is not None:
+            curved = np.any([value != 0 for value in vars(self.rows.law).values()], axis=0)
+            rung = np.where(curved, Rung.PROFILE, rung)
+            rung = np.where(curved & (np.sin(self.roll) != 0), Rung.ROD, rung)
+        return rung.astype(np.int8)
+
+    def planar(self) -> tuple[Rows, Array]:
+        """The whiskers as projected on the plane of the push, and the deflection angles there."""
+        if not np.any(self.roll):
+            return self.rows, self.angle
+        rows = self.rows.mirrored(np.cos(self.roll))
+        return rows, zero_load(rows, self.distance)[1] + self.push
+
+    def point(self) -> Array:
+        """The points (n, 3)."""
+        flat = np.cos(self.height)
+        return np.asarray(
+            self.distance
+            * np.stack([flat * np.cos(self.angle), flat * np.sin(self.angle), np.sin(self.height)])
+        ).T
+
+    def profile(self) -> Profile:
+        """The whiskers as a `Profile` of unit length, base radius and base stiffness."""
+        rows = self.rows
+        core = np.zeros_like(rows.radius) if rows.core is None else rows.core
+        whisker = Whisker(1.0, 1.0, np.minimum(rows.radius[-1], 1.0), 4 / np.pi)
+        return Profile(whisker, rows.arc, rows.radius, core, rows.law or Spiral())
+
+
+def press_chosen(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_angle: ArrayLike,
+    roll: ArrayLike,
+    choice: Choice,
+) -> Bending:
+    """Press each whisker by the rung chosen for its scene; arguments as for `ladder.press`.
+
+    Raises
+    ------
+    ValueError
+        For a friction angle of a right angle or more, and a choice made for scenes of a shape
+        that does not broadcast with these.
+    """
+
+    def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, rung: Array) -> Solved:
+        return press(Scene.of(rows, r, theta, psi, turn), rung.astype(np.int8))
+
+    b = _by_rows(
+        solve,
+        whisker,
+        length=radial_distance,
+        angle=deflection_angle,
+        tilt=_friction(friction_angle),
+        roll=roll,
+        rung=choice.rung,
+    )
+    rung = np.broadcast_to(np.asarray(choice.rung, dtype=np.int8), np.shape(b.moment))
+    off = np.take_along_axis(choice.error, np.asarray(choice.rung)[..., None], -1)[..., 0]
+    # What the closed form says of itself is about the same error as the choice's.
+    own = np.where(rung == Rung.CLOSED_FORM, 0.0, b.error)
+    error = np.where(np.isnan(b.error), np.nan, off + own)
+    model = rung if rung.ndim else Rung(int(rung))
+    return replace(b, model=model, error=error[()])
+
+
+def press_in_space(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_angle: ArrayLike,
+    roll: ArrayLike,
+) -> Bending:
+    """Rung 3 as a `Bending`; arguments as for `ladder.press`."""
+    whole = Choice(Rung.ROD, np.zeros(4), np.zeros(4), 0.0)
+    return press_chosen(whisker, radial_distance, deflection_angle, friction_angle, roll, whole)
+
+
+def press(scene: Scene, rung: NDArray[np.int8]) -> Solved:
+    """The eight numbers of a `Bending`, outcome and error, each scene by the rung named."""
+    n = scene.distance.size
+    numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
+    outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
+    for step in np.unique(rung):
+        which = np.flatnonzero(rung == step)
+        numbers[:, which], outcome[which], error[which] = _SOLVE[Rung(step)](scene.take(which))
+    numbers[3], numbers[4] = scene.distance, scene.angle  # as given
+    return numbers, outcome, error
+
+
+def _closed_form(scene: Scene) -> Solved:
+    return _straight(scene, Rung.CLOSED_FORM)
+
+
+def _elastica(scene: Scene) -> Solved:
+    return _straight(scene, Rung.ELASTICA)
+
+
+def _straight(scene: Scene, rung: Rung) -> Solved:
+    solve = closed_form._press if rung == Rung.CLOSED_FORM else elastica._press
+    unit, lost = np.ones_like(scene.distance), np.isnan(scene.push)
+    push = np.where(lost, 0.0, scene.push)
+    numbers, outcome, error = solve(unit, scene.taper, unit, scene.distance, push)
+    numbers[:, lost], error[lost] = np.nan, np.nan
+    return numbers, np.where(lost, Outcome.OUT_OF_REACH, outcome).astype(np.int8), error
+
+
+def _planar(scene: Scene, tolerance: float = 1e-9) -> Solved:
+    rows, angle = scene.planar()
+    angle = np.nan_to_num(angle)  # out of reach either way
+    return press_rows(rows, scene.distance, angle, scene.friction, tolerance)
+
+
+def _spatial(scene: Scene) -> Solved:
+    b = rod.press(scene.profile(), scene.point(), scene.friction, plane=scene.roll)
+    side = np.where(scene.push < 0, -1.0, 1.0)
+    numbers = np.stack(
+        [
+            b.moment[:, 2],
+            b.axial_force,
+            b.force[:, 1],
+            scene.distance,
+            scene.angle,
+            np.arctan2(b.tangent[:, 1], b.tangent[:, 0]),
+            b.arc_length,
+            side * b.magnitude,
+        ]
+    )
+    return numbers, b.outcome, b.error
+
+
+_SOLVE = {
+    Rung.CLOSED_FORM: _closed_form,
+    Rung.ELASTICA: _elastica,
+    Rung.PROFILE: _planar,
+    Rung.ROD: _spatial,
+}

@@ -1,0 +1,224 @@
+"""The ways in which a whisker touches a body, and the equations of each: inside `objects`.
+
+A whisker touches a corner's arc or an edge with its flank, tangentially, or an object with its
+tip, whose force is normal to the object instead of the whisker. The unknowns are two: contact arc
+and force, or for the tip its tilt into the object and the force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from .bodies import Body
+from .branch import rest_point
+from .chebyshev import Array
+from .contact import Outcome
+from .shape import Profile
+from .trajectory import follow, pilot, rows_of
+
+#: Depth in lengths at which another part of the whisker counts as touching.
+OVERLAP = 1e-6
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A way to touch: feature 2i is corner i, 2i + 1 the edge after it; flank or tip."""
+
+    feature: int
+    tip: bool
+
+
+class TouchedBody:
+    """The equations of one whisker on one body, in units of the length and EI₀/L²."""
+
+    def __init__(self, profile: Profile, body: Body, friction: float) -> None:
+        self.profile, self.rows = profile, rows_of(profile, (1,))
+        length = float(profile.whisker.length)
+        self.corners, self.radius = body.corners / length, body.radius / length
+        self.body = Body(self.corners, self.radius)
+        self.friction = friction
+        step = np.diff(np.vstack([self.corners, self.corners[:1]]), axis=0)
+        self.edges = np.arctan2(step[:, 1], step[:, 0])
+        self.spans = np.hypot(step[:, 0], step[:, 1])
+
+    def state(self, touch: Touch, v: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Contact x, y and angle, the angle of the object's tangent there, and the force."""
+        m = v.shape[1]
+        arc = np.ones(m) if touch.tip else np.minimum(v[0], 1.0)
+        tilt = v[0] if touch.tip else np.zeros(m)
+        rows = self.rows.take(np.zeros(m, dtype=int))
+        with np.errstate(all="ignore"):
+            path = follow(rows, arc, np.abs(v[1]), tilt + self.friction, 5 * pilot(rows))
+        angle, (c, s) = path.angle, (np.cos(path.angle), np.sin(path.angle))
+        x, y = path.lever * c - path.along * s, path.lever * s + path.along * c
+        return x, y, angle - tilt - self.friction, angle - self.friction, v[1]
+
+    def miss(self, touch: Touch, v: Array, rotation: float) -> Array:
+        """The two equations, (2, m)."""
+        x, y, _, tangent, _ = self.state(touch, v)
+        corner = self.corners[touch.feature // 2]
+        c, s = np.cos(rotation), np.sin(rotation)
+        off_x = x + self.radius * np.sin(tangent) - (corner[0] * c - corner[1] * s)
+        off_y = y - self.radius * np.cos(tangent) - (corner[0] * s + corner[1] * c)
+        if touch.feature % 2 == 0:
+            return np.stack([off_x, off_y])
+        edge = self.edges[touch.feature // 2] + rotation
+        return np.stack([np.sin(tangent - edge), -off_x * np.sin(edge) + off_y * np.cos(edge)])
+
+    def solve(self, touch: Touch, v: Array, rotation: float) -> tuple[Array, float] | None:
+        """Newton's method; the point and the sign of its Jacobian, or None."""
+        step = 1e-6
+        for _ in range(7):
+            f_step = step * max(1.0, abs(v[1]))
+            probes = v[:, None] + np.array([[0, -step, 0], [0, 0, f_step]])
+            f = self.miss(touch, probes, rotation)
+            if not np.all(np.isfinite(f)):
+                return None
+            jacobian = np.stack([(f[:, 0] - f[:, 1]) / step, (f[:, 2] - f[:, 0]) / f_step], axis=1)
+            det = np.linalg.det(jacobian)
+            if det == 0:
+                return None
+            move = np.linalg.solve(jacobian, f[:, 0])
+            v = v - move
+            if abs(move[0]) > 0.3 or not np.all(np.isfinite(v)):
+                return None
+            if np.max(np.abs(move) / np.maximum(np.abs(v), [1.0, 0.1])) < 1e-10:
+                return v, float(np.sign(det))
+        return None
+
+    def next_touch(self, touch: Touch, v: Array, rotation: float) -> Touch | Outcome | None:
+        """None if this touch is valid, else what it turns into, or what it ends by."""
+        change = self._change(touch, v, rotation)
+        if change is None and self.rows.law and self._overlap(touch, v, rotation) > OVERLAP:
+            return Outcome.TOUCHES_TWICE
+        return change
+
+    def _overlap(self, touch: Touch, v: Array, rotation: float) -> float:
+        """How deep in the object the whisker lies elsewhere: a straight one never does."""
+        x, y, angle, _, force = (float(part[0]) for part in self.state(touch, v[:, None]))
+        arc, push = 1.0 if touch.tip else min(float(v[0]), 1.0), angle + self.friction
+        push += float(v[0]) if touch.tip else 0.0
+        length, law = self.profile.whisker.length, self.rows.law
+        assert law is not None
+
+        def slope(s: float, state: Array) -> list[float]:
+            lever = (x - state[1]) * np.cos(push) + (y - state[2]) * np.sin(push)
+            give = self.profile.whisker.stiffness / float(self.profile.stiffness(s * length))
+            bend = float(law(np.array([s]))[0]) + abs(force) * lever * give
+            return [bend, np.cos(state[0]), np.sin(state[0])]
+
+        held = solve_ivp(
+            slope, (0, arc), [0.0, 0.0, 0.0], t_eval=np.linspace(0, arc, 200), rtol=1e-8, atol=1e-10
+        ).y
+        free = np.linspace(arc, 1, 100)
+        turn = angle - float(law.turn(np.array([arc]))[0])
+        rest = np.stack(rest_point(law, free))
+        rest = rest - rest[:, :1]
+        c, s = np.cos(turn), np.sin(turn)
+        px = np.concatenate([held[1], x + c * rest[0] - s * rest[1]])
+        py = np.concatenate([held[2], y + s * rest[0] + c * rest[1]])
+        c, s = np.cos(rotation), np.sin(rotation)
+        return float(np.max(self.body.depth(c * px + s * py, c * py - s * px)))
+
+    def _change(self, touch: Touch, v: Array, rotation: float) -> Touch | Outcome | None:
+        if not touch.tip and v[0] > 1 + 1e-9:
+            return Outcome.SLIPPED_OFF_TIP
+        if v[1] < -1e-9:
+            return Outcome.OUT_OF_REACH
+        if touch.tip and v[0] < -1e-9:
+            return Touch(touch.feature, False)
+        x, y, _, tangent, _ = (float(part[0]) for part in self.state(touch, v[:, None]))
+        i, k = touch.feature // 2, len(self.corners)
+        if touch.feature % 2:
+            c, s = np.cos(rotation), np.sin(rotation)
+            corner = self.corners[i]
+            edge = self.edges[i] + rotation
+            along = (x - corner[0] * c + corner[1] * s) * np.cos(edge)
+            along += (y - corner[0] * s - corner[1] * c) * np.sin(edge)
+            if along > self.spans[i]:
+                return Touch(2 * ((i + 1) % k), touch.tip)
+            return Touch(2 * i, touch.tip) if along < 0 else None
+        if k == 1:
+            return None
+        after = _turn(tangent - rotation - self.edges[i])
+        before = _turn(tangent - rotation - self.edges[i - 1])
+        if after < -1e-9:
+            return Touch(2 * i + 1, touch.tip)
+        return Touch(2 * ((i - 1) % k) + 1, touch.tip) if before > 1e-9 else None
+
+    def at_rest(self) -> tuple[Array, Array, Array]:
+        """Arc, x and y of 4001 points of the whisker in the base frame."""
+        s = np.linspace(0, 1, 4001)
+        return s, *(rest_point(self.rows.law, s) if self.rows.law else (s, np.zeros_like(s)))
+
+    def first(self, begin: float, end: float) -> tuple[float, Touch, Array] | None:
+        """Rotation in the range, touch and start of the first contact, the whisker at rest."""
+        s, x, y = self.at_rest()
+        c, q = np.cos(begin), np.sin(begin)
+        if np.max(self.body.depth(c * x + q * y, c * y - q * x)) > OVERLAP:
+            raise ValueError(
+                f"The whisker must start clear of the object, got it inside at {begin:g} rad; "
+                "start `rotation` from a smaller angle."
+            )
+        rest_r, rest_angle = np.hypot(x, y), np.arctan2(y, x)
+        top = int(np.argmax(rest_r)) + 1  # a whisker that curls back is touched before it does
+        places, features = self._outline(rest_r[top - 1])
+        r, angle = np.hypot(*places), np.arctan2(places[1], places[0])
+        reach = r <= rest_r[top - 1] * (1 + 1e-12)
+        if not np.any(reach):
+            return None
+        needed = _turn(np.interp(r, rest_r[:top], rest_angle[:top]) - angle)
+        needed = begin + (needed - begin + 1e-12) % (2 * np.pi) - 1e-12
+        needed = np.where(reach, needed, np.inf)
+        rotation = float(np.min(needed))
+        if rotation > end:
+            return None
+        # A point may belong to an edge and to its corner: which one touches, the tangents say.
+        for at in np.flatnonzero(needed <= rotation + 1e-10):
+            feature, arc = int(features[at]), float(np.interp(r[at], rest_r[:top], s[:top]))
+            tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
+            tilt = float(_turn(self._tangent_at(places[:, at], feature) + rotation - tangent))
+            flat = abs(tilt) < 1e-6
+            if arc > 1 - 1e-6 and 1e-6 < tilt < np.pi / 2 and (feature % 2 or self.radius > 0):
+                return rotation, Touch(feature, True), np.array([tilt, 0.0])
+            if flat or (feature % 2 == 0 and (self.radius == 0 or abs(tilt) < 0.02)):
+                return rotation, Touch(feature, False), np.array([arc, 0.0])
+        return None
+
+    def _outline(self, reach: float) -> tuple[Array, Array]:
+        """Points of the object's outline, (2, m), and their features, within reach as well."""
+        places, features = [], []
+        k = len(self.corners)
+        for i in range(k):
+            high = self.edges[i - 1] if k > 1 else np.pi
+            low = high - (_turn(high - self.edges[i]) % (2 * np.pi) if k > 1 else 2 * np.pi)
+            t = np.linspace(low, high, 4001 if self.radius else 1)
+            arc = self.corners[i][:, None] + self.radius * np.stack([-np.sin(t), np.cos(t)])
+            places.append(arc)
+            features += [2 * i] * arc.shape[1]
+            if k == 1:
+                continue
+            edge = np.array([np.cos(self.edges[i]), np.sin(self.edges[i])])
+            start = self.corners[i] + self.radius * np.array([-edge[1], edge[0]])
+            # Where the edge leaves the whisker's reach is where a tip would meet it.
+            middle, gap = -start @ edge, abs(start[1] * edge[0] - start[0] * edge[1])
+            half = np.sqrt(max(reach**2 - gap**2, 0.0))
+            t = np.clip(np.linspace(middle - half, middle + half, 4001), 0, self.spans[i])
+            places.append(start[:, None] + t * edge[:, None])
+            features += [2 * i + 1] * t.size
+        return np.concatenate(places, axis=1), np.array(features)
+
+    def _tangent_at(self, place: Array, feature: int) -> float:
+        if feature % 2:
+            return float(self.edges[feature // 2])
+        out = place - self.corners[feature // 2]
+        return float(np.arctan2(-out[0], out[1]))
+
+
+def _turn(angle: Any) -> Any:
+    """The angle brought to (−π, π]."""
+    return -((-angle + np.pi) % (2 * np.pi) - np.pi)
