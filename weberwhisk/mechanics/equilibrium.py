@@ -5,6 +5,8 @@ The inner half of rung 2, in units of the whisker's length, base radius and base
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,8 @@ from .chebyshev import Array
 from .contact import TIP_ROUNDING, Outcome
 from .trajectory import Path, Rows, follow_blocks, pilot, resolve
 
+#: Turn of the whisker at rest, rad, up to which Newton's method is trusted: about twice a rat's.
+MOST_TURN = 1.5
 #: Of contact distance and angle, a few last digits.
 ROUNDING = 3e-15
 
@@ -49,7 +53,7 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
     if hard.size:
         branch = Branch.of(part.take(hard), distance[hard], psi_[hard], start[hard], tolerance)
         ended = walk(branch, angle[hard])
-        values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard])
+        values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard], angle[hard])
         outcome[good[hard]] = np.select(
             [ended.end == REACHED, ended.end == TIP, ended.end == NO_MOVE],
             [Outcome.HELD, Outcome.SLIPPED_OFF_TIP, Outcome.STUCK],
@@ -130,7 +134,7 @@ def _newton(
             break
     assert paths is not None
     found = (left <= tolerance) & (size < 1e-2) & (paths.flips == 0)
-    found &= (paths.error <= tolerance) & (f > -floor)
+    found &= (paths.error <= tolerance) & (f > -floor) & ~_winds(rows)
     with np.errstate(invalid="ignore"):
         slack = 1e-5 * np.sqrt(tolerance) + 10 * tolerance
         found &= np.abs(paths.distance - r) <= (slack + left) * r
@@ -138,10 +142,22 @@ def _newton(
     return s, f, paths, left, found
 
 
-def at_points(branch: Branch, v: Array, sign: Array) -> tuple[Array, Array]:
-    """The eight numbers and the error at points of branches."""
+def _winds(rows: Rows) -> NDArray[np.bool_]:
+    """So curled that a stable contact may lie on another branch than the first: it is walked."""
+    if rows.law is None:
+        return np.zeros(rows.radius.shape[1], dtype=bool)
+    turns = [np.abs(rows.law.turn(np.asarray(share))) for share in (0.25, 0.5, 0.75, 1.0)]
+    return np.asarray(np.max(turns, axis=0) > MOST_TURN)
+
+
+def at_points(
+    branch: Branch, v: Array, sign: Array, goal: Array | None = None
+) -> tuple[Array, Array]:
+    """The eight numbers and the error at points of branches, with `goal` for deflection angle."""
     off, path = branch.onto(branch.path(v, branch.tolerance), v[0] * branch.unit * branch.r >= 1)
     arc, force = branch.contact(v + off)
+    if goal is not None:
+        path = replace(path, error=path.error + np.abs(goal - path.deflection) / path.scale)
     error = signal_error(path, force, given_contact=True)
     # At a fold signals go as the square root of what is left of the angle: no worse than that.
     error = np.minimum(error, 3 * np.sqrt(path.error))
