@@ -30,7 +30,7 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
     start, rest = zero_load(rows, r)
-    good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
+    good = in_order(rows, start, np.isfinite(start) & on_whisker(rows, start))
     if not good.size:
         return numbers, outcome, error
     sign = np.where(theta < rest, -1.0, 1.0)[good]
@@ -231,6 +231,15 @@ def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
 def on_whisker(rows: Rows, arc: Array) -> NDArray[np.bool_]:
     """On the whisker, and not at a tip of no width, which has no stiffness to push back."""
     return (arc <= 1 + TIP_ROUNDING) & ~((arc >= 1 - TIP_ROUNDING) & (rows.radius[-1] <= 0))
+
+
+def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The indices of `which`; by contact arc if there are several pieces.
+
+    A block of rows that all touch near the base then skips the pieces beyond.
+    """
+    index = np.flatnonzero(which)
+    return index[np.argsort(arc[index])] if len(rows.arc) > 2 else index
 
 
 def _straight(v: Array, push: Array, r: Array) -> tuple[Array, Array]:
