@@ -157,7 +157,7 @@ def sweep(
     numbers: dict[str, Any] = {
         name: np.where(held, value, np.nan)
         for name, value in vars(b).items()
-        if name not in ("outcome", "model", "whisker")
+        if name not in ("outcome", "model", "whisker", "choice")
     }
     b = replace(b, **numbers, outcome=outcome)
     world = b.deflection_angle - angles
