@@ -145,16 +145,14 @@ class Panels:
         order = np.argsort(left)
         self.left, self.half = left[order], (right - left)[order] / 2
         x = self.left[:, None] + self.half[:, None] * (NODES + 1)
-        contact, log_jacobian = observer.contact(x.reshape(-1, 1))
+        contact, log_prior = observer.contact(x.reshape(-1, 1))
         self.r = contact[:, 0]
         signals, outcome = observer.signals(contact)
         held = outcome == Outcome.HELD
         self.signals = np.where(held[:, None], signals, 1.0)
         self.log_weight = np.where(
             held,
-            observer.log_prior(contact)
-            + log_jacobian
-            + np.log(self.half[:, None] * KRONROD).reshape(-1),
+            log_prior + np.log(self.half[:, None] * KRONROD).reshape(-1),
             -np.inf,
         )
         self._plausible, self._probable = (
