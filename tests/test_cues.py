@@ -113,7 +113,13 @@ def test_priors_are_used_and_bound_the_reach():
     assert observer.reach == pytest.approx((10e-3, 30e-3))
     contact = np.array([20e-3, 0.2])
     expected = sum(d.logpdf(c) for d, c in zip(prior.values(), contact, strict=True))
-    assert observer.log_prior(contact) == pytest.approx(expected)
+    x = observer.coordinates(contact)
+    log_jacobian = observer.contact(x)[1] - expected
+    h = 1e-6
+    slope = [
+        (observer.contact(x + e)[0] - observer.contact(x - e)[0]) / (2 * h) for e in h * np.eye(2)
+    ]
+    assert log_jacobian == pytest.approx(np.log(np.abs(np.linalg.det(slope))), abs=1e-6)
 
 
 def test_information_is_the_jacobian_around_the_noise():

@@ -82,7 +82,9 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
 
     Equations (3.2) and (3.7): Δr = |dr/dI| ΔI, for several signals √[J⁻¹ΣJ⁻ᵀ]_rr, with every
     unknown of the cue unknown (at a second signal held fixed, as in (3.7), where its noise is
-    zero). With more signals than unknowns, the best linear combination.
+    zero). With more signals than unknowns, the best linear combination. An unknown that the
+    whisker does not bound (a stiffness, say) is known as well as its prior says: that is one more
+    signal.
 
     Parameters
     ----------
@@ -113,6 +115,8 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
         observer.whisker, contact, model=model
     )
     covariance = observer.noise.covariance(signals)
+    if observer.bounded < contact.shape[-1]:
+        slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     unit = _contact_scale(contact)
     # In units of the noise and of the contact itself, so that singular means singular.
@@ -133,7 +137,8 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
 def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     """Least sd of radial distance that the information of one reading allows, (...), m.
 
-    The whole matrix is inverted, so that every other unknown of the cue is unknown too. For one
+    The whole matrix is inverted, so that every other unknown of the cue is unknown too, or as well
+    known as its prior says where the whisker does not bound it. For one
     signal under Weber's law √(1 + 2k²) below (3.5), as the spread informs as well.
 
     Parameters
@@ -143,10 +148,27 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     """
     contact = observer.checked(contact)
     unit = _contact_scale(contact)
-    information = observer.information(contact) * unit[..., :, None] * unit[..., None, :]
+    information = observer.information(contact) + observer.prior_information(contact)
+    information = information * unit[..., :, None] * unit[..., None, :]
     held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
     variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
+
+
+def _with_priors(
+    observer: Observer, contact: Array, slope: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Slopes (..., R + n, U) and covariance of a reading and of n unknowns' prior values."""
+    first, size = observer.bounded, slope.shape[-2]
+    count = contact.shape[-1] - first
+    unit = np.broadcast_to(
+        np.eye(contact.shape[-1])[first:], (*slope.shape[:-2], count, first + count)
+    )
+    precision = np.diagonal(observer.prior_information(contact), axis1=-2, axis2=-1)[..., first:]
+    both = np.zeros((*contact.shape[:-1], size + count, size + count))
+    both[..., :size, :size] = covariance
+    both[..., np.arange(size, size + count), np.arange(size, size + count)] = 1 / precision
+    return np.concatenate([slope, unit], axis=-2), both
 
 
 def _contact_scale(contact: Array) -> Array:
@@ -155,19 +177,23 @@ def _contact_scale(contact: Array) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverses (..., n, n) for n = 1 or 2; infinite throughout where singular to rounding."""
-    if matrix.shape[-1] == 1:
-        with np.errstate(divide="ignore"):
-            return np.where(matrix == 0, np.inf, 1 / matrix)
-    a, b, c, d = (matrix[..., i, j] for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
-    determinant = a * d - b * c
-    singular = np.abs(determinant) <= SINGULAR * (np.abs(a * d) + np.abs(b * c))
-    safe = np.where(singular, 1.0, determinant)
-    inverse = np.stack([np.stack([d, -b], -1), np.stack([-c, a], -1)], -2) / safe[..., None, None]
+    """Inverses (..., n, n); infinite throughout where singular to rounding."""
+    rows = _length(matrix, -1)
+    columns = _length(matrix / rows, -2)
+    scaled = matrix / rows / columns
+    singular = np.abs(np.linalg.det(scaled)) <= SINGULAR
+    safe = np.where(singular[..., None, None], np.eye(matrix.shape[-1]), scaled)
+    inverse = np.linalg.inv(safe) / np.swapaxes(rows, -1, -2) / np.swapaxes(columns, -1, -2)
     return np.where(singular[..., None, None], np.inf, inverse)
 
 
-#: Determinant of a 2 × 2 matrix, over its terms, below which rounding could have made it.
+def _length(matrix: Array, axis: int) -> Array:
+    """Lengths of rows (−1) or columns (−2); 1 where they are empty."""
+    length = np.sqrt(np.square(matrix).sum(axis=axis, keepdims=True))
+    return np.where(length > 0, length, 1.0)
+
+
+#: Determinant, of a matrix with columns of length one, below which rounding could have made it.
 SINGULAR = 1e-9
 
 
@@ -189,7 +215,8 @@ def jnd_curve(
     radial_distance : float or array
         m.
     deflection_angle : float or array, optional
-        rad; needed by cues to which the angle is unknown, and broadcast with the distance.
+        rad; needed by cues to which the angle is unknown, and broadcast with the distance. Any
+        further unknown has its prior's median.
     method : {"quadrature", "emcee", "laplace"}
         How the posteriors are found; see `posterior`.
     criterion : str
@@ -274,14 +301,14 @@ def _contact(
             raise ValueError(
                 f"{observer.cue!r} has no unknown deflection angle, got one; leave it out."
             )
-        return r.reshape(-1, 1)
+        return observer.at_middle(r.reshape(-1, 1))
     if deflection_angle is None:
         raise ValueError(
             f"{observer.cue!r} needs the deflection angle of each contact, got none; "
             "write deflection_angle=np.radians(10), say."
         )
     theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.2")
-    return np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1)
+    return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
 
 
 def _entropy(seed: Seed) -> int | None:

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logit, wrightomega
+from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from ._checks import finite, one_of
 from .cues.protocol import Cue
 from .mechanics.contact import Outcome
 from .mechanics.surface import surface_of
-from .receptors import ReceptorNoise, Seed, Weber
+from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -29,11 +29,11 @@ class Observer:
     cue : Cue
         How distance is felt; see `weberwhisk.cues`.
     noise : ReceptorNoise
-        Default Weber's law with k = 0.1.
+        Default the cue's own, which is Weber's law with k = 0.1 wherever signals are forces.
     prior : mapping of name to frozen SciPy distribution, optional
         Prior of any of the cue's unknowns (``"radial_distance"`` in m, ``"deflection_angle"`` in
-        rad). By default flat over every contact that the whisker can hold: up to the tip, and up
-        to the angle at which it flicks past.
+        rad). By default these two are flat over every contact that the whisker can hold: up to
+        the tip, and up to the angle at which it flicks past; further unknowns have the cue's.
     model : {"closed_form", "elastica"}, optional
         The rung of the mechanics; by default the cheapest that the scene needs.
 
@@ -49,7 +49,8 @@ class Observer:
     which base and tip lie double-exponentially far off, and x₂ = y + ln(M/θ_d), with M the small-
     angle moment and logistic(y + eʸ) the fraction of the largest θ_d at that r. Down low x₂ is
     ln M, up high it closes in on the fold or the tip double-exponentially. So the tails of
-    posteriors are short, and the force map's ridge, along which M is constant, is straight.
+    posteriors are short, and the force map's ridge, along which M is constant, is straight. Any
+    further unknown has a coordinate in which its prior is the standard normal.
 
     Examples
     --------
@@ -81,11 +82,13 @@ class Observer:
             )
         self.whisker = whisker
         self.cue = cue
-        self.noise: ReceptorNoise = Weber(0.1) if noise is None else noise
-        self.prior = dict(prior or {})
-        self.model = model
-        for name in self.prior:
+        self.noise: ReceptorNoise = cue.default_noise() if noise is None else noise
+        for name in prior or {}:
             one_of("prior of", name, cue.unknowns)
+        self.prior = {**cue.priors(whisker), **(prior or {})}
+        self.model = model
+        #: How many unknowns the whisker bounds: the first ones; the rest have priors alone.
+        self.bounded = 2 if "deflection_angle" in cue.unknowns else 1
         self.reach = self._range("radial_distance", cue.farthest(whisker))
 
     def __repr__(self) -> str:
@@ -109,23 +112,32 @@ class Observer:
     # -- coordinates ---------------------------------------------------------------------------
 
     def contact(self, x: ArrayLike) -> tuple[Array, Array]:
-        """The contact (..., U) at coordinates x (..., U), and ln |d contact/dx| (...)."""
+        """The contact (..., U) at coordinates x (..., U), and ln of its prior density in x (...).
+
+        Flat priors count as the density 1 of the contact, so that theirs is ln |d contact/dx|.
+        """
         x = np.asarray(x, dtype=float)
         low, high = self.reach
         out = np.empty(x.shape)
-        fraction, log_jacobian = _place(x[..., 0])
+        fraction, log_prior = _place(x[..., 0])
         # Rounding must not put a contact on an edge, where there is none.
         out[..., 0] = np.clip(
             low + (high - low) * fraction, np.nextafter(low, high), np.nextafter(high, low)
         )
-        log_jacobian += np.log(high - low)
-        if x.shape[-1] > 1:
+        log_prior += np.log(high - low)
+        if self.bounded > 1:
             low_angle, width = self._angles(out[..., 0])
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 fraction, log_slope = _squash(x[..., 1] - self._shear(out[..., 0], width))
                 out[..., 1] = low_angle + width * fraction
-                log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
-        return out, log_jacobian
+                log_prior += np.where(width > 0, np.log(width) + log_slope, -np.inf)
+        for i, name in enumerate(self.unknowns):
+            if i >= self.bounded:
+                out[..., i] = _from_normal(self.prior[name], x[..., i])
+                log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
+            elif name in self.prior:
+                log_prior = log_prior + self.prior[name].logpdf(out[..., i])
+        return out, log_prior
 
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
@@ -133,22 +145,51 @@ class Observer:
         low, high = self.reach
         out = np.empty(contact.shape)
         out[..., 0] = _unplace((contact[..., 0] - low) / (high - low))
-        if contact.shape[-1] > 1:
+        if self.bounded > 1:
             low_angle, width = self._angles(contact[..., 0])
             out[..., 1] = _unsquash((contact[..., 1] - low_angle) / width) + self._shear(
                 contact[..., 0], width
             )
+        for i in range(self.bounded, contact.shape[-1]):
+            out[..., i] = _to_normal(self.prior[self.unknowns[i]], contact[..., i])
         return out
 
     def spread(self, fractions: Array) -> Array:
-        """Coordinates (n, U) of contacts at all combinations of fractions of each range."""
-        inverses = (_unplace, _unsquash)[: len(self.unknowns)]
-        axes = np.meshgrid(*(inverse(fractions) for inverse in inverses), indexing="ij")
-        x = np.stack([a.ravel() for a in axes], axis=-1)
-        if x.shape[-1] > 1:
-            r = self.contact(x[:, :1])[0][:, 0]
+        """Coordinates (n, U) of contacts at all combinations of fractions of each range.
+
+        Unknowns that have priors alone take seven values within 2.5 sd of the middle.
+        """
+        bounded = [f(fractions) for f in (_unplace, _unsquash)[: self.bounded]]
+        others = [np.linspace(-2.5, 2.5, 7)] * (len(self.unknowns) - self.bounded)
+        x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *others, indexing="ij")], axis=-1)
+        if self.bounded > 1:
+            low, high = self.reach
+            r = low + (high - low) * _place(x[:, 0])[0]
             x[:, 1] += self._shear(r, self._angles(r)[1])
         return x
+
+    def at_middle(self, contact: ArrayLike) -> Array:
+        """Contacts (..., U) of the first unknowns (..., ≤ U), the others at their prior medians."""
+        contact = np.asarray(contact, dtype=float)
+        rest = [
+            np.full(contact.shape[:-1], float(self.prior[name].median()))
+            for name in self.unknowns[contact.shape[-1] :]
+        ]
+        return np.concatenate([contact, *(a[..., None] for a in rest)], axis=-1)
+
+    def prior_information(self, contact: ArrayLike) -> Array:
+        """What their priors tell of the unknowns that have priors alone, (..., U, U).
+
+        The precision of the standard normal, carried to each such unknown; 0 for the others.
+        """
+        contact = np.asarray(contact, dtype=float)
+        out = np.zeros((*contact.shape, contact.shape[-1]))
+        for i in range(self.bounded, contact.shape[-1]):
+            distribution = self.prior[self.unknowns[i]]
+            z = _to_normal(distribution, contact[..., i])
+            slope = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / distribution.pdf(contact[..., i])
+            out[..., i, i] = slope**-2
+        return out
 
     def _shear(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
@@ -170,14 +211,6 @@ class Observer:
         """Signals (..., S) of a contact (..., U), NaN where not held, and the outcome (...)."""
         return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.model)
 
-    def log_prior(self, contact: ArrayLike) -> Array:
-        """ln of the prior density (flat where none is given, up to a constant), (...)."""
-        contact = np.asarray(contact, dtype=float)
-        total = np.zeros(contact.shape[:-1])
-        for name, distribution in self.prior.items():
-            total = total + distribution.logpdf(contact[..., self.unknowns.index(name)])
-        return total
-
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
         signals, outcome = self.signals(contact)
@@ -191,9 +224,8 @@ class Observer:
 
     def log_density_and_contact(self, x: ArrayLike, reading: ArrayLike) -> tuple[Array, Array]:
         """ln of the posterior density in the coordinates x (...), and the contact (..., U)."""
-        contact, log_jacobian = self.contact(x)
-        value = self.log_likelihood(reading, contact) + log_jacobian
-        return (value + self.log_prior(contact) if self.prior else value), contact
+        contact, log_prior = self.contact(x)
+        return self.log_likelihood(reading, contact) + log_prior, contact
 
     def information(self, contact: ArrayLike) -> Array:
         """Fisher information of one reading about the contact, (..., U, U).
@@ -253,6 +285,19 @@ class Observer:
                 "put them along the last axis."
             )
         return array
+
+
+def _from_normal(distribution: Any, z: Array) -> Array:
+    """The value as far up its distribution as z is up the standard normal."""
+    z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
+    tail = ndtr(-np.abs(z))
+    return np.where(z < 0, distribution.ppf(tail), distribution.isf(tail))
+
+
+def _to_normal(distribution: Any, value: Array) -> Array:
+    """Where on the standard normal a value of a distribution is."""
+    below, above = distribution.cdf(value), distribution.sf(value)
+    return np.where(below < above, ndtri(below), -ndtri(above))
 
 
 def _place(y: Array) -> tuple[Array, Array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
@@ -9,6 +11,7 @@ from scipy.optimize import brentq
 from .._checks import non_negative, positive
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
+from ..receptors import Weber
 from ..whisker import Whisker
 from .protocol import Array
 
@@ -77,6 +80,14 @@ class Compliance:
         else:
             slope = ladder.signal_jacobian(whisker, r, self.tap_angle)[..., 0, 0] / self.tap_angle
         return np.asarray(slope * self.angular_velocity)[..., None, None]
+
+    def priors(self, whisker: Whisker) -> dict[str, Any]:
+        """None: every unknown is bounded by the whisker."""
+        return {}
+
+    def default_noise(self) -> Weber:
+        """Weber's law, k = 0.1."""
+        return Weber(0.1)
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the tap angle, m."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
 from ..mechanics.surface import base_signals
+from ..receptors import Weber
 from ..whisker import Whisker
 from .protocol import Array
 
@@ -54,6 +57,14 @@ class ForceMap:
         if model == "closed_form":
             return closed_form.signal_jacobian(whisker, r, theta)[..., :2, :]
         return ladder.signal_jacobian(whisker, r, theta)[..., :2, :]
+
+    def priors(self, whisker: Whisker) -> dict[str, Any]:
+        """None: every unknown is bounded by the whisker."""
+        return {}
+
+    def default_noise(self) -> Weber:
+        """Weber's law, k = 0.1."""
+        return Weber(0.1)
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, m."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..receptors import ReceptorNoise
 from ..whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -16,8 +18,10 @@ Array = NDArray[np.float64]
 class Cue(Protocol):
     """One of the paper's methods (§2a–h): from a contact to the signals that tell of it.
 
-    A contact is an array whose last axis holds the cue's unknowns, radial distance (m) first. The
-    mechanics of a rung is named by `model`, ``None`` for the cheapest that the scene needs.
+    A contact is an array whose last axis holds the cue's unknowns: radial distance (m), then, if
+    it is one, the deflection angle (rad), then whatever else is not known (a stiffness, a side, a
+    bearing), each with a proper prior. The mechanics of a rung is named by `model`, ``None`` for
+    the cheapest that the scene needs.
     """
 
     #: Names of the signals, in the order of the last axis of `signals`.
@@ -35,3 +39,9 @@ class Cue(Protocol):
 
     def farthest(self, whisker: Whisker) -> float:
         """Largest radial distance at which the cue works on this whisker, m."""
+
+    def priors(self, whisker: Whisker) -> Mapping[str, Any]:
+        """Frozen SciPy distributions of all unknowns but radial distance and deflection angle."""
+
+    def default_noise(self) -> ReceptorNoise:
+        """Noise of the signals where the user names none."""

@@ -14,6 +14,7 @@ from .densities import refuse_impossible
 Array = NDArray[np.float64]
 
 #: Coarse grid of starting points, per unknown, as fractions of its range.
+#: In three dimensions and more the further unknowns take few values.
 _COARSE = {1: expit(np.linspace(-8.0, 8.0, 129)), 2: expit(np.linspace(-7.0, 6.0, 27))}
 _STEP = 1e-4  # of the finite differences, in x: posteriors there are 0.005 wide and wider
 
@@ -46,16 +47,16 @@ def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
         Most iterations; few posteriors need more than ten.
     """
     dim = len(observer.unknowns)
-    grid = observer.spread(_COARSE[dim])
-    contact, log_jacobian = observer.contact(grid)
+    grid = observer.spread(_COARSE[min(dim, 2)])
+    contact, log_prior = observer.contact(grid)
     signals, outcome = observer.signals(contact)
     held = outcome == 0
     grid, signals = grid[held], signals[held]
-    log_weight = (observer.log_prior(contact) + log_jacobian)[held]
+    log_prior = log_prior[held]
     best = np.empty(len(reading), dtype=np.intp)
     for i in range(0, len(reading), 256):
         part = slice(i, i + 256)
-        value = observer.noise.log_likelihood(reading[part, None], signals) + log_weight
+        value = observer.noise.log_likelihood(reading[part, None], signals) + log_prior
         refuse_impossible(reading[part], value.max(axis=1))
         best[part] = np.argmax(value, axis=1)
 
@@ -93,16 +94,23 @@ def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
 
 def _stencil(dim: int) -> tuple[Array, Array, Array]:
     """Offsets around a point (the point itself first) and the weights of gradient and Hessian."""
-    if dim == 1:
-        offsets = np.array([[0.0], [1.0], [-1.0]])
-        return offsets, np.array([[0.0, 0.5, -0.5]]), np.array([[[-2.0, 1.0, 1.0]]])
-    pairs = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)]
-    gradient = np.zeros((2, 9))
-    gradient[0, 1:3] = gradient[1, 3:5] = [0.5, -0.5]
-    hessian = np.zeros((2, 2, 9))
-    hessian[0, 0, :3], hessian[1, 1, [0, 3, 4]] = [-2, 1, 1], [-2, 1, 1]
-    hessian[0, 1, 5:] = hessian[1, 0, 5:] = [0.25, 0.25, -0.25, -0.25]
-    return np.array(pairs, dtype=float), gradient, hessian
+    unit = np.eye(dim)
+    pairs = [(i, j) for i in range(dim) for j in range(i)]
+    offsets = [np.zeros(dim), *(sign * unit[i] for i in range(dim) for sign in (1, -1))]
+    offsets += [
+        s * unit[i] + t * unit[j] for i, j in pairs for s, t in ((1, 1), (-1, -1), (1, -1), (-1, 1))
+    ]
+    gradient = np.zeros((dim, len(offsets)))
+    hessian = np.zeros((dim, dim, len(offsets)))
+    for i in range(dim):
+        gradient[i, 1 + 2 * i : 3 + 2 * i] = [0.5, -0.5]
+        hessian[i, i, [0, 1 + 2 * i, 2 + 2 * i]] = [-2, 1, 1]
+    for k, (i, j) in enumerate(pairs):
+        first = 1 + 2 * dim + 4 * k
+        hessian[i, j, first : first + 4] = hessian[j, i, first : first + 4] = [
+            0.25, 0.25, -0.25, -0.25,
+        ]  # fmt: skip
+    return np.array(offsets), gradient, hessian
 
 
 def _newton(gradient: Array, hessian: Array, radius: Array) -> Array:

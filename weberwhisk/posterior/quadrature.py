@@ -1,4 +1,4 @@
-"""Quadrature, the reference: panels for one unknown, adaptive grids for two."""
+"""Quadrature, the reference: panels for one unknown, adaptive grids for two to four."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from .panels import Panels
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
-#: Error of mean and sd, over the sd, above which a quadrature is called imprecise.
-TOLERANCE = {1: 1e-6, 2: 1e-2}
+#: Error of mean and sd, over the sd, above which a quadrature is called imprecise: one unknown,
+#: and more.
+TOLERANCE = (1e-6, 1e-2)
 #: Posteriors whose grids are worked on together.
-TOGETHER = 1024
+TOGETHER = 4096
 
 
 @lru_cache(maxsize=32)
@@ -36,7 +37,7 @@ def quadrature(
     panels = _panels(observer)
     m = panels.moments(reading)
     error = np.maximum(m.mean_error, m.sd_error) / m.sd
-    status = np.where(error > (tolerance or TOLERANCE[1]), Status.IMPRECISE, Status.CONVERGED)
+    status = np.where(error > (tolerance or TOLERANCE[0]), Status.IMPRECISE, Status.CONVERGED)
     status = np.where(m.improbable, Status.IMPROBABLE_READING, status)
 
     def quantile_of(p: Array) -> Array:
@@ -72,7 +73,7 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
             root[rows],
             functions=lambda x: contact,
             only_functions=True,
-            tolerance=tolerance or TOLERANCE[dim],
+            tolerance=tolerance or TOLERANCE[1],
             # A ridge that no reading resolves is not worth resolving either.
             max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
             keep_points=keep_points,

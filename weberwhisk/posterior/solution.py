@@ -64,11 +64,17 @@ def is_unidentified(observer: Observer, contact: Array) -> NDArray[np.bool_]:
     """Posteriors to which the reading adds less than the prior in some direction.
 
     In the coordinates x a flat prior has a curvature of ¼ and more: information below that
-    leaves the prior to decide.
+    leaves the prior to decide. Unknowns that the whisker does not bound are known by their priors,
+    and what is left to know of them is taken from the others (Schur complement).
     """
     slope = contact_slope(observer, observer.coordinates(contact))
-    information = np.swapaxes(slope, 1, 2) @ observer.information(contact) @ slope
-    known = np.isfinite(information).all(axis=(1, 2))
+    told = observer.information(contact) + observer.prior_information(contact)
+    information = np.swapaxes(slope, 1, 2) @ told @ slope
+    information = information[np.isfinite(information).all(axis=(1, 2))]
+    n = observer.bounded
+    cross = information[:, :n, n:]
+    shared = cross @ np.linalg.solve(information[:, n:, n:], np.swapaxes(cross, 1, 2))
     least = np.zeros(len(contact))
-    least[known] = np.linalg.eigvalsh(information[known])[:, 0]
+    known = np.isfinite(told).all(axis=(1, 2))
+    least[known] = np.linalg.eigvalsh(information[:, :n, :n] - shared)[:, 0]
     return least < 0.25

@@ -10,34 +10,34 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
-from .ensemble import MoveMaker, default_moves, sample_stacked
+from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
 from .mode import Mode, find_mode
 from .moves import StackedIndependence
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
-#: Monte Carlo error of the sd, over the sd, that emcee goes on for.
-PRECISION = {1: 0.02, 2: 0.03}
-ENSEMBLES, WALKERS = 4, {1: 8, 2: 6}
-#: Steps after which a posterior that has not converged is called so.
-MOST_STEPS = {1: 20_000, 2: 6_000}
+#: Monte Carlo error of the sd, over the sd, that emcee goes on for: one unknown, and more.
+PRECISION = (0.02, 0.03)
+ENSEMBLES = 4
+#: Steps after which a posterior that has not converged is called so: one unknown, and more.
+MOST_STEPS = (20_000, 6_000)
 #: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
-STACKED = {1: 1024, 2: 1024}
+STACKED = 1024
 
 
 def sample(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     dim = len(observer.unknowns)
-    size = STACKED[dim]
+    many = int(dim > 1)
     # The grid of pieces belongs to the seed, so that results do not depend on who runs which.
-    pieces = range(0, len(reading), size)
+    pieces = range(0, len(reading), STACKED)
     seeds = np.random.SeedSequence(int(np.random.default_rng(seed).integers(2**63))).spawn(
         len(pieces)
     )
     samples, modes = [], []
     for i, start in enumerate(pieces):
-        rows = reading[start : start + size]
+        rows = reading[start : start + STACKED]
         rng = np.random.default_rng(seeds[i])
         mode = find_mode(observer, rows)
 
@@ -54,14 +54,14 @@ def sample(
                 seed=rng,
                 moves=_moves(mode),
                 functions=contact,
-                precision=tolerance or PRECISION[dim],
-                max_steps=MOST_STEPS[dim],
+                precision=tolerance or PRECISION[many],
+                max_steps=MOST_STEPS[many],
                 indexed=True,
             )
         )
         modes.append(mode.x)
         if progress:
-            progress(min(start + size, len(reading)), len(reading))
+            progress(min(start + STACKED, len(reading)), len(reading))
     joined = {
         name: np.concatenate([getattr(s, name) for s in samples])
         for name in ("mean", "sd", "mcse_mean", "mcse_sd", "shortfall")
@@ -88,7 +88,7 @@ def sample(
 
 
 def _moves(mode: Mode) -> list[tuple[MoveMaker, float]]:
-    """In two dimensions every second step is drawn anew about the mode.
+    """With several unknowns every second step is drawn anew about the mode.
 
     That halves the steps of posteriors near to Gaussian (k = 0.03: 97 instead of 58 a second, side
     by side); in one dimension differential evolution is as good alone.
@@ -103,7 +103,7 @@ def _moves(mode: Mode) -> list[tuple[MoveMaker, float]]:
 def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:
     """Walkers (B, E, W, U) about the modes, wider than the posterior, all inside its support."""
     dim = mode.x.shape[1]
-    shape = (len(reading), ENSEMBLES, WALKERS[dim], dim)
+    shape = (len(reading), ENSEMBLES, recommended_walkers(dim), dim)
     root = mode_root(mode, widen=1.5)
     z = rng.standard_normal(shape)
     x = mode.x[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
