@@ -3,5 +3,6 @@
 from .compliance import Compliance
 from .force_map import ForceMap
 from .protocol import Cue
+from .vibrissa_length import VibrissaLength
 
-__all__ = ["Compliance", "Cue", "ForceMap"]
+__all__ = ["Compliance", "Cue", "ForceMap", "VibrissaLength"]

@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from ..receptors import ReceptorNoise
+from ..receptors import Events, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .solution import IMPROBABLE
@@ -203,8 +203,14 @@ class Panels:
         return ((length > LONGEST) | rough) & (half > SHORTEST)
 
     def _spread(self, signals: Array) -> tuple[Array, Array]:
-        """Mean and sd of the readings of signals (n, S), (n, R) each."""
+        """Mean and sd of the readings of signals (n, S), (n, R) each.
+
+        Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
+        """
         noise = self.observer.noise
+        if isinstance(noise, Events):
+            mean = noise.stabilised(signals)
+            return mean, np.ones_like(mean)
         return noise.mean(signals), noise.sd(signals)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
@@ -284,7 +290,7 @@ class Panels:
 
 def _prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
     """ln p(reading | signals of a panel), for readings (n, R) and panels (n,)."""
-    if isinstance(noise, Gaussian):
+    if isinstance(noise, Gaussian | Events):
         return noise.prepared(signals)
 
     def log_likelihood(reading: Array, panel: Index) -> Array:
