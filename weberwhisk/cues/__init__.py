@@ -1,8 +1,17 @@
 """The paper's methods of radial distance determination (§2a–h), behind one protocol."""
 
+from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .compliance import Compliance
 from .force_map import ForceMap
 from .protocol import Cue
 from .vibrissa_length import VibrissaLength
 
-__all__ = ["Compliance", "Cue", "ForceMap", "VibrissaLength"]
+__all__ = [
+    "AngleSideAngle",
+    "Compliance",
+    "ContactAndDetachment",
+    "Cue",
+    "ForceMap",
+    "TwoWhiskers",
+    "VibrissaLength",
+]
