@@ -206,6 +206,8 @@ class Observer:
     def _angles(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""
         limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
+        if hasattr(self.cue, "largest_angle"):
+            limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)

@@ -1,6 +1,7 @@
 """The paper's methods of radial distance determination (§2a–h), behind one protocol."""
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
+from .balance_of_moments import BalanceOfMoments
 from .compliance import Compliance
 from .force_map import ForceMap
 from .protocol import Cue
@@ -8,6 +9,7 @@ from .vibrissa_length import VibrissaLength
 
 __all__ = [
     "AngleSideAngle",
+    "BalanceOfMoments",
     "Compliance",
     "ContactAndDetachment",
     "Cue",
