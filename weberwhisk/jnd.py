@@ -266,7 +266,7 @@ def jnd_curve(
     if draws < 2:
         raise ValueError(f"A JND needs at least two noisy readings, got draws={draws}; write 200.")
     contact = _contact(observer, radial_distance, deflection_angle)
-    _, outcome = observer.signals(contact)
+    signals, outcome = observer.signals(contact)
     held = outcome == Outcome.HELD
     table = pd.DataFrame(
         {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
@@ -278,7 +278,7 @@ def jnd_curve(
     table[list(columns)] = np.nan
     if held.any():
         reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
-        readings = observer.read(np.repeat(contact[held], draws, axis=0), reading_seed)
+        readings = observer.noise.sample(np.repeat(signals[held], draws, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
         sd, mean = (np.reshape(v, (-1, draws)) for v in (result.sd, result.mean))
         scatter = mean.std(axis=1, ddof=1)

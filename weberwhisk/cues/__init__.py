@@ -2,6 +2,7 @@
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
+from .comparative_length import ComparativeLength
 from .compliance import Compliance
 from .force_map import ForceMap
 from .protocol import Cue
@@ -10,6 +11,7 @@ from .vibrissa_length import VibrissaLength
 __all__ = [
     "AngleSideAngle",
     "BalanceOfMoments",
+    "ComparativeLength",
     "Compliance",
     "ContactAndDetachment",
     "Cue",

@@ -27,6 +27,7 @@ class Outcome(IntEnum):
     TIP_NOT_TOUCHED = 11
     PARALLEL = 12
     END_OF_WHISKING = 13
+    CONTRADICTORY = 14
 
     @property
     def message(self) -> str:
@@ -47,6 +48,7 @@ _MESSAGES = {
     Outcome.TIP_NOT_TOUCHED: "tip not touched: the shaft was, so that only what lies beyond "
     "the tip is ruled out",
     Outcome.PARALLEL: "parallel: the two lines of sight do not meet ahead of the whisker",
+    Outcome.CONTRADICTORY: "contradictory: no distance lets just these whiskers touch",
     Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
 }
 

@@ -231,8 +231,17 @@ class Panels:
 
     def moments(self, reading: Array, *, rows: int = 128) -> PanelMoments:
         """Moments of r for readings (B, S)."""
+        if isinstance(self.observer.noise, Events) and len(reading) > 1:
+            # Few things can happen: each is weighed once.
+            reading, back = np.unique(reading, axis=0, return_inverse=True)
+            of_each = self._in_parts(reading, rows)
+            return PanelMoments(*(column[back.reshape(-1)] for column in of_each))
+        return PanelMoments(*self._in_parts(reading, rows))
+
+    def _in_parts(self, reading: Array, rows: int) -> list[Any]:
+        """The columns of `PanelMoments`, of few readings at a time."""
         parts = [self._moments(reading[i : i + rows]) for i in range(0, len(reading), rows)]
-        return PanelMoments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
     def _weigh(self, reading: Array) -> tuple[Index, Index, Index, Array, Array]:
         """`_pairs` of readings and panels, their nodes' weights (n, 15), ln of the largest.

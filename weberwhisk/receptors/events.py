@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite, non_negative
 from .protocol import Array, Seed
 
-#: Chances below are rounding of what the others leave, and so are their slopes.
-_ROUNDING = float(np.finfo(float).eps)
+#: Chances below inform of nothing, as p'²/p falls with p; dividing by them would magnify what
+#: rounding leaves of sums over the others' slopes.
+_NEGLIGIBLE = 1e-10
 
 
 class Events:
@@ -151,7 +152,7 @@ class Events:
 
     def fisher(self, signals: ArrayLike) -> Array:
         """Fisher information about the chances, (..., S, S): diag(1/p) + 1/p_last."""
-        chance = np.maximum(self.chances(signals), _ROUNDING)
+        chance = np.maximum(self.chances(signals), _NEGLIGIBLE)
         size = chance.shape[-1] - 1
         own = np.eye(size) / chance[..., None, :-1]
         return np.asarray((1 - self.misreport) ** 2 * (own + 1 / chance[..., -1:, None]))
