@@ -12,9 +12,11 @@ model               sd of a reading of a signal I              information about
 =================== ========================================== ==================================
 
 Signals carry their kinds (moment, axial force, …) along the last axis, and so do readings, but for
-`SpikeCount`, whose readings are counts, one for each afferent.
+`SpikeCount`, whose readings are counts, one for each afferent, and `Events`, whose signals are
+chances. Constant noise, natural for angles, is `GeneralisedWeber(0, floor=sd)`.
 """
 
+from .events import Events
 from .gaussian import GeneralisedWeber, NearMiss, Saturating, Weber
 from .log_normal import LogNormal
 from .protocol import Array, ReceptorNoise, Seed
@@ -23,6 +25,7 @@ from .spike_count import Afferents, SpikeCount
 __all__ = [
     "Afferents",
     "Array",
+    "Events",
     "GeneralisedWeber",
     "LogNormal",
     "NearMiss",
