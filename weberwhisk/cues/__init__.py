@@ -2,6 +2,9 @@
 
 from .compliance import Compliance
 from .force_map import ForceMap
+from .fused import Fused
+from .lateral_slip import LateralSlip
 from .protocol import Cue
+from .unknown_stiffness import UnknownStiffness
 
-__all__ = ["Compliance", "Cue", "ForceMap"]
+__all__ = ["Compliance", "Cue", "ForceMap", "Fused", "LateralSlip", "UnknownStiffness"]

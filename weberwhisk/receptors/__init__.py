@@ -12,10 +12,12 @@ model               sd of a reading of a signal I              information about
 =================== ========================================== ==================================
 
 Signals carry their kinds (moment, axial force, …) along the last axis, and so do readings, but for
-`SpikeCount`, whose readings are counts, one for each afferent.
+`SpikeCount`, whose readings are counts, one for each afferent. `Joint` gives each group of signals
+a model of its own.
 """
 
 from .gaussian import GeneralisedWeber, NearMiss, Saturating, Weber
+from .joint import Joint
 from .log_normal import LogNormal
 from .protocol import Array, ReceptorNoise, Seed
 from .spike_count import Afferents, SpikeCount
@@ -24,6 +26,7 @@ __all__ = [
     "Afferents",
     "Array",
     "GeneralisedWeber",
+    "Joint",
     "LogNormal",
     "NearMiss",
     "ReceptorNoise",
