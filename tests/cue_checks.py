@@ -63,7 +63,7 @@ def brute_force(observer, reading, points=400_000):
     else:
         # First a coarse look at where the mass is, then a fine one there.
         name, box = observer.unknowns[1], [(low, high), _range(observer)]
-        for n in (700, int(np.sqrt(points))):
+        for n in (500, 500, 2 * int(np.sqrt(points))):
             axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in box]
             contact = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
             table = observer.log_likelihood(reading, contact)

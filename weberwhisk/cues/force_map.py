@@ -159,7 +159,9 @@ class ForceMap:
         if self.deflection_angle is not None and self.signal_names == ("moment",):
             contact = self._bisect(whisker, wanted)
         elif self.deflection_angle is None and len(self.signal_names) == 2:
-            contact = self._solve(whisker, wanted, steps)
+            order = np.argsort(self._columns)  # as the closed form has them
+            ordered = ForceMap([self.signal_names[i] for i in order])
+            contact = ordered._solve(whisker, wanted[..., order], steps)
         else:
             raise ValueError(
                 f"There is no unique contact for the signals of {self!r}; write posterior(), "
@@ -184,7 +186,9 @@ class ForceMap:
         if self.signal_names == SIGNALS[:2]:
             start = closed_form.contact_from_signals(whisker, wanted[..., 0], wanted[..., 1])
             known = np.isfinite(start[0])
-            contact[known] = self._newton(whisker, wanted[known], *(s[known] for s in start), steps)
+            contact[known] = self._newton(
+                whisker, wanted[known], start[0][known], start[1][known], steps
+            )
         # Large angles are far from the closed form: start again from the nearest of a coarse map.
         missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)
         if np.any(missed) and (np.any(whisker.taper) or self.signal_names != SIGNALS[:2]):
@@ -193,14 +197,13 @@ class ForceMap:
             )
         return contact
 
-    def _logarithm(self, whisker: Whisker, signals: Array) -> tuple[Array, Array]:
-        """Signals on an axis that is logarithmic but for the smallest, and its slope.
-
-        There the map is nearly linear; and signals may have either sign.
-        """
-        scales = np.array([whisker.moment_scale, whisker.force_scale, whisker.force_scale])
-        least = 1e-9 * scales[self._columns].astype(float)
-        return np.arcsinh(signals / least), 1 / np.hypot(signals, least)
+    def _size(self, whisker: Whisker, wanted: Array) -> Array:
+        """Of the signals; of the transverse force, which passes through zero, not much less."""
+        size = np.abs(wanted)
+        if 2 in self._columns[1:]:
+            other = size[..., 0] / (whisker.length if self._columns[0] == 0 else 1.0)
+            size[..., 1] = np.maximum(size[..., 1], 0.1 * other)
+        return size
 
     def _nearest(self, whisker: Whisker, wanted: Array) -> tuple[Array, Array]:
         """The contact of a coarse map whose signals are nearest in logarithms, (n,) each."""
@@ -208,22 +211,23 @@ class ForceMap:
         share = np.sin(np.linspace(0.02, 0.98, 50) * np.pi / 2)
         theta = share * ladder.flick_past(whisker, r).deflection_angle
         grid = np.stack(np.broadcast_arrays(r, theta), axis=-1).reshape(-1, 2)
-        known = self._logarithm(whisker, self.signals(whisker, grid)[0])[0]
-        aims = self._logarithm(whisker, wanted)[0]
-        best = [np.nansum((known - y) ** 2, axis=1).argmin() for y in aims]
+        known = self.signals(whisker, grid)[0]
+        sizes = self._size(whisker, wanted)
+        best = [
+            np.nansum(_miss(known, y, size)[0] ** 2, axis=1).argmin()
+            for y, size in zip(wanted, sizes, strict=True)
+        ]
         return grid[best, 0], grid[best, 1]
 
     def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array, steps: int) -> Array:
         """Newton's method in ln r and ln θ_d. NaN where it fails."""
         length = float(whisker.length)
         r = np.minimum(r, 0.98 * length)
-        aim, _ = self._logarithm(whisker, wanted)
-        miss = np.full(wanted.shape, np.inf)
+        miss, size = np.full(wanted.shape, np.inf), self._size(whisker, wanted)
         for _ in range(steps):
             theta = np.minimum(theta, 0.995 * ladder.flick_past(whisker, r).deflection_angle)
             point = np.stack([r, theta], axis=-1)
-            now, slope = self._logarithm(whisker, self.signals(whisker, point, model="elastica")[0])
-            miss = aim - now
+            miss, slope = _miss(self.signals(whisker, point, model="elastica")[0], wanted, size)
             if np.all(np.abs(miss) < 1e-13):
                 break
             (a, b), (c, d) = np.moveaxis(
@@ -236,3 +240,13 @@ class ForceMap:
             theta = theta * np.exp(step_theta)
         found = np.all(np.abs(miss) < 1e-9, axis=-1)
         return np.where(found[:, None], np.stack([r, theta], axis=-1), np.nan)
+
+
+def _miss(signals: Array, wanted: Array, size: Array) -> tuple[Array, Array]:
+    """How far signals are from those wanted, and how fast that falls with each signal.
+
+    On an axis that is logarithmic for signals that are far too large, as there the map is nearly
+    linear, and that passes through zero smoothly.
+    """
+    miss = np.arcsinh(wanted / size) - np.arcsinh(signals / size)
+    return miss, 1 / np.hypot(signals, size)
