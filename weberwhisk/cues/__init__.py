@@ -6,5 +6,6 @@ from .fused import Fused
 from .lateral_slip import LateralSlip
 from .protocol import Cue
 from .unknown_stiffness import UnknownStiffness
+from .vibration import Vibration
 
-__all__ = ["Compliance", "Cue", "ForceMap", "Fused", "LateralSlip", "UnknownStiffness"]
+__all__ = ["Compliance", "Cue", "ForceMap", "Fused", "LateralSlip", "UnknownStiffness", "Vibration"]

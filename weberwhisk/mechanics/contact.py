@@ -23,6 +23,7 @@ class Outcome(IntEnum):
     OUT_OF_REACH = 4
     STUCK = 5
     TOUCHES_TWICE = 6
+    UNRESOLVED = 7
 
     @property
     def message(self) -> str:
@@ -39,6 +40,7 @@ _MESSAGES = {
     Outcome.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
     Outcome.STUCK: "stuck: at this friction the contact does not slide so far",
     Outcome.TOUCHES_TWICE: "touches twice: the whisker meets the object at a second point",
+    Outcome.UNRESOLVED: "unresolved: damping merges the peaks of neighbouring modes",
 }
 
 
