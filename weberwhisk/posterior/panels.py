@@ -8,6 +8,7 @@ could have come from.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,8 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
+from ..receptors import ReceptorNoise
+from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .solution import IMPROBABLE
 
@@ -64,6 +67,9 @@ _RISE = (
     )
     @ _TO_LEGENDRE
 )
+
+#: Sums by the rule of 15 and by that of 7, of nodes that are weighted by the first.
+_RULES = np.stack([np.ones(15), GAUSS / KRONROD], axis=1)
 
 #: From r = 1e-8 of the reach to 1 − 4e-15 of it: beyond, there is no mass to speak of.
 X_RANGE = (-3.6, 4.2)
@@ -146,20 +152,17 @@ class Panels:
         self.left, self.half = left[order], (right - left)[order] / 2
         x = self.left[:, None] + self.half[:, None] * (NODES + 1)
         contact, log_prior = observer.contact(x.reshape(-1, 1))
-        self.r = contact[:, 0]
+        self.r = contact.reshape(x.shape)
         signals, outcome = observer.signals(contact)
         held = outcome == Outcome.HELD
-        self.signals = np.where(held[:, None], signals, 1.0)
-        self.log_weight = np.where(
-            held,
-            log_prior + np.log(self.half[:, None] * KRONROD).reshape(-1),
-            -np.inf,
-        )
+        signals = np.where(held[:, None], signals, 1.0).reshape(*x.shape, -1)
+        log_prior = np.where(held, log_prior, -np.inf).reshape(x.shape)
+        self.log_weight = log_prior + np.log(self.half[:, None] * KRONROD)
+        #: ln p(reading | each node) and ln p(reading | each middle), for readings and panels.
+        self._at_nodes = _prepared(observer.noise, signals)
+        self._at_middle = _prepared(observer.noise, signals[:, 7])
         self._plausible, self._probable = (
-            _Window(
-                *(b.reshape(*x.shape, -1) for b in observer.noise.interval(self.signals, width))
-            )
-            for width in (WINDOW, IMPROBABLE)
+            _Window(*observer.noise.interval(signals, width)) for width in (WINDOW, IMPROBABLE)
         )
 
     def _edges(self) -> Array:
@@ -211,16 +214,11 @@ class Panels:
         nothing = first >= last
         first, last = np.where(nothing, 0, first), np.where(nothing, count, last)
         # Of these, keep what has mass: the middles of the panels tell.
-        counts = last - first
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        panel = np.arange(counts.sum()) + np.repeat(first - starts, counts)
-        middle = panel * 15 + 7
-        log = self.log_weight[middle] + self.observer.noise.log_likelihood(
-            np.repeat(reading, counts, axis=0), self.signals[middle]
-        )
+        starts, row, panel = _pairs(first, last)
+        log = self.log_weight[panel, 7] + self._at_middle(reading[row], panel)
         top = np.maximum.reduceat(log, starts)
         refuse_impossible(reading, top)
-        slight = log < np.repeat(top, counts) - NEGLIGIBLE
+        slight = log < top[row] - NEGLIGIBLE
         first = np.minimum.reduceat(np.where(slight, count, panel), starts)
         last = np.maximum.reduceat(np.where(slight, -1, panel), starts) + 1
         return np.maximum(first - 1, 0), np.minimum(last + 1, count)
@@ -230,43 +228,36 @@ class Panels:
         parts = [self._moments(reading[i : i + rows]) for i in range(0, len(reading), rows)]
         return PanelMoments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _weigh(self, reading: Array) -> tuple[Index, Index, Array, Array]:
-        """Where each reading's nodes start, which they are, their weights, ln of the largest."""
-        logs, index, starts = self._log_weights(reading, *self._window(reading))
-        top = np.maximum.reduceat(logs, starts)
-        counts = np.diff(np.append(starts, len(index)))
-        return starts, index, np.exp(logs - np.repeat(top, counts)), top
+    def _weigh(self, reading: Array) -> tuple[Index, Index, Index, Array, Array]:
+        """`_pairs` of readings and panels, their nodes' weights (n, 15), ln of the largest.
 
-    def _log_weights(self, reading: Array, first: Index, last: Index) -> tuple[Array, Index, Index]:
-        counts = (last - first) * 15
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        index = np.arange(counts.sum()) + np.repeat(first * 15 - starts, counts)
-        likelihood = self.observer.noise.log_likelihood(
-            np.repeat(reading, counts, axis=0), self.signals[index]
-        )
-        return likelihood + self.log_weight[index], index, starts
+        Weights are over the largest of their reading.
+        """
+        starts, row, panel = _pairs(*self._window(reading))
+        log = self._at_nodes(reading[row], panel)
+        log += self.log_weight[panel]
+        top = np.maximum.reduceat(log.reshape(-1), starts * 15)
+        log -= top[row, None]
+        return starts, row, panel, np.exp(log, out=log), top
 
     def _moments(self, reading: Array) -> tuple[Any, ...]:
-        starts, index, weight, top = self._weigh(reading)
-        counts = np.diff(np.append(starts, len(index)))
-        r = self.r[index]
-        embedded = weight * np.tile(GAUSS / KRONROD, len(index) // 15)
-
-        def moments(w: Array) -> tuple[Array, Array, Array]:
-            mass = np.add.reduceat(w, starts)
-            mean = np.add.reduceat(w * r, starts) / mass
-            spread = np.add.reduceat(w * (r - np.repeat(mean, counts)) ** 2, starts) / mass
-            return mass, mean, np.sqrt(spread)
-
-        mass, mean, sd = moments(weight)
-        _, mean_7, sd_7 = moments(embedded)
+        starts, row, panel, weight, top = self._weigh(reading)
+        of_panels = weight @ _RULES
+        mass = np.add.reduceat(of_panels, starts).T
+        # Squares are of distances from near the mean, so that their sums do not cancel.
+        origin = np.add.reduceat(of_panels[:, 0] * self.r[panel, 7], starts) / mass[0]
+        d = self.r[panel] - origin[row, None]
+        first = np.add.reduceat((weight * d) @ _RULES, starts).T / mass
+        second = np.add.reduceat((weight * d * d) @ _RULES, starts).T / mass
+        mean, mean_7 = origin + first
+        sd, sd_7 = np.sqrt(np.maximum(second - first**2, 0.0))
         # QUADPACK's rule for what the error of the 15 points is, given that of the 7.
         errors = [
             np.minimum((200 * np.abs(a - b) / sd) ** 1.5, 1.0) * sd
             for a, b in ((mean, mean_7), (sd, sd_7))
         ]
-        first, last = self._probable(reading)
-        return mean, sd, *errors, np.log(mass) + top, first >= last
+        low, high = self._probable(reading)
+        return mean, sd, *errors, np.log(mass[0]) + top, low >= high
 
     def quantiles(self, reading: Array, probability: Array, *, rows: int = 128) -> Array:
         """Quantiles (B, Q) of r for readings (B, S), at probabilities (B, Q) or (Q,)."""
@@ -274,22 +265,41 @@ class Panels:
         out = np.empty(probability.shape)
         for start in range(0, len(reading), rows):
             part = slice(start, start + rows)
-            begins, index, weight, _ = self._weigh(reading[part])
-            ends = np.append(begins[1:], len(index))
-            for row, (i, j) in enumerate(zip(begins, ends, strict=True)):
-                out[start + row] = self._invert(index[i:j], weight[i:j], probability[start + row])
+            starts, _, panel, weight, _ = self._weigh(reading[part])
+            ends = np.append(starts[1:], len(panel))
+            for row, (i, j) in enumerate(zip(starts, ends, strict=True)):
+                out[start + row] = self._invert(panel[i:j], weight[i:j], probability[start + row])
         return out
 
-    def _invert(self, index: Index, weight: Array, probability: Array) -> Array:
+    def _invert(self, panel: Index, weight: Array, probability: Array) -> Array:
         """Quantiles of one reading: the cumulative mass at every node, inverted in x."""
-        panels = index[::15] // 15
-        density = (weight / np.tile(KRONROD, len(weight) // 15)).reshape(-1, 15)
+        density = weight / KRONROD
         inside = density @ _RISE.T
-        before = np.concatenate([[0.0], np.cumsum(weight.reshape(-1, 15).sum(axis=1))])
-        x = self.left[panels, None] + self.half[panels, None] * (NODES + 1)
+        before = np.concatenate([[0.0], np.cumsum(weight.sum(axis=1))])
+        x = self.left[panel, None] + self.half[panel, None] * (NODES + 1)
         cumulative = np.maximum.accumulate((before[:-1, None] + inside).reshape(-1) / before[-1])
-        step = density.reshape(-1) / (before[-1] * np.repeat(self.half[panels], 15))
+        step = (density / (before[-1] * self.half[panel, None])).reshape(-1)
         return _hermite_inverse(x.reshape(-1), cumulative, step, probability, self.observer)
+
+
+def _prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
+    """ln p(reading | signals of a panel), for readings (n, R) and panels (n,)."""
+    if isinstance(noise, Gaussian):
+        return noise.prepared(signals)
+
+    def log_likelihood(reading: Array, panel: Index) -> Array:
+        apart = (len(reading), *(1,) * (signals.ndim - 2), -1)
+        return noise.log_likelihood(reading.reshape(apart), signals[panel])
+
+    return log_likelihood
+
+
+def _pairs(first: Index, last: Index) -> tuple[Index, Index, Index]:
+    """Where each row's pairs start, and the row and the panel of every pair."""
+    counts = last - first
+    starts = np.cumsum(counts) - counts
+    row = np.repeat(np.arange(len(counts)), counts)
+    return starts, row, np.arange(len(row)) + (first - starts)[row]
 
 
 def _hermite_inverse(
