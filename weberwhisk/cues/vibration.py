@@ -52,15 +52,15 @@ class Vibration:
     information is that of the amplitudes with J unknown, Σ(l_n − l̄)²/k² with l_n = d ln|φ_n|/dr.
     An amplitude of zero, at a node, is felt no better than the floor of the noise.
 
-    The signature need not be unique: see `weberwhisk.posterior.count_peaks`.
+    The signature need not be unique: `posterior.peaks.count_peaks` counts.
 
     Examples
     --------
     >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
     >>> ratios, outcome = Vibration(3).signals(w, np.array([[20e-3], [45e-3]]))
     >>> ratios.round(2)
-    array([[3.32, 5.98],
-           [0.54, 0.12]])
+    array([[1.64, 1.69],
+           [1.43, 0.81]])
     """
 
     unknowns: tuple[str, ...] = ("radial_distance",)
