@@ -26,6 +26,7 @@ def prior_draws(observer, n, seed):
                 columns.append(rng.uniform(0, 2, 4 * n))  # no whisker holds an angle above 2 rad
         contact = np.stack(columns, axis=-1)
         inside = (contact[:, 0] > low) & (contact[:, 0] < high)
+        inside &= np.all(contact[:, : observer.bounded] > 0, axis=1)
         kept = np.concatenate([kept, contact[inside & (observer.signals(contact)[1] == 0)]])
     return kept[:n]
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         read_trials,
         simulate_trials,
     )
+    from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor, jnd_curve
     from .mechanics import (
         Bending,
@@ -70,6 +71,9 @@ _HOME = {
     "Posterior": "posterior",
     "Status": "posterior",
     "posterior": "posterior",
+    "added_information": "fusion",
+    "fused_jnds": "fusion",
+    "information": "fusion",
     "convert_jnd": "jnd",
     "criterion_factor": "jnd",
     "jnd_curve": "jnd",
@@ -94,6 +98,7 @@ __all__ = [
     "Trials",
     "WeberFit",
     "Whisker",
+    "added_information",
     "bend",
     "choose_rung",
     "convert_jnd",
@@ -101,7 +106,9 @@ __all__ = [
     "cues",
     "fit_weber",
     "flick_past",
+    "fused_jnds",
     "identities",
+    "information",
     "jnd_curve",
     "mechanics",
     "posterior",
