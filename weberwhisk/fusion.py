@@ -257,7 +257,8 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
         The unknowns, ``criterion``; Fisher JNDs in metres: of each cue under its name, of the
         ``best`` of them, of their ``optimal`` combination as though they shared nothing but the
         distance (1/Δ² = Σ 1/Δᵢ²), and ``together``; and ``gain``, best over together. Where cues
-        share another unknown, together is better than optimal: one tells what the other needs.
+        share another unknown, together is better than optimal if one tells what the other needs,
+        and worse if both lean on the same prior of it.
 
     Raises
     ------
