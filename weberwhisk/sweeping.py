@@ -352,6 +352,7 @@ _COLUMNS: dict[str, tuple[int, ...]] = {
 
 def _summary(state: Array, weight: Array, push: float) -> dict[str, Any]:
     """What weighted states say of the contact."""
+    state, weight = state[weight > 0], weight[weight > 0]  # the others may be nowhere
     contact, path = state[:, :2], _world(state[:, 0], state[:, 1], push)
     mean, middle = weight @ contact, weight @ path
     sd, path_sd = (np.sqrt(weight @ np.square(v - m)) for v, m in ((contact, mean), (path, middle)))
