@@ -23,11 +23,12 @@ class Outcome(IntEnum):
     OUT_OF_REACH = 4
     STUCK = 5
     TOUCHES_TWICE = 6
-    NO_TOUCH = 10
-    TIP_NOT_TOUCHED = 11
-    PARALLEL = 12
-    END_OF_WHISKING = 13
-    CONTRADICTORY = 14
+    UNRESOLVED = 7
+    NO_TOUCH = 8
+    TIP_NOT_TOUCHED = 9
+    PARALLEL = 10
+    END_OF_WHISKING = 11
+    CONTRADICTORY = 12
 
     @property
     def message(self) -> str:
@@ -44,6 +45,7 @@ _MESSAGES = {
     Outcome.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
     Outcome.STUCK: "stuck: at this friction the contact does not slide so far",
     Outcome.TOUCHES_TWICE: "touches twice: the whisker meets the object at a second point",
+    Outcome.UNRESOLVED: "unresolved: damping merges the peaks of neighbouring modes",
     Outcome.NO_TOUCH: "no touch: nothing was felt, so that only what lies in reach is ruled out",
     Outcome.TIP_NOT_TOUCHED: "tip not touched: the shaft was, so that only what lies beyond "
     "the tip is ruled out",
