@@ -6,17 +6,26 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import Compliance, Cue, ForceMap
+from weberwhisk.cues import BalanceOfMoments, Compliance, Cue, ForceMap, VibrissaLength
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
-CUES = [Compliance(), Compliance(tap_angle=0.15, angular_velocity=4.0), ForceMap()]
+CUES = [
+    Compliance(),
+    Compliance(tap_angle=0.15, angular_velocity=4.0),
+    ForceMap(),
+    VibrissaLength(),
+    BalanceOfMoments(effort=None),
+]
 
 
 def contacts(cue, n=50):
     rng = np.random.default_rng(1)
     r = rng.uniform(0.05, 0.8, n) * W.length
-    theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.9, n)
+    limit = ww.flick_past(W, r).deflection_angle
+    if hasattr(cue, "largest_angle"):
+        limit = cue.largest_angle(W, r)
+    theta = limit * rng.uniform(0.05, 0.9, n)
     return np.stack([r, theta], axis=-1)[:, : len(cue.unknowns)]
 
 
