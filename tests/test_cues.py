@@ -6,7 +6,14 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import BalanceOfMoments, Compliance, Cue, ForceMap, VibrissaLength
+from weberwhisk.cues import (
+    BalanceOfMoments,
+    Compliance,
+    Cue,
+    ForceMap,
+    Fused,
+    VibrissaLength,
+)
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -14,6 +21,9 @@ CUES = [
     Compliance(),
     Compliance(tap_angle=0.15, angular_velocity=4.0),
     ForceMap(),
+    ForceMap(["transverse_force", "moment", "axial_force"]),
+    ForceMap("moment", deflection_angle=0.15),
+    Fused(Compliance(), ForceMap()),
     VibrissaLength(),
     BalanceOfMoments(effort=None),
 ]
@@ -67,7 +77,7 @@ def test_compliance_reaches_as_far_as_the_tap_can_be_held():
     signals, outcome = cue.signals(W, beyond)
     assert outcome[0] == Outcome.FLICKED_PAST
     assert np.isnan(signals).all()
-    with pytest.raises(ValueError, match="No contact holds a tap of 120"):
+    with pytest.raises(ValueError, match="No contact holds a tap_angle of 120"):
         Compliance(tap_angle=np.radians(120)).farthest(W)
 
 

@@ -427,6 +427,15 @@ def test_contact_at_the_very_base_and_tip():
     assert bend(STRAIGHT, 50.1e-3, 1e-9).outcome is Outcome.OUT_OF_REACH
 
 
+def test_a_curved_whisker_is_touched_at_the_tip_that_bend_finds():
+    """Rounding must not put the very tip beyond reach, nor a hair's breadth within it."""
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)
+    rest = bend(w, 50e-3, 0.0)
+    assert press(w, rest.radial_distance, rest.deflection_angle).outcome is Outcome.HELD
+    beyond = press(w, rest.radial_distance * (1 + 1e-7), rest.deflection_angle)
+    assert beyond.outcome is Outcome.OUT_OF_REACH
+
+
 def test_zero_load():
     """Nothing bends, and a curved whisker keeps the angles of its rest."""
     flat = bend(STRAIGHT, 25e-3, 0.0)

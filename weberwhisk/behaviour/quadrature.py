@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from .dispersion import DispersedAnswers
 from .likelihood import WeberModel
 from .mode import find_mode, log_lapses_possible, log_score_prior
 from .priors import TINY
@@ -164,7 +165,7 @@ def evaluate(
     joint = np.empty((k.size, *sheet))
     mass = np.empty((*centre.shape[:2], offsets.size, model.n_groups))
     thinned = np.zeros(k.size)
-    answers = _Answers(model, lo, hi)
+    answers = (_Answers if model.dispersed is None else DispersedAnswers)(model, lo, hi)
     rows = max(1, CHUNK // (lo.size * offsets.size * max(model.cells.n.size, 1)))
     for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
         bias = centre[i, :, None, :] + spread[i, :, None, :] * offsets[:, None]  # (r, X, B, G)
@@ -218,10 +219,6 @@ class _Answers:
     def __call__(self, d: Array, pushed: Array, effects: Array) -> Array:
         """Shape (r, S, B, G) from decision variables (r, 1, 1, C) and biases (r, X, B, C)."""
         both = self.model.task.chance(d, pushed)
-        if self.model.dispersed is not None:
-            p, q = (self.slope * a + b for a, b in zip(both, (self.low, self.high), strict=True))
-            rho = effects[:, self.model.dispersed, None, None, None]
-            return np.asarray(self.model.beta_binomial(p, q, rho) @ self.model.membership)
         total: Array | float = 0.0
         for side, lapse, (some, weight) in zip(
             both, (self.low, self.high), self.sides, strict=True

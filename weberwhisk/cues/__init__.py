@@ -5,7 +5,11 @@ from .balance_of_moments import BalanceOfMoments
 from .comparative_length import ComparativeLength
 from .compliance import Compliance
 from .force_map import ForceMap
+from .fused import Fused
+from .lateral_slip import LateralSlip
 from .protocol import Cue
+from .unknown_stiffness import UnknownStiffness
+from .vibration import Vibration
 from .vibrissa_length import VibrissaLength
 
 __all__ = [
@@ -16,6 +20,10 @@ __all__ = [
     "ContactAndDetachment",
     "Cue",
     "ForceMap",
+    "Fused",
+    "LateralSlip",
     "TwoWhiskers",
+    "UnknownStiffness",
+    "Vibration",
     "VibrissaLength",
 ]

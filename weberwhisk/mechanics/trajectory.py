@@ -208,12 +208,9 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
                 _slope(now, weight[i], give[i], load[i], curl[i], slopes[i], rates[i])
             state += np.dot(WEIGHTS, slopes.reshape(STAGES, -1)).reshape(FED, n)
             sums += np.dot(WEIGHTS, rates.reshape(STAGES, -1)).reshape(SUMMED, n)
-            # From the two estimates of DOP853, of order h⁴ and h⁶ (Hairer, Nørsett & Wanner I,
-            # II.10), but combined to the order h⁹ of the method's own error, where they make it h⁸.
             for part, what in ((slice(3), slopes[:, :3]), (slice(3, 4), rates[:, :1])):
                 third, fifth = np.dot(ERRORS, what.reshape(STAGES, -1)) ** 2
-                share = fifth / (fifth + 0.01 * third + 1e-300)
-                error[part] += np.sqrt(fifth * share * np.sqrt(share)).reshape(-1, n)
+                error[part] += local_error(third, fifth).reshape(-1, n)
             turned = (state[1] < 0) & ((state[0] > 0) != left)
             if np.any(turned):
                 wound += np.where(turned, np.where(state[0] > 0, 1.0, -1.0), 0.0)
@@ -304,6 +301,16 @@ def _slope(
     out[4] -= give * state[2]
     np.multiply(rates[0], state[3:5], out=out[5:])  # (X, Y)' = (cos χ, sin χ), so
     np.multiply(out[2], state[3:5], out=rates[1:])  # (δX, δY)' = (−Y', X') δχ
+
+
+def local_error(third: Array, fifth: Array) -> Array:
+    """The error of a step from the squares of DOP853's two estimates, of order h⁴ and h⁶.
+
+    Combined to the order h⁹ of the method's own error; Hairer, Nørsett & Wanner (I, II.10) make it
+    h⁸.
+    """
+    share = fifth / (fifth + 0.01 * third + 1e-300)
+    return np.asarray(np.sqrt(fifth * share * np.sqrt(share)))
 
 
 def _determinant(state: Array, sums: Array) -> Array:

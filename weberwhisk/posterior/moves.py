@@ -13,6 +13,9 @@ from .grid import Nodes
 
 Array = NDArray[np.float64]
 
+#: Share of a posterior's mass below which a cell is not drawn from.
+LEAST_SHARE = 1e-5
+
 
 class StackedMove(emcee.moves.Move):
     """An emcee move that pairs walkers only inside their own block of rows.
@@ -154,17 +157,23 @@ class StackedGrid(StackedMove):
         sizes = np.array([len(grid.points) for grid in nodes])
         self.first = np.cumsum(sizes) - sizes
         sums = np.add.reduceat(weights, self.first)
-        # Cumulative weights, that of block b between b and b + 1: one search serves all blocks.
-        below = np.cumsum(weights / np.repeat(sums, sizes))
-        self.cumulative = below - np.repeat(below[self.first] - weights[self.first] / sums, sizes)
-        self.cumulative = np.minimum(self.cumulative, 1.0) + np.repeat(np.arange(len(nodes)), sizes)
+        share = weights / np.repeat(sums, sizes)
+        # Cells of no weight are left to the wide proposals: what is searched stays in the cache.
+        self.drawn = np.flatnonzero(share > LEAST_SHARE)
+        block = np.repeat(np.arange(len(nodes)), sizes)[self.drawn]
+        share = np.where(share > LEAST_SHARE, share, 0.0)
+        share /= np.repeat(np.add.reduceat(share, self.first), sizes)
+        # Cumulative shares, those of block b between b and b + 1: one search serves all blocks.
+        below = np.cumsum(share[self.drawn])
+        ends = np.searchsorted(block, np.arange(len(nodes)), side="right")
+        self.cumulative = below - np.concatenate([[0.0], below[ends - 1]])[block] + block
+        self.cumulative[ends - 1] = np.arange(1, len(nodes) + 1)
         self.edges = np.stack([grid.edges for grid in nodes])
         self.into_cells = np.linalg.inv(self.edges)
         self.origin = self.points[self.first]
         self.shape = np.array([grid.shape for grid in nodes])
         self.stride = np.cumprod(self.shape[:, ::-1], axis=1)[:, ::-1] // self.shape
-        volume = np.abs(np.linalg.det(self.edges)) * sums
-        self.density = weights / np.repeat(volume, sizes)
+        self.density = share / np.repeat(np.abs(np.linalg.det(self.edges)), sizes)
         moment = np.add.reduceat(weights[:, None] * self.points, self.first)
         self.centre = moment / sums[:, None]
         off = self.points - np.repeat(self.centre, sizes, axis=0)
@@ -183,9 +192,8 @@ class StackedGrid(StackedMove):
     def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
         index = np.repeat(self.alive, len(active) // len(self.alive))
         size = active.shape[:2]
-        node = np.searchsorted(self.cumulative, index[:, None] + self.rng.random(size))
-        last = self.first[index] + self.shape[index].prod(axis=1) - 1
-        node = np.clip(node, self.first[index][:, None], last[:, None])
+        u = self.rng.random(size) * (1 - 1e-12)  # rounding must not lift it into the next block
+        node = self.drawn[np.searchsorted(self.cumulative, index[:, None] + u, side="right")]
         inside = (self.rng.random(active.shape) - 0.5) @ self.edges[index].swapaxes(1, 2)
         z = self.rng.standard_normal(active.shape)
         z /= np.sqrt(self.rng.chisquare(self.freedom, size) / self.freedom)[..., None]
