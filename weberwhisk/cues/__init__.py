@@ -5,7 +5,17 @@ from .force_map import ForceMap
 from .fused import Fused
 from .lateral_slip import LateralSlip
 from .protocol import Cue
+from .space_map import SpaceMap
 from .unknown_stiffness import UnknownStiffness
 from .vibration import Vibration
 
-__all__ = ["Compliance", "Cue", "ForceMap", "Fused", "LateralSlip", "UnknownStiffness", "Vibration"]
+__all__ = [
+    "Compliance",
+    "Cue",
+    "ForceMap",
+    "Fused",
+    "LateralSlip",
+    "SpaceMap",
+    "UnknownStiffness",
+    "Vibration",
+]
