@@ -1,8 +1,9 @@
-"""Make the data sets of `data_synthetic/`, each with its truth, seed and schema beside it.
+"""Make `data_synthetic/`: simulated choices, with truth, seed and schema of each beside them.
 
     python analyses/make_synthetic.py [folder]
 
-The same bytes come out every time; `tests/test_data_synthetic.py` holds it to that.
+The same bytes come out every time; `tests/test_data_synthetic.py` holds it to that, and every table
+to what is expected of its fit.
 """
 
 from __future__ import annotations
@@ -12,8 +13,25 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from weberwhisk.behaviour import Trials, simulate_trials
+from weberwhisk import Observer, Whisker, cues
+from weberwhisk.behaviour import CuePercept, Trials, simulate_population, simulate_trials
+from weberwhisk.behaviour.datapackage import data_package, describe_table
 
+#: Radial distances are in millimetres.
+WHISKERS = {
+    "tapered": Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6),
+    "cylinder": Whisker(length=50e-3, base_radius=100e-6, tip_radius=100e-6),
+}
+DISTANCES: dict[str, Any] = {
+    "weber_fraction": 0.1,
+    "lapse_low": 0.02,
+    "lapse_high": 0.02,
+    "standards": [15.0, 30.0, 42.5],
+    "offsets": [-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15],
+    "trials_per_level": 25,
+}
+# Each: a title, the unit, a seed, what is given to the simulation, and the status of a fit
+# (null: a matter of luck).
 DATASETS: dict[str, dict[str, Any]] = {
     "weights_three_standards": {
         "title": "Lifted weights: one observer, three standards, nine comparisons at each",
@@ -44,63 +62,152 @@ DATASETS: dict[str, dict[str, Any]] = {
             "task": "3AFC percent correct",
         },
     },
+    "distance_tapered": {
+        "title": "Radial distances felt through a tapered whisker by the compliance cue",
+        "unit": "mm",
+        "seed": 20110168,
+        "whisker": "tapered",
+        "truth": DISTANCES,
+    },
+    "distance_cylinder": {
+        "title": "The same animal with a cylinder for a whisker",
+        "unit": "mm",
+        "seed": 20110169,
+        "whisker": "cylinder",
+        "truth": DISTANCES,
+    },
+    "animals_six": {
+        "title": "Six animals of one population, three sessions each",
+        "unit": "gram",
+        "seed": 20110170,
+        "population": True,
+        "truth": {
+            "subjects": 6,
+            "weber_fraction": 0.12,
+            "spread": 0.3,
+            "lapse_low": 0.03,
+            "lapse_high": 0.03,
+            "bias_spread": 0.2,
+            "sessions": 3,
+            "standards": [50.0, 100.0],
+            "trials_per_level": 15,
+        },
+    },
+    "trouble_lapses": {
+        "title": "Trouble: a fifth of the easy trials are lost, more at one end",
+        "unit": "gram",
+        "seed": 20110171,
+        "truth": {
+            "weber_fraction": 0.1,
+            "lapse_low": 0.08,
+            "lapse_high": 0.2,
+            "standards": [50.0, 100.0],
+            "trials_per_level": 30,
+        },
+    },
+    "trouble_drift": {
+        "title": "Trouble: the animal learns, its Weber fraction falls sevenfold in ten sessions",
+        "unit": "gram",
+        "seed": 20110172,
+        "truth": {
+            "weber_fraction": 0.15,
+            "drift": -2.0,
+            "bias_drift": 0.8,
+            "lapse_low": 0.02,
+            "lapse_high": 0.02,
+            "sessions": 10,
+            "standards": [50.0, 100.0],
+            "trials_per_level": 50,
+        },
+    },
+    "trouble_few": {
+        "title": "Trouble: three trials of each of nine comparisons",
+        "unit": "gram",
+        "seed": 20110173,
+        "status": None,
+        "truth": {"weber_fraction": 0.1, "standards": [100.0], "trials_per_level": 3},
+    },
+    "trouble_chance": {
+        "title": "Trouble: steps far below the threshold, answered at chance",
+        "unit": "gram",
+        "seed": 20110174,
+        "status": "LOWER_BOUND",
+        "truth": {
+            "weber_fraction": 0.3,
+            "standards": [100.0],
+            "offsets": [-0.01, -0.005, 0.005, 0.01],
+            "trials_per_level": 60,
+        },
+    },
+    "trouble_perfect": {
+        "title": "Trouble: steps far above the threshold, never answered wrongly",
+        "unit": "gram",
+        "seed": 20110175,
+        "status": "UPPER_BOUND",
+        "truth": {
+            "weber_fraction": 0.03,
+            "standards": [100.0],
+            "offsets": [-0.4, -0.3, 0.3, 0.4],
+            "trials_per_level": 40,
+        },
+    },
 }
 
-DESCRIPTIONS = {
-    "session": "session, from 1",
-    "trial": "trial within the session, from 1",
-    "standard": "stimulus that the others are compared with",
-    "stimulus_1": "first stimulus",
-    "stimulus_2": "second stimulus",
-    "choice": "1: the second was reported greater, 0: the first; empty: no answer",
-    "correct": "1: right, 0: wrong",
-}
+
+def percept_of(name: str) -> CuePercept | None:
+    """How the stimuli of a data set are felt, where there is a whisker."""
+    whisker = DATASETS[name].get("whisker")
+    return whisker and CuePercept(Observer(WHISKERS[whisker], cues.Compliance()), unit=1e-3)
 
 
-def make(name: str) -> Trials:
-    """One data set."""
+def make(name: str) -> tuple[Trials, dict[str, Any]]:
+    """One data set, and its truth."""
     entry = DATASETS[name]
-    return simulate_trials(**entry["truth"], seed=entry["seed"])
+    truth = entry["truth"]
+    if entry.get("population"):
+        trials, animals = simulate_population(**truth, seed=entry["seed"])
+        return trials, truth | {"animals": animals.to_dict("records")}
+    return simulate_trials(**truth, percept=percept_of(name), seed=entry["seed"]), truth
 
 
-def resource(name: str, trials: Trials) -> dict[str, Any]:
+def resource(name: str, trials: Trials, truth: dict[str, Any]) -> dict[str, Any]:
     """Its entry in the data package."""
     entry = DATASETS[name]
-    table = trials.table()
-    return {
-        "name": name,
-        "path": f"{name}.csv",
-        "title": entry["title"],
-        "format": "csv",
-        "schema": {
-            "fields": [
-                {
-                    "name": column,
-                    "type": "number" if table[column].dtype.kind == "f" else "integer",
-                    "description": DESCRIPTIONS[column],
-                    **({"unit": entry["unit"]} if table[column].dtype.kind == "f" else {}),
-                }
-                for column in table.columns
-            ]
-        },
-        "truth": entry["truth"],
-        "seed": entry["seed"],
-        "generator": "weberwhisk.simulate_trials, by analyses/make_synthetic.py",
-    }
+    remarks = {"task": trials.task.name, "status": entry.get("status", "DETERMINED")}
+    if "whisker" in entry:
+        whisker = WHISKERS[entry["whisker"]]
+        remarks["whisker"] = {
+            "kind": entry["whisker"],
+            **{
+                field: float(getattr(whisker, field))
+                for field in ("length", "base_radius", "tip_radius")
+            },
+            "cue": "compliance",
+        }
+    function = "simulate_population" if entry.get("population") else "simulate_trials"
+    return describe_table(
+        name,
+        trials.table(),
+        unit=entry["unit"],
+        title=entry["title"],
+        **remarks,
+        truth=truth,
+        seed=entry["seed"],
+        generator=f"weberwhisk.behaviour.{function}, by analyses/make_synthetic.py",
+    )
 
 
 def write(folder: Path) -> None:
     """All data sets and their data package."""
     folder.mkdir(parents=True, exist_ok=True)
-    made = {name: make(name) for name in DATASETS}
-    for name, trials in made.items():
+    resources = []
+    for name in DATASETS:
+        trials, truth = make(name)
         trials.to_csv(folder / f"{name}.csv")
-    package = {
-        "name": "weberwhisk-synthetic",
-        "title": "Simulated choices with known Weber fractions",
-        "licenses": [{"name": "BSD-3-Clause"}],
-        "resources": [resource(name, trials) for name, trials in made.items()],
-    }
+        resources.append(resource(name, trials, truth))
+    package = data_package(
+        "weberwhisk-synthetic", "Simulated choices with known Weber fractions", resources
+    )
     (folder / "datapackage.json").write_text(json.dumps(package, indent=2) + "\n", encoding="utf-8")
 
 

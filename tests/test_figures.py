@@ -131,7 +131,7 @@ def test_log_column_is_drawn_by_difference() -> None:
 
 def test_binomial_intervals_are_jeffreys() -> None:
     count, n = np.array([0.0, 3.0, 10.0]), np.full(3, 10.0)
-    low, high = figures._binomial_interval(count, n)
+    low, high = figures.choices.binomial_interval(count, n)
     expected = stats.beta(count + 0.5, n - count + 0.5).interval(0.95)
     np.testing.assert_allclose([low[1], high[1]], [e[1] for e in expected])
     assert (low[0], high[2]) == (0, 1)

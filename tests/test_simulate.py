@@ -6,9 +6,12 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from weberwhisk.behaviour import LogPercept, simulate_trials
+from weberwhisk.behaviour import LogPercept, simulate_population, simulate_trials
+from weberwhisk.behaviour.datapackage import data_package, describe_table
+from weberwhisk.behaviour.population import joined
 
 
 def digest(path: Path) -> str:
@@ -90,9 +93,116 @@ def test_a_log_percept_makes_a_log_table() -> None:
         ({"noise": "white"}, "noise 'white' is unknown"),
         ({"bias": np.inf}, "bias must be finite"),
         ({"percept": LogPercept(), "observer": object()}, "both given"),
+        ({"drift": -0.5}, "drift goes from the first session to the last, got sessions=1"),
+        ({"bias_drift": np.nan, "sessions": 3}, "bias_drift must be finite"),
+        ({"weber_fraction": [0.1, 0.2], "sessions": 3}, r"shape \(2,\) for 3 sessions"),
     ],
 )
 def test_nonsense_is_refused_in_one_sentence(options: dict, part: str) -> None:
     with pytest.raises(ValueError, match=part) as caught:
         simulate_trials(**{"seed": 1, **options})
     assert "\n" not in str(caught.value)
+
+
+# -- drift, and many animals ----------------------------------------------------------------------
+
+
+def test_a_drift_is_that_of_the_sessions() -> None:
+    trials = simulate_trials(
+        weber_fraction=0.2, drift=np.log(0.25), bias_drift=1.0, bias=0.5, offsets=[-0.1, 0.1],
+        sessions=3, trials_per_level=60_000, seed=5,
+    )  # fmt: skip
+    share = trials.frame.groupby(["session", "stimulus_2"])["count"].mean().unstack()
+    # By hand: k = 0.4, 0.2, 0.1 and bias 0, 0.5, 1 in Φ((x − 1)/(k √(1 + x²)) + bias).
+    np.testing.assert_allclose(
+        share.to_numpy(),
+        [[0.42629, 0.56677], [0.55107, 0.79852], [0.60130, 0.95280]],
+        atol=4 * 0.5 / np.sqrt(20_000),
+    )
+
+
+def test_a_weber_fraction_for_each_session() -> None:
+    one = simulate_trials(weber_fraction=[0.1, 0.4], sessions=2, trials_per_level=500, seed=6)
+    same = simulate_trials(weber_fraction=0.1, sessions=2, trials_per_level=500, seed=6)
+    assert one.select(session=1).frame.equals(same.select(session=1).frame)
+    assert not one.select(session=2).frame.equals(same.select(session=2).frame)
+
+
+def test_the_animals_of_a_population_are_what_the_truth_says() -> None:
+    trials, truth = simulate_population(
+        3,
+        spread=0.5,
+        lapse_high=0.0,
+        bias=0.4,
+        trials_per_level=20_000,
+        offsets=[0.0, 40.0],
+        seed=7,
+    )
+    share = trials.frame.groupby(["subject", "stimulus_2"])["count"].mean().unstack().to_numpy()
+    assert (truth["lapse_high"] == 0).all()
+    # Far above the standard the signal's own noise is all there is: Φ(40/√(41² + 1)/k + bias).
+    easy = np.array(
+        [
+            norm_cdf(40 / np.hypot(41, 1) / k + b)
+            for k, b in zip(truth["weber_fraction"], truth["bias"], strict=True)
+        ]
+    )
+    low = truth["lapse_low"].to_numpy()
+    even = low + (1 - low) * np.array([norm_cdf(b) for b in truth["bias"]])
+    np.testing.assert_allclose(share, np.column_stack([even, low + (1 - low) * easy]), atol=0.012)
+
+
+def norm_cdf(x: float) -> float:
+    from math import erf, sqrt
+
+    return 0.5 * (1 + erf(x / sqrt(2)))
+
+
+def test_a_population_has_the_spread_asked_for() -> None:
+    _, truth = simulate_population(
+        2000, weber_fraction=0.2, spread=0.4, lapse_low=0.05, trials_per_level=1, offsets=[0.1],
+        seed=8,
+    )  # fmt: skip
+    logs = np.log(truth["weber_fraction"])
+    assert np.mean(logs) == pytest.approx(np.log(0.2), abs=4 * 0.4 / np.sqrt(2000))
+    assert np.std(logs) == pytest.approx(0.4, rel=4 / np.sqrt(4000))
+    assert np.mean(truth["lapse_low"]) == pytest.approx(0.05, abs=4 * 0.033 / np.sqrt(2000))
+
+
+def test_a_population_is_repeatable() -> None:
+    one, two = (simulate_population(2, sessions=2, session_spread=0.3, seed=9) for _ in range(2))
+    pd.testing.assert_frame_equal(one[0].frame, two[0].frame)
+    pd.testing.assert_frame_equal(one[1], two[1])
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"subjects": 0}, "subjects must be a whole number of 1 or more, got 0"),
+        ({"spread": -1.0}, "spread must not be negative"),
+        ({"lapse_low": 0.6}, "lapse_low must be below 0.5, got 0.6"),
+    ],
+)
+def test_impossible_populations_are_refused(options: dict, part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        simulate_population(**{"subjects": 2, "seed": 1, **options})
+
+
+def test_tables_of_different_kinds_are_not_joined() -> None:
+    linear, log = simulate_trials(seed=1), simulate_trials(percept=LogPercept(), seed=1)
+    assert len(joined([linear, linear])) == 2 * len(linear)
+    with pytest.raises(ValueError, match="tables of 2 kinds"):
+        joined([linear, log])
+    with pytest.raises(ValueError, match="no tables"):
+        joined([])
+
+
+def test_a_data_package_names_every_column() -> None:
+    table = simulate_trials(subject="r1", task="3AFC percent correct", seed=1).table()
+    table = table.rename(columns={"stimulus_1": "stimulus_1_mm"})
+    package = data_package("p", "A package", [describe_table("t", table, unit="mm", title="T")])
+    fields = {f["name"]: f for f in package["resources"][0]["schema"]["fields"]}
+    assert list(fields) == list(table.columns)
+    assert fields["stimulus_1_mm"]["unit"] == "mm"
+    assert fields["correct"]["type"] == "integer"
+    assert fields["subject"]["type"] == "string"

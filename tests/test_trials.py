@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -205,6 +206,8 @@ def one_sentence(message: str) -> bool:
         ("standard,comparison,n,n_correct\n1,2,five,5\n", ["'five' is not a number"]),
         ("stimulus_1,choice\n1,1.1,1\n", ["more cells than the header"]),
         ('a,b\n1,"2\n3,4\n', ["not readable as a table"]),
+        ("subject,log_ratio,choice\nr1,1,1\n,1,1\n", ["'subject'", "row 2", "name the subject"]),
+        (GOOD + "\n\n1,x,1\n", ["'stimulus_2'", "row 5", "'x' is not a number"]),
     ],
 )
 def test_each_problem_is_one_sentence(tmp_path: Path, text: str, parts: list[str]) -> None:
@@ -219,6 +222,15 @@ def test_all_problems_are_named_at_once(tmp_path: Path) -> None:
     assert len(lines) == 4
     assert sum("'stimulus_2'" in line for line in lines) == 2
     assert all(line.startswith("table.csv, column ") for line in lines)
+
+
+def test_missing_columns_and_bad_cells_are_named_together(tmp_path: Path) -> None:
+    path = table(tmp_path, "standard,compar,n,n_greater,session\n-1,x,2.5,3,\n1,1,4,many,1\n")
+    lines = refusal(path).splitlines()
+    places = ["'comparison'", "'standard'", "'session'", "'n'", "'n_greater'", "row 2"]
+    assert len(lines) == len(places)
+    assert all(place in line for place, line in zip(places, lines, strict=True)), lines
+    assert "did you mean 'compar'" in lines[0]
 
 
 def test_missing_columns_are_all_named(tmp_path: Path) -> None:
@@ -259,8 +271,151 @@ def test_unknown_names_are_refused(tmp_path: Path, options: dict, part: str) -> 
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="there is no such file"):
+    with pytest.raises(FileNotFoundError, match="there is no such file") as caught:
         read_trials(tmp_path / "none.csv")
+    assert caught.value.filename == str(tmp_path / "none.csv")
+    assert "none.csv" in str(caught.value)
+
+
+# -- other formats --------------------------------------------------------------------------------
+
+MADE = pd.DataFrame(
+    {
+        "subject": ["a", "a", "b"],
+        "stimulus_1": [1.0, 1.0, 1.0],
+        "stimulus_2": [1.1, 0.9, 1.2],
+        "choice": [1.0, 0.0, np.nan],
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "package"),
+    [("t.parquet", "pyarrow"), ("t.xlsx", "openpyxl"), ("t.csv.bz2", ""), ("t.tsv.xz", "")],
+)
+def test_other_formats_hold_the_same_trials(tmp_path: Path, name: str, package: str) -> None:
+    if package:
+        pytest.importorskip(package)
+    path = tmp_path / name
+    if package == "pyarrow":
+        MADE.to_parquet(path)
+    elif package == "openpyxl":
+        MADE.to_excel(path, index=False)
+    else:
+        MADE.to_csv(path, index=False, sep="\t" if "tsv" in name else ",")
+    pd.testing.assert_frame_equal(read_trials(path).frame, read_trials(MADE).frame)
+
+
+def test_the_trials_of_an_nwb_file(tmp_path: Path) -> None:
+    pynwb = pytest.importorskip("pynwb")
+    from datetime import UTC, datetime
+
+    file = pynwb.NWBFile("trials", "id", datetime(2026, 1, 1, tzinfo=UTC))
+    for column in ("near", "far"):
+        file.add_trial_column(column, "radial distance, m")
+    file.add_trial_column("said", "answer")
+    file.add_trial_column("licks", "times, s", index=True)
+    for i, said in enumerate(["far", "near", ""]):
+        file.add_trial(
+            start_time=float(i), stop_time=i + 0.5, near=0.02, far=0.03 - 0.015 * (i == 1),
+            said=said, licks=[0.1] * i,
+        )  # fmt: skip
+    with pynwb.NWBHDF5IO(str(tmp_path / "t.nwb"), "w") as io:
+        io.write(file)
+    trials = read_trials(
+        tmp_path / "t.nwb",
+        columns={"stimulus_1": "near", "stimulus_2": "far", "choice": "said"},
+        choice_labels={"far": "second", "near": "first"},
+    )
+    assert trials.frame["stimulus_2"].tolist() == [0.03, 0.015, 0.03]
+    assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
+    assert trials.n_missing == 1
+
+
+@pytest.mark.parametrize("name", ["t.parquet", "t.xlsx", "t.nwb"])
+def test_a_broken_file_or_a_missing_reader_is_one_sentence(tmp_path: Path, name: str) -> None:
+    message = refusal(table(tmp_path, "not a table at all", name))
+    assert message.startswith(name)
+    assert "\n" not in message
+    assert "save it as CSV" in message or "or save the table as CSV" in message
+
+
+def test_a_missing_reader_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pynwb", None)
+    message = refusal(table(tmp_path, "", "t.nwb"))
+    assert one_sentence(message), message
+    assert "pip install 'weberwhisk[nwb]'" in message
+
+
+def test_semicolons_and_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "excel.csv"
+    path.write_text("\n" + GOOD.replace(",", ";"), encoding="utf-8-sig")
+    assert read_trials(path).n_trials == 2
+
+
+# -- trouble --------------------------------------------------------------------------------------
+
+
+def test_a_level_without_trials_is_noted_and_says_nothing() -> None:
+    counts = pd.DataFrame(
+        {"standard": 1.0, "comparison": [0.9, 1.1, 1.2], "n": [5, 5, 0], "n_greater": [1, 4, 0]}
+    )
+    trials = read_trials(counts)
+    assert trials.cells().stimulus_2.tolist() == [0.9, 1.1]
+    assert "1 rows hold a level without trials" in trials.notes[0]
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_the_unit_of_a_magnitude_changes_nothing_but_itself(factor: float) -> None:
+    rng = np.random.default_rng(3)
+    frame = pd.DataFrame({"stimulus_1": [1.0, 4.0, 4.0, 9.0] * 5, "stimulus_2": [4.0, 1, 9, 4] * 5})
+    frame["choice"] = rng.integers(0, 2, 20)
+    scaled = frame.assign(
+        stimulus_1=frame.stimulus_1 * factor, stimulus_2=frame.stimulus_2 * factor
+    )
+    one, other = read_trials(frame).cells(), read_trials(scaled).cells()
+    for name in ("standard", "stimulus_1", "stimulus_2"):
+        np.testing.assert_allclose(getattr(other, name), factor * getattr(one, name), rtol=1e-11)
+    assert other.n.tolist() == one.n.tolist()
+    assert other.count.tolist() == one.count.tolist()
+
+
+@pytest.mark.parametrize(
+    ("factor", "part"), [(1e-6, "no radial distance is above"), (1e6, "beyond")]
+)
+def test_distances_in_another_unit_are_refused(factor: float, part: str) -> None:
+    frame = pd.DataFrame({"standard": 0.02, "comparison": [0.025, 0.015], "choice": [1, 0]})
+    whisker = SimpleNamespace(length=0.05)
+    assert read_trials(frame, whisker=whisker).n_trials == 2
+    frame[["standard", "comparison"]] *= factor
+    lines = refusal(frame, whisker=whisker).splitlines()
+    assert len(lines) == 2
+    assert all(part in line and "write distances in metres" in line for line in lines)
+
+
+def test_labels_that_are_numbers_survive_a_gap() -> None:
+    frame = pd.DataFrame({"log_ratio": [0.1, -0.1, 0.2], "choice": [2, 1, None]})
+    trials = read_trials(frame, choice_labels={1: "first", 2: "second"})
+    assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
+    assert trials.n_missing == 1
+
+
+def test_subjects_of_mixed_kinds_are_still_listed() -> None:
+    frame = pd.DataFrame({"subject": ["b", 1, "b "], "log_ratio": 0.1, "choice": 1})
+    assert read_trials(frame).subjects == [1, "b"]
+
+
+def test_a_write_that_fails_leaves_the_old_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trials = read_trials(MADE)
+    path = trials.to_csv(tmp_path / "t.csv")
+    before = path.read_bytes()
+    monkeypatch.setattr(pd.DataFrame, "to_csv", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        trials.to_csv(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
 
 
 def test_nothing_is_dropped_or_changed() -> None:

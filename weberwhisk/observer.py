@@ -13,7 +13,7 @@ from ._checks import finite, one_of
 from .cues.protocol import Cue
 from .mechanics.contact import Outcome
 from .mechanics.surface import surface_of
-from .receptors import ReceptorNoise, Seed
+from .receptors import Events, ReceptorNoise, Seed
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -40,7 +40,8 @@ class Observer:
     Raises
     ------
     ValueError
-        For whisker fields that are arrays, a prior of something that is not unknown, a prior
+        For whisker fields that are arrays, chances of events with noise of something else or the
+        other way round, a prior of something that is not unknown, a prior
         that has no overlap with the whisker's reach.
 
     Notes
@@ -83,6 +84,12 @@ class Observer:
         self.whisker = whisker
         self.cue = cue
         self.noise: ReceptorNoise = cue.default_noise() if noise is None else noise
+        if isinstance(self.noise, Events) != isinstance(cue.default_noise(), Events):
+            raise ValueError(
+                f"The signals of {cue!r} are not what this noise reports, got {self.noise!r}; "
+                f"leave noise out for {cue.default_noise()!r}."
+            )
+        self.noise.reading_size(len(cue.signal_names))
         for name in prior or {}:
             one_of("prior of", name, cue.unknowns)
         self.prior = {**cue.priors(whisker), **(prior or {})}
@@ -222,6 +229,8 @@ class Observer:
     def angle_range(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""
         limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
+        if hasattr(self.cue, "largest_angle"):
+            limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)

@@ -4,10 +4,22 @@ The argument, a room each: a `Task` and a `Percept` make the psychometric functi
 read or simulated; `fit_weber` makes a `WeberFit` of them.
 """
 
+from .comparison import (
+    Comparison,
+    compare,
+    compare_cues,
+    compare_drift,
+    compare_noise,
+    compare_taper,
+)
+from .criticism import checks, quantile_residuals, residuals_by
 from .datasets import load_numerosity, load_rat_auditory
 from .fit import fit_weber
+from .hierarchy import PopulationPriors
 from .law import WeberLawTest, weber_law_test
 from .percepts import CuePercept, IdentityPercept, LogAxisPercept, LogPercept, Percept
+from .population import simulate_population
+from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import Priors
 from .psychometric import response_probability, threshold
 from .reading import read_trials
@@ -19,6 +31,7 @@ from .trials import Trials
 
 __all__ = [
     "TASKS",
+    "Comparison",
     "CuePercept",
     "FitStatus",
     "IdentityPercept",
@@ -26,17 +39,30 @@ __all__ = [
     "LogPercept",
     "PercentCorrect",
     "Percept",
+    "PopulationFit",
+    "PopulationPriors",
+    "PopulationStatus",
     "Priors",
     "SignedChoice",
     "Task",
     "Trials",
     "WeberFit",
     "WeberLawTest",
+    "checks",
+    "compare",
+    "compare_cues",
+    "compare_drift",
+    "compare_noise",
+    "compare_taper",
+    "fit_population",
     "fit_weber",
     "load_numerosity",
     "load_rat_auditory",
+    "quantile_residuals",
     "read_trials",
+    "residuals_by",
     "response_probability",
+    "simulate_population",
     "simulate_trials",
     "task_named",
     "threshold",

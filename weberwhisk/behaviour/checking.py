@@ -3,143 +3,196 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+TOO_NEAR = 0.002  # of the whisker's length: if nothing is felt beyond, the unit is not metres
 
 
-def missing_column(name: str, column: str, here: list[str], why: str) -> str:
-    """The sentence for a column that is not there."""
-    near = get_close_matches(column, here, n=1, cutoff=0.5)
-    meant = f" (did you mean {near[0]!r}?)" if near else ""
-    return (
-        f"{name}: there is no column {column!r}, {why}{meant}; the columns are "
-        f"{', '.join(here)}, and columns={{{column!r}: '<its name>'}} maps one."
-    )
+def rows_in_words(rows: ArrayLike) -> str:
+    """Rows in words, the first below the header being 1.
+
+    Examples
+    --------
+    >>> rows_in_words([3]), rows_in_words([3, 4, 5, 8, 9])
+    ('row 3', 'rows 3, 4, 5 and 2 more')
+    """
+    numbers = np.atleast_1d(np.asarray(rows))
+    shown = ", ".join(map(str, numbers[:3].tolist()))
+    more = f" and {numbers.size - 3} more" if numbers.size > 3 else ""
+    return f"row{'s' if numbers.size > 1 else ''} {shown}{more}"
 
 
-def rows_of(bad: NDArray[np.bool_]) -> str:
-    """Rows in words, the first below the header being 1."""
-    rows = np.flatnonzero(bad) + 1
-    shown = ", ".join(map(str, rows[:3]))
-    more = f" and {rows.size - 3} more" if rows.size > 3 else ""
-    return f"row{'s' if rows.size > 1 else ''} {shown}{more}"
+@dataclass
+class TableCheck:
+    """A table under its file's name, and every problem found in it so far."""
 
+    table: pd.DataFrame
+    name: str
+    problems: list[str] = field(default_factory=list)
 
-def numbers_of(column: pd.Series, label: str, name: str, problems: list[str]) -> Array:
-    """The column as floats; text, gaps and infinities are problems."""
-    blank = column.isna().to_numpy() | (column.astype(str).str.strip() == "").to_numpy()
-    values = pd.to_numeric(column, errors="coerce").to_numpy(float)
-    text = np.isnan(values) & ~blank
-    if text.any():
-        first = column[text].iloc[0]
-        problems.append(
-            f"{name}, column {label!r}, {rows_of(text)}: {first!r} is not a number; "
-            "write digits alone."
+    def add(self, column: str, bad: Flags, sentence: str) -> None:
+        """A problem with some cells of a column."""
+        rows = rows_in_words(self.table.index.to_numpy()[bad])
+        self.problems.append(f"{self.name}, column {column!r}, {rows}: {sentence}")
+
+    def missing_column(self, column: str, here: list[str], why: str) -> None:
+        """A column that is not there, with the nearest that is."""
+        near = get_close_matches(column, here, n=1, cutoff=0.5)
+        meant = f" (did you mean {near[0]!r}?)" if near else ""
+        self.problems.append(
+            f"{self.name}: there is no column {column!r}, {why}{meant}; the columns are "
+            f"{', '.join(here)}, and columns={{{column!r}: '<its name>'}} maps one."
         )
-    lost = blank | np.isinf(values)
-    if lost.any():
-        problems.append(
-            f"{name}, column {label!r}, {rows_of(lost)}: empty, NaN or infinite; "
-            "give the stimulus or remove the row."
-        )
-    return values
 
+    def raise_problems(self) -> None:
+        """Raise everything found, a line each."""
+        if self.problems:
+            raise ValueError("\n".join(self.problems))
 
-def check_stimuli(
-    numbers: dict[str, Array], name: str, scale: str, whisker: Any, problems: list[str]
-) -> None:
-    """Add a sentence for magnitudes that are not above zero, and distances off the whisker."""
-    for label, values in numbers.items():
-        if label == "log_ratio" or scale == "log":
-            continue
-        low = np.isfinite(values) & (values <= 0)
-        if low.any():
-            problems.append(
-                f"{name}, column {label!r}, {rows_of(low)}: a magnitude must be above zero, got "
-                f"{values[low][0]:g}; correct it, or read logarithms with scale='log'."
-            )
-        if whisker is not None:
+    def numbers(self, column: str) -> Array:
+        """A column as floats; text, gaps and infinities are problems."""
+        cells = self.table[column]
+        blank = _blank(cells)
+        values = pd.to_numeric(cells, errors="coerce").to_numpy(float)
+        text = np.isnan(values) & ~blank
+        if text.any():
+            self.add(column, text, f"{cells[text].iloc[0]!r} is not a number; write digits alone.")
+        lost = blank | np.isinf(values)
+        if lost.any():
+            self.add(column, lost, "empty, NaN or infinite; give the stimulus or remove the row.")
+        return values
+
+    def magnitudes(self, numbers: Mapping[str, Array], whisker: Any) -> None:
+        """Magnitudes lie above zero, and radial distances on the whisker."""
+        for column, values in numbers.items():
+            low = np.isfinite(values) & (values <= 0)
+            if low.any():
+                self.add(
+                    column,
+                    low,
+                    f"a magnitude must be above zero, got {values[low][0]:g}; correct it, or read "
+                    "logarithms with scale='log'.",
+                )
+            if whisker is None:
+                continue
             off = np.isfinite(values) & (values >= whisker.length)
             if off.any():
-                problems.append(
-                    f"{name}, column {label!r}, {rows_of(off)}: radial distance "
-                    f"{values[off][0]:g} m is beyond the whisker's length of {whisker.length:g} m; "
-                    "write distances in metres."
+                self.add(
+                    column,
+                    off,
+                    f"radial distance {values[off][0]:g} m is beyond the whisker's length of "
+                    f"{whisker.length:g} m; write distances in metres.",
+                )
+            elif np.nanmax(values, initial=0.0) < TOO_NEAR * whisker.length and not low.any():
+                self.add(
+                    column,
+                    np.isfinite(values),
+                    f"no radial distance is above {np.nanmax(values, initial=0.0):g} m on a "
+                    f"whisker of {whisker.length:g} m; write distances in metres.",
                 )
 
+    def labels(self, column: str) -> NDArray[Any]:
+        """Subjects, sessions or trials: whole numbers where all are, else text without margins."""
+        cells = self.table[column]
+        blank = _blank(cells)
+        if blank.any() and column != "trial":
+            self.add(column, blank, f"empty; name the {column} of every trial.")
+        values = pd.to_numeric(cells, errors="coerce")
+        if column != "subject" and values.notna().all() and (values == values.round()).all():
+            return values.to_numpy(np.int64)
+        return np.array([c.strip() if isinstance(c, str) else c for c in cells], dtype=object)
 
-def answers_of(
-    table: pd.DataFrame,
-    answer: str,
-    counted: bool,
-    labels: Mapping[Any, str] | None,
-    name: str,
-    problems: list[str],
-) -> tuple[Array, Array]:
-    """Trials and answers of each row; an answer that was not given is NaN."""
-    column = table[answer]
-    blank = (
-        column.isna().to_numpy()
-        | column.astype(str).str.strip().isin(["", "NaN", "nan"]).to_numpy()
-    )
-    if counted:
-        n = numbers_of(table["n"], "n", name, problems)
-        count = pd.to_numeric(column, errors="coerce").to_numpy(float)
-        for label, values, gaps in (("n", n, np.zeros(len(n), bool)), (answer, count, blank)):
-            bad = ~gaps & ~np.isnan(values) & ((values < 0) | (values != np.round(values)))
+    def answers(
+        self, answer: str, counted: bool, labels: Mapping[Any, str] | None
+    ) -> tuple[Array, Array]:
+        """Trials and answers of each row; an answer that was not given is NaN."""
+        cells = self.table[answer]
+        blank = _blank(cells)
+        if counted:
+            n, count = self._counts(answer, blank)
+            remedy = "write whole numbers"
+        else:
+            n = np.ones(len(cells))
+            count, remedy = _single_answers(cells, answer, labels)
+        text = np.isnan(count) & ~blank
+        if text.any():
+            self.add(answer, text, f"{cells[text].iloc[0]!r} is not an answer; {remedy}.")
+        return n, count
+
+    def _counts(self, answer: str, blank: Flags) -> tuple[Array, Array]:
+        count = pd.to_numeric(self.table[answer], errors="coerce").to_numpy(float)
+        columns = {answer: (count, blank)}
+        n = np.full(count.shape, np.nan)
+        if "n" in self.table:  # where it is not, that has been said
+            n = self.numbers("n")
+            columns = {"n": (n, np.zeros(len(n), bool)), **columns}
+        for column, (values, gaps) in columns.items():
+            bad = ~gaps & np.isfinite(values) & ((values < 0) | (values != np.round(values)))
             if bad.any():
-                problems.append(
-                    f"{name}, column {label!r}, {rows_of(bad)}: {values[bad][0]:g} is not a "
-                    "count; write whole numbers of zero or more."
+                self.add(
+                    column,
+                    bad,
+                    f"{values[bad][0]:g} is not a count; write whole numbers of zero or more.",
                 )
         over = count > n
         if over.any():
-            problems.append(
-                f"{name}, column {answer!r}, {rows_of(over)}: {count[over][0]:g} is above the "
-                f"{n[over][0]:g} trials in column 'n'; check which is which."
+            self.add(
+                answer,
+                over,
+                f"{count[over][0]:g} is above the {n[over][0]:g} trials in column 'n'; check "
+                "which is which.",
             )
-        text = np.isnan(count) & ~blank
-        remedy = "write whole numbers"
-    else:
-        n = np.ones(len(table))
-        count, remedy = _singleanswers(column, answer, labels)
-        text = np.isnan(count) & ~blank
-    if text.any():
-        problems.append(
-            f"{name}, column {answer!r}, {rows_of(text)}: {column[text].iloc[0]!r} is not an "
-            f"answer; {remedy}."
-        )
-    return n, count
+        return n, count
 
 
-def _singleanswers(
-    column: pd.Series, answer: str, labels: Mapping[Any, str] | None
+def _blank(cells: pd.Series) -> Flags:
+    text = cells.astype(str).str.strip().str.lower()
+    return np.asarray(cells.isna() | text.isin(["", "nan"]), dtype=bool)
+
+
+def _single_answers(
+    cells: pd.Series, answer: str, labels: Mapping[Any, str] | None
 ) -> tuple[Array, str]:
     if labels is None:
-        values = pd.to_numeric(
-            column.replace({True: 1, False: 0, "True": 1, "False": 0}), errors="coerce"
-        ).to_numpy(float)
-        values = np.where((values == 0) | (values == 1), values, np.nan)
+        truths = {True: 1, False: 0, "True": 1, "False": 0}
+        values = pd.to_numeric(cells.map(lambda c: truths.get(c, c)), errors="coerce")
+        kept = values.where(values.isin([0, 1])).to_numpy(float)
         remedy = "write 1 for correct and 0 for wrong"
         if answer == "choice":
             remedy = (
                 "write 1 for second greater and 0 for first greater, or give "
                 "choice_labels={label: 'first' or 'second'}"
             )
-        return values.astype(float), remedy
+        return kept, remedy
     coded = {
-        str(label): float(
+        _as_text(label): float(
             _checks.one_of("choice_labels value", which, ("first", "second")) == "second"
         )
         for label, which in labels.items()
     }
-    values = column.astype(str).str.strip().map(coded).to_numpy(float)
-    return values.astype(float), f"choice_labels knows {', '.join(map(repr, coded))}"
+    values = cells.map(_as_text).map(coded)
+    return values.to_numpy(float), f"choice_labels knows {', '.join(map(repr, coded))}"
+
+
+def _as_text(cell: Any) -> str:
+    """A label as written: 1 and 1.0 are one label, as a gap in a column makes floats of integers.
+
+    Examples
+    --------
+    >>> _as_text(1.0), _as_text(" left")
+    ('1', 'left')
+    """
+    if isinstance(cell, float | np.floating) and float(cell).is_integer():
+        return str(int(cell))
+    return str(cell).strip()

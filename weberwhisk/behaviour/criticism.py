@@ -1,17 +1,31 @@
-"""Where a fitted observer misses the data."""
+"""Where a fitted observer misses the data: by pair of stimuli, by session, in the order of trials.
+
+Every check sets the residuals of the data beside those of data that the fitted observer would give
+to the same trials (posterior-predictive; Gelman, Meng & Stern 1996). A p near 0 says that the
+model does not make such data; any other says that nothing is wrong *there*.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import bdtr, ndtri
 
-from .likelihood import WeberModel
-from .posteriors import Draws
+from .. import _checks
+from .likelihood import Draws, WeberModel
+
+if TYPE_CHECKING:
+    from .result import WeberFit
 
 Array = NDArray[np.float64]
 
 REPEATS = 1000  # draws that a check is averaged over
+FEWER = 250  # the same, where every trial is looked at
+SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
 def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
@@ -24,21 +38,9 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
         `z`: their difference in binomial standard errors.
     """
     c = model.cells
-    expected = _probability(model, draws)[0].mean(axis=0)
-    se = np.sqrt(expected * (1 - expected) / c.n)
-    off = c.count / c.n - expected
-    return pd.DataFrame(
-        {
-            "standard": c.standard,
-            "stimulus_1": c.stimulus_1,
-            "stimulus_2": c.stimulus_2,
-            "n": c.n.astype(int),
-            "observed": c.count / c.n,
-            "expected": expected,
-            # Where the model is certain and the data agree there is nothing off.
-            "z": np.divide(off, se, out=np.zeros_like(off), where=se > 0),
-        }
-    )
+    expected = _probability(model, draws.thinned(REPEATS))[0].mean(axis=0)
+    labels = {name: getattr(c, name) for name in ("standard", "stimulus_1", "stimulus_2")}
+    return pd.DataFrame(labels | _compared(c.n, c.count, c.n * expected, expected * (1 - expected)))
 
 
 def misfit(model: WeberModel, draws: Draws) -> float:
@@ -50,20 +52,256 @@ def misfit(model: WeberModel, draws: Draws) -> float:
     c = model.cells
     if not c.n.size:
         return 1.0
-    p, q = _probability(model, draws)
-    again = np.random.default_rng(0).binomial(c.n.astype(np.int64), np.clip(p, 0, 1))
+    few = draws.thinned(REPEATS)
+    p, q = _probability(model, few)
+    again = model.simulate(few, np.random.default_rng(0))
     spread = c.n * p * q
 
     def distance(count: Array) -> Array:
         square = (count - c.n * p) ** 2
         return np.divide(square, spread, out=np.zeros_like(spread), where=spread > 0).sum(axis=1)
 
-    return float(np.mean(distance(again.astype(float)) >= distance(c.count)))
+    return float(np.mean(distance(again) >= distance(c.count)))
+
+
+def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
+    """Observed and expected proportions by session, or by any columns of the table.
+
+    Parameters
+    ----------
+    fit : WeberFit
+    *columns : str
+        Of `fit.trials.frame`: `"session"`, or `"session", "standard"`, and so on.
+
+    Returns
+    -------
+    DataFrame
+        The columns, `n`, `observed`, `expected` and `z`, their difference in standard errors.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> fit = fit_weber(simulate_trials(sessions=4, seed=1))
+    >>> residuals_by(fit, "session").columns.tolist()
+    ['session', 'n', 'observed', 'expected', 'z']
+    """
+    rows = _Rows.of(fit)
+    for column in columns:
+        _checks.one_of("column", column, map(str, rows.frame.columns))
+    p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0].mean(axis=0)[rows.cell]
+    table = rows.frame[list(columns)].assign(
+        n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
+    )
+    sums = table.groupby(list(columns), sort=True).sum().reset_index()
+    n, count, mean, spread = sums[["n", "count", "mean", "spread"]].to_numpy(float).T
+    return sums[list(columns)].assign(**_compared(n, count, mean, spread / n))
+
+
+def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
+    """Randomised quantile residuals (Dunn & Smyth 1996), by pair of stimuli and session.
+
+    Returns
+    -------
+    DataFrame
+        `session` if there is one, `standard`, `stimulus_1`, `stimulus_2`, `n`, `count`, `pit`
+        (the probability integral transform: uniform between 0 and 1 if the model holds) and `z`,
+        its normal score: standard normal.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> table = quantile_residuals(fit_weber(simulate_trials(sessions=4, seed=1)))
+    >>> bool(abs(table["z"].mean()) < 0.5)
+    True
+    """
+    gathered, cell = _Rows.of(fit).gathered()
+    p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0][:, cell]
+    n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
+    whole = n.astype(np.int64)
+    upper = bdtr(count, whole, p).mean(axis=0)
+    lower = np.where(count > 0, bdtr(np.maximum(count - 1, 0), whole, p).mean(axis=0), 0.0)
+    u = np.random.default_rng(seed).random(count.size)
+    pit = np.clip(lower + u * (upper - lower), 1e-12, 1 - 1e-12)
+    return gathered.assign(pit=pit, z=ndtri(pit))
+
+
+def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
+    """Posterior-predictive checks of what animals do and a stationary observer does not.
+
+    Parameters
+    ----------
+    fit : WeberFit
+    seed : int
+        Of the replicated data.
+
+    Returns
+    -------
+    DataFrame
+        Index `check`; `observed`, `expected` (mean over replicated data), `p` (the share of
+        replicated data with as great a value, or as far from zero for the last two; small where
+        the data have too much of it), and `remedy`. Checks: `levels`: squared residuals over
+        pairs of stimuli. `overdispersion`: the intraclass correlation of the answers to one pair
+        in one session. `sessions`: squared residuals of whole sessions. `trend`: correlation of
+        residuals with the course of trials. `repetition`: correlation of a residual with the one
+        before. The last two need a row a trial, `sessions` two sessions or more.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> table = checks(fit_weber(simulate_trials(sessions=4, seed=1)))
+    >>> table.index.tolist()
+    ['levels', 'overdispersion', 'sessions', 'trend', 'repetition']
+    >>> bool((table["p"] > 0.001).all())
+    True
+    """
+    rows = _Rows.of(fit)
+    if not len(rows.frame):
+        return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
+    draws = fit.posterior.draws().thinned(FEWER)
+    p, q = (side[:, rows.cell] for side in _probability(fit.model, draws))
+    rng = np.random.default_rng(seed)
+    again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
+    spread = np.maximum(rows.n * p * q, 1e-12)
+    out = {}
+    for name, (statistic, remedy) in rows.statistics().items():
+        seen = statistic(rows.count - rows.n * p, spread)
+        made = statistic(again - rows.n * p, spread)
+        greater = np.abs(made) >= np.abs(seen) if name in SIGNED else made >= seen
+        out[name] = {
+            "observed": seen.mean(),
+            "expected": made.mean(),
+            "p": float(np.mean(greater)),
+            "remedy": remedy,
+        }
+    return pd.DataFrame.from_dict(out, orient="index").rename_axis("check")
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of a table that have an answer, and the cell of the model that each belongs to."""
+
+    frame: pd.DataFrame
+    n: Array
+    count: Array
+    cell: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, fit: WeberFit) -> _Rows:
+        frame = fit.trials.frame
+        kept = (frame["count"].notna() & (frame["n"] > 0)).to_numpy()
+        model, cells = fit.model, fit.model.cells
+        names = ("standard", "stimulus_1", "stimulus_2")
+        by_row = [frame[name].to_numpy(float) for name in names]
+        by_cell = [getattr(cells, name) for name in names]
+        for effect, column in zip(model.effects, model.columns, strict=True):
+            own = effect.column(fit.trials)
+            by_row.append(np.zeros(len(frame)) if own is None else own)
+            by_cell.append(column)
+        keys = np.column_stack([np.concatenate(pair) for pair in zip(by_cell, by_row, strict=True)])
+        _, place = np.unique(keys, axis=0, return_inverse=True)
+        place = place.reshape(-1)
+        cell_at = np.zeros(place.max(initial=0) + 1, dtype=np.intp)
+        cell_at[place[: cells.n.size]] = np.arange(cells.n.size)
+        cell = cell_at[place[cells.n.size :]][kept]
+        kept_frame = frame.loc[kept].reset_index(drop=True)
+        n, count = (kept_frame[name].to_numpy(float) for name in ("n", "count"))
+        return cls(kept_frame, n, count, cell)
+
+    def gathered(self) -> tuple[pd.DataFrame, NDArray[np.intp]]:
+        """Rows of one pair of stimuli in one session together, and the cell of each."""
+        labels = [c for c in ("session", "standard", "stimulus_1", "stimulus_2") if c in self.frame]
+        table = self.frame[labels].assign(cell=self.cell, n=self.n, count=self.count)
+        sums = table.groupby([*labels, "cell"], sort=True)[["n", "count"]].sum().reset_index()
+        return sums.drop(columns="cell"), sums["cell"].to_numpy(np.intp)
+
+    def statistics(self) -> dict[str, tuple[Any, str]]:
+        """Statistics of residuals (D, R) and their variances, each with a remedy."""
+        pairs = _codes(self.cell)
+        out: dict[str, tuple[Any, str]] = {
+            "levels": (_squares(pairs), "another noise, percept, or bias per standard")
+        }
+        sessions = None
+        if "session" in self.frame:
+            sessions = _codes(self.frame["session"].to_numpy())
+        both = pairs if sessions is None else _codes(pairs * (sessions.max() + 1) + sessions)
+        out["overdispersion"] = (
+            _correlation_within(both, self.n), "the effect Overdispersion, or fewer sessions"
+        )  # fmt: skip
+        if sessions is not None and sessions.max() > 0:
+            out["sessions"] = (_squares(sessions), "the effect Drift or Step, or fewer sessions")
+        if (self.n == 1).all() and self.n.size > 2:
+            course = np.linspace(-1, 1, self.n.size)
+            out["trend"] = (_correlation_with(course), "a bias that drifts: fewer sessions")
+            first = np.zeros(self.n.size, dtype=bool)
+            first[0] = True
+            if sessions is not None:
+                first[1:] = np.diff(sessions) != 0
+            out["repetition"] = (_correlation_with_previous(first), "the effect History")
+        return out
+
+
+def _codes(labels: NDArray[Any]) -> NDArray[np.intp]:
+    return np.unique(labels, return_inverse=True)[1].reshape(-1)
+
+
+def _summed(values: Array, group: NDArray[np.intp]) -> Array:
+    """Sums by group along the last axis, (D, G)."""
+    order = np.argsort(group, kind="stable")
+    starts = np.searchsorted(group[order], np.arange(group.max() + 1))
+    return np.asarray(np.add.reduceat(values[:, order], starts, axis=1))
+
+
+def _squares(group: NDArray[np.intp]) -> Any:
+    def statistic(off: Array, spread: Array) -> Array:
+        return np.asarray((_summed(off, group) ** 2 / _summed(spread, group)).mean(axis=1))
+
+    return statistic
+
+
+def _correlation_within(group: NDArray[np.intp], n: Array) -> Any:
+    """Moment estimate of ρ: the variance of a count is n P (1 − P) (1 + (n − 1) ρ)."""
+    size = np.bincount(group, n)
+    pairs = max(float((size - 1).sum()), 1.0)
+
+    def statistic(off: Array, spread: Array) -> Array:
+        square = _summed(off, group) ** 2 / _summed(spread, group)
+        return np.asarray((square - 1).sum(axis=1) / pairs)
+
+    return statistic
+
+
+def _correlation_with(course: Array) -> Any:
+    def statistic(off: Array, spread: Array) -> Array:
+        return np.asarray((off / np.sqrt(spread)) @ course / (course @ course) ** 0.5) / np.sqrt(
+            course.size
+        )
+
+    return statistic
+
+
+def _correlation_with_previous(first: NDArray[np.bool_]) -> Any:
+    def statistic(off: Array, spread: Array) -> Array:
+        z = off / np.sqrt(spread)
+        return np.asarray((z[:, 1:] * z[:, :-1])[:, ~first[1:]].mean(axis=1))
+
+    return statistic
+
+
+def _compared(n: Array, count: Array, mean: Array, spread: Array) -> dict[str, Array]:
+    """`spread` is that of one trial: n times it is the variance of the count."""
+    se = np.sqrt(n * spread)
+    off = count - mean
+    return {
+        "n": n.astype(int),
+        "observed": count / n,
+        "expected": mean / n,
+        # Where the model is certain and the data agree there is nothing off.
+        "z": np.divide(off, se, out=np.zeros_like(off), where=se > 0),
+    }
 
 
 def _probability(model: WeberModel, draws: Draws) -> tuple[Array, Array]:
-    """P and 1 − P of every pair at a thinned set of draws, (REPEATS, C)."""
-    thin = slice(None, None, max(draws.weber_fraction.size // REPEATS, 1))
+    """P and 1 − P of every cell at every draw, (D, C)."""
     return model.probability(
-        draws.weber_fraction[thin], draws.lapse_low[thin], draws.lapse_high[thin], draws.bias[thin]
+        draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
     )

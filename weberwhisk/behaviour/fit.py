@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from .. import _checks
-from .likelihood import WeberModel
+from .effects import Effect
+from .likelihood import WeberModel, gather
 from .percepts import NOISES, CuePercept, Percept, percept_for, refuse_unfelt, unit_percepts
 from .posteriors import GridPosterior, WeberPosterior
-from .priors import Priors, priors_for
+from .priors import priors_for
 from .quadrature import integrate
 from .result import WeberFit
 from .trials import Trials
@@ -18,6 +20,7 @@ from .verdict import verdict
 
 BIASES = ("none", "shared", "per standard")
 METHODS = ("quadrature", "emcee")
+MOST_BY_QUADRATURE = 5  # parameters; one more costs a sampler less than a grid
 
 
 def fit_weber(
@@ -27,8 +30,9 @@ def fit_weber(
     observer: Any = None,
     bias: str | None = None,
     noise: str = "weber",
+    effects: Sequence[Effect] = (),
     priors: Any = None,
-    method: str = "quadrature",
+    method: str | None = None,
     seed: int | np.random.SeedSequence | np.random.Generator = 0,
 ) -> WeberFit:
     """Fit the Weber fraction of one observer, with lapses and bias.
@@ -44,13 +48,19 @@ def fit_weber(
         A whisker and a cue, where stimuli are radial distances: short for
         `percept=CuePercept(observer)`.
     bias : {"none", "shared", "per standard"}, optional
-        "shared" by default; percent-correct tasks have none.
+        "shared" by default; percent-correct tasks have none. Of yes/no, go/no-go and
+        same–different tasks it is the criterion.
     noise : {"weber", "equal-variance"}
         The sd of each interval's own stimulus, or the textbook form with that of the standard.
+    effects : sequence of Effect
+        What else may move the answers, a parameter each: a floor, near-miss exponent, drift over
+        sessions, history, contraction, overdispersion; see `weberwhisk.behaviour.effects`.
     priors : Priors or mapping, optional
         Frozen SciPy distributions, or numbers for what is known, by parameter:
         `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`. See `Priors`.
-    method : {"quadrature", "emcee"}
+    method : {"quadrature", "emcee"}, optional
+        By default quadrature up to five parameters (biases of standards count as one, being
+        integrated one by one), and emcee beyond.
     seed : int, SeedSequence or Generator
         Of the sampler, and of draws from the posterior.
 
@@ -75,21 +85,26 @@ def fit_weber(
     True
     """
     _checks.one_of("noise", noise, NOISES)
-    _checks.one_of("method", method, METHODS)
-    model, felt, chosen = build_model(trials, percept, observer, bias, noise, priors)
+    model, felt, chosen = build_model(trials, percept, observer, bias, noise, priors, effects)
+    used = method or ("quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee")
+    _checks.one_of("method", used, METHODS)
     rng = np.random.default_rng(seed)
+    fewer = model.merged()
     posterior: WeberPosterior
-    if method == "emcee":
+    if used == "emcee":
         from .sampling import sample
 
-        posterior = sample(model.merged(), seed=rng)
+        posterior = sample(fewer, seed=rng)
     else:
-        fewer = model.merged()
         posterior = GridPosterior(fewer, integrate(fewer), int(rng.integers(2**63)))
     status, notes = verdict(model, posterior)
     return WeberFit(
-        trials, model, felt, noise, chosen, method, posterior, status, (*trials.notes, *notes)
+        trials, model, felt, noise, chosen, used, posterior, status, (*trials.notes, *notes)
     )
+
+
+def _dimensions(model: WeberModel) -> int:
+    return sum(model.free) + model.free_bias
 
 
 def build_model(
@@ -99,6 +114,7 @@ def build_model(
     bias: str | None,
     noise: str,
     priors: Any,
+    effects: Sequence[Effect] = (),
 ) -> tuple[WeberModel, Percept, str]:
     """The model of a fit, its percept, and the bias chosen."""
     if len(trials.subjects) > 1:
@@ -122,16 +138,24 @@ def build_model(
         raise ValueError(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
         )
-    cells = trials.cells()
+    cells, columns = gather(trials, tuple(effects))
     refuse_unfelt(felt, np.concatenate([cells.stimulus_1, cells.stimulus_2, cells.standard]))
+    both = unit_percepts(felt, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
+    bound = tuple(effect.bound(both, cells.n) for effect in effects)
+    by_name = {effect.name: effect.prior for effect in bound}
+    if len(by_name) < len(bound):
+        raise ValueError(
+            f"effects must differ, got {', '.join(e.name for e in bound)}; name each once."
+        )
     names: tuple[str, ...] = ()
     group = np.zeros(cells.n.size, dtype=np.intp)
+    label = task.bias_name or "bias"
     if chosen == "shared":
-        names = ("bias",)
+        names = (label,)
     elif chosen == "per standard":
         levels, group = np.unique(cells.standard, return_inverse=True)
-        names = tuple(f"bias[{s:g}]" for s in levels)
+        names = tuple(f"{label}[{s:g}]" for s in levels)
     unit_known = trials.scale == "linear" or trials.log_unit is not None
-    believed: Priors = priors_for(priors, cells, unit_known)
-    both = unit_percepts(felt, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
-    return WeberModel(task, both, cells, believed, group, names), felt, chosen
+    believed = priors_for(priors, cells, unit_known, task, by_name)
+    model = WeberModel(task, both, cells, believed, group, names, bound, columns)
+    return model, felt, chosen

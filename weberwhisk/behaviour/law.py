@@ -52,9 +52,14 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
     Raises
     ------
     ValueError
-        With fewer than two standards, or a fixed Weber fraction.
+        With fewer than two standards, a fixed Weber fraction, or effects.
     """
     model = fit.model
+    if model.effects:
+        raise ValueError(
+            f"Weber's law is tested without effects, got {', '.join(e.name for e in model.effects)}"
+            "; fit without them, or compare fits with and without NearMiss() or Floor()."
+        )
     if fit.trials.standards.size < 2:
         raise ValueError(
             "Weber's law needs two standards or more, got 1; collect another standard."
@@ -108,11 +113,21 @@ def _over_lapses(model: WeberModel, grid: Grid) -> float:
         prior = lapse_prior(model, low, high)
         total = prior.copy()
         for part, k_axis in parts:
-            joint = evaluate(part, (k_axis, low, high), offsets, reference, True).joint
-            with np.errstate(invalid="ignore"):  # impossible lapses: -inf from -inf
-                inner = logsumexp(joint, axis=0) + np.log(k_axis[1] - k_axis[0]) - prior
+            # The same lapses, in the coordinate that suits the part's number of trials.
+            own = [
+                theirs.coordinate(ours.score(t)) if t.size > 1 else t
+                for theirs, ours, t in zip(
+                    part.stretches[-2:], model.stretches[-2:], (low, high), strict=True
+                )
+            ]
+            # Impossible lapses give -inf from -inf, and the axes may end in equal coordinates.
+            with np.errstate(invalid="ignore", divide="ignore"):
+                joint = evaluate(part, (k_axis, *own), offsets, reference, True).joint
+                inner = logsumexp(joint, axis=0) + np.log(k_axis[1] - k_axis[0])
+                inner -= lapse_prior(part, *own)
             total += np.where(np.isfinite(prior), inner, -np.inf)
-        wider = adapt(total[None], 1, low), adapt(total[None], 2, high)
+        ends = [s.ends for s in model.stretches[-2:]]
+        wider = adapt(total[None], 1, low, ends[0]), adapt(total[None], 2, high, ends[1])
         if wider[0] is low and wider[1] is high:
             break
         low, high = wider

@@ -1,30 +1,62 @@
-"""The likelihood of one observer's choices: Weber fraction, lapses, and biases by group."""
+"""The likelihood of one observer's choices: Weber fraction, effects, lapses, biases by group."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import ndtr
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaln
 
-from .percepts import UnitPercepts
-from .priors import Priors
+from .effects import Effect, Overdispersion
+from .percepts import Signals, UnitPercepts
+from .priors import TINY, Priors
+from .stretch import PLAIN, Stretch, stretch_for
 from .tasks import Task
-from .trials import Cells
+from .trials import Cells, Trials
 
 Array = NDArray[np.float64]
 
-TINY = 1e-300  # an answer that cannot happen costs 690 nats a trial, not infinity
+RHO_TINY = 1e-7  # below this a beta-binomial is a binomial, and log-gammas lose their digits
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Joint draws of every parameter, whether inferred or fixed.
+
+    `weber_fraction`, `lapse_low`, `lapse_high` have shape (N,); `bias` (N, G), a column per group;
+    `effects` (N, E), a column per effect.
+    """
+
+    weber_fraction: Array
+    lapse_low: Array
+    lapse_high: Array
+    bias: Array
+    effects: Array = field(default_factory=lambda: np.zeros((1, 0)))
+
+    def __len__(self) -> int:
+        return len(self.weber_fraction)
+
+    def thinned(self, most: int) -> Draws:
+        """Every so many of them, about `most` or fewer than twice that."""
+        step = max(len(self) // most, 1)
+        return Draws(*(getattr(self, f)[::step] for f in self.__dataclass_fields__))
+
+    def named(self, model: WeberModel) -> dict[str, Array]:
+        """The inferred parameters by name, each (N,)."""
+        columns = {n: getattr(self, n) for n in ("weber_fraction", "lapse_low", "lapse_high")}
+        columns |= {e.name: self.effects[:, i] for i, e in enumerate(model.effects)}
+        columns |= {name: self.bias[:, i] for i, name in enumerate(model.group_names)}
+        return {name: columns[name] for name in model.names}
 
 
 @dataclass(frozen=True)
 class WeberModel:
-    """One observer: k and two lapses for all cells, one bias per group of cells.
+    """One observer: k, effects and two lapses for all cells, one bias per group of cells.
 
-    Given k and the lapses, the biases of the groups are independent, which is what makes a bias per
+    Given everything else, the biases of the groups are independent, which is what makes a bias per
     standard as cheap as one bias: each is integrated by itself.
 
     Parameters
@@ -38,6 +70,10 @@ class WeberModel:
         Which bias a cell has.
     group_names : tuple of str
         Names of the biases; empty where there is none.
+    effects : tuple of Effect
+        Bound to the table.
+    columns : ndarray, shape (E, C)
+        What each effect goes with.
     """
 
     task: Task
@@ -46,6 +82,8 @@ class WeberModel:
     priors: Priors
     group: NDArray[np.intp]
     group_names: tuple[str, ...]
+    effects: tuple[Effect, ...] = ()
+    columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def n_groups(self) -> int:
@@ -58,9 +96,20 @@ class WeberModel:
         return self.task.lapses
 
     @property
+    def lead(self) -> tuple[str, ...]:
+        """All parameters but the biases: Weber fraction, effects, and the two lapses last."""
+        return ("weber_fraction", *(e.name for e in self.effects), "lapse_low", "lapse_high")
+
+    @cached_property
+    def free(self) -> tuple[bool, ...]:
+        """Which of the lead are inferred."""
+        absent = {"lapse_low", "lapse_high"} - {*self.lapse_names}
+        return tuple(n not in absent and not self.priors.is_fixed(n) for n in self.lead)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """All parameters that are not fixed."""
-        lead = [n for n in ("weber_fraction", *self.lapse_names) if not self.priors.is_fixed(n)]
+        lead = [n for n, free in zip(self.lead, self.free, strict=True) if free]
         return (*lead, *(self.group_names if self.free_bias else ()))
 
     @property
@@ -68,14 +117,43 @@ class WeberModel:
         """Whether there is any bias to infer."""
         return bool(self.group_names) and not self.priors.is_fixed("bias")
 
+    def value(self, name: str, scores: ArrayLike) -> Array:
+        """A lead parameter at a normal score of its prior; zero where the task has none such."""
+        if name.startswith("lapse_") and name not in self.lapse_names:
+            return np.zeros(np.shape(scores))
+        return self.priors.value(name, scores)
+
+    @cached_property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The coordinate of each lead parameter for a grid: its score, but for lapses."""
+        told = float(self.cells.n.sum()) / 3
+        return tuple(
+            stretch_for(self.priors.of(name), told) if is_lapse and free else PLAIN
+            for name, free in zip(self.lead, self.free, strict=True)
+            for is_lapse in [name in self.lapse_names]
+        )
+
+    def at(self, name: str, coordinate: ArrayLike) -> Array:
+        """A lead parameter at a coordinate of the grid."""
+        return self.value(name, self.stretches[self.lead.index(name)].score(coordinate))
+
     @cached_property
     def membership(self) -> Array:
         """(C, G): 1 where a cell belongs to a group."""
         return np.equal.outer(self.group, np.arange(self.n_groups)).astype(float)
 
-    def eta(self, k: Array) -> Array:
-        """Decision variable without bias, (..., C)."""
-        return self.task.decision_variable(self.percepts, k)
+    def felt(self, k: Array, effects: Array | None = None) -> Signals:
+        """Both signals of every cell, (..., C), with Weber fraction (...) and effects (..., E)."""
+        felt = self.percepts.felt(k)
+        if self.effects and effects is None:
+            raise ValueError(
+                f"the model has effects ({', '.join(e.name for e in self.effects)}) and got no "
+                "values of them; give effects=draws.effects."
+            )
+        for i, (effect, column) in enumerate(zip(self.effects, self.columns, strict=True)):
+            assert effects is not None
+            felt = effect.apply(felt, effects[..., i, None], column)
+        return felt
 
     def lapses(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Asymptotes as the task sees them; `low` is ignored where the task has none."""
@@ -89,83 +167,136 @@ class WeberModel:
 
     def fixed_value(self, name: str) -> float:
         """The value of a parameter that is not inferred."""
-        if name in ("weber_fraction", *self.lapse_names):
-            return float(getattr(self.priors, name))
+        if name in self.lead:
+            return float(self.value(name, 0.0))
         return self.fixed_bias()
 
-    def probability(self, k: Array, low: Array, high: Array, bias: Array) -> tuple[Array, Array]:
+    def probability(
+        self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
+    ) -> tuple[Array, Array]:
         """P and 1 − P of every cell.
 
         Parameters
         ----------
         k, low, high : ndarray, shape (...)
         bias : ndarray, shape (..., G)
+        effects : ndarray, shape (..., E), optional
 
         Returns
         -------
         tuple of ndarray, shape (..., C)
             Both computed without subtraction from 1, so neither loses its tail.
         """
-        low, high = self.lapses(low, high)
-        eta = self.eta(k) + bias[..., self.group]
-        up, down = ndtr(eta), ndtr(-eta)
-        low, high = low[..., None], high[..., None]
+        low, high = (a[..., None] for a in self.lapses(low, high))
+        d, weight = self.task.decide(self.felt(k, effects))
+        up, down = self.task.chance(d, weight * bias[..., self.group])
         return (
             np.maximum(low * down + (1 - high) * up, TINY),
             np.maximum((1 - low) * down + high * up, TINY),
         )
 
-    def log_likelihood(self, k: Array, low: Array, high: Array, bias: Array) -> Array:
-        """Log-probability of the sequence of answers, (...); binomial coefficients left out."""
-        return self.cell_log_likelihood(k, low, high, bias).sum(axis=-1)
+    @cached_property
+    def dispersed(self) -> int | None:
+        """Which effect is the overdispersion, if there is one."""
+        found = [i for i, e in enumerate(self.effects) if isinstance(e, Overdispersion)]
+        return found[0] if found else None
 
-    def cell_log_likelihood(self, k: Array, low: Array, high: Array, bias: Array) -> Array:
+    def log_likelihood(
+        self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
+    ) -> Array:
+        """Log-probability of the sequence of answers, (...); binomial coefficients left out."""
+        return self.cell_log_likelihood(k, low, high, bias, effects).sum(axis=-1)
+
+    def cell_log_likelihood(
+        self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
+    ) -> Array:
         """The same by cell, (..., C)."""
-        p, q = self.probability(k, low, high, bias)
-        return self.cells.count * np.log(p) + (self.cells.n - self.cells.count) * np.log(q)
+        p, q = self.probability(k, low, high, bias, effects)
+        if self.dispersed is None:
+            return self.cells.count * np.log(p) + (self.cells.n - self.cells.count) * np.log(q)
+        assert effects is not None
+        return self.beta_binomial(p, q, effects[..., self.dispersed, None])
+
+    def beta_binomial(self, p: Array, q: Array, rho: Array) -> Array:
+        """Log-probability of the answers of a cell whose P has a beta distribution, (..., C)."""
+        size = (1 - rho) / np.maximum(rho, RHO_TINY)
+        a, b = np.maximum(p * size, TINY), np.maximum(q * size, TINY)
+        x, n = self.cells.count, self.cells.n
+        rising = gammaln(a + x) - gammaln(a) + gammaln(b + (n - x)) - gammaln(b)
+        return np.asarray(rising - (gammaln(size + n) - gammaln(size)))
+
+    def simulate(self, draws: Draws, rng: np.random.Generator) -> Array:
+        """Counts that observers with these parameters would give to the same trials, (N, C)."""
+        p, q = self.probability(
+            draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
+        )
+        if self.dispersed is not None:
+            rho = np.maximum(draws.effects[:, self.dispersed, None], RHO_TINY)
+            p = rng.beta(*(np.maximum(side * (1 - rho) / rho, TINY) for side in (p, q)))
+        n = self.cells.n.astype(np.int64)
+        return rng.binomial(n, np.clip(p, 0.0, 1.0)).astype(float)
 
     def log_bias_prior(self, bias: Array) -> Array:
         """Log-density of the bias prior, elementwise; 0 where the bias is fixed."""
         if not self.free_bias:
             return np.zeros(np.shape(bias))
-        return np.asarray(self.priors.bias.logpdf(bias))
+        return self.priors.log_density("bias", bias)
 
     def bias_mode(
-        self, k: Array, low: Array, high: Array, start: Array | None = None
+        self,
+        felt: tuple[Array, Array | float],
+        low: Array,
+        high: Array,
+        start: Array | None = None,
     ) -> tuple[Array, Array]:
         """Where each bias lies given the rest: centre and sd, (..., G), by Fisher scoring.
 
         Only the place of quadrature nodes depends on these, never the answer.
+
+        Parameters
+        ----------
+        felt : tuple of ndarray, shape (..., C)
+            Decision variable, and what a bias of 1 adds to it, from the task's `decide`.
+        low, high : ndarray, shape (...)
+            Lapses.
         """
-        shape = (*np.broadcast_shapes(k.shape, low.shape, high.shape), self.n_groups)
+        d, weight = felt
+        shape = (*np.broadcast_shapes(d.shape[:-1], low.shape, high.shape), self.n_groups)
         if not self.free_bias:
             return np.full(shape, self.fixed_bias()), np.ones(shape)
-        mean, sd = float(self.priors.bias.mean()), float(self.priors.bias.std())
+        mean, sd = self.priors.moments("bias")
         low, high = (a[..., None] for a in self.lapses(low, high))
-        eta, n, x = self.eta(k), self.cells.n, self.cells.count
+        n, x = self.cells.n, self.cells.count
         bias = np.full(shape, mean) if start is None else np.broadcast_to(start, shape)
         precision = np.ones(shape)
         for _ in range(25):
-            z = eta + bias[..., self.group]
-            up, down = ndtr(z), ndtr(-z)
+            up, down = self.task.chance(d, weight * bias[..., self.group])
+            more, _ = self.task.chance(d, weight * (bias[..., self.group] + 1e-4))
             p = np.maximum(low * down + (1 - high) * up, TINY)
             q = np.maximum((1 - low) * down + high * up, TINY)
-            slope = (1 - low - high) * np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
-            weight = slope / (p * q)
-            score = (weight * (x - n * p)) @ self.membership - (bias - mean) / sd**2
-            precision = (weight * slope * n) @ self.membership + 1 / sd**2
-            step = np.clip(score / precision, -1.0, 1.0)
+            slope = (1 - low - high) * (more - up) / 1e-4
+            gain = slope / (p * q)
+            score = (gain * (x - n * p)) @ self.membership - (bias - mean) / sd**2
+            precision = (gain * slope * n) @ self.membership + 1 / sd**2
+            step = np.clip(score / precision, -sd, sd)
             bias = bias + step
-            if np.max(np.abs(step) * np.sqrt(precision)) < 0.02:
+            if np.max(np.abs(step) * np.sqrt(precision), initial=0.0) < 0.1:
                 break
         return bias, 1 / np.sqrt(precision)
+
+    def plain(self) -> WeberModel:
+        """The same observer without effects."""
+        return replace(self, effects=(), columns=np.zeros((0, 0))) if self.effects else self
 
     def merged(self) -> WeberModel:
         """The same likelihood with fewer cells: those that only differ in scale are one.
 
-        Under Weber's law every standard repeats the same few ratios.
+        Under Weber's law every standard repeats the same few ratios. Effects and floors know the
+        scale, and leave the cells as they are.
         """
         p = self.percepts
+        if self.effects or p.has_floor:
+            return self
         key = np.column_stack([(p.mean_2 - p.mean_1) / p.sd_1, p.sd_2 / p.sd_1])
         rounded = np.column_stack([np.round(key, 11), self.group])
         _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -191,13 +322,34 @@ class WeberModel:
         groups = np.unique(self.group[keep])
         return replace(
             self,
-            percepts=UnitPercepts(*(a[keep] for a in self.percepts)),
+            percepts=self.percepts.of(keep),
             cells=self.cells.of(standard),
             group=np.searchsorted(groups, self.group[keep]),
             group_names=tuple(self.group_names[g] for g in groups) if self.group_names else (),
+            columns=self.columns[:, keep] if self.effects else self.columns,
         )
 
     def by_standard(self) -> Iterator[tuple[float, WeberModel]]:
         """Every standard with its part of the model."""
         for standard in np.unique(self.cells.standard):
             yield float(standard), self.subset(float(standard))
+
+
+def gather(trials: Trials, effects: tuple[Effect, ...]) -> tuple[Cells, Array]:
+    """Trials in cells, those apart that differ in what an effect goes with; columns (E, C)."""
+    named = [e.column(trials) for e in effects]
+    if all(c is None for c in named):
+        cells = trials.cells()
+        return cells, np.zeros((len(effects), cells.n.size))
+    size = len(trials.frame)
+    columns = [np.zeros(size) if c is None else c for c in named]
+    numbers = [
+        trials.frame[c].to_numpy(float) for c in ("standard", "stimulus_1", "stimulus_2", "n",
+                                                  "count")
+    ]  # fmt: skip
+    rows = np.column_stack([*numbers[:3], *columns, *numbers[3:]])
+    rows = rows[~np.isnan(rows[:, -1]) & (rows[:, -2] > 0)]
+    keys, same = np.unique(rows[:, :-2], axis=0, return_inverse=True)
+    n, count = (np.bincount(same.reshape(-1), rows[:, i], len(keys)) for i in (-2, -1))
+    standard, s1, s2 = keys[:, :3].T
+    return Cells(s1, s2, standard, n.astype(float), count.astype(float)), keys[:, 3:].T

@@ -1,4 +1,4 @@
-"""Where the posterior of one observer lies: normal scores, the mode, and the curvature there."""
+"""Where the posterior of one observer lies: the mode in normal scores, and the curvature there."""
 
 from __future__ import annotations
 
@@ -6,69 +6,70 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from .likelihood import WeberModel
-from .priors import Priors
+from .likelihood import Draws, WeberModel
+from .priors import REACH, Priors
 from .tasks import Task
 
 Array = NDArray[np.float64]
 
-LEAD = ("weber_fraction", "lapse_low", "lapse_high")
-REACH = 9.0  # scores beyond which no prior has mass
+
+def lead_values(model: WeberModel, scores: Array) -> tuple[Array, Array, Array, Array]:
+    """k, effects, and both lapses at scores (..., lead)."""
+    values = [model.value(name, scores[..., i]) for i, name in enumerate(model.lead)]
+    effects = np.stack(values[1:-2], axis=-1) if model.effects else np.zeros((*values[0].shape, 0))
+    return values[0], effects, values[-2], values[-1]
 
 
-def free_scores(model: WeberModel) -> list[bool]:
-    """Which of the lead scores are inferred."""
-    present = ("weber_fraction", *model.lapse_names)
-    return [name in present and not model.priors.is_fixed(name) for name in LEAD]
-
-
-def score_value(model: WeberModel, name: str, scores: Array) -> Array:
-    """A lead parameter at a score; zero where the task has no such parameter."""
-    if name not in ("weber_fraction", *model.lapse_names):
-        return np.zeros(np.shape(scores))
-    return model.priors.value(name, scores)
+def score_precision(model: WeberModel) -> Array:
+    """Precision matrix of the free lead scores under their prior: the lapses of an observer, one
+    at either end, are correlated."""
+    free = np.array(model.free)
+    covariance = np.eye(free.size)
+    if free[-2:].all():
+        covariance[-1, -2] = covariance[-2, -1] = model.priors.lapse_correlation
+    return np.linalg.inv(covariance[np.ix_(free, free)])
 
 
 def find_mode(model: WeberModel, scores: Array, bias: Array) -> tuple[tuple[Array, Array], Array]:
     """Mode of (scores, biases), and the Fisher information there (free parameters, biases last).
 
     Levenberg–Marquardt on the binomial likelihood with the priors; only the place of the nodes
-    depends on it, so the bias prior enters as a normal of its mean and sd.
+    depends on it, so the bias prior enters as a normal of its mean and sd, and overdispersion
+    stays where it starts.
     """
-    free = np.flatnonzero(free_scores(model))
-    table = np.linspace(-REACH, REACH, 361)
-    values = [score_value(model, name, table) for name in LEAD]
-    values[0] = np.log(np.maximum(values[0], 1e-300))
+    free = np.flatnonzero(model.free)
     n_bias = model.n_groups if model.free_bias else 0
-    mean, sd = (
-        (float(model.priors.bias.mean()), float(model.priors.bias.std())) if n_bias else (0.0, 1.0)
-    )
+    mean, sd = model.priors.moments("bias") if n_bias else (0.0, 1.0)
     prior_mean = np.r_[np.zeros(free.size), np.full(n_bias, mean)]
-    prior_precision = np.r_[np.ones(free.size), np.full(n_bias, 1 / sd**2)]
+    precision = np.diag(np.full(free.size + n_bias, 1 / sd**2))
+    precision[: free.size, : free.size] = score_precision(model)
     n, x = model.cells.n, model.cells.count
+    if model.dispersed is not None:  # worth fewer trials than there are
+        rho = float(model.value(model.effects[model.dispersed].name, 0.0))
+        n, x = (a / (1 + np.maximum(model.cells.n - 1, 0) * rho) for a in (n, x))
 
     def probability(theta: Array) -> tuple[Array, Array]:
         z = np.tile(scores, (len(theta), 1))
-        z[:, free] = theta[:, : free.size]
-        k, low, high = (np.interp(z[:, i], table, v) for i, v in enumerate(values))
+        z[:, free] = np.clip(theta[:, : free.size], -REACH, REACH)
+        k, effects, low, high = lead_values(model, z)
         b = theta[:, free.size :] if n_bias else np.tile(bias, (len(theta), 1))
-        return model.probability(np.exp(k), low, np.minimum(high, 1 - low), b)
+        return model.probability(k, low, np.minimum(high, 1 - low), b, effects)
 
     def objective(p: Array, q: Array, theta: Array) -> float:
-        return float(
-            x @ np.log(p) + (n - x) @ np.log(q) - 0.5 * prior_precision @ (theta - prior_mean) ** 2
-        )
+        off = theta - prior_mean
+        return float(x @ np.log(p) + (n - x) @ np.log(q) - 0.5 * off @ precision @ off)
 
     theta = np.r_[scores[free], bias if n_bias else ()]
     nudge = 1e-3 * np.eye(theta.size)
-    damping, best, information = 1e-3, -np.inf, np.diag(prior_precision)
+    damping, information = 1e-3, precision
     for _ in range(60):
         p, q = probability(np.concatenate([theta[None], theta + nudge, theta - nudge]))
         best = objective(p[0], q[0], theta)
         slopes = (p[1 : 1 + theta.size] - p[1 + theta.size :]) / 2e-3
-        gradient = slopes @ (x / p[0] - (n - x) / q[0]) - prior_precision * (theta - prior_mean)
-        information = (slopes * (n / (p[0] * q[0]))) @ slopes.T + np.diag(prior_precision)
+        gradient = slopes @ (x / p[0] - (n - x) / q[0]) - precision @ (theta - prior_mean)
+        information = (slopes * (n / (p[0] * q[0]))) @ slopes.T + precision
         moved = False
         while damping < 1e8:
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
@@ -78,27 +79,69 @@ def find_mode(model: WeberModel, scores: Array, bias: Array) -> tuple[tuple[Arra
                 theta, damping, moved = theta + step, max(damping * 0.1, 1e-9), True
                 break
             damping *= 10
-        if not moved or step @ information @ step < 1e-4:
+        if not moved or step @ information @ step < 1e-2:
             break
     out = scores.copy()
-    out[free] = theta[: free.size]
+    out[free] = np.clip(theta[: free.size], -REACH, REACH)
     return (out, theta[free.size :] if n_bias else bias), information
+
+
+def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
+    """The most probable values of the inferred parameters, found from these lead scores on.
+
+    Most probable in the normal scores of the priors (for the Weber fraction that is in ln k): the
+    lapses' density itself has no top, it grows without end towards 0.
+    """
+    free = np.flatnonzero(model.free)
+    n_bias = model.n_groups if model.free_bias else 0
+    bias = np.full(model.n_groups, model.priors.moments("bias")[0] if n_bias else 0.0)
+    (scores, bias), information = find_mode(model, scores, bias)
+    precision = score_precision(model)
+    scale = np.r_[1 / np.sqrt(np.diag(information))]
+    centre = np.r_[scores[free], bias if n_bias else ()]
+
+    def unpack(step: Array) -> tuple[Array, Array]:
+        theta = centre + scale * step
+        z = scores.copy()
+        z[free] = np.clip(theta[: free.size], -REACH, REACH)
+        own = theta[free.size :] if n_bias else np.full(model.n_groups, model.fixed_bias())
+        return z, own
+
+    def cost(step: Array) -> float:
+        z, own = unpack(step)
+        k, effects, low, high = lead_values(model, z)
+        if sum(model.lapses(low, high)) >= 1:
+            return 1e10
+        log_density = model.log_likelihood(k, low, high, own, effects)
+        log_density = log_density - 0.5 * z[free] @ precision @ z[free]
+        return -float(log_density + model.log_bias_prior(own).sum() * bool(n_bias))
+
+    found = minimize(cost, np.zeros(centre.size), method="Powell", options={"xtol": 1e-5})
+    z, own = unpack(found.x)
+    k, effects, low, high = lead_values(model, z)
+    one = Draws(k[None], low[None], high[None], own[None], effects[None])
+    return {name: float(value[0]) for name, value in one.named(model).items()}
 
 
 @lru_cache(maxsize=64)
 def log_lapses_possible(task: Task, priors: Priors) -> float:
     """Log prior mass of the lapses that leave the curve rising: λ_lo + λ_hi < 1."""
     z = np.linspace(-REACH, REACH, 181)
-    score = np.exp(-0.5 * z**2)
-    values, weights = [], []
-    for name in LEAD[1:]:
+    values, scores = [], []
+    for name in ("lapse_low", "lapse_high"):
         free = name in task.lapses and not priors.is_fixed(name)
-        fixed = (
-            0.0 if name not in task.lapses else float(getattr(priors, name)) if not free else 0.0
-        )
-        values.append(priors.value(name, z) if free else np.array([fixed]))
-        weights.append(score if free else np.ones(1))
+        scores.append(z if free else np.zeros(1))
+        values.append(priors.value(name, scores[-1]) * (name in task.lapses))
     low, high = task.asymptotes(values[0][:, None], values[1][None, :])
-    weight = weights[0][:, None] * weights[1]
+    weight = np.exp(log_score_prior(scores[0][:, None], scores[1], priors.lapse_correlation))
     rising = np.broadcast_to(low + high < 1, weight.shape)
     return float(np.log(weight[rising].sum() / weight.sum()))
+
+
+def log_score_prior(low: Array, high: Array, correlation: float) -> Array:
+    """Log prior density of the scores of both lapses (broadcasts), each of one value if fixed."""
+    free = [int(a.size > 1) for a in (low, high)]
+    rho = correlation if all(free) else 0.0
+    square = free[0] * low**2 + free[1] * high**2 - 2 * rho * low * high
+    norm = 0.5 * sum(free) * np.log(2 * np.pi) + 0.5 * np.log1p(-(rho**2))
+    return np.asarray(-0.5 * square / (1 - rho**2) - norm)

@@ -6,8 +6,10 @@ A percept is the only thing a fit knows about a stimulus. Anything with the four
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from functools import cached_property
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +18,7 @@ from .. import _checks
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..observer import Observer
+from ..receptors import Weber
 
 Array = NDArray[np.float64]
 
@@ -38,6 +41,14 @@ class Percept(Protocol):
 
     def unit_sd(self, stimulus: ArrayLike) -> Array:
         """Noise sd of the signal at each stimulus, for a Weber fraction of 1."""
+
+
+@runtime_checkable
+class FlooredPercept(Percept, Protocol):
+    """A percept with noise that stays where the signal vanishes."""
+
+    def floor_sd(self, stimulus: ArrayLike) -> Array:
+        """The part of the noise sd that does not go with the Weber fraction."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +141,10 @@ class CuePercept:
     Parameters
     ----------
     observer : Observer
-        Its whisker and cue. Its noise says only how the Weber fractions of several signals go
-        together: the fraction that is fitted is that of the first.
+        Its whisker, cue and receptors. The Weber fraction that is fitted is that of the first
+        signal, those of others keep their ratio to it; a floor of the receptors is taken as known
+        (exactly where the noise of several signals is uncorrelated), and a signal above their
+        ceiling gives no percept.
     deflection_angle : float, optional
         rad; of every contact, where the cue does not know it.
     unit : float
@@ -181,21 +194,51 @@ class CuePercept:
 
     def mean(self, stimulus: ArrayLike) -> Array:
         signals, outcome = self.observer.signals(self._contact(stimulus))
+        lost = self._saturated(signals)
         if self._one_signal:
-            return np.asarray(signals[..., 0])
-        return np.where(outcome == Outcome.HELD, np.asarray(stimulus, dtype=float), np.nan)
+            return np.where(lost, np.nan, signals[..., 0])
+        held = (outcome == Outcome.HELD) & ~lost
+        return np.where(held, np.asarray(stimulus, dtype=float), np.nan)
+
+    def _saturated(self, signals: Array) -> NDArray[np.bool_]:
+        saturated = getattr(self.observer.noise, "saturated", None)
+        if saturated is None:
+            return np.zeros(signals.shape[:-1], dtype=bool)
+        return np.any(saturated(signals), axis=-1)
+
+    @cached_property
+    def _weber_only(self) -> tuple[Observer, float]:
+        """The same observer with receptors that have no floor, and their first Weber fraction."""
+        noise = self.observer.noise
+        k = getattr(noise, "weber_fraction", 1.0)
+        bare = copy(self.observer)
+        if hasattr(noise, "floor"):
+            bare.noise = Weber(k, correlation=getattr(noise, "correlation", 0.0))
+        return bare, float(np.ravel(k)[0])
 
     def unit_sd(self, stimulus: ArrayLike) -> Array:
         if self._one_signal:
             return np.abs(self.mean(stimulus))
-        first = np.ravel(getattr(self.observer.noise, "weber_fraction", 1.0))[0]
-        jnd = weber_propagation(self.observer, self._contact(stimulus)) / (first * self.unit)
+        bare, first = self._weber_only
+        jnd = weber_propagation(bare, self._contact(stimulus)) / (first * self.unit)
         # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.
         return np.where(np.isfinite(jnd), jnd, np.nan)
 
+    def floor_sd(self, stimulus: ArrayLike) -> Array:
+        """Sd of the receptors' floor, carried to the percept."""
+        floor = getattr(self.observer.noise, "floor", 0.0)
+        if self._one_signal or not np.any(floor):
+            return np.full(np.shape(stimulus), float(np.ravel(floor)[0]))
+        whole = weber_propagation(self.observer, self._contact(stimulus)) / self.unit
+        weber = self._weber_only[1] * self.unit_sd(stimulus)
+        return np.sqrt(np.maximum(whole**2 - weber**2, 0.0))
+
     def outcome(self, stimulus: float) -> str:
         """What becomes of the contact at one distance, in words."""
-        outcome = Outcome(int(self.observer.signals(self._contact(stimulus))[1]))
+        signals, reached = self.observer.signals(self._contact(stimulus))
+        outcome = Outcome(int(reached))
+        if outcome == Outcome.HELD and self._saturated(signals):
+            return "the receptors are saturated there"
         if outcome == Outcome.HELD:
             return "these signals cannot tell distance on this whisker"
         return outcome.message
@@ -224,13 +267,45 @@ def refuse_unfelt(percept: Percept, stimulus: ArrayLike) -> None:
 class UnitPercepts(NamedTuple):
     """The two percepts of each cell, a greater stimulus giving a greater mean; arrays (C,).
 
-    The sds are for a Weber fraction of 1.
+    The sds are for a Weber fraction of 1; floors do not go with it, and add in variance.
     """
 
     mean_1: Array
     sd_1: Array
     mean_2: Array
     sd_2: Array
+    floor_1: ArrayLike = 0.0
+    floor_2: ArrayLike = 0.0
+
+    def felt(self, weber_fraction: ArrayLike) -> Signals:
+        """Both signals with the noise of an observer, (..., C) for a Weber fraction (...)."""
+        k = np.asarray(weber_fraction, dtype=float)[..., None]
+        sd_1, sd_2 = k * self.sd_1, k * self.sd_2
+        if self.has_floor:
+            sd_1, sd_2 = np.hypot(sd_1, self.floor_1), np.hypot(sd_2, self.floor_2)
+        return Signals(self.mean_1, sd_1, self.mean_2, sd_2)
+
+    @property
+    def has_floor(self) -> bool:
+        """Whether any noise is left at a Weber fraction of nothing."""
+        return bool(np.any(self.floor_1) or np.any(self.floor_2))
+
+    def of(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> UnitPercepts:
+        """Some of the cells."""
+        return UnitPercepts(*(np.broadcast_to(a, self.mean_1.shape)[which] for a in self))
+
+
+class Signals(NamedTuple):
+    """The two noisy signals of each cell: means and sds, and a push towards "second greater".
+
+    `push` adds to the decision variable, in its sds. Arrays that broadcast to (..., C).
+    """
+
+    mean_1: Array
+    sd_1: Array
+    mean_2: Array
+    sd_2: Array
+    push: Array | float = 0.0
 
 
 def unit_percepts(
@@ -266,7 +341,11 @@ def unit_percepts(
         sd_1, sd_2 = percept.unit_sd(s1), percept.unit_sd(s2)
     else:
         sd_1 = sd_2 = percept.unit_sd(s0)
-    return UnitPercepts(sign * percept.mean(s1), sd_1, sign * percept.mean(s2), sd_2)
+    means = sign * percept.mean(s1), sign * percept.mean(s2)
+    if not isinstance(percept, FlooredPercept):
+        return UnitPercepts(means[0], sd_1, means[1], sd_2)
+    floors = [percept.floor_sd(s) for s in ((s1, s2) if noise == "weber" else (s0, s0))]
+    return UnitPercepts(means[0], sd_1, means[1], sd_2, *floors)
 
 
 def percept_for(scale: str, log_unit: float | None, noise: str) -> Percept:

@@ -11,30 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.special import logsumexp
 
-from .likelihood import WeberModel
-from .mode import LEAD
+from .likelihood import Draws, WeberModel
+from .mode import lead_values, log_lapses_possible, map_point, score_precision
 from .quadrature import Grid, evaluate, log_marginal
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Draws:
-    """Joint draws from a posterior, of every parameter whether inferred or fixed.
-
-    `weber_fraction`, `lapse_low`, `lapse_high` have shape (N,); `bias` (N, G), a column per group.
-    """
-
-    weber_fraction: Array
-    lapse_low: Array
-    lapse_high: Array
-    bias: Array
-
-    def named(self, model: WeberModel) -> dict[str, Array]:
-        """The inferred parameters by name, each (N,)."""
-        columns = {name: getattr(self, name) for name in LEAD}
-        columns |= {name: self.bias[:, i] for i, name in enumerate(model.group_names)}
-        return {name: columns[name] for name in model.names}
 
 
 class WeberPosterior(Protocol):
@@ -48,6 +29,12 @@ class WeberPosterior(Protocol):
 
     def quantile(self, name: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter."""
+
+    def mode(self) -> dict[str, float]:
+        """The most probable point (MAP), a value for each inferred parameter."""
+
+    def score_curve(self) -> tuple[Array, Array]:
+        """Log posterior density of the normal score of k, on an even axis."""
 
     def draws(self) -> Draws:
         """Joint draws, in chains one after another."""
@@ -106,12 +93,13 @@ class GridPosterior:
         if name not in self.model.names:
             fixed = float(self.model.fixed_value(name))
             return np.array([fixed, fixed]), np.array([0.0, 1.0]), np.array([0.5, 0.5])
-        if name in LEAD:
-            axis = self.grid.axes[LEAD.index(name)]
+        if name in self.model.lead:
+            place = self.model.lead.index(name)
+            axis = self.grid.axes[place]
             fine = np.linspace(axis[0], axis[-1], 1601)
-            spline = CubicSpline(axis, np.maximum(log_marginal(self.grid, LEAD.index(name)), -80.0))
+            spline = CubicSpline(axis, np.maximum(log_marginal(self.grid, place), -80.0))
             density = np.exp(spline(fine))
-            values = self.model.priors.value(name, fine)
+            values = self.model.at(name, fine)
         else:
             values, density = self._bias_density(self.model.group_names.index(name))
         cdf = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
@@ -165,26 +153,33 @@ class GridPosterior:
         values, _, weight = self._curve(name)
         return float(np.sqrt(weight @ (values - weight @ values) ** 2))
 
+    def score_curve(self) -> tuple[Array, Array]:
+        return self.grid.axes[0], log_marginal(self.grid, 0)
+
+    def mode(self) -> dict[str, float]:
+        at = np.unravel_index(int(np.argmax(self.grid.joint)), self.grid.joint.shape)
+        point = np.array([a[i] for a, i in zip(self.grid.axes, at, strict=True)])
+        return map_point(self.model, self._scores(point))
+
     def draws(self) -> Draws:
         return self._draws
 
     @cached_property
     def _draws(self) -> Draws:
         rng = np.random.default_rng(self.seed)
-        k, low, high = self._lead_draws(rng)
-        return Draws(k, low, high, self._bias_draws(rng, k, low, high))
+        k, effects, low, high = lead_values(self.model, self._scores(self._lead_draws(rng)))
+        return Draws(k, low, high, self._bias_draws(rng, k, effects, low, high), effects)
 
-    def _lead_draws(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-        """k and lapses by rejection: proposed from the grid, interpolated linearly, kept by the
-        exact density. For a log-concave bump the ratio of the two is bounded in the tails."""
+    def _lead_draws(self, rng: np.random.Generator) -> Array:
+        """Coordinates of k, effects, lapses by rejection, (N, lead): proposed from the grid,
+        interpolated linearly, kept by the exact density. For a log-concave bump the ratio of the
+        two is bounded in the tails."""
         g = self.grid
         free = [i for i, axis in enumerate(g.axes) if axis.size > 1]
-        joint = np.exp(g.joint - g.joint.max()).squeeze()
         if not free:
-            zero = np.zeros((self.n_draws, 3))
-            return self._values(zero)
+            return np.zeros((self.n_draws, len(g.axes)))
         axes = [g.axes[i] for i in free]
-        joint = joint.reshape([a.size for a in axes])
+        joint = np.exp(g.joint - g.joint.max()).reshape([a.size for a in axes])
         steps = np.array([a[1] - a[0] for a in axes])
         proposal = RegularGridInterpolator(axes, joint, bounds_error=False, fill_value=0.0)
         cumulative = np.cumsum(joint.ravel())
@@ -198,52 +193,61 @@ class GridPosterior:
             place = place + steps * (rng.random(place.shape) - rng.random(place.shape))
             inside = proposal(place)
             place, inside = place[inside > 0], inside[inside > 0]
-            z = np.zeros((len(place), 3))
+            z = np.zeros((len(place), len(g.axes)))
             z[:, free] = place
             ratio = np.exp(self._log_density(z, free) - g.joint.max()) / inside
             # The largest ratios are far out, where hardly anything is proposed.
             bound = bound or float(np.quantile(ratio, 0.999))
             kept.append(z[rng.random(len(z)) * bound < ratio])
-        return self._values(np.concatenate(kept)[: self.n_draws])
+        return np.concatenate(kept)[: self.n_draws]
 
-    def _values(self, z: Array) -> tuple[Array, Array, Array]:
-        present = ("weber_fraction", *self.model.lapse_names)
-        k, low, high = (
-            self.model.priors.value(name, z[:, i]) if name in present else np.zeros(len(z))
-            for i, name in enumerate(LEAD)
-        )
-        return k, low, high
+    def _scores(self, t: Array) -> Array:
+        """Scores at grid coordinates, (..., lead)."""
+        columns = [s.score(t[..., i]) for i, s in enumerate(self.model.stretches)]
+        return np.stack(columns, axis=-1)
 
-    def _log_density(self, z: Array, free: list[int]) -> Array:
-        """Log density of the lead scores at scattered places, (M,), biases integrated."""
-        k, low, high = self._values(z)
-        log_density, _, _ = self._conditional(k, low, high, half_width=8.0, nodes=17)
+    def _log_density(self, t: Array, free: list[int]) -> Array:
+        """Log density of the coordinates at scattered places, (M,), biases integrated."""
+        z = self._scores(t)
+        k, effects, low, high = lead_values(self.model, z)
+        log_mass, _, _ = self._conditional(k, effects, low, high, half_width=8.0, nodes=17)
         possible = np.where(sum(self.model.lapses(low, high)) < 1, 0.0, -np.inf)
-        prior = -0.5 * (z[:, free] ** 2).sum(axis=1) - 0.5 * len(free) * np.log(2 * np.pi)
-        return logsumexp(log_density, axis=1).sum(axis=1) + prior + possible
+        precision = score_precision(self.model)
+        x = z[:, free]
+        prior = -0.5 * np.einsum("mi,ij,mj->m", x, precision, x)
+        prior += 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * len(free) * np.log(2 * np.pi)
+        prior -= log_lapses_possible(self.model.task, self.model.priors)
+        for i in free:
+            prior += np.log(self.model.stretches[i].slope(t[:, i]))
+        return np.asarray(logsumexp(log_mass, axis=1).sum(axis=1) + prior + possible)
 
     def _conditional(
-        self, k: Array, low: Array, high: Array, *, half_width: float, nodes: int
+        self, k: Array, effects: Array, low: Array, high: Array, *, half_width: float, nodes: int
     ) -> tuple[Array, Array, Array]:
         """Log mass of bias nodes given the rest, (M, B, G); the nodes; their steps (M, G)."""
         m = self.model
         t = np.linspace(-half_width, half_width, nodes) if m.free_bias else np.zeros(1)
-        centre, spread = m.bias_mode(k, low, high)
+        felt = np.broadcast_arrays(*m.task.decide(m.felt(k, effects)))
+        centre, spread = m.bias_mode((felt[0], felt[1]), low, high)
         bias = centre[:, None, :] + spread[:, None, :] * t[:, None]
         step = spread * (t[1] - t[0] if t.size > 1 else 1.0)
-        cells = m.cell_log_likelihood(k[:, None], low[:, None], high[:, None], bias)
+        cells = m.cell_log_likelihood(
+            k[:, None], low[:, None], high[:, None], bias, effects[:, None]
+        )
         log_mass = cells @ m.membership
         if m.free_bias:
             log_mass = log_mass + m.log_bias_prior(bias) + np.log(step)[:, None, :]
         return log_mass, bias, step
 
-    def _bias_draws(self, rng: np.random.Generator, k: Array, low: Array, high: Array) -> Array:
+    def _bias_draws(
+        self, rng: np.random.Generator, k: Array, effects: Array, low: Array, high: Array
+    ) -> Array:
         if not self.model.free_bias:
             return np.full((k.size, self.model.n_groups), self.model.fixed_bias())
         out = []
         for part in np.array_split(np.arange(k.size), max(k.size // 500, 1)):
             log_mass, bias, step = self._conditional(
-                k[part], low[part], high[part], half_width=7.0, nodes=57
+                k[part], effects[part], low[part], high[part], half_width=7.0, nodes=57
             )
             weight = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
             wanted = rng.random((len(part), 1, weight.shape[2])) * weight[:, -1:, :]

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
+from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from .. import _checks
+from .tasks import Task
 from .trials import Cells
 
 Array = NDArray[np.float64]
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
+REACH = 9.0  # scores beyond which no prior has mass
+TINY = 1e-300
+
+_WEBER = stats.lognorm(np.log(3.0), scale=0.1)
+_LAPSE = stats.beta(0.3, 3.0)
+_BIAS = stats.norm(0.0, 1.0)
+# "Different" must be said of a difference: a criterion below zero says it of everything.
+_SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,31 +39,35 @@ class Priors:
     - `weber_fraction`: log-normal, median 0.1, a factor of 3 either way as one sd (no Weber
       fraction is known for whisker force or moment): 0.012 to 0.86 in 95 %, and 3 is still within
       reach of a few dozen trials of a poor animal.
-    - `lapse_low`, `lapse_high`: Beta(0.3, 6), the share of trials lost at each end: mean 5 %, half
-      of it below 1.3 %, one in ten above 15 %. A lapse and a poor Weber fraction explain the same
-      errors, so this prior moves k. At k = 0.1 and 297 trials, 300 data sets each with lapses of 0,
-      0.02 and 0.1 a side, the median k is off by −9, −2 and +25 % and 95 % intervals cover 91, 98
-      and 96 %. Beta(0.2, 4): −7, 0 and +30 %, covering 92, 98 and 93 %. Beta(1.5, 20), with no mass
-      near zero: −19, −14 and +8 %, covering 73, 88 and 99 %. State what you know of the animal.
+    - `lapse_low`, `lapse_high`: Beta(0.3, 3), the share of trials lost at each end: mean 9 %, half
+      of it below 3 %, one in ten above 28 %; normal scores correlated by 0.7, as an animal that
+      does not attend errs at both ends. A lapse and a poor Weber fraction explain the same errors,
+      so this prior moves k, and no prior suits all animals: `WeberFit.lapse_sensitivity` shows by
+      how much, `tests/benchmarks/bench_fit.py` the bias and coverage that it leaves, and animals or
+      sessions fitted together (`fit_population`) learn their lapses from each other. State what
+      you know of the animal.
     - `bias`: standard normal in sds of the difference between the percepts. The proportion of
-      "second greater" between equal stimuli is then uniform between 0 and 1.
+      "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
+      `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.
+    - `effects`: by name; each effect of a fit brings its own (see `weberwhisk.behaviour.effects`).
 
     Every fit works in the normal scores of these priors, where each is a standard normal.
     """
 
-    weber_fraction: Any = field(default_factory=lambda: stats.lognorm(np.log(3.0), scale=0.1))
-    lapse_low: Any = field(default_factory=lambda: stats.beta(0.3, 6.0))
-    lapse_high: Any = field(default_factory=lambda: stats.beta(0.3, 6.0))
-    bias: Any = field(default_factory=lambda: stats.norm(0.0, 1.0))
+    weber_fraction: Any = _WEBER
+    lapse_low: Any = _LAPSE
+    lapse_high: Any = _LAPSE
+    bias: Any = _BIAS
+    lapse_correlation: float = 0.7
+    effects: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in PARAMETERS:
-            prior = getattr(self, name)
-            if not hasattr(prior, "ppf"):
+        for name in (*PARAMETERS, *self.effects):
+            if self.is_fixed(name):
                 _checks.finite(
                     f"the prior of {name}",
-                    prior,
-                    "give a frozen distribution such as scipy.stats.beta(0.3, 6), or a number",
+                    self.of(name),
+                    "give a frozen distribution such as scipy.stats.beta(0.3, 3), or a number",
                 )
         low, high = self.support("weber_fraction")
         if low < 0 or high <= 0:
@@ -59,17 +75,33 @@ class Priors:
                 f"the prior of weber_fraction must lie above zero, got support {low:g} to "
                 f"{high:g}; give for example scipy.stats.lognorm(1.1, scale=0.1)."
             )
-        for name in ("lapse_low", "lapse_high"):
+        for name in ("lapse_low", "lapse_high", "overdispersion"):
+            if name not in self:
+                continue
             low, high = self.support(name)
             if low < 0 or high > 1:
                 raise ValueError(
                     f"the prior of {name} must lie between 0 and 1, got support {low:g} to "
-                    f"{high:g}; give for example scipy.stats.beta(0.3, 6)."
+                    f"{high:g}; give for example scipy.stats.beta(0.3, 3)."
                 )
+        if not -1 < self.lapse_correlation < 1:
+            raise ValueError(
+                f"lapse_correlation must lie between -1 and 1, got {self.lapse_correlation:g}; "
+                "write 0 for lapses that know nothing of each other."
+            )
+
+    def __contains__(self, name: str) -> bool:
+        return name in PARAMETERS or name in self.effects
+
+    def of(self, name: str) -> Any:
+        """The prior of a parameter; a bias of one standard has that of `bias`."""
+        if name in self.effects:
+            return self.effects[name]
+        return getattr(self, name if name in PARAMETERS else "bias")
 
     def support(self, name: str) -> tuple[float, float]:
         """Lowest and highest value of a parameter."""
-        prior = getattr(self, name)
+        prior = self.of(name)
         if self.is_fixed(name):
             return float(prior), float(prior)
         low, high = prior.support()
@@ -77,10 +109,10 @@ class Priors:
 
     def is_fixed(self, name: str) -> bool:
         """Whether the parameter is a known number."""
-        return not hasattr(getattr(self, name), "ppf")
+        return not hasattr(self.of(name), "ppf")
 
     def value(self, name: str, score: ArrayLike) -> Array:
-        """The parameter at a normal score: the prior's quantile at Φ(score), exact in both tails.
+        """The parameter at a normal score: the prior's quantile at Φ(score), good in both tails.
 
         Examples
         --------
@@ -88,14 +120,22 @@ class Priors:
         array([0.0333, 0.1   , 0.3   ])
         """
         z = np.asarray(score, dtype=float)
-        prior = getattr(self, name)
+        prior = self.of(name)
         if self.is_fixed(name):
             return np.full(z.shape, float(prior))
-        out = np.empty(z.shape)
-        below = z <= 0
-        out[below] = prior.ppf(ndtr(z[below]))
-        out[~below] = prior.isf(ndtr(-z[~below]))
-        return out
+        return quantiles(prior)(z)
+
+    def log_density(self, name: str, value: ArrayLike) -> Array:
+        """Log-density of a free parameter."""
+        prior, x = self.of(name), np.asarray(value, dtype=float)
+        if getattr(prior.dist, "name", "") == "norm":  # SciPy's checks cost more than the sum
+            mean, sd = _moments(prior)
+            return np.asarray(-0.5 * ((x - mean) / sd) ** 2 - np.log(sd * np.sqrt(2 * np.pi)))
+        return np.asarray(prior.logpdf(x))
+
+    def moments(self, name: str) -> tuple[float, float]:
+        """Mean and sd of a free parameter; the middle half stands in where there are none."""
+        return _moments(self.of(name))
 
     def words(self, name: str) -> str:
         """The prior of a parameter, as one would write it.
@@ -103,16 +143,46 @@ class Priors:
         Examples
         --------
         >>> Priors().words("lapse_low")
-        'beta(0.3, 6)'
+        'beta(0.3, 3)'
         """
-        prior = getattr(self, name)
+        prior = self.of(name)
         if self.is_fixed(name):
             return f"fixed at {float(prior):g}"
         given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]
         return f"{prior.dist.name}({', '.join(given)})"
 
 
-def priors_for(priors: Any, cells: Cells, unit_known: bool) -> Priors:
+@lru_cache(maxsize=256)
+def _moments(prior: Any) -> tuple[float, float]:
+    mean, sd = float(prior.mean()), float(prior.std())
+    if np.isfinite(mean) and np.isfinite(sd):
+        return mean, sd
+    low, mean, high = (float(q) for q in prior.ppf([0.25, 0.5, 0.75]))
+    return mean, (high - low) / 1.35
+
+
+@lru_cache(maxsize=256)
+def quantiles(prior: Any) -> Any:
+    """A prior's quantiles by normal score, tabulated once: SciPy's own cost more than a fit."""
+    z = np.linspace(-REACH, REACH, 721)
+    below = z <= 0
+    value = np.concatenate([prior.ppf(ndtr(z[below])), prior.isf(ndtr(-z[~below]))])
+    if prior.support()[0] < 0:
+        return CubicSpline(z, value)
+    log_value = CubicSpline(z, np.log(np.maximum(value, TINY)))
+    return lambda score: np.exp(log_value(score))
+
+
+DEFAULTS = Priors()
+
+
+def priors_for(
+    priors: Any,
+    cells: Cells,
+    unit_known: bool,
+    task: Task | None = None,
+    effects: Mapping[str, Any] | None = None,
+) -> Priors:
     """The priors of a fit: the defaults, with what the user changed.
 
     Where the unit of a log scale is unknown, the Weber fraction is centred on the median step of
@@ -129,14 +199,19 @@ def priors_for(priors: Any, cells: Cells, unit_known: bool) -> Priors:
     >>> priors_for({"lapse_low": 0.0}, Cells(one, one, one, one, one), True).words("lapse_low")
     'fixed at 0'
     """
+    own = dict(effects or {})
     if isinstance(priors, Priors):
-        return priors
-    changes = dict(priors or {})
+        return replace(priors, effects=own | dict(priors.effects)) if own else priors
+    changes = {"bias" if name == "criterion" else name: p for name, p in dict(priors or {}).items()}
     for name in changes:
-        _checks.one_of("the prior's parameter", name, PARAMETERS)
-    base = Priors()
+        _checks.one_of("the prior's parameter", name, (*PARAMETERS, "lapse_correlation", *own))
+    own |= {name: changes.pop(name) for name in own if name in changes}
+    if task is not None and task.name == "same-different":
+        changes = {"bias": _SAME_DIFFERENT} | changes
     steps = np.abs(cells.stimulus_2 - cells.stimulus_1)
     if not unit_known and np.any(steps > 0):
         scale = float(np.median(steps[steps > 0]))
-        base = replace(base, weber_fraction=stats.lognorm(np.log(3.0), scale=scale))
-    return replace(base, **changes)
+        changes = {"weber_fraction": stats.lognorm(np.log(3.0), scale=scale)} | changes
+    if own:
+        changes["effects"] = own
+    return replace(DEFAULTS, **changes) if changes else DEFAULTS

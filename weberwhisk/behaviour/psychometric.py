@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri
 
 from .. import _checks
-from .percepts import Percept, unit_percepts
+from .effects import Effect
+from .percepts import Percept, UnitPercepts, unit_percepts
 from .tasks import Task
 
 Array = NDArray[np.float64]
-
-
-def with_lapses(eta: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
-    """P = λ_lo + (1 − λ_lo − λ_hi) Φ(η), as a mean of its two asymptotes; broadcasts.
-
-    Examples
-    --------
-    >>> with_lapses([-np.inf, 0.0, np.inf], 0.1, 0.02)
-    array([0.1 , 0.54, 0.98])
-    """
-    up = ndtr(np.asarray(eta, dtype=float))
-    return np.asarray(low) * (1 - up) + (1 - np.asarray(high)) * up
 
 
 def response_probability(
@@ -36,9 +26,10 @@ def response_probability(
     lapse_low: ArrayLike = 0.0,
     lapse_high: ArrayLike = 0.0,
     bias: ArrayLike = 0.0,
+    effects: Sequence[tuple[Effect, ArrayLike]] = (),
     noise: str = "weber",
 ) -> Array:
-    """Probability that stimulus 2 is reported greater (signed tasks), or that the answer is right.
+    """Probability of the answer that is counted: "second greater", "yes", "different", or right.
 
     Parameters
     ----------
@@ -50,7 +41,11 @@ def response_probability(
         Sets the noise of the equal-variance form; `stimulus_1` where not given.
     weber_fraction, lapse_low, lapse_high, bias : array_like, shape (...)
         Parameters of the observer; they broadcast with one another. Bias is in sds of the
-        difference between the two percepts, positive towards "second greater".
+        difference between the two percepts, positive towards "second greater"; for tasks that have
+        one it is the criterion (see the task).
+    effects : sequence of (effect, value), optional
+        Effects bound to a table, and their parameters (...); in the middle of a session's course
+        and with no answer before.
     noise : {"weber", "equal-variance"}
 
     Returns
@@ -68,14 +63,27 @@ def response_probability(
         np.atleast_1d(np.asarray(stimulus_1, float)), np.atleast_1d(np.asarray(stimulus_2, float))
     )
     cells = unit_percepts(percept, s1, s2, s1 if standard is None else standard, noise)
-    eta = task.decision_variable(cells, weber_fraction)
+    up, down = _chance(task, cells, weber_fraction, bias, effects)
     low, high = task.asymptotes(
         np.asarray(lapse_low, dtype=float)[..., None],
         np.asarray(lapse_high, dtype=float)[..., None],
     )
-    if task.has_bias:
-        eta = eta + np.asarray(bias, dtype=float)[..., None]
-    return with_lapses(eta, low, high)
+    return low * down + (1 - high) * up
+
+
+def _chance(
+    task: Task,
+    cells: UnitPercepts,
+    k: ArrayLike,
+    bias: ArrayLike,
+    effects: Sequence[tuple[Effect, ArrayLike]],
+) -> tuple[Array, Array]:
+    """Chance of the answer and of the other, without lapses, (..., C)."""
+    felt = cells.felt(k)
+    for effect, value in effects:
+        felt = effect.apply(felt, np.asarray(value, dtype=float)[..., None], 0.0)
+    d, weight = task.decide(felt)
+    return task.chance(d, weight * np.asarray(bias, dtype=float)[..., None])
 
 
 def criterion(task: Task, proportion: float) -> str:
@@ -87,8 +95,7 @@ def criterion(task: Task, proportion: float) -> str:
     >>> criterion(task_named("2AFC"), 0.75)
     '75 % "second greater", 2AFC, lapses removed'
     """
-    answer = '"second greater"' if task.response == "choice" else "correct"
-    return f"{100 * proportion:.4g} % {answer}, {task.name.split()[0]}, lapses removed"
+    return f"{100 * proportion:.4g} % {task.answer}, {task.name.split()[0]}, lapses removed"
 
 
 def check_proportion(task: Task, proportion: float) -> float:
@@ -111,6 +118,7 @@ def threshold(
     *,
     weber_fraction: ArrayLike,
     bias: ArrayLike = 0.0,
+    effects: Sequence[tuple[Effect, ArrayLike]] = (),
     noise: str = "weber",
     upward: bool = True,
 ) -> Array:
@@ -125,9 +133,11 @@ def threshold(
     standard : float
         The stimulus compared against, as stimulus 1.
     proportion : float
-        For signed tasks below ½ gives the downward threshold. For percent-correct tasks
-        `upward` chooses the side.
+        For signed tasks below ½ gives the downward threshold. For percent-correct and
+        same–different tasks `upward` chooses the side.
     weber_fraction, bias : array_like, shape (...)
+    effects : sequence of (effect, value (...))
+        As in `response_probability`.
 
     Returns
     -------
@@ -144,38 +154,42 @@ def threshold(
     1.21196
     """
     check_proportion(task, proportion)
-    k, shift = np.broadcast_arrays(np.asarray(weber_fraction, float), np.asarray(bias, float))
-    goal = float(ndtri(proportion)) - (shift if task.has_bias else np.zeros(k.shape))
+    values = [np.asarray(v, dtype=float) for _, v in effects]
+    k, shift, *values = np.broadcast_arrays(
+        np.asarray(weber_fraction, float), np.asarray(bias, float), *values
+    )
+    bound = [(effect, value) for (effect, _), value in zip(effects, values, strict=True)]
     standard = float(_checks.finite("standard", standard, "give one stimulus"))
 
-    def eta(comparison: Array) -> Array:
+    def above(comparison: Array) -> Array:
         with np.errstate(all="ignore"):
             cells = unit_percepts(percept, standard, comparison, standard, noise)
-            return task.decision_variable(cells, k)
+            return _chance(task, cells, k, shift, bound)[0] - proportion
 
-    if task.has_bias:
-        upward_at = goal > eta(np.array([standard]))[..., 0]
-        sign = np.where(upward_at, 1.0, -1.0)[..., None]
-    else:  # percent correct grows with distance on both sides
+    if rises_on_both_sides(task):
         upward_at = np.full(k.shape, upward)
         sign = np.ones(k.shape)[..., None]
+    else:
+        upward_at = above(np.array([standard]))[..., 0] < 0
+        sign = np.where(upward_at, 1.0, -1.0)[..., None]
     up, down = _ladder(percept, standard, +1), _ladder(percept, standard, -1)
     rungs = np.where(upward_at[..., None], up, down)
-    passed = np.where(
-        upward_at[..., None],
-        sign * (eta(up) - goal[..., None]),
-        sign * (eta(down) - goal[..., None]),
-    )
+    passed = np.where(upward_at[..., None], sign * above(up), sign * above(down))
     beyond = passed >= 0
     first = np.maximum(np.argmax(beyond, axis=-1), 1)[..., None]
     inner = np.take_along_axis(rungs, first - 1, -1)
     outer = np.take_along_axis(rungs, first, -1)
     for _ in range(60):
         middle = 0.5 * (inner + outer)
-        far = sign * (eta(middle) - goal[..., None]) >= 0
+        far = sign * above(middle) >= 0
         inner, outer = np.where(far, inner, middle), np.where(far, middle, outer)
     answer = 0.5 * (inner + outer)[..., 0]
     return np.where(beyond.any(axis=-1), answer, np.where(upward_at, np.inf, percept.domain[0]))
+
+
+def rises_on_both_sides(task: Task) -> bool:
+    """Whether the answer grows more likely with distance from the standard on either side."""
+    return task.bias_name is None or task.name == "same-different"
 
 
 def _ladder(percept: Percept, standard: float, sign: int) -> Array:

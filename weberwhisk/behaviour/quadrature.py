@@ -1,9 +1,10 @@
 """The posterior of one observer by a product rule made for this likelihood.
 
-Axes: the normal scores of k and of the two lapses (every prior is a standard normal there), and for
-each group its bias, on nodes that follow its conditional mode as k changes. Trapezoid sums over
-such smooth bumps converge exponentially. The rule finds the mode, lays the axes from the curvature,
-then widens and halves them until nothing hangs over an edge and every other node gives the same.
+Axes: the normal scores of k and of any effects (every prior is a standard normal there), the lapses
+in the coordinates of `stretch`, and for each group its bias, on nodes that follow its conditional
+mode as k changes. Trapezoid sums over such smooth bumps converge exponentially. The rule finds the
+mode, lays the axes from the curvature, then widens and refines them until nothing hangs over an
+edge and every other node gives the same.
 """
 
 from __future__ import annotations
@@ -12,31 +13,44 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtr
+from scipy.special import logsumexp
 
-from .likelihood import TINY, WeberModel
-from .mode import LEAD, REACH, find_mode, free_scores, log_lapses_possible, score_value
+from .dispersion import DispersedAnswers
+from .likelihood import WeberModel
+from .mode import find_mode, log_lapses_possible, log_score_prior
+from .priors import TINY
 
 Array = NDArray[np.float64]
+Axes = tuple[Array, ...]
 
 EDGE = 5e-4  # largest density at an edge, relative to the peak
 CHUNK = 40_000  # values at once: a few arrays of this size stay in the cache
-COARSE = 0.04  # largest change of the evidence when every other node is left out
-SLICED = 0.1  # the same, line by line of the grid, where errors along a ridge cannot cancel
+MOST = 2_000_000_000  # values in all; a posterior that wants more is for a sampler
+# Largest changes of the evidence when every other node is left out, on the whole and line by line,
+# where errors along a ridge cannot cancel. For a normal bump the error t falls to t⁴/8 at half the
+# step, so what is left is far smaller.
+COARSE, SLICED = 0.04, 0.1
+STEP, LAPSE_STEP = 2.0, 1.6  # of the first axes, in conditional sds; they are halved once
+FINER = 0.7  # of a step that was too coarse
+LAPSE_NODES = 23  # at least, over all that a lapse may be: its tails are unlike a bump's
+FAR_SCORE = 4.5  # of a lapse's prior, below which next to nothing lies
 
 
 @dataclass(frozen=True)
 class Grid:
     """Log posterior on the nodes.
 
-    `axes`: scores of k (K,), lapse_low (Lo,), lapse_high (Hi,). `joint`: log density of the scores,
-    biases integrated, (K, Lo, Hi). `offsets`: bias nodes (B,), in sds from `centre` (K, X, G) with
-    `spread` (K, X, G), where X is 1, or Lo·Hi if the nodes follow the lapses too; `bias_mass`: the
-    posterior mass of every bias node, (K, X, B, G). `log_evidence` is for the sequence of answers;
-    `error` estimates its absolute error. `reference`: lapses at which the bias nodes were centred.
+    `axes`: coordinates of the model's lead: scores of k (K,) and any effects, stretched scores of
+    lapse_low (Lo,) and lapse_high (Hi,). `joint`: log density of the coordinates, biases
+    integrated, (K, ..., Lo, Hi). `offsets`: bias nodes (B,), in sds from `centre` (R, X, G) with
+    `spread` (R, X, G), where R counts the nodes of k and effects together and X is 1, or Lo·Hi if
+    the nodes follow the lapses too; `bias_mass`: the posterior mass of every bias node,
+    (R, X, B, G). `log_evidence` is for the sequence of answers; `error` estimates its absolute
+    error. `reference`: lapses at which the bias nodes were centred. `bias_error`: what leaving out
+    every other bias node changes, on average over the grid.
     """
 
-    axes: tuple[Array, Array, Array]
+    axes: Axes
     joint: Array
     offsets: Array
     centre: Array
@@ -45,20 +59,29 @@ class Grid:
     log_evidence: float
     error: float
     reference: tuple[Array, Array]
+    bias_error: float
 
 
 def integrate(model: WeberModel) -> Grid:
     """The posterior on a grid that suits it."""
     axes, reference = _lay_axes(model)
-    narrow = np.linspace(-7.0, 7.0, 15) if model.free_bias else np.zeros(1)
+    narrow = np.linspace(-6.25, 6.25, 11) if model.free_bias else np.zeros(1)
     sketch = evaluate(model, axes, narrow[::2], reference)
-    axes = tuple(_trim(sketch.joint, i, axis) for i, axis in enumerate(axes))  # type: ignore[assignment]
-    offsets, follow = narrow, False
+    axes = tuple(
+        _trim(sketch.joint, i, axis, LAPSE_NODES * name.startswith("lapse"))
+        for i, (axis, name) in enumerate(zip(axes, model.lead, strict=True))
+    )
+    offsets, follow, grid = narrow, False, sketch
     for _ in range(12):
+        work = model.cells.n.size * offsets.size * float(np.prod([float(a.size) for a in axes]))
+        if work > MOST:
+            break
         grid = evaluate(model, axes, offsets, reference, follow)
-        k, low, high = (adapt(grid.joint, i, axis) for i, axis in enumerate(axes))
-        new_axes = k, low, high
-        new_offsets = _adapt_offsets(grid.bias_mass, offsets)
+        new_axes = tuple(
+            adapt(grid.joint, i, axis, stretch.ends)
+            for i, (axis, stretch) in enumerate(zip(axes, model.stretches, strict=True))
+        )
+        new_offsets = _adapt_offsets(grid, offsets)
         if new_offsets is offsets and all(a is b for a, b in zip(axes, new_axes, strict=True)):
             return grid
         axes, offsets = new_axes, new_offsets
@@ -68,99 +91,144 @@ def integrate(model: WeberModel) -> Grid:
     return replace(grid, error=np.inf)
 
 
-def _lay_axes(model: WeberModel) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+def _lay_axes(model: WeberModel) -> tuple[Axes, tuple[Array, Array]]:
     """Axes around the mode, and the lapses at the mode."""
-    free = free_scores(model)
-    coarse = (
-        np.linspace(-5, 5, 26),
-        np.array([-2.0, 0.0, 1.5, 3.0]),
-        np.array([-2.0, 0.0, 1.5, 3.0]),
+    free = model.free
+    lapse, effect = np.array([-2.0, 0.0, 1.5, 3.0]), np.array([-1.0, 0.0, 1.0])
+    coarse = (np.linspace(-5, 5, 26), *[effect] * len(model.effects), lapse, lapse)
+    start_axes = tuple(
+        stretch.coordinate(a) if f else np.zeros(1)
+        for a, f, stretch in zip(coarse, free, model.stretches, strict=True)
     )
-    start_axes = tuple(a if f else np.zeros(1) for a, f in zip(coarse, free, strict=True))
     offsets = np.linspace(-3.0, 3.0, 5) if model.free_bias else np.zeros(1)
-    middle = tuple(score_value(model, name, np.zeros(1)) for name in LEAD[1:])
-    scan = evaluate(model, start_axes, offsets, middle)  # type: ignore[arg-type]
+    middle = (model.value("lapse_low", np.zeros(1)), model.value("lapse_high", np.zeros(1)))
+    scan = evaluate(model, start_axes, offsets, middle)
     at = np.unravel_index(int(np.argmax(scan.joint)), scan.joint.shape)
-    scores = np.array([a[i] for a, i in zip(start_axes, at, strict=True)])
-    (scores, _), hessian = find_mode(model, scores, scan.centre[at[0], 0])
-    wide = np.sqrt(np.diag(np.linalg.inv(hessian)))[: sum(free)]
-    if model.free_bias:  # curvature of the lead scores with the biases integrated
-        lead = sum(free)
-        cross = hessian[:lead, lead:]
-        curvature = hessian[:lead, :lead] - cross @ np.linalg.solve(hessian[lead:, lead:], cross.T)
-    else:
-        curvature = hessian
+    scores = np.array([a[i] if f else 0.0 for a, i, f in zip(coarse, at, free, strict=True)])
+    row = int(np.ravel_multi_index(at[:-2], scan.joint.shape[:-2]))
+    (scores, _), hessian = find_mode(model, scores, scan.centre[row, 0])
+    lead = sum(free)
+    wide = np.sqrt(np.diag(np.linalg.inv(hessian)))[:lead]
+    # Curvature of the lead scores with the biases integrated.
+    cross = hessian[:lead, lead:]
+    curvature = hessian[:lead, :lead] - cross @ np.linalg.solve(hessian[lead:, lead:], cross.T)
     narrow = 1 / np.sqrt(np.diag(curvature))
     axes: list[Array] = []
     column = 0
-    for i in range(3):
-        if not free[i]:
+    for name, is_free, score, stretch in zip(
+        model.lead, free, scores, model.stretches, strict=True
+    ):
+        if not is_free:
             axes.append(np.zeros(1))
             continue
-        reach, step = wide[column], (1.4 if i else 1.8) * narrow[column]
-        # A lapse that is found may also be none: its score has a long tail on that side.
-        below = min(np.ceil((9.0 if i else 6.0) * reach / step), 24, (scores[i] + REACH) // step)
-        above = min(np.ceil(5.5 * reach / step), 24)
-        axes.append(scores[i] + step * np.arange(-int(below), int(above) + 1))
+        middle_t = float(stretch.coordinate(score))
+        per_score = 1 / float(stretch.slope(middle_t))
+        is_lapse = name.startswith("lapse")
+        step = (LAPSE_STEP if is_lapse else STEP) * narrow[column] * per_score
+        reach = 6.0 * wide[column] * per_score / step
+        # A lapse that is found may also be none: it has a long tail on that side.
+        low_end = float(stretch.coordinate(-FAR_SCORE))
+        below = (middle_t - low_end) / step if is_lapse else reach
+        count = int(min(np.ceil(max(below, 1.0)), 24)), int(min(np.ceil(reach), 24))
+        axes.append(middle_t + step * np.arange(-count[0], count[1] + 1))
         column += 1
-    reference = tuple(
-        score_value(model, name, scores[i + 1 : i + 2]) for i, name in enumerate(LEAD[1:])
+    low, high = (
+        model.value(name, score[None])
+        for name, score in zip(model.lead[-2:], scores[-2:], strict=True)
     )
-    return (axes[0], axes[1], axes[2]), (reference[0], reference[1])
+    return tuple(axes), (low, high)
 
 
 def evaluate(
     model: WeberModel,
-    axes: tuple[Array, Array, Array],
+    axes: Axes,
     offsets: Array,
     reference: tuple[Array, Array],
     follow: bool = False,
 ) -> Grid:
     """The log posterior on given nodes; with `follow`, bias nodes are centred for every lapse."""
-    k, low, high = (score_value(model, name, axis) for name, axis in zip(LEAD, axes, strict=True))
-    centre, spread = model.bias_mode(k[:, None], reference[0], reference[1])  # (K, 1, G)
+    values = [model.at(name, axis) for name, axis in zip(model.lead, axes, strict=True)]
+    low, high = values[-2:]
+    k, *moved = (a.ravel() for a in np.meshgrid(*values[:-2], indexing="ij"))
+    effects = np.stack(moved, axis=-1) if moved else np.zeros((k.size, 0))  # (R, E)
+    d, weight = np.broadcast_arrays(*model.task.decide(model.felt(k, effects)))  # (R, C)
+    centred = d[:, None], weight[:, None]
+    centre, spread = model.bias_mode(centred, *reference)  # (R, 1, G)
     lo, hi = model.lapses(low[:, None], high[None, :])
     lo, hi = (np.broadcast_to(a, (low.size, high.size)).reshape(-1, 1, 1) for a in (lo, hi))
     if follow:
         pairs = np.repeat(low, high.size), np.tile(high, low.size)
-        centre, spread = model.bias_mode(k[:, None], *pairs, start=centre)  # (K, Lo·Hi, G)
-    prior_of_lapses = lapse_prior(model, axes[1], axes[2])
-    slope = np.maximum(1 - lo - hi, 0.0)
-    lo, hi = np.maximum(lo, TINY), np.maximum(hi, TINY)
-    yes = model.membership * model.cells.count[:, None]
-    no = model.membership * (model.cells.n - model.cells.count)[:, None]
-    eta = model.eta(k)
+        centre, spread = model.bias_mode(centred, *pairs, start=centre)  # (R, Lo·Hi, G)
+    prior_of_lapses = lapse_prior(model, *axes[-2:])
+    sheet = prior_of_lapses.shape
     h = offsets[1] - offsets[0] if offsets.size > 1 else 1.0
-    joint = np.empty((k.size, *prior_of_lapses.shape))
+    joint = np.empty((k.size, *sheet))
     mass = np.empty((*centre.shape[:2], offsets.size, model.n_groups))
+    thinned = np.zeros(k.size)
+    answers = (_Answers if model.dispersed is None else DispersedAnswers)(model, lo, hi)
     rows = max(1, CHUNK // (lo.size * offsets.size * max(model.cells.n.size, 1)))
     for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
-        bias = centre[i, :, None, :] + spread[i, :, None, :] * offsets[:, None]  # (k, X, B, G)
-        z = eta[i, None, None, :] + bias[..., model.group]
-        p, q = slope * ndtr(z), slope * ndtr(-z)
-        p += lo
-        q += hi
-        by_bias = np.log(p, out=p) @ yes + np.log(q, out=q) @ no  # (k, Lo·Hi, B, G)
+        bias = centre[i, :, None, :] + spread[i, :, None, :] * offsets[:, None]  # (r, X, B, G)
+        pushed = weight[i, None, None, :] * bias[..., model.group]
+        by_bias = answers(d[i, None, None, :], pushed, effects[i])  # (r, Lo·Hi, B, G)
         if model.free_bias:
             by_bias += model.log_bias_prior(bias) + np.log(h * spread[i])[:, :, None, :]
         top = by_bias.max(axis=2, keepdims=True)
-        weight = np.exp(by_bias - top)
-        total = weight.sum(axis=2, keepdims=True)
+        share = np.exp(by_bias - top)
+        total = share.sum(axis=2, keepdims=True)
         by_group = (top + np.log(total))[:, :, 0, :]
-        here = by_group.sum(axis=-1).reshape(-1, *prior_of_lapses.shape) + prior_of_lapses
+        here = by_group.sum(axis=-1).reshape(-1, *sheet) + prior_of_lapses
         joint[i] = here
-        weight *= (
-            np.exp(here - here.max(axis=(1, 2), keepdims=True)).reshape(len(here), -1, 1, 1) / total
-        )
-        mass[i] = weight if follow else weight.sum(axis=1, keepdims=True)
-    joint += score_prior(axes[0])[:, None, None]
-    row = joint.max(axis=(1, 2))
+        share /= total
+        weight_here = np.exp(here - here.max(axis=(1, 2), keepdims=True)).reshape(len(here), -1)
+        if model.free_bias:
+            lost = np.abs(2 * share[:, :, ::2].sum(axis=2) - 1).max(axis=-1)
+            thinned[i] = (weight_here * lost).sum(axis=1)
+        share *= weight_here[..., None, None]
+        mass[i] = share if follow else share.sum(axis=1, keepdims=True)
+    joint = joint.reshape(*(a.size for a in axes[:-2]), *sheet)
+    for place, axis in enumerate(axes[:-2]):
+        prior = score_prior(axis)
+        joint += prior.reshape(-1, *[1] * (joint.ndim - 1 - place))
+    row = joint.max(axis=(-2, -1)).ravel()
     mass *= np.exp(row - row.max())[:, None, None, None]
-    mass /= mass.sum(axis=(0, 1, 2))
+    whole = mass.sum(axis=(0, 1, 2))
+    mass /= whole
+    bias_error = float(thinned @ np.exp(row - row.max()) / whole[0])
     log_cell = sum(np.log(a[1] - a[0]) for a in axes if a.size > 1)
     log_evidence = float(logsumexp(joint) + log_cell)
-    error = max(_thinned_by_line(joint, i) for i in range(3)) ** 2
-    return Grid(axes, joint, offsets, centre, spread, mass, log_evidence, error, reference)
+    error = max(_thinned_by_line(joint, i) for i in range(joint.ndim)) ** 4
+    return Grid(
+        axes, joint, offsets, centre, spread, mass, log_evidence, error, reference, bias_error
+    )
+
+
+class _Answers:
+    """Log-likelihood of the answers by group, for lapses on a sheet of nodes (S, 1, 1)."""
+
+    def __init__(self, model: WeberModel, low: Array, high: Array) -> None:
+        self.model = model
+        self.slope = np.maximum(1 - low - high, 0.0)
+        self.low, self.high = np.maximum(low, TINY), np.maximum(high, TINY)
+        cells = model.cells
+        self.sides = []
+        for count in (cells.count, cells.n - cells.count):
+            some = np.flatnonzero(count > 0)  # a level answered all one way has one logarithm
+            self.sides.append((some, model.membership[some] * count[some, None]))
+
+    def __call__(self, d: Array, pushed: Array, effects: Array) -> Array:
+        """Shape (r, S, B, G) from decision variables (r, 1, 1, C) and biases (r, X, B, C)."""
+        both = self.model.task.chance(d, pushed)
+        total: Array | float = 0.0
+        for side, lapse, (some, weight) in zip(
+            both, (self.low, self.high), self.sides, strict=True
+        ):
+            p = self.slope * np.take(side, some, axis=-1)
+            p += lapse
+            np.log(p, out=p)
+            flat = p.reshape(int(np.prod(p.shape[:-1])), some.size)
+            total = total + (flat @ weight).reshape(*p.shape[:-1], weight.shape[1])
+        return np.asarray(total)
 
 
 def score_prior(axis: Array) -> Array:
@@ -169,15 +237,16 @@ def score_prior(axis: Array) -> Array:
 
 
 def lapse_prior(model: WeberModel, low: Array, high: Array) -> Array:
-    """Log prior density of the lapse scores, (Lo, Hi); lapses that leave no rise are impossible."""
+    """Log prior density of the lapses on their coordinates, (Lo, Hi); lapses that leave no rise are
+    impossible."""
+    stretches = model.stretches[-2:]
+    z = [s.score(t) for s, t in zip(stretches, (low, high), strict=True)]
+    slope = [np.log(s.slope(t)) * (t.size > 1) for s, t in zip(stretches, (low, high), strict=True)]
     lo, hi = model.lapses(
-        score_value(model, LEAD[1], low)[:, None], score_value(model, LEAD[2], high)[None, :]
+        model.value("lapse_low", z[0])[:, None], model.value("lapse_high", z[1])[None, :]
     )
-    density = (
-        score_prior(low)[:, None]
-        + score_prior(high)[None, :]
-        - log_lapses_possible(model.task, model.priors)
-    )
+    density = log_score_prior(z[0][:, None], z[1][None, :], model.priors.lapse_correlation)
+    density += slope[0][:, None] + slope[1] - log_lapses_possible(model.task, model.priors)
     return np.where(lo + hi < 1, density, -np.inf)
 
 
@@ -212,7 +281,7 @@ def _thinned_by_line(joint: Array, axis: int) -> float:
     return float(np.abs(2 * lines[..., ::2].sum(axis=-1) - whole).sum() / whole.sum())
 
 
-def adapt(joint: Array, index: int, axis: Array) -> Array:
+def adapt(joint: Array, index: int, axis: Array, ends: tuple[float, float]) -> Array:
     """The axis itself where it serves; wider where mass hangs over, finer where nodes are few."""
     if axis.size == 1:
         return axis
@@ -220,15 +289,22 @@ def adapt(joint: Array, index: int, axis: Array) -> Array:
     log_density = np.maximum(log_density - log_density.max(), -600.0)
     step = axis[1] - axis[0]
     below, above = _missing(log_density[::-1]), _missing(log_density)
-    below = min(below, int((axis[0] + REACH) / step))
-    above = min(above, int((REACH - axis[-1]) / step))
-    coarse = _thinned(log_density) > COARSE or _thinned_by_line(joint, index) > SLICED
-    if not (coarse or below > 0 or above > 0):
+    below = min(below, max(int((axis[0] - ends[0]) / step), 0))
+    above = min(above, max(int((ends[1] - axis[-1]) / step), 0))
+    shrink = min(
+        _shrink(_thinned(log_density), COARSE), _shrink(_thinned_by_line(joint, index), SLICED)
+    )
+    if shrink == 1 and below <= 0 and above <= 0:
         return axis
     held = np.flatnonzero(log_density > np.log(1e-3 * EDGE))[[0, -1]]
     low = axis[held[0]] - step * (1 + max(below, 0))
     high = axis[held[1]] + step * (1 + max(above, 0))
-    return _even(low, high, 0.5 * step if coarse else step)
+    return _even(low, high, shrink * step)
+
+
+def _shrink(thinned: float, most: float) -> float:
+    """What to make of a step that may be too coarse."""
+    return 1.0 if thinned <= most else FINER
 
 
 def _missing(log_density: Array) -> int:
@@ -240,34 +316,32 @@ def _missing(log_density: Array) -> int:
     return int(min(np.ceil(over / fall), log_density.size))
 
 
-def _trim(joint: Array, index: int, axis: Array) -> Array:
-    """Twice the nodes, over the range that holds the mass."""
+def _trim(joint: Array, index: int, axis: Array, least: int) -> Array:
+    """Twice the nodes, and no fewer than `least`, over the range that holds the mass."""
     if axis.size == 1:
         return axis
     density = _marginal(joint, index)
     held = np.flatnonzero(density > density.max() + np.log(1e-3 * EDGE))[[0, -1]]
     step = axis[1] - axis[0]
-    return _even(axis[held[0]] - 0.5 * step, axis[held[1]] + 0.5 * step, 0.5 * step)
+    low, high = axis[held[0]] - 0.5 * step, axis[held[1]] + 0.5 * step
+    return _even(low, high, min(0.5 * step, (high - low) / max(least - 1, 1)))
 
 
 def _even(low: float, high: float, step: float) -> Array:
     return np.asarray(low + step * np.arange(round((high - low) / step) + 1), dtype=float)
 
 
-def _adapt_offsets(mass: Array, offsets: Array) -> Array:
+def _adapt_offsets(grid: Grid, offsets: Array) -> Array:
     """The same for the biases, all groups at once."""
     if offsets.size == 1:
         return offsets
     step = offsets[1] - offsets[0]
     with np.errstate(divide="ignore"):
-        by_node = np.log(mass.sum(axis=(0, 1))).T  # (G, B)
+        by_node = np.log(grid.bias_mass.sum(axis=(0, 1))).T  # (G, B)
     by_node = np.maximum(by_node - by_node.max(axis=1, keepdims=True), -600.0)
     below = max(_missing(m[::-1]) for m in by_node)
     above = max(_missing(m) for m in by_node)
     if below or above:
-        return step * np.arange(
-            round(offsets[0] / step) - below, round(offsets[-1] / step) + above + 1
-        )
-    if max(_thinned(m) for m in by_node) > COARSE:
-        return np.linspace(offsets[0], offsets[-1], 2 * offsets.size - 1)
-    return offsets
+        return _even(offsets[0] - below * step, offsets[-1] + above * step, step)
+    shrink = _shrink(grid.bias_error, SLICED)
+    return offsets if shrink == 1 else _even(offsets[0], offsets[-1], shrink * step)

@@ -11,7 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from .checking import answers_of, check_stimuli, missing_column, numbers_of, rows_of
+from .checking import TableCheck, rows_in_words
+from .loading import load_table
 from .tasks import TASKS, Task, task_named
 from .trials import LABELS, SCALES, Trials, standards_of
 
@@ -42,7 +43,8 @@ def read_trials(
     Parameters
     ----------
     source : path or DataFrame
-        CSV, or tab-separated where the name ends in .tsv or .tab; gzip and others by pandas.
+        CSV, tab- or semicolon-separated text, compressed or not; Parquet and Excel (extra
+        `tables`), the `trials` of an NWB file (extra `nwb`), by the suffix of the name.
     columns : mapping, optional
         Our names → the file's, for those that differ. Ours: the stimuli as `stimulus_1` and
         `stimulus_2` (with `standard` if it is known), or `standard` and `comparison`, or
@@ -71,7 +73,8 @@ def read_trials(
     Raises
     ------
     ValueError
-        With every problem found: file, column, row (the first below the header is 1), remedy.
+        With every problem found, a line each: file, column, row (the first below the header is
+        1), remedy.
     FileNotFoundError
         Where there is no such file.
 
@@ -89,27 +92,28 @@ def read_trials(
     asked = None if task is None else task_named(task)
     if log_unit is not None:
         _checks.positive("log_unit", log_unit, "give natural-log units per unit of the column")
-    raw, name = _load(source)
+    raw, name = load_table(source)
     if not len(raw):
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
-    table, stimuli, answer, n_column = _choose_columns(raw, name, dict(columns or {}), asked)
+    check = TableCheck(pd.DataFrame(index=raw.index), name)
+    stimuli, answer = _choose_columns(check, raw, dict(columns or {}), asked)
     if stimuli == ("log_ratio",):
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
-    problems: list[str] = []
-    numbers = {
-        c: numbers_of(table[c], c, name, problems) for c in {*stimuli, "standard"} & {*table}
-    }
-    check_stimuli(numbers, name, scale, whisker, problems)
-    n, count = answers_of(table, answer, n_column, choice_labels, name, problems)
-    if problems:
-        raise ValueError("\n".join(problems))
+    table = check.table
+    numbers = {c: check.numbers(c) for c in (*stimuli, "standard") if c in table}
+    if scale == "linear":
+        check.magnitudes(numbers, whisker)
+    labels = {c: check.labels(c) for c in LABELS if c in table}
+    n = count = np.zeros(0)
+    if answer in table:
+        n, count = check.answers(answer, answer.startswith("n_"), choice_labels)
+    check.raise_problems()
 
     if stimuli == ("log_ratio",):
         s1, s2 = np.zeros(len(table)), numbers["log_ratio"]
     else:
         s1, s2 = (numbers[c] for c in stimuli)
     standard = numbers["standard"] if "standard" in numbers else standards_of(s1, s2, scale)
-    labels = {c: _label(table[c], c) for c in LABELS if c in table}
     frame = pd.DataFrame(
         {
             **labels,
@@ -121,84 +125,48 @@ def read_trials(
         }
     )
     chosen = asked or task_named(ANSWERS[answer])
-    return Trials(frame, chosen, scale, log_unit, name, _notes(frame))
-
-
-def _load(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    if isinstance(source, pd.DataFrame):
-        return source.reset_index(drop=True), "table"
-    path = Path(source)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: there is no such file; give the path of a CSV table.")
-    tabs = {".tsv", ".tab"} & set(path.suffixes)
-    try:
-        raw = pd.read_csv(path, sep="\t" if tabs else ",", dtype=str, skipinitialspace=True)
-    except pd.errors.EmptyDataError:
-        raise ValueError(
-            f"{path.name}: the file is empty; give a header and one row per trial."
-        ) from None
-    except (pd.errors.ParserError, UnicodeDecodeError, OSError, EOFError) as error:
-        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
-        raise ValueError(
-            f"{path.name}: not readable as a table ({reason}); save it as CSV."
-        ) from None
-    if not isinstance(raw.index, pd.RangeIndex):
-        raise ValueError(
-            f"{path.name}: rows have more cells than the header has names; name every column."
-        )
-    return raw, path.name
+    return Trials(frame, chosen, scale, log_unit, name, _notes(frame, table.index.to_numpy()))
 
 
 def _choose_columns(
-    raw: pd.DataFrame, name: str, mapping: dict[str, str], task: Task | None
-) -> tuple[pd.DataFrame, tuple[str, ...], str, bool]:
-    """The columns needed, under our names; which hold the stimuli, the answer, and the count."""
-    problems = []
+    check: TableCheck, raw: pd.DataFrame, mapping: dict[str, str], task: Task | None
+) -> tuple[tuple[str, ...], str]:
+    """Put the columns needed into the check's table, under our names; what is missing is a problem.
+
+    Returns which of them hold the stimuli, and which the answer.
+    """
     here = [str(c) for c in raw.columns]
     for ours, theirs in mapping.items():
         _checks.one_of("columns key", ours, NAMES)
-        if theirs not in here:
-            problems.append(missing_column(name, theirs, here, f"mapped from {ours!r}"))
+        if theirs in here:
+            check.table[ours] = raw[theirs]
+        else:
+            check.missing_column(theirs, here, f"mapped from {ours!r}")
     taken = set(mapping.values())
-    table = pd.DataFrame({ours: raw[theirs] for ours, theirs in mapping.items() if theirs in here})
     for column in here:
-        if column in NAMES and column not in table and column not in taken:
-            table[column] = raw[column]
-    expected = {*table, *mapping}  # a mapped column that is missing has been named already
-    stimuli = next((s for s in STIMULI if expected.issuperset(s)), None)
+        if column in NAMES and column not in check.table and column not in taken:
+            check.table[column] = raw[column]
+    expected = {*check.table, *mapping}  # a mapped column that is missing has been named already
+    stimuli: tuple[str, ...] | None = next((s for s in STIMULI if expected.issuperset(s)), None)
     if stimuli is None:
-        partial = next((s for s in STIMULI if expected.intersection(s) - {"standard"}), STIMULI[0])
-        for column in partial:
+        stimuli = max(STIMULI, key=lambda names: len(expected.intersection(names)))
+        for column in stimuli:
             if column not in expected:
-                problems.append(missing_column(name, column, here, "needed for the stimuli"))
+                check.missing_column(column, here, "needed for the stimuli")
     answers = [a for a in ANSWERS if a in expected]
     if task is not None:
         answers = [a for a in answers if TASKS[ANSWERS[a]].response == task.response]
     # A mapped answer was asked for; one that merely has our name may be a by-product.
     answer = next((a for a in answers if a in mapping), answers[0] if answers else None)
     if answer is None:
-        wanted = task.response if task else "choice"
-        problems.append(missing_column(name, wanted, here, "needed for the answer"))
-    counted = answer is not None and answer.startswith("n_")
-    if counted and "n" not in expected:
-        problems.append(missing_column(name, "n", here, "needed for the number of trials"))
-    if problems:
-        raise ValueError("\n".join(problems))
-    assert stimuli is not None
-    assert answer is not None
-    return table, stimuli, answer, counted
+        answer = task.response if task else "choice"
+        check.missing_column(answer, here, "needed for the answer")
+    if answer.startswith("n_") and "n" not in expected:
+        check.missing_column("n", here, "needed for the number of trials")
+    return stimuli, answer
 
 
-def _label(column: pd.Series, name: str) -> NDArray[Any]:
-    """Sessions and trials as whole numbers where all of them are; anything else as it stands."""
-    if name != "subject":
-        values = pd.to_numeric(column, errors="coerce")
-        if values.notna().all() and (values == values.round()).all():
-            return values.to_numpy(np.int64)
-    return column.to_numpy()
-
-
-def _notes(frame: pd.DataFrame) -> tuple[str, ...]:
+def _notes(frame: pd.DataFrame, rows: NDArray[Any]) -> tuple[str, ...]:
     notes = []
     missing = int(frame.loc[frame["count"].isna(), "n"].sum())
     if missing:
@@ -208,6 +176,9 @@ def _notes(frame: pd.DataFrame) -> tuple[str, ...]:
     if twice is not None and twice.any():
         notes.append(
             f"{int(twice.sum())} rows occur more than once, the first in "
-            f"{rows_of(twice.to_numpy())}; they are counted as they stand."
+            f"{rows_in_words(rows[twice.to_numpy()])}; they are counted as they stand."
         )
+    empty = int((frame["n"] == 0).sum())
+    if empty:
+        notes.append(f"{empty} rows hold a level without trials, which says nothing.")
     return tuple(notes)

@@ -14,9 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from . import criticism, report
 from . import psychometric as curve
-from .likelihood import WeberModel
+from .effects import Effect
+from .likelihood import Draws, WeberModel
 from .percepts import Percept
 from .posteriors import WeberPosterior
+from .predictive import predicted, prior_draws
+from .sensitivity import lapse_sensitivity
 from .status import FitStatus
 from .trials import Trials
 
@@ -66,31 +69,69 @@ class WeberFit:
         """Names of the inferred parameters."""
         return self.model.names
 
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(effect.name for effect in self.model.effects)
+
     def interval(
-        self, mass: float = 0.95, parameter: str = "weber_fraction"
+        self,
+        mass: float = 0.95,
+        parameter: str = "weber_fraction",
+        *,
+        kind: str = "equal-tailed",
     ) -> tuple[float, float]:
-        """Equal-tailed posterior interval of a parameter."""
+        """Posterior interval of a parameter.
+
+        Parameters
+        ----------
+        mass : float
+            Its posterior probability.
+        parameter : str
+            One of `parameters`.
+        kind : {"equal-tailed", "hdi"}
+            As much left out on either side, or the shortest (highest density).
+        """
         _checks.one_of("parameter", parameter, self.parameters)
+        _checks.one_of("kind", kind, ("equal-tailed", "hdi"))
+        if kind == "hdi":
+            return self._shortest(parameter, mass)
         low, high = self.posterior.quantile(parameter, _tails(mass))
         return float(low), float(high)
 
+    def _shortest(self, parameter: str, mass: float) -> tuple[float, float]:
+        below = np.linspace(0, 1, 2001) * 2 * _tails(mass)[0]
+        low, high = (self.posterior.quantile(parameter, p) for p in (below, below + mass))
+        at = int(np.argmin(high - low))
+        return float(low[at]), float(high[at])
+
+    @cached_property
+    def map(self) -> dict[str, float]:
+        """The most probable values (MAP), in the normal scores of the priors (ln k, say)."""
+        return self.posterior.mode()
+
     def summary(self, mass: float = 0.95) -> pd.DataFrame:
-        """One row a parameter: mean, sd, median, interval (`lower`, `upper`), prior."""
+        """One row a parameter: mean, sd, median, MAP, intervals, prior.
+
+        `lower` and `upper` leave out as much on either side; `hdi_lower` and `hdi_upper` bound the
+        shortest interval.
+        """
         rows = []
         for name in self.parameters:
-            low, median, high = self.posterior.quantile(
-                name, [*_tails(mass)[:1], 0.5, *_tails(mass)[1:]]
-            )
-            base = name if name in ("weber_fraction", "lapse_low", "lapse_high") else "bias"
+            low, high = self.interval(mass, name)
+            shortest = self.interval(mass, name, kind="hdi")
             rows.append(
                 {
                     "mean": self.posterior.mean(name),
                     "sd": self.posterior.sd(name),
-                    "median": median,
+                    "median": float(self.posterior.quantile(name, 0.5)),
                     "lower": low,
                     "upper": high,
+                    "hdi_lower": shortest[0],
+                    "hdi_upper": shortest[1],
+                    "map": self.map[name],
                     "mass": mass,
-                    "prior": self.model.priors.words(base),
+                    "prior": self.model.priors.words(name),
                 }
             )
         return pd.DataFrame(rows, index=pd.Index(self.parameters, name="parameter"))
@@ -101,7 +142,7 @@ class WeberFit:
         proportion: float = 0.75,
         *,
         mass: float = 0.95,
-        with_bias: bool = False,
+        with_bias: bool | None = None,
         upward: bool = True,
     ) -> pd.DataFrame:
         """Comparisons at which the observer answers with that proportion, lapses removed.
@@ -111,14 +152,15 @@ class WeberFit:
         standard : array_like, optional
             One or several; those of the table by default.
         proportion : float
-            Of "second greater" (below ½: the downward threshold), or of correct answers.
+            Of "second greater" (below ½: the downward threshold), of correct answers, and so on.
         mass : float
             Of the interval, taken from the posterior of the threshold itself.
-        with_bias : bool
+        with_bias : bool, optional
             Leave the response bias in: the point as it lies on the curve. Without it the threshold
-            is the observer's sensitivity, and the 50 % point is the standard.
+            is the observer's sensitivity, and the 50 % point is the standard. By default a bias is
+            taken out, and the criterion of yes/no and same–different tasks left in.
         upward : bool
-            The side, for percent-correct tasks.
+            The side, for percent-correct and same–different tasks.
 
         Returns
         -------
@@ -127,41 +169,28 @@ class WeberFit:
             (comparison − standard), and `unreachable`: the posterior probability that no comparison
             reaches the proportion, where an end may be infinite.
         """
-        task = self.model.task
+        model, tails = self.model, _tails(mass)
+        biased = model.task.bias_name == "criterion" if with_bias is None else with_bias
+        at = np.array([tails[0], 0.5, tails[1]])
         rows = []
         for s in np.atleast_1d(
             self.trials.standards if standard is None else np.asarray(standard, float)
         ):
-
-            def point(k: ArrayLike, b: ArrayLike = 0.0, s: float = float(s)) -> Array:
-                return curve.threshold(
-                    task,
-                    self.percept,
-                    s,
-                    proportion,
-                    weber_fraction=k,
-                    bias=b,
-                    noise=self.noise,
-                    upward=upward,
-                )
-
-            if with_bias and self.model.group_names:
+            if (biased and model.group_names) or model.effects:
                 d = self.posterior.draws()
-                sample = point(d.weber_fraction, d.bias[:, self._group(float(s))])
-                ends = np.quantile(
-                    sample, [_tails(mass)[0], 0.5, _tails(mass)[1]], method="median_unbiased"
-                )
+                bias = d.bias[:, self._group(float(s))] if biased and model.group_names else 0.0
+                sample = self._point(float(s), proportion, d.weber_fraction, bias, d, upward)
+                ends = np.quantile(sample, at, method="median_unbiased")
             else:  # a monotone function of k alone
-                at = np.array([_tails(mass)[0], 0.5, _tails(mass)[1]])
-                ends = np.sort(point(self.posterior.quantile("weber_fraction", at)))
-                sample = point(
-                    self.posterior.quantile("weber_fraction", (np.arange(200) + 0.5) / 200)
-                )
+                ks = self.posterior.quantile("weber_fraction", at)
+                ends = np.sort(self._point(float(s), proportion, ks, 0.0, None, upward))
+                ks = self.posterior.quantile("weber_fraction", (np.arange(200) + 0.5) / 200)
+                sample = self._point(float(s), proportion, ks, 0.0, None, upward)
             edge = self.percept.domain[0]
             rows.append(
                 {
                     "standard": float(s),
-                    "criterion": curve.criterion(task, proportion),
+                    "criterion": curve.criterion(model.task, proportion),
                     "comparison": ends[1],
                     "lower": ends[0],
                     "upper": ends[2],
@@ -171,6 +200,31 @@ class WeberFit:
                 }
             )
         return pd.DataFrame(rows)
+
+    def _point(
+        self,
+        standard: float,
+        proportion: float,
+        k: ArrayLike,
+        bias: ArrayLike,
+        draws: Draws | None,
+        upward: bool,
+    ) -> Array:
+        return curve.threshold(
+            self.model.task,
+            self.percept,
+            standard,
+            proportion,
+            weber_fraction=k,
+            bias=bias,
+            effects=[] if draws is None else self._moved(draws),
+            noise=self.noise,
+            upward=upward,
+        )
+
+    def _moved(self, draws: Draws) -> list[tuple[Effect, Array]]:
+        """The effects with their draws."""
+        return [(e, draws.effects[:, i]) for i, e in enumerate(self.model.effects)]
 
     def psychometric(
         self, comparisons: ArrayLike, standard: float | None = None, *, mass: float = 0.95
@@ -203,19 +257,18 @@ class WeberFit:
 
     def _probability(self, s1: Array, s2: Array, standard: float) -> Array:
         """P at a thinned set of draws, (1000, N)."""
-        d = self.posterior.draws()
-        thin = slice(None, None, max(d.weber_fraction.size // 1000, 1))
-        bias = d.bias[thin, self._group(standard)] if self.model.group_names else 0.0
+        d = self.posterior.draws().thinned(1000)
         return curve.response_probability(
             self.model.task,
             self.percept,
             s1,
             s2,
             standard=np.full(s1.shape, standard),
-            weber_fraction=d.weber_fraction[thin],
-            lapse_low=d.lapse_low[thin],
-            lapse_high=d.lapse_high[thin],
-            bias=bias,
+            weber_fraction=d.weber_fraction,
+            lapse_low=d.lapse_low,
+            lapse_high=d.lapse_high,
+            bias=d.bias[:, self._group(standard)] if self.model.group_names else 0.0,
+            effects=self._moved(d),
             noise=self.noise,
         )
 
@@ -240,6 +293,21 @@ class WeberFit:
     def misfit(self) -> float:
         """Posterior-predictive p of the squared residuals: small where the data are missed."""
         return criticism.misfit(self.model, self.posterior.draws())
+
+    def prior_predictive(self, seed: int = 0) -> pd.DataFrame:
+        """The data beside what the priors alone expect of these trials: a check on the priors."""
+        rng = np.random.default_rng(seed)
+        return predicted(self.model, prior_draws(self.model, 2000, rng), rng)
+
+    def posterior_predictive(self, seed: int = 0) -> pd.DataFrame:
+        """The data beside what the fitted observer would answer to these trials."""
+        draws = self.posterior.draws().thinned(2000)
+        return predicted(self.model, draws, np.random.default_rng(seed))
+
+    @cached_property
+    def lapse_sensitivity(self) -> pd.DataFrame:
+        """The Weber fraction under other beliefs about lapses, a row a prior."""
+        return lapse_sensitivity(self.model, self.posterior)
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""
@@ -267,6 +335,7 @@ class WeberFit:
             "notes": list(self.notes),
             "parameters": self.summary().to_dict(orient="index"),
             "thresholds": _plain(self.threshold().to_dict(orient="records")),
+            "lapse_sensitivity": self.lapse_sensitivity.to_dict(orient="records"),
             "log_evidence": self.log_evidence,
             "error": self.posterior.error,
             "misfit": self.misfit,
@@ -281,6 +350,7 @@ class WeberFit:
                 "task": self.model.task.name,
                 "noise": self.noise,
                 "bias": self.bias,
+                "effects": list(self.effects),
                 "method": self.method,
                 "percept": type(self.percept).__name__,
             },
@@ -291,7 +361,7 @@ class WeberFit:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
     def to_arviz(self) -> Any:
-        """Posterior, log-likelihood and observed data for ArviZ (0.23 or 1.x)."""
+        """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data."""
         from .export import to_arviz
 
         return to_arviz(self)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from ..posterior.ensemble import sample_stacked
-from .likelihood import TINY, WeberModel
-from .mode import LEAD, REACH, find_mode, free_scores, score_value
-from .posteriors import Draws
+from .likelihood import Draws, WeberModel
+from .mode import find_mode, lead_values, map_point, score_precision
+from .priors import REACH
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,17 @@ class SampledPosterior:
         at = np.asarray(probability, dtype=float)
         return np.asarray(np.quantile(self._column(name), at), dtype=float)
 
+    def score_curve(self) -> tuple[Array, Array]:
+        axis = np.linspace(-REACH, REACH, 73)
+        prior = self.model.priors.of("weber_fraction")
+        score = ndtri(np.clip(prior.cdf(self.sample.weber_fraction), 1e-18, 1 - 1e-16))
+        edges = np.append(axis, axis[-1] + 0.25) - 0.125
+        counts = np.histogram(score, edges)[0]
+        return axis, np.log(np.maximum(counts, 1e-9))
+
+    def mode(self) -> dict[str, float]:
+        return map_point(self.model, np.zeros(len(self.model.lead)))
+
     def draws(self) -> Draws:
         return self.sample
 
@@ -51,7 +63,7 @@ def sample(
     ensembles: int = 4,
     precision: float = 0.03,
 ) -> SampledPosterior:
-    """Sample the posterior with emcee, in the normal scores of the priors (biases as they are).
+    """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
 
     Parameters
     ----------
@@ -68,42 +80,52 @@ def sample(
         `trouble` says so where the run has not converged.
     """
     rng = np.random.default_rng(seed)
-    free = np.flatnonzero(free_scores(model))
+    free = np.flatnonzero(model.free)
     n_bias = model.n_groups if model.free_bias else 0
     dim = free.size + n_bias
     if dim == 0:
         raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
+    of_scores = score_precision(model)
+    stretches = [model.stretches[i] for i in free]
+    ends = np.array([s.ends for s in stretches]).reshape(-1, 2).T
 
-    # SciPy's quantile functions cost more than the likelihood: tabulated once, finely.
-    table = np.linspace(-REACH, REACH, 18_001)
-    logs = {name: np.log(np.maximum(score_value(model, name, table), TINY)) for name in LEAD}
+    def scores_of(theta: Array) -> Array:
+        columns = [s.score(theta[..., i]) for i, s in enumerate(stretches)]
+        return np.stack(columns, axis=-1) if columns else theta[..., :0]
 
-    def unpack(theta: Array) -> tuple[Array, Array, Array, Array]:
-        z = np.zeros((*theta.shape[:-1], 3))
-        z[..., free] = theta[..., : free.size]
-        k, low, high = (np.exp(np.interp(z[..., i], table, logs[n])) for i, n in enumerate(LEAD))
+    def unpack(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
+        z = np.zeros((*theta.shape[:-1], len(model.lead)))
+        z[..., free] = scores_of(theta)
+        k, effects, low, high = lead_values(model, z)
         if n_bias:
-            return k, low, high, theta[..., free.size :]
-        return k, low, high, np.full((*k.shape, model.n_groups), model.fixed_bias())
+            bias = theta[..., free.size :]
+        else:
+            bias = np.full((*k.shape, model.n_groups), model.fixed_bias())
+        return k, low, high, bias, effects
 
     def log_density(theta: Array) -> Array:
-        k, low, high, bias = unpack(theta)
-        scores = theta[..., : free.size]
-        possible = (sum(model.lapses(low, high)) < 1) & (np.abs(scores) < REACH).all(axis=-1)
-        out = model.log_likelihood(k, low, high, bias)
-        out = (
-            out
-            - 0.5 * (scores**2).sum(axis=-1)
-            + model.log_bias_prior(bias).sum(axis=-1) * bool(n_bias)
-        )
+        k, low, high, bias, effects = unpack(theta)
+        t, scores = theta[..., : free.size], scores_of(theta)
+        inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
+        possible = (sum(model.lapses(low, high)) < 1) & inside
+        out = model.log_likelihood(k, low, high, bias, effects)
+        out = out - 0.5 * np.einsum("...i,ij,...j->...", scores, of_scores, scores)
+        for i, stretch in enumerate(stretches):
+            out = out + np.log(stretch.slope(t[..., i]))
+        if n_bias:
+            out = out + model.log_bias_prior(bias).sum(axis=-1)
         return np.where(possible, out, -np.inf)
 
-    mode, information = find_mode(model, np.zeros(3), np.zeros(model.n_groups))
+    start_bias = np.full(model.n_groups, model.priors.moments("bias")[0] if n_bias else 0.0)
+    mode, information = find_mode(model, np.zeros(len(model.lead)), start_bias)
     scores, bias = mode
     root = np.linalg.cholesky(np.linalg.inv(information))
-    walkers = max(32, 4 * dim)
-    centre = np.r_[scores[free], bias if n_bias else ()]
-    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T
+    walkers = max(64, 4 * dim)
+    at = [s.coordinate(z) for s, z in zip(stretches, scores[free], strict=True)]
+    centre = np.r_[at, bias if n_bias else ()]
+    per_score = np.ones(dim)
+    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(stretches, at, strict=True)]
+    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
     # A start outside the support is pulled towards the mode until it is inside.
     for _ in range(60):
         lost = ~np.isfinite(log_density(start))

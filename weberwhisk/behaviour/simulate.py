@@ -28,7 +28,7 @@ SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())
 
 def simulate_trials(
     *,
-    weber_fraction: float = 0.1,
+    weber_fraction: ArrayLike = 0.1,
     standards: ArrayLike = 1.0,
     offsets: ArrayLike | None = None,
     comparisons: ArrayLike | None = None,
@@ -36,6 +36,8 @@ def simulate_trials(
     lapse_low: float = 0.0,
     lapse_high: float = 0.0,
     bias: ArrayLike = 0.0,
+    drift: float = 0.0,
+    bias_drift: float = 0.0,
     percept: Percept | None = None,
     observer: Any = None,
     noise: str = "weber",
@@ -49,8 +51,8 @@ def simulate_trials(
 
     Parameters
     ----------
-    weber_fraction : float
-        Noise sd of each signal over its mean.
+    weber_fraction : float, or array_like of shape (sessions,)
+        Noise sd of each signal over its mean; one for each session where it is not the same.
     standards : array_like, shape (S,)
         Stimulus 1: magnitudes, logarithms (with a log percept) or radial distances in metres.
     offsets : array_like, optional
@@ -64,8 +66,11 @@ def simulate_trials(
         Share of answers lost at either end.
     bias : float or array_like, shape (S,)
         In sds of the difference between the percepts, positive towards "second greater".
+    drift, bias_drift : float
+        A learning animal: how far ln k and the bias go from the first session to the last, in
+        equal steps; their mean over the sessions is what is given above.
     percept : Percept, optional
-        How a stimulus is felt; the magnitude itself by default.
+        How a stimulus is felt, any cue and any noise; the magnitude itself by default.
     observer : Observer, optional
         A whisker and a cue: short for `percept=CuePercept(observer)`.
     noise : {"weber", "equal-variance"}
@@ -96,7 +101,6 @@ def simulate_trials(
     (720, array([1., 2.]))
     """
     asked = task_named(task)
-    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
         if float(_checks.non_negative(name, value, "write for example 0.02")) >= 1:
             raise ValueError(f"{name} must be below 1, got {value:g}; write for example 0.02.")
@@ -119,11 +123,10 @@ def simulate_trials(
     ).ravel()
     levels = _levels(base, offsets, comparisons, is_log)
     shift = np.broadcast_to(_checks.finite("bias", bias, "write for example 0"), base.shape)
+    fraction, wander = _course(weber_fraction, sessions, drift, bias_drift)
     _refuse_outside(felt, np.concatenate([base, levels.ravel()]))
 
     rng = np.random.default_rng(seed)
-    s1 = np.repeat(base, levels.shape[1] * trials_per_level)
-    s2 = np.repeat(levels.ravel(), trials_per_level)
     p = np.concatenate(
         [
             response_probability(
@@ -131,20 +134,25 @@ def simulate_trials(
                 felt,
                 np.full(levels.shape[1], s),
                 row,
-                weber_fraction=weber_fraction,
+                weber_fraction=fraction,
                 lapse_low=lapse_low,
                 lapse_high=lapse_high,
-                bias=b,
+                bias=b + wander,
                 noise=noise,
             )
             for s, row, b in zip(base, levels, shift, strict=True)
-        ]
-    )
+        ],
+        axis=-1,
+    )  # (sessions, or 1 where all are alike; pairs of stimuli)
     # Uniform numbers alone: the streams of the other distributions may change between versions.
-    order = np.argsort(rng.random(s1.size), kind="stable")
-    answer = (rng.random(s1.size) < np.repeat(p, trials_per_level)).astype(float)
-    answer[rng.random(s1.size) < missing] = np.nan
-    session = np.sort(np.arange(s1.size) % sessions) + 1
+    pair = np.repeat(np.arange(levels.size), trials_per_level)
+    order = np.argsort(rng.random(pair.size), kind="stable")
+    session = np.empty(pair.size, dtype=np.int64)
+    session[order] = np.sort(np.arange(pair.size) % sessions)
+    answer = (rng.random(pair.size) < p[session % len(p), pair]).astype(float)
+    answer[rng.random(pair.size) < missing] = np.nan
+    s1, s2 = np.repeat(base, levels.shape[1])[pair], levels.ravel()[pair]
+    session = session[order] + 1
     first = np.searchsorted(session, session)
     columns: dict[str, Any] = {} if subject is None else {"subject": np.full(s1.size, subject)}
     frame = pd.DataFrame(
@@ -163,6 +171,29 @@ def simulate_trials(
     notes = (f"{lost} trials have no answer and stay out of the likelihood.",) if lost else ()
     unit = felt.log_unit if isinstance(felt, (LogPercept, LogAxisPercept)) else None
     return Trials(frame, asked, "log" if is_log else "linear", unit, "simulated trials", notes)
+
+
+def _course(
+    weber_fraction: ArrayLike, sessions: int, drift: float, bias_drift: float
+) -> tuple[Array, Array]:
+    """The Weber fraction of each session, and what is added to the bias; (sessions,) or (1,)."""
+    k = np.atleast_1d(_checks.positive("weber_fraction", weber_fraction, "write for example 0.1"))
+    if k.shape not in ((1,), (sessions,)):
+        raise ValueError(
+            f"weber_fraction has shape {k.shape} for {sessions} sessions; give one number, or one "
+            "a session."
+        )
+    for name, value in (("drift", drift), ("bias_drift", bias_drift)):
+        _checks.finite(name, value, "write for example -0.5")
+        if value and sessions < 2:
+            raise ValueError(
+                f"{name} goes from the first session to the last, got sessions={sessions}; "
+                "write sessions=10, say."
+            )
+    if not drift and not bias_drift:
+        return k, np.zeros(1)
+    course = np.linspace(-0.5, 0.5, sessions)
+    return k * np.exp(drift * course), bias_drift * course
 
 
 def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:

@@ -1,7 +1,8 @@
 """What the animal was asked, and the probability of its answer.
 
-Every task is brought to one form: P = λ_lo + (1 − λ_lo − λ_hi) Φ(η + bias), with the decision
-variable η(k) computed by the task from the two noisy percepts. A new task is one class here.
+A task makes a decision variable d of two noisy signals, says how a response bias or criterion b
+enters it, and what the chance of the answer is: Φ(d + b) for all but the same–different task.
+Lapses then cut both ends: P = λ_lo + (1 − λ_lo − λ_hi) · chance. A new task is one class here.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr, ndtri
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtr, ndtri
 
 from .. import _checks
-from .percepts import UnitPercepts
+from .percepts import Signals
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,16 @@ class Task(Protocol):
         """The column that holds the answer: "choice" or "correct"."""
 
     @property
+    def answer(self) -> str:
+        """What is counted, in words."""
+
+    @property
     def lapses(self) -> tuple[str, ...]:
         """The lapse parameters that the task has."""
+
+    @property
+    def bias_name(self) -> str | None:
+        """What its response bias is called: "bias", "criterion", or None where it has none."""
 
     @property
     def has_bias(self) -> bool:
@@ -46,49 +55,68 @@ class Task(Protocol):
     def guess_rate(self) -> float | None:
         """Proportion of the answer at chance, None where lapses on either side set it."""
 
-    def decision_variable(self, percepts: UnitPercepts, weber_fraction: ArrayLike) -> Array:
-        """η: Φ(η) is the probability of the answer of an observer that never lapses."""
+    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
+        """Decision variable d (..., C), and what a bias of 1 adds to it."""
+
+    def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
+        """Probability of the answer and of the other, without lapses; neither loses its tail."""
 
     def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
-        """What is lost at either end of Φ, as (low, high)."""
+        """What is lost at either end, as (low, high)."""
 
 
-@dataclass(frozen=True)
-class SignedChoice:
-    """Which of two is greater (farther): two noisy signals are compared, 2AFC or 2IFC.
+class _Compared:
+    """Tasks whose answer is given when one normal variable exceeds another."""
 
-    P(second greater) = λ_lo + (1 − λ_lo − λ_hi) Φ((I₂ − I₁)/(k √(I₁² + I₂²)) + bias): noise in
-    each interval grows with the stimulus of that interval. The lower end is λ_lo, not ½.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour.percepts import IdentityPercept, unit_percepts
-    >>> cell = unit_percepts(IdentityPercept(), [1.0], [1.1], [1.0])
-    >>> SignedChoice().decision_variable(cell, 0.1).round(4)
-    array([0.6727])
-    """
-
-    name: str = "2AFC"
-    response: str = "choice"
-    lapses: tuple[str, ...] = ("lapse_low", "lapse_high")
-    has_bias: bool = True
+    bias_name: str | None = "bias"
     guess_rate: float | None = None
+    lapses: tuple[str, ...] = ("lapse_low", "lapse_high")
 
-    def decision_variable(self, percepts: UnitPercepts, weber_fraction: ArrayLike) -> Array:
-        m1, u1, m2, u2 = percepts
-        k = np.asarray(weber_fraction, dtype=float)[..., None]
-        return (m2 - m1) / np.hypot(u1, u2) / k
+    @property
+    def has_bias(self) -> bool:
+        return self.bias_name is not None
+
+    def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
+        z = d + bias
+        return ndtr(z), ndtr(-z)
 
     def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
         return lapse_low, lapse_high
 
 
 @dataclass(frozen=True)
-class PercentCorrect:
+class SignedChoice(_Compared):
+    """Which of two is greater (farther): two noisy signals are compared, 2AFC or 2IFC.
+
+    P(second greater) = λ_lo + (1 − λ_lo − λ_hi) Φ((I₂ − I₁)/√(σ₁² + σ₂²) + bias), σ = k I: noise in
+    each interval grows with the stimulus of that interval. The lower end is λ_lo, not ½. Stimuli
+    are in the order of their intervals, so a bias is also the order effect (time-order error).
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour.percepts import IdentityPercept, unit_percepts
+    >>> cell = unit_percepts(IdentityPercept(), [1.0], [1.1], [1.0])
+    >>> SignedChoice().decide(cell.felt(0.1))[0].round(4)
+    array([0.6727])
+    """
+
+    name: str = "2AFC"
+    response: str = "choice"
+    answer: str = '"second greater"'
+
+    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, push = felt
+        return (m2 - m1) / np.hypot(s1, s2) + push, 1.0
+
+
+@dataclass(frozen=True)
+class PercentCorrect(_Compared):
     """Which of m is the odd one, scored right or wrong against an unsigned difference.
 
     The target (`stimulus_2`) is the greatest, or the least, of m noisy signals, the others being
-    `stimulus_1`. Chance is 1/m; `lapse_high` is what is missing from 1 at the easiest level.
+    `stimulus_1`. The observer takes the most extreme (Green & Swets 1966, §2.6): the chance is
+    ∫ φ(x; target) Φ(x; other)^(m−1) dx, each with its own noise. Chance is 1/m; `lapse_high` is
+    what is missing from 1 at the easiest level.
 
     Examples
     --------
@@ -98,38 +126,100 @@ class PercentCorrect:
 
     alternatives: int = 2
     response: str = "correct"
+    answer: str = "correct"
+    bias_name: str | None = None
     lapses: tuple[str, ...] = ("lapse_high",)
-    has_bias: bool = False
 
     @property
     def name(self) -> str:
         return f"{self.alternatives}AFC percent correct"
 
     @property
-    def guess_rate(self) -> float:
+    def guess_rate(self) -> float:  # type: ignore[override]
         return 1.0 / self.alternatives
 
-    def decision_variable(self, percepts: UnitPercepts, weber_fraction: ArrayLike) -> Array:
-        m1, u1, m2, u2 = percepts
-        k = np.asarray(weber_fraction, dtype=float)[..., None]
+    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, push = felt
         gap = np.abs(m2 - m1)
         if self.alternatives == 2:
-            return gap / np.hypot(u1, u2) / k
+            return gap / np.hypot(s1, s2) + push, 0.0
         # The trapezoid rule converges exponentially here: 1e-14 with these nodes.
         weights = np.exp(-0.5 * NODES**2)
-        margin = (gap / k)[..., None] + np.asarray(u2)[..., None] * NODES
-        others = log_ndtr(margin / np.asarray(u1)[..., None])
+        margin = gap[..., None] + np.asarray(s2)[..., None] * NODES
+        others = log_ndtr(margin / np.asarray(s1)[..., None])
         missed = -np.expm1((self.alternatives - 1) * others)
-        return -ndtri(missed @ (weights / weights.sum()))
+        return -ndtri(missed @ (weights / weights.sum())) + push, 0.0
 
     def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
         return lapse_high / (self.alternatives - 1), lapse_high
+
+
+@dataclass(frozen=True)
+class YesNo(_Compared):
+    """One stimulus, against a standard held in mind: "yes, greater", or go and no-go.
+
+    P(yes) = λ_lo + (1 − λ_lo − λ_hi) Φ((I₂ − I₁ − c σ₁)/σ₂): the signal of the stimulus put
+    (`stimulus_2`) passes a criterion, `criterion` c in sds of the standard's signal above its mean
+    (Green & Swets 1966, §3; Macmillan & Creelman 2005, ch. 2). The standard itself, put as a
+    stimulus, gives the false alarms, Φ(−c). c is inferred with the Weber fraction. A stimulus that
+    is to be found *smaller* than its standard wants its answers counted the other way.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour.percepts import IdentityPercept, unit_percepts
+    >>> cell = unit_percepts(IdentityPercept(), [1.0], [1.0674], [1.0], "equal-variance")
+    >>> d, weight = YesNo().decide(cell.felt(0.1))
+    >>> YesNo().chance(d, weight * 0.0)[0].round(3)
+    array([0.75])
+    """
+
+    name: str = "yes/no"
+    response: str = "choice"
+    answer: str = '"yes"'
+    bias_name: str | None = "criterion"
+
+    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, push = felt
+        return (m2 - m1) / s2 + push, -s1 / s2
+
+
+@dataclass(frozen=True)
+class SameDifferent(_Compared):
+    """Are two stimuli the same or different? The differencing rule.
+
+    "Different" where the two signals differ by more than a criterion (Macmillan & Creelman 2005,
+    ch. 9; Sorkin 1962): P = Φ((Δ − C)/σ) + Φ((−Δ − C)/σ), σ² = σ₁² + σ₂². `criterion` is C in sds
+    of the difference between two signals of stimulus 1, so "different" to equal pairs is 2Φ(−C).
+
+    Examples
+    --------
+    >>> SameDifferent().chance(np.array([0.0]), -1.0)[0].round(4)
+    array([0.3173])
+    """
+
+    name: str = "same-different"
+    response: str = "choice"
+    answer: str = '"different"'
+    bias_name: str | None = "criterion"
+
+    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, push = felt
+        spread = np.hypot(s1, s2)
+        return np.abs(m2 - m1) / spread + push, -np.sqrt(2.0) * s1 / spread
+
+    def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
+        # Below zero there is no criterion: every pair differs.
+        c = np.maximum(-np.asarray(bias), 0.0)
+        return ndtr(d - c) + ndtr(-d - c), np.maximum(ndtr(c - d) - ndtr(-c - d), 0.0)
 
 
 TASKS: dict[str, Task] = {
     "2AFC": SignedChoice("2AFC"),
     "2IFC": SignedChoice("2IFC"),
     **{f"{m}AFC percent correct": PercentCorrect(m) for m in (2, 3, 4, 5, 6, 8)},
+    "yes/no": YesNo("yes/no"),
+    "go/no-go": YesNo("go/no-go", answer='"go"'),
+    "same-different": SameDifferent(),
 }
 
 

@@ -100,7 +100,9 @@ class Trials:
     def _levels(self, column: str) -> list[Any]:
         if column not in self.frame:
             return []
-        return sorted(self.frame[column].unique().tolist())
+        found = self.frame[column].unique().tolist()
+        # Numbers and text side by side: numbers first.
+        return sorted(found, key=lambda label: (isinstance(label, str), label))
 
     def select(self, **wanted: Any) -> Trials:
         """The trials whose columns have the values wanted.
@@ -153,8 +155,11 @@ class Trials:
         """Write `table()`; the file is complete or absent, never half-written."""
         target = Path(path)
         partial = target.with_name(target.name + ".partial")
-        self.table().to_csv(partial, index=False, lineterminator="\n")
-        return partial.replace(target)
+        try:
+            self.table().to_csv(partial, index=False, lineterminator="\n")
+            return partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 _COUNT_NAMES = {"choice": "greater", "correct": "correct"}

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .likelihood import WeberModel
-from .posteriors import GridPosterior, WeberPosterior
-from .quadrature import Grid, integrate, log_marginal
+from .posteriors import WeberPosterior
+from .quadrature import integrate
 from .status import FitStatus
 
 Array = NDArray[np.float64]
@@ -24,9 +24,7 @@ def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tu
     notes = _notes(model)
     if not model.cells.n.sum():
         return FitStatus.NO_TRIALS, notes
-    # The judgement needs the evidence and the tails, which draws do not give.
-    grid = posterior.grid if isinstance(posterior, GridPosterior) else integrate(model.merged())
-    if _reversed(model, grid):
+    if _reversed(model, posterior):
         return FitStatus.REVERSED, notes
     if posterior.trouble:
         return FitStatus.NOT_CONVERGED, (
@@ -35,7 +33,7 @@ def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tu
         )
     if "weber_fraction" not in model.names:
         return FitStatus.DETERMINED, (*notes, "The Weber fraction was fixed, not fitted.")
-    below, above = _open_ends(grid)
+    below, above = _open_ends(*posterior.score_curve())
     if below and above:
         return FitStatus.UNINFORMED, notes
     if below:
@@ -70,30 +68,32 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _reversed(model: WeberModel, grid: Grid) -> bool:
+def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
     """Whether the opposite answers would be far more probable, judged by the evidence."""
     c = model.cells
     if model.task.guess_rate is None:
-        drive = (model.percepts.mean_2 - model.percepts.mean_1) / np.hypot(
-            model.percepts.sd_1, model.percepts.sd_2
-        )
+        drive = model.task.decide(model.percepts.felt(np.float64(1.0)))[0]
         suspect = drive @ (c.count - c.n * (c.count.sum() / c.n.sum())) < 0
     else:
         suspect = c.count.sum() < model.task.guess_rate * c.n.sum()
     if not suspect:
         return False
-    exchanged = replace(model, cells=replace(c, count=c.n - c.count))
-    return integrate(exchanged.merged()).log_evidence - grid.log_evidence > STRONG
+    # Effects do not turn answers round: the plain observer tells.
+    plain = model.plain().merged()
+    exchanged = replace(plain, cells=replace(plain.cells, count=plain.cells.n - plain.cells.count))
+    as_they_are = posterior.log_evidence if not model.effects else None
+    if as_they_are is None:
+        as_they_are = integrate(plain).log_evidence
+    return integrate(exchanged).log_evidence - as_they_are > STRONG
 
 
-def _open_ends(grid: Grid) -> tuple[bool, bool]:
+def _open_ends(axis: Array, log_density: Array) -> tuple[bool, bool]:
     """Whether the likelihood leaves very small, or very large, Weber fractions open.
 
-    The likelihood of k is its posterior over its prior, biases and lapses integrated; in normal
-    scores the prior is known, and nodes that the grid does not reach are excluded.
+    The likelihood of k is its posterior over its prior, everything else integrated; in normal
+    scores the prior is known, and scores that the posterior does not reach are excluded.
     """
-    axis = grid.axes[0]
-    likelihood = log_marginal(grid, 0) + 0.5 * axis**2
+    likelihood = log_density + 0.5 * axis**2
     inside = np.abs(axis) <= FAR + 0.5
     best = likelihood[inside].max() if inside.any() else likelihood.max()
 

@@ -10,6 +10,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import a_number, numbers
+from ..behaviour.datapackage import data_package, describe_table
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..runs import Run, atomic_write, to_json
 from .distance import distance_percept
@@ -65,11 +66,23 @@ def simulate(
     lapse_low: Annotated[float, a_share("--lapse-low", "Share lost at the low end.")] = 0.0,
     lapse_high: Annotated[float, a_share("--lapse-high", "Share lost at the high end.")] = 0.0,
     bias: Annotated[float, a_share("--bias", "Towards the second, in sds.")] = 0.0,
+    drift: Annotated[
+        float, a_share("--drift", "Change of ln k from the first session to the last.")
+    ] = 0.0,
+    bias_drift: Annotated[
+        float, a_share("--bias-drift", "Change of the bias from the first session to the last.")
+    ] = 0.0,
     missing: Annotated[float, a_share("--missing", "Share of trials without an answer.")] = 0.0,
     trials_per_level: Annotated[
         int, typer.Option("--trials-per-level", help="Trials of each comparison.")
     ] = 40,
     sessions: Annotated[int, typer.Option("--sessions", help="Dealt out over these.")] = 1,
+    subjects: Annotated[
+        int, typer.Option("--subjects", help="Animals; with several, each draws its own truth.")
+    ] = 1,
+    spread: Annotated[
+        float, a_share("--spread", "Standard deviation of ln k between several animals.")
+    ] = 0.3,
     task: Annotated[
         str, typer.Option("--task", help="2AFC, 2IFC, or '2AFC percent correct' and the like.")
     ] = "2AFC",
@@ -105,17 +118,23 @@ def simulate(
         "bias": bias,
     }
     with Run(out, "simulate", inputs, seed) as run:
-        trials = ww.simulate_trials(
+        design: dict[str, Any] = {
             **truth,
-            standards=base,
-            offsets=levels,
-            trials_per_level=trials_per_level,
-            percept=percept,
-            sessions=sessions,
-            missing=missing,
-            task=task,
-            seed=seed,
-        )
+            "standards": base,
+            "offsets": levels,
+            "trials_per_level": trials_per_level,
+            "percept": percept,
+            "sessions": sessions,
+            "drift": drift,
+            "bias_drift": bias_drift,
+            "missing": missing,
+            "task": task,
+            "seed": seed,
+        }
+        if subjects == 1:
+            trials, animals = ww.simulate_trials(**design), None
+        else:
+            trials, animals = ww.simulate_population(subjects, spread=spread, **design)
         table = trials.table()
         if percept is not None:
             names = ("standard", "stimulus_1", "stimulus_2")
@@ -123,6 +142,10 @@ def simulate(
         run.table("trials", table)
         known = {
             **truth,
+            **({"drift": drift, "bias_drift": bias_drift} if drift or bias_drift else {}),
+            **(
+                {} if animals is None else {"spread": spread, "animals": animals.to_dict("records")}
+            ),
             "standards": base,
             "offsets": SIGNED_OFFSETS if levels is None else levels,
             "task": trials.task.name,
@@ -130,9 +153,19 @@ def simulate(
             "whisker": None if whisker is None else describe(whisker),
         }
         if run.out_dir is not None:
+            atomic_write(run.path("truth.json"), to_json(known) + "\n")
+            entry = describe_table(
+                "trials",
+                table,
+                unit="mm" if percept else "",
+                title="Simulated choices",
+                truth=known,
+            )
+            package = data_package("weberwhisk-simulated", "Simulated choices", [entry])
+            atomic_write(run.path("datapackage.json"), to_json(package) + "\n")
+        if run.out_dir is not None and animals is None:
             from .. import figures
 
-            atomic_write(run.path("truth.json"), to_json(known) + "\n")
             free = {name: truth[name] for name in trials.task.lapses}
             free |= {"bias": bias} if trials.task.has_bias else {}
             exact = ww.fit_weber(
@@ -146,8 +179,9 @@ def simulate(
         return
     if whisker is not None:
         print(whisker_line(whisker))
+    many = "" if animals is None else f" of {subjects} animals"
     print(
-        f"{len(table)} trials of {trials.task.name}, {trials.n_missing} without an answer; "
+        f"{len(table)} trials{many} of {trials.task.name}, {trials.n_missing} without an answer; "
         f"{base.size} standard{'s' if base.size > 1 else ''}, Weber fraction {weber_fraction:g}, "
         f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
     )
@@ -174,6 +208,8 @@ def _again(inputs: dict[str, Any]) -> str:
         if value:
             text = ",".join(value) if isinstance(value, list) else f"{value}"
             words.append(f" --{name.replace('_', '-')} {text}")
+    if inputs["subjects"] > 1:
+        words.append(" --subject s1")
     if inputs["task"] not in ("2AFC", "2AFC percent correct"):
         words.append(f" --task '{inputs['task']}'")
     return "".join(words)

@@ -12,10 +12,12 @@ model               sd of a reading of a signal I              information about
 =================== ========================================== ==================================
 
 Signals carry their kinds (moment, axial force, …) along the last axis, and so do readings, but for
-`SpikeCount`, whose readings are counts, one for each afferent. `Joint` gives each group of signals
-a model of its own.
+`SpikeCount`, whose readings are counts, one for each afferent, and `Events`, whose signals are
+chances. `Joint` gives each group of signals a model of its own. Constant noise, natural for
+angles, is `GeneralisedWeber(0, floor=sd)`.
 """
 
+from .events import Events
 from .gaussian import GeneralisedWeber, NearMiss, Saturating, Weber
 from .joint import Joint
 from .log_normal import LogNormal
@@ -25,6 +27,7 @@ from .spike_count import Afferents, SpikeCount
 __all__ = [
     "Afferents",
     "Array",
+    "Events",
     "GeneralisedWeber",
     "Joint",
     "LogNormal",

@@ -1,0 +1,203 @@
+"""Two real data sets fitted and criticised: a rat that is learning, and people who count dots.
+
+    python analyses/real_data.py [folder]
+
+Writes `real_data.md` (the report) and `figures/real_data.png` into this folder, or the one named.
+`--short` fits the last ten sessions of the rat only, as the tests do.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from weberwhisk import compare, figures, fit_weber
+from weberwhisk.behaviour import (
+    Comparison,
+    Trials,
+    WeberFit,
+    checks,
+    compare_drift,
+    load_numerosity,
+    load_rat_auditory,
+    quantile_residuals,
+    residuals_by,
+)
+from weberwhisk.behaviour.effects import Contraction, History
+
+BLOCK = 5  # sessions fitted together
+
+
+def markdown(table: pd.DataFrame, index: bool = True) -> str:
+    """A table in Markdown, numbers to three digits."""
+    shown = table.reset_index() if index else table
+
+    def cell(value: object) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    lines = [shown.columns.tolist(), ["---"] * shown.shape[1], *shown.to_numpy(object).tolist()]
+    return "\n".join("| " + " | ".join(map(cell, line)) + " |" for line in lines)
+
+
+def by_block(trials: Trials) -> pd.DataFrame:
+    """The rat fitted in blocks of sessions, during which it changes less."""
+    rows = []
+    sessions = trials.sessions
+    for start in range(0, len(sessions), BLOCK):
+        block = sessions[start : start + BLOCK]
+        fit = fit_weber(trials.select(session=block))
+        low, high = fit.interval()
+        median = fit.summary()["median"]
+        rows.append(
+            {
+                "sessions": f"{block[0]}–{block[-1]}",
+                "middle": (block[0] + block[-1]) / 2,
+                "n": fit.trials.n_trials,
+                "weber_fraction": fit.weber_fraction,
+                "lower": low,
+                "upper": high,
+                "lapse_low": median["lapse_low"],
+                "lapse_high": median["lapse_high"],
+                "bias": median["bias"],
+                "misfit_p": fit.misfit,
+                "status": fit.status.name,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def observers(trials: Trials) -> Comparison:
+    """What else moves the rat: contraction to the mean, its last answer."""
+    return compare(
+        {
+            "sounds alone": fit_weber(trials, bias="shared"),
+            "a bias per standard": fit_weber(trials, bias="per standard"),
+            "contraction": fit_weber(trials, effects=[Contraction()]),
+            "history": fit_weber(trials, effects=[History()]),
+        }
+    )
+
+
+def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
+    """The rat's part of the report."""
+    whole = fit_weber(trials)
+    blocks = by_block(trials)
+    drift = compare_drift(trials)
+    late = trials.select(session=trials.sessions[-10:])
+    which = observers(late)
+    columns = ["log_evidence", "log_bayes_factor", "elpd_difference", "difference_se", "bad_k"]
+    lines += [
+        "## The rat: which of two sounds was louder?",
+        "",
+        f"{trials.n_trials} trials in {len(trials.sessions)} sessions. The stimuli are normalised "
+        "log levels of unknown unit, so Weber fractions are counted per unit of that scale.",
+        "",
+        f"One observer for all: {whole.weber_fraction:.3g} per unit, with 95 % between "
+        f"{whole.interval()[0]:.3g} and {whole.interval()[1]:.3g}. It must not be believed: the "
+        "checks, set beside data that this observer would give, say",
+        "",
+        markdown(checks(whole)),
+        "",
+        f"The same in blocks of {BLOCK} sessions, where the animal changes less:",
+        "",
+        markdown(blocks.drop(columns="middle"), index=False),
+        "",
+        f"Stationary or drifting? {drift.report()}",
+        "",
+        markdown(drift.table[columns]),
+        "",
+        "What moves the answers besides the two sounds, in the last ten sessions? "
+        f"{which.report()}",
+        "",
+        markdown(which.table[columns]),
+        "",
+        "Checks of the last ten sessions under the best of these:",
+        "",
+        markdown(checks(which.fits[str(which.table.index[0])])),
+        "",
+    ]
+    return blocks, whole
+
+
+def people(trials: Trials, lines: list[str]) -> list[WeberFit]:
+    """The people's part of the report."""
+    fits = [fit_weber(trials.select(subject=s)) for s in trials.subjects]
+    rows = []
+    for subject, fit in zip(trials.subjects, fits, strict=True):
+        low, high = fit.interval()
+        p = checks(fit)["p"]
+        rows.append(
+            {
+                "subject": subject,
+                "n": fit.trials.n_trials,
+                "weber_fraction": fit.weber_fraction,
+                "lower": low,
+                "upper": high,
+                "bias": fit.summary().loc["bias", "median"],
+                "p levels": p["levels"],
+                "p trend": p["trend"],
+                "p repetition": p["repetition"],
+                "status": fit.status.name,
+            }
+        )
+    lines += [
+        "## Two people: which cloud has more dots?",
+        "",
+        "250 trials each; the Weber fraction is a pure ratio. The p are those of the checks.",
+        "",
+        markdown(pd.DataFrame(rows), index=False),
+        "",
+    ]
+    return fits
+
+
+def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path) -> None:
+    """The figure: the rat's course, its residuals by session, and the people's curves."""
+    figure = figures.new_figure(figures.DOUBLE, 4.6)
+    ((course, off), (one, two)) = figure.subplots(2, 2)
+    middle, low, high = (blocks[c].to_numpy(float) for c in ("weber_fraction", "lower", "upper"))
+    course.errorbar(
+        blocks["middle"], middle, [(middle - low).tolist(), (high - middle).tolist()], fmt="o-",
+        color=figures.COLOURS[0], capsize=2, label="Weber fraction per unit, 95 %",
+    )  # fmt: skip
+    for name, style in (("lapse_low", "s--"), ("lapse_high", "^:")):
+        course.plot(
+            blocks["middle"], blocks[name], style, color=figures.COLOURS[1], markersize=3,
+            label=name.replace("_", " "),
+        )  # fmt: skip
+    course.set_ylim(bottom=0)
+    course.set_xlabel("session of the rat")
+    course.legend()
+    figures.residuals(residuals_by(whole, "session"), off)
+    for ax, fit in zip((one, two), fits, strict=True):
+        figures.psychometric(fit, ax, unit="log ratio")
+        ax.set_title(f"person {fit.trials.subjects[0]}", loc="left")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def main(folder: Path, short: bool = False) -> Path:
+    """Everything; returns the report."""
+    lines = ["# Real data, fitted and criticised", "", "Made by `real_data.py`.", ""]
+    trials = load_rat_auditory(sessions=range(31, 41) if short else None)
+    blocks, whole = rat(trials, lines)
+    fits = people(load_numerosity(), lines)
+    z = np.concatenate([quantile_residuals(fit)["z"] for fit in fits])
+    lines += [
+        f"Their {z.size} randomised quantile residuals have mean {z.mean():+.2f} and sd "
+        f"{z.std():.2f}, 0 and 1 being those of a model that holds.",
+        "",
+        "![The rat's course, its residuals, and the people's choices](figures/real_data.png)",
+    ]
+    draw(blocks, whole, fits, folder / "figures" / "real_data.png")
+    report = folder / "real_data.md"
+    report.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return report
+
+
+if __name__ == "__main__":
+    given = [word for word in sys.argv[1:] if not word.startswith("-")]
+    main(Path(given[0]) if given else Path(__file__).parent, "--short" in sys.argv)

@@ -1,0 +1,155 @@
+"""Comparisons find the observer that made the data, by evidence and by prediction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import logsumexp, ndtr
+
+from weberwhisk import Observer, Whisker, cues
+from weberwhisk.behaviour import (
+    CuePercept,
+    IdentityPercept,
+    LogAxisPercept,
+    compare,
+    compare_cues,
+    compare_drift,
+    compare_noise,
+    compare_taper,
+    fit_weber,
+    load_numerosity,
+    simulate_trials,
+)
+from weberwhisk.behaviour.comparison import ConstantNoise
+from weberwhisk.behaviour.effects import Overdispersion
+from weberwhisk.behaviour.sampling import SampledPosterior
+
+TAPERED = Whisker(50e-3, 100e-6, 5e-6)
+CYLINDER = Whisker(50e-3, 100e-6, 100e-6)
+KNOWN = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+
+
+def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
+    trials = simulate_trials(weber_fraction=0.15, standards=[1.0, 3.0], trials_per_level=6, seed=2)
+    felt = {"weber": IdentityPercept(), "constant": ConstantNoise(IdentityPercept(), 2.0)}
+    tables = [
+        compare(
+            {n: fit_weber(trials, percept=p, priors=KNOWN, seed=seed) for n, p in felt.items()}
+        ).table
+        for seed in range(6)
+    ]
+    s1, s2, x = (trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "count"))
+    log_k = np.linspace(np.log(1e-4), np.log(100), 4001)
+    prior = stats.lognorm(np.log(3.0), scale=0.1).logpdf(np.exp(log_k)) + log_k
+    prior -= logsumexp(prior)
+    for name, noise in (("weber", np.hypot(s1, s2)), ("constant", np.full(s1.shape, np.sqrt(8)))):
+        p = ndtr((s2 - s1) / noise / np.exp(log_k)[:, None])
+        each = np.log(np.clip(np.where(x == 1, p, 1 - p), 1e-300, 1))
+        total = each.sum(axis=1)
+        evidence = logsumexp(total + prior)
+        left_out = (evidence - logsumexp((total + prior)[:, None] - each, axis=0)).sum()
+        assert tables[0].loc[name, "log_evidence"] == pytest.approx(evidence, abs=0.01)
+        # Importance sampling has Monte Carlo error, which the seeds show.
+        elpd = np.array([table.loc[name, "elpd"] for table in tables])
+        assert abs(elpd.mean() - left_out) < 4 * elpd.std(ddof=1) / np.sqrt(elpd.size)
+        assert elpd.std() < 0.2
+    for table in tables:
+        assert table["probability"].sum() == pytest.approx(1.0)
+        assert table["log_bayes_factor"].max() == 0.0
+        assert table.loc["weber", "bad_k"] == 0
+
+
+def test_counts_and_single_trials_compare_alike() -> None:
+    trials = simulate_trials(weber_fraction=0.15, standards=[1.0, 3.0], trials_per_level=20, seed=3)
+    from weberwhisk.behaviour import Trials
+
+    keys = ["standard", "stimulus_1", "stimulus_2"]
+    counts = trials.frame.groupby(keys)[["n", "count"]].sum().reset_index()
+    gathered = Trials(counts, trials.task)
+    one, other = (compare_noise(t, seed=1).table for t in (trials, gathered))
+    for column in ("log_evidence", "elpd", "elpd_difference", "difference_se"):
+        np.testing.assert_allclose(one[column], other[column], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("made_by", "best"), [("weber", "Weber noise"), ("constant", "constant noise")]
+)
+def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
+    percept = IdentityPercept() if made_by == "weber" else ConstantNoise(IdentityPercept(), 2.0)
+    trials = simulate_trials(
+        percept=percept, weber_fraction=0.12, standards=[1.0, 2.0, 4.0], trials_per_level=25, seed=4
+    )
+    found = compare_noise(trials)
+    assert found.table.index[0] == best
+    wrong = {"Weber noise", "constant noise"} - {best}
+    row = found.table.loc[wrong.pop()]
+    assert row["log_bayes_factor"] < -np.log(100)
+    assert row["elpd_difference"] < -2 * row["difference_se"]
+    assert found.report().startswith(best)
+
+
+@pytest.mark.parametrize(("drift", "best"), [(0.0, "stationary"), (-1.6, "drifting")])
+def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
+    trials = simulate_trials(
+        weber_fraction=0.15, drift=drift, sessions=5, offsets=[-0.3, -0.1, 0.1, 0.3],
+        trials_per_level=120, seed=5,
+    )  # fmt: skip
+    found = compare_drift(trials)
+    assert found.table.index[0].startswith(best)
+    if drift:
+        assert found.table.loc["stationary", "log_bayes_factor"] < -np.log(100)
+        low, high = found.fits["drifting"].interval(0.99, parameter="drift")
+        assert low < drift < high
+
+
+@pytest.mark.parametrize(("whisker", "best"), [(TAPERED, "tapered"), (CYLINDER, "cylindrical")])
+def test_the_papers_prediction_tells_whiskers_apart(whisker: Whisker, best: str) -> None:
+    # peers.md: 360 trials at these standards give a Bayes factor above 10 in most runs.
+    percept = CuePercept(Observer(whisker, cues.Compliance()), unit=1e-3)
+    trials = simulate_trials(
+        percept=percept, weber_fraction=0.1, standards=[15.0, 30.0, 45.0],
+        offsets=[-0.09, -0.06, -0.03, 0.03, 0.06, 0.09], trials_per_level=40, seed=6,
+    )  # fmt: skip
+    table = compare_taper(trials, TAPERED, unit=1e-3).table
+    assert table.index[0] == best
+    assert table["log_bayes_factor"].iloc[1] < -np.log(10)
+
+
+def test_cues_are_told_apart() -> None:
+    angle = np.radians(10)
+    percept = CuePercept(Observer(TAPERED, cues.ForceMap()), angle, unit=1e-3)
+    trials = simulate_trials(
+        percept=percept, weber_fraction=0.1, standards=[10.0, 25.0, 38.0],
+        offsets=[-0.2, -0.1, -0.05, 0.05, 0.1], trials_per_level=40, seed=7,
+    )  # fmt: skip
+    table = compare_cues(trials, TAPERED, deflection_angle=angle, unit=1e-3).table
+    assert table.index[0] == "moment–axial-force map"
+    assert table["log_bayes_factor"].iloc[1] < -np.log(10)
+
+
+def test_misuse_is_refused_in_one_sentence() -> None:
+    trials = simulate_trials(weber_fraction=0.1, sessions=2, seed=8)
+    fit = fit_weber(trials)
+    with pytest.raises(ValueError, match="two fits or more can be compared, got 1"):
+        compare({"a": fit})
+    with pytest.raises(ValueError, match="'b' was fitted to other trials than 'a'"):
+        compare({"a": fit, "b": fit_weber(simulate_trials(weber_fraction=0.1, seed=9))})
+    with pytest.raises(ValueError, match="without the effect Overdispersion"):
+        compare({"a": fit, "b": fit_weber(trials, effects=[Overdispersion()])})
+    with pytest.raises(ValueError, match="no taper to test"):
+        compare_taper(trials, CYLINDER)
+    log = simulate_trials(percept=LogAxisPercept(), weber_fraction=0.1, seed=10)
+    with pytest.raises(ValueError, match="noise is constant as it stands"):
+        compare_noise(log, percept=LogAxisPercept())
+
+
+def test_a_fit_by_sampling_has_no_evidence_but_a_prediction() -> None:
+    fit = fit_weber(load_numerosity("s1"))
+    draws = SampledPosterior(fit.posterior.model, fit.posterior.draws(), 4, 0.0, "")  # type: ignore[attr-defined]
+    found = compare({"integrated": fit, "sampled": replace(fit, posterior=draws)})
+    assert np.isnan(found.table.loc["sampled", "log_evidence"])
+    assert np.ptp(found.table["elpd"]) < 1e-9
+    assert "nothing to compare by evidence" in found.report()

@@ -1,0 +1,337 @@
+"""One table of choices, several observers: which of them made it?
+
+Two answers side by side. The evidence, integrated exactly, weighs each model with its priors; the
+leave-one-out density (LOO) asks how well it would predict one more trial, whatever the priors. For
+the paper's question, whether a whisker's taper is felt, and its relatives there are functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
+
+from ..cues import Compliance, ForceMap
+from ..observer import Observer
+from ..posterior.loo import pointwise_loo
+from ..receptors import Weber
+from ..whisker import Whisker
+from .criticism import _Rows
+from .effects import Drift, Floor
+from .fit import fit_weber
+from .percepts import CuePercept, Percept, percept_for
+from .result import WeberFit
+from .trials import Trials
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Fits of several observers to the same trials, best evidence first in `table`.
+
+    Columns of `table`: `log_evidence`; `log_bayes_factor` against the best (natural log);
+    `probability` if all were equally likely before; `elpd`, the expected log predictive density of
+    a trial left out, summed over the trials; `elpd_difference` from the highest, with its standard
+    error `difference_se`; `bad_k`, trials whose Pareto k is above 0.7, where LOO is not to be
+    relied on; `weber_fraction`, and the `status` of the fit.
+    """
+
+    table: pd.DataFrame
+    fits: Mapping[str, WeberFit] = field(repr=False)
+
+    def report(self) -> str:
+        """The verdict in words."""
+        if len(self.table) < 2 or not np.isfinite(self.table["log_evidence"]).all():
+            return "There is nothing to compare by evidence."
+        best, second = self.table.index[:2]
+        lead = -float(self.table["log_bayes_factor"].iloc[1])
+        words = ("no evidence either way", "some evidence", "strong evidence", "decisive evidence")
+        size = words[int(np.searchsorted(np.log([3, 10, 100]), lead))]
+        row = self.table.loc[second]
+        return (
+            f"{best} against {second}: log Bayes factor {lead:+.2f}, {size}; {second} predicts a "
+            f"trial left out by {row['elpd_difference']:.1f} ± {row['difference_se']:.1f} nats in "
+            "all, from the best predictor."
+        )
+
+
+def compare(fits: Mapping[str, WeberFit]) -> Comparison:
+    """Compare fits of the same trials.
+
+    Parameters
+    ----------
+    fits : mapping of name to WeberFit
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    ValueError
+        For fewer than two fits, or fits of different trials.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(standards=[1.0, 2.0], weber_fraction=0.1, seed=1)
+    >>> both = compare({"free": fit_weber(trials), "wrong": fit_weber(
+    ...     trials, priors={"weber_fraction": 0.3})})
+    >>> both.table.index.tolist()
+    ['free', 'wrong']
+    """
+    if len(fits) < 2:
+        raise ValueError(f"two fits or more can be compared, got {len(fits)}; give another.")
+    rows = {name: _Rows.of(fit) for name, fit in fits.items()}
+    first, *others = rows.values()
+    for name, other in zip(list(fits)[1:], others, strict=True):
+        same = other.n.shape == first.n.shape and all(
+            np.array_equal(getattr(first, a), getattr(other, a)) for a in ("n", "count")
+        )
+        if not same:
+            raise ValueError(
+                f"{name!r} was fitted to other trials than {next(iter(fits))!r}; fit both to the "
+                "same ones."
+            )
+    evidence = np.array(
+        [np.nan if f.log_evidence is None else f.log_evidence for f in fits.values()]
+    )
+    loos = [_by_answer(fit, rows[name].cell) for name, fit in fits.items()]
+    # Trials by row and answer; a row of counts stands for several.
+    weight = np.stack([first.count, first.n - first.count])
+    elpd = np.array([(weight * values).sum() for values, _ in loos])
+    best = int(np.argmax(elpd))
+    out = []
+    for i, (name, fit) in enumerate(fits.items()):
+        off = loos[i][0] - loos[best][0]
+        total = weight.sum()
+        mean = (weight * off).sum() / total
+        se = np.sqrt((weight * (off - mean) ** 2).sum() * total / max(total - 1, 1))
+        out.append(
+            {
+                "model": name,
+                "log_evidence": evidence[i],
+                "log_bayes_factor": evidence[i] - np.nanmax(evidence, initial=-np.inf),
+                "probability": float(np.exp(evidence[i] - logsumexp(evidence))),
+                "elpd": elpd[i],
+                "elpd_difference": elpd[i] - elpd[best],
+                "difference_se": se,
+                "bad_k": int((weight * (loos[i][1] > 0.7)).sum()),
+                "weber_fraction": fit.weber_fraction,
+                "status": fit.status.name,
+            }
+        )
+    order = ["log_evidence", "elpd"] if np.isfinite(evidence).all() else ["elpd"]
+    table = pd.DataFrame(out).set_index("model").sort_values(order, ascending=False)
+    return Comparison(table, dict(fits))
+
+
+def _by_answer(fit: WeberFit, cell: NDArray[np.intp]) -> tuple[Array, Array]:
+    """LOO density and Pareto k of one trial of each row, answered one way or the other, (2, R)."""
+    model = fit.model
+    if model.dispersed is not None:
+        raise ValueError(
+            "trials of an overdispersed observer are not independent, so none can be left out "
+            "alone; compare fits without the effect Overdispersion."
+        )
+    chains = fit.posterior.chains
+    draws = fit.posterior.draws()
+    size = len(draws) // chains
+    p, q = model.probability(
+        draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
+    )
+    both = np.log(np.stack([p, q], axis=1))[: size * chains]  # (D, 2, C)
+    both = both.reshape(chains, size, -1)
+    used = np.stack([model.cells.count, model.cells.n - model.cells.count]).ravel() > 0
+    elpd, pareto_k = np.zeros(used.size), np.zeros(used.size)
+    elpd[used], pareto_k[used] = pointwise_loo(both[..., used])
+    shape = 2, model.cells.n.size
+    return elpd.reshape(shape)[:, cell], pareto_k.reshape(shape)[:, cell]
+
+
+# -- the comparisons that matter here ------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ConstantNoise:
+    """A percept whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
+
+    `typical` is a signal of middling strength, so that k remains a fraction.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> ConstantNoise(IdentityPercept(), 2.0).unit_sd([1.0, 4.0])
+    array([2., 2.])
+    """
+
+    base: Percept
+    typical: float
+
+    @property
+    def direction(self) -> int:
+        return self.base.direction
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        return self.base.domain
+
+    def mean(self, stimulus: ArrayLike) -> Array:
+        return self.base.mean(stimulus)
+
+    def unit_sd(self, stimulus: ArrayLike) -> Array:
+        return np.full(np.shape(stimulus), self.typical)
+
+
+def compare_noise(trials: Trials, *, percept: Percept | None = None, **options: Any) -> Comparison:
+    """Weber noise, generalised Weber noise (with a floor), and constant noise.
+
+    Parameters
+    ----------
+    trials : Trials
+        At several standards: at one alone the three are hardly to be told apart.
+    percept : Percept, optional
+    **options
+        As for `fit_weber`.
+
+    Raises
+    ------
+    ValueError
+        On a log scale of unknown unit, where all noise is constant.
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> trials = simulate_trials(standards=[1.0, 4.0], weber_fraction=0.15, seed=2)
+    >>> compare_noise(trials).table.index[-1]
+    'constant noise'
+    """
+    felt = percept or percept_for(trials.scale, trials.log_unit, "weber")
+    cells = trials.cells()
+    noisiness = felt.unit_sd(np.concatenate([cells.stimulus_1, cells.stimulus_2]))
+    if noisiness.size and np.ptp(noisiness) <= 1e-9 * noisiness.max():
+        raise ValueError(
+            f"{trials.source}: on this scale noise is constant as it stands; give magnitudes, or "
+            "log_unit= when the table is read."
+        )
+    typical = float(np.exp(np.mean(np.log(noisiness)))) if noisiness.size else 1.0
+    return compare(
+        {
+            "Weber noise": fit_weber(trials, percept=felt, **options),
+            "generalised Weber noise": fit_weber(
+                trials, percept=felt, effects=[Floor()], **options
+            ),
+            "constant noise": fit_weber(trials, percept=ConstantNoise(felt, typical), **options),
+        }
+    )
+
+
+def compare_drift(trials: Trials, **options: Any) -> Comparison:
+    """A stationary observer, and one whose Weber fraction drifts over the sessions.
+
+    The drift of ln k is linear in the number of the session, or in its logarithm (fast first).
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> trials = simulate_trials(weber_fraction=0.15, drift=-1.5, sessions=6, seed=3)
+    >>> compare_drift(trials).table.index[-1]
+    'stationary'
+    """
+    return compare(
+        {
+            "stationary": fit_weber(trials, **options),
+            "drifting": fit_weber(trials, effects=[Drift()], **options),
+            "drifting, fast first": fit_weber(trials, effects=[Drift(of_log=True)], **options),
+        }
+    )
+
+
+def compare_taper(
+    trials: Trials, whisker: Whisker, *, unit: float = 1.0, **options: Any
+) -> Comparison:
+    """The paper's prediction: radial distance felt through a tapered whisker, or a cylinder.
+
+    Both by the compliance cue with Weber noise: the JND is k r (1 − r/A) or k r, equations (3.5)
+    and (3.6).
+
+    Parameters
+    ----------
+    trials : Trials
+        Of radial distances, with standards near the base and near the tip.
+    whisker : Whisker
+        Tapered; the cylinder has its length and base radius.
+    unit : float
+        Metres in one unit of the stimuli.
+    **options
+        As for `fit_weber`.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, cues, simulate_trials
+    >>> whisker = Whisker(50e-3, 100e-6, 5e-6)
+    >>> trials = simulate_trials(observer=Observer(whisker, cues.Compliance()),
+    ...     standards=[15e-3, 42e-3], offsets=[-0.1, -0.05, 0.05, 0.1], seed=4)
+    >>> compare_taper(trials, whisker).table.index[0]
+    'tapered'
+    """
+    if whisker.tip_radius >= whisker.base_radius:
+        raise ValueError("the whisker has no taper to test; give one whose tip is thinner.")
+    cylinder = Whisker(
+        length=whisker.length,
+        base_radius=whisker.base_radius,
+        tip_radius=whisker.base_radius,
+        youngs_modulus=whisker.youngs_modulus,
+    )
+    felt = {
+        name: CuePercept(Observer(w, Compliance(), Weber(1.0)), unit=unit)
+        for name, w in (("tapered", whisker), ("cylindrical", cylinder))
+    }
+    return compare({name: fit_weber(trials, percept=p, **options) for name, p in felt.items()})
+
+
+def compare_cues(
+    trials: Trials,
+    whisker: Whisker,
+    *,
+    deflection_angle: float,
+    unit: float = 1.0,
+    **options: Any,
+) -> Comparison:
+    """Radial distance by the compliance cue (§2e), or by the map of moment and axial force (§2f).
+
+    Parameters
+    ----------
+    trials : Trials
+        Of radial distances.
+    whisker : Whisker
+        Tapered: the map of a cylinder tells no distance.
+    deflection_angle : float
+        rad, of every contact.
+    unit : float
+        Metres in one unit of the stimuli.
+    **options
+        As for `fit_weber`.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, cues, simulate_trials
+    >>> whisker = Whisker(50e-3, 100e-6, 5e-6)
+    >>> trials = simulate_trials(observer=Observer(whisker, cues.Compliance()),
+    ...     standards=[10e-3, 25e-3, 40e-3], offsets=[-0.2, -0.1, 0.1, 0.2], seed=5)
+    >>> compare_cues(trials, whisker, deflection_angle=0.1).table.index[0]
+    'compliance'
+    """
+    felt = {
+        "compliance": CuePercept(Observer(whisker, Compliance(), Weber(1.0)), unit=unit),
+        "moment–axial-force map": CuePercept(
+            Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle, unit
+        ),
+    }
+    return compare({name: fit_weber(trials, percept=p, **options) for name, p in felt.items()})

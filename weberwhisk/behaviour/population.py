@@ -1,0 +1,139 @@
+"""Choices of many animals whose Weber fractions differ, with the truth of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import beta as beta_distribution
+
+from .. import _checks
+from .simulate import simulate_trials
+from .trials import Trials
+
+Array = NDArray[np.float64]
+
+
+def simulate_population(
+    subjects: int,
+    *,
+    weber_fraction: float = 0.1,
+    spread: float = 0.3,
+    session_spread: float = 0.0,
+    lapse_low: float = 0.02,
+    lapse_high: float = 0.02,
+    bias: float = 0.0,
+    bias_spread: float = 0.2,
+    sessions: int = 1,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+    **design: Any,
+) -> tuple[Trials, pd.DataFrame]:
+    """Trials of several animals drawn from one population, and what was drawn.
+
+    Parameters
+    ----------
+    subjects : int
+    weber_fraction : float
+        Median of the population.
+    spread : float
+        Standard deviation of ln k between animals.
+    session_spread : float
+        Standard deviation of ln k between the sessions of one animal.
+    lapse_low, lapse_high : float
+        Mean lapse λ at either end, each animal's own from Beta(2, 2/λ − 2).
+    bias, bias_spread : float
+        Mean and standard deviation of the biases.
+    sessions : int
+    seed : int, SeedSequence or Generator
+    **design
+        As for `simulate_trials`: standards, offsets, trials_per_level, percept, task, …
+
+    Returns
+    -------
+    trials : Trials
+        With columns `subject` (s1, s2, …) and `session`.
+    truth : DataFrame
+        One row an animal: `subject`, `weber_fraction`, `lapse_low`, `lapse_high`, `bias`; drawn to
+        four digits, so that what is written down is what was used.
+
+    Examples
+    --------
+    >>> trials, truth = simulate_population(3, trials_per_level=5, seed=1)
+    >>> trials.subjects, truth.columns.tolist()[:2]
+    (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
+    """
+    if subjects != int(subjects) or subjects < 1:
+        raise ValueError(
+            f"subjects must be a whole number of 1 or more, got {subjects!r}; write 6."
+        )
+    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+    _checks.finite("bias", bias, "write for example 0")
+    for name, value in (
+        ("spread", spread),
+        ("session_spread", session_spread),
+        ("bias_spread", bias_spread),
+        ("lapse_low", lapse_low),
+        ("lapse_high", lapse_high),
+    ):
+        _checks.non_negative(name, value, "write for example 0.02")
+        if name.startswith("lapse") and value >= 0.5:
+            raise ValueError(f"{name} must be below 0.5, got {value:g}; write for example 0.02.")
+    rng = np.random.default_rng(seed)
+    # Uniform numbers alone, as in `simulate_trials`.
+    u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
+    wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
+    truth = pd.DataFrame(
+        {
+            "subject": [f"s{i + 1}" for i in range(subjects)],
+            "weber_fraction": _rounded(weber_fraction * np.exp(spread * ndtri(u[:, 0]))),
+            "lapse_low": _lapses(lapse_low, u[:, 1]),
+            "lapse_high": _lapses(lapse_high, u[:, 2]),
+            "bias": _rounded(bias + bias_spread * ndtri(u[:, 3])),
+        }
+    )
+    parts = []
+    for i, row in enumerate(truth.to_dict("records")):
+        animal = {str(name): value for name, value in row.items()}
+        k = animal.pop("weber_fraction") * np.exp(session_spread * wander[i])
+        parts.append(
+            simulate_trials(
+                **animal,
+                weber_fraction=k if session_spread else k[:1],
+                sessions=sessions,
+                seed=rng,
+                **design,
+            )
+        )
+    return joined(parts), truth
+
+
+def joined(parts: list[Trials]) -> Trials:
+    """Tables of one task and scale, one below the other.
+
+    Raises
+    ------
+    ValueError
+        Where they differ in task, scale or unit, or there is none.
+    """
+    if not parts:
+        raise ValueError("there are no tables to join; give one or more.")
+    kinds = {(t.task.name, t.scale, t.log_unit) for t in parts}
+    if len(kinds) > 1:
+        raise ValueError(
+            f"tables of {len(kinds)} kinds (task, scale, unit) were given; join those of one kind."
+        )
+    frame = pd.concat([t.frame for t in parts], ignore_index=True)
+    notes = tuple(dict.fromkeys(note for t in parts for note in t.notes))
+    return replace(parts[0], frame=frame, notes=notes if len(parts) == 1 else ())
+
+
+def _lapses(mean: float, u: Array) -> Array:
+    return _rounded(beta_distribution.ppf(u, 2, 2 / mean - 2)) if mean else np.zeros(u.size)
+
+
+def _rounded(values: Array) -> Array:
+    return np.array([float(f"{v:.4g}") for v in values])

@@ -1,0 +1,318 @@
+"""Weber fractions of many animals, learnt from one another: the fit, and what is read off it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _checks
+from ..posterior.arviz_io import to_arviz
+from .fit import fit_weber
+from .hierarchy import NAMES, Members, Population, PopulationPriors, integrate_population
+from .priors import Priors, priors_for
+from .result import WeberFit
+from .status import FitStatus
+from .tabulated import tabulate
+from .trials import Trials
+
+Array = NDArray[np.float64]
+
+LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED)
+OF_PRIOR = 0.8  # posterior sd over prior sd of a spread, above which the data told little
+
+
+class PopulationStatus(Enum):
+    """What the animals together could tell, worst first."""
+
+    NO_TRIALS = "no animal has trials that can be used"
+    NOT_CONVERGED = "the posterior was not computed to the accuracy asked for"
+    ONE_ANIMAL = "there is one animal: the spread between animals is the prior's"
+    SPREAD_UNINFORMED = "the animals are too few, or tell too little, to say how they differ"
+    DETERMINED = "the data determine the population and how its animals differ"
+
+    @property
+    def ok(self) -> bool:
+        """Whether the spread is the data's own."""
+        return self is PopulationStatus.DETERMINED
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationFit:
+    """A population of animals, and each of them in its light.
+
+    `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
+    given all the data, `alone`, `alone_lower` and `alone_upper` from its own, and the `status` of
+    the latter. `sessions` is the same by session, None unless sessions were told apart.
+    """
+
+    status: PopulationStatus
+    subjects: pd.DataFrame = field(repr=False)
+    sessions: pd.DataFrame | None = field(repr=False)
+    population: Population | None = field(repr=False)
+    believed: Priors = field(repr=False)
+    priors: PopulationPriors = field(repr=False)
+    lapses: tuple[str, ...] = field(repr=False)
+    notes: tuple[str, ...]
+    seed: int
+
+    @property
+    def weber_fraction(self) -> float:
+        """Posterior median of the population's median Weber fraction."""
+        return float(self.quantile("weber_fraction", 0.5))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the population's parameters.
+
+        `weber_fraction` is its median, `spread` and `session_spread` are standard deviations of
+        ln k, `mean_lapse_low` and `mean_lapse_high` averages over the animals.
+        """
+        sessions = ("session_spread",) if self.sessions is not None else ()
+        return ("weber_fraction", "spread", *sessions, *(f"mean_{name}" for name in self.lapses))
+
+    def quantile(self, parameter: str, probability: ArrayLike) -> Array:
+        """Posterior quantiles of a parameter of the population."""
+        values, mass = self._nodes(parameter)
+        order = np.argsort(values)
+        below = np.cumsum(mass[order]) - 0.5 * mass[order]
+        return np.interp(np.asarray(probability, dtype=float), below, values[order])
+
+    def interval(
+        self, mass: float = 0.95, parameter: str = "weber_fraction"
+    ) -> tuple[float, float]:
+        """Equal-tailed posterior interval."""
+        tail = 0.5 * (1 - float(_checks.positive("mass", mass, "write for example 0.95")))
+        if tail <= 0:
+            raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
+        low, high = self.quantile(parameter, [tail, 1 - tail])
+        return float(low), float(high)
+
+    def summary(self, mass: float = 0.95) -> pd.DataFrame:
+        """One row a parameter of the population: mean, sd, median, interval."""
+        rows = []
+        for name in self.parameters:
+            values, weight = self._nodes(name)
+            mean = weight @ values
+            low, high = self.interval(mass, name)
+            rows.append(
+                {
+                    "mean": mean,
+                    "sd": np.sqrt(weight @ (values - mean) ** 2),
+                    "median": float(self.quantile(name, 0.5)),
+                    "lower": low,
+                    "upper": high,
+                    "mass": mass,
+                }
+            )
+        return pd.DataFrame(rows, index=pd.Index(self.parameters, name="parameter"))
+
+    def _nodes(self, parameter: str) -> tuple[Array, Array]:
+        _checks.one_of("parameter", parameter, self.parameters)
+        if self.population is None:
+            raise ValueError(f"there is no population to speak of: {self.status.value}.")
+        if parameter.startswith("mean_"):
+            (mean, spread), mass = self.population.nodes("lapse_mean", "lapse_spread")
+            z = np.linspace(-5, 5, 81)
+            share = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
+            scores = np.clip(mean[:, None] + spread[:, None] * z, -8.0, 8.0)
+            return self.believed.value(parameter.removeprefix("mean_"), scores) @ share, mass
+        if parameter == "weber_fraction":
+            (log_k,), mass = self.population.nodes(NAMES[0])
+            return np.exp(log_k), mass
+        (values,), mass = self.population.nodes(parameter)
+        return values, mass
+
+    @property
+    def log_evidence(self) -> float:
+        """Natural log of the probability of all the answers; -inf without a population."""
+        return -np.inf if self.population is None else self.population.log_evidence
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything a reader needs to use the fit, ready for JSON."""
+        none = self.population is None
+        return {
+            "status": self.status.name,
+            "message": self.status.value,
+            "notes": list(self.notes),
+            "population": {} if none else self.summary().to_dict(orient="index"),
+            "subjects": _plain(self.subjects),
+            "sessions": None if self.sessions is None else _plain(self.sessions),
+            "log_evidence": None if none else self.log_evidence,
+            "error": None if self.population is None else self.population.error,
+            "seed": self.seed,
+        }
+
+    def to_json(self) -> str:
+        """`to_dict()` as JSON."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    def to_arviz(self, draws: int = 1000) -> Any:
+        """Independent draws of the population's parameters, in four chains, for ArviZ."""
+        if self.population is None:
+            raise ValueError(f"there is no population to draw from: {self.status.value}.")
+        sample = self.population.draws(4 * draws, self.seed)
+        sample["weber_fraction"] = np.exp(sample.pop(NAMES[0]))
+        if self.sessions is None:
+            del sample["session_spread"]
+        return to_arviz(
+            {name: values.reshape(4, draws) for name, values in sample.items()},
+            attrs={"status": self.status.value},
+        )
+
+
+def fit_population(
+    trials: Trials,
+    *,
+    sessions: bool = False,
+    percept: Any = None,
+    observer: Any = None,
+    bias: str | None = None,
+    noise: str = "weber",
+    priors: Any = None,
+    population: PopulationPriors | None = None,
+    seed: int = 0,
+) -> PopulationFit:
+    """Fit many animals at once: each learns from the others (partial pooling).
+
+    ln k of the animals is normal about the population's, and where sessions are told apart, those
+    of a session about its animal's. So are the normal scores of the lapses, one mean and spread for
+    both ends; each session, or animal, has lapses of its own. Biases are not pooled. Everything is
+    integrated, nothing sampled.
+
+    Parameters
+    ----------
+    trials : Trials
+        With a column `subject`, and `session` if these are told apart.
+    sessions : bool
+        Let the Weber fraction of an animal vary between sessions.
+    percept, observer, bias, noise, priors
+        As for `fit_weber`, the same for all animals.
+    population : PopulationPriors, optional
+    seed : int
+        Of draws only.
+
+    Returns
+    -------
+    PopulationFit
+        Always read its `status`, and those of its `subjects`.
+
+    Raises
+    ------
+    ValueError
+        Where the table has no subjects, or no sessions to tell apart.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import simulate_population
+    >>> trials, truth = simulate_population(5, weber_fraction=0.1, seed=1)
+    >>> fit = fit_population(trials)
+    >>> low, high = fit.interval(0.95)
+    >>> low < 0.1 < high
+    True
+    >>> bool((fit.subjects["upper"] - fit.subjects["lower"] < 0.2).all())
+    True
+    """
+    for column, wanted in (("subject", True), ("session", sessions)):
+        if wanted and column not in trials.frame:
+            raise ValueError(
+                f"{trials.source}: there is no column {column!r} to tell {column}s apart; map one "
+                f"with columns={{{column!r}: '<its name>'}} when the table is read."
+            )
+    unit_known = trials.scale == "linear" or trials.log_unit is not None
+    believed = priors_for(priors, trials.cells(), unit_known, trials.task)
+    options = {"percept": percept, "observer": observer, "bias": bias, "noise": noise}
+    fits = {
+        labels: fit_weber(part, priors=believed, method="quadrature", seed=seed, **options)
+        if part.n_trials
+        else None
+        for labels, part in _members(trials, sessions)
+    }
+    own = pd.DataFrame([_row(labels, fit) for labels, fit in fits.items()])
+    left_out = own["status"].isin([status.name for status in LEFT_OUT])
+    notes = tuple(
+        f"{' '.join(map(str, labels))} stays out: {FitStatus[status].message}."
+        for labels, status, out in zip(fits, own["status"], left_out, strict=True)
+        if out
+    )
+    prior = population or PopulationPriors()
+    lapses = tuple(name for name in trials.task.lapses if not believed.is_fixed(name))
+    if left_out.all():
+        status = PopulationStatus.NO_TRIALS
+        return PopulationFit(status, own, None, None, believed, prior, lapses, notes, seed)
+    kept = own[~left_out]
+    animals = kept["subject"].unique()
+    chosen = [fit for fit, out in zip(fits.values(), left_out, strict=True) if fit and not out]
+    members = Members(
+        tuple(tabulate(fit.model.merged(), fit.posterior.draws()) for fit in chosen),
+        pd.factorize(kept["subject"])[0],
+        sessions,
+        believed.lapse_correlation,
+    )
+    weber = believed.weber_fraction
+    found = integrate_population(members, prior, lambda x: weber.logpdf(np.exp(x)) + x)
+    table = _with_quantiles(own, kept.index, found.log_k, found.members)
+    status = _status(found, prior, animals.size)
+    if not sessions:
+        return PopulationFit(status, table, None, found, believed, prior, lapses, notes, seed)
+    subjects = own.groupby("subject", sort=False)["n"].sum().reset_index()
+    at = subjects.index[subjects["subject"].isin(animals)]
+    subjects = _with_quantiles(subjects, at, found.log_k, found.animals)
+    return PopulationFit(status, subjects, table, found, believed, prior, lapses, notes, seed)
+
+
+def _members(trials: Trials, sessions: bool) -> Iterator[tuple[tuple[Any, ...], Trials]]:
+    """Every animal, or every session of every animal, with its labels."""
+    for subject in trials.subjects:
+        own = trials.select(subject=subject)
+        if not sessions:
+            yield (subject,), own
+            continue
+        for session in own.sessions:
+            yield (subject, session), own.select(session=session)
+
+
+def _row(labels: tuple[Any, ...], fit: WeberFit | None) -> dict[str, Any]:
+    low, middle, high = (
+        fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975]) if fit else [np.nan] * 3
+    )
+    return {
+        **dict(zip(("subject", "session"), labels, strict=False)),
+        "n": fit.trials.n_trials if fit else 0,
+        "alone": float(middle),
+        "alone_lower": float(low),
+        "alone_upper": float(high),
+        "status": (fit.status if fit else FitStatus.NO_TRIALS).name,
+    }
+
+
+def _with_quantiles(table: pd.DataFrame, rows: pd.Index, log_k: Array, mass: Array) -> pd.DataFrame:
+    """The table with medians and 95 % intervals of exp(ln k); NaN for those left out."""
+    below = np.cumsum(mass, axis=1) - 0.5 * mass
+    found = [np.exp(np.interp([0.5, 0.025, 0.975], b, log_k)) for b in below]
+    names = ["weber_fraction", "lower", "upper"]
+    return table.join(pd.DataFrame(found, index=rows, columns=names))
+
+
+def _status(found: Population, prior: PopulationPriors, animals: int) -> PopulationStatus:
+    if found.error > 0.02:
+        return PopulationStatus.NOT_CONVERGED
+    if animals == 1:
+        return PopulationStatus.ONE_ANIMAL
+    (values,), mass = found.nodes("spread")
+    sd = np.sqrt(mass @ (values - mass @ values) ** 2)
+    if sd > OF_PRIOR * float(prior.spread.std()):
+        return PopulationStatus.SPREAD_UNINFORMED
+    return PopulationStatus.DETERMINED
+
+
+def _plain(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows for JSON; what an animal left out lacks is null."""
+    rows = table.astype(object).where(table.notna(), None).to_dict("records")
+    return [{str(k): v for k, v in row.items()} for row in rows]

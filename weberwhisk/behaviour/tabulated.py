@@ -1,0 +1,151 @@
+"""One animal's (or session's) likelihood on nodes, its biases integrated: tabulated once.
+
+What a population needs of each of its members is its likelihood over the parameters that are
+pooled: ln k and the lapses. Everything after that is re-weighting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import logsumexp, ndtri
+
+from .likelihood import Draws, WeberModel
+
+Array = NDArray[np.float64]
+
+LAPSE_STEP = 0.3  # scores between lapse nodes, at most
+NO_LAPSE = 0.02  # trials lost, below which a lapse is none
+VALUES = 400_000  # computed at once
+
+
+@dataclass(frozen=True)
+class Table:
+    """Log-likelihood of the answers of one member.
+
+    `log_k` (K,) are nodes of ln k; `low` (Lo,) and `high` (Hi,) nodes of the lapses' normal scores,
+    a single zero where the task has no such lapse; `log_likelihood` is (K, Lo·Hi). Below the first
+    lapse nodes the lapses are none, and the likelihood is that of the first.
+    """
+
+    log_k: Array
+    low: Array
+    high: Array
+    log_likelihood: Array
+
+    def lapse_weights(self, mean: Array, spread: Array, correlation: float) -> Array:
+        """Probability of the lapse nodes for a population, (Lo·Hi, J) for J means and spreads.
+
+        The scores of an animal are normal with that mean, spread and correlation.
+        """
+        free = [axis.size > 1 for axis in (self.low, self.high)]
+        rho = correlation if all(free) else 0.0
+        low, first_low = _with_tail(self.low)
+        high, first_high = _with_tail(self.high)
+        scale = 1 / spread
+        u, v = (
+            (axis[:, None] - mean) * scale if is_free else np.zeros((1, mean.size))
+            for axis, is_free in zip((low, high), free, strict=True)
+        )
+        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
+        density = np.exp(-0.5 * square / (1 - rho**2))  # (Lo', Hi', J)
+        for axis, is_free in zip((low, high), free, strict=True):
+            density *= (axis[1] - axis[0]) * scale / np.sqrt(2 * np.pi) if is_free else 1.0
+        density /= np.sqrt(1 - rho**2)
+        density = np.add.reduceat(density, np.r_[0, first_low + 1 : low.size], axis=0)
+        density = np.add.reduceat(density, np.r_[0, first_high + 1 : high.size], axis=1)
+        return density.reshape(-1, mean.size)
+
+    def given_lapses(self, weights: Array, log_k: Array) -> Array:
+        """Log-likelihood of ln k alone, (X, J): lapses weighted, interpolated onto other nodes."""
+        top = self.log_likelihood.max(axis=1)
+        like = np.exp(self.log_likelihood - top[:, None]) @ weights
+        value = np.log(np.maximum(like, 1e-300)) + top[:, None]
+        curve = CubicSpline(self.log_k, value)
+        first, last = self.log_k[[0, -1]]
+        slope = curve(self.log_k[[0, -1]], 1)
+        # Beyond the nodes the likelihood goes on as it was: flat, or falling.
+        below, above = np.minimum(log_k - first, 0), np.maximum(log_k - last, 0)
+        inside: Array = curve(np.clip(log_k, first, last))
+        return (
+            inside
+            + below[:, None] * np.maximum(slope[0], 0.0)
+            + above[:, None] * np.minimum(slope[1], 0.0)
+        )
+
+
+def _with_tail(axis: Array, reach: float = 9.0) -> tuple[Array, int]:
+    """The axis carried on below, and where its first node has come to stand."""
+    if axis.size == 1:
+        return axis, 0
+    step = axis[1] - axis[0]
+    more = int(reach / step)
+    return axis[0] + step * np.arange(-more, axis.size), more
+
+
+def tabulate(model: WeberModel, draws: Draws) -> Table:
+    """The table of a model without effects, on nodes laid around draws from its posterior."""
+    log_k = np.log(draws.weber_fraction)
+    if model.free[0]:
+        step = _node_step(log_k)
+        log_k = np.arange(log_k.min() - 8 * step, log_k.max() + 9 * step, step)
+    else:  # known: a population of it says nothing, but costs nothing either
+        log_k = log_k[0] + np.linspace(-1e-3, 1e-3, 5)
+    low, high = (
+        _lapse_axis(model, name, values)
+        for name, values in (("lapse_low", draws.lapse_low), ("lapse_high", draws.lapse_high))
+    )
+    lapses = model.value("lapse_low", low), model.value("lapse_high", high)
+    lo, hi = (a.ravel() for a in np.meshgrid(*lapses, indexing="ij"))
+    k = np.exp(log_k)
+    bias, log_prior = _bias_nodes(model, k, draws)
+    rows = max(1, VALUES // (lo.size * bias.shape[1] * max(model.cells.n.size, 1)))
+    parts = []
+    for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
+        cells = model.cell_log_likelihood(
+            k[i, None, None], lo[:, None], hi[:, None], bias[i, None]
+        )  # (k, Lo·Hi, B, C)
+        by_group = logsumexp(cells @ model.membership + log_prior[i, None], axis=2)
+        parts.append(by_group.sum(axis=-1))
+    possible = sum(model.lapses(lo, hi)) < 1
+    return Table(log_k, low, high, np.where(possible, np.concatenate(parts), -np.inf))
+
+
+def _bias_nodes(model: WeberModel, k: Array, draws: Draws) -> tuple[Array, Array]:
+    """Nodes of every bias for each k, (K, B, G), and the log of their prior probabilities."""
+    if not model.free_bias:
+        bias = np.full((k.size, 1, model.n_groups), model.fixed_bias())
+        return bias, np.zeros(bias.shape)
+    felt = model.task.decide(model.felt(k))
+    ends = []
+    for p in (0.5, 0.002, 0.998):  # the nodes must also serve other lapses than the likeliest
+        at = (np.full(1, np.quantile(v, p)) for v in (draws.lapse_low, draws.lapse_high))
+        ends.append(model.bias_mode(felt, *at))
+    centre, spread = ends[0]
+    far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in ends[1:])
+    offsets = np.arange(-8.0 - np.ceil(far), 9.0 + np.ceil(far))
+    bias = centre[:, None, :] + spread[:, None, :] * offsets[:, None]
+    return bias, model.log_bias_prior(bias) + np.log(spread)[:, None, :]
+
+
+def _lapse_axis(model: WeberModel, name: str, values: Array) -> Array:
+    """Scores from where the lapse is none to where the answers exclude it."""
+    if name not in model.lapse_names or model.priors.is_fixed(name):
+        return np.zeros(1)
+    scores = ndtri(np.clip(model.priors.of(name).cdf(values), 1e-12, 1 - 1e-12))
+    step = min(_node_step(scores, below=False), LAPSE_STEP)
+    last = scores.max() + 8 * step
+    scan = np.arange(-6.0, last, 0.05)
+    none = scan[model.value(name, scan) * max(model.cells.n.sum(), 1) < NO_LAPSE]
+    first = min(none[-1] if none.size else scan[0], last - 4 * step)
+    return np.arange(first, last + step, step)
+
+
+def _node_step(values: Array, below: bool = True) -> float:
+    """Three fifths of a standard deviation, judged by the steeper side of what may be a shelf."""
+    q = np.quantile(values, [0.001, 0.16, 0.84, 0.999])
+    sides = [q[3] - q[2], q[1] - q[0]][: 2 if below else 1]
+    return float(max(min(sides) / 3.5, 1e-4))

@@ -1,0 +1,32 @@
+"""Charts of results: each takes a result and, if wanted, axes to draw on, and returns the axes.
+
+Nothing is computed here but the scaling of axes and the error bars of counts. Colours are those of
+Okabe and Ito, which the colour-blind can tell apart, and every colour comes with its own marker or
+line style, so that a figure also reads in grey.
+"""
+
+from .choices import psychometric, psychometrics
+from .criticism import pairs, residuals, shrinkage
+from .jnds import jnd_curve, jnd_surface
+from .posteriors import posterior
+from .signals import bending
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure
+
+__all__ = [
+    "COLOURS",
+    "DOUBLE",
+    "LINES",
+    "MARKERS",
+    "SINGLE",
+    "bending",
+    "figure_of",
+    "jnd_curve",
+    "jnd_surface",
+    "new_figure",
+    "pairs",
+    "posterior",
+    "psychometric",
+    "psychometrics",
+    "residuals",
+    "shrinkage",
+]

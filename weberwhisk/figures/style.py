@@ -1,0 +1,85 @@
+"""The look of every figure: colours, markers, sizes, and files that come out the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Okabe and Ito's colours, dark ones first.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+LINES = ("-", "--", "-.", ":")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+#: Widths of a printed column and of two, inches.
+SINGLE, DOUBLE = 3.5, 7.2
+_STYLE: Any = {
+    "font.size": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 7,
+    "axes.titlesize": 8,
+    "figure.labelsize": 8,
+    "patch.linewidth": 0,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4,
+}
+_SAVING: Any = {"svg.hashsalt": "weberwhisk"}
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """Draw in this module's style and leave the user's own as it was."""
+
+    @wraps(draw)
+    def drawn(*arguments: P.args, **options: P.kwargs) -> R:
+        with matplotlib.rc_context(_STYLE):
+            return draw(*arguments, **options)
+
+    return drawn
+
+
+class _Figure(Figure):
+    """A figure whose files are the same each time they are made."""
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        with matplotlib.rc_context(_STYLE | _SAVING):
+            super().savefig(fname, **options)
+
+
+def new_figure(width: float = SINGLE, height: float = 2.8) -> Figure:
+    """An empty figure in this module's style, inches."""
+    return _Figure(figsize=(width, height), dpi=200, layout="constrained")
+
+
+def axes_or_new(ax: Axes | None, width: float = SINGLE, height: float = 2.8) -> Axes:
+    if ax is not None:
+        return ax
+    return new_figure(width, height).subplots()
+
+
+def figure_of(axes: Any) -> Any:
+    """The figure that axes, or an array of them, stand in."""
+    figure = np.ravel(np.asarray(axes, dtype=object))[0].figure
+    assert isinstance(figure, Figure)
+    return figure
+
+
+def legend_above(ax: Axes) -> None:
+    """A legend that cannot cover data, over the axes; none where there is nothing to tell."""
+    handles, labels = ax.get_legend_handles_labels()
+    if len(handles) > 1:
+        ax.legend(
+            handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=2,
+        )  # fmt: skip
