@@ -20,7 +20,17 @@ from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.cues import Compliance, Cue, ForceMap, Fused, LateralSlip, Vibration
+from weberwhisk.cues import (
+    AngleSideAngle,
+    BalanceOfMoments,
+    Compliance,
+    Cue,
+    ForceMap,
+    Fused,
+    LateralSlip,
+    Vibration,
+    VibrissaLength,
+)
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.jnd import fisher_jnd, jnd_curve
 from weberwhisk.receptors import Weber
@@ -34,6 +44,8 @@ SEED = 20110166
 DRAWS, DRAWS_SHORT = 200, 16
 #: One line a cue, in the order of the paper's sections.
 CUES: dict[str, Cue] = {
+    "whisker length (a)": VibrissaLength(),
+    "angle-side-angle (c)": AngleSideAngle(),
     "vibration, 3 modes with phase (d)": Vibration(3, phase=True),
     "tap (e)": Compliance(),
     "tap, velocity felt (e)": Compliance(velocity_spread=0.5),
@@ -41,6 +53,7 @@ CUES: dict[str, Cue] = {
     "moment and axial force (f)": ForceMap(),
     "moment and both forces (f)": ForceMap(SIGNALS),
     "moment at a known angle (f)": ForceMap("moment", deflection_angle=ANGLE),
+    "balance of moments (h)": BalanceOfMoments(),
 }
 #: Those that a contact of any distance and angle has.
 MAPPED = ("vibration, 3 modes with phase (d)", "tap (e)", "moment and axial force (f)",
@@ -98,7 +111,12 @@ def ridge(draws: int) -> pd.DataFrame:
 
 
 def draw_curves(table: pd.DataFrame) -> Figure:
-    """JND against r, and below it the posterior's over the closed form's."""
+    """JND against r, and below it the posterior's over the closed form's.
+
+    Rings are where the two differ by more than the Monte Carlo error: near the base, where a JND
+    as wide as the distance meets the prior's edge; near the tip, likewise, and where the deflection
+    is large; and at the vibration's nodes, about which no linear form holds.
+    """
     figure = Figure(figsize=(figures.DOUBLE, 6.0), layout="constrained")
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for i, (name, rows) in enumerate(table.groupby("cue", sort=False)):
@@ -108,10 +126,15 @@ def draw_curves(table: pd.DataFrame) -> Figure:
         top.plot(x, rows["posterior"] * 1e3, "o", color=colour, markersize=3)
         ratio = rows["posterior"] / rows["closed_form"]
         error = 1.96 * rows["posterior_error"] / rows["closed_form"]
-        below.errorbar(x, ratio, error, fmt=".", color=colour, markersize=3, linewidth=0.7)
+        off = np.abs(ratio - 1) > error
+        for kind, shown in (("o", off), (".", ~off)):
+            below.errorbar(
+                x[shown], ratio[shown], error[shown],
+                fmt=kind, color=colour, markersize=3, linewidth=0.7, markerfacecolor="none",
+            )  # fmt: skip
     below.axhline(1.0, color="black", linewidth=0.8)
     below.set(xlabel="Radial distance r/L", ylabel="posterior / closed form", ylim=(0.3, 1.7))
-    top.set_ylabel("JND (mm), d'=1")
+    top.set(ylabel="JND (mm), d'=1", ylim=(0.1, 1000))
     top.legend(frameon=False, fontsize=7, ncols=2)
     return figure
 
@@ -120,17 +143,25 @@ def draw_best(table: pd.DataFrame) -> Figure:
     """The best cue as a map over r and θ_d."""
     figure = Figure(figsize=(figures.SINGLE * 1.4, 3.4), layout="constrained")
     ax = figure.subplots()
-    for i, name in enumerate(MAPPED):
-        rows = table[table["best"] == name]
-        if len(rows):
-            ax.plot(
-                rows["radial_distance"] / WHISKER.length,
-                np.degrees(rows["deflection_angle"]),
-                "s", markersize=2.5, color=figures.COLOURS[i], label=name,
-            )  # fmt: skip
+    size = int(np.sqrt(len(table)))
+    names = [name for name in MAPPED if (table["best"] == name).any()]
+    x, y, which = (
+        np.reshape(v, (size, size))
+        for v in (
+            table["radial_distance"] / WHISKER.length,
+            np.degrees(table["deflection_angle"]),
+            [names.index(name) for name in table["best"]],
+        )
+    )
+    colours = [figures.COLOURS[MAPPED.index(name)] for name in names]
+    levels = np.arange(len(names) + 1) - 0.5
+    ax.contourf(x, y, which, levels, colors=colours)
+    for name, colour in zip(names, colours, strict=True):
+        ax.fill_between([], [], color=colour, label=name)
+    ax.plot(x[:, -1], y[:, -1], color="black", linewidth=1.2)
     ax.text(0.97, 0.95, "flicked past", transform=ax.transAxes, ha="right", va="top")
     ax.set(xlabel="Radial distance r/L", ylabel="Deflection angle θ$_d$ (degrees)", xlim=(0, 1))
-    ax.legend(frameon=False, fontsize=7, loc="center right", markerscale=2)
+    ax.legend(frameon=False, fontsize=7, loc="center right")
     return figure
 
 

@@ -15,8 +15,16 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk import fusion as fusing
-from weberwhisk.cues import Compliance, ForceMap, Fused, LateralSlip, UnknownStiffness, Vibration
-from weberwhisk.jnd import fisher_jnd
+from weberwhisk.cues import (
+    Compliance,
+    ForceMap,
+    Fused,
+    LateralSlip,
+    UnknownStiffness,
+    Vibration,
+    VibrissaLength,
+)
+from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Afferents, GeneralisedWeber, Joint, SpikeCount, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
@@ -130,6 +138,18 @@ def test_joint_noise_of_one_kind_is_that_kind():
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue)
     agrees_with_brute_force(observer, observer.read(prior_draws(observer, 2, 5), 4))
+
+
+def test_events_and_forces_are_fused():
+    """The tip's touch with a tap: the posterior of both, where propagation has nothing to say."""
+    cue = Fused(Compliance(), VibrissaLength(spread=0.05))
+    observer = ww.Observer(W, cue)
+    readings = observer.read([[25e-3], [44e-3], [47e-3]], seed=3)
+    agrees_with_brute_force(observer, readings)
+    tap = ww.Observer(W, Compliance())
+    assert ww.posterior(observer, readings[1]).sd < ww.posterior(tap, readings[1, :1]).sd
+    assert np.isnan(weber_propagation(observer, 25e-3))
+    assert fisher_jnd(observer, 44e-3) < fisher_jnd(tap, 44e-3)
 
 
 def test_two_taps_are_one_of_half_the_variance():
