@@ -167,7 +167,7 @@ def test_intervals_cover_in_one_dimension():
 
 
 def test_posteriors_are_calibrated():
-    is_calibrated(ww.Observer(W, MAP_AND_TAP), n=600)
+    is_calibrated(ww.Observer(W, MAP_AND_TAP), n=300)
 
 
 @pytest.mark.slow
