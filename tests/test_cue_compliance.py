@@ -50,7 +50,7 @@ def test_intervals_cover_when_the_velocity_is_known(cue):
 
 @pytest.mark.parametrize("cue", CUES[::2], ids=repr)
 def test_posteriors_are_calibrated(cue):
-    is_calibrated(ww.Observer(W, cue), n=1000)
+    is_calibrated(ww.Observer(W, cue), n=500)
 
 
 @pytest.mark.slow

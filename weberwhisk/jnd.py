@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from ._checks import finite, one_of, positive
 from .mechanics.contact import Outcome
 from .observer import Observer
-from .receptors import Events, Seed
+from .receptors import Events, Joint, ReceptorNoise, Seed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,7 +110,7 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     be carried to distance along a slope. The information and the posterior remain.
     """
     contact = observer.checked(contact)
-    if isinstance(observer.noise, Events):
+    if _has_events(observer.noise):
         return np.full(contact.shape[:-1], np.nan)
     model = model or observer.model
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
@@ -158,6 +158,12 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
     variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
+
+
+def _has_events(noise: ReceptorNoise) -> bool:
+    return isinstance(noise, Events) or (
+        isinstance(noise, Joint) and any(map(_has_events, noise.noises))
+    )
 
 
 def _with_priors(

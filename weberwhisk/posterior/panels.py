@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from ..receptors import Events, ReceptorNoise
+from ..receptors import Events, Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .solution import IMPROBABLE
@@ -207,11 +207,7 @@ class Panels:
 
         Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
         """
-        noise = self.observer.noise
-        if isinstance(noise, Events):
-            mean = noise.stabilised(signals)
-            return mean, np.ones_like(mean)
-        return noise.mean(signals), noise.sd(signals)
+        return _spread(self.observer.noise, signals)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
         """First panel and one past the last in which each reading (B, S) has mass."""
@@ -295,6 +291,18 @@ class Panels:
         cumulative = np.maximum.accumulate((before[:-1, None] + inside).reshape(-1) / before[-1])
         step = (density / (before[-1] * self.half[panel, None])).reshape(-1)
         return _hermite_inverse(x.reshape(-1), cumulative, step, probability, self.observer)
+
+
+def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:
+    if isinstance(noise, Joint):
+        mean, sd = np.concatenate(
+            noise.each(lambda n, s: np.stack(_spread(n, s)), signals), axis=-1
+        )
+        return mean, sd
+    if isinstance(noise, Events):
+        mean = noise.stabilised(signals)
+        return mean, np.ones_like(mean)
+    return noise.mean(signals), noise.sd(signals)
 
 
 def _prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
