@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from ._checks import finite, one_of, positive
 from .mechanics.contact import Outcome
 from .observer import Observer
-from .receptors import Seed
+from .receptors import Events, Joint, ReceptorNoise, Seed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,15 +98,20 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     Returns
     -------
     array
-        NaN where the contact is not held, infinite where the signals cannot tell distance (the
-        cylinder's force map).
+        NaN where the contact is not held, and for chances of events; infinite where the signals
+        cannot tell distance (the cylinder's force map).
 
     Notes
     -----
     Linear: at large angles the map cue's curve for axial-force noise alone passes through a false
     zero, where ∂M/∂θ_d = 0; the posterior does not.
+
+    An event is all or none, and never near its chance: no noise is so small that one event could
+    be carried to distance along a slope. The information and the posterior remain.
     """
     contact = observer.checked(contact)
+    if _has_events(observer.noise):
+        return np.full(contact.shape[:-1], np.nan)
     model = model or observer.model
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
     held = outcome == Outcome.HELD
@@ -153,6 +158,12 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
     variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
+
+
+def _has_events(noise: ReceptorNoise) -> bool:
+    return isinstance(noise, Events) or (
+        isinstance(noise, Joint) and any(map(_has_events, noise.noises))
+    )
 
 
 def _with_priors(
@@ -261,7 +272,7 @@ def jnd_curve(
     if draws < 2:
         raise ValueError(f"A JND needs at least two noisy readings, got draws={draws}; write 200.")
     contact = _contact(observer, radial_distance, deflection_angle)
-    _, outcome = observer.signals(contact)
+    signals, outcome = observer.signals(contact)
     held = outcome == Outcome.HELD
     table = pd.DataFrame(
         {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
@@ -273,7 +284,7 @@ def jnd_curve(
     table[list(columns)] = np.nan
     if held.any():
         reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
-        readings = observer.read(np.repeat(contact[held], draws, axis=0), reading_seed)
+        readings = observer.noise.sample(np.repeat(signals[held], draws, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
         sd, mean = (np.reshape(v, (-1, draws)) for v in (result.sd, result.mean))
         scatter = mean.std(axis=1, ddof=1)

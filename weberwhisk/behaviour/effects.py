@@ -146,7 +146,11 @@ class Contraction(_Plain):
 
 @dataclass(frozen=True, eq=False)
 class FirstIntervalNoise(_Plain):
-    """The order of the intervals matters: the first signal's sd times exp(memory)."""
+    """The order of the intervals matters: the first signal's sd times exp(memory).
+
+    It shows only as far as the noise of the two stimuli of a trial differs: thousands of trials
+    with large differences tell it. The order effect that is easily seen is the `bias`.
+    """
 
     prior: Any = _NORMAL[0.4]
     name: str = "memory"

@@ -63,7 +63,7 @@ def sample(
     ensembles: int = 4,
     precision: float = 0.03,
 ) -> SampledPosterior:
-    """Sample the posterior with emcee, in the normal scores of the priors (biases as they are).
+    """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
 
     Parameters
     ----------
@@ -86,10 +86,16 @@ def sample(
     if dim == 0:
         raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
     of_scores = score_precision(model)
+    stretches = [model.stretches[i] for i in free]
+    ends = np.array([s.ends for s in stretches]).reshape(-1, 2).T
+
+    def scores_of(theta: Array) -> Array:
+        columns = [s.score(theta[..., i]) for i, s in enumerate(stretches)]
+        return np.stack(columns, axis=-1) if columns else theta[..., :0]
 
     def unpack(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
         z = np.zeros((*theta.shape[:-1], len(model.lead)))
-        z[..., free] = np.clip(theta[..., : free.size], -REACH, REACH)
+        z[..., free] = scores_of(theta)
         k, effects, low, high = lead_values(model, z)
         if n_bias:
             bias = theta[..., free.size :]
@@ -99,10 +105,13 @@ def sample(
 
     def log_density(theta: Array) -> Array:
         k, low, high, bias, effects = unpack(theta)
-        scores = theta[..., : free.size]
-        possible = (sum(model.lapses(low, high)) < 1) & (np.abs(scores) < REACH).all(axis=-1)
+        t, scores = theta[..., : free.size], scores_of(theta)
+        inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
+        possible = (sum(model.lapses(low, high)) < 1) & inside
         out = model.log_likelihood(k, low, high, bias, effects)
         out = out - 0.5 * np.einsum("...i,ij,...j->...", scores, of_scores, scores)
+        for i, stretch in enumerate(stretches):
+            out = out + np.log(stretch.slope(t[..., i]))
         if n_bias:
             out = out + model.log_bias_prior(bias).sum(axis=-1)
         return np.where(possible, out, -np.inf)
@@ -111,9 +120,12 @@ def sample(
     mode, information = find_mode(model, np.zeros(len(model.lead)), start_bias)
     scores, bias = mode
     root = np.linalg.cholesky(np.linalg.inv(information))
-    walkers = max(32, 4 * dim)
-    centre = np.r_[scores[free], bias if n_bias else ()]
-    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T
+    walkers = max(64, 4 * dim)
+    at = [s.coordinate(z) for s, z in zip(stretches, scores[free], strict=True)]
+    centre = np.r_[at, bias if n_bias else ()]
+    per_score = np.ones(dim)
+    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(stretches, at, strict=True)]
+    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
     # A start outside the support is pulled towards the mode until it is inside.
     for _ in range(60):
         lost = ~np.isfinite(log_density(start))

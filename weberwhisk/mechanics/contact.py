@@ -23,6 +23,13 @@ class Outcome(IntEnum):
     OUT_OF_REACH = 4
     STUCK = 5
     TOUCHES_TWICE = 6
+    UNRESOLVED = 7
+    NO_TOUCH = 8
+    TIP_NOT_TOUCHED = 9
+    PARALLEL = 10
+    END_OF_WHISKING = 11
+    CONTRADICTORY = 12
+    ONE_SIDED = 13
 
     @property
     def message(self) -> str:
@@ -39,6 +46,15 @@ _MESSAGES = {
     Outcome.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
     Outcome.STUCK: "stuck: at this friction the contact does not slide so far",
     Outcome.TOUCHES_TWICE: "touches twice: the whisker meets the object at a second point",
+    Outcome.UNRESOLVED: "unresolved: damping merges the peaks of neighbouring modes",
+    Outcome.NO_TOUCH: "no touch: nothing was felt, so that only what lies in reach is ruled out",
+    Outcome.TIP_NOT_TOUCHED: "tip not touched: the shaft was, so that only what lies beyond "
+    "the tip is ruled out",
+    Outcome.PARALLEL: "parallel: the two lines of sight do not meet ahead of the whisker",
+    Outcome.CONTRADICTORY: "contradictory: no distance lets just these whiskers touch",
+    Outcome.ONE_SIDED: "one-sided: at some bearing that is possible, the contact is out of reach "
+    "from one end of the side",
+    Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
 }
 
 

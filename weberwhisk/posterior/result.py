@@ -160,11 +160,12 @@ class Posterior:
         values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
         if self.reading.ndim == 1:
             values = values[:, :, 0]
+        names = self.observer.cue.signal_names
+        if len(names) != self.reading.shape[-1]:  # counts or reports, not signals
+            names = tuple(f"reading_{i}" for i in range(self.reading.shape[-1]))
         return to_arviz(
             {name: values[..., i] for i, name in enumerate(self.observer.unknowns)},
-            observed_data={
-                name: self.reading[..., i] for i, name in enumerate(self.observer.cue.signal_names)
-            },
+            observed_data={name: self.reading[..., i] for i, name in enumerate(names)},
             attrs={
                 "method": self.method,
                 "observer": repr(self.observer),

@@ -1,0 +1,345 @@
+"""What moves an animal's answers: each effect as written by hand, and found where it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import ndtr
+
+from weberwhisk.behaviour import (
+    FitStatus,
+    Trials,
+    fit_weber,
+    read_trials,
+    simulate_trials,
+    task_named,
+)
+from weberwhisk.behaviour.effects import (
+    ComparisonBias,
+    Contraction,
+    Drift,
+    Effect,
+    FirstIntervalNoise,
+    Floor,
+    History,
+    NearMiss,
+    Overdispersion,
+    Step,
+)
+from weberwhisk.behaviour.likelihood import WeberModel
+
+Array = NDArray[np.float64]
+K, LOW, HIGH, BIAS = 0.12, 0.02, 0.03, 0.1
+SESSIONS = 5
+
+
+def design(seed: int, trials: int = 900) -> pd.DataFrame:
+    """Three standards that take turns between the intervals, in sessions; no answers yet."""
+    rng = np.random.default_rng(seed)
+    standard = rng.choice([1.0, 2.0, 4.0], trials)
+    other = np.round(standard * rng.choice([0.7, 0.85, 1.0, 1.2, 1.4], trials), 6)
+    first = rng.random(trials) < 0.5
+    return pd.DataFrame(
+        {
+            "session": np.sort(np.arange(trials) % SESSIONS) + 1,
+            "standard": standard,
+            "stimulus_1": np.where(first, standard, other),
+            "stimulus_2": np.where(first, other, standard),
+            "comparison": other,
+        }
+    )
+
+
+def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = K) -> Array:
+    """P(second greater) with an effect, written out; `before` is the last answer, −1, 0 or 1."""
+    s1, s2 = f["stimulus_1"].to_numpy(), f["stimulus_2"].to_numpy()
+    m1, sd1, sd2, push = s1, k * s1, k * s2, 0.0
+    session = f["session"].to_numpy()
+    # One number a distinct pair of stimuli: the table's typical signal does not weigh by trials.
+    pairs = f.drop_duplicates(["standard", "stimulus_1", "stimulus_2"])
+    both = np.concatenate([pairs["stimulus_1"], pairs["stimulus_2"]])
+    typical = np.exp(np.log(both).mean())
+    match name:
+        case "floor":
+            sd1, sd2 = np.hypot(sd1, value), np.hypot(sd2, value)
+        case "exponent":
+            sd1, sd2 = (k * typical * (s / typical) ** value for s in (s1, s2))
+        case "contraction":
+            m1 = s1 + value * (np.mean([s1, s2]) - s1)
+        case "memory":
+            sd1 = sd1 * np.exp(value)
+        case "comparison_bias":
+            second = f["stimulus_1"] == f["standard"]
+            push = value * np.where(f["comparison"] == f["standard"], 0, np.where(second, 1, -1))
+        case "history":
+            push = value * before
+        case "drift":
+            factor = np.exp(value * ((session - 1) / (SESSIONS - 1) - 0.5))
+            sd1, sd2 = sd1 * factor, sd2 * factor
+        case "step[3]":
+            factor = np.exp(value * (session >= 3))
+            sd1, sd2 = sd1 * factor, sd2 * factor
+    z = (s2 - m1) / np.hypot(sd1, sd2) + push + BIAS
+    return np.asarray(LOW + (1 - LOW - HIGH) * ndtr(z))
+
+
+def answered(name: str, value: float, seed: int, trials: int = 900) -> Trials:
+    """Choices of an observer with one effect, made by hand."""
+    f = design(seed, trials)
+    u = np.random.default_rng(seed + 1).random(len(f))
+    if name != "history":
+        choice = (u < by_hand(name, value, f, np.zeros(len(f)))).astype(int)
+        return read_trials(f.drop(columns="comparison").assign(choice=choice))
+    given = [by_hand(name, value, f, np.full(len(f), b)) for b in (-1.0, 0.0, 1.0)]
+    choice, last = np.zeros(len(f), dtype=int), 0
+    for i in range(len(f)):
+        if i == 0 or f["session"].iloc[i] != f["session"].iloc[i - 1]:
+            last = 0
+        choice[i] = u[i] < given[last + 1][i]
+        last = 2 * choice[i] - 1
+    return read_trials(f.drop(columns="comparison").assign(choice=choice))
+
+
+CASES: dict[str, tuple[Effect, float]] = {
+    "floor": (Floor(), 0.3),
+    "exponent": (NearMiss(), 0.7),
+    "contraction": (Contraction(), 0.2),
+    "memory": (FirstIntervalNoise(), 0.8),
+    "comparison_bias": (ComparisonBias(), 0.7),
+    "history": (History(), 0.6),
+    "drift": (Drift(), -1.0),
+    "step[3]": (Step(at=3), -0.7),
+}
+
+
+def model_of(trials: Trials, effect: Effect) -> WeberModel:
+    from weberwhisk.behaviour.fit import build_model
+
+    return build_model(trials, None, None, "shared", "weber", None, [effect])[0]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_likelihood_is_the_observer_written_out(name: str) -> None:
+    effect, value = CASES[name]
+    trials = answered(name, value, seed=11)
+    f, choice = trials.frame, trials.frame["count"].to_numpy(float)
+    f = f.assign(
+        comparison=np.where(f["stimulus_1"] == f["standard"], f["stimulus_2"], f["stimulus_1"])
+    )
+    before = np.where(f["session"] == f["session"].shift(1), 2 * f["count"].shift(1) - 1, 0.0)
+    p = by_hand(name, value, f, before)
+    exact = np.sum(choice * np.log(p) + (1 - choice) * np.log(1 - p))
+    one = np.array([K]), np.array([LOW]), np.array([HIGH]), np.array([[BIAS]]), np.array([[value]])
+    assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_neutral_effect_changes_nothing(name: str) -> None:
+    effect = CASES[name][0]
+    trials = answered("none", 0.0, seed=12, trials=300)
+    one = np.array([K]), np.array([LOW]), np.array([HIGH]), np.array([[BIAS]])
+    plain = model_of(trials, effect).plain().log_likelihood(*one)
+    moved = model_of(trials, effect).log_likelihood(*one, np.array([[effect.neutral]]))
+    assert moved[0] == pytest.approx(plain[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_effect_is_found_where_it_is(name: str) -> None:
+    effect, value = CASES[name]
+    # Lapses known: one dimension less at a time is enough for a test that always runs.
+    known = {"lapse_low": LOW, "lapse_high": HIGH}
+    trials = answered(name, value, seed=13, trials=3000)
+    fit = fit_weber(trials, effects=[effect], priors=known)
+    assert fit.status is FitStatus.DETERMINED
+    low, high = fit.interval(0.99, parameter=name)
+    assert low < value < high
+    # Which interval is the noisier shows in the third order of the differences only.
+    assert (low < effect.neutral < high) == (name == "memory")
+    low, high = fit.interval(0.99)
+    assert low < K < high
+    assert fit.effects == (name,)
+    assert name in fit.report()
+
+
+def test_emcee_agrees_with_two_effects_by_quadrature() -> None:
+    known = {"lapse_low": LOW, "lapse_high": HIGH, "bias": BIAS}
+    trials = answered("drift", -1.0, seed=14, trials=500)
+    one, two = (
+        fit_weber(trials, effects=[Drift(), Contraction()], priors=known, method=method, seed=2)
+        for method in ("quadrature", "emcee")
+    )
+    for name in ("weber_fraction", "drift", "contraction"):
+        sd = one.posterior.sd(name)
+        assert abs(one.posterior.mean(name) - two.posterior.mean(name)) < 0.1 * sd
+        assert two.posterior.sd(name) == pytest.approx(sd, rel=0.1)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_units_do_not_matter(unit: float) -> None:
+    known = {"lapse_low": LOW, "lapse_high": HIGH, "bias": BIAS}
+    trials = answered("floor", 0.3, seed=15, trials=300)
+    columns = ["standard", "stimulus_1", "stimulus_2"]
+    table = trials.table()
+    other = read_trials(table.assign(**{c: table[c] * unit for c in columns}))
+    for effect in (Floor(), NearMiss(), Contraction()):
+        a, b = (fit_weber(t, effects=[effect], priors=known) for t in (trials, other))
+        assert b.weber_fraction == pytest.approx(a.weber_fraction, rel=1e-6)
+        scale = unit if effect.name == "floor" else 1.0
+        low, high = a.interval(parameter=effect.name)
+        assert b.interval(parameter=effect.name) == pytest.approx(
+            (scale * low, scale * high), rel=1e-5, abs=1e-6 * scale
+        )
+
+
+# -- overdispersion -------------------------------------------------------------------------------
+
+
+def scattered(seed: int, rho: float, sessions: int = 3, n: int = 11) -> Trials:
+    """Counts of nine levels whose P is drawn anew in every session."""
+    rng = np.random.default_rng(seed)
+    s2 = 1 + np.linspace(-0.3, 0.3, 9)
+    mean = 0.02 + 0.96 * ndtr((s2 - 1) / np.hypot(1, s2) / 0.1)
+    rows = []
+    for session in range(sessions):
+        p = rng.beta(mean * (1 - rho) / rho, (1 - mean) * (1 - rho) / rho)
+        rows.append(
+            pd.DataFrame(
+                {"session": session + 1, "standard": 1.0, "comparison": s2, "n": n,
+                 "n_greater": rng.binomial(n, p)}
+            )
+        )  # fmt: skip
+    return read_trials(pd.concat(rows, ignore_index=True))
+
+
+def test_the_beta_binomial_is_scipys() -> None:
+    trials = scattered(21, 0.1)
+    model = model_of(trials, Overdispersion())
+    p, rho = np.full(model.cells.n.size, 0.3), 0.08
+    size = (1 - rho) / rho
+    n, x = model.cells.n, model.cells.count
+    exact = stats.betabinom(n, p * size, (1 - p) * size).logpmf(x)
+    exact -= stats.binom(n, 0.5).logpmf(x) + n * np.log(2)  # without the binomial coefficient
+    np.testing.assert_allclose(model.beta_binomial(p, 1 - p, np.array(rho)), exact, atol=1e-9)
+    # At ρ = 0 it is the binomial, but for 1e-7 · Σ i/P that keeps log-gammas their digits.
+    plain = x * np.log(p) + (n - x) * np.log(1 - p)
+    np.testing.assert_allclose(model.beta_binomial(p, 1 - p, np.array(0.0)), plain, atol=2e-5)
+
+
+def test_overdispersion_by_brute_force() -> None:
+    """k and ρ on an even grid, the rest known: medians, ends and evidence."""
+    trials = scattered(22, 0.1)
+    known: dict[str, Any] = {"lapse_low": 0.02, "lapse_high": 0.02, "bias": 0.0}
+    fit = fit_weber(trials, effects=[Overdispersion()], priors=known)
+    c = trials.frame
+    s2, n, x = (c[name].to_numpy(float) for name in ("stimulus_2", "n", "count"))
+    ln_k, rho = np.linspace(np.log(0.02), np.log(0.5), 201), (np.arange(400) + 0.5) / 800
+    p = 0.02 + 0.96 * ndtr((s2 - 1) / np.hypot(1, s2) / np.exp(ln_k)[:, None])
+    size = ((1 - rho) / rho)[:, None, None]
+    log_like = stats.betabinom(n, p * size, (1 - p) * size).logpmf(x)
+    log_like -= stats.binom(n, 0.5).logpmf(x) + n * np.log(2)
+    log_post = log_like.sum(axis=-1) + stats.beta(1, 15).logpdf(rho)[:, None]
+    log_post += stats.norm.logpdf(ln_k, np.log(0.1), np.log(3))
+    weight = np.exp(log_post - log_post.max())
+    for name, axis, values in (
+        ("weber_fraction", 0, np.exp(ln_k)),
+        ("overdispersion", 1, rho),
+    ):
+        m = weight.sum(axis=axis)
+        cdf = (np.cumsum(m) - 0.5 * m) / m.sum()
+        at = [0.025, 0.5, 0.975]
+        exact = np.interp(at, cdf, values)
+        np.testing.assert_allclose(fit.posterior.quantile(name, at), exact, rtol=0.01, atol=2e-4)
+    evidence = np.log(weight.sum() * (ln_k[1] - ln_k[0]) * (rho[1] - rho[0])) + log_post.max()
+    assert fit.log_evidence == pytest.approx(evidence, abs=0.01)
+
+
+def coverage(count: int) -> tuple[int, int]:
+    """How many 95 % intervals cover with the effect and without; bias and lapses known."""
+    known: dict[str, Any] = {"lapse_low": 0.02, "lapse_high": 0.02}
+    covered = [0, 0]
+    for seed in range(count):
+        trials = scattered(1000 + seed, 0.05, sessions=1, n=33)
+        for i, effects in enumerate(([Overdispersion()], [])):
+            low, high = fit_weber(trials, effects=effects, priors=known).interval()
+            covered[i] += low < 0.1 < high
+    return covered[0], covered[1]
+
+
+def test_scatter_widens_the_interval() -> None:
+    with_it, _ = coverage(20)
+    assert with_it >= 17  # fewer once in 400 at 95 %
+
+
+@pytest.mark.slow
+def test_coverage_with_overdispersion() -> None:
+    with_it, without = coverage(400)
+    assert with_it >= 0.92 * 400
+    assert without < 0.92 * 400
+
+
+# -- the other tasks ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("task", "criterion"), [("yes/no", 0.4), ("go/no-go", 0.4), ("same-different", 1.2)]
+)
+def test_tasks_with_a_criterion_by_hand_and_back(task: str, criterion: float) -> None:
+    trials = simulate_trials(
+        task=task, bias=criterion, weber_fraction=K, lapse_low=LOW, lapse_high=HIGH,
+        trials_per_level=300, seed=31,
+    )  # fmt: skip
+    c = trials.cells()
+    s1, s2 = c.stimulus_1, c.stimulus_2
+    if task == "same-different":
+        spread = K * np.hypot(s1, s2)
+        edge = criterion * np.sqrt(2) * K * s1
+        chance = ndtr((s2 - s1 - edge) / spread) + ndtr((s1 - s2 - edge) / spread)
+    else:
+        chance = ndtr((s2 - s1 - criterion * K * s1) / (K * s2))
+    p = LOW + (1 - LOW - HIGH) * chance
+    assert np.all(np.abs(c.count / c.n - p) < 4 * np.sqrt(p * (1 - p) / c.n))
+    fit = fit_weber(trials)
+    assert "criterion" in fit.parameters
+    for name, truth in (("weber_fraction", K), ("criterion", criterion)):
+        low, high = fit.interval(0.99, parameter=name)
+        assert low < truth < high
+    assert task.split("-")[0] in fit.threshold()["criterion"].iloc[0]
+
+
+def test_the_criterion_moves_the_threshold_of_yes_no_and_can_be_taken_out() -> None:
+    """Without a criterion 75 % yes is at (x − 1)/(k x) = z, so x = 1/(1 − k z)."""
+    trials = simulate_trials(task="yes/no", bias=0.5, weber_fraction=0.1, seed=32)
+    fit = fit_weber(trials, priors={"weber_fraction": 0.1, "lapse_low": 0, "lapse_high": 0})
+    z = stats.norm.ppf(0.75)
+    bare = fit.threshold(with_bias=False)["comparison"].iloc[0]
+    assert bare == pytest.approx(1 / (1 - 0.1 * z), rel=1e-9)
+    shifted = fit.threshold()["comparison"].iloc[0]
+    c = float(fit.posterior.quantile("criterion", 0.5))
+    assert shifted == pytest.approx((1 + 0.1 * c) / (1 - 0.1 * z), rel=2e-3)
+
+
+# -- misuse ---------------------------------------------------------------------------------------
+
+
+def test_effects_that_cannot_show_are_refused() -> None:
+    plain = simulate_trials(trials_per_level=5, seed=41)
+    correct = simulate_trials(task="2AFC percent correct", trials_per_level=5, seed=42)
+    counts = read_trials(
+        pd.DataFrame({"standard": 1.0, "comparison": [0.9, 1.1], "n": 9, "n_greater": [3, 6]})
+    )
+    with pytest.raises(ValueError, match="needs two sessions or more, got 1"):
+        fit_weber(plain, effects=[Drift()])
+    with pytest.raises(ValueError, match="which interval held which"):
+        fit_weber(correct, effects=[Contraction()])
+    with pytest.raises(ValueError, match="History needs a row a trial"):
+        fit_weber(counts, effects=[History()])
+    with pytest.raises(ValueError, match="effects must differ"):
+        fit_weber(simulate_trials(sessions=2, seed=43), effects=[Drift(), Drift()])
+    with pytest.raises(ValueError, match="noise grows with the stimulus"):
+        fit_weber(counts, effects=[Floor()], noise="equal-variance")
+    assert task_named("same-different").bias_name == "criterion"
