@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from ..receptors import Events, ReceptorNoise
+from ..receptors import Events, Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .solution import IMPROBABLE
@@ -183,7 +183,7 @@ class Panels:
         contact, _ = self.observer.contact(x.reshape(-1, 1))
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
-        mean, sd = self._spread(np.where(held[:, None], signals, 1.0))
+        mean, sd = _spread(self.observer.noise, np.where(held[:, None], signals, 1.0))
         features = np.concatenate([mean / sd, np.log(sd)], axis=-1)
         features = np.where(held[:, None], features, 0.0).reshape(*x.shape, -1)
         # The readings' way across the panel in units of their sd: the length in JNDs.
@@ -201,17 +201,6 @@ class Panels:
         rounding = 100 * np.spacing(r[:, -1:]) * slope.max(axis=1)
         rough = (tail > 1e-9 + rounding).any(axis=-1)
         return ((length > LONGEST) | rough) & (half > SHORTEST)
-
-    def _spread(self, signals: Array) -> tuple[Array, Array]:
-        """Mean and sd of the readings of signals (n, S), (n, R) each.
-
-        Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
-        """
-        noise = self.observer.noise
-        if isinstance(noise, Events):
-            mean = noise.stabilised(signals)
-            return mean, np.ones_like(mean)
-        return noise.mean(signals), noise.sd(signals)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
         """First panel and one past the last in which each reading (B, S) has mass."""
@@ -295,6 +284,21 @@ class Panels:
         cumulative = np.maximum.accumulate((before[:-1, None] + inside).reshape(-1) / before[-1])
         step = (density / (before[-1] * self.half[panel, None])).reshape(-1)
         return _hermite_inverse(x.reshape(-1), cumulative, step, probability, self.observer)
+
+
+def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:
+    """Mean and sd of the readings of signals (n, S), (n, R) each.
+
+    Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
+    """
+    if isinstance(noise, Joint):
+        parts = zip(*(_spread(*part) for part in noise.parts(signals)), strict=True)
+        mean, sd = (np.concatenate(side, axis=-1) for side in parts)
+        return mean, sd
+    if isinstance(noise, Events):
+        mean = noise.stabilised(signals)
+        return mean, np.ones_like(mean)
+    return noise.mean(signals), noise.sd(signals)
 
 
 def _prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:

@@ -53,6 +53,10 @@ class Joint:
             )
         return np.split(array, np.cumsum(self.sizes)[:-1], axis=-1)
 
+    def parts(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
+        """Each model with its own signals, (..., S_i)."""
+        return list(zip(self.noises, self._signals(signals), strict=True))
+
     def _readings(self, reading: ArrayLike) -> list[Array]:
         """The readings of each model, (..., R_i)."""
         counts = [n.reading_size(s) for n, s in zip(self.noises, self.sizes, strict=True)]
