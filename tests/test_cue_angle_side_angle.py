@@ -153,15 +153,15 @@ def test_an_unknown_side_is_integrated_out():
     ("cue", "draws", "band"),
     [
         (CUES[0], 100, 0.08),
-        *(
-            pytest.param(cue, 2000, 0.02, marks=pytest.mark.slow)
-            for cue in (CUES[0], CUES[1], CUES[2], CUES[3])
-        ),
+        pytest.param(CUES[0], 2000, 0.02, marks=pytest.mark.slow),
+        pytest.param(CUES[1], 300, 0.05, marks=pytest.mark.slow),
+        pytest.param(CUES[2], 2000, 0.02, marks=pytest.mark.slow),
+        pytest.param(CUES[3], 300, 0.05, marks=pytest.mark.slow),
     ],
     ids=repr,
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(cue, draws, band):
-    """95 ± 2 % of 2000; of 100, whose error is 2.2 %, under four of these."""
+    """95 ± 2 % of 2000; of 300 and 100, whose errors are 1.3 and 2.2 %, four of these."""
     share = coverage(ww.Observer(W, cue), drawn(cue, draws, 9), seed=10)
     assert share == pytest.approx(0.95, abs=band)
 

@@ -34,7 +34,7 @@ def contacts(cue, n=50):
     r = rng.uniform(0.05, 0.8, n) * W.length
     limit = ww.flick_past(W, r).deflection_angle
     if hasattr(cue, "largest_angle"):
-        limit = cue.largest_angle(W, r)
+        limit = np.minimum(limit, cue.largest_angle(W, r))
     theta = limit * rng.uniform(0.05, 0.9, n)
     return np.stack([r, theta], axis=-1)[:, : len(cue.unknowns)]
 

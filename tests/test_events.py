@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, VibrissaLength
+from weberwhisk.cues import BalanceOfMoments, Compliance, ForceMap, Fused, VibrissaLength
+from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Events, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -106,6 +107,29 @@ def test_a_misreport_leaves_every_distance_possible():
     assert unsure.sd > 5 * sure.sd
     expected = (zone * 0.95 + (1.5**2 / 2 - 0.1 * 0.95) * 0.2 / 3) / (zone + rest)
     assert unsure.mean == pytest.approx(expected * W.length, rel=1e-3)
+
+
+def test_an_event_joins_a_force_in_a_fusion():
+    both = ww.Observer(W, Fused(VibrissaLength(spread=0.05), Compliance()))
+    touch, tap = (ww.Observer(W, cue) for cue in (VibrissaLength(spread=0.05), Compliance()))
+    r = np.array([46e-3])
+    assert weber_propagation(both, r) == pytest.approx(weber_propagation(tap, r), rel=1e-12)
+    told = [fisher_jnd(observer, r) ** -2 for observer in (both, touch, tap)]
+    assert told[0] == pytest.approx(told[1] + told[2], rel=1e-12)
+    rate = tap.signals(r)[0]
+    p = ww.posterior(both, [1.0, 1.0, *rate])
+    at = (np.arange(100_000) + 0.5) / 100_000 * W.length
+    log = touch.log_likelihood([1.0, 1.0], at[:, None]) + tap.log_likelihood(rate, at[:, None])
+    weight = np.exp(log - log.max())
+    assert p.status == 0
+    assert p.mean == pytest.approx(weight @ at / weight.sum(), rel=1e-7)
+
+
+def test_a_fusion_keeps_the_edge_of_its_cues():
+    cue = BalanceOfMoments(effort=None)
+    r = np.array([20e-3, 30e-3])
+    both = ww.Observer(W, Fused(cue, ForceMap()))
+    assert both.angle_range(r)[1] == pytest.approx(cue.largest_angle(W, r))
 
 
 @pytest.mark.parametrize(

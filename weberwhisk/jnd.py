@@ -107,10 +107,12 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     zero, where ∂M/∂θ_d = 0; the posterior does not.
 
     An event is all or none, and never near its chance: no noise is so small that one event could
-    be carried to distance along a slope. The information and the posterior remain.
+    be carried to distance along a slope. Events are left out, in a fusion of cues too; the
+    information and the posterior have them.
     """
     contact = observer.checked(contact)
-    if _has_events(observer.noise):
+    linear = ~_of_events(observer.noise, len(observer.cue.signal_names))
+    if not linear.any():
         return np.full(contact.shape[:-1], np.nan)
     model = model or observer.model
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
@@ -120,6 +122,8 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
         observer.whisker, contact, model=model
     )
     covariance = observer.noise.covariance(signals)
+    if not linear.all():
+        slope, covariance = slope[..., linear, :], covariance[..., linear, :][..., linear]
     if observer.bounded < contact.shape[-1]:
         slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
@@ -160,10 +164,12 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
 
 
-def _has_events(noise: ReceptorNoise) -> bool:
-    return isinstance(noise, Events) or (
-        isinstance(noise, Joint) and any(map(_has_events, noise.noises))
-    )
+def _of_events(noise: ReceptorNoise, signals: int) -> NDArray[np.bool_]:
+    """Which numbers of a reading report events, (R,)."""
+    if isinstance(noise, Joint):
+        pairs = zip(noise.noises, noise.sizes, strict=True)
+        return np.concatenate([_of_events(*pair) for pair in pairs])
+    return np.full(noise.reading_size(signals), isinstance(noise, Events))
 
 
 def _with_priors(

@@ -124,6 +124,14 @@ class Fused:
         """As far as all cues work, m."""
         return min(cue.farthest(whisker) for cue in self.cues)
 
+    def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
+        """The least of the cues' largest deflections (...), rad; infinite where none has one."""
+        edges = [cue for cue in self.cues if hasattr(cue, "largest_angle")]
+        least = np.full(np.shape(radial_distance), np.inf)
+        for cue in edges:
+            least = np.minimum(least, cue.largest_angle(whisker, radial_distance))
+        return least
+
 
 #: The unknowns that the whisker bounds, in the order of the protocol.
 _FIRST = ("radial_distance", "deflection_angle")

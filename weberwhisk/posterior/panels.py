@@ -183,7 +183,7 @@ class Panels:
         contact, _ = self.observer.contact(x.reshape(-1, 1))
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
-        mean, sd = self._spread(np.where(held[:, None], signals, 1.0))
+        mean, sd = _spread(self.observer.noise, np.where(held[:, None], signals, 1.0))
         features = np.concatenate([mean / sd, np.log(sd)], axis=-1)
         features = np.where(held[:, None], features, 0.0).reshape(*x.shape, -1)
         # The readings' way across the panel in units of their sd: the length in JNDs.
@@ -201,13 +201,6 @@ class Panels:
         rounding = 100 * np.spacing(r[:, -1:]) * slope.max(axis=1)
         rough = (tail > 1e-9 + rounding).any(axis=-1)
         return ((length > LONGEST) | rough) & (half > SHORTEST)
-
-    def _spread(self, signals: Array) -> tuple[Array, Array]:
-        """Mean and sd of the readings of signals (n, S), (n, R) each.
-
-        Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
-        """
-        return _spread(self.observer.noise, signals)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
         """First panel and one past the last in which each reading (B, S) has mass."""
@@ -294,10 +287,13 @@ class Panels:
 
 
 def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:
+    """Mean and sd of the readings of signals (n, S), (n, R) each.
+
+    Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
+    """
     if isinstance(noise, Joint):
-        mean, sd = np.concatenate(
-            noise.each(lambda n, s: np.stack(_spread(n, s)), signals), axis=-1
-        )
+        parts = zip(*(_spread(*part) for part in noise.parts(signals)), strict=True)
+        mean, sd = (np.concatenate(side, axis=-1) for side in parts)
         return mean, sd
     if isinstance(noise, Events):
         mean = noise.stabilised(signals)

@@ -53,6 +53,10 @@ class Joint:
             )
         return np.split(array, np.cumsum(self.sizes)[:-1], axis=-1)
 
+    def parts(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
+        """Each model with its own signals, (..., S_i)."""
+        return list(zip(self.noises, self._signals(signals), strict=True))
+
     def _readings(self, reading: ArrayLike) -> list[Array]:
         """The readings of each model, (..., R_i)."""
         counts = [n.reading_size(s) for n, s in zip(self.noises, self.sizes, strict=True)]
@@ -62,8 +66,7 @@ class Joint:
         self, function: Callable[[ReceptorNoise, Array], Array], signals: ArrayLike
     ) -> list[Array]:
         """A function of every model and its signals."""
-        pairs = zip(self.noises, self._signals(signals), strict=True)
-        return [function(noise, part) for noise, part in pairs]
+        return [function(noise, part) for noise, part in self.parts(signals)]
 
     def reading_size(self, signals: int) -> int:
         """The readings of all models."""
@@ -92,8 +95,7 @@ class Joint:
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
         """Readings outside are rarer than those `width` sd from a Gaussian's mean, (..., R)."""
-        pairs = zip(self.noises, self._signals(signals), strict=True)
-        ends = [noise.interval(part, width) for noise, part in pairs]
+        ends = [noise.interval(part, width) for noise, part in self.parts(signals)]
         low, high = (np.concatenate(side, axis=-1) for side in zip(*ends, strict=True))
         return low, high
 
