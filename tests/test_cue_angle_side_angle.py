@@ -194,10 +194,12 @@ def test_it_says_where_it_does_not_work():
     # From the first place, at the sharpest bearing, the whisker is at its last.
     first = abs(cue.side + limit * np.exp(1j * cue.bearings[0]))
     assert ww.flick_past(W, first).deflection_angle == pytest.approx(0.4, rel=1e-6)
-    contact = np.array([[limit * 0.9, 1.5], [limit * 1.01, 1.5], [60e-3, 1.5]])
+    contact = np.array(
+        [[limit * 0.99, 1.5], [limit * 1.01, 1.5], [first * 1.01, 1.5], [60e-3, 1.5]]
+    )
     names = [Outcome(k).name for k in cue.signals(W, contact)[1]]
-    assert names == ["HELD", "FLICKED_PAST", "OUT_OF_REACH"]
-    table = ww.jnd_curve(ww.Observer(W, cue), limit * 1.01, draws=3, seed=1)
+    assert names == ["HELD", "ONE_SIDED", "FLICKED_PAST", "OUT_OF_REACH"]
+    table = ww.jnd_curve(ww.Observer(W, cue), first * 1.01, draws=3, seed=1)
     assert table["outcome"][0].startswith("flicked past")
 
 

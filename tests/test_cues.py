@@ -6,7 +6,14 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import Compliance, Cue, ForceMap, Fused
+from weberwhisk.cues import (
+    BalanceOfMoments,
+    Compliance,
+    Cue,
+    ForceMap,
+    Fused,
+    VibrissaLength,
+)
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -17,13 +24,18 @@ CUES = [
     ForceMap(["transverse_force", "moment", "axial_force"]),
     ForceMap("moment", deflection_angle=0.15),
     Fused(Compliance(), ForceMap()),
+    VibrissaLength(),
+    BalanceOfMoments(effort=None),
 ]
 
 
 def contacts(cue, n=50):
     rng = np.random.default_rng(1)
     r = rng.uniform(0.05, 0.8, n) * W.length
-    theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.9, n)
+    limit = ww.flick_past(W, r).deflection_angle
+    if hasattr(cue, "largest_angle"):
+        limit = cue.largest_angle(W, r)
+    theta = limit * rng.uniform(0.05, 0.9, n)
     return np.stack([r, theta], axis=-1)[:, : len(cue.unknowns)]
 
 

@@ -90,15 +90,18 @@ class AngleSideAngle:
                 "give them in radians."
             )
         self.bearings = (low, high)
+        #: Distance, bearing and, where it is not known, the side.
+        self.unknowns: tuple[str, ...] = ("radial_distance", "bearing", "side")
+        if self.side_sd == 0:
+            self.unknowns = self.unknowns[:2]
 
     def __repr__(self) -> str:
-        given = {k: v for k, v in vars(self).items() if k != "bearings" and v is not None}
+        given = {
+            k: v
+            for k, v in vars(self).items()
+            if k not in ("bearings", "unknowns") and v is not None
+        }
         return f"{type(self).__name__}({', '.join(f'{k}={v:g}' for k, v in given.items())})"
-
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Distance, bearing and, where it is not known, the side."""
-        return ("radial_distance", "bearing", "side")[: 3 if self.side_sd > 0 else 2]
 
     def _triangle(self, contact: Array) -> tuple[Array, Array, Array, Array, Array]:
         """r, bearing and side, and the first place's distance and angle."""
@@ -123,8 +126,11 @@ class AngleSideAngle:
 
     def _outcome(self, whisker: Whisker, r: Array, first: Array) -> NDArray[np.int8]:
         """Outcomes, given the distances from the second place and from the first."""
-        reached = (r > 0) & (r <= self._farthest(whisker)) & (first <= self._reaches(whisker)[0])
-        return np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        first_reach, reach = self._reaches(whisker)
+        seen = (r > 0) & (r <= reach) & (first <= first_reach)
+        known = seen & (r <= self._farthest(whisker))
+        outcome = np.select([known, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH)
+        return np.asarray(outcome, dtype=np.int8)
 
     def signals(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
@@ -252,7 +258,7 @@ class ContactAndDetachment(AngleSideAngle):
     >>> cue = ContactAndDetachment(push=np.radians(24.5732))
     >>> print(f"{cue.farthest(w) * 1e3:.2f} mm")
     33.25 mm
-    >>> Outcome(cue.signals(w, np.array([40e-3, 1.5]))[1]).name
+    >>> Outcome(int(cue.signals(w, np.array([40e-3, 1.5]))[1])).name
     'FLICKED_PAST'
     """
 
@@ -274,8 +280,8 @@ class ContactAndDetachment(AngleSideAngle):
     def _outcome(self, whisker: Whisker, r: Array, first: Array) -> NDArray[np.int8]:
         outcome = super()._outcome(whisker, r, first)
         on_whisker = (r > 0) & (np.maximum(r, first) <= whisker.length)
-        outcome[(outcome != Outcome.HELD) & on_whisker] = Outcome.FLICKED_PAST
-        return outcome
+        lost = (outcome == Outcome.OUT_OF_REACH) & on_whisker
+        return np.where(lost, Outcome.FLICKED_PAST, outcome).astype(np.int8)
 
 
 @lru_cache(maxsize=64)

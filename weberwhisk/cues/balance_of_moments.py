@@ -173,15 +173,18 @@ class BalanceOfMoments:
             angle, reached = self._balance(whisker, r.reshape(-1), model)
             balanced = on_whisker & reached.reshape(r.shape)
             signals = np.where(balanced, angle.reshape(r.shape), np.nan)[..., None]
-        # What ends the contact where nothing balances: whisking, or what ends any deflection.
-        limit = surface_of(whisker).limit(r.reshape(-1)).reshape(r.shape)
-        _, end = base_signals(whisker, r, np.full(r.shape, np.pi))
-        outcome = np.select(
-            [balanced, ~on_whisker, limit > self.room],
-            [Outcome.HELD, Outcome.OUT_OF_REACH, Outcome.END_OF_WHISKING],
-            end,
+        outcome = np.zeros(r.shape, dtype=np.int8)
+        lost = ~balanced
+        outcome[lost] = np.where(
+            on_whisker[lost], self._end(whisker, r[lost]), Outcome.OUT_OF_REACH
         )
-        return signals, outcome.astype(np.int8)
+        return signals, outcome
+
+    def _end(self, whisker: Whisker, r: Array) -> NDArray[np.int8]:
+        """What ends a rotation (n,) without a balance: whisking, or what ends any deflection."""
+        _, end = base_signals(whisker, r, np.full(r.shape, np.pi))
+        whisked = surface_of(whisker).limit(r) > self.room
+        return np.where(whisked, Outcome.END_OF_WHISKING, end).astype(np.int8)
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Slopes of the signals (..., S, U): dθ_b/dr = −(∂effort/∂r)/(∂effort/∂θ) of the known."""

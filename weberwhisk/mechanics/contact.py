@@ -29,6 +29,7 @@ class Outcome(IntEnum):
     PARALLEL = 10
     END_OF_WHISKING = 11
     CONTRADICTORY = 12
+    ONE_SIDED = 13
 
     @property
     def message(self) -> str:
@@ -51,6 +52,8 @@ _MESSAGES = {
     "the tip is ruled out",
     Outcome.PARALLEL: "parallel: the two lines of sight do not meet ahead of the whisker",
     Outcome.CONTRADICTORY: "contradictory: no distance lets just these whiskers touch",
+    Outcome.ONE_SIDED: "one-sided: at some bearing that is possible, the contact is out of reach "
+    "from one end of the side",
     Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
 }
 

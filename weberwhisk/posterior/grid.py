@@ -109,15 +109,35 @@ class Nodes:
         width = KERNEL * np.sqrt(np.square(slopes).sum(axis=0)).ravel()
         v, weights = v[used], self.weights[used] / self.weights[used].sum()
         width = np.maximum(width[used], 1e-12 * (np.ptp(v) or 1.0))
-        low, high = np.full(p.shape, v.min()), np.full(p.shape, v.max())
-        for _ in range(50):  # bisection: the smoothed F need not rise everywhere in the far tails
-            middle = (low + high) / 2
-            below = _smooth_step((middle[..., None] - v) / width) @ weights < p
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        return np.asarray((low + high) / 2)
+        out = [_crossing(v, width, weights, float(target)) for target in p.ravel()]
+        return np.reshape(out, p.shape)
 
 
 KERNEL = 0.8  # smoothing width of quantiles, in nodes: bias and aliasing about equal
+
+
+def _crossing(v: Array, width: Array, weights: Array, target: float) -> float:
+    """Where the smoothed F reaches a probability.
+
+    By bisection, as the smoothed F need not rise everywhere in the far tails. Nodes that the
+    bracket has left behind, by `BEHIND` widths, count in full or not at all.
+    """
+    low, high, full = float(v.min()), float(v.max()), 0.0
+    for step in range(50):
+        if step % 5 == 4:
+            under = v + BEHIND * width < low
+            near = ~under & (v - BEHIND * width < high)
+            full += weights[under].sum()
+            v, width, weights = v[near], width[near], weights[near]
+        middle = (low + high) / 2
+        if full + _smooth_step((middle - v) / width) @ weights < target:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
+
+
+BEHIND = 8.0  # the kernel's integral is 1 to 1e-12 there
 
 
 def _smooth_step(u: Array) -> Array:
