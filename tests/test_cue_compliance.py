@@ -28,7 +28,7 @@ CUES = [
 
 
 def tilt_noise(k):
-    return Joint([Weber(k), GeneralisedWeber(1e-9, floor=k)], sizes=[1, 1])
+    return Joint([Weber(k), GeneralisedWeber(0, floor=k)], sizes=[1, 1])
 
 
 @pytest.mark.parametrize("cue", CUES, ids=repr)

@@ -42,7 +42,7 @@ def test_a_second_plane_costs_no_distance():
 
 
 def test_posteriors_have_the_propagated_width_at_small_noise():
-    noise = Joint([Weber(0.01), GeneralisedWeber(1e-9, floor=0.01)], sizes=[3, 2])
+    noise = Joint([Weber(0.01), GeneralisedWeber(0, floor=0.01)], sizes=[3, 2])
     small_noise_limit(ww.Observer(W, SpaceMap(), noise), CONTACT[:2], draws=10, bias=5e-3)
 
 

@@ -64,7 +64,7 @@ class SpaceMap:
 
     def default_noise(self) -> Joint:
         """Weber's law, k = 0.1, for the sizes; as much across them: 0.1 rad."""
-        return Joint([Weber(0.1), GeneralisedWeber(1e-9, floor=0.1)], sizes=[3, 2])
+        return Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[3, 2])
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, m."""
