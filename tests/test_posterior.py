@@ -288,3 +288,14 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call(ww.Observer(W, Compliance()))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-3])
+def test_a_bent_ridge_is_not_taken_for_one_node(tolerance):
+    # All but one node of a coarse pass fell beside the ridge, and a single node has no error.
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ForceMap())
+    reading = [4.3879795117304074e-05, 0.0060701996744909744]
+    p = ww.posterior(observer, reading, tolerance=tolerance)
+    # By a midpoint sum over r and θ_d.
+    assert p.mean / observer.whisker.length == pytest.approx(0.1702, abs=2e-4)
+    assert p.sd / observer.whisker.length == pytest.approx(0.0292, abs=2e-4)

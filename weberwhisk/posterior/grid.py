@@ -30,6 +30,7 @@ Functions = Callable[[Array], ArrayLike]
 COARSE_PASSES, PASSES = 15, 50
 SLOWEST_FALL = 1 - 1e-6  # from layer to layer of nodes, when the mass beyond the last is guessed
 RESOLVED = 0.3  # error of the spacing up to which a coarse pass is believed
+LOST = 0.3  # change of ln Z, from all nodes to every second, at which mass falls between nodes
 NEARLY, FINER = 4.0, 0.75  # up to so many tolerances a spacing is cut by this instead of halved
 BATCH = 40_000  # nodes evaluated in one call: the arrays of one pass stay in the cache
 
@@ -516,7 +517,9 @@ def _evaluate(
     evidence_change, mean_change, sd_change = (
         np.maximum.reduce(parts) for parts in zip(*changes, strict=True)
     )
+    lost = (changes[0][1] >= 1).all(axis=1)
     alone = [np.maximum(mean, sd).max(axis=1) for _, mean, sd in changes[-work.dim :]]
+    alone = [np.where(lost, 1.0, error) for error in alone]
     middle = (weights[:, None] @ points)[:, 0] / safe
     centred = points - middle[:, None]
     covariance = (mass[..., None] * centred).swapaxes(1, 2) @ centred
@@ -564,7 +567,10 @@ def _resolution(terms: Array) -> tuple[Array, Array, Array]:
     """
     second, fourth = _thinned(terms, 2), _thinned(terms, 4)
     error, mean_error, sd_error = (_claim(a, b) for a, b in zip(second, fourth, strict=True))
-    return error, mean_error, sd_error
+    # Mass that every second node cannot see lies on few nodes, whose moments mean nothing: a
+    # single one of them has no error at all.
+    lost = (second[0] > LOST)[:, None]
+    return error, np.where(lost, 1.0, mean_error), np.where(lost, 1.0, sd_error)
 
 
 def _claim(second: ArrayLike, fourth: ArrayLike) -> Array:
