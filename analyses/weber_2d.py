@@ -106,7 +106,7 @@ def draw_false_zero(table: pd.DataFrame, ax: Axes) -> None:
     )
     ax.set(
         xlabel="Deflection angle θ$_d$ (degrees)", ylabel="JND/(kL), d'=1", ylim=(1e-4, 1),
-        title=f"axial force noise alone, r = {PLACE:g} L",
+        title=f"its false zero, r = {PLACE:g} L",
     )  # fmt: skip
     ax.legend(frameon=False)
 

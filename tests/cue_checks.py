@@ -136,9 +136,13 @@ def agrees_with_brute_force(observer, readings, accuracy=1e-4, **options):
 
 
 def share_covered(observer, n, seed):
-    """Share of 95 % intervals of r that hold the truth, for truths drawn from the prior."""
+    """Share of 95 % intervals of r that hold the truth, for truths drawn from the prior.
+
+    By quadrature with one unknown; with more by emcee, whose intervals come many at a time.
+    """
     contact = prior_draws(observer, n, seed)
-    p = ww.posterior(observer, observer.read(contact, seed + 1))
+    method = "quadrature" if len(observer.unknowns) == 1 else "emcee"
+    p = ww.posterior(observer, observer.read(contact, seed + 1), method, seed=seed + 2)
     low, high = p.interval(0.95).T
     return np.mean((low <= contact[:, 0]) & (contact[:, 0] <= high))
 

@@ -104,7 +104,7 @@ def test_intervals_cover_at_a_known_angle():
 
 @pytest.mark.parametrize("cue", [ForceMap(), PAIRS[1], ALL], ids=repr)
 def test_posteriors_are_calibrated(cue):
-    is_calibrated(ww.Observer(W, cue), n=600)
+    is_calibrated(ww.Observer(W, cue), n=300)
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ from scipy import stats
 from scipy.optimize import brentq
 
 import weberwhisk as ww
-from weberwhisk import Outcome
-from weberwhisk.cues import Compliance, ForceMap, Vibration
+from weberwhisk import Outcome, Status
+from weberwhisk.cues import Compliance, ForceMap, Vibration, VibrissaLength
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.mechanics import modes
 from weberwhisk.posterior.peaks import count_peaks
@@ -172,6 +172,26 @@ def test_amplitudes_leave_several_places_and_their_phases_one():
     r = np.linspace(1e-4, W.length, 2001)[:, None]
     for whisker in (W, W.cylinder(), ww.Whisker(50e-3, 100e-6, 0.0)):
         assert np.all(np.diff(Vibration(2, phase=True).signals(whisker, r)[0][:, 0]) < 0)
+
+
+@pytest.mark.parametrize("method", ["emcee", "laplace"])
+def test_methods_that_climb_one_peak_say_that_there_are_more(method):
+    observer = ww.Observer(W, Vibration(6))
+    readings = observer.read(np.linspace(5e-3, 48e-3, 8)[:, None], seed=1)
+    exact = ww.posterior(observer, readings)
+    p = ww.posterior(observer, readings, method, seed=2)
+    wrong = np.abs(p.sd / exact.sd - 1) > 0.5
+    assert wrong.sum() >= 2
+    assert np.all(p.status[wrong] != Status.CONVERGED)
+    divided = count_peaks(observer, readings, 1 - 1e-6) > 1
+    assert np.all(np.isin(p.status[divided], [Status.SEVERAL_PEAKS, Status.NOT_CONVERGED]))
+    assert not np.any(p.status[~divided] == Status.SEVERAL_PEAKS)
+
+
+def test_a_flat_top_is_one_peak():
+    """No touch: every distance beyond the whisker alike."""
+    observer = ww.Observer(W, VibrissaLength(spread=0.05))
+    assert np.all(count_peaks(observer, VibrissaLength.reports, 0.9) == 1)
 
 
 @pytest.mark.parametrize(

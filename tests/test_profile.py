@@ -337,14 +337,18 @@ def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):
     beyond = press(w, r, at + 1e-7, psi).outcome
     free = press(w, r, at + 1e-7).outcome
     assert beyond is (Outcome.STUCK if psi and free is Outcome.HELD else Outcome.FLICKED_PAST)
-    s, f = end.at_end.arc_length, end.at_end.force
-    largest = -np.inf
-    for shift in np.linspace(-0.02, 0.02, 41):
-        near = s * (1 + shift)
-        force = brentq(
-            lambda q, near=near: bend(w, near, q, psi).radial_distance - r, 0.5 * f, 1.6 * f
-        )
-        largest = max(largest, bend(w, near, force, psi).deflection_angle)
+    # At each arc near the fold's the force that keeps the distance, by bisection.
+    near = end.at_end.arc_length * (1 + np.linspace(-0.02, 0.02, 41))
+    low, high = np.full((2, 41), end.at_end.force) * [[0.5], [1.6]]
+    assert np.all(
+        (bend(w, near, low, psi).radial_distance > r)
+        & (bend(w, near, high, psi).radial_distance < r)
+    )
+    for _ in range(36):
+        middle = (low + high) / 2
+        far = bend(w, near, middle, psi).radial_distance > r
+        low, high = np.where(far, middle, low), np.where(far, high, middle)
+    largest = np.max(bend(w, near, middle, psi).deflection_angle)
     assert largest <= at + 1e-9
     assert largest == pytest.approx(at, abs=1e-5)
 

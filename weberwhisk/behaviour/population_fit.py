@@ -24,7 +24,7 @@ from .trials import Trials
 
 Array = NDArray[np.float64]
 
-LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED)
+LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
 OF_PRIOR = 0.8  # posterior sd over prior sd of a spread, above which the data told little
 
 

@@ -25,11 +25,13 @@ Axes = tuple[Array, ...]
 
 EDGE = 5e-4  # largest density at an edge, relative to the peak
 CHUNK = 40_000  # values at once: a few arrays of this size stay in the cache
-MOST = 2_000_000_000  # values in all; a posterior that wants more is for a sampler
+MOST = 2_000_000_000  # values in all, at which a posterior is given up
+FOLLOWED = 20  # what a value costs where bias nodes follow the lapses, in ordinary ones
 # Largest changes of the evidence when every other node is left out, on the whole and line by line,
 # where errors along a ridge cannot cancel. For a normal bump the error t falls to t⁴/8 at half the
 # step, so what is left is far smaller.
 COARSE, SLICED = 0.04, 0.1
+PLENTY, GOOD = 50_000_000, 3e-3  # values after which an evidence good to this is good enough
 STEP, LAPSE_STEP = 2.0, 1.6  # of the first axes, in conditional sds; they are halved once
 FINER = 0.7  # of a step that was too coarse
 LAPSE_NODES = 23  # at least, over all that a lapse may be: its tails are unlike a bump's
@@ -74,6 +76,7 @@ def integrate(model: WeberModel) -> Grid:
     offsets, follow, grid = narrow, False, sketch
     for _ in range(12):
         work = model.cells.n.size * offsets.size * float(np.prod([float(a.size) for a in axes]))
+        work *= FOLLOWED if follow else 1
         if work > MOST:
             break
         grid = evaluate(model, axes, offsets, reference, follow)
@@ -84,6 +87,8 @@ def integrate(model: WeberModel) -> Grid:
         new_offsets = _adapt_offsets(grid, offsets)
         if new_offsets is offsets and all(a is b for a, b in zip(axes, new_axes, strict=True)):
             return grid
+        if work > PLENTY and grid.error < GOOD and not _wider(axes, new_axes):
+            return grid  # a ridge across the axes, well enough summed
         axes, offsets = new_axes, new_offsets
         if offsets.size > 4 * narrow.size and not follow:
             # Biases trade off against lapses: let their nodes follow, at ten times the cost.
@@ -300,6 +305,15 @@ def adapt(joint: Array, index: int, axis: Array, ends: tuple[float, float]) -> A
     low = axis[held[0]] - step * (1 + max(below, 0))
     high = axis[held[1]] + step * (1 + max(above, 0))
     return _even(low, high, shrink * step)
+
+
+def _wider(axes: Axes, new_axes: Axes) -> bool:
+    """Whether any axis was found too short."""
+    return any(
+        b[0] < a[0] - 1.5 * (a[1] - a[0]) or b[-1] > a[-1] + 1.5 * (a[1] - a[0])
+        for a, b in zip(axes, new_axes, strict=True)
+        if a.size > 1
+    )
 
 
 def _shrink(thinned: float, most: float) -> float:

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from . import criticism
 from .status import FitStatus
 
 if TYPE_CHECKING:
     from .result import WeberFit
 
+SENSITIVE = 0.05  # relative change of k under other lapse priors from which on it is told
 MISFIT = 0.01  # posterior-predictive p below which the curve is said to miss the data
 
 
@@ -46,7 +48,7 @@ def _answer(fit: WeberFit) -> str:
             lines.append(
                 f"{name}: {fit.posterior.quantile(name, 0.5):.3g} ({low:.3g} to {high:.3g})."
             )
-    if fit.status not in (FitStatus.REVERSED, FitStatus.NO_TRIALS):
+    if fit.status not in (FitStatus.REVERSED, FitStatus.ONE_SIDED, FitStatus.NO_TRIALS):
         for row in fit.threshold().to_dict(orient="records"):
             lines.append(
                 f"From standard {row['standard']:.4g}, {row['criterion']}: comparison "
@@ -71,6 +73,8 @@ def _limits(fit: WeberFit) -> str:
             f"{worst['observed']:.2f} seen, {worst['expected']:.2f} expected. "
             f"The interval above takes the model for granted and is too narrow.{_remedy(fit)}"
         )
+    lines += _failed_checks(fit)
+    lines += _sensitivity(fit)
     if _poor(fit):
         lines.append(
             "At a Weber fraction this large the curve levels off below 1 of itself, as lapses make "
@@ -79,6 +83,31 @@ def _limits(fit: WeberFit) -> str:
     if len(lines) == 1:
         lines.append("Nothing in the table speaks against the model.")
     return "\n".join(lines)
+
+
+def _failed_checks(fit: WeberFit) -> list[str]:
+    """What the data have too much of, but for the misfit, which has its own sentence."""
+    table = criticism.checks(fit).drop(index="levels", errors="ignore")
+    return [
+        f"The data show what a stationary observer does not ({name}, posterior-predictive "
+        f"p = {row['p']:.2g}); try {row['remedy']}."
+        for name, row in table[table["p"] < MISFIT].iterrows()
+    ]
+
+
+def _sensitivity(fit: WeberFit) -> list[str]:
+    """How far the answer hangs on what is believed about lapses."""
+    if not fit.status.ok:
+        return []
+    change = fit.lapse_sensitivity["change"]
+    if change.abs().max() < SENSITIVE:
+        return []
+    return [
+        "What is believed about lapses moves the Weber fraction: by "
+        f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
+        "lapses to one that never does. Easy trials, or more sessions or animals fitted together, "
+        "tell the lapses."
+    ]
 
 
 def _remedy(fit: WeberFit) -> str:
@@ -97,6 +126,7 @@ def _next(fit: WeberFit) -> str:
     advice = {
         FitStatus.NO_TRIALS: "Trials with an answer.",
         FitStatus.REVERSED: "Nothing yet: first check choice_labels and the order of the stimuli.",
+        FitStatus.ONE_SIDED: "Answers of both kinds: first find out why the animal gave only one.",
         FitStatus.NOT_CONVERGED: "Nothing yet: fit by the other method first.",
         FitStatus.UNINFORMED: "Comparisons at several distances from the standard, on both sides, "
         "some easy enough that the animal is nearly always right.",

@@ -11,6 +11,10 @@ class FitStatus(Enum):
         "the answers run against the stimuli: the labels of the answers, or the two stimuli, look "
         "exchanged, and the Weber fraction below means nothing until that is settled"
     )
+    ONE_SIDED = (
+        "all answers are the same: they tell of a preference, not of what was felt, and the Weber "
+        "fraction below means nothing"
+    )
     NOT_CONVERGED = "the posterior was not computed to the accuracy asked for"
     UNINFORMED = "the data say next to nothing about the Weber fraction: the posterior is the prior"
     UPPER_BOUND = (

@@ -26,6 +26,8 @@ def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tu
         return FitStatus.NO_TRIALS, notes
     if _reversed(model, posterior):
         return FitStatus.REVERSED, notes
+    if _one_sided(model):
+        return FitStatus.ONE_SIDED, notes
     if posterior.trouble:
         return FitStatus.NOT_CONVERGED, (
             *notes,
@@ -57,6 +59,7 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     share = cells.count / np.maximum(cells.n, 1)
     if (
         cells.n.size > 1
+        and not _one_sided(model)
         and np.all(
             np.where(
                 model.percepts.mean_2 == model.percepts.mean_1, True, (share == 0) | (share == 1)
@@ -66,6 +69,15 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     ):
         notes.append("Every level is answered all one way: only harder comparisons can tell more.")
     return tuple(notes)
+
+
+def _one_sided(model: WeberModel) -> bool:
+    """Whether every pair, of those that should differ in their answers, has the same answer."""
+    c = model.cells
+    if model.task.guess_rate is not None or c.n.size < 2 or c.count.sum() not in (0, c.n.sum()):
+        return False
+    d = model.task.decide(model.percepts.felt(np.float64(1.0)))[0]
+    return bool(np.ptp(d) > 0 and (model.task.bias_name == "criterion" or d.min() < 0 < d.max()))
 
 
 def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:

@@ -8,6 +8,7 @@ from .force_map import ForceMap
 from .fused import Fused
 from .lateral_slip import LateralSlip
 from .protocol import Cue
+from .space_map import SpaceMap
 from .unknown_stiffness import UnknownStiffness
 from .vibration import Vibration
 from .vibrissa_length import VibrissaLength
@@ -22,6 +23,7 @@ __all__ = [
     "ForceMap",
     "Fused",
     "LateralSlip",
+    "SpaceMap",
     "TwoWhiskers",
     "UnknownStiffness",
     "Vibration",

@@ -135,7 +135,7 @@ class LateralSlip:
 
     def default_noise(self) -> Joint:
         """Noise of a tenth of the moment in both of its components: k = 0.1, and 0.1 rad."""
-        return Joint([Weber(0.1), GeneralisedWeber(1e-9, floor=0.1)], sizes=[1, 1])
+        return Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[1, 1])
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, m."""

@@ -109,16 +109,19 @@ def _newton(
             usual = 3 * np.maximum(1.0, (compliance[at] / d) ** 2)
             left[at] = 10 * now**2 * np.maximum(now / before[at] ** 2, usual)
             path = path.moved(ds, df)
+            # Errors of the pass grow towards the fold as they become those of the signals.
+            grown = np.clip(np.abs(compliance[at] / d), 1.0, 100.0)
+            exact = np.maximum(tolerance / grown, min(tolerance, 1e-12))
             # The next pass need be no better than what its step will leave.
             last = 300 * now**4 < tolerance
-            bound = np.where(last, 0.5 * tolerance, np.clip(1e-2 * now**2, tolerance, 1e-4))
+            bound = np.where(last, 0.5 * exact, np.clip(1e-2 * now**2, exact, 1e-4))
             steps[at] = needed(path.steps, path.error, bound)
         size[at] = now
         s[at] += ds
         f[at] += df
         paths = path if paths is None else paths.put(at, path)
         before[at] = np.minimum(now, 1.0)
-        done = (left[at] <= tolerance) & (path.error <= tolerance)
+        done = (left[at] <= tolerance) & (path.error <= exact)
         lost = (count > 4) & (now > 0.1)
         active = at[~(done | lost)]
         if not active.size:

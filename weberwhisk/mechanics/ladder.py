@@ -50,7 +50,7 @@ def bend(
         Angle by which friction tilts the force from the normal towards the base, rad.
     model : {"closed_form", "elastica", "profile"}, optional
         The rung to use. By default the cheapest that models all there is: the elastica for every
-        straight whisker without friction, and the profile, some ten times dearer, for intrinsic
+        straight whisker without friction, and the profile, some twenty times dearer, for intrinsic
         curvature, other stiffness profiles and friction. `rod.bend` takes forces out of the plane.
     tolerance : float
         Relative error of the signals to stay below where equations are integrated: by the profile.

@@ -199,6 +199,7 @@ def press(
         slick = replace(scenes.take(ended), friction=np.zeros(ended.size))
         held = slick.press(distance[ended], target[:, ended])[1] == Outcome.HELD
         outcome[ended[held]] = Outcome.STUCK
+    tolerance = 0.03 * tolerance  # towards the fold errors of the pass grow in the signals
     base = scenes.resolve(v, tolerance)
     held = outcome == Outcome.HELD
     for _ in range(6):

@@ -29,6 +29,7 @@ class Status(IntEnum):
     NOT_GAUSSIAN = 3
     IMPRECISE = 4
     NOT_CONVERGED = 5
+    SEVERAL_PEAKS = 6
 
     @property
     def message(self) -> str:
@@ -44,6 +45,8 @@ _MESSAGES = {
     Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
     Status.IMPRECISE: "the estimated error is above the tolerance",
     Status.NOT_CONVERGED: "the walkers have not converged",
+    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone: "
+    "use quadrature",
 }
 
 

@@ -14,6 +14,7 @@ from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stac
 from .grid import Density, integrate
 from .mode import Mode, find_mode
 from .moves import StackedGrid
+from .peaks import is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
@@ -78,6 +79,7 @@ def sample(
     at_mode = observer.contact(np.concatenate(modes))[0]
     status = np.where(is_unidentified(observer, at_mode), Status.UNIDENTIFIED, 0)
     status = np.where(is_improbable(observer, reading, at_mode), Status.IMPROBABLE_READING, status)
+    status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
 
     def quantile_of(p: Array) -> Array:

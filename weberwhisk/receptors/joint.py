@@ -62,11 +62,11 @@ class Joint:
         counts = [n.reading_size(s) for n, s in zip(self.noises, self.sizes, strict=True)]
         return np.split(np.asarray(reading, dtype=float), np.cumsum(counts)[:-1], axis=-1)
 
-    def _each(
+    def each(
         self, function: Callable[[ReceptorNoise, Array], Array], signals: ArrayLike
     ) -> list[Array]:
-        pairs = zip(self.noises, self._signals(signals), strict=True)
-        return [function(noise, part) for noise, part in pairs]
+        """A function of every model and its signals."""
+        return [function(noise, part) for noise, part in self.parts(signals)]
 
     def reading_size(self, signals: int) -> int:
         """The readings of all models."""
@@ -75,28 +75,27 @@ class Joint:
 
     def mean(self, signals: ArrayLike) -> Array:
         """Mean of the readings, (..., R)."""
-        return np.concatenate(self._each(lambda n, s: n.mean(s), signals), axis=-1)
+        return np.concatenate(self.each(lambda n, s: n.mean(s), signals), axis=-1)
 
     def sd(self, signals: ArrayLike) -> Array:
         """Standard deviation of each number of a reading, (..., R)."""
-        return np.concatenate(self._each(lambda n, s: n.sd(s), signals), axis=-1)
+        return np.concatenate(self.each(lambda n, s: n.sd(s), signals), axis=-1)
 
     def jacobian(self, signals: ArrayLike) -> Array:
         """d mean/d signal, (..., R, S): one block a model."""
-        return _blocks(self._each(lambda n, s: n.jacobian(s), signals))
+        return _blocks(self.each(lambda n, s: n.jacobian(s), signals))
 
     def covariance(self, signals: ArrayLike) -> Array:
         """Covariance of the readings, (..., R, R): one block a model."""
-        return _blocks(self._each(lambda n, s: n.covariance(s), signals))
+        return _blocks(self.each(lambda n, s: n.covariance(s), signals))
 
     def fisher(self, signals: ArrayLike) -> Array:
         """Fisher information about the signals, (..., S, S): one block a model."""
-        return _blocks(self._each(lambda n, s: n.fisher(s), signals))
+        return _blocks(self.each(lambda n, s: n.fisher(s), signals))
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
         """Readings outside are rarer than those `width` sd from a Gaussian's mean, (..., R)."""
-        pairs = zip(self.noises, self._signals(signals), strict=True)
-        ends = [noise.interval(part, width) for noise, part in pairs]
+        ends = [noise.interval(part, width) for noise, part in self.parts(signals)]
         low, high = (np.concatenate(side, axis=-1) for side in zip(*ends, strict=True))
         return low, high
 
@@ -111,7 +110,7 @@ class Joint:
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., R)."""
         rng = np.random.default_rng(seed)
-        return np.concatenate(self._each(lambda n, s: n.sample(s, rng), signals), axis=-1)
+        return np.concatenate(self.each(lambda n, s: n.sample(s, rng), signals), axis=-1)
 
 
 def _blocks(matrices: list[Array]) -> Array:
