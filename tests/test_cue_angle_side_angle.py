@@ -211,7 +211,7 @@ def test_it_says_where_it_does_not_work():
         (lambda: AngleSideAngle(bearings=(0.5, 4.0)), "bearings must go up between 0 and π"),
         (lambda: TwoWhiskers(neighbour_length=-1), "neighbour_length must be above zero"),
         (lambda: ContactAndDetachment(push=-0.1), "push must not be negative"),
-        (lambda: ww.Observer(W, ContactAndDetachment(push=2.0)), "No contact holds"),
+        (lambda: ww.Observer(W, ContactAndDetachment(push=2.0)), "No contact holds a push of 114"),
         (lambda: ww.Observer(W, AngleSideAngle(60e-3)), "a side of 0.06 m and a reach of 0.05 m"),
         (lambda: AngleSideAngle().radial_distance(W, [0.1, np.nan]), "angles must be finite"),
     ],

@@ -17,8 +17,8 @@ from .._checks import finite, non_negative, positive
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .compliance import Compliance
 from .protocol import Array
+from .reach import reach_at
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))
@@ -287,7 +287,7 @@ class ContactAndDetachment(AngleSideAngle):
 @lru_cache(maxsize=64)
 def _held_to(whisker: Whisker, push: float) -> float:
     """The distance at which a deflection is the largest that is held, m."""
-    return Compliance(tap_angle=push).farthest(whisker)
+    return reach_at(whisker, push, "push")
 
 
 def triangle_jnd(
