@@ -3,7 +3,7 @@
     python analyses/real_data.py [folder]
 
 Writes `real_data.md` (the report) and `figures/real_data.png` into this folder, or the one named.
-`--short` fits the last ten sessions of the rat only, as the tests do.
+`--short` fits the last ten sessions of the rat only, as the slow tests do.
 """
 
 from __future__ import annotations
@@ -172,8 +172,8 @@ def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path
     )  # fmt: skip
     course.set_ylim(bottom=0)
     course.set_xlabel("session")
-    course.set_ylabel("Weber fraction per unit, 95 %")
-    course.text(0.04, 0.9, "the rat", transform=course.transAxes)
+    course.set_ylabel("Weber fraction per unit")
+    course.text(0.78, 0.9, "the rat", transform=course.transAxes)
     figures.residuals(residuals_by(whole, "session"), off)
     off.text(0.04, 0.9, "the rat", transform=off.transAxes)
     for ax, fit in zip((one, two), fits, strict=True):

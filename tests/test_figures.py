@@ -257,3 +257,11 @@ def test_pairs_show_the_draws(fit: ww.WeberFit) -> None:
     assert (y >= 0).all()
     assert (y <= 1).all()
     assert not grid[0, 0].get_yticks().size
+
+
+@pytest.mark.slow
+def test_real_data_are_reported(tmp_path: Path) -> None:
+    report = load("real_data").main(tmp_path, short=True).read_text("utf-8")
+    assert "contraction against" in report
+    assert "nan" not in report
+    assert (tmp_path / "figures" / "real_data.png").stat().st_size > 10_000
