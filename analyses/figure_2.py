@@ -221,11 +221,13 @@ def _lines(ax: Axes, name: str) -> None:
         ax.loglog(force[:, i], moment[:, i], color=shade, linewidth=0.9)
         ax.plot(force[-1, i], moment[-1, i], "o", color=shade, markersize=2.5)
         if share in NUMBERED[name]:
+            fallen = moment[-1, i] < 0.8 * moment[:, i].max()  # its end is clear of other lines
             ax.annotate(
                 f"{share:g}",
                 (force[-1, i], moment[-1, i]),
-                (3, -1),
+                (3, -1) if fallen else (-3, 1.5),
                 textcoords="offset points",
+                ha="left" if fallen else "right",
                 fontsize=6,
             )
     ax.plot([], [], "o-", color="0.4", markersize=2.5, label="number: s/L; end: α = 90°")

@@ -19,6 +19,7 @@ import typer
 import weberwhisk as ww
 from weberwhisk import _checks, cli
 from weberwhisk._terminal import new_app, progress, run_app
+from weberwhisk.commands.options import SCENES
 from weberwhisk.runs import Run
 
 WHISKER = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
@@ -397,6 +398,7 @@ WAITING = """
 import signal, sys, typer
 from pathlib import Path
 from weberwhisk._terminal import new_app, run_app
+from weberwhisk.commands.options import SCENES
 from weberwhisk.runs import Run
 
 app = new_app()
@@ -473,6 +475,23 @@ def test_jnd_of_the_force_map_combines_each_with_each(
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "jnd.csv", "jnd.png", "jnd.svg", "jnd.run.json",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("cue", sorted(SCENES))
+def test_jnd_of_every_other_cue(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cue: str
+) -> None:
+    scene = [*SOFT, "--cue", cue, "--radial-distance-mm", "10,20,49.9", "--draws", "3"]
+    assert run_app(cli.app, ["jnd", *scene, "--out", str(tmp_path / "out")]) == 0
+    assert "criterion d'=1" in capsys.readouterr().out
+    table = pd.read_csv(tmp_path / "out" / "jnd.csv")
+    held = table["outcome"].str.startswith("held")
+    assert held[:2].all()
+    assert (table["posterior_mm"][held] > 0).all()
+    assert table["posterior_mm"][~held].isna().all()
+    events = cue in ("vibrissa-length", "comparative-length")
+    assert table["closed_form_mm"][held].isna().all() == events
+    assert (tmp_path / "out" / "jnd.png").stat().st_size > 0
 
 
 @pytest.mark.parametrize(
@@ -679,6 +698,12 @@ C2 = ["--identity", "C2"]
         (["jnd", *C2, "--radial-distance-mm", "-3"], "must be above zero, got -3"),
         (["jnd", *C2, "--deflection-angle-deg", "5,9"], "one angle of tap, got 2 values"),
         (["jnd", *C2, "--deflection-angle-deg", "-3"], "must not be negative, got -3"),
+        (
+            ["jnd", *C2, "--cue", "two-whiskers", "--weber-fraction", "0.1"],
+            "no use for --weber-fraction",
+        ),
+        (["jnd", *C2, "--cue", "two-whisker"], "did you mean 'two-whiskers'?"),
+        (["simulate", *C2, "--cue", "two-whiskers"], "choose one of compliance, force-map"),
         (["simulate", "--weber-fraction", "-1"], "weber_fraction must be above zero"),
         (["simulate", "--weber-fraction", "x"], "'x' is not a number"),
         (["simulate", "--standard", "0"], "--standard must be above zero, got 0"),

@@ -6,17 +6,36 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import Compliance, Cue, ForceMap
+from weberwhisk.cues import (
+    BalanceOfMoments,
+    Compliance,
+    Cue,
+    ForceMap,
+    Fused,
+    VibrissaLength,
+)
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
-CUES = [Compliance(), Compliance(tap_angle=0.15, angular_velocity=4.0), ForceMap()]
+CUES = [
+    Compliance(),
+    Compliance(tap_angle=0.15, angular_velocity=4.0),
+    ForceMap(),
+    ForceMap(["transverse_force", "moment", "axial_force"]),
+    ForceMap("moment", deflection_angle=0.15),
+    Fused(Compliance(), ForceMap()),
+    VibrissaLength(),
+    BalanceOfMoments(effort=None),
+]
 
 
 def contacts(cue, n=50):
     rng = np.random.default_rng(1)
     r = rng.uniform(0.05, 0.8, n) * W.length
-    theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.9, n)
+    limit = ww.flick_past(W, r).deflection_angle
+    if hasattr(cue, "largest_angle"):
+        limit = np.minimum(limit, cue.largest_angle(W, r))
+    theta = limit * rng.uniform(0.05, 0.9, n)
     return np.stack([r, theta], axis=-1)[:, : len(cue.unknowns)]
 
 
@@ -58,7 +77,7 @@ def test_compliance_reaches_as_far_as_the_tap_can_be_held():
     signals, outcome = cue.signals(W, beyond)
     assert outcome[0] == Outcome.FLICKED_PAST
     assert np.isnan(signals).all()
-    with pytest.raises(ValueError, match="No contact holds a tap of 120"):
+    with pytest.raises(ValueError, match="No contact holds a tap_angle of 120"):
         Compliance(tap_angle=np.radians(120)).farthest(W)
 
 

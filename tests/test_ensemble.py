@@ -21,7 +21,7 @@ from weberwhisk.posterior.ensemble import (
     sample_stacked,
 )
 from weberwhisk.posterior.grid import integrate
-from weberwhisk.posterior.moves import StackedIndependence
+from weberwhisk.posterior.moves import StackedGrid
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
@@ -462,21 +462,45 @@ def test_misuse_is_refused_in_one_sentence(
     assert capsys.readouterr().out == ""  # emcee would print the walkers
 
 
-def test_independent_proposals_leave_a_density_as_it_is() -> None:
-    # A skewed density and a guess that is off: exact moments of ln of a gamma variable.
-    shape = np.array([3.0, 8.0])
+def gamma_logs(x: Array, index: NDArray[np.intp]) -> Array:
+    """Skewed in the first coordinate (ln of a gamma variable), the standard normal in the other."""
+    a = GAMMA[index][:, None]
+    return (a * x[..., 0] - np.exp(x[..., 0])) - 0.5 * x[..., 1] ** 2
 
-    def density(x: Array, index: NDArray[np.intp]) -> Array:
-        a = shape[index][:, None]
-        return (a * x[..., 0] - np.exp(x[..., 0])) - 0.5 * x[..., 1] ** 2
 
-    centre = np.stack([np.log(shape) + 0.3, np.full(2, 0.2)], axis=1)
-    root = np.eye(2) * np.stack([1.5 / np.sqrt(shape), np.full(2, 1.3)], axis=1)[:, None]
-    start = centre[:, None, None] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 6, 2))
-    guess = partial(StackedIndependence, centre=centre, root=root)
-    fit = sample_stacked(density, start, seed=4, moves=[(guess, 1.0)], indexed=True)
+GAMMA = np.array([3.0, 8.0])
+CENTRE = np.stack([np.log(GAMMA) + 0.3, np.full(2, 0.2)], axis=1)
+ROOT = np.eye(2) * np.stack([1.5 / np.sqrt(GAMMA), np.full(2, 1.3)], axis=1)[:, None]
+
+
+@pytest.mark.parametrize("tolerance", [0.5, 0.01])
+def test_grid_proposals_leave_a_density_as_it_is(tolerance: float) -> None:
+    grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=tolerance, keep_points=True)
+    assert grid.nodes is not None
+    start = CENTRE[:, None, None] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 6, 2))
+    guess = partial(StackedGrid, nodes=grid.nodes)
+    fit = sample_stacked(gamma_logs, start, seed=4, moves=[(guess, 1.0)], indexed=True)
     assert fit.converged.all()
-    mean, sd = special.digamma(shape), np.sqrt(special.polygamma(1, shape))
+    assert fit.tau.max() < 3  # nearly independent draws
+    mean, sd = special.digamma(GAMMA), np.sqrt(special.polygamma(1, GAMMA))
     assert np.all(np.abs(fit.mean[:, 0] - mean) < 4 * fit.mcse_mean[:, 0])
     assert np.all(np.abs(fit.sd[:, 0] - sd) < 4 * fit.mcse_sd[:, 0])
     assert np.all(np.abs(fit.sd[:, 1] - 1) < 4 * fit.mcse_sd[:, 1])
+
+
+def test_grid_proposals_are_drawn_from_the_density_they_claim() -> None:
+    grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=0.5, keep_points=True)
+    assert grid.nodes is not None
+    move = StackedGrid(800, np.random.default_rng(2), nodes=grid.nodes, wide=0.3)
+    move.alive = np.arange(2)
+    # E[1/q(x)] over draws of q that land in a box is the area of the box.
+    index = np.arange(2)
+    inverse = []
+    for _ in range(200):
+        x, _ = move.proposal(np.zeros((2, 400, 2)), np.zeros((2, 400, 2)))
+        inside = (np.abs(x - CENTRE[:, None]) < [0.7, 1.5]).all(axis=-1)
+        inverse.append(np.where(inside, np.exp(-move.log_density(x, index)), 0.0))
+    values = np.concatenate(inverse, axis=1)
+    error = values.std(axis=1) / np.sqrt(values.shape[1])
+    assert np.all(error < 0.05)
+    assert np.all(np.abs(values.mean(axis=1) - 4 * 0.7 * 1.5) < 4 * error)

@@ -2,47 +2,19 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.cues import Compliance, ForceMap, UnknownStiffness
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 
 
-class Softened:
-    """Any cue of forces, of a whisker whose modulus is known up to a factor."""
-
-    def __init__(self, cue, spread):
-        self.cue, self.spread = cue, spread
-        self.signal_names = cue.signal_names
-        self.unknowns = (*cue.unknowns, "stiffness")
-
-    def priors(self, whisker):
-        return {"stiffness": stats.lognorm(self.spread)}
-
-    def default_noise(self):
-        return Weber(0.1)
-
-    def farthest(self, whisker):
-        return self.cue.farthest(whisker)
-
-    def signals(self, whisker, contact, *, model=None):
-        signals, outcome = self.cue.signals(whisker, contact[..., :-1], model=model)
-        return signals * contact[..., -1:], outcome
-
-    def jacobian(self, whisker, contact, *, model=None):
-        slope = self.cue.jacobian(whisker, contact[..., :-1], model=model) * contact[..., -1:, None]
-        signals, _ = self.cue.signals(whisker, contact[..., :-1], model=model)
-        return np.concatenate([slope, signals[..., None]], axis=-1)
-
-
 @pytest.fixture(scope="module")
 def tap():
     """A tap, the stiffness unknown by 20 %, and the posterior of r on a fine grid."""
-    observer = ww.Observer(W, Softened(Compliance(), 0.2))
+    observer = ww.Observer(W, UnknownStiffness(Compliance(), 0.2))
     reading = observer.read([25e-3, 1.1], seed=5)
     r = (np.arange(4000) + 0.5) / 4000 * W.length
     stiffness = np.exp(0.2 * np.linspace(-8, 8, 801))
@@ -69,7 +41,7 @@ def test_the_stiffness_is_integrated_out(tap, method, accuracy):
 @pytest.mark.parametrize("method", ["quadrature", "emcee"])
 def test_a_third_unknown_that_is_known_changes_nothing(method):
     plain = ww.Observer(W, ForceMap(), Weber(0.05))
-    other = ww.Observer(W, Softened(ForceMap(), 1e-4), Weber(0.05))
+    other = ww.Observer(W, UnknownStiffness(ForceMap(), 1e-4), Weber(0.05))
     reading = plain.read([25e-3, 0.3], seed=3)
     p, q = (ww.posterior(o, reading, method=method, seed=2) for o in (plain, other))
     assert p.status == q.status == 0
@@ -82,7 +54,7 @@ def test_a_wider_prior_of_the_stiffness_widens_the_jnd():
     r = np.array([[25e-3, 0.3, 1.0]])
     jnds = []
     for spread in (1e-6, 0.05, 0.2):
-        observer = ww.Observer(W, Softened(ForceMap(), spread))
+        observer = ww.Observer(W, UnknownStiffness(ForceMap(), spread))
         jnds.append([weber_propagation(observer, r)[0], fisher_jnd(observer, r)[0]])
     plain = ww.Observer(W, ForceMap())
     assert jnds[0] == pytest.approx(
@@ -92,7 +64,7 @@ def test_a_wider_prior_of_the_stiffness_widens_the_jnd():
 
 
 def test_a_taps_jnd_adds_the_variances_of_noise_and_stiffness():
-    observer = ww.Observer(W, Softened(Compliance(), 0.2))
+    observer = ww.Observer(W, UnknownStiffness(Compliance(), 0.2))
     r, a = 25e-3, W.apex_distance
     # ln signal has sd k from noise and 0.2 from the stiffness, and slope −A/(r(A − r)) in r.
     expected = np.hypot(0.1, 0.2) * r * (1 - r / a)

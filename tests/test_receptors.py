@@ -27,6 +27,7 @@ GAUSSIAN = {
     "negative": Weber(0.2, correlation=-0.9),
     "floor": GeneralisedWeber(0.1, floor=[0.2, 0.1]),
     "ceiling": GeneralisedWeber(0.1, floor=0.2, ceiling=[1.5, 9.0], correlation=0.3),
+    "constant": GeneralisedWeber(0.0, floor=[0.2, 0.1], correlation=-0.4),
     "saturating": Saturating([0.1, 0.2], ceiling=[3.0, 9.0], sharpness=2.0, floor=0.1),
     "near miss": NearMiss([0.1, 0.2], exponent=0.8, reference=[1.0, 4.0], correlation=-0.3),
 }
@@ -370,6 +371,7 @@ def test_a_log_normal_force_map_has_webers_linear_jnd():
         (lambda: Weber(np.nan), "weber_fraction must be finite, got nan"),
         (lambda: Weber("small"), "weber_fraction must be a number"),
         (lambda: Weber(0.1, correlation=1.2), "correlation must lie between -1 and 1, got 1.2"),
+        (lambda: GeneralisedWeber(0, floor=[0, 1]), "A signal without noise has no likelihood"),
         (lambda: GeneralisedWeber(0.1, floor=-1), "floor must not be negative, got -1"),
         (lambda: GeneralisedWeber(0.1, floor=1, ceiling=0), "ceiling must be above zero"),
         (lambda: Weber(0.1, correlation=1).log_likelihood([1.0, 2], [1.0, 2]), "has no likelihood"),

@@ -147,6 +147,73 @@ def test_pathologies():
     assert rod.press(CURVED, [60e-3, 0, 0]).outcome is Outcome.OUT_OF_REACH
 
 
+def flat(r, theta):
+    return np.stack([r * np.cos(theta), r * np.sin(theta), 0 * (r * theta)], axis=-1)
+
+
+def test_contact_at_the_very_base():
+    """Lengths vanish and forces grow without bound: every size must be relative."""
+    r = 1e-9 * 50e-3
+    b = rod.press(STRAIGHT, flat(r, 0.3))
+    assert b.outcome is Outcome.HELD
+    assert b.magnitude == pytest.approx(profile.press(STRAIGHT, r, 0.3).force, rel=1e-9)
+
+
+@pytest.mark.parametrize("curvature", [0.0, 5.0])
+@pytest.mark.parametrize("share", [0.0, 1e-3, 0.5, 2.0])
+def test_contact_at_the_very_tip(curvature, share):
+    """No arc lies beyond, so that derivatives exist on one side only; a hair further it slips."""
+    w = Whisker(50e-3, 100e-6, 100e-6, 3e9, curvature=curvature)
+    b = profile.bend(w, 50e-3, share * w.force_scale)
+    r, theta = b.radial_distance, b.deflection_angle
+    at, beyond = rod.press(w, flat(r, theta)), rod.press(w, flat(r, theta + 1e-3))
+    assert at.outcome is Outcome.HELD
+    assert at.magnitude == pytest.approx(share * w.force_scale, rel=1e-8, abs=1e-12)
+    assert at.arc_length == pytest.approx(50e-3, rel=1e-8)
+    assert beyond.outcome is Outcome.SLIPPED_OFF_TIP
+    assert np.all(np.isnan(beyond.moment))
+
+
+def test_radius_ratio_to_one_and_to_infinity():
+    """ln of the ratio sets the steps: 0/0 for a cylinder, without bound for a cone."""
+    tips = 100e-6 * np.array([1, 1 - 1e-15, 1 - 1e-9, 1e-6, 1e-12, 0])
+    w = Whisker(50e-3, 100e-6, tips, 3e9, curvature=-8.0)
+    theta = profile.rest_angle(w, 30e-3) + 0.2
+    space, plane = rod.press(w, flat(30e-3, theta)), profile.press(w, 30e-3, theta)
+    assert np.all(space.outcome == Outcome.HELD)
+    np.testing.assert_allclose(space.moment[:, 2], plane.moment, rtol=1e-7)
+    np.testing.assert_allclose(space.moment[:3, 2], space.moment[0, 2], rtol=1e-8)
+    np.testing.assert_allclose(space.moment[3:, 2], space.moment[-1, 2], rtol=1e-5)
+
+
+def test_the_fold_itself():
+    """Held just before it, past it just after; nearer, a walk by 1e-6 rad cannot tell."""
+    end = profile.flick_past(CURVED, 25e-3).deflection_angle
+    near = rod.press(CURVED, flat(25e-3, end + np.array([-1e-5, 1e-5])))
+    np.testing.assert_array_equal(near.outcome, [Outcome.HELD, Outcome.FLICKED_PAST])
+
+
+def test_friction_at_which_nothing_slides():
+    """No sliding contact gets there, but one without friction does: friction holds it."""
+    r, theta = 44e-3, np.radians(9)
+    got = rod.press(STRAIGHT, flat(r, theta), np.arctan([0.1, 20.0]))
+    np.testing.assert_array_equal(got.outcome, [Outcome.HELD, Outcome.STUCK])
+    np.testing.assert_array_equal(
+        got.outcome, profile.press(STRAIGHT, r, theta, np.arctan([0.1, 20.0])).outcome
+    )
+    assert np.all(np.isnan(got.moment[1]))
+
+
+def test_a_whisker_that_meets_the_sphere_twice_is_touched_nearer_to_the_base():
+    """κL = 4.5: the tip has curled back inside the sphere of radius 20 mm."""
+    w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=90.0)
+    theta = profile.rest_angle(w, 20e-3) + 0.02
+    space, plane = rod.press(w, flat(20e-3, theta)), profile.press(w, 20e-3, theta)
+    assert space.outcome is plane.outcome is Outcome.HELD
+    assert space.arc_length == pytest.approx(plane.arc_length, rel=1e-8)
+    assert rod.press(w, flat(23e-3, 0.5)).outcome is Outcome.OUT_OF_REACH  # beyond 2/κ
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
+    from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor, jnd_curve
     from .mechanics import (
         Bending,
@@ -75,6 +76,9 @@ _HOME = {
     "Posterior": "posterior",
     "Status": "posterior",
     "posterior": "posterior",
+    "added_information": "fusion",
+    "fused_jnds": "fusion",
+    "information": "fusion",
     "convert_jnd": "jnd",
     "criterion_factor": "jnd",
     "jnd_curve": "jnd",
@@ -106,6 +110,7 @@ __all__ = [
     "Trials",
     "WeberFit",
     "Whisker",
+    "added_information",
     "bend",
     "choose_rung",
     "compare",
@@ -115,7 +120,9 @@ __all__ = [
     "fit_population",
     "fit_weber",
     "flick_past",
+    "fused_jnds",
     "identities",
+    "information",
     "jnd_curve",
     "mechanics",
     "posterior",

@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from ._checks import finite, one_of, positive
 from .mechanics.contact import Outcome
 from .observer import Observer
-from .receptors import Seed
+from .receptors import Events, Joint, ReceptorNoise, Seed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,15 +98,22 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     Returns
     -------
     array
-        NaN where the contact is not held, infinite where the signals cannot tell distance (the
-        cylinder's force map).
+        NaN where the contact is not held, and for chances of events; infinite where the signals
+        cannot tell distance (the cylinder's force map).
 
     Notes
     -----
     Linear: at large angles the map cue's curve for axial-force noise alone passes through a false
     zero, where ∂M/∂θ_d = 0; the posterior does not.
+
+    An event is all or none, and never near its chance: no noise is so small that one event could
+    be carried to distance along a slope. Events are left out, in a fusion of cues too; the
+    information and the posterior have them.
     """
     contact = observer.checked(contact)
+    linear = ~_of_events(observer.noise, len(observer.cue.signal_names))
+    if not linear.any():
+        return np.full(contact.shape[:-1], np.nan)
     model = model or observer.model
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
     held = outcome == Outcome.HELD
@@ -115,6 +122,8 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
         observer.whisker, contact, model=model
     )
     covariance = observer.noise.covariance(signals)
+    if not linear.all():
+        slope, covariance = slope[..., linear, :], covariance[..., linear, :][..., linear]
     if observer.bounded < contact.shape[-1]:
         slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
@@ -153,6 +162,14 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
     variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
+
+
+def _of_events(noise: ReceptorNoise, signals: int) -> NDArray[np.bool_]:
+    """Which numbers of a reading report events, (R,)."""
+    if isinstance(noise, Joint):
+        pairs = zip(noise.noises, noise.sizes, strict=True)
+        return np.concatenate([_of_events(*pair) for pair in pairs])
+    return np.full(noise.reading_size(signals), isinstance(noise, Events))
 
 
 def _with_priors(
@@ -261,7 +278,7 @@ def jnd_curve(
     if draws < 2:
         raise ValueError(f"A JND needs at least two noisy readings, got draws={draws}; write 200.")
     contact = _contact(observer, radial_distance, deflection_angle)
-    _, outcome = observer.signals(contact)
+    signals, outcome = observer.signals(contact)
     held = outcome == Outcome.HELD
     table = pd.DataFrame(
         {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
@@ -273,7 +290,7 @@ def jnd_curve(
     table[list(columns)] = np.nan
     if held.any():
         reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
-        readings = observer.read(np.repeat(contact[held], draws, axis=0), reading_seed)
+        readings = observer.noise.sample(np.repeat(signals[held], draws, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
         sd, mean = (np.reshape(v, (-1, draws)) for v in (result.sd, result.mean))
         scatter = mean.std(axis=1, ddof=1)

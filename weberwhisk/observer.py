@@ -13,7 +13,7 @@ from ._checks import finite, one_of
 from .cues.protocol import Cue
 from .mechanics.contact import Outcome
 from .mechanics.surface import surface_of
-from .receptors import ReceptorNoise, Seed
+from .receptors import Events, ReceptorNoise, Seed
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -40,7 +40,8 @@ class Observer:
     Raises
     ------
     ValueError
-        For whisker fields that are arrays, a prior of something that is not unknown, a prior
+        For whisker fields that are arrays, chances of events with noise of something else or the
+        other way round, a prior of something that is not unknown, a prior
         that has no overlap with the whisker's reach.
 
     Notes
@@ -83,6 +84,12 @@ class Observer:
         self.whisker = whisker
         self.cue = cue
         self.noise: ReceptorNoise = cue.default_noise() if noise is None else noise
+        if isinstance(self.noise, Events) != isinstance(cue.default_noise(), Events):
+            raise ValueError(
+                f"The signals of {cue!r} are not what this noise reports, got {self.noise!r}; "
+                f"leave noise out for {cue.default_noise()!r}."
+            )
+        self.noise.reading_size(len(cue.signal_names))
         for name in prior or {}:
             one_of("prior of", name, cue.unknowns)
         self.prior = {**cue.priors(whisker), **(prior or {})}
@@ -126,7 +133,7 @@ class Observer:
         )
         log_prior += np.log(high - low)
         if self.bounded > 1:
-            low_angle, width = self._angles(out[..., 0])
+            low_angle, width = self.angle_range(out[..., 0])
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 fraction, log_slope = _squash(x[..., 1] - self._shear(out[..., 0], width))
                 out[..., 1] = low_angle + width * fraction
@@ -146,7 +153,7 @@ class Observer:
         out = np.empty(contact.shape)
         out[..., 0] = _unplace((contact[..., 0] - low) / (high - low))
         if self.bounded > 1:
-            low_angle, width = self._angles(contact[..., 0])
+            low_angle, width = self.angle_range(contact[..., 0])
             out[..., 1] = _unsquash((contact[..., 1] - low_angle) / width) + self._shear(
                 contact[..., 0], width
             )
@@ -165,7 +172,7 @@ class Observer:
         if self.bounded > 1:
             low, high = self.reach
             r = low + (high - low) * _place(x[:, 0])[0]
-            x[:, 1] += self._shear(r, self._angles(r)[1])
+            x[:, 1] += self._shear(r, self.angle_range(r)[1])
         return x
 
     def at_middle(self, contact: ArrayLike) -> Array:
@@ -191,14 +198,39 @@ class Observer:
             out[..., i, i] = slope**-2
         return out
 
+    def distance_prior(self, r: ArrayLike) -> Array:
+        """Prior density of the radial distance r (...), m, up to a factor; 0 outside the reach.
+
+        The prior of the contact with all else integrated out: where the deflection angle is
+        unknown and its prior flat, the range of angles that the whisker holds at that distance.
+        """
+        r = np.asarray(r, dtype=float)
+        low, high = self.reach
+        inside = (r > low) & (r < high)
+        place = np.where(inside, r, (low + high) / 2)
+        density = np.ones(r.shape)
+        if "radial_distance" in self.prior:
+            density = self.prior["radial_distance"].pdf(place)
+        if self.bounded > 1:
+            least, width = self.angle_range(place)
+            if "deflection_angle" in self.prior:
+                angle = self.prior["deflection_angle"]
+                width = angle.cdf(least + width) - angle.cdf(least)
+            density = density * width
+        return np.where(inside, density, 0.0)
+
     def _shear(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
         w = self.whisker
+        # Where a prior leaves no angle there is nothing to shear.
+        width = np.maximum(width, np.finfo(float).tiny)
         return np.asarray(np.log(width * w.length * (1 / r - 1 / w.apex_distance)))
 
-    def _angles(self, r: Array) -> tuple[float, Array]:
+    def angle_range(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""
         limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
+        if hasattr(self.cue, "largest_angle"):
+            limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)

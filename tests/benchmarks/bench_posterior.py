@@ -66,20 +66,21 @@ def main() -> None:
     rate = n / (time.process_time() - start)
     print(f"{'1-D plain emcee loop, 32 walkers × 500 steps':44}{rate:12.1f} /s")
 
-    for k in (0.03, 0.1):
+    for k in (0.03, 0.1, 0.2, 0.3):
         observer = ww.Observer(W, ForceMap(), Weber(k))
-        r = rng.uniform(0.3, 0.9, 512) * W.length
-        theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.7, 512)
+        r = rng.uniform(0.3, 0.9, 4096) * W.length
+        theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.7, 4096)
         readings = observer.read(np.stack([r, theta], axis=-1), seed=2)
         exact = ww.posterior(observer, readings, tolerance=1e-3)
-        for method, bar, options in (
-            ("quadrature", "500", {}),
-            ("emcee", "100", {"seed": 3}),
-            ("laplace", "", {}),
+        for method, count, bar, options in (
+            ("quadrature", 4096, "500", {}),
+            ("emcee", 1024, "100", {"seed": 3}),
+            ("laplace", 4096, "", {}),
         ):
-            p, rate = timed(observer, readings, method, **options)
+            p, rate = timed(observer, readings[:count], method, **options)
             good = p.status == Status.CONVERGED
-            error = np.sqrt(np.mean((p.sd / exact.sd - 1)[good] ** 2)) if good.any() else np.nan
+            ratio = p.sd / exact.sd[:count] - 1
+            error = np.sqrt(np.mean(ratio[good] ** 2)) if good.any() else np.nan
             line(f"2-D {method}, k = {k}", rate, bar, error, good.mean())
 
 

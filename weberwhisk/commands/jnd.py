@@ -27,8 +27,7 @@ from .options import (
     SeedOption,
     TipRadiusOption,
     show,
-    the_cue,
-    the_noise,
+    the_scene,
     the_whisker,
 )
 
@@ -94,8 +93,7 @@ def jnd(
     whisker = the_whisker(
         identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, None
     )
-    felt, angles = the_cue(cue, deflection_angle_deg)
-    observer = ww.Observer(whisker, felt, the_noise(weber_fraction, len(felt.signal_names)))
+    observer, angles = the_scene(cue, deflection_angle_deg, weber_fraction, whisker)
     if radial_distance_mm:
         asked = numbers("--radial-distance-mm", radial_distance_mm)
         _checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
@@ -167,12 +165,12 @@ def in_millimetres(table: pd.DataFrame) -> pd.DataFrame:
     """A table of `jnd_curve` in the units of the command line."""
     written = table.copy()
     written["radial_distance"] *= 1e3
-    if "deflection_angle" in written:
-        written["deflection_angle"] = np.degrees(written["deflection_angle"])
-    for name in LENGTHS:
-        written[name] *= 1e3
-    units = {name: f"{name}_mm" for name in ("radial_distance", *LENGTHS)}
-    return written.rename(columns=units | {"deflection_angle": "deflection_angle_deg"})
+    lengths = [name for name in ("side", *LENGTHS) if name in written]
+    written[lengths] *= 1e3
+    angles = [name for name in ("deflection_angle", "bearing") if name in written]
+    written[angles] = np.degrees(written[angles])
+    units = {name: f"{name}_mm" for name in ("radial_distance", *lengths)}
+    return written.rename(columns=units | {name: f"{name}_deg" for name in angles})
 
 
 def lines_and_points(
@@ -186,7 +184,7 @@ def lines_and_points(
     parts = {}
     for angle in angles.tolist() or [None]:
         columns = [r] if angle is None else [r, np.full_like(r, angle)]
-        contact = np.stack(columns, axis=-1)
+        contact = observer.at_middle(np.stack(columns, axis=-1))
         line = pd.DataFrame(
             {
                 "radial_distance": r,
@@ -200,5 +198,5 @@ def lines_and_points(
         rows = table if angle is None else table[table["deflection_angle"] == angle]
         label = "" if angle is None else f"{np.degrees(angle):.4g}°"
         both = [line, rows[list(line.columns)]]
-        parts[label] = pd.concat(both).dropna(subset=["propagation"])
+        parts[label] = pd.concat(both).dropna(subset=["propagation", "posterior"], how="all")
     return parts

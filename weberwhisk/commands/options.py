@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -73,7 +74,10 @@ SeedOption = Annotated[
 CueOption = Annotated[
     str | None,
     typer.Option(
-        "--cue", help="What tells of distance: compliance or force-map.  [default: compliance]"
+        "--cue",
+        help="What tells of distance: compliance or force-map; in jnd also vibrissa-length, "
+        "comparative-length, angle-side-angle, two-whiskers, contact-and-detachment or "
+        "balance-of-moments.  [default: compliance]",
     ),
 ]
 AngleOption = Annotated[
@@ -87,6 +91,45 @@ AngleOption = Annotated[
 ]
 
 CUES = ("compliance", "force-map")
+
+
+def _array(whisker: ww.Whisker) -> ww.cues.ComparativeLength:
+    """A whisker between a longer and a shorter neighbour, as along a row."""
+    lengths = np.array([1.25, 0.8]) * whisker.length
+    return ww.cues.ComparativeLength(lengths, [[-2e-3, 0.0], [2e-3, 0.0]])
+
+
+WEBER_FRACTION = "--weber-fraction"
+#: Cues whose signals are not forces, in a scene that their defaults describe.
+SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
+    "vibrissa-length": lambda whisker: ww.cues.VibrissaLength(),
+    "comparative-length": _array,
+    "angle-side-angle": lambda whisker: ww.cues.AngleSideAngle(),
+    "two-whiskers": lambda whisker: ww.cues.TwoWhiskers(),
+    "contact-and-detachment": lambda whisker: ww.cues.ContactAndDetachment(),
+    "balance-of-moments": lambda whisker: ww.cues.BalanceOfMoments(),
+}
+
+
+def the_scene(
+    cue: str | None,
+    angles_deg: list[str] | None,
+    weber_fraction: list[str] | None,
+    whisker: ww.Whisker,
+) -> tuple[ww.Observer, NDArray[np.float64]]:
+    """The observer of any cue, and the deflection angles (rad) at which it feels."""
+    if cue not in SCENES:
+        name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
+        felt, angles = the_cue(name, angles_deg)
+        noise = the_noise(weber_fraction, len(felt.signal_names))
+        return ww.Observer(whisker, felt, noise), angles
+    for given, what in ((angles_deg, "--deflection-angle-deg"), (weber_fraction, WEBER_FRACTION)):
+        if given:
+            raise ValueError(
+                f"The cue {cue} has no use for {what}, got {', '.join(given)}; leave it out, or "
+                "write --cue force-map."
+            )
+    return ww.Observer(whisker, SCENES[cue](whisker)), np.array([])
 
 
 def the_cue(

@@ -1,7 +1,31 @@
 """The paper's methods of radial distance determination (§2a–h), behind one protocol."""
 
+from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
+from .balance_of_moments import BalanceOfMoments
+from .comparative_length import ComparativeLength
 from .compliance import Compliance
 from .force_map import ForceMap
+from .fused import Fused
+from .lateral_slip import LateralSlip
 from .protocol import Cue
+from .space_map import SpaceMap
+from .unknown_stiffness import UnknownStiffness
+from .vibration import Vibration
+from .vibrissa_length import VibrissaLength
 
-__all__ = ["Compliance", "Cue", "ForceMap"]
+__all__ = [
+    "AngleSideAngle",
+    "BalanceOfMoments",
+    "ComparativeLength",
+    "Compliance",
+    "ContactAndDetachment",
+    "Cue",
+    "ForceMap",
+    "Fused",
+    "LateralSlip",
+    "SpaceMap",
+    "TwoWhiskers",
+    "UnknownStiffness",
+    "Vibration",
+    "VibrissaLength",
+]

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from .._checks import non_negative, positive
 from ..mechanics import closed_form, ladder
@@ -14,10 +13,14 @@ from ..mechanics.contact import Outcome
 from ..receptors import Weber
 from ..whisker import Whisker
 from .protocol import Array
+from .reach import reach_at
 
 
 class Compliance:
-    """Radial distance from the moment rate Ṁ at a known angular velocity θ̇ (equation (2.1)).
+    """Radial distance from the moment rate Ṁ and the angular velocity θ̇ (equation (2.1)).
+
+    By default θ̇ is known. With a spread it is unknown, felt with noise of its own, and the
+    posterior of the distance is that of both readings.
 
     Parameters
     ----------
@@ -25,12 +28,19 @@ class Compliance:
         How far the whisker is pushed into the object, rad: Ṁ is the moment reached, over the time
         it took. 0, the default, is the limit of a light tap, in which the closed form is exact.
     angular_velocity : float
-        θ̇, rad/s.
+        θ̇, rad/s; with a spread, the median of its log-normal prior.
+    velocity_spread : float
+        Sd of ln θ̇ from tap to tap. 0, the default: θ̇ is known, and no signal.
 
     Raises
     ------
     ValueError
-        For a negative tap angle, an angular velocity that is not positive.
+        For a negative tap angle or spread, an angular velocity that is not positive.
+
+    Notes
+    -----
+    With Weber fractions k_M and k_θ and a wide prior the JND is √(k_M² + k_θ²)·r(1 − r/A): the
+    readings' ratio is what tells. Noise that both share cancels (a clock: ρ = 1, equal fractions).
 
     Examples
     --------
@@ -40,50 +50,88 @@ class Compliance:
     0.02
     """
 
-    signal_names: tuple[str, ...] = ("moment_rate",)
-    unknowns: tuple[str, ...] = ("radial_distance",)
-
-    def __init__(self, *, tap_angle: float = 0.0, angular_velocity: float = 1.0) -> None:
+    def __init__(
+        self,
+        *,
+        tap_angle: float = 0.0,
+        angular_velocity: float = 1.0,
+        velocity_spread: float = 0.0,
+    ) -> None:
         self.tap_angle = float(
             non_negative("tap_angle", tap_angle, "give radians, 0 for the lightest tap")
         )
         self.angular_velocity = float(
             positive("angular_velocity", angular_velocity, "give rad/s, such as 1")
         )
+        self.velocity_spread = float(
+            non_negative("velocity_spread", velocity_spread, "give the sd of ln, such as 0.5")
+        )
+        self.signal_names: tuple[str, ...] = ("moment_rate",)
+        self.unknowns: tuple[str, ...] = ("radial_distance",)
+        if self.velocity_spread > 0:
+            self.signal_names = ("moment_rate", "angular_velocity")
+            self.unknowns = ("radial_distance", "angular_velocity")
 
     def __repr__(self) -> str:
+        spread = f", velocity_spread={self.velocity_spread:g}" if self.velocity_spread else ""
         return (
-            f"Compliance(tap_angle={self.tap_angle:g}, angular_velocity={self.angular_velocity:g})"
+            f"Compliance(tap_angle={self.tap_angle:g}, "
+            f"angular_velocity={self.angular_velocity:g}{spread})"
         )
+
+    def _velocity(self, contact: Array) -> Array:
+        """θ̇ of a contact: what it says, or the known one."""
+        if self.velocity_spread > 0:
+            return contact[..., 1]
+        return np.full(contact.shape[:-1], self.angular_velocity)
+
+    def _stiffness(
+        self, whisker: Whisker, r: Array, model: str | None
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """Moment for each radian of the tap, N m, and outcome."""
+        if self.tap_angle > 0:
+            bent = ladder.press(whisker, r, self.tap_angle, model=model)
+            return np.asarray(bent.moment / self.tap_angle), np.asarray(bent.outcome, dtype=np.int8)
+        reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)
+        outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        value = closed_form.moment(whisker, np.where(reached, r, whisker.length), 1.0)
+        return np.where(reached, value, np.nan), outcome
 
     def signals(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
-        """Moment rate (..., 1), N m/s, and outcome of a contact (..., 1)."""
-        r = np.asarray(contact, dtype=float)[..., 0]
-        if self.tap_angle == 0:
-            reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)
-            outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
-            rate = closed_form.moment(whisker, np.where(reached, r, whisker.length), 1.0)
-            rate = np.where(reached, rate * self.angular_velocity, np.nan)
-        else:
-            bent = ladder.press(whisker, r, self.tap_angle, model=model)
-            outcome = np.asarray(bent.outcome, dtype=np.int8)
-            rate = bent.moment / self.tap_angle * self.angular_velocity
-        return np.asarray(rate)[..., None], outcome
+        """Moment rate, N m/s, and where unknown θ̇, rad/s, (..., S); outcome of a contact."""
+        contact = np.asarray(contact, dtype=float)
+        stiffness, outcome = self._stiffness(whisker, contact[..., 0], model)
+        velocity = self._velocity(contact)
+        rate = stiffness * velocity
+        if self.velocity_spread == 0:
+            return rate[..., None], outcome
+        velocity = np.where(outcome == Outcome.HELD, velocity, np.nan)
+        return np.stack([rate, velocity], axis=-1), outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """dṀ/dr, (..., 1, 1): equation (3.3)."""
-        r = np.asarray(contact, dtype=float)[..., 0]
+        """d(Ṁ, θ̇)/d(r, θ̇), (..., S, U): equation (3.3)."""
+        contact = np.asarray(contact, dtype=float)
+        r = contact[..., 0]
         if self.tap_angle == 0 or model == "closed_form":
             slope = -whisker.compliance_constant / r**2
         else:
             slope = ladder.signal_jacobian(whisker, r, self.tap_angle)[..., 0, 0] / self.tap_angle
-        return np.asarray(slope * self.angular_velocity)[..., None, None]
+        slope = np.asarray(slope * self._velocity(contact))
+        if self.velocity_spread == 0:
+            return slope[..., None, None]
+        stiffness, _ = self._stiffness(whisker, r, model)
+        rows = [[slope, stiffness], [np.zeros_like(r), np.ones_like(r)]]
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """None: every unknown is bounded by the whisker."""
-        return {}
+        """Log-normal, of θ̇ where it is unknown."""
+        if self.velocity_spread == 0:
+            return {}
+        from scipy.stats import lognorm
+
+        return {"angular_velocity": lognorm(self.velocity_spread, scale=self.angular_velocity)}
 
     def default_noise(self) -> Weber:
         """Weber's law, k = 0.1."""
@@ -91,22 +139,16 @@ class Compliance:
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the tap angle, m."""
-        length = float(whisker.length)
         if self.tap_angle == 0:
-            return length
+            return float(whisker.length)
+        return reach_at(whisker, self.tap_angle, "tap_angle")
 
-        def room(fraction: float) -> float:
-            return float(ladder.flick_past(whisker, fraction * length).deflection_angle) - (
-                self.tap_angle
-            )
-
-        if room(1e-6) < 0:
-            raise ValueError(
-                f"No contact holds a tap of {np.degrees(self.tap_angle):.1f} degrees; "
-                "write a smaller tap_angle."
-            )
-        return length * float(brentq(room, 1e-6, 1.0, xtol=1e-13, rtol=1e-13))
-
-    def radial_distance(self, whisker: Whisker, moment_rate: ArrayLike) -> Array:
-        """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA)."""
-        return closed_form.distance_from_moment(whisker, moment_rate, self.angular_velocity)
+    def radial_distance(
+        self,
+        whisker: Whisker,
+        moment_rate: ArrayLike,
+        angular_velocity: ArrayLike | None = None,
+    ) -> Array:
+        """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA); θ̇ by default the cue's."""
+        velocity = self.angular_velocity if angular_velocity is None else angular_velocity
+        return closed_form.distance_from_moment(whisker, moment_rate, velocity)

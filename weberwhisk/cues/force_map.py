@@ -1,25 +1,50 @@
-"""The map of moment and axial force (§2f): distance and angle of a contact from its signals."""
+"""The map of moment and forces (§2f): distance and angle of a contact from its signals."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import one_of, positive
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
 from ..mechanics.surface import base_signals
 from ..receptors import Weber
 from ..whisker import Whisker
 from .protocol import Array
+from .reach import reach_at
+
+SIGNALS = ("moment", "axial_force", "transverse_force")
 
 
 class ForceMap:
-    """Radial distance and deflection angle, both unknown, from moment M and axial force Fx.
+    """Radial distance, and deflection angle where unknown, from moment and forces at the base.
 
-    One-to-one on a tapered whisker; on a cylinder M² = 2EI·Fx at every contact, so that the map
-    collapses to a curve and the posterior to a ridge.
+    Moment M and axial force Fx, the paper's pair, are one-to-one with the contact on a tapered
+    whisker; on a cylinder M² = 2EI·Fx at every contact, so that the map collapses to a curve and
+    the posterior to a ridge. With the transverse force Fy (Scholz & Rahn 2004) either of the
+    others will do, on a cylinder too. At a known angle the moment is enough.
+
+    Parameters
+    ----------
+    signals : sequence of {"moment", "axial_force", "transverse_force"}
+        Which are felt.
+    deflection_angle : float, optional
+        θ_d, rad, where it is known; by default it is unknown.
+
+    Raises
+    ------
+    ValueError
+        For a signal that there is not, none or one twice, and an angle that is not positive.
+
+    Notes
+    -----
+    The transverse force is that across the base tangent, and changes its sign where the contact
+    angle passes 90°: under Weber's law alone it would be known exactly there. Unknown stiffness is
+    `UnknownStiffness`; noise with a correlation, one Weber fraction a signal, is `Weber`'s.
 
     Examples
     --------
@@ -30,33 +55,61 @@ class ForceMap:
     array([0.03, 0.4 ])
     """
 
-    signal_names: tuple[str, ...] = ("moment", "axial_force")
-    unknowns: tuple[str, ...] = ("radial_distance", "deflection_angle")
+    def __init__(
+        self,
+        signals: Sequence[str] = SIGNALS[:2],
+        *,
+        deflection_angle: float | None = None,
+    ) -> None:
+        names = (signals,) if isinstance(signals, str) else tuple(signals)
+        self.signal_names: tuple[str, ...] = tuple(one_of("signal", n, SIGNALS) for n in names)
+        if not names or len(set(names)) < len(names):
+            raise ValueError(
+                f"A force map has one signal or more, each once, got {list(names)}; "
+                'write ["moment", "axial_force"], say.'
+            )
+        self.deflection_angle = deflection_angle
+        self.unknowns: tuple[str, ...] = ("radial_distance", "deflection_angle")
+        if deflection_angle is not None:
+            hint = "give radians, or None where it is unknown"
+            self.deflection_angle = float(positive("deflection_angle", deflection_angle, hint))
+            self.unknowns = ("radial_distance",)
+        #: Columns of the signals among all three.
+        self._columns = [SIGNALS.index(name) for name in names]
 
     def __repr__(self) -> str:
-        return "ForceMap()"
+        signals = "" if self.signal_names == SIGNALS[:2] else f"{list(self.signal_names)}"
+        angle = "" if self.deflection_angle is None else f"deflection_angle={self.deflection_angle}"
+        return f"ForceMap({', '.join(part for part in (signals, angle) if part)})"
+
+    def _place(self, contact: Array) -> tuple[Array, Array]:
+        """Distance and angle of a contact."""
+        contact = np.asarray(contact, dtype=float)
+        r = contact[..., 0]
+        if self.deflection_angle is None:
+            return r, contact[..., 1]
+        return r, np.full_like(r, self.deflection_angle)
 
     def signals(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
-        """Moment and axial force (..., 2), N m and N, and outcome of a contact (..., 2)."""
-        contact = np.asarray(contact, dtype=float)
-        r, theta = contact[..., 0], contact[..., 1]
+        """Moment (N m) and forces (N), (..., S), and outcome of a contact (..., U)."""
+        r, theta = self._place(contact)
         if model is None:
             signals, outcome = base_signals(whisker, r, theta)
+        else:
+            bent = ladder.press(whisker, r, theta, model=model)
+            signals = np.stack([getattr(bent, name) for name in SIGNALS], axis=-1)
+            outcome = np.asarray(bent.outcome, dtype=np.int8)
+        if self._columns == [0, 1]:  # a view, where it will do: the bulk of all work
             return signals[..., :2], outcome
-        bent = ladder.press(whisker, r, theta, model=model)
-        return np.stack([bent.moment, bent.axial_force], axis=-1), np.asarray(
-            bent.outcome, dtype=np.int8
-        )
+        return signals[..., self._columns], outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives (..., 2, 2) of M and Fx with respect to r and θ_d."""
-        contact = np.asarray(contact, dtype=float)
-        r, theta = contact[..., 0], contact[..., 1]
-        if model == "closed_form":
-            return closed_form.signal_jacobian(whisker, r, theta)[..., :2, :]
-        return ladder.signal_jacobian(whisker, r, theta)[..., :2, :]
+        """Derivatives (..., S, U) of the signals with respect to r and, if unknown, θ_d."""
+        r, theta = self._place(contact)
+        slope = (closed_form if model == "closed_form" else ladder).signal_jacobian
+        return slope(whisker, r, theta)[..., self._columns, : len(self.unknowns)]
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """None: every unknown is bounded by the whisker."""
@@ -67,43 +120,90 @@ class ForceMap:
         return Weber(0.1)
 
     def farthest(self, whisker: Whisker) -> float:
-        """The tip, m."""
-        return float(whisker.length)
+        """The tip, or where the whisker flicks past at the known angle, m."""
+        if self.deflection_angle is None:
+            return float(whisker.length)
+        return reach_at(whisker, self.deflection_angle, "deflection_angle")
+
+    # -- inverse -------------------------------------------------------------------------------
 
     def contact(
         self, whisker: Whisker, signals: ArrayLike, *, steps: int = 60
     ) -> tuple[Array, NDArray[np.int8]]:
-        """The contact that gives these signals, by Newton's method from the closed-form inverse.
+        """The contact that gives these signals: of two signals, or of the moment at a known angle.
+
+        Newton's method from the closed-form inverse, or from the nearest contact of a coarse map;
+        bisection at a known angle, where the moment falls with distance.
 
         Parameters
         ----------
         whisker : Whisker
-        signals : array, shape (..., 2)
-            Moment (N m) and axial force (N).
+        signals : array, shape (..., S)
+            Moment (N m) and forces (N), as in `signal_names`.
 
         Returns
         -------
-        contact : array, shape (..., 2)
+        contact : array, shape (..., U)
             r (m) and θ_d (rad); NaN where no held contact on this whisker gives the signals.
         outcome : array of int
-            `HELD`, or `OUT_OF_REACH` where there is none: every reading on a cylinder, and
-            readings too stiff or too slack for this taper.
+            `HELD`, or `OUT_OF_REACH` where there is none: every reading of M and Fx on a cylinder,
+            and readings too stiff or too slack for this taper.
+
+        Raises
+        ------
+        ValueError
+            For any other set of signals: more than the unknowns have no exact inverse, and a force
+            alone at a known angle has several.
         """
         wanted = np.asarray(signals, dtype=float)
-        start = closed_form.contact_from_signals(whisker, wanted[..., 0], wanted[..., 1])
-        contact = np.full(wanted.shape, np.nan)
-        known = np.isfinite(start[0])
-        contact[known] = self._newton(
-            whisker, wanted[known], start[0][known], start[1][known], steps
-        )
-        # Large angles are far from the closed form: start again from the nearest of a coarse map.
-        missed = np.isnan(contact[..., 0]) & np.all(wanted > 0, axis=-1)
-        if np.any(missed) and np.any(np.not_equal(whisker.taper, 0)):
-            contact[missed] = self._newton(
-                whisker, wanted[missed], *self._nearest(whisker, wanted[missed]), steps
+        if self.deflection_angle is not None and self.signal_names == ("moment",):
+            contact = self._bisect(whisker, wanted)
+        elif self.deflection_angle is None and len(self.signal_names) == 2:
+            order = np.argsort(self._columns)  # as the closed form has them
+            ordered = ForceMap([self.signal_names[i] for i in order])
+            contact = ordered._solve(whisker, wanted[..., order], steps)
+        else:
+            raise ValueError(
+                f"There is no unique contact for the signals of {self!r}; write posterior(), "
+                "which needs none."
             )
         lost = np.isnan(contact[..., 0])
         return contact, np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
+
+    def _bisect(self, whisker: Whisker, wanted: Array) -> Array:
+        low = np.full(wanted.shape, 1e-9 * float(whisker.length))
+        high = np.full(wanted.shape, self.farthest(whisker))
+        ends = [self.signals(whisker, end)[0] for end in (high * (1 - 1e-12), low)]
+        inside = (wanted >= ends[0]) & (wanted <= ends[1])
+        for _ in range(80):
+            middle = (low + high) / 2
+            farther = self.signals(whisker, middle)[0] > wanted
+            low, high = np.where(farther, middle, low), np.where(farther, high, middle)
+        return np.where(inside, (low + high) / 2, np.nan)
+
+    def _solve(self, whisker: Whisker, wanted: Array, steps: int) -> Array:
+        contact = np.full(wanted.shape, np.nan)
+        if self.signal_names == SIGNALS[:2]:
+            start = closed_form.contact_from_signals(whisker, wanted[..., 0], wanted[..., 1])
+            known = np.isfinite(start[0])
+            contact[known] = self._newton(
+                whisker, wanted[known], start[0][known], start[1][known], steps
+            )
+        # Large angles are far from the closed form: start again from the nearest of a coarse map.
+        missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)
+        if np.any(missed) and (np.any(whisker.taper) or self.signal_names != SIGNALS[:2]):
+            contact[missed] = self._newton(
+                whisker, wanted[missed], *self._nearest(whisker, wanted[missed]), steps
+            )
+        return contact
+
+    def _size(self, whisker: Whisker, wanted: Array) -> Array:
+        """Of the signals; of the transverse force, which passes through zero, not much less."""
+        size = np.abs(wanted)
+        if 2 in self._columns[1:]:
+            other = size[..., 0] / (whisker.length if self._columns[0] == 0 else 1.0)
+            size[..., 1] = np.maximum(size[..., 1], 0.1 * other)
+        return size
 
     def _nearest(self, whisker: Whisker, wanted: Array) -> tuple[Array, Array]:
         """The contact of a coarse map whose signals are nearest in logarithms, (n,) each."""
@@ -111,24 +211,27 @@ class ForceMap:
         share = np.sin(np.linspace(0.02, 0.98, 50) * np.pi / 2)
         theta = share * ladder.flick_past(whisker, r).deflection_angle
         grid = np.stack(np.broadcast_arrays(r, theta), axis=-1).reshape(-1, 2)
-        known = np.log(self.signals(whisker, grid)[0])
-        best = [np.nansum((known - y) ** 2, axis=1).argmin() for y in np.log(wanted)]
+        known = self.signals(whisker, grid)[0]
+        sizes = self._size(whisker, wanted)
+        best = [
+            np.nansum(_miss(known, y, size)[0] ** 2, axis=1).argmin()
+            for y, size in zip(wanted, sizes, strict=True)
+        ]
         return grid[best, 0], grid[best, 1]
 
     def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array, steps: int) -> Array:
-        """Newton's method in logarithms, in which the map is nearly linear. NaN where it fails."""
+        """Newton's method in ln r and ln θ_d. NaN where it fails."""
         length = float(whisker.length)
         r = np.minimum(r, 0.98 * length)
-        miss = np.full(wanted.shape, np.inf)
+        miss, size = np.full(wanted.shape, np.inf), self._size(whisker, wanted)
         for _ in range(steps):
             theta = np.minimum(theta, 0.995 * ladder.flick_past(whisker, r).deflection_angle)
             point = np.stack([r, theta], axis=-1)
-            now, _ = self.signals(whisker, point, model="elastica")
-            miss = np.log(wanted / now)
+            miss, slope = _miss(self.signals(whisker, point, model="elastica")[0], wanted, size)
             if np.all(np.abs(miss) < 1e-13):
                 break
             (a, b), (c, d) = np.moveaxis(
-                self.jacobian(whisker, point) / now[..., :, None] * point[..., None, :], 0, -1
+                self.jacobian(whisker, point) * slope[..., :, None] * point[..., None, :], 0, -1
             )
             determinant = a * d - b * c
             step_r = np.clip((d * miss[:, 0] - b * miss[:, 1]) / determinant, -0.3, 0.3)
@@ -137,3 +240,13 @@ class ForceMap:
             theta = theta * np.exp(step_theta)
         found = np.all(np.abs(miss) < 1e-9, axis=-1)
         return np.where(found[:, None], np.stack([r, theta], axis=-1), np.nan)
+
+
+def _miss(signals: Array, wanted: Array, size: Array) -> tuple[Array, Array]:
+    """How far signals are from those wanted, and how fast that falls with each signal.
+
+    On an axis that is logarithmic for signals that are far too large, as there the map is nearly
+    linear, and that passes through zero smoothly.
+    """
+    miss = np.arcsinh(wanted / size) - np.arcsinh(signals / size)
+    return miss, 1 / np.hypot(signals, size)

@@ -21,7 +21,8 @@ class Cue(Protocol):
     A contact is an array whose last axis holds the cue's unknowns: radial distance (m), then, if
     it is one, the deflection angle (rad), then whatever else is not known (a stiffness, a side, a
     bearing), each with a proper prior. The mechanics of a rung is named by `model`, ``None`` for
-    the cheapest that the scene needs.
+    the cheapest that the scene needs. A cue that works only up to some deflection has a further
+    method, ``largest_angle(whisker, radial_distance)``, rad.
     """
 
     #: Names of the signals, in the order of the last axis of `signals`.

@@ -10,7 +10,7 @@ from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
 from .posteriors import posterior
 from .signals import bending
-from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
 
 __all__ = [
     "COLOURS",
@@ -29,4 +29,5 @@ __all__ = [
     "psychometrics",
     "residuals",
     "shrinkage",
+    "styled",
 ]

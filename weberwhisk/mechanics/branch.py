@@ -3,8 +3,9 @@
 A whisker at rest meets the circle of radius r at the arc s₀ and the angle θ₀. From there the
 equilibria of a point object at that distance form a curve in (contact arc, force), walked here by
 steps along its tangent with corrections across it, until the deflection angle asked for is
-reached, or the branch ends: in a fold, where the determinant D of `trajectory` changes sign, at
-the tip, or at once where at this friction angle the object cannot move the contact at all.
+reached, or the branch ends: in a fold, where the determinant D of `trajectory` changes sign; where
+the force comes down to zero again and a curved whisker lets go; at the tip; or at once where at
+this friction angle the object cannot move the contact at all.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from .shape import Law
 from .trajectory import Path, Rows, needed, resolve
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)
+#: A distance this much beyond the tip of a curved whisker, in lengths, is rounding: the tips that
+#: `bend` finds, to its tolerance, are touched.
+REACH_ROUNDING = 1e-9
 #: Steps along a branch: the first, the longest, and the shortest, where a walk gives up.
 _FIRST, _LONGEST, _SHORTEST = 0.1, 0.4, 1e-5
 
@@ -43,9 +47,10 @@ def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
         miss = r[active] - distance
         slope = (x * np.cos(turn) + y * np.sin(turn)) / distance
         theta[active] = np.arctan2(y, x)
-        lost = (slope <= 1e-3) | ((arc >= 1) & (miss > 1e-12))
+        at_tip = (arc >= 1) & (miss > 0)
+        lost = (slope <= 1e-3) | (at_tip & (miss > REACH_ROUNDING))
         step = np.where(lost, 0.0, miss / np.where(lost, 1.0, slope))
-        done = np.abs(miss) <= 4e-15 * r[active]
+        done = (np.abs(miss) <= 4e-15 * r[active]) | at_tip
         s[active] = np.where(lost, np.nan, np.minimum(arc + step, 1.0))
         theta[active[lost]] = np.nan
         active = active[~(done | lost)]
@@ -206,6 +211,7 @@ def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
     at_once = moves & (branch.start >= 1 - 1e-12)  # it rests on the object with its very tip
     end[at_once] = TIP
     last, top = Stretch.empty(n), Stretch.empty(n)
+    freed = np.zeros(n, dtype=bool)  # the force is down to zero again: no contact is left
     best = np.full(n, np.inf)  # the largest angle that the last stretch can hold
 
     active = np.flatnonzero(moves & ~at_once)
@@ -247,14 +253,18 @@ def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
             falls = good & np.isnan(top.at_low[active]) & (rise < 0)
             top.put(active, falls, *ends, growing[active], rise)
         goal = target[active]
-        reached = good & (angle >= goal)
-        folded = good & ~reached & (sound <= 0)
-        at_tip = good & ~reached & ~folded & over
+        let_go = good & (found[1] < 0)
+        reached = good & ~let_go & (angle >= goal)
+        folded = good & ~let_go & ~reached & (sound <= 0)
+        at_tip = good & ~let_go & ~reached & ~folded & over
         last.put(active, reached, *ends, goal - theta[active], goal - angle)
         last.put(active, folded | at_tip, *ends, steady[active], sound)
+        last.put(active, let_go, *ends, now[1], found[1])
         end[active[reached]], end[active[at_tip]] = REACHED, TIP
+        freed[active[let_go]] = True
+        fell = folded | let_go
         climb = part.unit * np.abs((across * new).sum(0)) * 2 * h
-        best[active[folded]] = (np.maximum(angle, theta[active]) + climb)[folded]
+        best[active[fell]] = (np.maximum(angle, theta[active]) + climb)[fell]
 
         on = active[good]
         bend[:, on] = ((new - t) / np.maximum(h, _SHORTEST))[:, good]
@@ -262,7 +272,7 @@ def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
         theta[on], steady[on], growing[on] = angle[good], sound[good], rise[good]
         grown = np.where(far < 0.03 * h, 2.0, np.where(far < 0.1 * h, 1.2, 0.7))
         step[active] = np.where(good, np.minimum(h * grown, _LONGEST), h / 3)
-        active = active[~(reached | folded | at_tip | (tiny & ~good))]
+        active = active[~(reached | fell | at_tip | (tiny & ~good))]
 
     point = np.where(np.isnan(last.high), v, last.high)
     tips = np.flatnonzero((end == TIP) & ~at_once)
@@ -272,12 +282,13 @@ def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
             path = part.path(point[:, tips], part.tolerance)
             point[:, tips] += part.onto(path, True)[0]
     # A fold may lie behind the angle asked for, though the walk's points do not.
-    folds = np.flatnonzero(
-        (end == FOLD) & ~np.isnan(last.at_low) & ((best >= target) | np.isinf(target))
-    )
-    if folds.size:
+    ended = (end == FOLD) & ~np.isnan(last.at_low) & ((best >= target) | np.isinf(target))
+    for measure, which in ((stability, ended & ~freed), (_push, ended & freed)):
+        folds = np.flatnonzero(which)
+        if not folds.size:
+            continue
         part, stretch = branch.take(folds), last.take(folds)
-        point[:, folds], path = refine(part, stretch, stability)
+        point[:, folds], path = refine(part, stretch, measure)
         turned = _tangent(part.slopes(path)[0])
         inside = path.deflection >= target[folds]
         end[folds[inside]] = REACHED
@@ -318,7 +329,7 @@ def refine(
     point, last = stretch(x), np.ones(n)
     left = np.ones(n, dtype=bool)
     path: Path | None = None
-    for _ in range(40):
+    for _ in range(25):
         active = np.flatnonzero(left)
         if not active.size:
             break
@@ -356,12 +367,17 @@ def refine(
         ahead = np.where(inside, ahead, (low[active] + high[active]) / 2)
         beside = np.abs(ahead - at) < 0.2
         point[:, active] = np.where(beside, v + tangent * (ahead - at), span(ahead))
-        noise = (size < 1e-5) & (size > 0.3 * last[active]) | (room < 1e-12)
+        noise = (size < 1e-7) & (size > 0.3 * last[active]) | (room < 1e-12)
         done = ((size < 3e-8) | noise) & (far < 1e-6) & exact
         last[active] = np.minimum(np.where(inside, size, room / 2), 1.0)
         left[active[done]] = False
     assert path is not None
     return point, path
+
+
+def _push(_branch: Branch, v: Array, _path: Path, _goal: Array | None = None) -> Array:
+    """The force."""
+    return np.asarray(v[1])
 
 
 def _short_of(_branch: Branch, _v: Array, path: Path, goal: Array) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite, positive
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import Choice, Rung
+from .contact import SIGNAL_UNIT, Choice, Rung
 from .estimates import Estimates, estimate
 from .profile import _friction, _Scenes
 from .scene import Scene
@@ -42,7 +42,7 @@ def choose_rung(
     *,
     roll: ArrayLike = 0.0,
     cue: Any = None,
-    weber_fraction: ArrayLike = 0.1,
+    weber_fraction: ArrayLike | None = 0.1,
     tolerance: ArrayLike = 0.1,
 ) -> Choice:
     """The cheapest rung of the ladder that each scene needs, and why.
@@ -55,10 +55,11 @@ def choose_rung(
     cue : object with `signal_names` and `unknowns`, optional
         Which signals tell of the distance, such as ``cues.ForceMap()``; by default the moment at a
         known deflection angle, as in ``cues.Compliance()``.
-    weber_fraction : float or array
-        k of each signal's noise.
+    weber_fraction : float or array, or None
+        k of each signal's noise. None judges the signals themselves, whatever is made of them.
     tolerance : float or array
-        Largest bias of the inferred radial distance, as a fraction of its JND.
+        Largest bias of the inferred radial distance, as a fraction of its JND; without a Weber
+        fraction the largest relative error of the moment and the two forces.
 
     Returns
     -------
@@ -93,21 +94,26 @@ def choose_rung(
         angle=finite("deflection_angle", deflection_angle, "give radians, such as 0.35"),
         tilt=_friction(friction_angle),
         roll=finite("roll", roll, "give radians, 0 for contact in the plane of curvature"),
-        weber_fraction=positive("weber_fraction", weber_fraction, "give a fraction, such as 0.1"),
-        tolerance=positive("tolerance", tolerance, "give a fraction of the JND, such as 0.1"),
+        weber_fraction=positive(
+            "weber_fraction",
+            1.0 if weber_fraction is None else weber_fraction,
+            "give a fraction, such as 0.1",
+        ),
+        tolerance=positive("tolerance", tolerance, "give a fraction, such as 0.1"),
     )
     n, shape = scenes.length.size, scenes.shape
     error, bias, rung = np.empty((4, n)), np.empty((4, n)), np.empty(n, dtype=np.int8)
     for part, rows, (r, theta, psi, turn, k, allowed) in scenes.pieces():
         found = estimate(Scene.of(rows, r, theta, psi, turn))
         error[:, part], off = _relative(found, [_ROWS[name] for name in names], unknowns)
-        bias[:, part] = off / k
+        bias[:, part] = error[:, part] if weber_fraction is None else off / k
         rung[part] = np.argmax(bias[:, part] * MARGIN <= allowed, axis=0)
     return Choice(
         rung.reshape(shape) if shape else Rung(int(rung[0])),
         error.T.reshape(*shape, 4),
         bias.T.reshape(*shape, 4),
         tolerance,
+        SIGNAL_UNIT if weber_fraction is None else "JND",
     )
 
 

@@ -23,6 +23,13 @@ class Outcome(IntEnum):
     OUT_OF_REACH = 4
     STUCK = 5
     TOUCHES_TWICE = 6
+    UNRESOLVED = 7
+    NO_TOUCH = 8
+    TIP_NOT_TOUCHED = 9
+    PARALLEL = 10
+    END_OF_WHISKING = 11
+    CONTRADICTORY = 12
+    ONE_SIDED = 13
 
     @property
     def message(self) -> str:
@@ -39,6 +46,15 @@ _MESSAGES = {
     Outcome.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
     Outcome.STUCK: "stuck: at this friction the contact does not slide so far",
     Outcome.TOUCHES_TWICE: "touches twice: the whisker meets the object at a second point",
+    Outcome.UNRESOLVED: "unresolved: damping merges the peaks of neighbouring modes",
+    Outcome.NO_TOUCH: "no touch: nothing was felt, so that only what lies in reach is ruled out",
+    Outcome.TIP_NOT_TOUCHED: "tip not touched: the shaft was, so that only what lies beyond "
+    "the tip is ruled out",
+    Outcome.PARALLEL: "parallel: the two lines of sight do not meet ahead of the whisker",
+    Outcome.CONTRADICTORY: "contradictory: no distance lets just these whiskers touch",
+    Outcome.ONE_SIDED: "one-sided: at some bearing that is possible, the contact is out of reach "
+    "from one end of the side",
+    Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
 }
 
 
@@ -56,6 +72,9 @@ class Rung(IntEnum):
         return _TITLES[self]
 
 
+#: The unit of a bias that is not judged against any noise.
+SIGNAL_UNIT = "of a signal"
+
 _TITLES = {
     Rung.CLOSED_FORM: "the closed form",
     Rung.ELASTICA: "the straight elastica",
@@ -66,7 +85,7 @@ _TITLES = {
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The rung that each scene needs, and why: what `choose_rung` returns.
+    """The rung that each scene needs, and why: what `choose_rung` returns and `press` went by.
 
     Attributes
     ----------
@@ -74,17 +93,28 @@ class Choice:
         The cheapest rung whose bias is within the tolerance.
     error : array (..., 4)
         Largest relative error of the moment and the two forces, estimated, by rung. Infinite where
-        the estimate does not vouch for a rung, 0 from the first rung on that models all there is.
+        the estimate does not vouch for a rung, 0 from the first rung on that models all there is,
+        NaN where a rung was not tried.
     bias : array (..., 4)
-        Shift of the inferred radial distance by that error, in JNDs, by rung.
+        What is judged, by rung: the shift of the inferred radial distance by that error, in JNDs,
+        or where no noise was named the error itself.
     tolerance : float or array
-        The largest bias allowed, in JNDs.
+        The largest bias allowed.
+    unit : str
+        What bias and tolerance are in, in words.
     """
 
     rung: Any
     error: NDArray[np.float64]
     bias: NDArray[np.float64]
     tolerance: Any
+    unit: str = "JND"
+
+    @classmethod
+    def complete(cls, rung: Rung, tolerance: ArrayLike) -> Choice:
+        """The lowest rung that models all there is, those below it not tried."""
+        off = np.where(np.arange(len(Rung)) < rung, np.nan, 0.0)
+        return cls(rung, off, off, tolerance, SIGNAL_UNIT)
 
     @property
     def why(self) -> Any:
@@ -93,20 +123,22 @@ class Choice:
         why = np.empty(np.shape(self.rung), dtype=object)
         for at in np.ndindex(why.shape):
             rung = Rung(int(np.asarray(self.rung)[at]))
-            why[at] = _reason(rung, self.bias[at], float(tolerance[at]))
+            why[at] = _reason(rung, self.bias[at], f"{tolerance[at]:g} allowed", self.unit)
         return why[()]
 
 
-def _reason(rung: Rung, bias: NDArray[np.float64], tolerance: float) -> str:
-    here = f"{rung.title} is off by {bias[rung]:.2g} JND"
+def _reason(rung: Rung, bias: NDArray[np.float64], allowed: str, unit: str) -> str:
+    here = f"{rung.title} is off by {bias[rung]:.2g} {unit}"
     if bias[rung] == 0:
         here = f"{rung.title} models all there is in this scene"
     if rung == Rung.CLOSED_FORM:
-        return f"{here}, {tolerance:g} allowed, and nothing is cheaper"
+        return f"{here}, {allowed}, and nothing is cheaper"
     below = Rung(rung - 1)
+    if np.isnan(bias[below]):
+        return f"{here}; nothing cheaper was tried"
     if np.isinf(bias[below]):
         return f"{here}; {below.title} finds no contact here, or one too far off to judge"
-    return f"{here}; {below.title} is off by {bias[below]:.2g} JND, {tolerance:g} allowed"
+    return f"{here}; {below.title} is off by {bias[below]:.2g} {unit}, {allowed}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +164,8 @@ class Bending:
     error : float or array
         Estimated relative error of the signals.
     whisker : Whisker
+    choice : Choice, optional
+        How the ladder came to the rung; none where the rung was asked for by name.
     """
 
     moment: Any
@@ -146,6 +180,12 @@ class Bending:
     model: Any
     error: Any
     whisker: Whisker
+    choice: Choice | None = None
+
+    @property
+    def why(self) -> Any:
+        """Why this rung, in words: one sentence, or an array of them."""
+        return "it was asked for by name" if self.choice is None else self.choice.why
 
     @property
     def held(self) -> Any:
@@ -211,8 +251,11 @@ def by_rows(
     for start in range(0, n, ROWS):
         part = slice(start, start + ROWS)
         numbers[:, part], outcome[part], error[part] = solve(*(a[part] for a in flat))
+    values: dict[str, Any] = {
+        name: row.reshape(shape)[()] for name, row in zip(NUMBERS, numbers, strict=True)
+    }
     return Bending(
-        **{name: row.reshape(shape)[()] for name, row in zip(NUMBERS, numbers, strict=True)},
+        **values,
         outcome=outcome.reshape(shape) if shape else Outcome(int(outcome[0])),
         model=np.full(shape, rung, dtype=np.int8) if shape else rung,
         error=error.reshape(shape)[()],

@@ -17,10 +17,23 @@ from .chebyshev import Array
 from .contact import Outcome
 from .equilibrium import on_whisker
 from .shape import Profile
-from .trajectory import CAUTION, ERRORS, STAGES, TABLEAU, WEIGHTS, Piece, Rows, pilot, rows_of
+from .trajectory import (
+    CAUTION,
+    ERRORS,
+    STAGES,
+    TABLEAU,
+    WEIGHTS,
+    Piece,
+    Rows,
+    local_error,
+    pilot,
+    rows_of,
+)
 
 #: Of keratin; sets the torsional stiffness.
 POISSON_RATIO = 0.38
+#: A contact this close beyond the tip is rounding of Newton's method on difference quotients.
+TIP_SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +140,7 @@ class Scenes:
                     slopes[i] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
                 state = state + np.tensordot(WEIGHTS, slopes, axes=1)
                 third, fifth = np.tensordot(ERRORS, slopes, axes=1) ** 2
-                error += fifth / np.sqrt(fifth + 0.01 * third + 1e-300)
+                error += local_error(third, fifth)
         lever = state[9:]
         bound = error[:9].sum(axis=0) + error[9:].sum(axis=0) / np.hypot(lever[2], lever[0])
         bound = np.nan_to_num(bound / CAUTION, nan=np.inf)
@@ -167,7 +180,7 @@ class Scenes:
             worst = float(np.max(base.error, initial=0.0))
             if worst <= tolerance or steps >= 128:
                 return base
-            wanted = steps * 1.1 * min(worst / tolerance, 1e9) ** (1 / 7.5)
+            wanted = steps * 1.1 * min(worst / tolerance, 1e9) ** (1 / 8)
             steps = int(np.clip(np.ceil(wanted), steps + 2, 128))
 
     def scale(self, distance: Array) -> Array:
@@ -227,16 +240,17 @@ class Scenes:
             )
             guess = v[:, active] + last[:, active] * step
             here = guess.copy()
+            wide = 1e3 * scale
             for _ in range(4):
                 move, det, _ = part._newton(here, goal, 2 * pilot(self.rows))
-                here = here + np.nan_to_num(move, posinf=1e3, neginf=-1e3)
-                here = np.clip(here, -1e6, 1e6)
-                here[0] = np.clip(here[0], 1e-9, 1.001)
+                here = np.clip(here + np.nan_to_num(move, posinf=np.inf), -wide, wide)
+                # No further than the tip, where an arc has slopes on this side only.
+                beyond = here[0] - 1
+                here[0] = np.clip(here[0], 0.5 * distance[active], 1.0)
             ok = np.max(np.abs(move) / scale, axis=0) < 1e-6
             ok &= (det == sign[active]) | (sign[active] == 0)
             ok &= np.max(np.abs(here - guess) / scale, axis=0) < 0.15
-            over = here[0] > 1 + 1e-12
-            ok &= ~over
+            ok &= beyond < TIP_SLACK
             rate = (here - v[:, active]) / np.maximum(step, 1e-300)
             v[:, active] = np.where(ok, here, v[:, active])
             last[:, active] = np.where(ok, rate, last[:, active])

@@ -5,6 +5,8 @@ The inner half of rung 2, in units of the whisker's length, base radius and base
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +14,10 @@ from . import elastica
 from .branch import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .chebyshev import Array
 from .contact import TIP_ROUNDING, Outcome
-from .trajectory import Path, Rows, follow_blocks, pilot, resolve
+from .trajectory import Path, Rows, follow_blocks, follow_each, needed, pilot
 
+#: Turn of the whisker at rest, rad, up to which Newton's method is trusted: about twice a rat's.
+MOST_TURN = 1.5
 #: Of contact distance and angle, a few last digits.
 ROUNDING = 3e-15
 
@@ -26,7 +30,7 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
     start, rest = zero_load(rows, r)
-    good = np.flatnonzero(np.isfinite(start) & on_whisker(rows, start))
+    good = in_order(rows, start, np.isfinite(start) & on_whisker(rows, start))
     if not good.size:
         return numbers, outcome, error
     sign = np.where(theta < rest, -1.0, 1.0)[good]
@@ -49,7 +53,7 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
     if hard.size:
         branch = Branch.of(part.take(hard), distance[hard], psi_[hard], start[hard], tolerance)
         ended = walk(branch, angle[hard])
-        values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard])
+        values[:, hard], error[good[hard]] = at_points(branch, ended.point, sign[hard], angle[hard])
         outcome[good[hard]] = np.select(
             [ended.end == REACHED, ended.end == TIP, ended.end == NO_MOVE],
             [Outcome.HELD, Outcome.SLIPPED_OFF_TIP, Outcome.STUCK],
@@ -74,63 +78,57 @@ def _newton(
 ) -> tuple[Array, Array, Path, Array, NDArray[np.bool_]]:
     """Arc, force and pass at (r, θ), what the last step leaves; True where proved stable."""
     n = r.size
-    v = np.clip(r * (1 - rows.radius[-1] / rows.radius[0]), 0.0, 0.999)
+    compliance = _compliance(rows, r, psi, start)
+    # Start from the straight taper that gives way as easily.
+    v = np.clip(1 - r**2 / (3 * compliance), 0.0, 0.999)
     f, s = _straight(v, push, r)
+    f *= r**2 / (3 * (1 - v) * compliance)
     s = np.minimum(s / r * start, 1.0)
-    compliance = r**2 / (3 * (1 - v))
-    if rows.law is not None or rows.core is not None or len(rows.arc) > 2 or np.any(psi != 0):
-        path = follow_blocks(rows, start, np.zeros_like(r), psi, max(1, pilot(rows) // 2))
-        r_s, r_f, t_s, t_f = path.jacobian()
-        true = np.maximum(t_f - t_s * r_f / r_s, 1e-3 * compliance)
-        f = f * compliance / true
-        compliance = true
 
     floor = 1e-6 / compliance
     size, before, left = np.full(n, np.inf), np.ones(n), np.zeros(n)
     paths: Path | None = None
-    fine = np.zeros(n, dtype=bool)
+    steps = np.full(n, max(1, pilot(rows) // 2))
     active = np.arange(n)
     for count in range(12):
-        for exact in (False, True):
-            at = active[fine[active] == exact]
-            if not at.size:
-                continue
-            part = rows.take(at) if at.size < n else rows
-            with np.errstate(all="ignore"):
-                if exact:
-                    path = resolve(part, s[at], f[at], psi[at], tolerance)
-                else:
-                    path = follow_blocks(part, s[at], f[at], psi[at], pilot(rows))
-                r_s, r_f, t_s, t_f = path.jacobian()
-                d = r_s * t_f - r_f * t_s
-                miss_r, miss_t = r[at] - path.distance, theta[at] - path.deflection
-                ds = (miss_r * t_f - miss_t * r_f) / d
-                df = (miss_t * r_s - miss_r * t_s) / d
-                ds = np.clip(np.nan_to_num(ds), -0.2 * r[at], 0.2 * r[at])
-                df = np.clip(np.nan_to_num(df), -0.5 * f[at] - floor[at], f[at] + floor[at])
-                ds = np.minimum(ds, 1.0 - s[at])
-                now = np.maximum(np.abs(ds) / r[at], np.abs(df) / (f[at] + floor[at]))
-                # What the step leaves in the signals, C·size²: C from the step before, but no
-                # less than is usual, which goes up towards the fold as D falls.
-                usual = 3 * np.maximum(1.0, (compliance[at] / d) ** 2)
-                left[at] = 10 * now**2 * np.maximum(now / before[at] ** 2, usual)
-                path = path.moved(ds, df)
-            size[at] = now
-            s[at] += ds
-            f[at] += df
-            paths = path if paths is None else paths.put(at, path)
-            before[at] = np.minimum(now, 1.0)
-            if not exact:
-                # A pilot that is good enough, or a start close enough for the fine pass.
-                fine[at] = (now < 3e-3) & (path.error > tolerance)
-                left[at[fine[at]]] = np.inf
-        lost = (count > 4) & (size > 0.1)
-        active = active[(~(left <= tolerance) & ~lost)[active]]
+        at = active
+        part = rows.take(at) if at.size < n else rows
+        path = follow_each(part, s[at], f[at], psi[at], steps[at])
+        with np.errstate(all="ignore"):
+            r_s, r_f, t_s, t_f = path.jacobian()
+            d = r_s * t_f - r_f * t_s
+            miss_r, miss_t = r[at] - path.distance, theta[at] - path.deflection
+            ds = (miss_r * t_f - miss_t * r_f) / d
+            df = (miss_t * r_s - miss_r * t_s) / d
+            ds = np.clip(np.nan_to_num(ds), -0.2 * r[at], 0.2 * r[at])
+            df = np.clip(np.nan_to_num(df), -0.5 * f[at] - floor[at], f[at] + floor[at])
+            ds = np.minimum(ds, 1.0 - s[at])
+            now = np.maximum(np.abs(ds) / r[at], np.abs(df) / (f[at] + floor[at]))
+            # What the step leaves in the signals, C·size²: C from the step before, but no
+            # less than is usual, which goes up towards the fold as D falls.
+            usual = 3 * np.maximum(1.0, (compliance[at] / d) ** 2)
+            left[at] = 10 * now**2 * np.maximum(now / before[at] ** 2, usual)
+            path = path.moved(ds, df)
+            # Errors of the pass grow towards the fold as they become those of the signals.
+            grown = np.clip(np.abs(compliance[at] / d), 1.0, 100.0)
+            exact = np.maximum(tolerance / grown, min(tolerance, 1e-12))
+            # The next pass need be no better than what its step will leave.
+            last = 300 * now**4 < tolerance
+            bound = np.where(last, 0.5 * exact, np.clip(1e-2 * now**2, exact, 1e-4))
+            steps[at] = needed(path.steps, path.error, bound)
+        size[at] = now
+        s[at] += ds
+        f[at] += df
+        paths = path if paths is None else paths.put(at, path)
+        before[at] = np.minimum(now, 1.0)
+        done = (left[at] <= tolerance) & (path.error <= exact)
+        lost = (count > 4) & (now > 0.1)
+        active = at[~(done | lost)]
         if not active.size:
             break
     assert paths is not None
     found = (left <= tolerance) & (size < 1e-2) & (paths.flips == 0)
-    found &= (paths.error <= tolerance) & (f > -floor)
+    found &= (paths.error <= tolerance) & (f > -floor) & ~_winds(rows)
     with np.errstate(invalid="ignore"):
         slack = 1e-5 * np.sqrt(tolerance) + 10 * tolerance
         found &= np.abs(paths.distance - r) <= (slack + left) * r
@@ -138,10 +136,34 @@ def _newton(
     return s, f, paths, left, found
 
 
-def at_points(branch: Branch, v: Array, sign: Array) -> tuple[Array, Array]:
-    """The eight numbers and the error at points of branches."""
+def _compliance(rows: Rows, r: Array, psi: Array, start: Array) -> Array:
+    """dθ_d/dF at zero load."""
+    v = np.clip(r * (1 - rows.radius[-1] / rows.radius[0]), 0.0, 0.999)
+    straight = r**2 / (3 * (1 - v))
+    if rows.law is None and rows.core is None and len(rows.arc) == 2 and not np.any(psi):
+        return straight
+    path = follow_blocks(rows, start, np.zeros_like(r), psi, 1)
+    r_s, r_f, t_s, t_f = path.jacobian()
+    return np.maximum(t_f - t_s * r_f / r_s, 1e-3 * straight)
+
+
+def _winds(rows: Rows) -> NDArray[np.bool_]:
+    """So curled that a stable contact may lie on another branch than the first: it is walked."""
+    if rows.law is None:
+        return np.zeros(rows.radius.shape[1], dtype=bool)
+    turns = [np.abs(rows.law.turn(np.asarray(share))) for share in (0.25, 0.5, 0.75, 1.0)]
+    return np.asarray(np.max(turns, axis=0) > MOST_TURN)
+
+
+def at_points(
+    branch: Branch, v: Array, sign: Array, goal: Array | None = None
+) -> tuple[Array, Array]:
+    """The eight numbers and the error at points of branches, with `goal` for deflection angle."""
     off, path = branch.onto(branch.path(v, branch.tolerance), v[0] * branch.unit * branch.r >= 1)
     arc, force = branch.contact(v + off)
+    if goal is not None:
+        missed = np.stack([np.abs(goal - path.deflection), np.zeros_like(goal)])
+        path = replace(path, errors=path.errors + missed)
     error = signal_error(path, force, given_contact=True)
     # At a fold signals go as the square root of what is left of the angle: no worse than that.
     error = np.minimum(error, 3 * np.sqrt(path.error))
@@ -156,8 +178,9 @@ def signal_error(path: Path, force: Array, *, given_contact: bool) -> Array:
     transverse force that passes through zero is compared with a thousandth of the force.
     """
     r, sine, cosine = path.distance, np.sin(path.angle), np.cos(path.angle)
-    e_r, e_t = r * (path.error + ROUNDING), path.scale * path.error + ROUNDING * np.abs(path.angle)
     with np.errstate(all="ignore"):
+        e_t = path.errors[0] + ROUNDING * np.abs(path.angle)
+        e_r = r * (path.errors[1] + ROUNDING)
         off = force * np.stack([e_r, np.abs(cosine) * e_t, np.abs(sine) * e_t])
         if given_contact:
             slopes = np.abs(signal_slopes(path, force, np.ones_like(force)))
@@ -211,6 +234,15 @@ def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
 def on_whisker(rows: Rows, arc: Array) -> NDArray[np.bool_]:
     """On the whisker, and not at a tip of no width, which has no stiffness to push back."""
     return (arc <= 1 + TIP_ROUNDING) & ~((arc >= 1 - TIP_ROUNDING) & (rows.radius[-1] <= 0))
+
+
+def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The indices of `which`; by contact arc if there are several pieces.
+
+    A block of rows that all touch near the base then skips the pieces beyond.
+    """
+    index = np.flatnonzero(which)
+    return index[np.argsort(arc[index])] if len(rows.arc) > 2 else index
 
 
 def _straight(v: Array, push: Array, r: Array) -> tuple[Array, Array]:

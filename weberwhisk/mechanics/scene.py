@@ -110,8 +110,11 @@ def press_chosen(
     friction_angle: ArrayLike,
     roll: ArrayLike,
     choice: Choice,
+    tolerance: float = 1e-9,
 ) -> Bending:
     """Press each whisker by the rung chosen for its scene; arguments as for `ladder.press`.
+
+    `tolerance` is that of solving the equations of rung 2.
 
     Raises
     ------
@@ -121,7 +124,7 @@ def press_chosen(
     """
 
     def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, rung: Array) -> Solved:
-        return press(Scene.of(rows, r, theta, psi, turn), rung.astype(np.int8))
+        return press(Scene.of(rows, r, theta, psi, turn), rung.astype(np.int8), tolerance)
 
     b = _by_rows(
         solve,
@@ -138,7 +141,7 @@ def press_chosen(
     own = np.where(rung == Rung.CLOSED_FORM, 0.0, b.error)
     error = np.where(np.isnan(b.error), np.nan, off + own)
     model = rung if rung.ndim else Rung(int(rung))
-    return replace(b, model=model, error=error[()])
+    return replace(b, model=model, error=error[()], choice=choice)
 
 
 def press_in_space(
@@ -149,18 +152,20 @@ def press_in_space(
     roll: ArrayLike,
 ) -> Bending:
     """Rung 3 as a `Bending`; arguments as for `ladder.press`."""
-    whole = Choice(Rung.ROD, np.zeros(4), np.zeros(4), 0.0)
+    whole = Choice.complete(Rung.ROD, 1e-9)
     return press_chosen(whisker, radial_distance, deflection_angle, friction_angle, roll, whole)
 
 
-def press(scene: Scene, rung: NDArray[np.int8]) -> Solved:
+def press(scene: Scene, rung: NDArray[np.int8], tolerance: float) -> Solved:
     """The eight numbers of a `Bending`, outcome and error, each scene by the rung named."""
     n = scene.distance.size
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
     for step in np.unique(rung):
         which = np.flatnonzero(rung == step)
-        numbers[:, which], outcome[which], error[which] = _SOLVE[Rung(step)](scene.take(which))
+        part = scene.take(which)
+        solved = _SOLVE[step](part) if step in _SOLVE else _planar(part, tolerance)
+        numbers[:, which], outcome[which], error[which] = solved
     numbers[3], numbers[4] = scene.distance, scene.angle  # as given
     return numbers, outcome, error
 
@@ -182,7 +187,7 @@ def _straight(scene: Scene, rung: Rung) -> Solved:
     return numbers, np.where(lost, Outcome.OUT_OF_REACH, outcome).astype(np.int8), error
 
 
-def _planar(scene: Scene, tolerance: float = 1e-9) -> Solved:
+def _planar(scene: Scene, tolerance: float) -> Solved:
     rows, angle = scene.planar()
     angle = np.nan_to_num(angle)  # out of reach either way
     return press_rows(rows, scene.distance, angle, scene.friction, tolerance)
@@ -206,9 +211,5 @@ def _spatial(scene: Scene) -> Solved:
     return numbers, b.outcome, b.error
 
 
-_SOLVE = {
-    Rung.CLOSED_FORM: _closed_form,
-    Rung.ELASTICA: _elastica,
-    Rung.PROFILE: _planar,
-    Rung.ROD: _spatial,
-}
+#: By rung; rung 2 takes its tolerance as well.
+_SOLVE = {Rung.CLOSED_FORM: _closed_form, Rung.ELASTICA: _elastica, Rung.ROD: _spatial}

@@ -50,7 +50,11 @@ class Spiral:
         return np.asarray(arc * (self.base + self.rate * arc / 2))
 
     def point(self, arc: Array) -> tuple[Array, Array]:
-        """Where the points at the arc lengths `arc` (n,) lie, by quadrature."""
+        """Where the points at the arc lengths `arc` (n,) lie: on a circle, or by quadrature."""
+        if not np.any(self.rate):
+            half = self.turn(arc) / 2
+            chord = arc * np.sinc(half / np.pi)
+            return chord * np.cos(half), chord * np.sin(half)
         winding = float(np.max(np.abs(self.turn(arc)), initial=0.0))
         x, w = np.polynomial.legendre.leggauss(10 + int(4 * winding))
         turn = self.turn((x[:, None] + 1) / 2 * arc)

@@ -32,6 +32,18 @@ class Touch:
     tip: bool
 
 
+State = tuple[Array, Array, Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A point v, the sign of the Jacobian there, and the state up to Newton's last step."""
+
+    point: Array
+    sign: float
+    state: tuple[float, ...]
+
+
 class TouchedBody:
     """The equations of one whisker on one body, in units of the length and EI₀/L²."""
 
@@ -45,7 +57,7 @@ class TouchedBody:
         self.edges = np.arctan2(step[:, 1], step[:, 0])
         self.spans = np.hypot(step[:, 0], step[:, 1])
 
-    def state(self, touch: Touch, v: Array) -> tuple[Array, Array, Array, Array, Array]:
+    def state(self, touch: Touch, v: Array) -> State:
         """Contact x, y and angle, the angle of the object's tangent there, and the force."""
         m = v.shape[1]
         arc = np.ones(m) if touch.tip else np.minimum(v[0], 1.0)
@@ -57,9 +69,9 @@ class TouchedBody:
         x, y = path.lever * c - path.along * s, path.lever * s + path.along * c
         return x, y, angle - tilt - self.friction, angle - self.friction, v[1]
 
-    def miss(self, touch: Touch, v: Array, rotation: float) -> Array:
+    def miss(self, touch: Touch, state: State, rotation: float) -> Array:
         """The two equations, (2, m)."""
-        x, y, _, tangent, _ = self.state(touch, v)
+        x, y, _, tangent, _ = state
         corner = self.corners[touch.feature // 2]
         c, s = np.cos(rotation), np.sin(rotation)
         off_x = x + self.radius * np.sin(tangent) - (corner[0] * c - corner[1] * s)
@@ -69,13 +81,14 @@ class TouchedBody:
         edge = self.edges[touch.feature // 2] + rotation
         return np.stack([np.sin(tangent - edge), -off_x * np.sin(edge) + off_y * np.cos(edge)])
 
-    def solve(self, touch: Touch, v: Array, rotation: float) -> tuple[Array, float] | None:
-        """Newton's method; the point and the sign of its Jacobian, or None."""
+    def solve(self, touch: Touch, v: Array, rotation: float) -> Solution | None:
+        """Newton's method; the point, the sign of its Jacobian and its state, or None."""
         step = 1e-6
         for _ in range(7):
             f_step = step * max(1.0, abs(v[1]))
             probes = v[:, None] + np.array([[0, -step, 0], [0, 0, f_step]])
-            f = self.miss(touch, probes, rotation)
+            state = self.state(touch, probes)
+            f = self.miss(touch, state, rotation)
             if not np.all(np.isfinite(f)):
                 return None
             jacobian = np.stack([(f[:, 0] - f[:, 1]) / step, (f[:, 2] - f[:, 0]) / f_step], axis=1)
@@ -86,20 +99,21 @@ class TouchedBody:
             v = v - move
             if abs(move[0]) > 0.3 or not np.all(np.isfinite(v)):
                 return None
-            if np.max(np.abs(move) / np.maximum(np.abs(v), [1.0, 0.1])) < 1e-10:
-                return v, float(np.sign(det))
+            # The next step would be smaller than this one by what the quotients are off, 1e-4.
+            if np.max(np.abs(move) / np.maximum(np.abs(v), [1.0, 0.1])) < 1e-7:
+                return Solution(v, float(np.sign(det)), tuple(float(part[0]) for part in state))
         return None
 
-    def next_touch(self, touch: Touch, v: Array, rotation: float) -> Touch | Outcome | None:
+    def next_touch(self, touch: Touch, at: Solution, rotation: float) -> Touch | Outcome | None:
         """None if this touch is valid, else what it turns into, or what it ends by."""
-        change = self._change(touch, v, rotation)
-        if change is None and self.rows.law and self._overlap(touch, v, rotation) > OVERLAP:
+        change = self._change(touch, at, rotation)
+        if change is None and self.rows.law and self._overlap(touch, at, rotation) > OVERLAP:
             return Outcome.TOUCHES_TWICE
         return change
 
-    def _overlap(self, touch: Touch, v: Array, rotation: float) -> float:
+    def _overlap(self, touch: Touch, at: Solution, rotation: float) -> float:
         """How deep in the object the whisker lies elsewhere: a straight one never does."""
-        x, y, angle, _, force = (float(part[0]) for part in self.state(touch, v[:, None]))
+        v, (x, y, angle, _, force) = at.point, at.state
         arc, push = 1.0 if touch.tip else min(float(v[0]), 1.0), angle + self.friction
         push += float(v[0]) if touch.tip else 0.0
         length, law = self.profile.whisker.length, self.rows.law
@@ -124,14 +138,14 @@ class TouchedBody:
         c, s = np.cos(rotation), np.sin(rotation)
         return float(np.max(self.body.depth(c * px + s * py, c * py - s * px)))
 
-    def _change(self, touch: Touch, v: Array, rotation: float) -> Touch | Outcome | None:
+    def _change(self, touch: Touch, at: Solution, rotation: float) -> Touch | Outcome | None:
+        v, (x, y, _, tangent, _) = at.point, at.state
         if not touch.tip and v[0] > 1 + 1e-9:
             return Outcome.SLIPPED_OFF_TIP
         if v[1] < -1e-9:
             return Outcome.OUT_OF_REACH
         if touch.tip and v[0] < -1e-9:
             return Touch(touch.feature, False)
-        x, y, _, tangent, _ = (float(part[0]) for part in self.state(touch, v[:, None]))
         i, k = touch.feature // 2, len(self.corners)
         if touch.feature % 2:
             c, s = np.cos(rotation), np.sin(rotation)

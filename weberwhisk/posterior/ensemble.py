@@ -69,7 +69,7 @@ LEAST_ACCEPTANCE = 0.05
 HEAVY = 4.0  # kurtosis above which the precision asked for is tightened by √2
 DRIFT = 3.0  # standard errors between early and late steps that still count as burnt in
 FEWEST_ENSEMBLES, FEWEST_STEPS = 4, 64
-FIRST_CHECK, GROWTH = 256, (1.1, 1.5)  # steps before the first judgement; growth to the next
+FIRST_CHECK, GROWTH = 96, (1.1, 1.5)  # steps before the first judgement; growth to the next
 PIECE, STORED = 32, 1024  # steps in one call of emcee; steps on record before they are halved
 
 

@@ -10,6 +10,7 @@ from scipy.special import ndtri
 from ..observer import Observer
 from ..receptors import Seed
 from .mode import Mode, find_mode
+from .peaks import is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, contact_slope, is_unidentified
 
@@ -28,6 +29,7 @@ def laplace(
     mean_error, sd_error = _along_axes(observer, reading, mode, to_contact, sd)
     worst = (np.maximum(mean_error, sd_error) / sd).max(axis=1)
     status = np.where(worst > (tolerance or LAPLACE_MISFIT), Status.NOT_GAUSSIAN, Status.CONVERGED)
+    status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(is_unidentified(observer, contact), Status.UNIDENTIFIED, status)
     estimates = [
         Estimate(contact[:, i], sd[:, i], mean_error[:, i], sd_error[:, i])

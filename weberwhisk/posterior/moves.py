@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import emcee
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from .grid import Nodes
 
 Array = NDArray[np.float64]
+
+#: Share of a posterior's mass below which a cell is not drawn from.
+LEAST_SHARE = 1e-5
 
 
 class StackedMove(emcee.moves.Move):
@@ -113,21 +121,24 @@ class StackedDifferentialEvolution(StackedMove):
         return active + (sign * step)[..., None] * (rest[:, first] - rest[:, second]), 0.0
 
 
-class StackedIndependence(StackedMove):
-    """Proposals that do not depend on where a walker is: Student's t about a guess, in each block.
+class StackedGrid(StackedMove):
+    """Proposals that do not depend on where a walker is: cells of a grid, in each block.
 
-    The guess, a centre and a root of the covariance, is fixed before the run, so this is plain
-    Metropolis–Hastings (Tierney 1994, Ann. Stat. 22, 1701). Where the guess is good nearly every
-    step is an independent draw; where it is not, walkers linger in tails heavier than t's, which
-    the other moves of a mixture help and the run's diagnostics see.
+    A cell is drawn by its weight and a point inside it evenly, or, in a share `wide` of the
+    steps, Student's t about the grid's mean, which reaches what lies outside. The grid is fixed
+    before the run, so this is plain Metropolis–Hastings (Tierney 1994, Ann. Stat. 22, 1701):
+    nearly every step is an independent draw, whatever the density's shape. Where the grid has
+    missed something, walkers linger there, which the other moves of a mixture help and the run's
+    diagnostics see.
 
     Parameters
     ----------
-    centre : array, shape (B, D)
-    root : array, shape (B, D, D)
-        Of the covariance of every posterior.
+    nodes : sequence of Nodes
+        The weighted grid of every posterior.
+    wide : float
+        Share of the proposals that are Student's t.
     freedom : float
-        Degrees of freedom: tails of the proposal.
+        Its degrees of freedom.
     """
 
     def __init__(
@@ -135,21 +146,72 @@ class StackedIndependence(StackedMove):
         walkers: int,
         rng: np.random.Generator,
         *,
-        centre: Array,
-        root: Array,
+        nodes: Sequence[Nodes],
+        wide: float = 0.1,
         freedom: float = 5.0,
     ) -> None:
         super().__init__(walkers, rng)
-        self.centre, self.root, self.freedom = centre, root, freedom
-        self.inverse = np.linalg.inv(root)
+        self.wide, self.freedom = wide, freedom
+        self.points = np.concatenate([grid.points for grid in nodes])
+        weights = np.concatenate([grid.weights for grid in nodes])
+        sizes = np.array([len(grid.points) for grid in nodes])
+        self.first = np.cumsum(sizes) - sizes
+        sums = np.add.reduceat(weights, self.first)
+        share = weights / np.repeat(sums, sizes)
+        # Cells of no weight are left to the wide proposals: what is searched stays in the cache.
+        self.drawn = np.flatnonzero(share > LEAST_SHARE)
+        block = np.repeat(np.arange(len(nodes)), sizes)[self.drawn]
+        share = np.where(share > LEAST_SHARE, share, 0.0)
+        share /= np.repeat(np.add.reduceat(share, self.first), sizes)
+        # Cumulative shares, those of block b between b and b + 1: one search serves all blocks.
+        below = np.cumsum(share[self.drawn])
+        ends = np.searchsorted(block, np.arange(len(nodes)), side="right")
+        self.cumulative = below - np.concatenate([[0.0], below[ends - 1]])[block] + block
+        self.cumulative[ends - 1] = np.arange(1, len(nodes) + 1)
+        self.edges = np.stack([grid.edges for grid in nodes])
+        self.into_cells = np.linalg.inv(self.edges)
+        self.origin = self.points[self.first]
+        self.shape = np.array([grid.shape for grid in nodes])
+        self.stride = np.cumprod(self.shape[:, ::-1], axis=1)[:, ::-1] // self.shape
+        self.density = share / np.repeat(np.abs(np.linalg.det(self.edges)), sizes)
+        moment = np.add.reduceat(weights[:, None] * self.points, self.first)
+        self.centre = moment / sums[:, None]
+        off = self.points - np.repeat(self.centre, sizes, axis=0)
+        covariance = np.add.reduceat(
+            weights[:, None, None] * off[:, :, None] * off[:, None, :], self.first
+        )
+        # No narrower than a cell, should a single node hold all of the mass.
+        covariance = covariance / sums[:, None, None] + self.edges @ self.edges.swapaxes(1, 2) / 12
+        self.root = 1.3 * np.linalg.cholesky(covariance)
+        self.inverse = np.linalg.inv(self.root)
+        dim, half = self.points.shape[1], (freedom + self.points.shape[1]) / 2
+        self.height = np.abs(np.linalg.det(self.inverse)) * np.exp(
+            gammaln(half) - gammaln(freedom / 2) - dim / 2 * np.log(freedom * np.pi)
+        )
 
     def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
         index = np.repeat(self.alive, len(active) // len(self.alive))
-        centre, dim = self.centre[index][:, None], active.shape[-1]
+        size = active.shape[:2]
+        u = self.rng.random(size) * (1 - 1e-12)  # rounding must not lift it into the next block
+        node = self.drawn[np.searchsorted(self.cumulative, index[:, None] + u, side="right")]
+        inside = (self.rng.random(active.shape) - 0.5) @ self.edges[index].swapaxes(1, 2)
         z = self.rng.standard_normal(active.shape)
-        z /= np.sqrt(self.rng.chisquare(self.freedom, active.shape[:2]) / self.freedom)[..., None]
-        new = centre + z @ self.root[index].swapaxes(1, 2)
-        old = (active - centre) @ self.inverse[index].swapaxes(1, 2)
-        squares = [np.square(v).sum(axis=-1) for v in (z, old)]
-        logs = [np.log1p(square / self.freedom) for square in squares]
-        return new, (self.freedom + dim) / 2 * (logs[0] - logs[1])
+        z /= np.sqrt(self.rng.chisquare(self.freedom, size) / self.freedom)[..., None]
+        far = self.centre[index][:, None] + z @ self.root[index].swapaxes(1, 2)
+        wide = self.rng.random(size) < self.wide
+        new = np.where(wide[..., None], far, self.points[node] + inside)
+        return new, self.log_density(active, index) - self.log_density(new, index)
+
+    def log_density(self, x: Array, index: NDArray[np.intp]) -> Array:
+        """ln of the density that proposals x (b, n, D) of blocks `index` (b,) are drawn from."""
+        steps = (x - self.origin[index][:, None]) @ self.into_cells[index].swapaxes(1, 2)
+        top = self.shape[index][:, None] - 1
+        cell = np.clip(np.rint(steps), 0, top).astype(np.intp)
+        node = self.first[index][:, None] + (cell * self.stride[index][:, None]).sum(axis=-1)
+        held = (np.abs(steps - cell) <= 0.5 + 1e-9).all(axis=-1)
+        z = (x - self.centre[index][:, None]) @ self.inverse[index].swapaxes(1, 2)
+        power = -(self.freedom + x.shape[-1]) / 2
+        fall = (1 + np.square(z).sum(axis=-1) / self.freedom) ** power
+        tails = self.height[index][:, None] * fall
+        within = np.where(held, self.density[node], 0.0)
+        return np.asarray(np.log((1 - self.wide) * within + self.wide * tails))

@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from ..receptors import ReceptorNoise
+from ..receptors import Events, Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .solution import IMPROBABLE
@@ -183,7 +183,7 @@ class Panels:
         contact, _ = self.observer.contact(x.reshape(-1, 1))
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
-        mean, sd = self._spread(np.where(held[:, None], signals, 1.0))
+        mean, sd = _spread(self.observer.noise, np.where(held[:, None], signals, 1.0))
         features = np.concatenate([mean / sd, np.log(sd)], axis=-1)
         features = np.where(held[:, None], features, 0.0).reshape(*x.shape, -1)
         # The readings' way across the panel in units of their sd: the length in JNDs.
@@ -201,11 +201,6 @@ class Panels:
         rounding = 100 * np.spacing(r[:, -1:]) * slope.max(axis=1)
         rough = (tail > 1e-9 + rounding).any(axis=-1)
         return ((length > LONGEST) | rough) & (half > SHORTEST)
-
-    def _spread(self, signals: Array) -> tuple[Array, Array]:
-        """Mean and sd of the readings of signals (n, S), (n, R) each."""
-        noise = self.observer.noise
-        return noise.mean(signals), noise.sd(signals)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
         """First panel and one past the last in which each reading (B, S) has mass."""
@@ -225,8 +220,17 @@ class Panels:
 
     def moments(self, reading: Array, *, rows: int = 128) -> PanelMoments:
         """Moments of r for readings (B, S)."""
+        if isinstance(self.observer.noise, Events) and len(reading) > 1:
+            # Few things can happen: each is weighed once.
+            reading, back = np.unique(reading, axis=0, return_inverse=True)
+            of_each = self._in_parts(reading, rows)
+            return PanelMoments(*(column[back.reshape(-1)] for column in of_each))
+        return PanelMoments(*self._in_parts(reading, rows))
+
+    def _in_parts(self, reading: Array, rows: int) -> list[Any]:
+        """The columns of `PanelMoments`, of few readings at a time."""
         parts = [self._moments(reading[i : i + rows]) for i in range(0, len(reading), rows)]
-        return PanelMoments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
     def _weigh(self, reading: Array) -> tuple[Index, Index, Index, Array, Array]:
         """`_pairs` of readings and panels, their nodes' weights (n, 15), ln of the largest.
@@ -282,9 +286,24 @@ class Panels:
         return _hermite_inverse(x.reshape(-1), cumulative, step, probability, self.observer)
 
 
+def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:
+    """Mean and sd of the readings of signals (n, S), (n, R) each.
+
+    Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
+    """
+    if isinstance(noise, Joint):
+        parts = zip(*(_spread(*part) for part in noise.parts(signals)), strict=True)
+        mean, sd = (np.concatenate(side, axis=-1) for side in parts)
+        return mean, sd
+    if isinstance(noise, Events):
+        mean = noise.stabilised(signals)
+        return mean, np.ones_like(mean)
+    return noise.mean(signals), noise.sd(signals)
+
+
 def _prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
     """ln p(reading | signals of a panel), for readings (n, R) and panels (n,)."""
-    if isinstance(noise, Gaussian):
+    if isinstance(noise, Gaussian | Events):
         return noise.prepared(signals)
 
     def log_likelihood(reading: Array, panel: Index) -> Array:

@@ -20,7 +20,7 @@ from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 #: and more.
 TOLERANCE = (1e-6, 1e-2)
 #: Posteriors whose grids are worked on together.
-TOGETHER = 1024
+TOGETHER = 4096
 
 
 @lru_cache(maxsize=32)

@@ -29,6 +29,7 @@ class Status(IntEnum):
     NOT_GAUSSIAN = 3
     IMPRECISE = 4
     NOT_CONVERGED = 5
+    SEVERAL_PEAKS = 6
 
     @property
     def message(self) -> str:
@@ -44,6 +45,8 @@ _MESSAGES = {
     Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
     Status.IMPRECISE: "the estimated error is above the tolerance",
     Status.NOT_CONVERGED: "the walkers have not converged",
+    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone: "
+    "use quadrature",
 }
 
 
@@ -160,11 +163,12 @@ class Posterior:
         values = np.moveaxis(values, 0, 2)  # chain, draw, reading, unknown
         if self.reading.ndim == 1:
             values = values[:, :, 0]
+        names = self.observer.cue.signal_names
+        if len(names) != self.reading.shape[-1]:  # counts or reports, not signals
+            names = tuple(f"reading_{i}" for i in range(self.reading.shape[-1]))
         return to_arviz(
             {name: values[..., i] for i, name in enumerate(self.observer.unknowns)},
-            observed_data={
-                name: self.reading[..., i] for i, name in enumerate(self.observer.cue.signal_names)
-            },
+            observed_data={name: self.reading[..., i] for i, name in enumerate(names)},
             attrs={
                 "method": self.method,
                 "observer": repr(self.observer),

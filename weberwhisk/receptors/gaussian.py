@@ -204,7 +204,7 @@ class GeneralisedWeber(Gaussian):
     Parameters
     ----------
     weber_fraction : float or sequence of float
-        k, one for all signals or one each.
+        k, one for all signals or one each. 0 leaves constant noise, natural for angles.
     floor : float or sequence of float
         Receptor threshold noise σ₀, in the unit of each signal.
     ceiling : float or sequence of float, optional
@@ -216,7 +216,8 @@ class GeneralisedWeber(Gaussian):
     Raises
     ------
     ValueError
-        For values that are not positive (floor: negative), a correlation outside −1 … 1.
+        For values that are negative (ceiling: not positive), a Weber fraction and a floor that
+        are both 0, a correlation outside −1 … 1.
 
     Examples
     --------
@@ -233,8 +234,13 @@ class GeneralisedWeber(Gaussian):
         ceiling: ArrayLike | None = None,
         correlation: float = 0.0,
     ) -> None:
-        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
+        self.weber_fraction: Any = non_negative("weber_fraction", weber_fraction, "write 0.1, say")
         self.floor: Any = non_negative("floor", floor, "write it in the unit of the signal")
+        if np.any((self.weber_fraction == 0) & (self.floor == 0)):
+            raise ValueError(
+                "A signal without noise has no likelihood, got weber_fraction 0 and floor 0; "
+                "write one of them above zero."
+            )
         self.ceiling: Any = np.inf
         if ceiling is not None:
             self.ceiling = positive("ceiling", ceiling, "write None for no ceiling")

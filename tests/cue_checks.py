@@ -1,0 +1,171 @@
+"""What every cue is held to, whatever it feels: used by the tests of single cues."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.jnd import weber_propagation
+
+#: Chance of fewer misses than this many sd of a binomial: one in 16 000.
+SDS = 4.0
+
+
+def jacobian_by_differences(cue, whisker, contact, step=1e-5):
+    """Central differences of the signals, (..., S, U); steps are relative."""
+    columns = []
+    for axis in range(contact.shape[-1]):
+        h = np.zeros_like(contact)
+        h[..., axis] = step * np.abs(contact[..., axis])
+        up, down = (cue.signals(whisker, contact + s * h)[0] for s in (1, -1))
+        columns.append((up - down) / (2 * h[..., axis, None]))
+    return np.stack(columns, axis=-1)
+
+
+def moments_by_midpoints(observer, reading, points=200_001):
+    """Mean and sd of the radial distance by the midpoint rule, flat prior, one unknown."""
+    low, high = observer.reach
+    r = low + (np.arange(points) + 0.5) / points * (high - low)
+    log = observer.log_likelihood(reading, r[:, None])
+    weight = np.exp(log - log.max())
+    mean = weight @ r / weight.sum()
+    return mean, np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+
+
+def coverage(observer, contact, seed):
+    """Share of 95 % intervals that hold the radial distance, of readings of these contacts."""
+    readings, back = np.unique(observer.read(contact, seed=seed), axis=0, return_inverse=True)
+    interval = ww.posterior(observer, readings).interval(0.95)[back.reshape(-1)]
+    low, high = np.moveaxis(interval, -1, 0)
+    return np.mean((low <= contact[:, 0]) & (contact[:, 0] <= high))
+
+
+def prior_draws(observer, n, seed):
+    """Contacts (n, U) from the prior: flat where none is given, over what the whisker holds."""
+    rng = np.random.default_rng(seed)
+    low, high = observer.reach
+    kept = np.empty((0, len(observer.unknowns)))
+    while len(kept) < n:
+        columns = []
+        for i, name in enumerate(observer.unknowns):
+            if name in observer.prior:
+                columns.append(observer.prior[name].rvs(4 * n, random_state=rng))
+            elif i == 0:
+                columns.append(rng.uniform(low, high, 4 * n))
+            else:
+                columns.append(rng.uniform(0, 2, 4 * n))  # no whisker holds an angle above 2 rad
+        contact = np.stack(columns, axis=-1)
+        inside = (contact[:, 0] > low) & (contact[:, 0] < high)
+        inside &= np.all(contact[:, : observer.bounded] > 0, axis=1)
+        kept = np.concatenate([kept, contact[inside & (observer.signals(contact)[1] == 0)]])
+    return kept[:n]
+
+
+def keeps_the_protocol(observer, contact):
+    """Shapes, outcomes, and a Jacobian that is the slope of the signals."""
+    cue, whisker = observer.cue, observer.whisker
+    assert isinstance(cue, ww.cues.Cue)
+    assert cue.unknowns[0] == "radial_distance"
+    signals, outcome = cue.signals(whisker, contact)
+    assert signals.shape == (*contact.shape[:-1], len(cue.signal_names))
+    assert np.all(outcome == Outcome.HELD)
+    jacobian = cue.jacobian(whisker, contact)
+    assert jacobian.shape == (*signals.shape, len(cue.unknowns))
+    for column in range(contact.shape[-1]):
+        step = np.zeros_like(contact)
+        step[..., column] = np.maximum(np.abs(contact[..., column]), 1e-3) * 1e-5
+        up, down = (cue.signals(whisker, contact + s * step)[0] for s in (1, -1))
+        slope = (up - down) / (2 * step[..., column, None])
+        size = np.abs(slope).max(axis=0)
+        assert np.allclose(jacobian[..., column], slope, rtol=2e-5, atol=1e-7 * size)
+
+
+def brute_force(observer, reading, points=400_000):
+    """Mean and sd of r by the midpoint rule in the contact itself, of one or two unknowns.
+
+    Nothing is shared with the engines but the likelihood: no coordinates, no panels, no grids.
+    """
+    low, high = observer.reach
+    if len(observer.unknowns) == 1:
+        r = low + (np.arange(points) + 0.5) / points * (high - low)
+        log = observer.log_likelihood(reading, r[:, None])
+        if "radial_distance" in observer.prior:
+            log = log + observer.prior["radial_distance"].logpdf(r)
+    else:
+        # First a coarse look at where the mass is, then a fine one there.
+        name, box = observer.unknowns[1], [(low, high), _range(observer)]
+        for n in (500, 500, 2 * int(np.sqrt(points))):
+            axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in box]
+            contact = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+            table = observer.log_likelihood(reading, contact)
+            if name in observer.prior:
+                table = table + observer.prior[name].logpdf(axes[1])
+            near = table > table.max() - 40
+            box = [
+                (
+                    max(axis[kept].min() - 2 * (axis[1] - axis[0]), edge[0]),
+                    min(axis[kept].max() + 2 * (axis[1] - axis[0]), edge[1]),
+                )
+                for axis, kept, edge in zip(
+                    axes, (near.any(axis=1), near.any(axis=0)), box, strict=True
+                )
+            ]
+        r = axes[0]
+        log = np.log(np.exp(table - table.max()).sum(axis=1) + 1e-300)
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    mean = r @ weight
+    return mean, np.sqrt((r - mean) ** 2 @ weight)
+
+
+def _range(observer):
+    name = observer.unknowns[1]
+    if name in observer.prior:
+        return observer.prior[name].ppf([1e-13, 1 - 1e-13])
+    return 0.0, 2.0
+
+
+def agrees_with_brute_force(observer, readings, accuracy=1e-4, **options):
+    """Quadrature's mean and sd beside the midpoint rule's, in units of the sd."""
+    p = ww.posterior(observer, readings, tolerance=accuracy, **options)
+    for i, reading in enumerate(readings):
+        mean, sd = brute_force(observer, reading)
+        assert abs(p.mean[i] - mean) < accuracy * sd
+        assert abs(p.sd[i] / sd - 1) < accuracy
+
+
+def share_covered(observer, n, seed):
+    """Share of 95 % intervals of r that hold the truth, for truths drawn from the prior.
+
+    By quadrature with one unknown; with more by emcee, whose intervals come many at a time.
+    """
+    contact = prior_draws(observer, n, seed)
+    method = "quadrature" if len(observer.unknowns) == 1 else "emcee"
+    p = ww.posterior(observer, observer.read(contact, seed + 1), method, seed=seed + 2)
+    low, high = p.interval(0.95).T
+    return np.mean((low <= contact[:, 0]) & (contact[:, 0] <= high))
+
+
+def covers(observer, n=2000, seed=1):
+    """The share covered is 95 % within what n draws can tell, and within 93 to 97 % for 2000."""
+    margin = SDS * np.sqrt(0.95 * 0.05 / n)
+    assert abs(share_covered(observer, n, seed) - 0.95) < margin
+
+
+def is_calibrated(observer, n=2000, seed=1):
+    """E[((r − mean)/sd)² | reading] = 1 for every reading: intervals' cheaper sister in 2-D."""
+    contact = prior_draws(observer, n, seed)
+    p = ww.posterior(observer, observer.read(contact, seed + 1))
+    square = ((contact[:, 0] - p.mean) / p.sd) ** 2
+    assert abs(square.mean() - 1) < SDS * square.std(ddof=1) / np.sqrt(n)
+
+
+def small_noise_limit(observer, contact, draws=200, seed=1, bias=0.0):
+    """Posterior sd beside Weber propagation, within Monte Carlo error and an allowed bias."""
+    readings = observer.read(np.repeat(contact, draws, axis=0), seed)
+    p = ww.posterior(observer, readings)
+    sd = np.reshape(p.sd, (-1, draws))
+    error = sd.std(axis=1, ddof=1) / np.sqrt(draws)
+    expected = weber_propagation(observer, contact)
+    assert np.all(np.abs(sd.mean(axis=1) - expected) < 4 * error + bias * expected)

@@ -1,0 +1,222 @@
+"""Angle–side–angle (§2c): its three variants, their JND and where they do not work."""
+
+import numpy as np
+import pytest
+from cue_checks import coverage, jacobian_by_differences
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.cues import AngleSideAngle, ContactAndDetachment, Cue, TwoWhiskers
+from weberwhisk.cues.angle_side_angle import triangle_jnd
+from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.receptors import GeneralisedWeber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+CUES = [
+    AngleSideAngle(10e-3),
+    AngleSideAngle(10e-3, side_sd=1e-3),
+    TwoWhiskers(3e-3, neighbour_length=30e-3),
+    ContactAndDetachment(2e-3, side_sd=0.2e-3, push=0.2),
+]
+EVERY = pytest.mark.parametrize("cue", CUES, ids=repr)
+
+
+def drawn(cue, n, seed):
+    """Contacts drawn from the prior, where the cue works."""
+    rng = np.random.default_rng(seed)
+    contact = [rng.uniform(0, cue.farthest(W), 4 * n), rng.uniform(*cue.bearings, 4 * n)]
+    if len(cue.unknowns) > 2:
+        contact.append(cue.side + cue.side_sd * rng.standard_normal(4 * n))
+    contact = np.stack(contact, axis=-1)
+    return contact[cue.signals(W, contact)[1] == Outcome.HELD][:n]
+
+
+@EVERY
+def test_it_keeps_the_protocol(cue):
+    assert isinstance(cue, Cue)
+    contact = drawn(cue, 200, 1)
+    assert len(contact) == 200
+    assert cue.signals(W, contact)[0].shape == (200, 2)
+    assert set(cue.priors(W)) == set(cue.unknowns[1:])
+
+
+@EVERY
+def test_the_angles_are_those_of_the_triangle(cue):
+    """By complex numbers: the object seen from 0 and from the side's other end."""
+    contact = drawn(cue, 100, 2)
+    side = contact[:, 2] if contact.shape[1] > 2 else cue.side
+    there = side + contact[:, 0] * np.exp(1j * contact[:, 1])
+    expected = np.stack([np.angle(there), np.angle(there - side)], axis=-1)
+    assert np.allclose(cue.signals(W, contact)[0], expected, rtol=1e-12)
+
+
+@EVERY
+def test_the_jacobian_is_the_slope_of_the_angles(cue):
+    contact = drawn(cue, 100, 3) * 0.98
+    expected = jacobian_by_differences(cue, W, contact, 1e-6)
+    held = np.isfinite(expected).all(axis=(1, 2))
+    assert held.mean() > 0.8
+    scale = np.abs(expected[held]).max(axis=0)
+    assert np.allclose(cue.jacobian(W, contact)[held], expected[held], rtol=1e-6, atol=1e-8 * scale)
+
+
+@EVERY
+def test_it_is_inverted_wherever_it_works(cue):
+    contact = drawn(cue, 300, 4)
+    side = contact[:, 2] if contact.shape[1] > 2 else None
+    r, outcome = cue.radial_distance(W, cue.signals(W, contact)[0], side)
+    assert np.all(outcome == Outcome.HELD)
+    assert np.allclose(r, contact[:, 0], rtol=1e-9)
+
+
+@EVERY
+def test_the_closed_form_is_the_slopes_way_through_the_noise(cue):
+    contact, k = drawn(cue, 50, 5), cue.side_sd
+    contact = contact[:, :2]
+    known = type(cue)(cue.side)
+    inverse = np.linalg.inv(known.jacobian(W, contact))
+    noise = GeneralisedWeber(0.0, floor=0.02, correlation=0.4)
+    variance = (inverse @ noise.covariance(np.ones(2)) @ np.swapaxes(inverse, 1, 2))[:, 0, 0]
+    jnd = triangle_jnd(*contact.T, cue.side, angle_sd=0.02, side_sd=k, correlation=0.4)
+    assert jnd == pytest.approx(np.sqrt(variance + (contact[:, 0] * k / cue.side) ** 2), rel=1e-9)
+
+
+@EVERY
+def test_the_jnd_by_propagation_is_the_closed_form(cue):
+    """But for what the prior knows of the bearing: an sd of 56° in the middle, to 1° of noise."""
+    observer = ww.Observer(W, cue)
+    contact = observer.at_middle(np.linspace(3e-3, 25e-3, 9)[:, None])
+    expected = triangle_jnd(contact[:, 0], contact[:, 1], cue.side, side_sd=cue.side_sd)
+    for jnd in (weber_propagation(observer, contact), fisher_jnd(observer, contact)):
+        assert jnd == pytest.approx(expected, rel=5e-4)
+
+
+def test_a_short_side_costs_jnd_and_distance_costs_its_square():
+    far = triangle_jnd(np.array([20e-3, 40e-3]), 1.3, 0.1e-3)
+    assert far[1] / far[0] == pytest.approx(4, rel=0.01)
+    halved = triangle_jnd(30e-3, 1.3, np.array([0.1e-3, 0.2e-3]))
+    assert halved[0] / halved[1] == pytest.approx(2, rel=0.01)
+    limit = np.sqrt(2) * 0.01 * 30e-3**2 / (0.1e-3 * np.sin(1.3))
+    assert triangle_jnd(30e-3, 1.3, 0.1e-3, angle_sd=0.01) == pytest.approx(limit, rel=0.01)
+
+
+@pytest.mark.parametrize("side_sd", [0.0, 0.05e-3])
+def test_the_posterior_has_the_closed_forms_sd_where_the_noise_is_small(side_sd):
+    cue = AngleSideAngle(10e-3, side_sd=side_sd)
+    noise = GeneralisedWeber(0.0, floor=np.radians(0.1))
+    observer = ww.Observer(W, cue, noise)
+    r = np.array([10e-3, 20e-3, 30e-3])
+    table = ww.jnd_curve(observer, r, draws=60, seed=1)
+    expected = triangle_jnd(r, np.pi / 2, 10e-3, angle_sd=np.radians(0.1), side_sd=side_sd)
+    assert np.all(table["unreliable"] == 0)
+    # The curvature of r(θ) tells at the order of the noise's square; the mean sd has an error.
+    assert np.all(
+        np.abs(table["posterior"] - expected) < 4 * table["posterior_error"] + 2e-3 * expected
+    )
+    # The estimate scatters by what varies from touch to touch: the angles, not the side.
+    scatter = triangle_jnd(r, np.pi / 2, 10e-3, angle_sd=np.radians(0.1))
+    assert np.all(np.abs(table["estimator"] - scatter) < 4 * table["estimator_error"])
+
+
+@pytest.mark.parametrize("cue", [CUES[0], CUES[2]], ids=repr)
+def test_the_posterior_is_the_brute_force_integral(cue):
+    observer = ww.Observer(W, cue)
+    truth = [15e-3, 1.4]
+    reading = observer.read(truth, seed=3)
+    p = ww.posterior(observer, reading, tolerance=1e-4)
+    n = 3000
+    r = (np.arange(n) + 0.5) / n * cue.farthest(W)
+    # Bearings that the second angle allows: the rest has exp(−50) of the mass.
+    bearing = reading[1] + np.radians(10) * ((np.arange(800) + 0.5) / 400 - 1)
+    contact = np.stack(np.meshgrid(r, bearing, indexing="ij"), axis=-1)
+    weight = np.exp(observer.log_likelihood(reading, contact)).sum(axis=1)
+    mean = weight @ r / weight.sum()
+    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+    assert p.status == 0
+    assert p.mean == pytest.approx(mean, abs=1e-4 * sd)
+    assert p.sd == pytest.approx(sd, rel=1e-4)
+
+
+def test_an_unknown_side_is_integrated_out():
+    """r scales with the side at given angles: the posterior is a product's, sampled by hand."""
+    cue = AngleSideAngle(10e-3, side_sd=1e-3)
+    observer = ww.Observer(W, cue, GeneralisedWeber(0.0, floor=np.radians(0.05)))
+    contact = np.array([20e-3, 1.2, 10e-3])
+    p = ww.posterior(observer, observer.signals(contact)[0])
+    expected = np.hypot(20e-3 * 0.1, triangle_jnd(20e-3, 1.2, 10e-3, angle_sd=np.radians(0.05)))
+    assert p.sd == pytest.approx(expected, rel=0.03)
+    # A flat prior of r: the side's posterior is tilted by the factor side that r carries.
+    assert p.estimates["side"].mean == pytest.approx(10e-3 * (1 + 0.1**2), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("cue", "draws", "band"),
+    [
+        (CUES[0], 100, 0.08),
+        pytest.param(CUES[0], 2000, 0.02, marks=pytest.mark.slow),
+        pytest.param(CUES[1], 300, 0.05, marks=pytest.mark.slow),
+        pytest.param(CUES[2], 2000, 0.02, marks=pytest.mark.slow),
+        pytest.param(CUES[3], 300, 0.05, marks=pytest.mark.slow),
+    ],
+    ids=repr,
+)
+def test_intervals_hold_the_truth_as_often_as_they_say(cue, draws, band):
+    """95 ± 2 % of 2000; of 300 and 100, whose errors are 1.3 and 2.2 %, four of these."""
+    share = coverage(ww.Observer(W, cue), drawn(cue, draws, 9), seed=10)
+    assert share == pytest.approx(0.95, abs=band)
+
+
+def test_a_longer_side_tells_more_but_reaches_less_far():
+    r = np.array([20e-3, 1.2])
+    jnds = [
+        float(weber_propagation(ww.Observer(W, AngleSideAngle(s)), r)) for s in (1e-3, 3e-3, 9e-3)
+    ]
+    assert np.all(np.diff(jnds) < 0)
+    outcome = [int(AngleSideAngle(s).signals(W, r)[1]) for s in (10e-3, 60e-3)]
+    assert outcome == [Outcome.HELD, Outcome.OUT_OF_REACH]
+
+
+def test_it_says_where_it_does_not_work():
+    cue = AngleSideAngle(10e-3)
+    angles = np.radians([[80.0, 80.0], [100.0, 80.0], [79.0, 80.0], [-3.0, 40.0], [60.0, 80.0]])
+    r, outcome = cue.radial_distance(W, angles)
+    assert [Outcome(k).name for k in outcome] == [
+        "PARALLEL", "PARALLEL", "OUT_OF_REACH", "PARALLEL", "HELD",
+    ]  # fmt: skip
+    assert np.isfinite(r).tolist() == [False, False, False, False, True]
+    # The neighbour is too short for what the whisker itself reaches.
+    short = TwoWhiskers(3e-3, neighbour_length=30e-3)
+    assert short.signals(W, np.array([35e-3, 1.5]))[1] == Outcome.OUT_OF_REACH
+    assert TwoWhiskers(3e-3).signals(W, np.array([35e-3, 1.5]))[1] == Outcome.HELD
+    # Pushed too far, the whisker flicks past before it can detach.
+    cue = ContactAndDetachment(push=0.4)
+    limit = cue.farthest(W)
+    # From the first place, at the sharpest bearing, the whisker is at its last.
+    first = abs(cue.side + limit * np.exp(1j * cue.bearings[0]))
+    assert ww.flick_past(W, first).deflection_angle == pytest.approx(0.4, rel=1e-6)
+    contact = np.array(
+        [[limit * 0.99, 1.5], [limit * 1.01, 1.5], [first * 1.01, 1.5], [60e-3, 1.5]]
+    )
+    names = [Outcome(k).name for k in cue.signals(W, contact)[1]]
+    assert names == ["HELD", "ONE_SIDED", "FLICKED_PAST", "OUT_OF_REACH"]
+    table = ww.jnd_curve(ww.Observer(W, cue), first * 1.01, draws=3, seed=1)
+    assert table["outcome"][0].startswith("flicked past")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: AngleSideAngle(0.0), "side must be above zero"),
+        (lambda: AngleSideAngle(1e-2, side_sd=5e-3), "at most a quarter of the side"),
+        (lambda: AngleSideAngle(bearings=(0.5, 4.0)), "bearings must go up between 0 and π"),
+        (lambda: TwoWhiskers(neighbour_length=-1), "neighbour_length must be above zero"),
+        (lambda: ContactAndDetachment(push=-0.1), "push must not be negative"),
+        (lambda: ww.Observer(W, ContactAndDetachment(push=2.0)), "No contact holds"),
+        (lambda: ww.Observer(W, AngleSideAngle(60e-3)), "a side of 0.06 m and a reach of 0.05 m"),
+        (lambda: AngleSideAngle().radial_distance(W, [0.1, np.nan]), "angles must be finite"),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(make, words):
+    with pytest.raises(ValueError, match=words) as error:
+        make()
+    assert "\n" not in str(error.value)

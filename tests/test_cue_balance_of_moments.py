@@ -1,0 +1,234 @@
+"""Balance of moments (§2h): the angle at which muscle and whisker balance, effort known or felt."""
+
+import numpy as np
+import pytest
+from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.cues import BalanceOfMoments, Cue
+from weberwhisk.jnd import weber_propagation
+from weberwhisk.mechanics import closed_form
+from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.receptors import GeneralisedWeber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+KNOWN, FELT = BalanceOfMoments(), BalanceOfMoments(effort=None)
+LATE = BalanceOfMoments(np.radians(120), effort=0.6, curve=MuscleCurve.NORMALISED)
+
+
+def felt_contacts(n, seed, cue=FELT, whisker=W):
+    """Contacts drawn from the prior, flat over all that balance."""
+    rng = np.random.default_rng(seed)
+    r = rng.uniform(0, 1, 20 * n) * whisker.length
+    theta = rng.uniform(0, np.nanmax(cue.largest_angle(whisker, r)), r.size)
+    contact = np.stack([r, theta], axis=-1)
+    return contact[cue.signals(whisker, contact)[1] == Outcome.HELD][:n]
+
+
+@pytest.mark.parametrize("cue", [KNOWN, FELT, LATE], ids=repr)
+def test_it_keeps_the_protocol(cue):
+    assert isinstance(cue, Cue)
+    contact = felt_contacts(100, 1, cue)[:, : len(cue.unknowns)]
+    signals, outcome = cue.signals(W, contact)
+    assert signals.shape == (100, len(cue.signal_names))
+    assert np.array_equal(np.isfinite(signals).all(axis=1), outcome == Outcome.HELD)
+
+
+@pytest.mark.parametrize("whisker", [W, W.cylinder(), ww.Whisker(50e-3, 1e-4, 0.0)])
+@pytest.mark.parametrize("impact", [35, 60, 120, 145])
+@pytest.mark.parametrize("curve", MuscleCurve)
+def test_angle_and_outcome_are_those_of_the_step_by_step_search(whisker, impact, curve):
+    """`moment_balance` looks for the first crossing in 200 steps, on the elastica itself."""
+    cue = BalanceOfMoments(np.radians(impact), curve=curve, effort=0.5)
+    r = np.linspace(0.02, 1.02, 41) * whisker.length
+    expected = moment_balance(whisker, r, np.radians(impact), curve=curve, gain=2 * cue.gain)
+    angle, outcome = cue.signals(whisker, r[:, None])
+    names = [Outcome(k).name.replace("HELD", "BALANCED") for k in outcome]
+    assert names == [Balance(k).name for k in expected.outcome]
+    assert np.allclose(angle[:, 0], expected.balance_angle, rtol=1e-7, equal_nan=True)
+
+
+def test_figure_3s_whisker_holds_as_far_as_the_paper_says():
+    """§2h: "flick past the object when contact occurred at around 70 per cent"."""
+    assert KNOWN.farthest(W) / W.length == pytest.approx(0.685, abs=1e-3)
+
+
+@pytest.mark.parametrize("cue", [KNOWN, LATE], ids=repr)
+def test_the_jacobian_is_the_slope_of_the_balance_angle(cue):
+    r = np.linspace(0.05, 0.95, 30)[:, None] * cue.farthest(W)
+    expected = jacobian_by_differences(cue, W, r)
+    assert np.allclose(cue.jacobian(W, r), expected, rtol=1e-5)
+
+
+def test_the_jacobian_is_the_slope_of_angle_and_effort():
+    contact = felt_contacts(200, 2) * [1, 0.95]
+    expected = jacobian_by_differences(FELT, W, contact)
+    held = np.isfinite(expected).all(axis=(1, 2))
+    assert held.mean() > 0.9
+    scale = np.abs(contact[held, None, :])
+    found = FELT.jacobian(W, contact)[held] * scale
+    assert np.allclose(found, expected[held] * scale, rtol=1e-5, atol=1e-6)
+
+
+def test_the_edge_is_where_effort_peaks():
+    r = np.linspace(0.05, 0.95, 15) * W.length
+    edge = FELT.largest_angle(W, r)
+    for at, top in zip(r, edge, strict=True):
+        theta = np.linspace(0.002, 0.9999, 3000) * ww.flick_past(W, at).deflection_angle
+        moment = ww.press(W, at, theta).normalised_moment
+        effort = FELT.gain * moment / FELT.curve.moment(FELT.impact_angle + theta)
+        assert theta[effort.argmax()] == pytest.approx(top, rel=2e-3)
+
+
+@pytest.mark.parametrize("cue", [KNOWN, FELT], ids=repr)
+def test_it_is_inverted_wherever_there_is_a_balance(cue):
+    contact = felt_contacts(200, 3)
+    if cue is KNOWN:
+        contact = np.linspace(0.02, 0.98, 50)[:, None] * KNOWN.farthest(W)
+    signals, _ = cue.signals(W, contact)
+    r, outcome = cue.radial_distance(W, *signals.T)
+    assert np.all(outcome == Outcome.HELD)
+    assert np.allclose(r, contact[:, 0], rtol=1e-6)
+
+
+def test_what_no_balance_gives_has_no_distance():
+    r, outcome = KNOWN.radial_distance(W, np.radians([5.0, 40.0]))
+    assert np.isfinite(r).tolist() == [True, False]
+    assert outcome.tolist() == [Outcome.HELD, Outcome.OUT_OF_REACH]
+
+
+def test_the_jnd_is_the_angles_noise_over_its_slope():
+    """Small angle: gain·3θ(L/r − L/A) = effort·curve, so that dθ/dr = θ/r·1/(1 − r/A)."""
+    noise = GeneralisedWeber(0.0, floor=0.01)
+    cue = BalanceOfMoments(np.radians(113), gain=20.0)  # the muscle at its flat top, held early
+    r = np.array([10e-3, 30e-3])
+    theta = cue.signals(W, r[:, None], model="closed_form")[0][:, 0]
+    expected = 0.01 / theta * r * (1 - r / W.apex_distance)
+    jnd = weber_propagation(ww.Observer(W, cue, noise), r[:, None])
+    assert jnd == pytest.approx(expected, rel=0.02)
+    moment = closed_form.moment(W, r, theta) / W.moment_scale
+    assert 20 * moment == pytest.approx(cue.curve.moment(np.radians(113) + theta), rel=1e-9)
+
+
+def test_the_posterior_has_the_closed_forms_sd_where_the_noise_is_small():
+    observer = ww.Observer(W, KNOWN, GeneralisedWeber(0.0, floor=np.radians(0.02)))
+    table = ww.jnd_curve(observer, np.array([5e-3, 15e-3, 30e-3]), draws=200, seed=1)
+    assert np.all(table["unreliable"] == 0)
+    off = np.abs(table["posterior"] - table["propagation"])
+    assert np.all(off < 4 * table["posterior_error"] + 1e-3 * table["propagation"])
+    assert np.all(
+        np.abs(table["estimator"] - table["propagation"]) < 4.5 * table["estimator_error"]
+    )
+
+
+@pytest.mark.parametrize("cue", [KNOWN, LATE], ids=repr)
+def test_the_posterior_is_the_brute_force_integral(cue):
+    observer = ww.Observer(W, cue)
+    for share in (0.2, 0.9):
+        reading = observer.read([share * cue.farthest(W)], seed=4)
+        p = ww.posterior(observer, reading)
+        mean, sd = moments_by_midpoints(observer, reading, 20_001)
+        assert p.status == 0
+        assert p.mean == pytest.approx(mean, abs=1e-4 * sd)
+        assert p.sd == pytest.approx(sd, rel=1e-4)
+
+
+def test_the_posterior_with_a_felt_effort_is_the_brute_force_integral():
+    observer = ww.Observer(W, FELT)
+    reading = observer.read([25e-3, 0.1], seed=4)
+    p = ww.posterior(observer, reading, tolerance=1e-4)
+    n = 1000
+    r = (np.arange(n) + 0.5) / n * W.length
+    theta = (np.arange(n) + 0.5) / n * 0.25  # 0.25 rad: 8 sd and more above the reading
+    weight = np.zeros(n)
+    for part in np.array_split(np.arange(n), 10):
+        contact = np.stack(np.meshgrid(r[part], theta, indexing="ij"), axis=-1)
+        weight[part] = np.exp(observer.log_likelihood(reading, contact)).sum(axis=1)
+    mean = weight @ r / weight.sum()
+    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+    assert p.status == 0
+    assert p.mean == pytest.approx(mean, abs=1e-4 * sd)
+    assert p.sd == pytest.approx(sd, rel=1e-4)
+
+
+def test_an_effort_felt_exactly_is_a_known_one_but_for_what_is_flat():
+    """Flat in (r, θ) at one effort is 1/|∂effort/∂θ| in r: the known effort's prior, reweighted."""
+    felt = ww.Observer(W, FELT, GeneralisedWeber([0.0, 2e-3], floor=[np.radians(1.0), 0.0]))
+    angle = float(KNOWN.signals(W, np.array([20e-3]))[0][0])
+    p = ww.posterior(felt, [angle, 1.0], tolerance=1e-4)
+    r = np.linspace(1e-4, 0.9999, 20_000) * KNOWN.farthest(W)
+    weight = np.exp(ww.Observer(W, KNOWN).log_likelihood([angle], r[:, None]))
+    theta = KNOWN.signals(W, r[:, None])[0][:, 0]
+    weight /= FELT.jacobian(W, np.stack([r, theta], axis=-1))[:, 1, 1]
+    mean = weight @ r / weight.sum()
+    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+    assert p.mean == pytest.approx(mean, abs=5e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=5e-3)
+
+
+def test_an_effort_that_is_felt_with_more_noise_tells_less():
+    r = np.array([25e-3, 0.08])
+    jnds = [
+        float(
+            weber_propagation(
+                ww.Observer(W, FELT, GeneralisedWeber([0.0, k], floor=[0.01, 0.0])), r
+            )
+        )
+        for k in (1e-4, 0.05, 0.2)
+    ]
+    assert np.all(np.diff(jnds) > 0)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    observer = ww.Observer(W, KNOWN)
+    r = np.random.default_rng(5).random((2000, 1)) * KNOWN.farthest(W)
+    assert 0.93 <= coverage(observer, r, seed=6) <= 0.97
+
+
+@pytest.mark.parametrize(
+    ("draws", "band"), [(100, 0.08), pytest.param(2000, 0.02, marks=pytest.mark.slow)]
+)
+def test_intervals_hold_the_truth_with_a_felt_effort(draws, band):
+    """95 ± 2 % of 2000; of 100, whose error is 2.2 %, under four of these."""
+    share = coverage(ww.Observer(W, FELT), felt_contacts(draws, 7), seed=8)
+    assert share == pytest.approx(0.95, abs=band)
+
+
+def test_it_says_where_it_does_not_work():
+    def names(cue, *contact):
+        return Outcome(int(cue.signals(W, np.array(contact))[1])).name
+
+    assert names(KNOWN, 34e-3) == "HELD"
+    assert names(KNOWN, 35e-3) == "FLICKED_PAST"
+    assert names(KNOWN, 51e-3) == "OUT_OF_REACH"
+    # The harder the muscle pushes, the nearer the whisker flicks past.
+    reach = [BalanceOfMoments(effort=e).farthest(W) for e in (0.1, 0.5, 1.0, 2.0)]
+    assert np.all(np.diff(reach) < 0)
+    late = BalanceOfMoments(np.radians(145))
+    assert names(late, 30e-3) == "END_OF_WHISKING"
+    assert names(BalanceOfMoments(np.radians(145), effort=None), 20e-3, 0.1) == "END_OF_WHISKING"
+    edge = float(FELT.largest_angle(W, np.array(25e-3)))
+    assert names(FELT, 25e-3, edge * 0.999) == "HELD"
+    assert names(FELT, 25e-3, edge * 1.001) == "FLICKED_PAST"
+    table = ww.jnd_curve(ww.Observer(W, late), 30e-3, draws=3, seed=1)
+    assert table["outcome"][0].startswith("end of whisking")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: BalanceOfMoments(3.0), "impact_angle must be in the range of whisking"),
+        (lambda: BalanceOfMoments(effort=0.0), "effort must be above zero"),
+        (lambda: BalanceOfMoments(gain=-1.0), "gain must be above zero"),
+        (lambda: FELT.radial_distance(W, 0.1), "The effort of this cue is felt, got none"),
+        (
+            lambda: ww.Observer(W, BalanceOfMoments(np.radians(149.99), effort=50.0)),
+            "No contact balances an effort of 50",
+        ),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(make, words):
+    with pytest.raises(ValueError, match=words) as error:
+        make()
+    assert "\n" not in str(error.value)

@@ -1,0 +1,191 @@
+"""Following a contact along a sweep (§2g), against the sweeps of the planar beam (rung 2)."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.mechanics import elastica
+from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
+from weberwhisk.receptors import Weber
+from weberwhisk.sweeping import SweepFilter, follow
+
+W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+PUSH = np.radians(np.arange(1.0, 31.0))
+BODIES = {
+    "peg": peg(30e-3, 0.0),
+    "cylinder": cylinder(25e-3, -8e-3, 6e-3),
+    "contour": contour(np.array([[20, -2], [35, -4], [35, -15], [20, -15]]) * 1e-3, radius=1e-3),
+}
+
+
+@pytest.fixture(scope="module")
+def sweeps():
+    """Rotation of first contact, and the contacts at push angles PUSH, of each body."""
+    found = {}
+    for name, body in BODIES.items():
+        first = sweep(W, body, np.radians([-1.0, 30.0])).first_contact
+        full = sweep(W, body, np.concatenate([[first - 0.01], first + PUSH]))
+        found[name] = full.bending.radial_distance[1:], full.bending.deflection_angle[1:], (
+            full.bending.moment[1:]
+        ), full.contact[1:], first  # fmt: skip
+    return found
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_exact_moments_give_the_contact_and_the_contour(sweeps, name):
+    r, theta, moment, contact, first = sweeps[name]
+    track = follow(W, PUSH, moment)
+    assert np.all(track.outcome == Outcome.HELD)
+    # The first step is taken as one without slip; what that misses is second order.
+    assert np.all(np.abs(track.radial_distance - r) < 0.06e-3)
+    assert np.all(np.abs(track.radial_distance - r)[5:] < 2e-6)
+    assert np.all(np.abs(track.deflection_angle - theta)[5:] < 5e-5)
+    turn = np.array([[np.cos(first), -np.sin(first)], [np.sin(first), np.cos(first)]])
+    assert np.allclose(track.path[5:], contact[5:] @ turn.T, atol=4e-6)
+
+
+def test_errors_of_the_step_are_of_second_order(sweeps):
+    """From a known start: the trapezoid rule's error falls by four when steps are halved."""
+    r, theta, moment, _, _ = sweeps["cylinder"]
+    start, errors = (r[5], theta[5]), []
+    for stride in (8, 4, 2):
+        kept = np.arange(5 + stride, 30, stride)
+        kept = kept[kept <= 29]
+        track = follow(W, PUSH[kept] - PUSH[5], moment[kept], start=start)
+        at = np.flatnonzero(kept == 29)[0]
+        errors.append(abs(track.radial_distance[at] - r[29]))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all((orders > 1.7) & (orders < 2.6))
+
+
+def test_a_wall_is_followed_from_where_its_flank_touches():
+    body = wall(0.0, -10e-3, 0.0)
+    at = np.radians(np.arange(11.0, 46.0))
+    full = sweep(W, body, at)
+    flank = full.bending.held & ~full.tip
+    r, theta = full.bending.radial_distance[flank], full.bending.deflection_angle[flank]
+    push = at[flank] - at[flank][0]
+    track = follow(W, push[1:], full.bending.moment[flank][1:], start=(r[0], theta[0]))
+    assert np.all(np.abs(track.radial_distance - r[1:]) < 0.05e-3)
+    # The recovered contour is a straight line, across 20 mm of it: here with the wall's own slope.
+    assert np.ptp(r) > 15e-3
+    along, over = np.moveaxis(track.path, -1, 0)
+    angle = -at[flank][0]
+    height = along * np.sin(angle) + over * np.cos(angle)
+    assert np.allclose(height, -10e-3, atol=0.05e-3)
+    # From first touch on, the tip's, no contact of the flank has such moments.
+    touched = full.bending.held
+    lost = follow(W, at[touched] - full.first_contact, full.bending.moment[touched])
+    assert np.all(lost.outcome == Outcome.OUT_OF_REACH)
+    assert np.isnan(lost.radial_distance).all()
+
+
+def test_past_flick_past_nothing_is_followed():
+    push = np.radians(np.arange(2.0, 41.0, 2.0))
+    moment = elastica.press(W, 30e-3, np.minimum(push, np.radians(32.0))).moment
+    track = SweepFilter(W, Weber(0.02), slip_rate=0.0, slip_change=0.0)(push, moment, seed=1)
+    gone = push > np.radians(33.0)
+    assert np.all(track.outcome[gone] == Outcome.FLICKED_PAST)
+    assert np.isnan(track.radial_distance[gone]).all()
+    assert np.all(track.outcome[push < np.radians(31)] == Outcome.HELD)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_filter_finds_the_contact_within_its_own_uncertainty(sweeps, name):
+    r, theta, moment, contact, first = sweeps[name]
+    readings = Weber(0.1).sample(moment[:, None], seed=1)[:, 0]
+    track = SweepFilter(W, Weber(0.1), particles=2000)(PUSH, readings, seed=2)
+    assert np.all(track.outcome == Outcome.HELD)
+    assert np.all(np.abs(track.radial_distance - r) < 4 * track.distance_sd)
+    assert np.all(np.abs(track.deflection_angle - theta) < 4 * track.angle_sd)
+    turn = np.array([[np.cos(first), -np.sin(first)], [np.sin(first), np.cos(first)]])
+    assert np.all(np.abs(track.path - contact @ turn.T) < 4.5 * track.path_sd)
+    low, high = track.interval.T
+    assert np.mean((low <= r) & (r <= high)) > 0.7
+    # Thirty readings tell more than one, though what is asked of them moves.
+    assert track.distance_sd[10] < track.distance_sd[0]
+
+
+def test_on_a_peg_the_filter_is_the_product_of_the_likelihoods():
+    readings = Weber(0.1).sample(elastica.press(W, 30e-3, PUSH[::3]).moment[:, None], seed=3)[:, 0]
+    r = np.linspace(20e-3, 40e-3, 4001)
+    moments = elastica.press(W, r[:, None], PUSH[::3])
+    log = np.where(moments.held, stats.norm.logpdf(readings, moments.moment, 0.1 * moments.moment),
+                   -np.inf).sum(axis=1)  # fmt: skip
+    weight = np.exp(log - log.max())
+    mean = r @ weight / weight.sum()
+    sd = np.sqrt((r - mean) ** 2 @ weight / weight.sum())
+    filtered = SweepFilter(W, slip_rate=0.0, slip_change=0.0, particles=40_000)
+    track = filtered(PUSH[::3], readings, seed=4)
+    # Some 700 of 40 000 particles are within the posterior: their mean is good to 0.04 sd.
+    assert track.radial_distance[-1] == pytest.approx(mean, abs=0.2 * sd)
+    assert track.distance_sd[-1] == pytest.approx(sd, rel=0.15)
+    assert track.angle_sd[-1] < 1e-12
+
+
+def test_the_filter_is_calibrated_on_objects_of_its_own_making():
+    """Truths drawn from its prior of objects: E[((r − mean)/sd)²] = 1 at every step."""
+    push = np.radians(np.arange(2.0, 14.0, 2.0))
+    made = SweepFilter(W, Weber(0.1), particles=1500)
+    rng = np.random.default_rng(5)
+    states, moments, places = made.start(rng), [], []
+    states = rng.permutation(states)[:400]
+    for step in np.diff(push, prepend=0.0):
+        states = made.move(states, step, rng)
+        inside = np.clip(states[:, 0], 1e-4, W.length)
+        bent = elastica.press(W, inside, np.maximum(states[:, 1], 1e-9))
+        good = bent.held & (states[:, 1] > 0) & (states[:, 0] > 0) & (states[:, 0] < W.length)
+        moments.append(np.where(good, bent.moment, np.nan))
+        places.append(states[:, 0])
+    moments, places = np.array(moments).T, np.array(places).T
+    kept = np.flatnonzero(np.isfinite(moments).all(axis=1))[:60]
+    square = []
+    for row in kept:
+        track = made(push, Weber(0.1).sample(moments[row][:, None], rng)[:, 0], rng)
+        square.append(((track.radial_distance - places[row]) / track.distance_sd) ** 2)
+    square = np.array(square)
+    error = square.std(axis=0, ddof=1) / np.sqrt(len(kept))
+    assert np.all(np.abs(square.mean(axis=0) - 1) < 4 * error)
+
+
+def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
+    """Moments good to 2 %: after 30 steps the update is further off than the filter."""
+    r, _, moment, _, _ = sweeps["cylinder"]
+    rng = np.random.default_rng(6)
+    errors = []
+    for _ in range(8):
+        readings = Weber(0.02).sample(moment[:, None], rng)[:, 0]
+        followed = follow(W, PUSH[4::5], readings[4::5])
+        filtered = SweepFilter(W, Weber(0.02), particles=1000)(PUSH, readings, rng)
+        off = [t.radial_distance[-1] - r[-1] for t in (followed, filtered)]
+        errors.append(np.nan_to_num(off, nan=W.length))
+    followed, filtered = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert filtered < followed
+
+
+def test_results_repeat_with_the_seed():
+    readings = elastica.press(W, 30e-3, PUSH[:4]).moment
+    made = SweepFilter(W, particles=500)
+    a, b, c = (made(PUSH[:4], readings, seed=s).radial_distance for s in (1, 1, 2))
+    assert np.array_equal(a, b)
+    assert not np.array_equal(a, c)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: follow(W, [0.2, 0.1], [1e-6, 1e-6]), "one row of ascending push angles"),
+        (lambda: follow(W, [0.1], [1e-6, 1e-6]), "one row of ascending push angles"),
+        (lambda: follow(W, [0.0], [1e-6]), "push_angle must be above zero"),
+        (lambda: follow(W, [0.1], [np.nan]), "moment must be finite"),
+        (lambda: follow(W, [0.1], [1e-6], start=(0.0, 0.1)), "start must be above zero"),
+        (lambda: SweepFilter(W, particles=5), "100 particles or more"),
+        (lambda: SweepFilter(W, slip_rate=-1), "slip_rate must not be negative"),
+    ],
+)
+def test_misuse_is_refused_in_one_sentence(call, words):
+    with pytest.raises(ValueError, match=words) as error:
+        call()
+    assert "\n" not in str(error.value)

@@ -1,0 +1,347 @@
+"""Angle–side–angle (§2c): two angles and the side between them make a triangle.
+
+The paper's three variants are one triangle; they differ in what must reach the object from its two
+ends, and in how well the side can be known: a base moved between whisks (`AngleSideAngle`), two
+whiskers (`TwoWhiskers`), a base that moves within a whisk (`ContactAndDetachment`).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import finite, non_negative, positive
+from ..mechanics.contact import Outcome
+from ..receptors import GeneralisedWeber
+from ..whisker import Whisker
+from .compliance import Compliance
+from .protocol import Array
+
+#: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
+ANGLE_SD = float(np.radians(1.0))
+#: Bearings of objects that are all equally likely, rad.
+BEARINGS = (float(np.radians(30.0)), float(np.radians(150.0)))
+
+
+class AngleSideAngle:
+    """Radial distance from the angles of an object seen from two ends of a known side (§2c, i).
+
+    The base is carried from one place to another between two whisks, by a side of known length;
+    at each the angle of first contact is felt, between the side and the whisker. Radial distance
+    is from the second place, r = side·sin(first)/sin(second − first). The object's bearing, the
+    true second angle, is not known either.
+
+    Parameters
+    ----------
+    side : float
+        Length of the side, m.
+    side_sd : float
+        How well it is known, m; above 0 the side is a third unknown with a normal prior.
+    bearings : (float, float)
+        Bearings that are possible, rad, all equally likely.
+
+    Raises
+    ------
+    ValueError
+        For a side that is not positive or less certain than a quarter of itself, bearings that
+        do not go up between 0 and π.
+
+    Notes
+    -----
+    The method works where the straight whisker reaches the object from both places: out to where it
+    still does at every bearing (and, of a side that is not known, up to 4 sd beyond its mean). Far
+    out the lines of sight are nearly parallel, and the JND grows as r²/side.
+
+    Examples
+    --------
+    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+    >>> cue = AngleSideAngle(side=10e-3)
+    >>> angles, outcome = cue.signals(w, np.array([30e-3, np.pi / 2]))
+    >>> np.degrees(angles).round(3)
+    array([71.565, 90.   ])
+    >>> r, outcome = cue.radial_distance(w, angles)
+    >>> print(f"{r * 1e3:.6f} mm")
+    30.000000 mm
+    """
+
+    signal_names: tuple[str, ...] = ("first_angle", "second_angle")
+
+    def __init__(
+        self,
+        side: float = 10e-3,
+        *,
+        side_sd: float = 0.0,
+        bearings: tuple[float, float] = BEARINGS,
+    ) -> None:
+        self.side = float(positive("side", side, "give metres, such as 10e-3"))
+        self.side_sd = float(non_negative("side_sd", side_sd, "give metres, 0 for a known side"))
+        if self.side_sd > self.side / 4:
+            raise ValueError(
+                f"side_sd must be at most a quarter of the side, got {self.side_sd:g} m for "
+                f"{self.side:g} m; a side that may be nothing tells nothing."
+            )
+        low, high = (float(a) for a in finite("bearings", bearings, "give (low, high) in rad"))
+        if not 0 < low < high < np.pi:
+            raise ValueError(
+                f"bearings must go up between 0 and π, got ({low:g}, {high:g}); "
+                "give them in radians."
+            )
+        self.bearings = (low, high)
+        #: Distance, bearing and, where it is not known, the side.
+        self.unknowns: tuple[str, ...] = ("radial_distance", "bearing", "side")
+        if self.side_sd == 0:
+            self.unknowns = self.unknowns[:2]
+
+    def __repr__(self) -> str:
+        given = {
+            k: v
+            for k, v in vars(self).items()
+            if k not in ("bearings", "unknowns") and v is not None
+        }
+        return f"{type(self).__name__}({', '.join(f'{k}={v:g}' for k, v in given.items())})"
+
+    def _triangle(self, contact: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """r, bearing and side, and the first place's distance and angle."""
+        contact = np.asarray(contact, dtype=float)
+        r, bearing = contact[..., 0], contact[..., 1]
+        side = contact[..., 2] if self.side_sd > 0 else np.full(r.shape, self.side)
+        along, across = side + r * np.cos(bearing), r * np.sin(bearing)
+        return r, bearing, side, np.hypot(along, across), np.arctan2(across, along)
+
+    def _reaches(self, whisker: Whisker) -> tuple[float, float]:
+        """How far the object may be from the first place and from the second, m."""
+        return float(whisker.length), float(whisker.length)
+
+    def _farthest(self, whisker: Whisker) -> float:
+        """Largest r at which q² = r² + side² + 2r·side·cos(bearing) is within reach, m; or < 0."""
+        first_reach, reach = self._reaches(whisker)
+        side = self.side + 4 * self.side_sd
+        across, along = side * np.sin(self.bearings[0]), side * np.cos(self.bearings[0])
+        if across >= first_reach:
+            return -1.0
+        return float(min(np.sqrt(first_reach**2 - across**2) - along, reach))
+
+    def _outcome(self, whisker: Whisker, r: Array, first: Array) -> NDArray[np.int8]:
+        """Outcomes, given the distances from the second place and from the first."""
+        first_reach, reach = self._reaches(whisker)
+        seen = (r > 0) & (r <= reach) & (first <= first_reach)
+        known = seen & (r <= self._farthest(whisker))
+        outcome = np.select([known, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH)
+        return np.asarray(outcome, dtype=np.int8)
+
+    def signals(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """First and second angle (..., 2), rad, of a contact (..., U), and its outcome."""
+        r, bearing, _, first, angle = self._triangle(contact)
+        outcome = self._outcome(whisker, r, first)
+        angles = np.stack([angle, bearing], axis=-1)
+        return np.where((outcome == Outcome.HELD)[..., None], angles, np.nan), outcome
+
+    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
+        """Slopes of the angles, (..., 2, U).
+
+        With δ the angle at the object and q the first distance, the first angle changes by
+        sin δ/q with r, r cos δ/q with the bearing and −sin(angle)/q with the side.
+        """
+        r, bearing, _, first, angle = self._triangle(contact)
+        apex = bearing - angle
+        columns = [np.sin(apex) / first, r * np.cos(apex) / first, -np.sin(angle) / first]
+        top = np.stack(columns[: len(self.unknowns)], axis=-1)
+        return np.stack([top, np.broadcast_to(np.eye(3)[1, : top.shape[-1]], top.shape)], axis=-2)
+
+    def priors(self, whisker: Whisker) -> dict[str, Any]:
+        """The bearing, flat, and the side, normal, where it is not known."""
+        from scipy import stats
+
+        low, high = self.bearings
+        priors: dict[str, Any] = {"bearing": stats.uniform(low, high - low)}
+        if self.side_sd > 0:
+            priors["side"] = stats.norm(self.side, self.side_sd)
+        return priors
+
+    def default_noise(self) -> GeneralisedWeber:
+        """The same sd at every angle: one degree."""
+        return GeneralisedWeber(0.0, floor=ANGLE_SD)
+
+    def farthest(self, whisker: Whisker) -> float:
+        """As far as the object is reached from both places at every bearing, m."""
+        farthest = self._farthest(whisker)
+        if farthest <= 0:
+            raise ValueError(
+                f"No object is reached from both ends of the side at every bearing, got a side of "
+                f"{self.side:g} m and a reach of {self._reaches(whisker)[0]:g} m; "
+                "write a shorter side."
+            )
+        return farthest
+
+    def radial_distance(
+        self, whisker: Whisker, angles: ArrayLike, side: ArrayLike | None = None
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """The distance that two angles (..., 2) and the side give, m, and its outcome, (...) each.
+
+        NaN and `PARALLEL` where the lines of sight do not meet ahead, NaN and `OUT_OF_REACH` (or
+        what else becomes of such a contact) where they meet too far off.
+        """
+        first, second = np.moveaxis(finite("angles", angles, "give radians"), -1, 0)
+        s = self.side if side is None else positive("side", side, "give metres, such as 10e-3")
+        apex = second - first
+        meet = (first > 0) & (apex > 0) & (second < np.pi)
+        scale = s / np.sin(np.where(meet, apex, 1.0))
+        r, far = scale * np.sin(first), scale * np.sin(second)
+        outcome = np.where(meet, self._outcome(whisker, r, far), Outcome.PARALLEL)
+        return np.where(outcome == Outcome.HELD, r, np.nan), outcome.astype(np.int8)
+
+
+class TwoWhiskers(AngleSideAngle):
+    """Angle–side–angle with two whiskers, the side between their bases (§2c, ii).
+
+    Radial distance is from the base of the observer's whisker, the second place; the neighbour
+    stands in the first. The side is anatomy, and may be known well.
+
+    Parameters
+    ----------
+    side, side_sd, bearings
+        As for `AngleSideAngle`. The default spacing of 3 mm is assumed.
+    neighbour_length : float, optional
+        Length of the neighbour, m; default that of the observer's whisker.
+
+    Examples
+    --------
+    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+    >>> cue = TwoWhiskers(side=3e-3, neighbour_length=25e-3)
+    >>> angles, outcome = cue.signals(w, np.array([[20e-3, 1.5], [30e-3, 1.5]]))
+    >>> [Outcome(k).name for k in outcome]
+    ['HELD', 'OUT_OF_REACH']
+    """
+
+    def __init__(
+        self,
+        side: float = 3e-3,
+        *,
+        side_sd: float = 0.0,
+        bearings: tuple[float, float] = BEARINGS,
+        neighbour_length: float | None = None,
+    ) -> None:
+        super().__init__(side, side_sd=side_sd, bearings=bearings)
+        self.neighbour_length = neighbour_length
+        if neighbour_length is not None:
+            self.neighbour_length = float(
+                positive("neighbour_length", neighbour_length, "give metres, such as 40e-3")
+            )
+
+    def _reaches(self, whisker: Whisker) -> tuple[float, float]:
+        length = float(whisker.length)
+        return self.neighbour_length or length, length
+
+
+class ContactAndDetachment(AngleSideAngle):
+    """Angle–side–angle within a whisk, between first contact and detachment (§2c, iii).
+
+    The pad carries the base along while the object holds the whisker; the whisker is straight when
+    it meets the object and when it leaves it, but in between it is deflected, by `push`. Where
+    it would flick past, there is no detachment angle.
+
+    Parameters
+    ----------
+    side, side_sd, bearings
+        As for `AngleSideAngle`. The default movement of 2 mm within a whisk is assumed.
+    push : float
+        Largest deflection between contact and detachment, rad.
+
+    Examples
+    --------
+    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+    >>> cue = ContactAndDetachment(push=np.radians(24.5732))
+    >>> print(f"{cue.farthest(w) * 1e3:.2f} mm")
+    33.25 mm
+    >>> Outcome(int(cue.signals(w, np.array([40e-3, 1.5]))[1])).name
+    'FLICKED_PAST'
+    """
+
+    def __init__(
+        self,
+        side: float = 2e-3,
+        *,
+        side_sd: float = 0.0,
+        bearings: tuple[float, float] = BEARINGS,
+        push: float = float(np.radians(10.0)),
+    ) -> None:
+        super().__init__(side, side_sd=side_sd, bearings=bearings)
+        self.push = float(non_negative("push", push, "give radians, such as np.radians(10)"))
+
+    def _reaches(self, whisker: Whisker) -> tuple[float, float]:
+        reach = _held_to(whisker, self.push)
+        return reach, reach
+
+    def _outcome(self, whisker: Whisker, r: Array, first: Array) -> NDArray[np.int8]:
+        outcome = super()._outcome(whisker, r, first)
+        on_whisker = (r > 0) & (np.maximum(r, first) <= whisker.length)
+        lost = (outcome == Outcome.OUT_OF_REACH) & on_whisker
+        return np.where(lost, Outcome.FLICKED_PAST, outcome).astype(np.int8)
+
+
+@lru_cache(maxsize=64)
+def _held_to(whisker: Whisker, push: float) -> float:
+    """The distance at which a deflection is the largest that is held, m."""
+    return Compliance(tap_angle=push).farthest(whisker)
+
+
+def triangle_jnd(
+    radial_distance: ArrayLike,
+    bearing: ArrayLike,
+    side: ArrayLike,
+    *,
+    angle_sd: ArrayLike = ANGLE_SD,
+    side_sd: ArrayLike = 0.0,
+    correlation: ArrayLike = 0.0,
+) -> Array:
+    """The JND of distance by angle–side–angle for small noise, (...), m; all inputs broadcast.
+
+    Parameters
+    ----------
+    radial_distance, bearing : float or array
+        r, m, and the second angle, rad: the object as seen from the second place.
+    side, side_sd : float or array
+        The side and its sd, m.
+    angle_sd : float or array
+        Sd of each angle, rad.
+    correlation : float or array
+        Between the errors of the two angles: an error that both share partly cancels.
+
+    Returns
+    -------
+    array
+        The sd of one observation (criterion d′ = 1).
+
+    Notes
+    -----
+    From r = side·sin θ₁/sin δ with δ = θ₂ − θ₁ the angle at the object, and q = side·sin θ₂/sin δ
+    the distance from the first place: ∂r/∂θ₁ = q/sin δ, ∂r/∂θ₂ = −r cos δ/sin δ, ∂r/∂side =
+    r/side. So
+
+        Δr² = σ²(q² + r² cos²δ − 2ρ q r cos δ)/sin²δ + (r σ_side/side)²
+
+    As sin δ = side·sin θ₂/q, a short side gives √2·σ·r²/(side·sin θ₂): in half the side twice the
+    JND, at twice the distance four times.
+
+    Examples
+    --------
+    >>> jnd = triangle_jnd(30e-3, np.pi / 2, np.array([1e-3, 5e-3, 25e-3]))
+    >>> (jnd * 1e3).round(2)
+    array([22.23,  4.51,  1.24])
+    """
+    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3")
+    theta = finite("bearing", bearing, "give radians, such as np.pi / 2")
+    s = positive("side", side, "give metres, such as 10e-3")
+    sigma = non_negative("angle_sd", angle_sd, "give radians")
+    s_sd = non_negative("side_sd", side_sd, "give metres")
+    rho = finite("correlation", correlation, "write a number from -1 to 1")
+    along, across = s + r * np.cos(theta), r * np.sin(theta)
+    q, apex = np.hypot(along, across), theta - np.arctan2(across, along)
+    near = r * np.cos(apex)
+    angles = sigma**2 * (q**2 + near**2 - 2 * rho * q * near) / np.sin(apex) ** 2
+    return np.asarray(np.sqrt(angles + (r * s_sd / s) ** 2))

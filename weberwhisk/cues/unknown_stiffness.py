@@ -1,0 +1,99 @@
+"""Any cue of forces, on a whisker whose stiffness is known up to a factor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import one_of, positive
+from ..receptors import ReceptorNoise
+from ..whisker import Whisker
+from .protocol import Array, Cue
+
+#: Sd of ln E that goes with 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
+MODULUS_SPREAD = 0.42
+
+
+class UnknownStiffness:
+    """A cue of one more unknown, ``"stiffness"``: EI₀ over what the whisker says it is.
+
+    Forces and moments are proportional to EI₀ at a given contact, so any cue of them can be
+    wrapped, fusions too. Signals of several cues made soft this way share the unknown.
+
+    Parameters
+    ----------
+    cue : Cue
+    spread : float
+        Sd of the log-normal prior's ln; its median is 1. By default that of measured moduli.
+    signals : sequence of str, optional
+        The cue's signals that are proportional to EI₀; by default all of them.
+
+    Raises
+    ------
+    ValueError
+        For a spread that is not positive, a signal that the cue has not, a cue whose stiffness is
+        unknown already.
+
+    Examples
+    --------
+    >>> from weberwhisk.cues import ForceMap
+    >>> cue = UnknownStiffness(ForceMap())
+    >>> cue.unknowns
+    ('radial_distance', 'deflection_angle', 'stiffness')
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> plain, _ = ForceMap().signals(w, np.array([30e-3, 0.2]))
+    >>> soft, _ = cue.signals(w, np.array([30e-3, 0.2, 0.5]))
+    >>> soft / plain
+    array([0.5, 0.5])
+    """
+
+    def __init__(
+        self, cue: Cue, spread: float = MODULUS_SPREAD, signals: Sequence[str] | None = None
+    ) -> None:
+        self.cue = cue
+        self.spread = float(positive("spread", spread, "give the sd of ln EI₀, such as 0.42"))
+        if "stiffness" in cue.unknowns:
+            raise ValueError(f"The stiffness is unknown in {cue!r} already; leave it as it is.")
+        names = cue.signal_names if signals is None else tuple(signals)
+        for name in names:
+            one_of("signal", name, cue.signal_names)
+        self._soft = np.isin(cue.signal_names, names)
+        self.signal_names: tuple[str, ...] = cue.signal_names
+        self.unknowns: tuple[str, ...] = (*cue.unknowns, "stiffness")
+
+    def __repr__(self) -> str:
+        return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
+
+    def signals(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """The cue's signals (..., S), those of force times the stiffness, and the outcome."""
+        contact = np.asarray(contact, dtype=float)
+        signals, outcome = self.cue.signals(whisker, contact[..., :-1], model=model)
+        return signals * np.where(self._soft, contact[..., -1:], 1.0), outcome
+
+    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
+        """Derivatives of the signals to the cue's unknowns and the stiffness, (..., S, U)."""
+        contact = np.asarray(contact, dtype=float)
+        inner = contact[..., :-1]
+        factor = np.where(self._soft, contact[..., -1:], 1.0)
+        slope = self.cue.jacobian(whisker, inner, model=model) * factor[..., None]
+        signals, _ = self.cue.signals(whisker, inner, model=model)
+        return np.concatenate([slope, np.where(self._soft, signals, 0.0)[..., None]], axis=-1)
+
+    def priors(self, whisker: Whisker) -> dict[str, Any]:
+        """The cue's, and log-normal of the stiffness."""
+        from scipy.stats import lognorm
+
+        return {**self.cue.priors(whisker), "stiffness": lognorm(self.spread)}
+
+    def default_noise(self) -> ReceptorNoise:
+        """The cue's."""
+        return self.cue.default_noise()
+
+    def farthest(self, whisker: Whisker) -> float:
+        """As far as the cue works, m."""
+        return self.cue.farthest(whisker)

@@ -1,0 +1,203 @@
+"""The vibration that an impact leaves at the base (§2d): distance from the share of each mode."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import non_negative, positive
+from ..mechanics import modes
+from ..mechanics.contact import Outcome
+from ..receptors import GeneralisedWeber
+from ..whisker import Whisker
+from .protocol import Array
+
+#: Places along the whisker at which the shapes are worked out, for the spline between them.
+_PLACES = 1001
+
+
+class Vibration:
+    """Radial distance from the amplitudes of the modes that a short impact at r excites.
+
+    An impulse J at r gives mode n the velocity Jφ_n(r), and the base a moment that rings with
+    amplitude J|φ_n(r)|·M_n/ω_n, M_n the base moment for a unit of the mode. By default J is
+    unknown, and the signals are the ratios of the amplitudes to that of the first mode, which no
+    place on the whisker lacks. With J known they are the amplitudes themselves.
+
+    Parameters
+    ----------
+    count : int
+        Modes that are felt, 2 to 12 (with J known 1 to 12).
+    impulse : float, optional
+        J, N s, where it is known.
+    phase : bool
+        Whether the phase is felt too: then signals have the sign of φ_n(r).
+    damping_ratio : float
+        Share of critical damping of every mode.
+
+    Raises
+    ------
+    ValueError
+        For a count outside that range, an impulse that is not positive, a damping ratio below 0 or
+        of 1 and more.
+
+    Notes
+    -----
+    Modes whose half-power bands (2ζω wide) touch are one peak in the spectrum: where that happens
+    to any two neighbours the outcome is `UNRESOLVED` everywhere. Ratios to one amplitude have
+    correlated noise, ½ between any two for equal Weber fractions; with that correlation their
+    information is that of the amplitudes with J unknown, Σ(l_n − l̄)²/k² with l_n = d ln|φ_n|/dr.
+    An amplitude of zero, at a node, is felt no better than the floor of the noise.
+
+    The signature need not be unique: `posterior.peaks.count_peaks` counts the places left. Of them
+    quadrature in one dimension misses none; emcee and Laplace may, and then say so. With further
+    unknowns (a fusion) every method may know of the highest peak alone.
+
+    Examples
+    --------
+    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+    >>> ratios, outcome = Vibration(3).signals(w, np.array([[20e-3], [45e-3]]))
+    >>> ratios.round(2)
+    array([[1.64, 1.69],
+           [1.43, 0.81]])
+    """
+
+    unknowns: tuple[str, ...] = ("radial_distance",)
+
+    def __init__(
+        self,
+        count: int = 3,
+        *,
+        impulse: float | None = None,
+        phase: bool = False,
+        damping_ratio: float = 0.0,
+    ) -> None:
+        least = 2 if impulse is None else 1
+        if not least <= count <= 12:
+            raise ValueError(
+                f"count must be {least} to 12, got {count}; write 3, or impulse= for one mode."
+            )
+        self.count, self.phase = int(count), bool(phase)
+        self.impulse = impulse
+        if impulse is not None:
+            hint = "give newton seconds, such as 1e-9, or None where it is unknown"
+            self.impulse = float(positive("impulse", impulse, hint))
+        zeta = non_negative("damping_ratio", damping_ratio, "give a share, such as 0.05")
+        if np.any(zeta >= 1):
+            raise ValueError(f"damping_ratio must be below 1, got {damping_ratio}; write 0.05.")
+        self.damping_ratio = float(zeta)
+        first = 2 if impulse is None else 1
+        kind = "ratio" if impulse is None else "amplitude"
+        self.signal_names: tuple[str, ...] = tuple(
+            f"mode_{n}_{kind}" for n in range(first, self.count + 1)
+        )
+
+    def __repr__(self) -> str:
+        strength = "" if self.impulse is None else f", impulse={self.impulse:g}"
+        return (
+            f"Vibration({self.count}{strength}, phase={self.phase}, "
+            f"damping_ratio={self.damping_ratio:g})"
+        )
+
+    def resolved(self, whisker: Whisker) -> bool:
+        """Whether the half-power bands of all the modes are apart."""
+        omega = _frequencies(whisker, self.count)
+        return bool(np.all(np.diff(omega) > self.damping_ratio * (omega[1:] + omega[:-1])))
+
+    def signals(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """Ratios of amplitudes, or amplitudes (N m), (..., S), and outcome of a contact (..., 1).
+
+        There is one rung: `model` makes no difference.
+        """
+        r = np.asarray(contact, dtype=float)[..., 0]
+        reached = (r > 0) & (r <= whisker.length)
+        outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        if not self.resolved(whisker):
+            outcome[reached] = Outcome.UNRESOLVED
+        r = np.where(reached, r, whisker.length)
+        value = _amplitudes(whisker, self.count)(r)
+        if self.impulse is None:
+            value = value[..., 1:] / value[..., :1]
+        else:
+            # Without r², which the spline leaves out and ratios do not need.
+            size = self.impulse / np.sqrt(1 - self.damping_ratio**2)
+            value = value * (r**2 * size)[..., None]
+        if not self.phase:
+            value = np.abs(value)
+        return np.where((outcome == Outcome.HELD)[..., None], value, np.nan), outcome
+
+    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
+        """Derivatives (..., S, 1) of the signals with respect to r."""
+        r = np.asarray(contact, dtype=float)[..., 0]
+        spline = _amplitudes(whisker, self.count)
+        value, slope = spline(r), spline(r, 1)
+        if self.impulse is None:
+            ratio = value[..., 1:] / value[..., :1]
+            out = (slope[..., 1:] - ratio * slope[..., :1]) / value[..., :1]
+            value = ratio
+        else:
+            size = self.impulse / np.sqrt(1 - self.damping_ratio**2)
+            out = (slope * (r**2)[..., None] + value * (2 * r)[..., None]) * size
+        if not self.phase:
+            out = out * np.sign(value)
+        return np.asarray(out)[..., None]
+
+    def priors(self, whisker: Whisker) -> dict[str, Any]:
+        """None: every unknown is bounded by the whisker."""
+        return {}
+
+    def noise(self, weber_fraction: float, floor: float) -> GeneralisedWeber:
+        """Weber's law for every mode's amplitude, carried to the signals.
+
+        Parameters
+        ----------
+        weber_fraction : float
+            k of each amplitude.
+        floor : float
+            Sd at a node: of a ratio, or with the impulse known of an amplitude, N m.
+        """
+        if self.impulse is None:
+            return GeneralisedWeber(np.sqrt(2) * weber_fraction, floor=floor, correlation=0.5)
+        return GeneralisedWeber(weber_fraction, floor=floor)
+
+    def default_noise(self) -> GeneralisedWeber:
+        """Weber's law, k = 0.1 for each amplitude, with a floor at the nodes.
+
+        The floor is 0.05 of a ratio, and 0.1 J m/s of an amplitude: a few per cent of most.
+        """
+        return self.noise(0.1, 0.05 if self.impulse is None else 0.1 * self.impulse)
+
+    def farthest(self, whisker: Whisker) -> float:
+        """The tip, m."""
+        return float(whisker.length)
+
+
+@lru_cache(maxsize=32)
+def _modes(whisker: Whisker, count: int) -> modes.Modes:
+    return modes.modes(whisker, count)
+
+
+def _frequencies(whisker: Whisker, count: int) -> Array:
+    return _modes(whisker, count).angular_frequency
+
+
+@lru_cache(maxsize=32)
+def _amplitudes(whisker: Whisker, count: int) -> Any:
+    """Spline over r of the amplitudes at the base over r², (..., count), per N s.
+
+    Divided by r², which every clamped shape starts with, so that their ratios are right down to
+    the base.
+    """
+    from scipy.interpolate import CubicSpline
+
+    found = _modes(whisker, count)
+    s = np.linspace(0, whisker.length, _PLACES)
+    shapes = np.empty((_PLACES, count))
+    shapes[0] = found.derivative(0.0, 2) / 2
+    shapes[1:] = (found.shape(s[1:]) / s[1:] ** 2).T
+    return CubicSpline(s, shapes * (found.base_moment / found.angular_frequency))

@@ -1,0 +1,380 @@
+"""Following a contact along a sweep, from moment and push angle alone (§2g).
+
+While a whisker is pushed on, its contact slides along the object. Without friction object and
+whisker are tangent there, so that in the world the contact moves along the whisker: with ρ the push
+angle (rotation of the base since first contact) and β the angle from the line base → contact to
+the whisker's tangent at the contact,
+
+    r d(θ_d − ρ) = tan β dr.                                                            (slip)
+
+With dM = ∂M/∂r dr + ∂M/∂θ_d dθ_d that gives the changes of r and θ_d from those of M and ρ: no map
+is looked up, and what was felt before is what is built on. Where the tip is what touches, (slip)
+does not hold; nor does the algorithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._checks import finite, non_negative, positive
+from .cues import ForceMap
+from .mechanics import elastica
+from .mechanics.contact import Outcome
+from .observer import Observer
+from .receptors import ReceptorNoise, Seed, Weber
+from .whisker import Whisker
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Where a contact was along a sweep, as far as moment and push angle tell.
+
+    Attributes
+    ----------
+    push_angle : array (n,)
+        Rotation of the base since first contact, rad.
+    radial_distance, deflection_angle : array (n,)
+        m, rad; NaN where `outcome` is not `HELD`. Of a filter the posterior means.
+    distance_sd, angle_sd : array (n,)
+        Posterior sds; 0 of the iterative update, which knows no noise.
+    interval : array (n, 2)
+        95 % of the radial distance, m.
+    path, path_sd : array (n, 2)
+        Contact in the world, m, whose x axis is the whisker at first contact and whose y axis
+        points against the push, and the sd of either coordinate: the recovered contour.
+    outcome : array (n,) of int
+        `FLICKED_PAST` from the angle on that no contact left in question holds, `OUT_OF_REACH`
+        where the moment is not that of any contact on the whisker.
+    """
+
+    push_angle: Array
+    radial_distance: Array
+    deflection_angle: Array
+    distance_sd: Array
+    angle_sd: Array
+    interval: Array
+    path: Array
+    path_sd: Array
+    outcome: NDArray[np.int8]
+
+
+def follow(
+    whisker: Whisker,
+    push_angle: ArrayLike,
+    moment: ArrayLike,
+    *,
+    start: tuple[float, float] | None = None,
+) -> Track:
+    """The iterative update of §2g: contact after contact, from exact moments.
+
+    The first contact is that of the compliance cue; after it each push moves the contact along
+    (slip), by the trapezoid rule, to where the moment is the one felt.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        Straight.
+    push_angle : array (n,)
+        Ascending from above 0, rad.
+    moment : array (n,)
+        At the base, N m.
+    start : (float, float), optional
+        r (m) and θ_d (rad) at push angle 0, where another cue tells them: of a wall, say, that the
+        tip touches first. By default the whisker is straight then, and r unknown.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError
+        For push angles that do not ascend from above 0, moments that are not as many, and a start
+        that is not a contact.
+
+    Notes
+    -----
+    Solomon & Hartmann's (2010, the paper's [35]) for cylinders, here for any straight taper and any
+    bending. Errors of the moment are not forgotten: they drift along with the estimate.
+
+    Examples
+    --------
+    >>> from weberwhisk.mechanics.objects import peg, sweep
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> push = np.radians([2.0, 4.0, 8.0, 16.0])
+    >>> felt = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
+    >>> (follow(w, push, felt).radial_distance * 1e3).round(3)
+    array([30., 30., 30., 30.])
+    """
+    push, felt = _checked(push_angle, moment)
+    r, theta, before = 0.0, 0.0, 0.0
+    if start is not None:
+        r, theta = (float(v) for v in positive("start", start, "give r in m and θ_d in rad"))
+    found = np.full((2, push.size), np.nan)
+    outcome = np.full(push.size, Outcome.OUT_OF_REACH, dtype=np.int8)
+    for k, angle in enumerate(push):
+        known = start is not None or k > 0
+        place = partial(_next if known else _first, whisker, r, theta, float(angle) - before)
+        solved = _where_felt(whisker, place, float(felt[k]), r if known else None)
+        if solved is None:
+            break
+        (r, theta), before = solved, float(angle)
+        found[:, k], outcome[k] = solved, Outcome.HELD
+    zero = np.where(outcome == Outcome.HELD, 0.0, np.nan)
+    r_found, theta_found = found
+    return Track(
+        push,
+        r_found,
+        theta_found,
+        zero,
+        zero,
+        np.stack([r_found, r_found], axis=-1),
+        _world(r_found, theta_found, push),
+        np.stack([zero, zero], axis=-1),
+        outcome,
+    )
+
+
+def _first(whisker: Whisker, r: float, theta: float, push: float, place: Array) -> Array:
+    """θ_d at all distances after the first push: no slip yet."""
+    return np.full_like(place, push)
+
+
+def _next(whisker: Whisker, r: float, theta: float, push: float, place: Array) -> Array:
+    """θ_d at the distances `place` that a push from (r, θ_d) may have led to."""
+    start = np.full_like(place, r), np.full_like(place, theta)
+    return _slid(whisker, *start, place - r, push)[1]
+
+
+def _where_felt(
+    whisker: Whisker,
+    place: Callable[[Array], Array],
+    felt: float,
+    near: float | None,
+) -> tuple[float, float] | None:
+    """The contact, among those at radial distances (n,), that has this moment: the nearest."""
+    length = float(whisker.length)
+    low, high = (1e-3 * length, length) if near is None else (near / 1.5, min(near * 1.5, length))
+    for _ in range(12):
+        r = np.linspace(low, high, 65)
+        theta = place(r)
+        bent = elastica.press(whisker, r, np.maximum(theta, 0.0))
+        miss = np.where(bent.held & (theta >= 0), bent.moment, np.nan) - felt
+        crossed = np.flatnonzero(np.sign(miss[1:]) * np.sign(miss[:-1]) <= 0)
+        if not crossed.size:
+            return None
+        if near is not None:
+            crossed = crossed[[np.argmin(np.abs(r[crossed] - near))]]
+        low, high = r[crossed[0]], r[crossed[0] + 1]
+    middle = np.array([(low + high) / 2])
+    return float(middle[0]), float(place(middle)[0])
+
+
+def _slid(
+    whisker: Whisker, r: Array, theta: Array, slip: Array, push: float
+) -> tuple[Array, Array]:
+    """r and θ_d after a slip dr and a push dρ: (slip), by the trapezoid rule."""
+    start = _slope(whisker, r, theta)
+    there = r + slip
+    # A contact that is not held has no slope of its own: it is lost, whatever is written here.
+    end = _slope(whisker, there, theta + push + start * slip)
+    mean = np.where(np.isfinite(end), (start + end) / 2, start)
+    return there, theta + push + mean * slip
+
+
+def _slope(whisker: Whisker, r: Array, theta: Array) -> Array:
+    """tan β/r."""
+    inside = np.clip(r, 1e-6 * whisker.length, whisker.length)
+    bent = elastica.press(whisker, inside, theta)
+    return np.asarray(np.tan(bent.contact_angle - theta) / inside)
+
+
+def _world(r: Array, theta: Array, push: Any) -> Array:
+    """Contact (..., 2) in the world, from the base frame."""
+    angle = theta - push
+    return np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1)
+
+
+class SweepFilter:
+    """The Bayesian form of §2g: contacts in question, moved by (slip), weighed by each moment.
+
+    The state is r, θ_d and the rate of slip dr/dρ, which wanders: the object's shape is unknown,
+    and smooth. A bootstrap particle filter (Gordon, Salmond & Smith 1993, IEE Proc. F 140, 107)
+    with systematic resampling; the likelihood of each moment is that of an `Observer`.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        One straight whisker.
+    noise : ReceptorNoise
+        Of the moment, independent from one reading to the next.
+    slip_rate : float
+        Sd of dr/dρ at first contact, in whisker lengths per rad. A peg has none.
+    slip_change : float
+        Sd by which dr/dρ wanders over one rad, in the same unit.
+    prior : frozen SciPy distribution, optional
+        Of the radial distance of first contact, m; by default flat up to the tip.
+    particles : int
+
+    Raises
+    ------
+    ValueError
+        For what `Observer` refuses, negative rates, fewer than 100 particles.
+
+    Examples
+    --------
+    >>> from weberwhisk.mechanics.objects import peg, sweep
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> push = np.radians(np.arange(1.0, 21.0))
+    >>> felt = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
+    >>> track = SweepFilter(w, Weber(0.1), slip_rate=0.0, slip_change=0.0)(push, felt, seed=1)
+    >>> print("%.0f ± %.1f mm" % (1e3 * track.radial_distance[-1], 1e3 * track.distance_sd[-1]))
+    30 ± 0.3 mm
+    """
+
+    def __init__(
+        self,
+        whisker: Whisker,
+        noise: ReceptorNoise | None = None,
+        *,
+        slip_rate: float = 0.5,
+        slip_change: float = 1.0,
+        prior: Any = None,
+        particles: int = 4000,
+    ) -> None:
+        priors = {} if prior is None else {"radial_distance": prior}
+        self.observer = Observer(
+            whisker, ForceMap("moment"), Weber(0.1) if noise is None else noise, priors
+        )
+        hint = "give whisker lengths per rad, 0 for a peg"
+        self.slip_rate = float(non_negative("slip_rate", slip_rate, hint))
+        self.slip_change = float(non_negative("slip_change", slip_change, hint))
+        self.particles = int(particles)
+        if self.particles < 100:
+            raise ValueError(f"A filter needs 100 particles or more, got {particles}; write 4000.")
+
+    def start(self, seed: Seed = None) -> Array:
+        """States (particles, 3) at first contact: r, θ_d = 0 and dr/dρ, from the prior."""
+        rng = np.random.default_rng(seed)
+        low, high = self.observer.reach
+        u = (np.arange(self.particles) + rng.random(self.particles)) / self.particles
+        r = low + u * (high - low)
+        if "radial_distance" in self.observer.prior:
+            prior = self.observer.prior["radial_distance"]
+            ends = prior.cdf([low, high])
+            r = prior.ppf(ends[0] + u * (ends[1] - ends[0]))
+        rate = self.slip_rate * self.observer.whisker.length * rng.standard_normal(u.size)
+        return np.stack([r, np.zeros_like(r), rate], axis=-1)
+
+    def move(self, state: Array, push: float, seed: Seed = None) -> Array:
+        """States after a push dρ: what the filter believes of objects."""
+        rng = np.random.default_rng(seed)
+        whisker = self.observer.whisker
+        r, theta = _slid(whisker, state[:, 0], state[:, 1], state[:, 2] * push, push)
+        wander = self.slip_change * np.sqrt(push) * whisker.length
+        rate = state[:, 2] + wander * rng.standard_normal(len(state))
+        return np.stack([r, theta, rate], axis=-1)
+
+    def __call__(self, push_angle: ArrayLike, moment: ArrayLike, seed: Seed = None) -> Track:
+        """Follow the contact of one sweep.
+
+        Parameters
+        ----------
+        push_angle : array (n,)
+            Ascending from above 0, rad; known exactly.
+        moment : array (n,)
+            Readings of the moment at the base, N m.
+        seed : int, SeedSequence or Generator
+
+        Returns
+        -------
+        Track
+        """
+        push, felt = _checked(push_angle, moment)
+        rng = np.random.default_rng(seed)
+        state = self.start(rng)
+        log_weight = np.zeros(len(state))
+        columns: dict[str, Any] = {
+            name: np.full((push.size, *shape), np.nan) for name, shape in _COLUMNS.items()
+        }
+        outcome = np.full(push.size, Outcome.FLICKED_PAST, dtype=np.int8)
+        for k, step in enumerate(np.diff(push, prepend=0.0)):
+            state = self.move(state, step, rng)
+            value, fate = self._weigh(state, felt[k])
+            log_weight = log_weight + value
+            top = log_weight.max()
+            if not np.isfinite(top):
+                lost = fate[fate != Outcome.HELD]
+                outcome[k:] = np.bincount(lost).argmax() if lost.size else Outcome.OUT_OF_REACH
+                break
+            weight = np.exp(log_weight - top)
+            weight /= weight.sum()
+            outcome[k] = Outcome.HELD
+            for name, column in _summary(state, weight, push[k]).items():
+                columns[name][k] = column
+            if 1 / np.square(weight).sum() < 0.5 * len(state):
+                state = state[_resampled(weight, rng)]
+                log_weight = np.zeros(len(state))
+            else:
+                log_weight = log_weight - top
+        return Track(push, **columns, outcome=outcome)
+
+    def _weigh(self, state: Array, felt: float) -> tuple[Array, NDArray[np.int8]]:
+        """ln p(moment | state), −∞ where not held, and the outcome of every state."""
+        contact = state[:, :2]
+        inside = (contact[:, 0] > 0) & (contact[:, 1] > 0)
+        safe = np.where(inside[:, None], contact, self.observer.whisker.length)
+        signals, outcome = self.observer.signals(safe)
+        outcome = np.where(inside, outcome, Outcome.OUT_OF_REACH).astype(np.int8)
+        held = outcome == Outcome.HELD
+        value = self.observer.noise.log_likelihood([felt], np.where(held[:, None], signals, 1.0))
+        return np.where(held, value, -np.inf), outcome
+
+
+_COLUMNS: dict[str, tuple[int, ...]] = {
+    "radial_distance": (),
+    "deflection_angle": (),
+    "distance_sd": (),
+    "angle_sd": (),
+    "interval": (2,),
+    "path": (2,),
+    "path_sd": (2,),
+}
+
+
+def _summary(state: Array, weight: Array, push: float) -> dict[str, Any]:
+    """What weighted states say of the contact."""
+    state, weight = state[weight > 0], weight[weight > 0]  # the others may be nowhere
+    contact, path = state[:, :2], _world(state[:, 0], state[:, 1], push)
+    mean, middle = weight @ contact, weight @ path
+    sd, path_sd = (np.sqrt(weight @ np.square(v - m)) for v, m in ((contact, mean), (path, middle)))
+    order = np.argsort(contact[:, 0])
+    rank = np.cumsum(weight[order])
+    interval = np.interp([0.025, 0.975], rank - weight[order] / 2, contact[order, 0])
+    return dict(zip(_COLUMNS, (*mean, *sd, interval, middle, path_sd), strict=True))
+
+
+def _resampled(weight: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Systematic resampling: each state as often as its weight says, to within one."""
+    count = len(weight)
+    places = (np.arange(count) + rng.random()) / count
+    return np.minimum(np.searchsorted(np.cumsum(weight), places), count - 1)
+
+
+def _checked(push_angle: ArrayLike, moment: ArrayLike) -> tuple[Array, Array]:
+    push = np.atleast_1d(positive("push_angle", push_angle, "give radians since first contact"))
+    felt = np.atleast_1d(finite("moment", moment, "give newton metres, up to the last contact"))
+    if push.ndim != 1 or np.any(np.diff(push) <= 0) or felt.shape != push.shape:
+        raise ValueError(
+            f"A sweep is one row of ascending push angles and as many moments, got shapes "
+            f"{push.shape} and {felt.shape}; write np.radians(np.arange(1, 31)) for the first, say."
+        )
+    return push, felt
