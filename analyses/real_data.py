@@ -3,7 +3,7 @@
     python analyses/real_data.py [folder]
 
 Writes `real_data.md` (the report) and `figures/real_data.png` into this folder, or the one named.
-`--short` fits the last ten sessions of the rat only, as the tests do.
+`--short` fits the last ten sessions of the rat only, as the slow tests do.
 """
 
 from __future__ import annotations
@@ -98,7 +98,8 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         "",
         f"{trials.n_trials} trials in {len(trials.sessions)} sessions. The stimuli are normalised "
         "log levels of unknown unit, so Weber fractions are counted per unit of that scale. All "
-        "steps between neighbours are alike: there are two proportions, one up and one down, for a Weber fraction, a bias and two lapses. Lapses are therefore believed to be few, "
+        "steps between neighbours are alike: there are two proportions, one up and one down, "
+        "for a Weber fraction, a bias and two lapses. Lapses are therefore believed to be few, "
         "Beta(1, 20) at either end, mean 5 %; without that nothing is told apart.",
         "",
         f"One observer for all: {whole.weber_fraction:.3g} per unit, with 95 % between "
@@ -167,20 +168,17 @@ def draw(blocks: pd.DataFrame, whole: WeberFit, fits: list[WeberFit], path: Path
     middle, low, high = (blocks[c].to_numpy(float) for c in ("weber_fraction", "lower", "upper"))
     course.errorbar(
         blocks["middle"], middle, [(middle - low).tolist(), (high - middle).tolist()], fmt="o-",
-        color=figures.COLOURS[0], capsize=2, label="Weber fraction per unit, 95 %",
+        color=figures.COLOURS[0], capsize=2, markersize=4,
     )  # fmt: skip
-    for name, style in (("lapse_low", "s--"), ("lapse_high", "^:")):
-        course.plot(
-            blocks["middle"], blocks[name], style, color=figures.COLOURS[1], markersize=3,
-            label=name.replace("_", " "),
-        )  # fmt: skip
     course.set_ylim(bottom=0)
-    course.set_xlabel("session of the rat")
-    course.legend()
+    course.set_xlabel("session")
+    course.set_ylabel("Weber fraction per unit")
+    course.text(0.78, 0.9, "the rat", transform=course.transAxes)
     figures.residuals(residuals_by(whole, "session"), off)
+    off.text(0.04, 0.9, "the rat", transform=off.transAxes)
     for ax, fit in zip((one, two), fits, strict=True):
         figures.psychometric(fit, ax, unit="log ratio")
-        ax.set_title(f"person {fit.trials.subjects[0]}", loc="left")
+        ax.text(0.04, 0.9, f"person {fit.trials.subjects[0]}", transform=ax.transAxes)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
 

@@ -559,12 +559,45 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
     file = write(tmp_path / "t.csv", "subject,session,left,right,said", *lines)
     options = ["--column", "stimulus_1=left", "--column", "stimulus_2=right"]
     options += ["--column", "choice=said", "--label", "L=first", "--label", "R=second"]
-    assert "write --subject a." in refused(capsys, "fit", file, *options)
+    assert "write --subject a, or --together for all." in refused(capsys, "fit", file, *options)
     found = answer(capsys, "fit", file, *options, "--subject", "b", "--session", "1,3-4")
     assert found["data"]["n_trials"] == 120  # type: ignore[index]
     assert "no trials have session" in refused(
         capsys, "fit", file, *options, "--subject", "b", "--session", "9"
     )
+
+
+def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    design = ["--standard", "1,4", "--weber-fraction", "0.15", "--sessions", "2"]
+    answer(capsys, "simulate", *design, "--trials-per-level", "30", "--out", str(out))
+    file = str(out / "trials.csv")
+    plain = answer(capsys, "fit", file)
+    options = ["--lapse-prior", "1,20", "--compare", "noise"]
+    found = answer(capsys, "fit", file, *options, "--out", str(out))
+    assert found["parameters"]["lapse_low"]["prior"] == "beta(1, 20)"  # type: ignore[index]
+    assert found["weber_fraction"] != plain["weber_fraction"]
+    table = pd.read_csv(out / "comparison.csv", index_col="model")
+    assert table.index[-1] == "constant noise"
+    assert found["comparison"]["verdict"] in (out / "fit_report.txt").read_text("utf-8")  # type: ignore[index]
+    moved = answer(capsys, "fit", file, "--effect", "near-miss", "--lapse-prior", "1,20")
+    assert moved["settings"]["effects"] == ["exponent"]  # type: ignore[index]
+    law = answer(capsys, "fit", file, "--compare", "law")
+    assert len(law["comparison"]["rows"]) == 2  # type: ignore[index]
+
+
+def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    animals = ["--subjects", "3", "--trials-per-level", "12"]
+    answer(capsys, "simulate", *animals, "--out", str(tmp_path / "s"))
+    file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
+    found = answer(capsys, "fit", file, "--together", "--out", str(out))
+    assert [row["subject"] for row in found["subjects"]] == ["s1", "s2", "s3"]  # type: ignore[attr-defined, union-attr]
+    made = {path.name for path in out.iterdir()}
+    assert made == {"fit.json", "fit.run.json", "subjects.csv", "shrinkage.png", "shrinkage.svg"}
+    assert run_app(cli.app, ["fit", file, "--together"]) == 0
+    assert "weber_fraction" in capsys.readouterr().out
 
 
 def test_fit_by_emcee_agrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -621,6 +654,13 @@ HEADER = "stimulus_1,stimulus_2,choice"
         ([HEADER, ".02,.03,1"], ["--identity", "C2"], "as if written in metres"),
         ([HEADER, "20,50,1"], ["--identity", "C2"], "50 mm is beyond the whisker's length"),
         ([HEADER, "20,25,1"], ["--identity", "C2", "--scale", "log"], "leave --scale out"),
+        ([HEADER, "1,2,1"], ["--effect", "drft"], "did you mean 'drift'?"),
+        ([HEADER, "1,2,1"], ["--effect", "drift"], "needs two sessions or more"),
+        ([HEADER, "1,2,1"], ["--lapse-prior", "0,3"], "takes two numbers above zero"),
+        ([HEADER, "1,2,1"], ["--compare", "nois"], "did you mean 'noise'?"),
+        ([HEADER, "1,2,1"], ["--compare", "taper"], "needs a whisker to feel with"),
+        ([HEADER, "1,2,1"], ["--together", "--effect", "drift"], "leave --effect, --compare"),
+        ([HEADER, "1,2,1"], ["--together"], "there is no column 'subject'"),
     ],
 )
 def test_fit_refuses_and_leaves_nothing(

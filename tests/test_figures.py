@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -220,6 +221,50 @@ def test_figure_4a_in_full(tmp_path: Path) -> None:
     tapered = curve[curve["whisker"] == "tapered"]
     # A twentieth: what the bend of the closed form over one sd makes of its slope.
     np.testing.assert_allclose(tapered["posterior_mm"], tapered["closed_form_mm"], rtol=0.06)
+
+
+def test_residuals_outside_the_band_are_marked() -> None:
+    table = pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3.0]})
+    ax = figures.residuals(table)
+    marked = next(line for line in ax.get_lines() if line.get_label() == "outside")
+    np.testing.assert_array_equal(marked.get_xdata(), [2, 3])
+    np.testing.assert_array_equal(marked.get_ydata(), [2.5, -3.0])
+
+
+def test_shrinkage_shows_every_animal_twice_and_labels_apart() -> None:
+    trials, _ = ww.simulate_population(4, trials_per_level=6, spread=0.8, seed=2)
+    fit = ww.fit_population(trials)
+    ax = figures.shrinkage(fit)
+    table = fit.subjects.sort_values("alone")
+    drawn = [bars.lines[0].get_xdata() for bars in ax.containers]
+    np.testing.assert_allclose(drawn[0], table["alone"])
+    np.testing.assert_allclose(drawn[1], table["weber_fraction"])
+    figure = figures.figure_of(ax)
+    figure.canvas.draw()
+    boxes = [t.get_window_extent() for t in ax.get_xticklabels(which="both") if t.get_text()]
+    boxes.sort(key=lambda box: box.x0)
+    assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
+
+
+def test_pairs_show_the_draws(fit: ww.WeberFit) -> None:
+    grid = figures.pairs(fit)
+    names = fit.parameters
+    assert grid.shape == (len(names),) * 2
+    assert not grid[0, 1].get_visible()
+    x, y = grid[1, 0].get_lines()[0].get_data()
+    assert (x > 0).all()
+    assert abs(np.median(x) - fit.weber_fraction) < 0.2 * fit.posterior.sd("weber_fraction")
+    assert (y >= 0).all()
+    assert (y <= 1).all()
+    assert not grid[0, 0].get_yticks().size
+
+
+@pytest.mark.slow
+def test_real_data_are_reported(tmp_path: Path) -> None:
+    report = load("real_data").main(tmp_path, short=True).read_text("utf-8")
+    assert "contraction against" in report
+    assert "nan" not in report
+    assert (tmp_path / "figures" / "real_data.png").stat().st_size > 10_000
 
 
 # analyses/speed_accuracy.py

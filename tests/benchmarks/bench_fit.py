@@ -23,21 +23,31 @@ def timed(work: Callable[[], WeberFit]) -> tuple[float, WeberFit]:
     return time.process_time() - start, fit
 
 
-def recovery(n_sets: int, per_level: int, lapse: float) -> str:
-    times, errors, inside = [], [], 0
+def recovery(n_sets: int, k: float, per_level: int, lapse: float) -> str:
+    """Errors of the shipped priors, and the bias that is left once the lapses are known."""
+    known = {"lapse_low": lapse, "lapse_high": lapse}
+    offsets = None if k == 0.1 else np.round(np.exp(np.linspace(-3 * k, 3 * k, 9)) - 1, 6)
+    times, errors, without, inside = [], [], [], 0
     for seed in range(n_sets):
         trials = simulate_trials(
-            trials_per_level=per_level, lapse_low=lapse, lapse_high=lapse, seed=70_000 + seed
+            weber_fraction=k,
+            trials_per_level=per_level,
+            offsets=offsets,
+            seed=70_000 + seed,
+            **known,
         )
         seconds, fit = timed(lambda trials=trials: fit_weber(trials))  # type: ignore[misc]
         low, high = fit.interval()
         times.append(seconds)
-        errors.append(fit.weber_fraction / 0.1 - 1)
-        inside += low < 0.1 < high
+        errors.append(fit.weber_fraction / k - 1)
+        without.append(fit_weber(trials, priors=known).weber_fraction / k - 1)
+        inside += low < k < high
     e = np.array(errors)
     return (
-        f"{9 * per_level:5d} trials, lapse {lapse:4.2f}: {1e3 * np.median(times):6.1f} ms "
-        f"(90 % {1e3 * np.quantile(times, 0.9):6.1f}), median bias {100 * np.median(e):+6.1f} %, "
+        f"k {k:4.2f}, {9 * per_level:5d} trials, lapse {lapse:4.2f}: "
+        f"{1e3 * np.median(times):6.1f} ms (90 % {1e3 * np.quantile(times, 0.9):6.1f}), "
+        f"median bias {100 * np.median(e):+6.1f} % "
+        f"(lapses known {100 * np.median(without):+6.1f}), "
         f"RMSE {np.sqrt(np.mean(e**2)):.3f}, covers {100 * inside / n_sets:5.1f} %"
     )
 
@@ -53,9 +63,11 @@ def single(name: str, trials: Trials, **options: object) -> str:
 
 def main() -> None:
     n_sets = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    print(f"k = 0.1, nine levels to ±0.30, k + two lapses + bias, {n_sets} data sets each")
-    for per_level, lapse in ((13, 0.02), (33, 0.0), (33, 0.02), (33, 0.1), (111, 0.02)):
-        print(recovery(n_sets, per_level, lapse))
+    print(f"Nine levels to ±3 k (of logarithms, but at 0.1), {n_sets} data sets each")
+    for k in (0.1, 0.05, 0.2, 0.4):
+        for per_level in (13, 33, 111):
+            for lapse in (0.0, 0.02, 0.1):
+                print(recovery(n_sets, k, per_level, lapse), flush=True)
     trials = simulate_trials(trials_per_level=33, lapse_low=0.02, lapse_high=0.02, seed=1)
     print(single("the same 297 trials, quadrature", trials))
     print(single("the same 297 trials, emcee", trials, method="emcee", seed=1))

@@ -296,3 +296,35 @@ def _needs_order(trials: Trials, what: str) -> None:
             f"{what} needs to know which interval held which stimulus, got task "
             f"{trials.task.name!r}; it goes with '2AFC' and '2IFC'."
         )
+
+
+EFFECTS: dict[str, Effect] = {
+    "floor": Floor(),
+    "near-miss": NearMiss(),
+    "contraction": Contraction(),
+    "first-interval": FirstIntervalNoise(),
+    "comparison-bias": ComparisonBias(),
+    "history": History(),
+    "drift": Drift(),
+    "drift-fast-first": Drift(of_log=True),
+    "overdispersion": Overdispersion(),
+}
+
+
+def effect_named(text: str) -> Effect:
+    """An effect by its name, with the prior that it brings; `step=12` is a step at session 12.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, with the nearest one.
+
+    Examples
+    --------
+    >>> effect_named("near-miss").name, effect_named("step=12").name
+    ('exponent', 'step[12]')
+    """
+    name, equals, session = text.partition("=")
+    if name == "step" and equals:
+        return Step(at=session)
+    return EFFECTS[_checks.one_of("effect", text, (*EFFECTS, "step=<session>"))]

@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 import weberwhisk as ww
 
-from .._terminal import a_number
+from .._terminal import a_number, numbers
 from ..behaviour import CuePercept, FitStatus
+from ..behaviour.effects import EFFECTS, effect_named
 from ..runs import Run, atomic_write, to_json
+from .comparisons import compared
 from .distance import distance_percept
 from .options import (
     AngleOption,
@@ -35,7 +37,12 @@ STIMULI = ("standard", "stimulus_1", "stimulus_2", "comparison")
 
 
 def fit(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV (also .gz) or .tsv of trials.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="Table of trials: CSV or TSV (also .gz), Excel, Parquet or NWB."
+        ),
+    ],
     column: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,7 +61,10 @@ def fit(
     ] = None,
     task: Annotated[
         str | None,
-        typer.Option("--task", help="2AFC, 2IFC, '2AFC percent correct' and the like."),
+        typer.Option(
+            "--task",
+            help="2AFC, 2IFC, yes/no, go/no-go, same-different, '3AFC percent correct' and so on.",
+        ),
     ] = None,
     scale: Annotated[
         str, typer.Option("--scale", help="linear, or log where stimuli are logarithms.")
@@ -80,7 +90,40 @@ def fit(
         typer.Option("--bias", help="none, shared or 'per standard'.  [default: shared]"),
     ] = None,
     noise: Annotated[str, typer.Option("--noise", help="weber or equal-variance.")] = "weber",
-    method: Annotated[str, typer.Option("--method", help="quadrature or emcee.")] = "quadrature",
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            metavar="NAME",
+            help=f"What else moves the answers: {', '.join(EFFECTS)}, step=<session>; may be "
+            "repeated.",
+        ),
+    ] = None,
+    lapse_prior: Annotated[
+        str | None,
+        typer.Option(
+            "--lapse-prior",
+            metavar="A,B",
+            help="Belief about the lapses at either end, Beta(A, B).  [default: 0.3,3]",
+        ),
+    ] = None,
+    comparison: Annotated[
+        str | None,
+        typer.Option(
+            "--compare",
+            help="Other observers beside the one fitted: noise (Weber, with a floor, constant), "
+            "drift (stationary or learning), law (one Weber fraction or one a standard), taper or "
+            "cues (of the whisker).",
+        ),
+    ] = None,
+    together: Annotated[
+        bool,
+        typer.Option("--together", help="Fit all subjects at once, each learning from the others."),
+    ] = False,
+    method: Annotated[
+        str | None,
+        typer.Option("--method", help="quadrature or emcee.  [default: by the parameters]"),
+    ] = None,
     identity: IdentityOption = None,
     length_mm: LengthOption = None,
     base_radius_um: BaseRadiusOption = None,
@@ -102,17 +145,34 @@ def fit(
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
     percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
     trials = _trials(file, column, label, task, scale, log_unit, percept)
-    trials = _selected(trials, subject, session)
+    trials = _selected(trials, subject, session, together)
     if percept is not None:
         _refuse_metres(trials, percept)
+    priors = _lapse_priors(lapse_prior, trials)
+    if together:
+        if effect or comparison or method:
+            raise ValueError(
+                "--together fits the plain observer, by quadrature; leave --effect, --compare and "
+                "--method out."
+            )
+        options = {"percept": percept, "bias": bias, "noise": noise, "priors": priors}
+        _fit_together(trials, options, inputs, seed, out, as_json)
+        return
+    effects = [effect_named(name) for name in effect or ()]
     with Run(out, "fit", inputs, seed) as run:
         result = ww.fit_weber(
-            trials, percept=percept, bias=bias, noise=noise, method=method, seed=seed
-        )
+            trials, percept=percept, bias=bias, noise=noise, effects=effects, priors=priors,
+            method=method, seed=seed,
+        )  # fmt: skip
         summary = result.summary().reset_index()
         run.table("fit", summary)
         answer = result.to_dict()
         report = result.report()
+        if comparison is not None:
+            table, verdict = compared(comparison, result, whisker, priors)
+            run.table("comparison", table)
+            answer["comparison"] = {"rows": table.to_dict(orient="records"), "verdict": verdict}
+            report += f"\nComparison.\n{verdict}\n"
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
@@ -193,14 +253,56 @@ def _as_options(sentence: str) -> str:
     return sentence.replace("scale='log'", "--scale log")
 
 
-def _selected(trials: ww.Trials, subject: str | None, session: str | None) -> ww.Trials:
+def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any] | None:
+    if text is None:
+        return None
+    from scipy import stats
+
+    shape = numbers("--lapse-prior", [text])
+    if shape.size != 2 or (shape <= 0).any():
+        raise ValueError(f"--lapse-prior takes two numbers above zero, got {text!r}; write 1,20.")
+    return {name: stats.beta(*shape.tolist()) for name in trials.task.lapses}
+
+
+def _fit_together(
+    trials: ww.Trials,
+    options: dict[str, Any],
+    inputs: dict[str, Any],
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    with Run(out, "fit", inputs, seed) as run:
+        found = ww.fit_population(trials, seed=seed, **options)
+        run.table("subjects", found.subjects)
+        if run.out_dir is not None:
+            atomic_write(run.path("fit.json"), found.to_json() + "\n")
+            if found.population is not None:
+                from .. import figures
+
+                run.figure("shrinkage", figures.figure_of(figures.shrinkage(found)))
+    if as_json:
+        print(found.to_json())
+        return
+    print(f"{found.status.value[0].upper()}{found.status.value[1:]}.")
+    if found.population is not None:
+        print(f"\n{found.summary().to_string(float_format='{:.3g}'.format)}")
+    print(f"\n{found.subjects.to_string(index=False, float_format='{:.3g}'.format)}")
+    for note in found.notes:
+        print(note)
+    wrote(run)
+
+
+def _selected(
+    trials: ww.Trials, subject: str | None, session: str | None, together: bool = False
+) -> ww.Trials:
     if subject is not None:
         trials = trials.select(subject=subject)
-    elif len(trials.subjects) > 1:
+    elif len(trials.subjects) > 1 and not together:
         shown = ", ".join(map(str, trials.subjects[:4]))
         raise ValueError(
             f"{trials.source}: there are {len(trials.subjects)} subjects ({shown}), and one is "
-            f"fitted at a time; write --subject {trials.subjects[0]}."
+            f"fitted at a time; write --subject {trials.subjects[0]}, or --together for all."
         )
     if session is not None:
         if not trials.sessions:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from .style import COLOURS, DOUBLE, SINGLE, axes_or_new, figure_of, legend_above, new_figure, styled
@@ -28,7 +28,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
         From `residuals_by` or `quantile_residuals`: its `z` is drawn.
     ax : Axes, optional
     against : str, optional
-        The column along the horizontal axis, the table's first by default.
+        The column along the horizontal axis: `stimulus_2` by default, or the table's first.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
     'session'
     """
     ax = axes_or_new(ax)
-    column = against or str(table.columns[0])
+    column = against or ("stimulus_2" if "stimulus_2" in table else str(table.columns[0]))
     z = table["z"].to_numpy(float)
     outside = np.abs(z) > 1.96
     x = table[column].to_numpy()
@@ -51,6 +51,8 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
     ):
         if which.any():
             ax.plot(x[which], z[which], marker, color=colour, label=name, markersize=3.5)
+    if np.issubdtype(x.dtype, np.integer):
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel(column.replace("_", " "))
     ax.set_ylabel("Residual (standard errors)")
     legend_above(ax)
@@ -92,7 +94,8 @@ def pairs(fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800
                 x, y = sample[along][::step], sample[down][::step]
                 ax.plot(x, y, ".", color=COLOURS[0], alpha=0.35, markersize=2, rasterized=True)
             ax.xaxis.set_major_locator(MaxNLocator(3))
-            ax.yaxis.set_major_locator(MaxNLocator(3))
+            if i != j:
+                ax.yaxis.set_major_locator(MaxNLocator(3))
             if i < size - 1:
                 ax.set_xticklabels([])
             else:
@@ -137,6 +140,9 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
         labels = [f"{s}, {n}" for s, n in zip(rows["subject"], rows["session"], strict=True)]
     ax.set_yticks(y, labels)
     ax.set_xscale("log")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel("Weber fraction")
     legend_above(ax)
     return ax
