@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 import weberwhisk as ww
@@ -23,6 +24,7 @@ from weberwhisk import figures
 from weberwhisk.cues import (
     AngleSideAngle,
     BalanceOfMoments,
+    ComparativeLength,
     Compliance,
     Cue,
     ForceMap,
@@ -45,6 +47,9 @@ DRAWS, DRAWS_SHORT = 200, 16
 #: One line a cue, in the order of the paper's sections.
 CUES: dict[str, Cue] = {
     "whisker length (a)": VibrissaLength(),
+    "which of three whiskers touch (b)": ComparativeLength(
+        [40e-3, 30e-3], [[0.0, 3e-3], [0.0, 6e-3]]
+    ),
     "angle-side-angle (c)": AngleSideAngle(),
     "vibration, 3 modes with phase (d)": Vibration(3, phase=True),
     "tap (e)": Compliance(),
@@ -110,38 +115,48 @@ def ridge(draws: int) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
+@figures.styled
 def draw_curves(table: pd.DataFrame) -> Figure:
-    """JND against r, and below it the posterior's over the closed form's.
+    """JND against r (lines: Fisher, marks: posterior), and posterior over closed form.
 
-    Rings are where the two differ by more than the Monte Carlo error: near the base, where a JND
-    as wide as the distance meets the prior's edge; near the tip, likewise, and where the deflection
-    is large; and at the vibration's nodes, about which no linear form holds.
+    Open marks are where the two differ by more than the Monte Carlo error: near the base, where a
+    JND as wide as the distance meets the prior's edge; near the tip, likewise, and where the
+    deflection is large; and at the vibration's nodes, about which no linear form holds.
     """
-    figure = Figure(figsize=(figures.DOUBLE, 6.0), layout="constrained")
+    figure = figures.new_figure(figures.DOUBLE, 6.4)
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for i, (name, rows) in enumerate(table.groupby("cue", sort=False)):
-        x, colour = rows["radial_distance"] / WHISKER.length, figures.COLOURS[i % 7]
-        style = figures.LINES[i % len(figures.LINES)]
-        top.semilogy(x, rows["fisher"] * 1e3, style, color=colour, label=name)
-        top.plot(x, rows["posterior"] * 1e3, "o", color=colour, markersize=3)
+        look = {
+            "color": figures.COLOURS[i % len(figures.COLOURS)],
+            "marker": figures.MARKERS[i // 2 % len(figures.MARKERS)],
+            "markersize": 3,
+        }
+        x = rows["radial_distance"] / WHISKER.length
+        line = figures.LINES[i % len(figures.LINES)]
+        # One event has no limit of small noise, and its information at a point says little.
+        events = rows["closed_form"].isna().all()
+        expected = rows["posterior" if events else "fisher"]
+        top.semilogy(x, expected * 1e3, line, color=look["color"])
+        top.plot(x, rows["posterior"] * 1e3, linestyle="none", label=name, **look)
         ratio = rows["posterior"] / rows["closed_form"]
         error = 1.96 * rows["posterior_error"] / rows["closed_form"]
         off = np.abs(ratio - 1) > error
-        for kind, shown in (("o", off), (".", ~off)):
+        for shown, face in ((off, "none"), (~off, look["color"])):
             below.errorbar(
                 x[shown], ratio[shown], error[shown],
-                fmt=kind, color=colour, markersize=3, linewidth=0.7, markerfacecolor="none",
+                linestyle="none", linewidth=0.7, markerfacecolor=face, **look,
             )  # fmt: skip
     below.axhline(1.0, color="black", linewidth=0.8)
     below.set(xlabel="Radial distance r/L", ylabel="posterior / closed form", ylim=(0.3, 1.7))
-    top.set(ylabel="JND (mm), d'=1", ylim=(0.1, 1000))
-    top.legend(frameon=False, fontsize=7, ncols=2)
+    top.set(ylabel="JND (mm), d'=1", ylim=(0.05, 60))
+    figure.legend(*top.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
+@figures.styled
 def draw_best(table: pd.DataFrame) -> Figure:
     """The best cue as a map over r and θ_d."""
-    figure = Figure(figsize=(figures.SINGLE * 1.4, 3.4), layout="constrained")
+    figure = figures.new_figure(figures.SINGLE * 1.4, 3.6)
     ax = figure.subplots()
     size = int(np.sqrt(len(table)))
     names = [name for name in MAPPED if (table["best"] == name).any()]
@@ -154,20 +169,20 @@ def draw_best(table: pd.DataFrame) -> Figure:
         )
     )
     colours = [figures.COLOURS[MAPPED.index(name)] for name in names]
-    levels = np.arange(len(names) + 1) - 0.5
-    ax.contourf(x, y, which, levels, colors=colours)
+    ax.pcolormesh(x, y, which, cmap=ListedColormap(colours), shading="nearest", rasterized=True)
     for name, colour in zip(names, colours, strict=True):
         ax.fill_between([], [], color=colour, label=name)
     ax.plot(x[:, -1], y[:, -1], color="black", linewidth=1.2)
     ax.text(0.97, 0.95, "flicked past", transform=ax.transAxes, ha="right", va="top")
     ax.set(xlabel="Radial distance r/L", ylabel="Deflection angle θ$_d$ (degrees)", xlim=(0, 1))
-    ax.legend(frameon=False, fontsize=7, loc="center right")
+    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 
+@figures.styled
 def draw_ridge(table: pd.DataFrame) -> Figure:
     """A pair plot of distance and angle for either whisker."""
-    figure = Figure(figsize=(figures.SINGLE * 1.3, 3.4), layout="constrained")
+    figure = figures.new_figure(figures.SINGLE * 1.3, 3.4)
     ax = figure.subplots()
     for i, (name, rows) in enumerate(table.groupby("whisker", sort=False)):
         x, y = rows["radial_distance"] * 1e3, np.degrees(rows["deflection_angle"])
@@ -178,15 +193,17 @@ def draw_ridge(table: pd.DataFrame) -> Figure:
     return figure
 
 
+@figures.styled
 def draw_bits(table: pd.DataFrame) -> Figure:
     """Bars of what is told alone and what is added."""
-    figure = Figure(figsize=(figures.DOUBLE / 1.4, 2.4), layout="constrained")
+    figure = figures.new_figure(figures.DOUBLE / 1.4, 2.4)
     ax = figure.subplots()
     places = np.arange(len(table))[::-1]
     for shift, column in ((0.2, "alone"), (-0.2, "added")):
         rows = table if column == "alone" else table.iloc[:-1]
         error = rows[f"{column}_error"]
-        ax.barh(places[: len(rows)] + shift, rows[column], 0.38, xerr=error, label=column)
+        ax.barh(places[: len(rows)] + shift, rows[column], 0.38, xerr=error, label=column,
+                color=figures.COLOURS[0 if column == "alone" else 1])  # fmt: skip
     ax.set_yticks(places, table["cue"])
     ax.set_xlabel("information about radial distance (bits)")
     ax.legend(frameon=False)
