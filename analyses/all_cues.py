@@ -169,7 +169,8 @@ def draw_best(table: pd.DataFrame) -> Figure:
         )
     )
     colours = [figures.COLOURS[MAPPED.index(name)] for name in names]
-    ax.pcolormesh(x, y, which, cmap=ListedColormap(colours), shading="nearest", rasterized=True)
+    colour_map = ListedColormap(colours)
+    ax.pcolormesh(x.T, y.T, which.T, cmap=colour_map, shading="nearest", rasterized=True)
     for name, colour in zip(names, colours, strict=True):
         ax.fill_between([], [], color=colour, label=name)
     ax.plot(x[:, -1], y[:, -1], color="black", linewidth=1.2)
