@@ -169,8 +169,13 @@ def draw_best(table: pd.DataFrame) -> Figure:
         )
     )
     colours = [figures.COLOURS[MAPPED.index(name)] for name in names]
-    colour_map = ListedColormap(colours)
-    ax.pcolormesh(x.T, y.T, which.T, cmap=colour_map, shading="nearest", rasterized=True)
+    # The table's contacts are the middles of cells in r and in the share of the largest angle.
+    r, share = (_edges(np.linspace(low, 0.99, size)) for low in (0.03, 0.02))
+    limit = np.degrees(ww.flick_past(WHISKER, r * WHISKER.length).deflection_angle)
+    ax.pcolormesh(
+        np.broadcast_to(r[:, None], (size + 1, size + 1)), limit[:, None] * share, which,
+        cmap=ListedColormap(colours), rasterized=True,
+    )  # fmt: skip
     for name, colour in zip(names, colours, strict=True):
         ax.fill_between([], [], color=colour, label=name)
     ax.plot(x[:, -1], y[:, -1], color="black", linewidth=1.2)
@@ -178,6 +183,12 @@ def draw_best(table: pd.DataFrame) -> Figure:
     ax.set(xlabel="Radial distance r/L", ylabel="Deflection angle θ$_d$ (degrees)", xlim=(0, 1))
     figure.legend(loc="outside upper center", ncols=2)
     return figure
+
+
+def _edges(middles: np.ndarray) -> np.ndarray:
+    """Edges of even cells, from their middles; between 0 and 1."""
+    half = (middles[1] - middles[0]) / 2
+    return np.clip(np.append(middles - half, middles[-1] + half), 1e-3, 1.0)
 
 
 @figures.styled
