@@ -134,3 +134,10 @@ def test_misuse_is_refused(arguments, words):
 def test_the_force_map_asks_for_its_angle():
     with pytest.raises(ValueError, match="needs the deflection angle"):
         ww.jnd_curve(ww.Observer(W, ForceMap()), 1e-2)
+
+
+def test_perfectly_correlated_signals_beyond_need_are_refused():
+    cue = ForceMap(("moment", "axial_force", "transverse_force"))
+    observer = ww.Observer(W, cue, Weber(0.1, correlation=1.0))
+    with pytest.raises(ValueError, match="no best combination.*write a correlation"):
+        weber_propagation(observer, [30e-3, 0.3])

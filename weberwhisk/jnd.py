@@ -137,6 +137,12 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
         variance = np.einsum("...i,...ij,...j->...", row, correlation, row)
         variance = np.where(np.isinf(inverse[..., 0, 0]), np.inf, variance)
     else:
+        if np.any(np.linalg.det(correlation) < SINGULAR):
+            raise ValueError(
+                f"Of {slope.shape[-2]} perfectly correlated signals for {slope.shape[-1]} unknowns "
+                f"there is no best combination, got {observer.noise!r}; "
+                "write a correlation between -1 and 1."
+            )
         information = np.swapaxes(scaled, -1, -2) @ np.linalg.inv(correlation) @ scaled
         variance = _inverse(information)[..., 0, 0]
     # With perfectly correlated noise the exact variance can be zero, and rounding take it below.
