@@ -177,3 +177,29 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
+
+
+def test_an_observer_says_what_it_was_not_given():
+    cue = Compliance()
+    for arguments, words in (
+        (("C2", cue), "needs a Whisker"),
+        ((W, "compliance"), "needs a cue"),
+        ((W, Compliance), "needs a cue"),
+        ((W, cue, 0.1), "needs receptor noise"),
+        ((W, cue, Weber([0.1, 0.1])), "not of 1 signals"),
+        ((W, cue, None, {"radial_distance": (0, 1)}), "frozen SciPy distribution"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            ww.Observer(*arguments)
+    with pytest.raises(ValueError, match="model"):
+        ww.Observer(W, cue, model="foo")
+
+
+def test_stiffness_scales_forces_alone():
+    soft = ww.cues.UnknownStiffness(ww.cues.Fused(Compliance(), ww.cues.Vibration(3)))
+    contact = np.array([20e-3])
+    plain, _ = soft.cue.signals(W, contact)
+    signals, _ = soft.signals(W, np.append(contact, 0.5))
+    assert signals / plain == pytest.approx([0.5, 1.0, 1.0])
+    with pytest.raises(ValueError, match="none is a force"):
+        ww.cues.UnknownStiffness(ww.cues.AngleSideAngle())

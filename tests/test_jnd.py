@@ -141,3 +141,21 @@ def test_perfectly_correlated_signals_beyond_need_are_refused():
     observer = ww.Observer(W, cue, Weber(0.1, correlation=1.0))
     with pytest.raises(ValueError, match=r"no best combination.*write a correlation"):
         weber_propagation(observer, [30e-3, 0.3])
+
+
+def test_a_contact_that_is_not_held_has_no_jnd_by_any_route():
+    table = ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3, 25e-3], [1.5, 0.2], draws=4, seed=1)
+    routes = ["closed_form", "propagation", "fisher", "posterior", "estimator"]
+    assert table.loc[0, routes].isna().all()
+    assert table.loc[1, routes].notna().all()
+
+
+def test_no_deflection_is_refused():
+    with pytest.raises(ValueError, match="no force to feel"):
+        ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3], 0.0, draws=4)
+
+
+def test_readings_that_are_all_the_same_event_have_no_scatter():
+    table = ww.jnd_curve(ww.Observer(W, ww.cues.VibrissaLength()), 5e-3, draws=8, seed=1)
+    assert np.isnan(table["estimator"][0])
+    assert np.isfinite(table["posterior"][0])

@@ -15,3 +15,7 @@ for command in (quickstart.quickstart, bend.bend, jnd.jnd, simulate.simulate, fi
 def main() -> int:
     """Run the command line; returns the exit status."""
     return run_app(app, sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

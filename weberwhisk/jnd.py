@@ -137,7 +137,7 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
         variance = np.einsum("...i,...ij,...j->...", row, correlation, row)
         variance = np.where(np.isinf(inverse[..., 0, 0]), np.inf, variance)
     else:
-        if np.any(np.linalg.det(correlation) < SINGULAR):
+        if np.any(np.linalg.det(correlation) < 1e-14):
             raise ValueError(
                 f"Of {slope.shape[-2]} perfectly correlated signals for {slope.shape[-1]} unknowns "
                 f"there is no best combination, got {observer.noise!r}; "
@@ -256,7 +256,8 @@ def jnd_curve(
         metres: ``closed_form`` (small angle), ``propagation`` (at the observer's own rung),
         ``fisher``, ``posterior`` (mean sd of the posteriors) with its Monte Carlo error
         ``posterior_error``, ``estimator`` (sd of the posterior means: how much one observer's
-        estimate scatters) with ``estimator_error``; ``unreliable`` (share of posteriors whose
+        estimate scatters) with ``estimator_error`` (NaN where all readings are the
+        same event); ``unreliable`` (share of posteriors whose
         status is not `CONVERGED`) and ``outcome`` (in words). A contact that is not held has NaN.
 
     Raises
@@ -292,6 +293,7 @@ def jnd_curve(
     table["closed_form"] = factor * weber_propagation(observer, contact, model="closed_form")
     table["propagation"] = factor * weber_propagation(observer, contact)
     table["fisher"] = factor * fisher_jnd(observer, contact)
+    table.loc[~held, ["closed_form", "propagation", "fisher"]] = np.nan
     columns = ("posterior", "posterior_error", "estimator", "estimator_error", "unreliable")
     table[list(columns)] = np.nan
     if held.any():
@@ -300,6 +302,9 @@ def jnd_curve(
         result = posterior(observer, readings, method=method, seed=walker_seed)
         sd, mean = (np.reshape(v, (-1, draws)) for v in (result.sd, result.mean))
         scatter = mean.std(axis=1, ddof=1)
+        # All readings alike, as those of one event may be, tell nothing of their scatter.
+        alike = np.ptp(readings.reshape(-1, draws, readings.shape[-1]), axis=1).max(axis=-1) == 0
+        scatter = np.where(alike, np.nan, scatter)
         bad = np.reshape(np.asarray(result.status) != Status.CONVERGED, (-1, draws))
         table.loc[held, list(columns)] = np.stack(
             [
@@ -331,6 +336,11 @@ def _contact(
             "write deflection_angle=np.radians(10), say."
         )
     theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.2")
+    if np.any(theta == 0):
+        raise ValueError(
+            "Without deflection there is no force to feel, got deflection_angle=0; "
+            "write np.radians(5), say."
+        )
     return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
 
 

@@ -70,6 +70,17 @@ class Observer:
         *,
         model: str | None = None,
     ) -> None:
+        if not isinstance(whisker, Whisker):
+            raise ValueError(
+                f"An observer needs a Whisker, got {whisker!r}; "
+                "write Whisker.from_identity('C2'), say."
+            )
+        if isinstance(cue, type) or not isinstance(cue, Cue):
+            raise ValueError(f"An observer needs a cue, got {cue!r}; write cues.Compliance(), say.")
+        if isinstance(noise, type) or not isinstance(noise, ReceptorNoise | None):
+            raise ValueError(
+                f"An observer needs receptor noise, got {noise!r}; write receptors.Weber(0.1), say."
+            )
         for name in ("length", "base_radius", "tip_radius", "youngs_modulus", "curvature"):
             if np.ndim(getattr(whisker, name)):
                 raise ValueError(
@@ -89,9 +100,21 @@ class Observer:
                 f"The signals of {cue!r} are not what this noise reports, got {self.noise!r}; "
                 f"leave noise out for {cue.default_noise()!r}."
             )
-        self.noise.reading_size(len(cue.signal_names))
-        for name in prior or {}:
+        size = len(cue.signal_names)
+        if np.shape(self.noise.sd(np.ones(size))) != (self.noise.reading_size(size),):
+            raise ValueError(
+                f"The noise is not of {size} signals ({', '.join(cue.signal_names)}), got "
+                f"{self.noise!r}; give one value, or one for each signal."
+            )
+        for name, distribution in (prior or {}).items():
             one_of("prior of", name, cue.unknowns)
+            if not hasattr(distribution, "support"):
+                raise ValueError(
+                    f"The prior of {name} must be a frozen SciPy distribution, got "
+                    f"{distribution!r}; write scipy.stats.uniform(10e-3, 20e-3), say."
+                )
+        if model is not None:
+            one_of("model", model, ("closed_form", "elastica", "profile", "rod"))
         self.prior = {**cue.priors(whisker), **(prior or {})}
         self.model = model
         #: How many unknowns the whisker bounds: the first ones; the rest have priors alone.
@@ -311,10 +334,12 @@ class Observer:
         if count == 1 and (array.ndim == 0 or array.shape[-1] != 1):
             array = array[..., None]
         if array.ndim == 0 or array.shape[-1] != count:
+            of = f"of {', '.join(self.cue.signal_names)}"
+            if isinstance(self.noise, Events):
+                of = f"one of {self.noise.reports.tolist()}"
             raise ValueError(
                 f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
-                f"(of {', '.join(self.cue.signal_names)}), got shape {array.shape}; "
-                "put them along the last axis."
+                f"({of}), got shape {array.shape}; put them along the last axis."
             )
         return array
 

@@ -17,6 +17,10 @@ from .protocol import Array, Cue
 MODULUS_SPREAD = 0.42
 
 
+#: Signals that are proportional to EI₀.
+FORCES = ("moment", "axial_force", "transverse_force", "moment_rate")
+
+
 class UnknownStiffness:
     """A cue of one more unknown, ``"stiffness"``: EI₀ over what the whisker says it is.
 
@@ -29,13 +33,14 @@ class UnknownStiffness:
     spread : float
         Sd of the log-normal prior's ln; its median is 1. By default that of measured moduli.
     signals : sequence of str, optional
-        The cue's signals that are proportional to EI₀; by default all of them.
+        The cue's signals that are proportional to EI₀; by default its forces, moments and rates of
+        moments, and not its angles, ratios or chances.
 
     Raises
     ------
     ValueError
         For a spread that is not positive, a signal that the cue has not, a cue whose stiffness is
-        unknown already.
+        unknown already or that feels no force.
 
     Examples
     --------
@@ -57,7 +62,19 @@ class UnknownStiffness:
         self.spread = float(positive("spread", spread, "give the sd of ln EI₀, such as 0.42"))
         if "stiffness" in cue.unknowns:
             raise ValueError(f"The stiffness is unknown in {cue!r} already; leave it as it is.")
-        names = cue.signal_names if signals is None else tuple(signals)
+        # The signals of a fusion are numbered where a name comes twice.
+        names = (
+            [name for name in cue.signal_names if name.rstrip("_0123456789") in FORCES]
+            if signals is None
+            else [signals]
+            if isinstance(signals, str)
+            else list(signals)
+        )
+        if not names:
+            raise ValueError(
+                f"Of the signals of {cue!r} ({', '.join(cue.signal_names)}) none is a force or a "
+                "moment that goes with the stiffness; use the cue as it is."
+            )
         for name in names:
             one_of("signal", name, cue.signal_names)
         self._soft = np.isin(cue.signal_names, names)

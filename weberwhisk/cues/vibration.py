@@ -76,7 +76,7 @@ class Vibration:
         damping_ratio: float = 0.0,
     ) -> None:
         least = 2 if impulse is None else 1
-        if not least <= count <= 12:
+        if not least <= count <= 12 or count != int(count):
             raise ValueError(
                 f"count must be {least} to 12, got {count}; write 3, or impulse= for one mode."
             )

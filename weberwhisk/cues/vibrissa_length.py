@@ -47,6 +47,9 @@ class VibrissaLength:
 
     Notes
     -----
+    A reading is (touch, touch of the tip), 0 or 1 each: [0, 0] is no touch, [1, 1] one of the tip,
+    [1, 0] one of the shaft.
+
     One event has no limit of small noise: the JND is the sd of a posterior with a flat top (no
     touch: beyond the whisker; the shaft: short of the tip), and never less than the spread
     and the tip's zone allow.

@@ -94,14 +94,12 @@ def sample(
 
 
 def _moves(density: Density, mode: Mode) -> list[tuple[MoveMaker, float]]:
-    """With several unknowns most steps are drawn anew from a coarse grid over the posterior.
+    """Most steps are drawn anew from a coarse grid over the posterior.
 
-    It takes some 300 evaluations, and then a step is nearly an independent draw, where
-    differential evolution needs seven or, on a bent ridge, hundreds.
+    It takes 50 evaluations with one unknown and thousands with two, and then a step is nearly an
+    independent draw, where differential evolution needs five to nine or, on a bent ridge, hundreds.
     """
     others = default_moves(mode.x.shape[1])
-    if mode.x.shape[1] == 1:
-        return others
     grid = integrate(
         density, mode.x, mode_root(mode), tolerance=0.1, max_points=20_000, keep_points=True
     )
