@@ -146,7 +146,7 @@ def sweeps(name: str, short: bool) -> Iterator[tuple[str, float, int, Callable[[
     def engine(method: str, **options: object) -> Callable[[Array], object]:
         return lambda rows: ww.posterior(observer, rows, method=method, **options)  # type: ignore[arg-type]
 
-    bulk, few = (256, 4) if short else (4096 if one else 1024, 24)
+    bulk, few = (256, 4) if short else (4096 if one else 1024, 8)
     for tolerance in (1e-6,) if one else (1e-1, 1e-2, 1e-3, 1e-4, 1e-5):
         yield "quadrature", tolerance, bulk, engine("quadrature", tolerance=tolerance)
     yield "Laplace", 0.0, bulk, engine("laplace")
@@ -172,7 +172,7 @@ def posteriors(short: bool) -> pd.DataFrame:
     table: list[Row] = []
     for name in OBSERVERS:
         rows = readings(name, 4096)
-        exact_of, n = (512, 20_000) if name == "one unknown" else (128, 1500)
+        exact_of, n = (512, 20_000) if name == "one unknown" else (48, 1500)
         if short:
             exact_of, n = 8, min(n, 700)
         exact = summed(name, rows[:exact_of], n, zoom=True)

@@ -78,7 +78,7 @@ def main() -> None:
             ("laplace", 4096, "", {}),
         ):
             p, rate = timed(observer, readings[:count], method, **options)
-            good = p.status == Status.CONVERGED
+            good = (p.status == Status.CONVERGED) & (exact.status[:count] == Status.CONVERGED)
             ratio = p.sd / exact.sd[:count] - 1
             error = np.sqrt(np.mean(ratio[good] ** 2)) if good.any() else np.nan
             line(f"2-D {method}, k = {k}", rate, bar, error, good.mean())
