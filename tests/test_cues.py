@@ -187,6 +187,7 @@ def test_an_observer_says_what_it_was_not_given():
         ((W, Compliance), "needs a cue"),
         ((W, cue, 0.1), "needs receptor noise"),
         ((W, cue, Weber([0.1, 0.1])), "not of 1 signals"),
+        ((W, ForceMap(), Weber([0.1, 0.1, 0.1])), "not of 2 signals"),
         ((W, cue, None, {"radial_distance": (0, 1)}), "frozen SciPy distribution"),
     ):
         with pytest.raises(ValueError, match=words):

@@ -101,7 +101,12 @@ class Observer:
                 f"leave noise out for {cue.default_noise()!r}."
             )
         size = len(cue.signal_names)
-        if np.shape(self.noise.sd(np.ones(size))) != (self.noise.reading_size(size),):
+        count = self.noise.reading_size(size)
+        try:
+            spread = np.shape(self.noise.sd(np.ones(size)))
+        except ValueError:  # as many values as some other cue has signals
+            spread = ()
+        if spread != (count,):
             raise ValueError(
                 f"The noise is not of {size} signals ({', '.join(cue.signal_names)}), got "
                 f"{self.noise!r}; give one value, or one for each signal."
