@@ -73,9 +73,10 @@ def drift(name: str, sweep_of: Sweep, found: list[tuple[Track, Track]]) -> pd.Da
     )
 
 
+@figures.styled
 def draw(sweeps: dict[str, Sweep], found: dict[str, list[tuple[Track, Track]]]) -> Figure:
     """True and recovered paths, a panel a body, in the frame of the whisker at first contact."""
-    figure = Figure(figsize=(figures.DOUBLE, 2.6), layout="constrained")
+    figure = figures.new_figure(figures.DOUBLE, 2.8)
     for ax, (name, s) in zip(figure.subplots(1, len(sweeps)), sweeps.items(), strict=True):
         b = s.bending
         angle = b.deflection_angle[1:] - PUSH
@@ -83,11 +84,11 @@ def draw(sweeps: dict[str, Sweep], found: dict[str, list[tuple[Track, Track]]]) 
         track = found[name][0][1]
         centre, sd = 1e3 * track.path, 1e3 * track.path_sd
         ax.errorbar(*centre.T, xerr=2 * sd[:, 0], yerr=2 * sd[:, 1], fmt=".", linewidth=0.5,
-                    color=figures.COLOURS[1], label="filter ± 2 sd")  # fmt: skip
-        ax.plot(x, y, "o-", markersize=2, color="black", label="contact")
+                    color=figures.COLOURS[1], alpha=0.5, label="filter ± 2 sd")  # fmt: skip
+        ax.plot(x, y, "o-", markersize=2, color="black", zorder=3, label="contact")
         ax.set(title=name, xlabel="x (mm)")
     figure.axes[0].set_ylabel("y (mm)")
-    figure.axes[0].legend(frameon=False, fontsize=7)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 

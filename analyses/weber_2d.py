@@ -111,9 +111,10 @@ def draw_false_zero(table: pd.DataFrame, ax: Axes) -> None:
     ax.legend(frameon=False)
 
 
+@figures.styled
 def draw(table: pd.DataFrame) -> Figure:
     """Three surfaces and the false zero."""
-    figure = Figure(figsize=(figures.DOUBLE, 5.6), layout="constrained")
+    figure = figures.new_figure(figures.DOUBLE, 5.6)
     axes = figure.subplots(2, 2).ravel()
     for ax, (title, noise) in zip(axes[:3], FAMILY.items(), strict=True):
         figures.jnd_surface(surface(*noise), ax, length=WHISKER.length, weber_fraction=K)

@@ -12,22 +12,29 @@ from weberwhisk.jnd import weber_propagation
 SDS = 4.0
 
 
-def jacobian_by_differences(cue, whisker, contact, step=1e-5):
-    """Central differences of the signals, (..., S, U); steps are relative."""
+def jacobian_by_differences(cue, whisker, contact, step=1e-5, least=0.0):
+    """Central differences of the signals, (..., S, U); steps are of the contact or of `least`."""
     columns = []
     for axis in range(contact.shape[-1]):
         h = np.zeros_like(contact)
-        h[..., axis] = step * np.abs(contact[..., axis])
+        h[..., axis] = step * np.maximum(np.abs(contact[..., axis]), least)
         up, down = (cue.signals(whisker, contact + s * h)[0] for s in (1, -1))
         columns.append((up - down) / (2 * h[..., axis, None]))
     return np.stack(columns, axis=-1)
 
 
 def moments_by_midpoints(observer, reading, points=200_001):
-    """Mean and sd of the radial distance by the midpoint rule, flat prior, one unknown."""
+    """Mean and sd of the radial distance by the midpoint rule, one unknown."""
     low, high = observer.reach
     r = low + (np.arange(points) + 0.5) / points * (high - low)
     log = observer.log_likelihood(reading, r[:, None])
+    if "radial_distance" in observer.prior:
+        log = log + observer.prior["radial_distance"].logpdf(r)
+    return weighted_moments(r, log)
+
+
+def weighted_moments(r, log):
+    """Mean and sd of places r with ln of their weights."""
     weight = np.exp(log - log.max())
     mean = weight @ r / weight.sum()
     return mean, np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
@@ -72,13 +79,9 @@ def keeps_the_protocol(observer, contact):
     assert np.all(outcome == Outcome.HELD)
     jacobian = cue.jacobian(whisker, contact)
     assert jacobian.shape == (*signals.shape, len(cue.unknowns))
-    for column in range(contact.shape[-1]):
-        step = np.zeros_like(contact)
-        step[..., column] = np.maximum(np.abs(contact[..., column]), 1e-3) * 1e-5
-        up, down = (cue.signals(whisker, contact + s * step)[0] for s in (1, -1))
-        slope = (up - down) / (2 * step[..., column, None])
-        size = np.abs(slope).max(axis=0)
-        assert np.allclose(jacobian[..., column], slope, rtol=2e-5, atol=1e-7 * size)
+    slopes = jacobian_by_differences(cue, whisker, contact, least=1e-3)
+    size = np.abs(slopes).max(axis=0)
+    assert np.allclose(jacobian, slopes, rtol=2e-5, atol=1e-7 * size)
 
 
 def brute_force(observer, reading, points=400_000):
@@ -86,37 +89,28 @@ def brute_force(observer, reading, points=400_000):
 
     Nothing is shared with the engines but the likelihood: no coordinates, no panels, no grids.
     """
-    low, high = observer.reach
     if len(observer.unknowns) == 1:
-        r = low + (np.arange(points) + 0.5) / points * (high - low)
-        log = observer.log_likelihood(reading, r[:, None])
-        if "radial_distance" in observer.prior:
-            log = log + observer.prior["radial_distance"].logpdf(r)
-    else:
-        # First a coarse look at where the mass is, then a fine one there.
-        name, box = observer.unknowns[1], [(low, high), _range(observer)]
-        for n in (500, 500, 2 * int(np.sqrt(points))):
-            axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in box]
-            contact = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-            table = observer.log_likelihood(reading, contact)
-            if name in observer.prior:
-                table = table + observer.prior[name].logpdf(axes[1])
-            near = table > table.max() - 40
-            box = [
-                (
-                    max(axis[kept].min() - 2 * (axis[1] - axis[0]), edge[0]),
-                    min(axis[kept].max() + 2 * (axis[1] - axis[0]), edge[1]),
-                )
-                for axis, kept, edge in zip(
-                    axes, (near.any(axis=1), near.any(axis=0)), box, strict=True
-                )
-            ]
-        r = axes[0]
-        log = np.log(np.exp(table - table.max()).sum(axis=1) + 1e-300)
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
-    mean = r @ weight
-    return mean, np.sqrt((r - mean) ** 2 @ weight)
+        return moments_by_midpoints(observer, reading, points)
+    # First a coarse look at where the mass is, then a fine one there.
+    name, box = observer.unknowns[1], [observer.reach, _range(observer)]
+    for n in (500, 500, 2 * int(np.sqrt(points))):
+        axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in box]
+        contact = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        table = observer.log_likelihood(reading, contact)
+        if name in observer.prior:
+            table = table + observer.prior[name].logpdf(axes[1])
+        near = table > table.max() - 40
+        box = [
+            (
+                max(axis[kept].min() - 2 * (axis[1] - axis[0]), edge[0]),
+                min(axis[kept].max() + 2 * (axis[1] - axis[0]), edge[1]),
+            )
+            for axis, kept, edge in zip(
+                axes, (near.any(axis=1), near.any(axis=0)), box, strict=True
+            )
+        ]
+    log = np.log(np.exp(table - table.max()).sum(axis=1) + 1e-300)
+    return weighted_moments(axes[0], log)
 
 
 def _range(observer):

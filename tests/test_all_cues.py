@@ -1,12 +1,9 @@
 """The claims of analyses/all_cues.py, from small tables."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
+from analysis_scripts import load
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "analyses"))
-import all_cues
+all_cues = load("all_cues")
 
 
 def test_no_cue_is_best_everywhere():

@@ -1,10 +1,8 @@
 """Distance from the vibration after an impact (§2d)."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from analysis_scripts import load
 from cue_checks import agrees_with_brute_force, covers, keeps_the_protocol, small_noise_limit
 from scipy import stats
 from scipy.optimize import brentq
@@ -158,8 +156,7 @@ def test_peaks_are_counted_as_intervals_of_highest_density():
 
 def test_amplitudes_leave_several_places_and_their_phases_one():
     """The paper's expectation holds where amplitudes alone are felt, and not where phase is."""
-    sys.path.insert(0, str(Path(__file__).parent.parent / "analyses"))
-    from vibration import uniqueness
+    uniqueness = load("vibration").uniqueness
 
     # Without phase even k = 0.01 leaves doubt with few modes, and k = 0.1 with many.
     assert uniqueness(2, 0.01, False, 60)[0] < 0.3

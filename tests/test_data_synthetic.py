@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from analysis_scripts import load
 
 from weberwhisk.behaviour import FitStatus, fit_weber, read_trials
 from weberwhisk.behaviour.effects import Drift
@@ -18,19 +17,8 @@ PACKAGE = json.loads((FOLDER / "datapackage.json").read_text("utf-8"))
 NAMES = [Path(entry["path"]).stem for entry in PACKAGE["resources"]]
 
 
-def generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "make_synthetic", ROOT / "analyses" / "make_synthetic.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_regenerating_gives_the_same_bytes(tmp_path: Path) -> None:
-    generator().write(tmp_path)
+    load("make_synthetic").write(tmp_path)
     made = sorted(path.name for path in tmp_path.iterdir())
     kept = sorted(path.name for path in FOLDER.iterdir() if path.suffix in (".csv", ".json"))
     assert made == kept
@@ -42,7 +30,7 @@ def test_regenerating_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_the_fit_is_what_the_package_says(entry: dict) -> None:
     truth = entry["truth"]
     trials = read_trials(FOLDER / entry["path"], task=entry["task"])
-    percept = generator().percept_of(Path(entry["path"]).stem)
+    percept = load("make_synthetic").percept_of(Path(entry["path"]).stem)
     animals = truth.get("animals", [truth])
     for animal in animals:
         own = trials.select(subject=animal["subject"]) if "subject" in animal else trials

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
+from analysis_scripts import load
 from matplotlib.figure import Figure
 from scipy import stats
 
@@ -30,16 +29,6 @@ def fit() -> ww.WeberFit:
         weber_fraction=0.15, standards=[1.0, 2.0], trials_per_level=20, seed=3
     )
     return ww.fit_weber(trials)
-
-
-def load(name: str) -> ModuleType:
-    path = Path(__file__).parent.parent / "analyses" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:

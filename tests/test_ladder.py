@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
+from analysis_scripts import load
 from integrators import follow
 from scipy.integrate import solve_ivp
 
@@ -407,11 +405,7 @@ def test_the_command_line_says_which_rung_and_why(capsys):
 
 
 def test_the_figure_shows_every_rung(tmp_path):
-    path = Path(__file__).parent.parent / "analyses" / "which_rung.py"
-    spec = importlib.util.spec_from_file_location("which_rung", path)
-    script = importlib.util.module_from_spec(spec)
-    sys.modules["which_rung"] = script  # where its dataclass looks itself up
-    spec.loader.exec_module(script)
+    script = load("which_rung")
     shares = script.make(tmp_path, short=True).set_index(["whisker", "weber_fraction"])
     assert (tmp_path / "which_rung.png").stat().st_size > 10_000
     np.testing.assert_allclose(shares.sum(axis=1), 1)

@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
+from analysis_scripts import load
 
 import weberwhisk as ww
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 IMPACT = np.radians(60)
-
-
-def load(name: str) -> ModuleType:
-    path = Path(__file__).parent.parent / "analyses" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 FIGURE_2, FIGURE_3 = load("figure_2"), load("figure_3")

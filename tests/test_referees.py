@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from analysis_scripts import load as load_script
 
-PATH = Path(__file__).parent.parent / "analyses" / "referees.py"
-spec = importlib.util.spec_from_file_location("referees", PATH)
-assert spec is not None
-assert spec.loader is not None
-referees = importlib.util.module_from_spec(spec)
-sys.modules["referees"] = referees  # which its dataclasses look for
-spec.loader.exec_module(referees)
+referees = load_script("referees")
 ERRORS = [
     "error_moment",
     "error_axial_force",

@@ -1,11 +1,10 @@
 """Spike counts: Weber's law emerges from a population, and stops where its thresholds do."""
 
-import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from analysis_scripts import load
 from numpy.polynomial.legendre import leggauss
 from scipy import integrate, stats
 
@@ -243,11 +242,11 @@ def test_long_tables_are_worked_on_in_pieces_to_the_same_end():
 
 
 def test_the_figure_of_all_models_is_made(tmp_path):
-    script = runpy.run_path(str(Path(__file__).parent.parent / "analyses" / "receptors.py"))
-    table = script["make"](tmp_path)
+    script = load("receptors")
+    table = script.make(tmp_path)
     made = {path.name for path in tmp_path.iterdir()}
     assert made == {"receptors.csv", "receptors.png", "receptors.svg", "receptors.run.json"}
-    counts, closed = table["100 afferents' counts"], table[script["CLOSED_FORM"]]
+    counts, closed = table["100 afferents' counts"], table[script.CLOSED_FORM]
     assert np.allclose(counts, closed, rtol=0.01)
     assert np.allclose(table["Weber"], 1 / np.sqrt(102), rtol=1e-12)
 

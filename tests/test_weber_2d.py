@@ -1,16 +1,13 @@
 """Weber's law in two dimensions (§3c): the claims of analyses/weber_2d.py."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from analysis_scripts import load
 
 import weberwhisk as ww
 from weberwhisk.jnd import fisher_jnd, jnd_curve, weber_propagation
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "analyses"))
-import weber_2d
+weber_2d = load("weber_2d")
 
 W, K = weber_2d.WHISKER, weber_2d.K
 

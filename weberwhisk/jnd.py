@@ -137,7 +137,7 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
         variance = np.einsum("...i,...ij,...j->...", row, correlation, row)
         variance = np.where(np.isinf(inverse[..., 0, 0]), np.inf, variance)
     else:
-        if np.any(np.linalg.det(correlation) < 1e-14):
+        if np.any(np.linalg.det(correlation) < PERFECT):
             raise ValueError(
                 f"Of {slope.shape[-2]} perfectly correlated signals for {slope.shape[-1]} unknowns "
                 f"there is no best combination, got {observer.noise!r}; "
@@ -216,6 +216,8 @@ def _length(matrix: Array, axis: int) -> Array:
     return np.where(length > 0, length, 1.0)
 
 
+#: Determinant of the noise's correlations below which they are perfect.
+PERFECT = 1e-14
 #: Determinant, of a matrix with columns of length one, below which rounding could have made it.
 SINGULAR = 1e-9
 

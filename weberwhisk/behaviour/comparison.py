@@ -283,15 +283,9 @@ def compare_taper(
     """
     if whisker.tip_radius >= whisker.base_radius:
         raise ValueError("the whisker has no taper to test; give one whose tip is thinner.")
-    cylinder = Whisker(
-        length=whisker.length,
-        base_radius=whisker.base_radius,
-        tip_radius=whisker.base_radius,
-        youngs_modulus=whisker.youngs_modulus,
-    )
     felt = {
         name: CuePercept(Observer(w, Compliance(), Weber(1.0)), unit=unit)
-        for name, w in (("tapered", whisker), ("cylindrical", cylinder))
+        for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
     }
     return compare({name: fit_weber(trials, percept=p, **options) for name, p in felt.items()})
 

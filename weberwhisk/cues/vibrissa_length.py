@@ -99,10 +99,6 @@ class VibrissaLength:
             f"tip_zone={self.tip_zone:g}, reach={self.reach:g})"
         )
 
-    def chance_of_missing(self, whisker: Whisker, radial_distance: ArrayLike) -> Array:
-        """Chance that the whisker is shorter than this, (...)."""
-        return self._missing(whisker, finite("radial_distance", radial_distance, "give metres"))[0]
-
     def _missing(self, whisker: Whisker, r: Array) -> tuple[Array, Array]:
         """The chance of being shorter than r, and its slope.
 

@@ -1,0 +1,21 @@
+"""The scripts of analyses/, which are no package, as modules for the tests that hold them."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+FOLDER = Path(__file__).parent.parent / "analyses"
+
+
+def load(name: str) -> ModuleType:
+    """The script of that name, run anew."""
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where its dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
