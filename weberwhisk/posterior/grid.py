@@ -348,8 +348,10 @@ class _Work:
         self.coarse_passes[index] += 1
         late = self.coarse_passes[index] >= COARSE_PASSES
         self.end(index[late & cut_off], Status.OPEN)
-        # A long tail is followed along its axis: whitening by it would lose the narrow core.
-        follow = cut_off & ~late & (out.edge_mass.max(axis=(1, 2)) < 0.4)
+        # A long tail is followed along its axis: whitening by it would lose the narrow core. Where
+        # most of the mass is at the edge there is no core yet.
+        inside = np.abs(out.z_mean) < 0.5 * self.first_cells * self.width[index]
+        follow = cut_off & ~late & inside.all(axis=1)
         follow &= self.cells[index].max(axis=(1, 2)) <= 2 * self.first_cells
         self.cells[index[follow]] += np.where(open_sides[follow], self.cells[index[follow]], 0)
         # Where whitening has lost it, back to the last frame in which all was seen.
