@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from weberwhisk.posterior.densities import checked_density
+from weberwhisk.posterior.threads import on_threads
 
 Array = NDArray[np.float64]
 Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
@@ -255,8 +256,10 @@ def integrate(
     work = _Work(*start, tolerance, max_points, reach, keep_points)
     first = work.dim if only_functions else 0
     for _ in range(PASSES):
-        for index in work.groups():
-            work.take(index, _evaluate(work, index, log_density, functions, first), keep_points)
+        groups = list(work.groups())
+        passes = on_threads(lambda i: _evaluate(work, i, log_density, functions, first), groups)
+        for index, out in zip(groups, passes, strict=True):
+            work.take(index, out, keep_points)
         if not work.running.any():
             break
     work.status[work.running] = Status.OPEN
