@@ -82,7 +82,7 @@ SHARE = floats(0.02, 0.98)
     st.lists(floats(1e-6, 1 - 1e-9), min_size=1, max_size=20),
     st.lists(floats(1e-6, 1 - 1e-6), min_size=20, max_size=20),
 )
-def test_coordinates_are_undone(w: ww.Whisker, places: list[float], shares: list[float]) -> None:  # fmt: skip
+def test_coordinates_are_undone(w: ww.Whisker, places: list[float], shares: list[float]) -> None:
     observer = ww.Observer(w, cues.ForceMap())
     r = np.array(places) * w.length * (1 - 1e-6)
     theta = ww.flick_past(w, r).deflection_angle * np.array(shares[: len(places)])
@@ -201,9 +201,9 @@ def test_every_cue_has_whole_signals_posteriors_and_jnds(make, data: st.DataObje
     assert np.isfinite([p.mean, p.sd]).all()
     assert observer.reach[0] < p.mean < observer.reach[1]
     assert p.sd > 0
-    linear, information = weber_propagation(observer, contact), fisher_jnd(observer, contact)
-    assert information > 0
-    assert not np.isnan(information)
+    assert fisher_jnd(observer, contact) > 0
+    linear = weber_propagation(observer, contact)
+    assert (linear >= 0) | (linear.size == 0) | isinstance(observer.noise, receptors.Events)
 
 
 @given(whiskers(), floats(0.02, 0.98), FRACTION)
