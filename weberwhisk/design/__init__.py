@@ -5,5 +5,15 @@ The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses
 
 from .hypotheses import Hypothesis, cues, noises, taper
 from .scheme import LEVELS, Constraints, Scheme
+from .trial_lists import trial_lists
 
-__all__ = ["LEVELS", "Constraints", "Hypothesis", "Scheme", "cues", "noises", "taper"]
+__all__ = [
+    "LEVELS",
+    "Constraints",
+    "Hypothesis",
+    "Scheme",
+    "cues",
+    "noises",
+    "taper",
+    "trial_lists",
+]

@@ -7,117 +7,107 @@ balance, from the outside in:
   one, so that a session that ends early, or a drift of the animal, touches all levels alike;
 - *sides*: of the trials of every level, in half the comparison is the first stimulus and in half
   the second, within one, and so the second is the greater on half of the trials;
-- *history*: within a session the right answer repeats as often as it alternates, as nearly as the
-  counts allow, and never for more than `longest_run` trials running (Gellermann 1933 has 3).
+- *history*: within a session the right answer repeats as often as it changes, within a few trials,
+  and stays for no more than `longest_run` trials running, where a block's sides are even enough for
+  that. A short limit is itself a cue: with 3 (Gellermann 1933) an answer that came twice running
+  changes in 64 % of trials, with 4 in 57 %, with 5, the default, in 54 % (blocks of 36).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ..behaviour.trials import Cells
+from .scheme import Scheme
+
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-CANDIDATES = 16  # sequences drawn for a block, of which the one balancing history best is taken
-
-
-@dataclass(frozen=True)
-class Levels:
-    """The pairs of stimuli of an experiment, in order; arrays (C,).
-
-    Parameters
-    ----------
-    standard, comparison : array
-        In any unit.
-    trials : array of int
-        Of one animal, over all its sessions.
-    easy : array of bool
-        Shown to keep the animal working, and to learn its lapses.
-    """
-
-    standard: Array
-    comparison: Array
-    trials: Counts
-    easy: NDArray[np.bool_]
-
-    @property
-    def total(self) -> int:
-        """Trials of one animal."""
-        return int(self.trials.sum())
+CANDIDATES = 20  # sequences drawn for a block, of which the one balancing history best is taken
 
 
 def trial_lists(
-    levels: Levels,
-    subjects: int,
+    scheme: Scheme,
     *,
-    trials_per_session: int,
-    longest_run: int = 4,
+    trials_per_session: int = 300,
+    longest_run: int = 5,
     seed: int | np.random.SeedSequence,
 ) -> pd.DataFrame:
     """The trials of all animals, balanced and randomised within blocks.
 
     Parameters
     ----------
-    levels : Levels
-    subjects : int
-        Animals; each has an order of its own, which further animals leave as it is.
+    scheme : Scheme
     trials_per_session : int
         At most; the trials are spread evenly over as many sessions as that takes.
     longest_run : int
         Trials running on which the same answer may be right.
     seed : int or SeedSequence
-        The same seed gives the same lists, on every platform.
+        The same seed gives the same lists, on every platform. Each animal has an order of its own,
+        which further animals leave as it is.
 
     Returns
     -------
     DataFrame
         One row a trial: `subject` (s1, s2, …), `session`, `block` and `trial` (each from 1, block
-        and trial within the session), `standard`, `stimulus_1`, `stimulus_2`, `greater` (1 or 2,
-        the stimulus that is the greater, and so the right answer), `easy`.
+        and trial within the session), `level` (row of `scheme.table()`, from 1), `standard`,
+        `stimulus_1`, `stimulus_2`, `greater` (1 or 2: the stimulus that is the greater, and so the
+        right answer).
 
     Raises
     ------
     ValueError
-        For no animals, no trials, a level without a right answer, and the like.
+        For a level without a right answer, sessions without trials, and the like.
 
     Examples
     --------
-    >>> levels = Levels(np.array([20.0, 20.0]), np.array([18.0, 22.0]), np.array([20, 20]),
-    ...                 np.zeros(2, bool))
-    >>> table = trial_lists(levels, 2, trials_per_session=25, seed=1)
+    >>> table = trial_lists(Scheme([20e-3], [-2e-3, 2e-3], 20, 2), trials_per_session=25, seed=1)
     >>> table.groupby(["subject", "session"])["greater"].value_counts().unique().tolist()
     [10]
     """
-    _check(levels, subjects, trials_per_session, longest_run)
+    for name, value, low, hint in (
+        ("trials_per_session", trials_per_session, 1, 300),
+        ("longest_run", longest_run, 2, 5),
+    ):
+        if value != int(value) or value < low:
+            raise ValueError(
+                f"{name} must be a whole number of {low} or more, got {value!r}; write {hint}, say."
+            )
+    levels = scheme.cells()
+    alike = levels.standard == levels.stimulus_2
+    if alike.any():
+        raise ValueError(
+            f"A comparison equal to its standard, {levels.standard[alike][0]:g}, has no right "
+            "answer to reward; leave the offset 0 out."
+        )
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     parts = []
-    for i in range(subjects):  # as `spawn` would, without counting it up
+    for i in range(scheme.animals):  # as `spawn` would, without counting it up
         own = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
         rng = np.random.default_rng(own)
         parts.append(_of_animal(levels, f"s{i + 1}", trials_per_session, longest_run, rng))
     return pd.concat(parts, ignore_index=True)
 
 
-def sessions_needed(levels: Levels, trials_per_session: int) -> tuple[int, int]:
+def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
     """Sessions of one animal, and blocks in all of them.
 
     A block holds every level in both orders, where a session can be that long.
 
     Examples
     --------
-    >>> levels = Levels(np.ones(2), np.array([0.9, 1.1]), np.array([20, 20]), np.zeros(2, bool))
-    >>> sessions_needed(levels, 25)
+    >>> sessions_needed(Scheme([20e-3], [-2e-3, 2e-3], 20).cells(), 25)
     (2, 10)
     """
-    sessions = -(-levels.total // trials_per_session)
+    trials = levels.n.astype(np.int64)
+    sessions = -(-int(trials.sum()) // trials_per_session)
     while True:
-        blocks = max(-(-int(levels.trials.max()) // 2), sessions)
-        sizes = _dealt(levels.trials, blocks).sum(axis=1)
+        blocks = max(-(-int(trials.max()) // 2), sessions)
+        sizes = _dealt(trials, blocks).sum(axis=1)
         in_session = np.bincount(_session_of(blocks, sessions), sizes)
         if in_session.max() <= trials_per_session:
             return sessions, blocks
@@ -125,38 +115,40 @@ def sessions_needed(levels: Levels, trials_per_session: int) -> tuple[int, int]:
 
 
 def _of_animal(
-    levels: Levels, subject: str, per_session: int, longest_run: int, rng: np.random.Generator
+    levels: Cells, subject: str, per_session: int, longest_run: int, rng: np.random.Generator
 ) -> pd.DataFrame:
     sessions, blocks = sessions_needed(levels, per_session)
-    counts = _dealt(levels.trials, blocks)
+    counts = _dealt(levels.n.astype(np.int64), blocks)
     session_of = _session_of(blocks, sessions)
     second = _greater_second(counts, levels.standard, rng)
     picked: list[Counts] = []
     sides: list[Counts] = []
-    for session in range(sessions):
+    for number in range(sessions):
         before: list[int] = []
-        for block in np.flatnonzero(session_of == session):
-            level, side = _block(counts[block], second[block], before, longest_run, rng)
-            picked.append(level)
-            sides.append(side)
-            before.extend(side.tolist())
+        for block in np.flatnonzero(session_of == number):
+            drawn = _block(counts[block], second[block], before, longest_run, rng)
+            picked.append(drawn[0])
+            sides.append(drawn[1])
+            before.extend(drawn[1].tolist())
     level, side = np.concatenate(picked), np.concatenate(sides)
-    size = counts.sum(axis=1)
-    block_of = np.repeat(np.arange(blocks), size)
-    session = session_of[block_of]
-    standard, comparison = levels.standard[level], levels.comparison[level]
+    # Numbered without gaps: a block may be empty where sessions are shorter than the levels.
+    in_block = np.repeat(np.arange(blocks), counts.sum(axis=1))
+    session = np.unique(session_of[in_block], return_inverse=True)[1]
+    block = np.unique(in_block, return_inverse=True)[1]
+    start = np.searchsorted(session, session)
+    standard, comparison = levels.standard[level], levels.stimulus_2[level]
     comparison_second = (side == 2) == (comparison > standard)
     return pd.DataFrame(
         {
             "subject": np.full(level.size, subject),
             "session": session + 1,
-            "block": block_of - np.searchsorted(session_of, session) + 1,
-            "trial": np.arange(level.size) - np.searchsorted(session, session) + 1,
+            "block": block - block[start] + 1,
+            "trial": np.arange(level.size) - start + 1,
+            "level": level + 1,
             "standard": standard,
             "stimulus_1": np.where(comparison_second, standard, comparison),
             "stimulus_2": np.where(comparison_second, comparison, standard),
             "greater": side,
-            "easy": levels.easy[level],
         }
     )
 
@@ -187,7 +179,7 @@ def _greater_second(counts: Counts, standard: Array, rng: np.random.Generator) -
         free = np.flatnonzero(odd & (lead == 0))
         free = free[np.lexsort((rng.random(free.size), standard[free]))]
         uneven = (lead + side).sum()
-        first = -np.sign(uneven) if uneven else 1 - 2 * int(rng.random() < 0.5)
+        first = -int(np.sign(uneven)) or 1 - 2 * int(rng.random() < 0.5)
         side[free[::2]], side[free[1::2]] = first, -first
         lead += side
         out[block] += side == 1
@@ -251,23 +243,3 @@ def _excess_repeats(sides: list[int]) -> int:
 def _shuffled(size: int, rng: np.random.Generator) -> NDArray[np.intp]:
     # Uniform numbers alone: the streams of the other distributions may change between versions.
     return np.argsort(rng.random(size), kind="stable")
-
-
-def _check(levels: Levels, subjects: int, trials_per_session: int, longest_run: int) -> None:
-    for name, value, low, hint in (
-        ("subjects", subjects, 1, "write 6"),
-        ("trials_per_session", trials_per_session, 1, "write 300"),
-        ("longest_run", longest_run, 2, "write 4"),
-        ("the trials of a level", int(levels.trials.min(initial=1)), 0, "write 20"),
-        ("the trials of an animal", levels.total, 1, "write 20 for each level"),
-    ):
-        if value != int(value) or value < low:
-            raise ValueError(
-                f"{name} must be a whole number of {low} or more, got {value!r}; {hint}, say."
-            )
-    alike = levels.standard == levels.comparison
-    if alike.any():
-        raise ValueError(
-            f"A comparison equal to its standard has no right answer to reward, got "
-            f"{levels.comparison[alike][0]:g}; leave the offset 0 out."
-        )
