@@ -16,6 +16,7 @@ from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..receptors import GeneralisedWeber, Weber
 from ..whisker import Whisker
+from .goals import Animals, Goal
 from .hypotheses import Hypothesis
 from .scheme import Constraints, Scheme
 
@@ -36,6 +37,8 @@ NOUNS: dict[type, str] = {
     Hypothesis: "name percept priors bias noise task",
     Scheme: "standards offsets trials animals",
     Constraints: "nearest farthest step easy_share easy_proportion",
+    Goal: "bayes_factor half_width share",
+    Animals: "weber_fraction spread lapse bias_spread",
 }
 KIND = "is"  # the key that says which noun a mapping is
 

@@ -27,12 +27,8 @@ def own_table(lists: pd.DataFrame) -> pd.DataFrame:
     --------
     >>> from weberwhisk.design import Scheme, trial_lists
     >>> lists = trial_lists(Scheme([20e-3], [-2e-3, 2e-3], 2), seed=1)
-    >>> own_table(lists)[["subject", "standard_mm", "stimulus_1_mm", "stimulus_2_mm", "greater"]]
-      subject  standard_mm  stimulus_1_mm  stimulus_2_mm  greater
-    0      s1         20.0           22.0           20.0        1
-    1      s1         20.0           20.0           18.0        1
-    2      s1         20.0           18.0           20.0        2
-    3      s1         20.0           20.0           22.0        2
+    >>> own_table(lists).columns[4:].tolist()
+    ['level', 'standard_mm', 'stimulus_1_mm', 'stimulus_2_mm', 'greater']
     """
     millimetres = {name: _millimetres(lists[name]) for name in STIMULI}
     table = lists.assign(**millimetres)
