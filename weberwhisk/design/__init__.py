@@ -8,6 +8,7 @@ from .goals import Animals, Goal
 from .hypotheses import Hypothesis, cues, noises, taper
 from .plan import Plan
 from .plan_file import plan_json, read_plan
+from .rehearsal import Rehearsal, rehearse
 from .scheme import LEVELS, Constraints, Scheme
 from .trial_lists import trial_lists
 
@@ -19,12 +20,14 @@ __all__ = [
     "Goal",
     "Hypothesis",
     "Plan",
+    "Rehearsal",
     "Scheme",
     "analyse",
     "cues",
     "noises",
     "plan_json",
     "read_plan",
+    "rehearse",
     "taper",
     "trial_lists",
 ]

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 from .. import campaign
 from ..behaviour.answering import answer_trials
@@ -35,13 +34,17 @@ class Rehearsal:
     ----------
     plan : Plan
     table : DataFrame
-        One row an experiment: `truth` (the hypothesis that was simulated), `run`, `conclusion`
-        (the hypothesis favoured, or "undecided"; empty where there is one hypothesis),
-        `log_bayes_factor` (natural log; the truth against the best other), `weber_fraction`
-        (median of the animals' estimates, or the population's), `half_width` (of its 95 %
-        interval, relative; of several animals the median), `covered` (share of intervals that hold
-        the true k), `determined` (share of fits whose status is so), `right` (the conclusion is
-        that of the goal).
+        One row an experiment:
+
+        - `truth`, the hypothesis that was simulated, and the number of the `run`;
+        - `conclusion`, the hypothesis favoured or "undecided" (empty where there is one alone), and
+          `log_bayes_factor`, natural, of the truth against the best other;
+        - `weber_fraction` and `half_width`, estimate and relative half-width of its 95 % interval,
+          of several animals fitted apart the medians; `covered`, the share of these intervals that
+          hold the true k; `determined`, the share of fits whose status is that;
+        - `right`: the share of conclusions that are right, which is 1 or 0 for a hypothesis
+          favoured, and `covered` where the goal is an interval; `reached`, how far the goal was:
+          the same for a hypothesis, for an interval the share of animals where it is narrow enough.
     """
 
     plan: Plan = field(repr=False)
@@ -53,33 +56,30 @@ class Rehearsal:
         Returns
         -------
         DataFrame
-            Index `truth`; `runs`; `right` with its standard error `error` and Wilson's 95 % interval
-            `lower` to `upper`; `wrong` (another hypothesis favoured), `undecided`; `covered`, the
-            share of 95 % intervals that hold the truth; `half_width`, the median; `bias`, the
-            median estimate over the truth, less 1.
+            Index `truth`; `runs`; `reached`, the share in which the goal was, with its standard
+            error `error` and Wilson's 95 % interval `lower` to `upper`; shares of conclusions
+            `right`, `wrong` and `undecided`; `covered`; median `half_width`; `bias`, the median
+            estimate over the true median, less 1.
         """
         rows = []
         for truth, own in self.table.groupby("truth", sort=False):
-            n, hits = len(own), int(own["right"].sum())
-            found = binomtest(hits, n).proportion_ci(method="wilson")
-            undecided = own["conclusion"] == NEITHER
-            other = (own["conclusion"] != truth) & (own["conclusion"] != "") & ~undecided
-            share = hits / n
+            lower, upper = wilson(float(own["reached"].mean()), len(own))
+            undecided = float((own["conclusion"] == NEITHER).mean())
+            estimate = own["weber_fraction"].median()
             rows.append(
                 {
                     "truth": truth,
-                    "runs": n,
-                    "right": share,
-                    "error": float(np.sqrt(share * (1 - share) / n)),
-                    "lower": found.low,
-                    "upper": found.high,
-                    "wrong": float(other.mean()),
-                    "undecided": float(undecided.mean()),
+                    "runs": len(own),
+                    "reached": float(own["reached"].mean()),
+                    "error": float(own["reached"].std(ddof=0) / np.sqrt(len(own))),
+                    "lower": lower,
+                    "upper": upper,
+                    "right": float(own["right"].mean()),
+                    "wrong": 1 - float(own["right"].mean()) - undecided,
+                    "undecided": undecided,
                     "covered": float(own["covered"].mean()),
                     "half_width": float(own["half_width"].median()),
-                    "bias": float(
-                        own["weber_fraction"].median() / self.plan.animals.weber_fraction - 1
-                    ),
+                    "bias": float(estimate / self.plan.animals.weber_fraction - 1),
                 }
             )
         return pd.DataFrame(rows).set_index("truth")
@@ -94,33 +94,41 @@ class Rehearsal:
             f"The goal is {plan.goal}.",
         ]
         for truth, row in seen.iterrows():
-            met = (
-                "reached"
-                if row["lower"] >= plan.goal.share
-                else "missed"
-                if row["upper"] < plan.goal.share
-                else "neither reached nor missed for sure with so many runs"
-            )
-            words = f"When the animals are {truth}: the conclusion is right in {_share(row)}"
-            if len(plan.hypotheses) > 1:
-                words += (
-                    f", undecided in {100 * row['undecided']:.3g} %, and wrong in "
-                    f"{100 * row['wrong']:.3g} %"
-                )
             lines.append(
-                f"{words}; goal {met}. The 95 % interval of k has a median half-width of "
-                f"±{100 * row['half_width']:.2g} % and holds the truth in "
-                f"{100 * row['covered']:.3g} %; the median estimate is "
-                f"{100 * row['bias']:+.2g} % off."
+                f"When the animals are {truth}: the goal is reached in {100 * row['reached']:.3g} "
+                f"± {100 * row['error']:.2g} % of {int(row['runs'])} runs (95 % interval "
+                f"{100 * row['lower']:.3g} to {100 * row['upper']:.3g} %), "
+                f"{_met(row, plan.goal.share)}; the conclusion is right in "
+                f"{100 * row['right']:.3g} %, wrong in {100 * row['wrong']:.3g} % and open in "
+                f"{100 * row['undecided']:.3g} %. The 95 % interval of k is ±"
+                f"{100 * row['half_width']:.2g} % in the median and holds the truth in "
+                f"{100 * row['covered']:.3g} %; the median estimate is {100 * row['bias']:+.2g} % "
+                "off."
             )
         return "\n".join(lines) + "\n"
 
 
-def _share(row: Any) -> str:
-    return (
-        f"{100 * row['right']:.3g} ± {100 * row['error']:.2g} % of {int(row['runs'])} runs (95 % "
-        f"interval {100 * row['lower']:.3g} to {100 * row['upper']:.3g} %)"
-    )
+def _met(row: pd.Series, share: float) -> str:
+    wanted = f"the {100 * share:.3g} % asked for"
+    if row["lower"] > share:
+        return f"more than {wanted}"
+    if row["upper"] < share:
+        return f"less than {wanted}"
+    return f"not to be told from {wanted} by so many runs"
+
+
+def wilson(share: float, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a proportion (1927, J. Am. Stat. Assoc. 22:209).
+
+    Examples
+    --------
+    >>> [round(end, 4) for end in wilson(0.8, 100)]
+    [0.7112, 0.8666]
+    """
+    z = 1.959963984540054
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
+    return float(max(middle - reach, 0.0)), float(min(middle + reach, 1.0))
 
 
 def rehearse(
@@ -199,13 +207,14 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.Da
         else rows["subject"].map(animals.set_index("subject")["weber_fraction"]).to_numpy(float)
     )
     covered = (rows["lower"] <= true_k) & (true_k <= rows["upper"])
-    compared = len(plan.hypotheses) > 1
-    conclusion = (found.favoured(plan.goal.bayes_factor or 10.0) or NEITHER) if compared else ""
-    right = (
-        conclusion == truth.name
-        if plan.goal.bayes_factor is not None
-        else bool((half_width.median() <= (plan.goal.half_width or 0)) and covered.mean() >= 0.5)
+    conclusion, right, reached = (
+        "",
+        covered.mean(),
+        (half_width <= (plan.goal.half_width or 0.0)).mean(),
     )
+    if plan.goal.bayes_factor is not None:
+        conclusion = found.favoured(plan.goal.bayes_factor) or NEITHER
+        right = reached = float(conclusion == truth.name)
     return pd.DataFrame(
         {
             "truth": [truth.name],
@@ -216,7 +225,8 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.Da
             "half_width": [float(half_width.median())],
             "covered": [float(covered.mean())],
             "determined": [float((rows["status"] == FitStatus.DETERMINED.name).mean())],
-            "right": [right],
+            "right": [float(right)],
+            "reached": [float(reached)],
         }
     )
 
