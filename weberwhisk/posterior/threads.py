@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from typing import TypeVar
 
@@ -41,10 +42,14 @@ def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Ite
         return
     # NumPy's error state belongs to the context, and a thread starts with a fresh one.
     with ThreadPoolExecutor(count) as pool:
-        futures = [pool.submit(copy_context().run, function, task) for task in waiting]
+        ahead: deque[Future[Result]] = deque()
         try:
-            for future in futures:
-                yield future.result()
+            for task in waiting:
+                ahead.append(pool.submit(copy_context().run, function, task))
+                if len(ahead) > 2 * count:  # no further ahead: results take memory
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
         finally:
-            for future in futures:
+            for future in ahead:
                 future.cancel()
