@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from ._checks import finite, one_of
-from .cues.protocol import Cue
+from .cues.protocol import Cue, given
 from .mechanics.contact import Outcome
 from .mechanics.surface import surface_of
 from .receptors import Events, ReceptorNoise, Seed
@@ -149,7 +149,8 @@ class Observer:
     def contact(self, x: ArrayLike) -> tuple[Array, Array]:
         """The contact (..., U) at coordinates x (..., U), and ln of its prior density in x (...).
 
-        Flat priors count as the density 1 of the contact, so that theirs is ln |d contact/dx|.
+        Of the first unknowns alone where x has fewer. Flat priors count as the density 1 of the
+        contact, so that theirs is ln |d contact/dx|.
         """
         x = np.asarray(x, dtype=float)
         low, high = self.reach
@@ -166,7 +167,7 @@ class Observer:
                 fraction, log_slope = _squash(x[..., 1] - self._shear(out[..., 0], width))
                 out[..., 1] = low_angle + width * fraction
                 log_prior += np.where(width > 0, np.log(width) + log_slope, -np.inf)
-        for i, name in enumerate(self.unknowns):
+        for i, name in enumerate(self.unknowns[: x.shape[-1]]):
             if i >= self.bounded:
                 out[..., i] = _from_normal(self.prior[name], x[..., i])
                 log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
@@ -270,6 +271,17 @@ class Observer:
     def signals(self, contact: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Signals (..., S) of a contact (..., U), NaN where not held, and the outcome (...)."""
         return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.model)
+
+    def given(self, contact: Array) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+        """Signals and outcome for values (...) of the last unknown, the others (..., U − 1) given.
+
+        What does not depend on it is worked out once.
+        """
+        return given(self.cue, self.whisker, np.asarray(contact, dtype=float), model=self.model)
+
+    def last_unknown(self, z: Array) -> Array:
+        """The last unknown's values (...) at its coordinate z."""
+        return _from_normal(self.prior[self.unknowns[-1]], z)
 
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""

@@ -204,9 +204,10 @@ def integrate(
     """Integrate B densities over D = 1 to 4 unconstrained coordinates.
 
     A coarse pass finds the mean and covariance and is repeated about them until they stay, so a
-    poor start costs passes, not accuracy; if its own errors are small enough, that is all. Fine passes then widen the window on whichever side
-    still holds mass and refine whichever axis still changes the moments, until the estimated
-    errors of every mean and sd, in units of that sd, are below `tolerance`.
+    poor start costs passes, not accuracy; if its own errors are small enough, that is all. Fine
+    passes then widen the window on whichever side still holds mass and refine whichever axis still
+    changes the moments, until the estimated errors of every mean and sd, in units of that sd, are
+    below `tolerance`.
 
     Parameters
     ----------
