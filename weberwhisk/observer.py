@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from ._checks import finite, one_of
-from .cues.protocol import Cue, given
+from .cues.protocol import Cue, given, straight
 from .mechanics.contact import Outcome
 from .mechanics.surface import surface_of
-from .receptors import Events, ReceptorNoise, Seed
+from .receptors import Events, Joint, LogNormal, ReceptorNoise, Seed
+from .receptors.gaussian import Gaussian
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -70,11 +71,7 @@ class Observer:
         *,
         model: str | None = None,
     ) -> None:
-        if not isinstance(whisker, Whisker):
-            raise ValueError(
-                f"An observer needs a Whisker, got {whisker!r}; "
-                "write Whisker.from_identity('C2'), say."
-            )
+        straight(whisker)
         if isinstance(cue, type) or not isinstance(cue, Cue):
             raise ValueError(f"An observer needs a cue, got {cue!r}; write cues.Compliance(), say.")
         if isinstance(noise, type) or not isinstance(noise, ReceptorNoise | None):
@@ -87,11 +84,6 @@ class Observer:
                     f"An observer has one whisker, got {np.size(getattr(whisker, name))} values of "
                     f"{name}; make one Observer for each."
                 )
-        if whisker.curvature != 0:
-            raise ValueError(
-                f"Cues are for straight whiskers so far, got curvature {whisker.curvature:g} 1/m; "
-                "write curvature=0."
-            )
         self.whisker = whisker
         self.cue = cue
         self.noise: ReceptorNoise = cue.default_noise() if noise is None else noise
@@ -314,6 +306,17 @@ class Observer:
 
     # -- readings ------------------------------------------------------------------------------
 
+    def reading_outcome(self, reading: ArrayLike) -> NDArray[np.int8]:
+        """What the cue's method, taken by itself and as exact, makes of readings (..., R).
+
+        An `Outcome` each: `HELD` where it finds a contact, for cues without an inverse, and where
+        readings are not of the signals themselves (spikes are counts).
+        """
+        y = self.checked_reading(reading)
+        if not (hasattr(self.cue, "reading_outcome") and _of_signals(self.noise)):
+            return np.zeros(y.shape[:-1], dtype=np.int8)
+        return np.asarray(self.cue.reading_outcome(self.whisker, y), dtype=np.int8)
+
     def read(self, contact: ArrayLike, seed: Seed = None) -> Array:
         """Noisy readings (..., S) of a contact (..., U).
 
@@ -359,6 +362,13 @@ class Observer:
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
         return array
+
+
+def _of_signals(noise: ReceptorNoise) -> bool:
+    """Whether readings are numbers that a cue's inverse can take."""
+    if isinstance(noise, Joint):
+        return all(map(_of_signals, noise.noises))
+    return isinstance(noise, Gaussian | LogNormal | Events)
 
 
 def _from_normal(distribution: Any, z: Array) -> Array:

@@ -120,6 +120,19 @@ class Fused:
             row += slope.shape[-2]
         return out
 
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """That of the first cue to which its part of the readings (..., R) gives no contact."""
+        noise = self.default_noise()
+        outcome = np.zeros(reading.shape[:-1], dtype=np.int8)
+        counts = [n.reading_size(s) for n, s in zip(noise.noises, noise.sizes, strict=True)]
+        for cue, part in zip(
+            self.cues, np.split(reading, np.cumsum(counts)[:-1], axis=-1), strict=True
+        ):
+            if hasattr(cue, "reading_outcome"):
+                own = cue.reading_outcome(whisker, part)
+                outcome = np.where(outcome == Outcome.HELD, own, outcome)
+        return outcome
+
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """Those of the cues; of an unknown that is shared, the first cue's."""
         out: dict[str, Any] = {}

@@ -49,6 +49,29 @@ class Cue(Protocol):
         """Noise of the signals where the user names none."""
 
 
+def straight(whisker: Any) -> None:
+    """Refuse whiskers that no cue feels through: curved ones, and profiles.
+
+    Raises
+    ------
+    ValueError
+
+    Examples
+    --------
+    >>> straight(Whisker(50e-3, 100e-6, 5e-6))
+    """
+    if not isinstance(whisker, Whisker):
+        raise ValueError(
+            f"Cues feel through a straight Whisker so far, got a {type(whisker).__name__}; "
+            "write Whisker(50e-3, 100e-6, 5e-6), say."
+        )
+    if np.any(whisker.curvature):
+        raise ValueError(
+            f"Cues are for straight whiskers so far, got curvature "
+            f"{float(np.max(np.abs(whisker.curvature))):g} 1/m; write curvature=0."
+        )
+
+
 def given(
     cue: Cue, whisker: Whisker, contact: Array, *, model: str | None = None
 ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:

@@ -2,9 +2,9 @@
 
 A stiffness or a side is known by its prior and by what the rest of a reading leaves of it. At a
 given contact its density is close to a Gaussian, whose middle and width change from contact to
-contact: two things that a Newton step or two from the mode's own regression line find. Gauss–Hermite's
-rule about them needs five nodes where a grid of three dimensions has a dozen; and the mechanics,
-which know no stiffness, are worked out once for all of them.
+contact: a Newton step or two from the mode's own regression line find both. Gauss–Hermite's rule
+about them needs five nodes where a grid of three dimensions has a dozen; and the mechanics, which
+know no stiffness, are worked out once for all of them.
 """
 
 from __future__ import annotations
