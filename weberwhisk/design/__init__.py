@@ -1,1 +1,9 @@
-"""The design of behavioural experiments: which distances, offsets, trials and animals, and why."""
+"""The design of experiments: which distances, offsets, trials and animals, and why.
+
+The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses apart.
+"""
+
+from .hypotheses import Hypothesis, cues, noises, taper
+from .scheme import LEVELS, Constraints, Scheme
+
+__all__ = ["LEVELS", "Constraints", "Hypothesis", "Scheme", "cues", "noises", "taper"]
