@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
@@ -59,15 +59,17 @@ class Belief:
         self._candidates = candidates
         self._model = _told(hypothesis.model(candidates), LEAST_TOLD)
         self._seen: dict[Pair, list[int]] = {}
+        self._felt: dict[Pair, UnitPercepts] = {}
+        self._standards = np.unique(candidates.standard)
         model = self._model
         free = dict(zip(model.lead, model.free, strict=True)) | {"bias": model.free_bias}
         wide = {n: (-FAR, FAR, size) if free[n] else (0.0, 0.0, 1) for n, size in NODES.items()}
-        lapses = [
-            np.linspace(*stretch.coordinate(wide[name][:2]), wide[name][2])
+        low, high = (
+            _even(stretch.coordinate(wide[name][:2]), wide[name][2])
             for name, stretch in zip(model.lead[-2:], model.stretches[-2:], strict=True)
-        ]
-        bias = (np.linspace(*wide["bias"]),) * model.n_groups
-        self._lay(Axes(np.linspace(*wide["weber_fraction"]), *lapses, bias))
+        )
+        k, bias = (_even(wide[name][:2], wide[name][2]) for name in ("weber_fraction", "bias"))
+        self._lay(Axes(k, low, high, (bias,) * model.n_groups))
 
     # -- the grid --------------------------------------------------------------------------------
 
@@ -112,14 +114,22 @@ class Belief:
     def _group(self, pair: Pair) -> int:
         if self.hypothesis.bias != "per standard":
             return 0
-        return int(np.searchsorted(np.unique(self._candidates.standard), pair[2]))
+        return int(np.searchsorted(self._standards, pair[2]))
+
+    def feel(self, pair: Pair) -> UnitPercepts:
+        """Both percepts of a trial; refuses what cannot be felt."""
+        if pair not in self._felt:
+            cell = Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0)))
+            self._felt[pair] = self.hypothesis.model(cell).percepts
+        return self._felt[pair]
 
     def _chance(self, pair: Pair, answer: int) -> Array:
         """Probability of one answer at every node, (K, B, L)."""
-        cell = Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0)))
-        up, down = self._sides(self.hypothesis.model(cell).percepts, self._group(pair))
+        up, down = self._sides(self.feel(pair), self._group(pair))
         side, lapse = (up, self._low) if answer else (down, self._high)
-        return np.maximum(side * self._slope + lapse, TINY)
+        chance = side * self._slope
+        chance += lapse
+        return np.maximum(chance, TINY, out=chance)
 
     def absorb(self, pair: Pair, answer: int) -> None:
         """Learn from one trial."""
@@ -168,14 +178,14 @@ class Belief:
         sheet = self._joint.sum(axis=0).reshape(axes.low.size, axes.high.size)
         before = self._model.stretches[-2:]
         lapses = [
-            _fitted(axis, mass, (stretch.coordinate(-FAR), stretch.coordinate(FAR)))
+            _fitted(axis, mass, stretch.coordinate([-FAR, FAR]))
             for axis, mass, stretch in zip(
                 (axes.low, axes.high), (sheet.sum(axis=1), sheet.sum(axis=0)), before, strict=True
             )
         ]
-        k = _fitted(axes.k, self.mass_k, (-FAR, FAR))
+        k = _fitted(axes.k, self.mass_k, [-FAR, FAR])
         bias = tuple(
-            _fitted(b, m[..., 0].sum(axis=0), (-FAR, FAR))
+            _fitted(b, m[..., 0].sum(axis=0), [-FAR, FAR])
             for b, m in zip(axes.bias, self._moments, strict=True)
         )
         old = (axes.k, axes.low, axes.high, *axes.bias)
@@ -184,11 +194,11 @@ class Belief:
         # The coordinate of a lapse goes with how many trials tell of it.
         trials = sum(map(sum, self._seen.values()))
         self._model = _told(self._model, max(trials, LEAST_TOLD))
-        lapses = [
-            np.linspace(*new.coordinate(was.score(axis[[0, -1]])), axis.size)
+        low, high = (
+            _even(new.coordinate(was.score(axis[[0, -1]])), axis.size)
             for axis, was, new in zip(lapses, before, self._model.stretches[-2:], strict=True)
-        ]
-        return Axes(k, *lapses, bias)
+        )
+        return Axes(k, low, high, bias)
 
     # -- what it says ----------------------------------------------------------------------------
 
@@ -239,11 +249,12 @@ def _step(axis: Array) -> float:
     return float(axis[1] - axis[0]) if axis.size > 1 else 1.0
 
 
-def _fitted(axis: Array, mass: Array, ends: tuple[float, float]) -> Array:
+def _fitted(axis: Array, mass: Array, ends: ArrayLike) -> Array:
     """The axis itself where it serves the mass on it; as many nodes over a better range if not."""
     if axis.size == 1:
         return axis
     top, step = mass.max(), axis[1] - axis[0]
+    ends = np.asarray(ends, dtype=float)
     held = np.flatnonzero(mass > HELD * top)[[0, -1]]
     low, high = axis[held[0]] - step, axis[held[1]] + step
     short = [False, False]
@@ -253,7 +264,12 @@ def _fitted(axis: Array, mass: Array, ends: tuple[float, float]) -> Array:
         return axis
     reach = 0.3 * (high - low)
     low, high = low - reach * short[0], high + reach * short[1]
-    return np.linspace(max(low, ends[0]), min(high, ends[1]), axis.size)
+    return _even((max(low, ends[0]), min(high, ends[1])), axis.size)
+
+
+def _even(ends: ArrayLike, size: int) -> Array:
+    low, high = np.asarray(ends, dtype=float)
+    return np.linspace(low, high, size)
 
 
 def _told(model: WeberModel, trials: float) -> WeberModel:
