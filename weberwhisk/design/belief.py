@@ -30,6 +30,7 @@ FAR = 4.5  # scores of the priors, beyond which next to nothing lies
 HELD = 1e-4  # of the highest marginal density: below, a node is empty
 EDGE = 1e-3  # of the highest marginal density: above, an axis is too short
 FEW = 0.6
+SMALL = 1e-60  # where a grid is brought back to 1
 LEAST_TOLD = 8  # trials that the coordinates of the lapses are made for at first
 WEIGHTIEST = 2000  # nodes over which the entropy of all parameters is summed
 
@@ -87,7 +88,9 @@ class Belief:
         )
         self._low, self._high = (np.ravel(a) for a in model.lapses(low, high))
         self._slope = np.maximum(1 - self._low - self._high, 0.0)
+        self._lapse_moments = np.stack([np.ones_like(self._low), self._low, self._slope])
         self._prior_k = np.exp(score_prior(axes.k)) * _step(axes.k)
+        self._lapse_ends = [s.coordinate([-FAR, FAR]) for s in model.stretches[-2:]]
         lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
         self._prior_lapses = lapses * _step(axes.low) * _step(axes.high)
         self._prior_bias = [np.exp(score_prior(b)) * _step(b) for b in axes.bias]
@@ -100,9 +103,12 @@ class Belief:
             g = self._group(pair)
             for answer, times in enumerate(counts):
                 if times:
-                    self._grid[g] += times * np.log(self._chance(pair, answer))
+                    chance = self._chance(pair, answer)
+                    np.log(np.maximum(chance, TINY, out=chance), out=chance)
+                    self._grid[g] += chance if times == 1 else times * chance
         self._log = [float(log.max()) for log in self._grid]
         self._grid = [np.exp(log - log.max()) for log in self._grid]
+        self._by_group = [self._over_bias(g) for g in range(len(self._grid))]
         self._sum()
 
     def _sides(self, percepts: UnitPercepts, group: int) -> tuple[Array, Array]:
@@ -129,76 +135,76 @@ class Belief:
         side, lapse = (up, self._low) if answer else (down, self._high)
         chance = side * self._slope
         chance += lapse
-        return np.maximum(chance, TINY, out=chance)
+        return chance
 
     def absorb(self, pair: Pair, answer: int) -> None:
         """Learn from one trial."""
         self._seen.setdefault(pair, [0, 0])[answer] += 1
         g = self._group(pair)
-        grid = self._grid[g]
-        grid *= self._chance(pair, answer)
-        top = grid.max()
-        grid /= top
-        self._log[g] += float(np.log(top))
+        self._grid[g] *= self._chance(pair, answer)
+        self._by_group[g] = self._over_bias(g)
+        top = float(self._by_group[g].max())
+        if top < SMALL:
+            self._grid[g] /= top
+            self._by_group[g] /= top
+            self._log[g] += float(np.log(top))
         self._sum()
         axes = self._better_axes()
         if axes is not None:
             self._lay(axes)
 
+    def _over_bias(self, group: int) -> Array:
+        """The grid of one group with its bias integrated, (K, L)."""
+        return np.asarray(np.matmul(self._prior_bias[group], self._grid[group]))
+
     def _sum(self) -> None:
-        """Integrate the biases; then everything."""
-        by_group = [
-            np.tensordot(grid, prior, (1, 0))
-            for grid, prior in zip(self._grid, self._prior_bias, strict=True)
-        ]  # (K, L) each
+        """Integrate everything."""
         prior = self._prior_k[:, None] * self._prior_lapses
-        self._others = []
-        for g in range(len(by_group)):
+        others = []
+        for g in range(len(self._by_group)):
             rest = prior.copy()
-            for h, other in enumerate(by_group):
+            for h, other in enumerate(self._by_group):
                 if h != g:
                     rest *= other
-            self._others.append(rest)
-        joint = self._others[0] * by_group[0]
+            others.append(rest)
+        joint = others[0] * self._by_group[0]
         total = joint.sum()
         self.log_evidence = float(np.log(total)) + sum(self._log)
         self._joint = joint / total
+        self._others = [rest / total for rest in others]
         self.mass_k = self._joint.sum(axis=1)
-        self._moments = [self._weigh(g) / total for g in range(len(by_group))]
+        self._moments = [self._weigh(g) for g in range(len(others))]
 
     def _weigh(self, group: int) -> Array:
         """Mass of every (k, bias), and its mean lower lapse and slope times that, (K, B, 3)."""
-        lapse = np.stack([np.ones_like(self._low), self._low, self._slope], axis=-1)
-        weighed = self._others[group][..., None] * lapse  # (K, L, 3)
-        return np.matmul(self._grid[group], weighed) * self._prior_bias[group][:, None]
+        weighed = self._others[group][:, None] * self._lapse_moments  # (K, 3, L)
+        moments = np.matmul(self._grid[group], np.swapaxes(weighed, 1, 2))
+        return np.asarray(moments * self._prior_bias[group][:, None])
 
     def _better_axes(self) -> Axes | None:
         """Axes that fit what is left; None where those there do."""
         axes = self.axes
         sheet = self._joint.sum(axis=0).reshape(axes.low.size, axes.high.size)
-        before = self._model.stretches[-2:]
-        lapses = [
-            _fitted(axis, mass, stretch.coordinate([-FAR, FAR]))
-            for axis, mass, stretch in zip(
-                (axes.low, axes.high), (sheet.sum(axis=1), sheet.sum(axis=0)), before, strict=True
-            )
-        ]
-        k = _fitted(axes.k, self.mass_k, [-FAR, FAR])
-        bias = tuple(
-            _fitted(b, m[..., 0].sum(axis=0), [-FAR, FAR])
-            for b, m in zip(axes.bias, self._moments, strict=True)
-        )
-        old = (axes.k, axes.low, axes.high, *axes.bias)
-        if all(a is b for a, b in zip((k, *lapses, *bias), old, strict=True)):
+        far = np.array([-FAR, FAR])
+        kept: list[tuple[Array, Array, Array]] = [
+            (axes.k, self.mass_k, far),
+            (axes.low, sheet.sum(axis=1), self._lapse_ends[0]),
+            (axes.high, sheet.sum(axis=0), self._lapse_ends[1]),
+            *((b, m[..., 0].sum(axis=0), far)
+              for b, m in zip(axes.bias, self._moments, strict=True)),
+        ]  # fmt: skip
+        if all(_serves(*one) for one in kept):
             return None
+        k, low, high, *bias = (_better(*one) for one in kept)
         # The coordinate of a lapse goes with how many trials tell of it.
+        before = self._model.stretches[-2:]
         trials = sum(map(sum, self._seen.values()))
         self._model = _told(self._model, max(trials, LEAST_TOLD))
         low, high = (
             _even(new.coordinate(was.score(axis[[0, -1]])), axis.size)
-            for axis, was, new in zip(lapses, before, self._model.stretches[-2:], strict=True)
+            for axis, was, new in zip((low, high), before, self._model.stretches[-2:], strict=True)
         )
-        return Axes(k, low, high, bias)
+        return Axes(k, low, high, tuple(bias))
 
     # -- what it says ----------------------------------------------------------------------------
 
@@ -249,22 +255,36 @@ def _step(axis: Array) -> float:
     return float(axis[1] - axis[0]) if axis.size > 1 else 1.0
 
 
-def _fitted(axis: Array, mass: Array, ends: ArrayLike) -> Array:
-    """The axis itself where it serves the mass on it; as many nodes over a better range if not."""
+def _serves(axis: Array, mass: Array, ends: Array) -> bool:
+    """Whether an axis is fine and long enough for the mass on it."""
+    if axis.size == 1:
+        return True
+    top = mass.max()
+    return not any(_short(axis, mass, ends)) and bool(
+        np.count_nonzero(mass > HELD * top) > FEW * axis.size
+    )
+
+
+def _short(axis: Array, mass: Array, ends: Array) -> list[bool]:
+    """Whether mass hangs over either end, where the parameter goes on."""
+    top = mass.max()
+    return [
+        bool(mass[edge] > EDGE * top and abs(axis[edge] - end) > 1e-9)
+        for edge, end in zip((0, -1), ends, strict=True)
+    ]
+
+
+def _better(axis: Array, mass: Array, ends: Array) -> Array:
+    """As many nodes over what holds the mass, and some more where it may go on."""
     if axis.size == 1:
         return axis
-    top, step = mass.max(), axis[1] - axis[0]
-    ends = np.asarray(ends, dtype=float)
-    held = np.flatnonzero(mass > HELD * top)[[0, -1]]
-    low, high = axis[held[0]] - step, axis[held[1]] + step
-    short = [False, False]
-    for side, (edge, end) in enumerate(zip((0, -1), ends, strict=True)):
-        short[side] = bool(mass[edge] > EDGE * top and abs(axis[edge] - end) > 1e-9)
-    if not any(short) and held[1] - held[0] + 1 > FEW * axis.size:
-        return axis
+    step = axis[1] - axis[0]
+    held = axis[np.flatnonzero(mass > HELD * mass.max())[[0, -1]]]
+    low, high = held[0] - step, held[1] + step
+    below, above = _short(axis, mass, ends)
     reach = 0.3 * (high - low)
-    low, high = low - reach * short[0], high + reach * short[1]
-    return _even((max(low, ends[0]), min(high, ends[1])), axis.size)
+    low, high = max(low - reach * below, ends[0]), min(high + reach * above, ends[1])
+    return _even((low, high), axis.size)
 
 
 def _even(ends: ArrayLike, size: int) -> Array:
