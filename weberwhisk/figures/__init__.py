@@ -8,6 +8,7 @@ line style, so that a figure also reads in grey.
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
+from .placements import adaptive, placements
 from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
@@ -19,12 +20,14 @@ __all__ = [
     "LINES",
     "MARKERS",
     "SINGLE",
+    "adaptive",
     "bending",
     "figure_of",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
     "pairs",
+    "placements",
     "planned_jnds",
     "planned_psychometrics",
     "posterior",
