@@ -17,6 +17,7 @@ from .nuisance import integrate_but_last
 from .panels import Panels
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
+from .threads import on_threads
 
 #: Error of mean and sd, over the sd, above which a quadrature is called imprecise: one unknown,
 #: and more.
@@ -42,8 +43,8 @@ def quadrature(
     status = np.where(error > (tolerance or TOLERANCE[0]), Status.IMPRECISE, Status.CONVERGED)
     status = np.where(m.improbable, Status.IMPROBABLE_READING, status)
 
-    def quantile_of(p: Array) -> Array:
-        return panels.quantiles(reading, p)[:, None, :]
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return panels.quantiles(reading, p)
 
     def draws_of(count: int, seed: Seed) -> Array:
         u = _stratified(len(reading), count, seed)
@@ -87,15 +88,16 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         for start in range(0, len(rows), TOGETHER)
     ]
 
-    def moments(rows: NDArray[np.intp]) -> GridPosterior:
+    def moments(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
         if dim < 3:
-            return integral(rows)
+            return integral(rows, keep_points=keep_points)
         return integrate_but_last(
             observer,
             reading[rows],
             Mode(mode.x[rows], mode.log_density[rows], mode.covariance[rows]),
             tolerance=tolerance or TOLERANCE[1],
             max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
+            keep_points=keep_points,
         )
 
     parts, done = [], 0
@@ -118,18 +120,20 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     status = np.where(unidentified, Status.UNIDENTIFIED, status)
     status = np.where(improbable, Status.IMPROBABLE_READING, status)
 
-    def nodes(row: int) -> Nodes:
-        kept = integral(np.array([row]), keep_points=True).nodes
+    def nodes(row: int, *, of_all: bool) -> Nodes:
+        kept = (integral if of_all else moments)(np.array([row]), keep_points=True).nodes
         assert kept is not None
         return kept[0]
 
-    def quantile_of(p: Array) -> Array:
-        out = np.empty((len(reading), dim, p.size))
-        for row in range(len(reading)):
-            kept = nodes(row)
-            contact = observer.contact(kept.points)[0]
-            out[row] = [kept.quantile(contact[:, i], p) for i in range(dim)]
-        return out
+    def quantile_of(p: Array, unknown: int) -> Array:
+        # Of three unknowns, the last is not among the nodes' coordinates unless asked for.
+        of_all = unknown == dim - 1
+
+        def quantiles(row: int) -> Array:
+            kept = nodes(row, of_all=of_all)
+            return kept.quantile(observer.contact(kept.points)[0][:, unknown], p)
+
+        return np.stack(list(on_threads(quantiles, range(len(reading)))))
 
     def draws_of(count: int, seed: Seed) -> Array:
         from .arviz_io import resample
@@ -137,7 +141,7 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         rng = np.random.default_rng(seed)
         out = np.empty((len(reading), 4, count, dim))
         for row in range(len(reading)):
-            kept = nodes(row)
+            kept = nodes(row, of_all=True)
             x = resample(kept.points, kept.weights, 4 * count, seed=rng, edges=kept.edges)
             out[row] = observer.contact(rng.permutation(x))[0].reshape(4, count, dim)
         return out
