@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Seed
 from .grid import GridPosterior, Nodes, integrate
-from .mode import Mode, find_mode
+from .mode import Mode, find_mode, find_other, starting_points
 from .nuisance import integrate_but_last
 from .panels import Panels
 from .result import Estimate, Status
@@ -56,13 +56,18 @@ def quadrature(
 
 def _grid(observer: Observer, reading: Array, tolerance: float | None, progress: Any) -> Solution:
     dim = len(observer.unknowns)
-    mode = find_mode(observer, reading)
-    root = mode_root(mode)
+    starts = starting_points(observer, reading)
+    mode = find_mode(observer, reading, starts)
     contact = observer.contact(mode.x)[0]
     unidentified = is_unidentified(observer, contact)
     improbable = is_improbable(observer, reading, contact)
 
-    def integral(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
+    def limits(rows: NDArray[np.intp]) -> dict[str, Any]:
+        # A ridge that no reading resolves is not worth resolving either.
+        most = MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES
+        return {"tolerance": tolerance or TOLERANCE[1], "max_points": most}
+
+    def integral(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
         last = local()  # the contact of the points last asked for: worked out once for both
 
         def density(x: Array, index: NDArray[np.intp]) -> Array:
@@ -71,14 +76,19 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
 
         return integrate(
             density,
-            mode.x[rows],
-            root[rows],
+            at.x,
+            mode_root(at),
             functions=lambda x: last.contact,
             only_functions=True,
-            tolerance=tolerance or TOLERANCE[1],
-            # A ridge that no reading resolves is not worth resolving either.
-            max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
             keep_points=keep_points,
+            **limits(rows),
+        )
+
+    def moments(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
+        if dim < 3:
+            return integral(rows, at, keep_points=keep_points)
+        return integrate_but_last(
+            observer, reading[rows], at, keep_points=keep_points, **limits(rows)
         )
 
     # Ridges go apart from the rest, so that no posterior depends on its neighbours.
@@ -88,21 +98,9 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         for start in range(0, len(rows), TOGETHER)
     ]
 
-    def moments(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
-        if dim < 3:
-            return integral(rows, keep_points=keep_points)
-        return integrate_but_last(
-            observer,
-            reading[rows],
-            Mode(mode.x[rows], mode.log_density[rows], mode.covariance[rows]),
-            tolerance=tolerance or TOLERANCE[1],
-            max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
-            keep_points=keep_points,
-        )
-
     parts, done = [], 0
     for rows in pieces:
-        parts.append(moments(rows))
+        parts.append(moments(rows, mode.of(rows)))
         done += len(rows)
         if progress:
             progress(done, len(reading))
@@ -117,11 +115,18 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     ]
     converged = np.concatenate([part.converged for part in parts])[back]
     status = np.where(converged, Status.CONVERGED, Status.IMPRECISE)
+    # A second peak that the grid has missed has a grid, and moments, of its own.
+    rows, other = find_other(observer, reading, mode, starts)
+    if rows.size:
+        beside = moments(rows, other)
+        off = (np.abs(beside.mean - mean[rows]) / sd[rows]).max(axis=1)
+        status[rows[~(off < APART)]] = Status.SEVERAL_PEAKS
     status = np.where(unidentified, Status.UNIDENTIFIED, status)
     status = np.where(improbable, Status.IMPROBABLE_READING, status)
 
     def nodes(row: int, *, of_all: bool) -> Nodes:
-        kept = (integral if of_all else moments)(np.array([row]), keep_points=True).nodes
+        rows = np.array([row])
+        kept = (integral if of_all else moments)(rows, mode.of(rows), keep_points=True).nodes
         assert kept is not None
         return kept[0]
 
@@ -150,6 +155,8 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
 
 
+#: Means from either of two peaks differ by less than this, in sds, where each grid has seen both.
+APART = 0.05
 #: Most nodes in one pass over one posterior.
 MOST_NODES = 2_000_000
 

@@ -47,8 +47,7 @@ _MESSAGES = {
     Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
     Status.IMPRECISE: "the estimated error is above the tolerance",
     Status.NOT_CONVERGED: "the walkers have not converged",
-    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone: "
-    "use quadrature",
+    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
 }
 
 
