@@ -8,6 +8,7 @@ line style, so that a figure also reads in grey.
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
+from .page import plan_page
 from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
@@ -25,6 +26,7 @@ __all__ = [
     "jnd_surface",
     "new_figure",
     "pairs",
+    "plan_page",
     "planned_jnds",
     "planned_psychometrics",
     "posterior",
