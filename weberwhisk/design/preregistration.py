@@ -5,8 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..behaviour.comparison import ConstantNoise
 from ..behaviour.percepts import CuePercept, Percept
+from ..cues import Compliance, ForceMap
+from ..cues.protocol import Cue
 from .plan import Plan
 from .scheme import easy_share
 
@@ -50,7 +54,7 @@ def assumptions(plan: Plan) -> list[str]:
         f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
         f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
         f"{animals.bias_spread:g} between animals, in sds of the difference between two percepts.",
-        f"Touch: {described(first.percept)}.",
+        f"Distance is felt through {described(first.percept)}.",
         "Noise is independent from trial to trial, k is the same in all sessions, and the two "
         "stimuli are felt alike.",
         f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
@@ -66,19 +70,30 @@ def described(percept: Percept) -> str:
         return f"{type(percept).__name__}"
     whisker, cue = percept.observer.whisker, percept.observer.cue
     shape = "cylindrical" if whisker.radius_ratio == 1 else "tapered"
-    angle = percept.deflection_angle
-    at = "" if angle is None else f" at a deflection of {angle:.3g} rad"
+    radii = f"{whisker.base_radius / UM:.3g}"
+    if shape == "tapered":
+        radii += f" to {whisker.tip_radius / UM:.3g}"
     return (
-        f"a {shape} whisker {whisker.length / MM:.3g} mm long, {whisker.base_radius / UM:.3g} µm "
-        f"in radius at the base and {whisker.tip_radius / UM:.3g} µm at the tip, felt by "
-        f"{cue!r}{at}"
+        f"a {shape} whisker ({whisker.length / MM:.3g} mm long, radius {radii} µm) by its "
+        f"{_cue_in_words(cue, percept.deflection_angle)}"
     )
+
+
+def _cue_in_words(cue: Cue, angle: float | None) -> str:
+    if isinstance(cue, Compliance):
+        tap = f"{np.degrees(cue.tap_angle):.3g}°" if cue.tap_angle else "a light tap"
+        return f"rotational compliance (§2e; {tap})"
+    at = "" if angle is None else f"; deflected by {np.degrees(angle):.3g}°"
+    if isinstance(cue, ForceMap):
+        return f"{' and '.join(cue.signal_names).replace('_', ' ')} (§2f{at})"
+    return f"{cue!r}{at}"
 
 
 def _question(plan: Plan) -> str:
     names = [h.name for h in plan.hypotheses]
     each = "; ".join(
-        f"({i}) {h.name}: {described(h.percept)}" for i, h in enumerate(plan.hypotheses, 1)
+        f"({i}) {h.name}: distance is felt through {described(h.percept)}"
+        for i, h in enumerate(plan.hypotheses, 1)
     )
     asked = (
         "Which of these observers makes the choices"

@@ -27,6 +27,7 @@ img { width: 100%; display: block; }
 table { border-collapse: collapse; width: 100%; }
 td, th { text-align: left; padding: 0.3mm 2mm 0.3mm 0; vertical-align: top; font-weight: normal; }
 th { color: #555; white-space: nowrap; }
+.half { max-width: 50%; }
 .two { display: flex; gap: 5mm; } .two > * { flex: 1; min-width: 0; }
 .paste { columns: 2; column-gap: 5mm; text-align: left; }
 .paste p { orphans: 3; widows: 3; }
@@ -63,7 +64,7 @@ def plan_page(plan: Plan) -> str:
 <div><h2 style="margin-top:0">Assumptions</h2><ul>{_items(assumptions(plan))}</ul></div></div>
 <h2>What is expected of a typical animal</h2>
 {_image(_psychometrics(plan), "Expected psychometric functions")}
-<div class="two">{"".join(_image(figure, alt) for figure, alt in _halves(plan))}</div>
+<div class="two">{"".join(_half(*half) for half in _halves(plan))}</div>
 <h2>Text for a preregistration</h2>
 <div class="paste">{"".join(_paragraph(p) for p in paragraphs)}</div>
 </body></html>
@@ -101,6 +102,10 @@ def _image(figure: Any, alt: str) -> str:
     figure.savefig(content, format="svg", metadata={"Date": None})
     text = base64.b64encode(content.getvalue()).decode("ascii")
     return f'<img alt="{escape(alt)}" src="data:image/svg+xml;base64,{text}">'
+
+
+def _half(figure: Any, alt: str) -> str:
+    return f'<div class="half">{_image(figure, alt)}</div>'
 
 
 def _table(rows: Sequence[tuple[str, str]]) -> str:
