@@ -4,6 +4,7 @@ The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses
 """
 
 from .analysis import Finding, analyse
+from .experiment import plan_experiment
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, cues, noises, taper
 from .plan import Plan
@@ -25,6 +26,7 @@ __all__ = [
     "analyse",
     "cues",
     "noises",
+    "plan_experiment",
     "plan_json",
     "read_plan",
     "rehearse",
