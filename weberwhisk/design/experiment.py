@@ -107,7 +107,7 @@ def plan_experiment(
         at = np.asarray(PLACES) * percept.domain[1] if standards is None else standards
         scheme = Scheme.spaced(
             percept, at, weber_fraction=likely.weber_fraction, levels=levels,
-            trials=trials or 1, animals=animals, step=limits.step,
+            trials=1 if trials is None else trials, animals=animals, step=limits.step,
         )  # fmt: skip
     return Plan(scheme, **own)
 
