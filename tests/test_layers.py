@@ -55,7 +55,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "posterior": ("observer",),
     "jnd": ("posterior",),
     "fusion": ("jnd", "sweeping"),
-    "behaviour": ("fusion",),
+    "behaviour": ("fusion", "written"),
     "design": ("behaviour",),
     "figures": ("design",),
     "": ("figures",),
