@@ -377,7 +377,7 @@ def _tails(mass: float) -> tuple[float, float]:
 def _quantiles(sample: Array, at: Array) -> Array:
     """Quantiles of draws, some of which may be infinite: between two infinities lies no number."""
     if np.isfinite(sample).all():
-        return np.asarray(np.quantile(sample, at, method="median_unbiased"))
+        return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
     return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
 
 
