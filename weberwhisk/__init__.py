@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from . import cues, mechanics, receptors
+    from . import campaign, cues, mechanics, receptors
     from .behaviour import (
         Comparison,
         PopulationFit,
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     )
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor, jnd_curve
+    from .jnd_surface import jnd_sweep
     from .mechanics import (
         Bending,
         Choice,
@@ -82,6 +83,8 @@ _HOME = {
     "convert_jnd": "jnd",
     "criterion_factor": "jnd",
     "jnd_curve": "jnd",
+    "jnd_sweep": "jnd_surface",
+    "campaign": "campaign",
     "Comparison": "behaviour",
     "PopulationFit": "behaviour",
     "Trials": "behaviour",
@@ -112,6 +115,7 @@ __all__ = [
     "Whisker",
     "added_information",
     "bend",
+    "campaign",
     "choose_rung",
     "compare",
     "convert_jnd",
@@ -124,6 +128,7 @@ __all__ = [
     "identities",
     "information",
     "jnd_curve",
+    "jnd_sweep",
     "mechanics",
     "posterior",
     "press",

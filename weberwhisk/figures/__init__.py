@@ -8,6 +8,7 @@ line style, so that a figure also reads in grey.
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
+from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
@@ -24,9 +25,12 @@ __all__ = [
     "jnd_surface",
     "new_figure",
     "pairs",
+    "planned_jnds",
+    "planned_psychometrics",
     "posterior",
     "psychometric",
     "psychometrics",
+    "rehearsed",
     "residuals",
     "shrinkage",
     "styled",
