@@ -28,6 +28,11 @@ FEWER = 250  # the same, where every trial is looked at
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
+def check_fit(fit: object, name: str = "fit") -> None:
+    """Refuses what is not a fit of one observer."""
+    _checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
+
+
 def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
     """Observed and expected proportions by pair of stimuli.
 
@@ -86,6 +91,8 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
     ['session', 'n', 'observed', 'expected', 'z']
     """
     rows = _Rows.of(fit)
+    if not columns:
+        raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         _checks.one_of("column", column, map(str, rows.frame.columns))
     p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0].mean(axis=0)[rows.cell]
@@ -120,7 +127,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
     lower = np.where(count > 0, bdtr(np.maximum(count - 1, 0), whole, p).mean(axis=0), 0.0)
-    u = np.random.default_rng(seed).random(count.size)
+    u = _checks.generator(seed).random(count.size)
     pit = np.clip(lower + u * (upper - lower), 1e-12, 1 - 1e-12)
     return gathered.assign(pit=pit, z=ndtri(pit))
 
@@ -159,7 +166,7 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(FEWER)
     p, q = (side[:, rows.cell] for side in _probability(fit.model, draws))
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
     spread = np.maximum(rows.n * p * q, 1e-12)
     out = {}
@@ -187,6 +194,7 @@ class _Rows:
 
     @classmethod
     def of(cls, fit: WeberFit) -> _Rows:
+        check_fit(fit)
         frame = fit.trials.frame
         kept = (frame["count"].notna() & (frame["n"] > 0)).to_numpy()
         model, cells = fit.model, fit.model.cells

@@ -66,12 +66,11 @@ def simulate_population(
     >>> trials.subjects, truth.columns.tolist()[:2]
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
-    if subjects != int(subjects) or subjects < 1:
-        raise ValueError(
-            f"subjects must be a whole number of 1 or more, got {subjects!r}; write 6."
-        )
+    _checks.whole("subjects", subjects, "write 6, say")
+    _checks.whole("sessions", sessions, "write 10, say")
     _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
-    _checks.finite("bias", bias, "write for example 0")
+    _checks.number("weber_fraction", weber_fraction, "write for example 0.1")
+    _checks.number("bias", bias, "write for example 0")
     for name, value in (
         ("spread", spread),
         ("session_spread", session_spread),
@@ -79,10 +78,11 @@ def simulate_population(
         ("lapse_low", lapse_low),
         ("lapse_high", lapse_high),
     ):
-        _checks.non_negative(name, value, "write for example 0.02")
+        if _checks.number(name, value, "write for example 0.02") < 0:
+            raise ValueError(f"{name} must not be negative, got {value:g}; write 0.02, say.")
         if name.startswith("lapse") and value >= 0.5:
             raise ValueError(f"{name} must be below 0.5, got {value:g}; write for example 0.02.")
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     # Uniform numbers alone, as in `simulate_trials`.
     u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
     wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
