@@ -30,6 +30,11 @@ NUMBERS_AT_ONCE = 2_000_000
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
+def check_fit(fit: object, name: str = "fit") -> None:
+    """Refuses what is not a fit of one observer."""
+    _checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
+
+
 def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
     """Observed and expected proportions by pair of stimuli.
 
@@ -88,6 +93,8 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
     ['session', 'n', 'observed', 'expected', 'z']
     """
     rows = _Rows.of(fit)
+    if not columns:
+        raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         _checks.one_of("column", column, map(str, rows.frame.columns))
     p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0].mean(axis=0)[rows.cell]
@@ -122,7 +129,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
     lower = np.where(count > 0, bdtr(np.maximum(count - 1, 0), whole, p).mean(axis=0), 0.0)
-    u = np.random.default_rng(seed).random(count.size)
+    u = _checks.generator(seed).random(count.size)
     pit = np.clip(lower + u * (upper - lower), 1e-12, 1 - 1e-12)
     return gathered.assign(pit=pit, z=ndtri(pit))
 
@@ -161,7 +168,7 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(FEWER)
     by_cell = _probability(fit.model, draws)
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     statistics = rows.statistics()
     # (seen, made) of every statistic; few draws at a time where there are many rows.
     values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}
@@ -197,6 +204,7 @@ class _Rows:
 
     @classmethod
     def of(cls, fit: WeberFit) -> _Rows:
+        check_fit(fit)
         frame = fit.trials.frame
         kept = (frame["count"].notna() & (frame["n"] > 0)).to_numpy()
         model, cells = fit.model, fit.model.cells
