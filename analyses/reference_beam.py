@@ -143,7 +143,9 @@ class Beams:
             # What 1e-13 of r and of θ do to the signals.
             to_r = (by_arc * by_force[4] - by_force * by_arc[4]) / det
             to_angle = (by_force * by_arc[3] - by_arc * by_force[3]) / det
-        own = 1e-13 * (np.abs(to_r[:3]) * r + np.abs(to_angle[:3]) * np.maximum(np.abs(theta), 1e-6))
+        own = 1e-13 * (
+            np.abs(to_r[:3]) * r + np.abs(to_angle[:3]) * np.maximum(np.abs(theta), 1e-6)
+        )
         left = np.maximum(np.abs(d_arc) / r, np.abs(d_force) / unit)
         values = zip(("moment", "axial_force", "transverse_force"), signals[:3], strict=True)
         return {**dict(values), "arc": arc, "force": force, "own": own, "left": left, "det": det}

@@ -20,8 +20,8 @@ Case = dict[str, Array]
 LENGTH, BASE, MODULUS = 50e-3, 100e-6, 3e9
 #: Relative error up to which a rung that claims less is forgiven: what `press` asks of rung 2.
 TOLERANCE = 1e-9
-#: Claimed error from which the claim counts as a warning.
-ROUGH = 0.01
+#: Claimed errors from which the claim is a warning, and says that no digit can be relied on.
+ROUGH, HOPELESS = 0.01, 0.3
 #: Share of the last angle about which a walk in steps does not know on which side of it it is.
 UNDECIDED = 1e-5
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -83,7 +83,9 @@ def judge(case: Case, rung: str) -> Judged:
         solved = (exact["left"] < 1e-7) & (exact["force"] * (theta - walk["rest"]) >= 0)
         solved &= exact["arc"] <= LENGTH * (1 + 1e-12)
         exists = there & solved & (own_start | (near & (exact["det"] * beams.scale(r) > 0)))
-        least = 1e-3 * np.abs(exact["force"]) * np.stack([r, np.minimum(np.abs(theta), 1), 1 + 0 * r])
+        least = (
+            1e-3 * np.abs(exact["force"]) * np.stack([r, np.minimum(np.abs(theta), 1), 1 + 0 * r])
+        )
         size = np.maximum(np.abs([exact[k] for k in SIGNALS]), least)
         error = np.max(np.abs([getattr(bent, k) - exact[k] for k in SIGNALS]) / size, axis=0)
         own = np.max(exact["own"] / size, axis=0)
@@ -96,10 +98,14 @@ def judge(case: Case, rung: str) -> Judged:
     claimed = np.nan_to_num(bent.error, nan=np.inf)
     right = held & exists & (error <= allowed)
     fate[right] = np.where(claimed[right] > ROUGH, Fate.WARNED, Fate.RIGHT)
+    # A claimed error of a third and more says that no digit is to be relied on.
+    hopeless = claimed > HOPELESS
     fate[held & exists & (error > allowed)] = Fate.SILENT
+    fate[held & exists & hopeless] = Fate.WARNED
+    excess = np.where(hopeless, np.minimum(excess, 0.0), excess)
     # Held where nothing is: a warning if the claimed error says that anything may be.
     nothing = held & ~exists & ~doubt & ~at_tip
-    fate[nothing] = np.where(claimed[nothing] > 0.3, Fate.WARNED, Fate.SILENT)
+    fate[nothing] = np.where(hopeless[nothing], Fate.WARNED, Fate.SILENT)
     fate[held & ~exists & (doubt | at_tip)] = Fate.WARNED
     # Refused where there is an equilibrium, by more than the last digits of its end.
     fate[~held & exists & ~at_tip & ~near] = Fate.SILENT
