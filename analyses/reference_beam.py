@@ -8,7 +8,6 @@ whiskers are one system of equations; steps are even in the logarithm of the loc
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
