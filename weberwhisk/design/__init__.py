@@ -5,6 +5,7 @@ runs, a placer chooses each trial from what the ones before have told.
 """
 
 from .analysis import Finding, analyse
+from .experiment import plan_experiment
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, cues, noises, taper
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
@@ -35,6 +36,7 @@ __all__ = [
     "lattice",
     "next_trial",
     "noises",
+    "plan_experiment",
     "plan_json",
     "read_plan",
     "rehearse",

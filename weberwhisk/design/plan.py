@@ -150,3 +150,7 @@ class Plan:
     def analyse(self, trials: Trials, *, unit: float = 1.0) -> Finding:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
         return analyse(trials, self.hypotheses, together=self.together, unit=unit)
+
+    def power_in_words(self) -> str:
+        """What was found of the goal, nothing where it was not looked for."""
+        return ""

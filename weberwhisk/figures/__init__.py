@@ -8,6 +8,7 @@ line style, so that a figure also reads in grey.
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
+from .page import plan_page
 from .placements import adaptive, placements
 from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
@@ -28,6 +29,7 @@ __all__ = [
     "new_figure",
     "pairs",
     "placements",
+    "plan_page",
     "planned_jnds",
     "planned_psychometrics",
     "posterior",

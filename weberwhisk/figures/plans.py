@@ -34,8 +34,8 @@ MM = 1e-3
 def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDArray[Any]:
     """Expected answers at every standard, with the curve of every hypothesis fitted to them.
 
-    Bars hold 95 % of animals that are what the first hypothesis expects; trials are those of one
-    animal.
+    The animal is a typical one and as the first hypothesis has it; bars hold 95 % of the shares
+    that chance makes of its trials.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
             levels["comparison"] / MM,
             share,
             [(share - levels["lower"]).tolist(), (levels["upper"] - share).tolist()],
-            fmt="o", color=COLOURS[6], elinewidth=1, capsize=2, label="expected, 95 % of animals",
+            fmt="o", color=COLOURS[6], elinewidth=1, capsize=2, label="expected, 95 % by chance",
         )  # fmt: skip
         for i, hypothesis in enumerate(plan.hypotheses):
             own = plan.curves.query("standard == @standard and hypothesis == @hypothesis.name")
