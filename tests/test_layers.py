@@ -59,7 +59,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "campaign": ("journal",),
     "jnd_surface": ("jnd", "campaign"),
     "behaviour": ("fusion", "campaign"),
-    "design": ("behaviour",),
+    "design": ("behaviour", "journal"),
     "figures": ("design",),
     "": ("figures", "jnd_surface"),
     "runs": (),

@@ -6,10 +6,12 @@ import sys
 
 from ._terminal import new_app, run_app
 from .commands import bend, fit, jnd, quickstart, simulate
+from .commands import next as next_
 
 app = new_app()
 for command in (quickstart.quickstart, bend.bend, jnd.jnd, simulate.simulate, fit.fit):
     app.command()(command)
+app.command("next")(next_.next_trials)
 
 
 def main() -> int:

@@ -7,6 +7,7 @@ runs, a placer chooses each trial from what the ones before have told.
 from .hypotheses import Hypothesis, cues, noises, taper
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
 from .scheme import LEVELS, Constraints, Scheme
+from .session import Session
 from .staircases import Staircase
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Placer",
     "Proposal",
     "Scheme",
+    "Session",
     "Staircase",
     "TrialLog",
     "cues",
