@@ -37,11 +37,9 @@ def timed(name: str, make: object, sessions: int) -> None:
             placer.record(trial.standard, trial.comparison, choice)
             times.append(time.process_time() - again + middle - start)
         if isinstance(placer, BayesianPlacer):
-            for label, fit in placer.fits().items():
-                at = [0.025, 0.5, 0.975]
-                gap = placer.beliefs[label].quantile(np.array(at))
-                gap -= fit.posterior.quantile("weber_fraction", at)
-                off.append(np.abs(gap).max() / fit.posterior.sd("weber_fraction"))
+            fit, at = placer.fits()[placer.best.hypothesis.name], np.array([0.025, 0.5, 0.975])
+            gap = placer.best.quantile(at) - fit.posterior.quantile("weber_fraction", at)
+            off.append(np.abs(gap).max() / fit.posterior.sd("weber_fraction"))
     t = 1e3 * np.array(times)
     error = f", quantiles off by {max(off):.3f} posterior sd at most" if off else ""
     print(
