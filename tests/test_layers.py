@@ -60,7 +60,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_surface": ("jnd", "campaign"),
     "written": (),
     "behaviour": ("fusion", "campaign", "written"),
-    "design": ("behaviour",),
+    "design": ("behaviour", "journal"),
     "figures": ("design",),
     "runs": ("written",),
     "planning": ("figures", "runs"),

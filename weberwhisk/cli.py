@@ -6,6 +6,7 @@ import sys
 
 from ._terminal import new_app, run_app
 from .commands import bend, design, fit, jnd, quickstart, rehearse, simulate
+from .commands import next as next_
 
 app = new_app()
 COMMANDS = (
@@ -19,6 +20,7 @@ COMMANDS = (
 )
 for command in COMMANDS:
     app.command()(command)
+app.command("next")(next_.next_trials)
 
 
 def main() -> int:
