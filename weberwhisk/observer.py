@@ -351,9 +351,17 @@ class Observer:
 
 def _from_normal(distribution: Any, z: Array) -> Array:
     """The value as far up its distribution as z is up the standard normal."""
+    family = getattr(getattr(distribution, "dist", None), "name", None)
+    if family == "norm":
+        return np.asarray(distribution.mean() + distribution.std() * z)
+    if family == "lognorm" and distribution.support()[0] == 0.0:
+        middle, above = distribution.ppf([0.5, ndtr(1.0)])
+        return np.asarray(middle * np.exp(np.log(above / middle) * z))
     z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
-    tail = ndtr(-np.abs(z))
-    return np.where(z < 0, distribution.ppf(tail), distribution.isf(tail))
+    below, tail = z < 0, ndtr(-np.abs(z))
+    out = np.empty(z.shape)
+    out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
+    return out
 
 
 def _to_normal(distribution: Any, value: Array) -> Array:

@@ -38,7 +38,7 @@ NOUNS: dict[type, str] = {
     Scheme: "standards offsets trials animals",
     Constraints: "nearest farthest step easy_share easy_proportion",
     Goal: "bayes_factor half_width share",
-    Animals: "weber_fraction spread lapse bias_spread",
+    Animals: "weber_fraction spread lapse bias_spread lapses_vary",
 }
 KIND = "is"  # the key that says which noun a mapping is
 

@@ -22,15 +22,18 @@ class Animals:
     spread : float
         Standard deviation of ln k between animals.
     lapse : float
-        Mean share of trials lost on either side.
+        Share of trials lost on either side; its mean, where `lapses_vary`.
     bias_spread : float
         Standard deviation of the animals' biases, in sds of the difference between two percepts.
+    lapses_vary : bool
+        Whether each animal has lapses of its own, from Beta(2, 2/lapse − 2), or all have the same.
     """
 
     weber_fraction: float = 0.1
     spread: float = 0.3
     lapse: float = 0.03
     bias_spread: float = 0.2
+    lapses_vary: bool = True
 
     def __post_init__(self) -> None:
         _checks.positive("weber_fraction", self.weber_fraction, "write for example 0.1")
@@ -41,10 +44,13 @@ class Animals:
 
     def draw(self, number: int, seed: np.random.SeedSequence | int) -> pd.DataFrame:
         """So many of them, a row each: the truth that `answer_trials` takes."""
-        return draw_animals(
+        drawn = draw_animals(
             number, weber_fraction=self.weber_fraction, spread=self.spread, lapse_low=self.lapse,
             lapse_high=self.lapse, bias_spread=self.bias_spread, seed=seed,
         )  # fmt: skip
+        if not self.lapses_vary:
+            drawn[["lapse_low", "lapse_high"]] = self.lapse
+        return drawn
 
 
 @dataclass(frozen=True)

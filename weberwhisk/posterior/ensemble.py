@@ -69,7 +69,7 @@ LEAST_ACCEPTANCE = 0.05
 HEAVY = 4.0  # kurtosis above which the precision asked for is tightened by √2
 DRIFT = 3.0  # standard errors between early and late steps that still count as burnt in
 FEWEST_ENSEMBLES, FEWEST_STEPS = 4, 64
-FIRST_CHECK, GROWTH = 96, (1.1, 1.5)  # steps before the first judgement; growth to the next
+FIRST_CHECK, GROWTH = 96, (1.2, 1.5)  # steps before the first judgement; growth to the next
 PIECE, STORED = 32, 1024  # steps in one call of emcee; steps on record before they are halved
 
 
@@ -77,7 +77,8 @@ PIECE, STORED = 32, 1024  # steps in one call of emcee; steps on record before t
 class StackedSample:
     """Draws of B posteriors and what they are worth.
 
-    The C columns of `values` and of every statistic are the D coordinates, then the functions.
+    The C columns of `values` and of every statistic are the functions asked for or, without any,
+    the D coordinates.
     Statistics are of all steps after the burn-in; `values` holds an even selection of them.
 
     Attributes
@@ -95,8 +96,6 @@ class StackedSample:
         Steps made by every walker, and how many of them were left out as burn-in.
     shortfall : array of int, shape (B,)
         `Shortfall` flags; 0 is converged.
-    dim : int
-        The number D of coordinates among the columns.
     """
 
     values: Array
@@ -111,12 +110,6 @@ class StackedSample:
     steps: NDArray[np.int64]
     burn_in: NDArray[np.int64]
     shortfall: NDArray[np.int64]
-    dim: int
-
-    @property
-    def draws(self) -> Array:
-        """The coordinates alone, shape (B, E, N, D)."""
-        return self.values[..., : self.dim]
 
     @property
     def converged(self) -> NDArray[np.bool_]:
@@ -198,7 +191,8 @@ def sample_stacked(
     moves : sequence of (maker, weight), optional
         Makers take the walkers in a block and a Generator. Default: `default_moves`.
     functions : callable, optional
-        ``functions(x)`` of shape (B, M, Q): quantities judged and summarised as the coordinates.
+        ``functions(x)`` of shape (B, M, Q): quantities judged and summarised in place of the
+        coordinates.
     precision : float
         Largest Monte Carlo error of an sd, relative to it; the mean's may be √2 times as much,
         as it is for independent draws. Where the kurtosis is above 4 both are tightened by √2:
@@ -269,7 +263,7 @@ def sample_stacked(
             check = int(np.clip(soon, *np.multiply(GROWTH, run.steps)))
         if indexed and fresh.any():
             run.leave(~fresh)
-    return StackedSample(**fields, dim=dim)
+    return StackedSample(**fields)
 
 
 class _Run:
@@ -294,7 +288,7 @@ class _Run:
         self.indexed, self.selected = indexed, selected
         self.alive = np.arange(len(start))
         for move, _ in moves:
-            move.alive = self.alive
+            move.begin(len(start), start[0, ..., 0].size)
         self.shape = start.shape[1:]
         self.batch, self.steps, self.checked = 1, 0, 0
         self.moved = np.zeros(start.shape[:-1])
@@ -314,7 +308,7 @@ class _Run:
         return checked_density(out, x, self.alive).ravel()
 
     def columns(self, coords: Array) -> Array:
-        """Coordinates (n, b, E, W, D) and the functions of them side by side, (n, b, E, W, C)."""
+        """The functions, if any, of coordinates (n, b, E, W, D): (n, b, E, W, C)."""
         if self.functions is None:
             return coords
         n, b, e, w, dim = coords.shape
@@ -327,9 +321,7 @@ class _Run:
                 f"{np.sum(~np.isfinite(extra))} not finite; return -inf as log-density where "
                 "they are not defined."
             )
-        return np.concatenate(
-            [coords, extra.reshape(b, n, e, w, extra.shape[-1]).swapaxes(0, 1)], axis=-1
-        )
+        return extra.reshape(b, n, e, w, extra.shape[-1]).swapaxes(0, 1)
 
     def advance(self, steps: int) -> None:
         """Run emcee until at least `steps` have been made in all."""
@@ -366,7 +358,7 @@ class _Run:
         """Go on with some of the posteriors only."""
         self.alive, self.moved = self.alive[stay], self.moved[stay]
         for move, _ in self.moves:
-            move.alive = self.alive
+            move.leave(stay)
         self.series, self.origin = self.series[:, stay], self.origin[stay]
         self.coords = self.coords[:, stay]
         rows = np.repeat(stay, self.shape[0] * self.shape[1])

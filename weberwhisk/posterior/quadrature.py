@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from threading import local
 from typing import Any
 
 import numpy as np
@@ -60,18 +61,17 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     improbable = is_improbable(observer, reading, contact)
 
     def integral(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
-        contact = np.empty(0)  # of the points last asked for: worked out once for both
+        last = local()  # the contact of the points last asked for: worked out once for both
 
         def density(x: Array, index: NDArray[np.intp]) -> Array:
-            nonlocal contact
-            value, contact = observer.log_density_and_contact(x, reading[rows[index], None])
+            value, last.contact = observer.log_density_and_contact(x, reading[rows[index], None])
             return value
 
         return integrate(
             density,
             mode.x[rows],
             root[rows],
-            functions=lambda x: contact,
+            functions=lambda x: last.contact,
             only_functions=True,
             tolerance=tolerance or TOLERANCE[1],
             # A ridge that no reading resolves is not worth resolving either.
