@@ -174,9 +174,9 @@ def _raise(failed: Report, job: Job, record: Record) -> None:
 
 
 def _kept(record: Record) -> str:
-    if record.path is None:
+    if record.where is None:
         return ""
-    return f" {len(record.lines)} chunks are done and kept in {str(record.path)!r}."
+    return f" {len(record.lines)} chunks are done and kept in {record.where!r}."
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
 from .page import plan_page
+from .placements import adaptive, placements
 from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
@@ -20,12 +21,14 @@ __all__ = [
     "LINES",
     "MARKERS",
     "SINGLE",
+    "adaptive",
     "bending",
     "figure_of",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
     "pairs",
+    "placements",
     "plan_page",
     "planned_jnds",
     "planned_psychometrics",

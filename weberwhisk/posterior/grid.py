@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
 Functions = Callable[[Array], ArrayLike]
 
-COARSE_PASSES, PASSES = 15, 50
+COARSE_PASSES, LONG_TRIED, PASSES = 15, 4, 50
 SLOWEST_FALL = 1 - 1e-6  # from layer to layer of nodes, when the mass beyond the last is guessed
 RESOLVED = 0.3  # error of the spacing up to which a coarse pass is believed
 LOST = 0.3  # change of ln Z, from all nodes to every second, at which mass falls between nodes
@@ -358,10 +358,13 @@ class _Work:
         self.coarse_passes[index] += 1
         late = self.coarse_passes[index] >= COARSE_PASSES
         self.end(index[late & cut_off], Status.OPEN)
-        # A long tail is followed along its axis: whitening by it would lose the narrow core. Where
-        # most of the mass is at the edge there is no core yet.
-        inside = np.abs(out.z_mean) < 0.5 * self.first_cells * self.width[index]
-        follow = cut_off & ~late & inside.all(axis=1)
+        # A long tail is followed along its axis: whitening by it would lose the narrow core. So is
+        # a heavy one where windows have grown and shrunk in turn; but where most of the mass is
+        # at the edge there is no core yet.
+        inside = (np.abs(out.z_mean) < 0.5 * self.first_cells * self.width[index]).all(axis=1)
+        follow = out.edge_mass.max(axis=(1, 2)) < 0.4
+        follow |= inside & (self.coarse_passes[index] > LONG_TRIED)
+        follow &= cut_off & ~late
         follow &= self.cells[index].max(axis=(1, 2)) <= 2 * self.first_cells
         self.cells[index[follow]] += np.where(open_sides[follow], self.cells[index[follow]], 0)
         # Where whitening has lost it, back to the last frame in which all was seen.
