@@ -10,7 +10,7 @@ from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
 from .page import plan_page
 from .placements import adaptive, placements
-from .plans import planned_jnds, planned_psychometrics, rehearsed
+from .plans import planned_jnds, planned_power, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
@@ -31,6 +31,7 @@ __all__ = [
     "placements",
     "plan_page",
     "planned_jnds",
+    "planned_power",
     "planned_psychometrics",
     "posterior",
     "psychometric",
