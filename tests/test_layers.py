@@ -61,12 +61,13 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_surface": ("jnd", "campaign"),
     "behaviour": ("fusion", "campaign", "written"),
     "design": ("behaviour",),
+    "charts": ("behaviour",),
     "figures": ("design",),
     "runs": ("written",),
     "planning": ("figures", "runs"),
     "": ("planning", "jnd_surface"),
     "_terminal": (),
-    "commands": ("", "runs", "_terminal"),
+    "commands": ("", "charts", "runs", "_terminal"),
     "cli": ("commands",),
 }
 ONLY_IN = {

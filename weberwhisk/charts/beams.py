@@ -87,7 +87,8 @@ def truth(scene: Scene) -> float:
 
     def fine(a: Any, f: Any, steps: int) -> Array:
         one, two = (
-            np.array(follow(a, f, n, np.longdouble), dtype=np.longdouble) for n in (steps, 2 * steps)
+            np.array(follow(a, f, n, np.longdouble), dtype=np.longdouble)
+            for n in (steps, 2 * steps)
         )
         return np.asarray(two + (two - one) / 15)
 
@@ -169,20 +170,34 @@ def _calls(scene: Scene, full: bool) -> Iterator[tuple[str, float, int, Callable
     for name, rung in (("rung 0, closed form", closed_form), ("rung 1, elastica", elastica)):
         for count in (1, 10, 100, 1000, 10_000) if full else (1, 100, 10_000):
             many = np.full(count, r)
-            yield name, count, count, lambda rung=rung, many=many: rung.press(WHISKER, many, theta).moment
+            yield (
+                name,
+                count,
+                count,
+                lambda rung=rung, many=many: rung.press(WHISKER, many, theta).moment,
+            )
     few = (1e-3, 1e-6, 1e-9, 1e-12) if full else (1e-3, 1e-9)
     for tolerance in few:
         many = np.full(300, r)
-        yield "rung 2, profile, 300 at once", tolerance, 300, lambda t=tolerance, many=many: (
-            profile.press(WHISKER, many, theta, tolerance=t).moment
+        yield (
+            "rung 2, profile, 300 at once",
+            tolerance,
+            300,
+            lambda t=tolerance, many=many: profile.press(WHISKER, many, theta, tolerance=t).moment,
         )
-        yield "rung 2, profile, one", tolerance, 1, lambda t=tolerance: (
-            profile.press(WHISKER, r, theta, tolerance=t).moment
+        yield (
+            "rung 2, profile, one",
+            tolerance,
+            1,
+            lambda t=tolerance: profile.press(WHISKER, r, theta, tolerance=t).moment,
         )
     point = r * np.array([np.cos(theta), np.sin(theta), 0.0])
     for tolerance in few:
-        yield "rung 3, rod, one", tolerance, 1, lambda t=tolerance: (
-            rod.press(WHISKER, point, tolerance=t).moment[..., 2]
+        yield (
+            "rung 3, rod, one",
+            tolerance,
+            1,
+            lambda t=tolerance: rod.press(WHISKER, point, tolerance=t).moment[..., 2],
         )
     for rtol in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11) if full else (1e-3, 1e-9):
         yield "SciPy, root over DOP853", rtol, 1, lambda t=rtol: initial_value(scene, t)

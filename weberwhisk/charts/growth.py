@@ -21,7 +21,7 @@ MOST = {
     "posteriors, quadrature, r and θ_d": (4096, 64),
     "posteriors, emcee, r": (1024, 64),
     "trials, fit": (262_144, 4096),
-    "subjects, population fit": (32, 2),
+    "subjects, population fit": (32, 8),
     "distances, JND curve": (1024, 64),
 }
 
@@ -53,10 +53,11 @@ def _sizes(what: str, full: bool) -> Iterator[int]:
 
 
 def growth(*, full: bool = False) -> pd.DataFrame:
-    """CPU seconds and peak bytes of one call against its size."""
-    rows = []
+    """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
+    tables = []
     for what in MOST:
         _job(what, 2)()  # what is made once is not counted
+        rows = []
         for n in _sizes(what, full):
             job = _job(what, n)
             start = time.process_time()
@@ -69,7 +70,11 @@ def growth(*, full: bool = False) -> pd.DataFrame:
             rows.append(
                 {"part": "growth", "method": what, "count": n, "seconds": seconds, "bytes": peak}
             )
-    return pd.DataFrame(rows)
+        part = pd.DataFrame(rows)
+        for column in ("seconds", "bytes"):
+            part[f"slope_{column}"] = slope(part["count"], part[column])
+        tables.append(part)
+    return pd.concat(tables, ignore_index=True)
 
 
 def slope(count: Any, value: Any) -> float:

@@ -79,7 +79,9 @@ def summed(observer: Observer, rows: Array, n: int, *, zoom: bool = False) -> Ar
     held = outcome == 0
     out = []
     for row in rows:
-        log = np.where(held, observer.noise.log_likelihood(row, np.where(held[:, None], signals, 1)), -np.inf)
+        log = np.where(
+            held, observer.noise.log_likelihood(row, np.where(held[:, None], signals, 1)), -np.inf
+        )
         place, weight = contact[:, 0], size
         if zoom:
             near = (log + np.log(size) > (log + np.log(size)).max() - 40).reshape((n,) * len(whole))
@@ -122,8 +124,11 @@ def _engines(observer: Observer, full: bool) -> Iterator[tuple[str, float, int, 
         return lambda rows: posterior(observer, rows, method=method, **options)
 
     bulk = (2048 if one else 256) if full else (256 if one else 32)
-    yield "quadrature, one by one", 0, 8, lambda rows: np.array(
-        [posterior(observer, row).sd for row in rows]
+    yield (
+        "quadrature, one by one",
+        0,
+        8,
+        lambda rows: np.array([posterior(observer, row).sd for row in rows]),
     )
     tolerances = (1e-6,) if one else (1e-1, 1e-2, 1e-3, 1e-4, 1e-5) if full else (1e-2, 1e-4)
     for tolerance in tolerances:
@@ -139,10 +144,12 @@ def _engines(observer: Observer, full: bool) -> Iterator[tuple[str, float, int, 
         yield "midpoint grid", n, 8, lambda rows, n=n: summed(observer, rows, n)
 
 
-def row(scene: str, method: str, knob: float, sd: Array, good: Any, exact: Array, seconds: float) -> Row:
+def row(
+    scene: str, method: str, knob: float, sd: Array, good: Any, exact: Array, seconds: float
+) -> Row:
     """A row of the table, from the sds that a method found and those it vouches for."""
     ratio = sd / exact - 1
-    good = np.broadcast_to(good, ratio.shape) & np.isfinite(ratio)
+    good = good & np.isfinite(ratio)
     return {
         "part": "posteriors",
         "scene": scene,
@@ -175,22 +182,25 @@ def posteriors(*, full: bool = False) -> pd.DataFrame:
         rows = readings(observer, 2048 if full else 256)
         judged = (256 if len(observer.unknowns) == 1 else 32) if full else 8
         exact, doubt = exact_sds(observer, rows[:judged], full=full)
-        middle = observer.at_middle(np.full((1000, 1), 25e-3))
-        if observer.bounded > 1:
-            middle = np.tile([25e-3, 0.2], (1000, 1))
+        middle = observer.at_middle(np.tile([25e-3, 0.2], (1000, 1))[:, : observer.bounded])
         _, seconds = timed(lambda: weber_propagation(observer, middle, model="closed_form"))  # noqa: B023
         table.append(
-            {"part": "posteriors", "scene": scene, "method": "closed form", "seconds": seconds / 1000}
+            {
+                "part": "posteriors",
+                "scene": scene,
+                "method": "closed form",
+                "seconds": seconds / 1000,
+            }
         )
         table.append({"part": "posteriors", "scene": scene, "method": "referee", "error": doubt})
         for method, knob, count, run in _engines(observer, full):
             run(rows[:2])  # what is made once is not counted
             result, seconds = timed(lambda: run(rows[:count]), repeats=1)  # noqa: B023
             shown = min(count, judged)
-            sd, good = np.asarray(result), np.True_
             if isinstance(result, Posterior):
                 sd, good = result.sd, np.asarray(result.status) == Status.CONVERGED
-            table.append(
-                row(scene, method, knob, sd[:shown], good[..., :shown], exact[:shown], seconds / count)
-            )
+            else:
+                sd, good = result, np.ones(len(result), dtype=bool)
+            found = sd[:shown], good[:shown], exact[:shown]
+            table.append(row(scene, method, knob, *found, seconds / count))
     return pd.DataFrame(table)
