@@ -61,12 +61,13 @@ TABLE: dict[str, tuple[str, ...]] = {
     "written": (),
     "behaviour": ("fusion", "campaign", "written"),
     "design": ("behaviour", "journal"),
-    "figures": ("design",),
+    "charts": ("behaviour",),
+    "figures": ("design", "charts"),
     "runs": ("written",),
     "planning": ("figures", "runs"),
     "": ("planning", "jnd_surface"),
     "_terminal": (),
-    "commands": ("", "runs", "_terminal"),
+    "commands": ("", "charts", "runs", "_terminal"),
     "cli": ("commands",),
 }
 ONLY_IN = {

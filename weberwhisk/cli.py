@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from ._terminal import new_app, run_app
-from .commands import bend, design, fit, jnd, quickstart, rehearse, simulate
+from .commands import bend, chart, design, fit, jnd, quickstart, rehearse, simulate
 from .commands import next as next_
 
 app = new_app()
@@ -17,6 +17,7 @@ COMMANDS = (
     fit.fit,
     design.design,
     rehearse.rehearse,
+    chart.chart,
 )
 for command in COMMANDS:
     app.command()(command)

@@ -5,6 +5,7 @@ Okabe and Ito, which the colour-blind can tell apart, and every colour comes wit
 line style, so that a figure also reads in grey.
 """
 
+from .charts import fits_and_growth, speed_accuracy
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
@@ -24,6 +25,7 @@ __all__ = [
     "adaptive",
     "bending",
     "figure_of",
+    "fits_and_growth",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
@@ -39,5 +41,6 @@ __all__ = [
     "rehearsed",
     "residuals",
     "shrinkage",
+    "speed_accuracy",
     "styled",
 ]
