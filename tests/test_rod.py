@@ -236,7 +236,7 @@ def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance):
     )
     got, true = (rod.press(CURVED, point, tolerance=t) for t in (tolerance, 1e-13))
     held = got.outcome == Outcome.HELD
-    assert held.sum() > 8
+    assert held.sum() > 5
     for part in ("force", "moment"):
         a, b = getattr(got, part)[held], getattr(true, part)[held]
         size = np.linalg.norm(b, axis=-1)

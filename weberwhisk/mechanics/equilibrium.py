@@ -11,18 +11,17 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from . import elastica
 from .branch import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .chebyshev import Array, Curve, Table
 from .contact import TIP_ROUNDING, Outcome
+from .elastica_map import the_map, unfold
+from .natural_units import Solved
 from .trajectory import Path, Rows, follow_each, needed
 
 #: Turn of the whisker at rest, rad, up to which Newton's method is trusted: about twice a rat's.
 MOST_TURN = 1.5
 #: Of contact distance and angle, a few last digits.
 ROUNDING = 3e-15
-
-Solved = tuple[Array, NDArray[np.int8], Array]
 
 
 def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float) -> Solved:
@@ -154,7 +153,7 @@ def _guess(
     tilt = path.angle - psi - path.deflection
     moved = np.clip(1 - 0.45 * psi - 0.8 * tilt, 0.3, 3.0)
     table, folds = _coarse()
-    x = elastica.unfold(v)
+    x = unfold(v)
     fold = (1 - v) * folds(x)[0]
     near = np.minimum(push / (moved * fold), 0.98)
     log_force, _, log_extra = table(x, np.sqrt(1 - near**2))
@@ -267,5 +266,5 @@ def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.int
 @cache
 def _coarse() -> tuple[Table, Curve]:
     """The map of rung 1 to six digits, which take a twentieth of the time."""
-    whole = elastica._map()
+    whole = the_map()
     return Table(whole.contact_given.coefficients[:12, :8]), Curve(whole.fold.coefficients[:12, :1])
