@@ -274,6 +274,17 @@ def test_out_of_reach_is_said() -> None:
     assert "out of reach" in few.report()
 
 
+def test_thresholds_out_of_reach_in_many_draws_are_infinite_not_nan() -> None:
+    """Interpolating between two infinite draws made NaN, with a warning."""
+    few = simulate_trials(
+        weber_fraction=0.5, standards=6.0, offsets=[0.2, 2.0], missing=0.9, task="yes/no", seed=0
+    )
+    row = fit_weber(few).threshold(6.0, 0.95).loc[0]
+    assert row["unreachable"] > 0.1
+    assert row["upper"] == np.inf
+    assert 0 < row["lower"] < row["comparison"]
+
+
 def test_psychometric_band(fit: WeberFit) -> None:
     band = fit.psychometric([0.5, 0.9, 1.0, 1.1, 2.0], 1.0)
     assert (band["lower"] < band["median"]).all()

@@ -55,11 +55,16 @@ TABLE: dict[str, tuple[str, ...]] = {
     "posterior": ("observer",),
     "jnd": ("posterior",),
     "fusion": ("jnd", "sweeping"),
-    "behaviour": ("fusion",),
+    "journal": (),
+    "campaign": ("journal",),
+    "jnd_surface": ("jnd", "campaign"),
+    "written": (),
+    "behaviour": ("fusion", "campaign", "written"),
     "design": ("behaviour",),
     "figures": ("design",),
-    "": ("figures",),
-    "runs": (),
+    "runs": ("written",),
+    "planning": ("figures", "runs"),
+    "": ("planning", "jnd_surface"),
     "_terminal": (),
     "commands": ("", "runs", "_terminal"),
     "cli": ("commands",),
@@ -279,7 +284,9 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     """A package tree with an empty module for every place that the sources may name."""
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
-    folders = ("mechanics", "cues", "posterior", "behaviour", "design", "commands")
+    folders = (
+        "mechanics", "cues", "posterior", "campaign", "behaviour", "design", "commands",
+    )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:
         files = {path: "", **files}
     for name in ("", *(f"{f}/" for f in folders)):

@@ -5,10 +5,19 @@ from __future__ import annotations
 import sys
 
 from ._terminal import new_app, run_app
-from .commands import bend, fit, jnd, quickstart, simulate
+from .commands import bend, design, fit, jnd, quickstart, rehearse, simulate
 
 app = new_app()
-for command in (quickstart.quickstart, bend.bend, jnd.jnd, simulate.simulate, fit.fit):
+COMMANDS = (
+    quickstart.quickstart,
+    bend.bend,
+    jnd.jnd,
+    simulate.simulate,
+    fit.fit,
+    design.design,
+    rehearse.rehearse,
+)
+for command in COMMANDS:
     app.command()(command)
 
 

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 REPEATS = 1000  # draws that a check is averaged over
 FEWER = 250  # the same, where every trial is looked at
+#: Draws times rows that are in memory together.
+NUMBERS_AT_ONCE = 2_000_000
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
@@ -165,14 +167,22 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(FEWER)
-    p, q = (side[:, rows.cell] for side in _probability(fit.model, draws))
+    by_cell = _probability(fit.model, draws)
     rng = _checks.generator(seed)
-    again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
-    spread = np.maximum(rows.n * p * q, 1e-12)
+    statistics = rows.statistics()
+    # (seen, made) of every statistic; few draws at a time where there are many rows.
+    values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}
+    stride = max(NUMBERS_AT_ONCE // rows.n.size, 1)
+    for start in range(0, len(by_cell[0]), stride):
+        p, q = (side[start : start + stride, rows.cell] for side in by_cell)
+        again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
+        spread = np.maximum(rows.n * p * q, 1e-12)
+        for name, (statistic, _) in statistics.items():
+            off = rows.count - rows.n * p, again - rows.n * p
+            values[name].append((statistic(off[0], spread), statistic(off[1], spread)))
     out = {}
-    for name, (statistic, remedy) in rows.statistics().items():
-        seen = statistic(rows.count - rows.n * p, spread)
-        made = statistic(again - rows.n * p, spread)
+    for name, (_, remedy) in statistics.items():
+        seen, made = (np.concatenate(parts) for parts in zip(*values[name], strict=True))
         greater = np.abs(made) >= np.abs(seen) if name in SIGNED else made >= seen
         out[name] = {
             "observed": seen.mean(),

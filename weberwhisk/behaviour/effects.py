@@ -341,8 +341,8 @@ def check_effects(effects: Any) -> None:
             "say, with Drift from weberwhisk.behaviour.effects."
         )
     for effect in effects:
-        meant = EFFECTS.get(effect) if isinstance(effect, str) else None
-        instead = type(meant).__name__ if meant else getattr(effect, "__name__", "Drift")
+        named = EFFECTS.get(effect) if isinstance(effect, str) else None
+        instead = type(named).__name__ if named else getattr(effect, "__name__", "Drift")
         _checks.kind(
             "an effect", effect, "an Effect", "apply",
             f"write {instead}(), from weberwhisk.behaviour.effects",

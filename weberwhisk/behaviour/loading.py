@@ -67,9 +67,9 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
         raise ValueError(
             f"{path.name}: the file is empty; give a header and one row per trial."
         ) from None
-    # The readers of the binary formats raise whatever their libraries do at a broken file.
-    except (ValueError, OSError, EOFError, KeyError, TypeError) as error:
-        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
+    # The readers of all these formats raise whatever their libraries do at a broken file.
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1] or type(error).__name__
         raise ValueError(
             f"{path.name}: not readable as a table ({reason}); save it as CSV."
         ) from None

@@ -194,7 +194,7 @@ class WeberFit:
                 d = self.posterior.draws()
                 bias = d.bias[:, self._group(float(s))] if biased and model.group_names else 0.0
                 sample = self._point(float(s), proportion, d.weber_fraction, bias, d, upward)
-                ends = np.quantile(sample, at, method="median_unbiased")
+                ends = _quantiles(sample, at)
             else:  # a monotone function of k alone
                 ks = self.posterior.quantile("weber_fraction", at)
                 ends = np.sort(self._point(float(s), proportion, ks, 0.0, None, upward))
@@ -387,6 +387,13 @@ def _tails(mass: float) -> tuple[float, float]:
     if not 0 < value < 1:
         raise ValueError(f"mass must lie between 0 and 1, got {value:g}; write for example 0.95.")
     return 0.5 - value / 2, 0.5 + value / 2
+
+
+def _quantiles(sample: Array, at: Array) -> Array:
+    """Quantiles of draws, some of which may be infinite: between two infinities lies no number."""
+    if np.isfinite(sample).all():
+        return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
+    return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
 
 
 def _plain(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:

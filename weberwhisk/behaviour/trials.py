@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..written import atomic_write
 from .tasks import Task
 
 Array = NDArray[np.float64]
@@ -183,13 +184,8 @@ class Trials:
 
     def to_csv(self, path: str | Path) -> Path:
         """Write `table()`; the file is complete or absent, never half-written."""
-        target = Path(path)
-        partial = target.with_name(target.name + ".partial")
-        try:
-            self.table().to_csv(partial, index=False, lineterminator="\n")
-            return partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
+        atomic_write(path, self.table().to_csv(index=False, lineterminator="\n"))
+        return Path(path)
 
 
 def check_trials(trials: Any) -> None:

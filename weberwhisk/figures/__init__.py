@@ -8,6 +8,9 @@ line style, so that a figure also reads in grey.
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
+from .page import plan_page
+from .placements import adaptive, placements
+from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
@@ -18,15 +21,21 @@ __all__ = [
     "LINES",
     "MARKERS",
     "SINGLE",
+    "adaptive",
     "bending",
     "figure_of",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
     "pairs",
+    "placements",
+    "plan_page",
+    "planned_jnds",
+    "planned_psychometrics",
     "posterior",
     "psychometric",
     "psychometrics",
+    "rehearsed",
     "residuals",
     "shrinkage",
     "styled",

@@ -252,7 +252,11 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
         np.ravel(np.broadcast_to(a, shape)).astype(float)
         for a in (whisker.length, whisker.taper, radial_distance)
     )
-    angle, c_end, fold_angle, c_peak = _limit(length, taper, r)
+    pieces = [slice(start, start + ROWS) for start in range(0, max(r.size, 1), ROWS)]
+    angle, c_end, fold_angle, c_peak = (
+        np.concatenate(parts)
+        for parts in zip(*(_limit(length[p], taper[p], r[p]) for p in pieces), strict=True)
+    )
     beyond = np.isnan(angle)
     peak_angle = np.where(beyond, 0.0, fold_angle * np.sqrt(1 - np.maximum(c_peak, c_end) ** 2))
     ended = np.where(c_end > 0, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)

@@ -22,12 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from weberwhisk.posterior.densities import checked_density
+from weberwhisk.posterior.threads import on_threads
 
 Array = NDArray[np.float64]
 Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
 Functions = Callable[[Array], ArrayLike]
 
-COARSE_PASSES, PASSES = 15, 50
+COARSE_PASSES, LONG_TRIED, PASSES = 15, 4, 50
 SLOWEST_FALL = 1 - 1e-6  # from layer to layer of nodes, when the mass beyond the last is guessed
 RESOLVED = 0.3  # error of the spacing up to which a coarse pass is believed
 LOST = 0.3  # change of ln Z, from all nodes to every second, at which mass falls between nodes
@@ -197,15 +198,16 @@ def integrate(
     only_functions: bool = False,
     tolerance: float = 1e-4,
     max_points: int = 400_000,
-    reach: float = 6.0,
+    reach: float = 5.0,
     keep_points: bool = False,
 ) -> GridPosterior:
     """Integrate B densities over D = 1 to 4 unconstrained coordinates.
 
     A coarse pass finds the mean and covariance and is repeated about them until they stay, so a
-    poor start costs passes, not accuracy. Fine passes then widen the window on whichever side
-    still holds mass and refine whichever axis still changes the moments, until the estimated
-    errors of every mean and sd, in units of that sd, are below `tolerance`.
+    poor start costs passes, not accuracy; if its own errors are small enough, that is all. Fine
+    passes then widen the window on whichever side still holds mass and refine whichever axis
+    still changes the moments, until the estimated errors of every mean and sd, in units of that
+    sd, are below `tolerance`.
 
     Parameters
     ----------
@@ -255,8 +257,10 @@ def integrate(
     work = _Work(*start, tolerance, max_points, reach, keep_points)
     first = work.dim if only_functions else 0
     for _ in range(PASSES):
-        for index in work.groups():
-            work.take(index, _evaluate(work, index, log_density, functions, first), keep_points)
+        groups = list(work.groups())
+        passes = on_threads(lambda i: _evaluate(work, i, log_density, functions, first), groups)
+        for index, out in zip(groups, passes, strict=True):
+            work.take(index, out, keep_points)
         if not work.running.any():
             break
     work.status[work.running] = Status.OPEN
@@ -283,7 +287,8 @@ class _Work:
         count, self.dim = centre.shape
         self.tolerance, self.max_points = tolerance, max_points
         self.centre, self.root = centre.copy(), root.copy()
-        cells = int(np.ceil(reach / (1.0 if self.dim < 3 else 1.5)))
+        # In one or two dimensions so fine that a Gaussian needs no second pass.
+        cells = int(np.ceil(reach / (0.72 if self.dim < 3 else 1.5)))
         self.first_cells = cells
         self.cells = np.full((count, 2, self.dim), cells)
         self.width = np.full((count, self.dim), reach / cells)
@@ -329,6 +334,11 @@ class _Work:
         empty = ~np.isfinite(out.found["log_evidence"])
         self.end(index[empty], Status.EMPTY)
         fine = self.fine[index]
+        # A coarse pass is often good enough already.
+        errors = np.maximum(out.found["mean_error"], out.found["sd_error"])
+        enough = ~fine & ~empty & (errors.max(axis=1) <= self.tolerance) & (not self.quantiles)
+        self.end(index[enough], Status.CONVERGED)
+        empty |= enough
         for rows, step in ((~fine & ~empty, self.reframe), (fine & ~empty, self.refine)):
             if rows.any():
                 step(index[rows], out.of(rows))
@@ -348,8 +358,13 @@ class _Work:
         self.coarse_passes[index] += 1
         late = self.coarse_passes[index] >= COARSE_PASSES
         self.end(index[late & cut_off], Status.OPEN)
-        # A long tail is followed along its axis: whitening by it would lose the narrow core.
-        follow = cut_off & ~late & (out.edge_mass.max(axis=(1, 2)) < 0.4)
+        # A long tail is followed along its axis: whitening by it would lose the narrow core. So is
+        # a heavy one where windows have grown and shrunk in turn; but where most of the mass is
+        # at the edge there is no core yet.
+        inside = (np.abs(out.z_mean) < 0.5 * self.first_cells * self.width[index]).all(axis=1)
+        follow = out.edge_mass.max(axis=(1, 2)) < 0.4
+        follow |= inside & (self.coarse_passes[index] > LONG_TRIED)
+        follow &= cut_off & ~late
         follow &= self.cells[index].max(axis=(1, 2)) <= 2 * self.first_cells
         self.cells[index[follow]] += np.where(open_sides[follow], self.cells[index[follow]], 0)
         # Where whitening has lost it, back to the last frame in which all was seen.
@@ -712,5 +727,5 @@ def _checked_start(
             f"tolerance must be at least 1e-12 and below 1, got {tolerance}; 1e-4 is usual."
         )
     if not 2 <= reach <= 100:
-        raise ValueError(f"reach must be between 2 and 100, got {reach}; 6 is usual.")
+        raise ValueError(f"reach must be between 2 and 100, got {reach}; 5 is usual.")
     return middle, root

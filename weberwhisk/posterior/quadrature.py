@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from threading import local
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Seed
 from .grid import GridPosterior, Nodes, integrate
-from .mode import find_mode
+from .mode import Mode, find_mode
+from .nuisance import integrate_but_last
 from .panels import Panels
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
@@ -60,18 +62,17 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     improbable = is_improbable(observer, reading, contact)
 
     def integral(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
-        contact = np.empty(0)  # of the points last asked for: worked out once for both
+        last = local()  # the contact of the points last asked for: worked out once for both
 
         def density(x: Array, index: NDArray[np.intp]) -> Array:
-            nonlocal contact
-            value, contact = observer.log_density_and_contact(x, reading[rows[index], None])
+            value, last.contact = observer.log_density_and_contact(x, reading[rows[index], None])
             return value
 
         return integrate(
             density,
             mode.x[rows],
             root[rows],
-            functions=lambda x: contact,
+            functions=lambda x: last.contact,
             only_functions=True,
             tolerance=tolerance or TOLERANCE[1],
             # A ridge that no reading resolves is not worth resolving either.
@@ -85,9 +86,21 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         for rows in (np.flatnonzero(~unidentified), np.flatnonzero(unidentified))
         for start in range(0, len(rows), TOGETHER)
     ]
+
+    def moments(rows: NDArray[np.intp]) -> GridPosterior:
+        if dim < 3:
+            return integral(rows)
+        return integrate_but_last(
+            observer,
+            reading[rows],
+            Mode(mode.x[rows], mode.log_density[rows], mode.covariance[rows]),
+            tolerance=tolerance or TOLERANCE[1],
+            max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
+        )
+
     parts, done = [], 0
     for rows in pieces:
-        parts.append(integral(rows))
+        parts.append(moments(rows))
         done += len(rows)
         if progress:
             progress(done, len(reading))

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import finite
+from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 
@@ -87,6 +89,17 @@ class Posterior:
     quantile_of: Callable[[Array], Array]  # (Q,) → (B, U, Q)
     draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
 
+    @cached_property
+    def outcome(self) -> Any:
+        """What the cue's method, taken by itself and as exact, makes of the reading.
+
+        An `Outcome`, or an array of int: `HELD` where it finds a contact; `CONTRADICTORY`,
+        `NO_TOUCH`, `PARALLEL` and the like where it fails, while the posterior, which knows that
+        readings and whiskers are uncertain, does not.
+        """
+        outcome = self.observer.reading_outcome(self.reading)
+        return outcome if self.reading.ndim > 1 else Outcome(int(outcome))
+
     @property
     def mean(self) -> Any:
         """Posterior mean of the radial distance, m."""
@@ -134,7 +147,7 @@ class Posterior:
         return self.quantile([tail, 1 - tail], of=of)
 
     def summary(self) -> pd.DataFrame:
-        """One row for each reading and unknown: mean, sd, their errors, 95 % interval, status."""
+        """One row for each reading and unknown: moments, errors, 95 % interval, how it went."""
         import pandas as pd
 
         rows = []
@@ -147,6 +160,7 @@ class Posterior:
                     | columns
                     | {"low_95": low, "high_95": high}
                     | {"status": [Status(int(s)).message for s in np.atleast_1d(self.status)]}
+                    | {"outcome": [Outcome(int(o)).message for o in np.atleast_1d(self.outcome)]}
                 )
             )
         return pd.concat(rows, ignore_index=True)

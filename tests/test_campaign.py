@@ -1,0 +1,407 @@
+"""Sweeps: the same bits whoever computes them, nothing lost, nothing twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import campaign_work
+import numpy as np
+import pandas as pd
+import pytest
+
+from weberwhisk.campaign import CampaignError, read, run
+from weberwhisk.campaign.crews import portion
+from weberwhisk.campaign.job import decode, encode
+
+HERE = Path(__file__).parent
+CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]
+
+
+def same(a: pd.DataFrame, b: pd.DataFrame) -> None:
+    pd.testing.assert_frame_equal(a, b, check_exact=True)
+    for name in a:  # bits: zeros have signs, NaN equals itself
+        if a[name].dtype.kind == "f":
+            assert a[name].to_numpy().tobytes() == b[name].to_numpy().tobytes()
+
+
+def done(log: Path) -> Counter[int]:
+    return Counter(map(int, log.read_text().split())) if log.exists() else Counter()
+
+
+def logged(tmp_path: Path, n: int = 23, **more: Any) -> list[dict[str, Any]]:
+    return [{"i": i, "log": str(tmp_path / "log"), **more} for i in range(n)]
+
+
+# -- the answer ----------------------------------------------------------------------------------
+
+
+def test_is_what_a_plain_loop_gives() -> None:
+    children = np.random.SeedSequence(7).spawn(len(CHUNKS))
+    frames = [campaign_work.draw(c, s) for c, s in zip(CHUNKS, children, strict=True)]
+    plain = pd.concat([f for f in frames if len(f)], ignore_index=True)
+    same(run(campaign_work.draw, CHUNKS, seed=7), plain)
+    same(run(campaign_work.draw, CHUNKS, seed=np.random.SeedSequence(7)), plain)
+
+
+def test_the_same_bits_from_any_number_of_workers(tmp_path: Path) -> None:
+    alone = run(campaign_work.draw, CHUNKS, seed=7)
+    same(run(campaign_work.draw, CHUNKS, seed=7, workers=3, out=tmp_path / "s"), alone)
+    same(read(tmp_path / "s"), alone)
+
+
+def test_a_part_of_the_sweep_has_the_seeds_of_its_root() -> None:
+    """Children of the same root differ from the root's own, and from each other's."""
+    a, b = np.random.SeedSequence(7).spawn(2)
+    tables = [run(campaign_work.draw, CHUNKS[:3], seed=s) for s in (7, a, b)]
+    assert len({t["x"][0] for t in tables}) == 3
+
+
+def test_linear_algebra_has_one_thread_everywhere() -> None:
+    """In an interpreter that may use more, serial and parallel sums agree to the last bit."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(HERE)!r})\n"
+        "import campaign_work\n"
+        "from weberwhisk.campaign import run\n"
+        "if __name__ == '__main__':\n"
+        "    chunks = [{'n': 3}, {'n': 40}]\n"
+        "    for workers in (1, 2):\n"
+        "        t = run(campaign_work.matrices, chunks, seed=1, workers=workers)\n"
+        "        print(t['sum'].to_numpy().tobytes().hex())\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if "THREADS" not in k}
+    environment["OMP_NUM_THREADS"] = "2"
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=True,
+    )
+    serial, parallel = ended.stdout.split()
+    assert serial == parallel
+
+
+def test_a_line_keeps_every_bit_and_kind() -> None:
+    frame = campaign_work.draw({"i": 1}, np.random.SeedSequence(3))
+    line = encode(0, frame)
+    assert "\n" not in line
+    json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    same(decode({0: line}), frame)
+
+
+def test_progress_counts_every_chunk_once(tmp_path: Path) -> None:
+    told: list[float] = []
+    run(campaign_work.draw, CHUNKS, seed=7, out=tmp_path / "s", progress=told.append)
+    assert sum(told) == len(CHUNKS)
+    again: list[float] = []
+    run(campaign_work.draw, CHUNKS, seed=7, out=tmp_path / "s", progress=again.append)
+    assert again == []
+
+
+# -- interruptions -------------------------------------------------------------------------------
+
+
+def cut(path: Path, lines: int, more: bytes = b"") -> None:
+    """Leave so many lines of a file."""
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:lines]) + more)
+
+
+def test_goes_on_where_it_was(tmp_path: Path) -> None:
+    out, chunks = tmp_path / "s", logged(tmp_path)
+    whole = run(campaign_work.draw, chunks, seed=7, out=out)
+    full = out.read_bytes()
+    for lines, more in ((11, b""), (11, b'{"chunk": 10, "ro'), (1, b"\0\0\n"), (0, b'{"weberw')):
+        cut(out, lines, more)
+        same(
+            run(campaign_work.draw, chunks, seed=7, out=out, workers=2 if lines == 1 else 1), whole
+        )
+        assert sorted(out.read_bytes().splitlines()[1:]) == sorted(full.splitlines()[1:])
+    # Once, and once more each time that it was missing.
+    assert done(tmp_path / "log") == {i: 3 if i < 10 else 5 for i in range(23)}
+
+
+def test_killed_outright_and_resumed(tmp_path: Path) -> None:
+    """kill -9 of the process with its two workers: no chunk in the file is computed again."""
+    out, log = tmp_path / "s", tmp_path / "log"
+    chunks = logged(tmp_path, 40, seconds=0.05)
+    code = (
+        "import json, sys; sys.path.insert(0, sys.argv[1])\n"
+        "import campaign_work\n"
+        "from weberwhisk.campaign import run\n"
+        "if __name__ == '__main__':\n"
+        "    run(campaign_work.draw, json.loads(sys.argv[3]), seed=7, workers=2, out=sys.argv[2])\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(HERE), str(out), json.dumps(chunks)],
+        stderr=subprocess.PIPE,
+    )
+    while len(done(log)) < 12:
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()  # its workers hold the other end: they have ended too
+    kept = {json.loads(line)["chunk"] for line in out.read_bytes().split(b"\n")[1:-1]}
+    assert 5 <= len(kept) < 40
+    before = done(log)
+    whole = run(campaign_work.draw, chunks, seed=7, out=out)
+    same(whole, run(campaign_work.draw, [{"i": i} for i in range(40)], seed=7))
+    again = done(log) - before
+    assert not kept & set(again)
+    assert set(again) == set(range(40)) - kept
+
+
+def test_a_worker_that_dies_is_replaced_and_nothing_is_lost(tmp_path: Path) -> None:
+    chunks = [c | {"folder": str(tmp_path)} for c in logged(tmp_path, 12, seconds=0.03)]
+    table = run(campaign_work.kill_once, chunks, seed=7, workers=2)
+    assert (tmp_path / "killed").exists()
+    same(table, run(campaign_work.draw, [{"i": i} for i in range(12)], seed=7))
+    assert set(done(tmp_path / "log")) == set(range(12))
+
+
+def test_a_chunk_that_always_kills_is_named_and_the_rest_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "s"
+    with pytest.raises(CampaignError, match=r"chunk 5 \{'i': 5.* has killed its worker 3 times"):
+        run(campaign_work.kill_always, logged(tmp_path, 9), seed=7, workers=2, out=out)
+    kept = {json.loads(line)["chunk"] for line in out.read_bytes().splitlines()[1:]}
+    assert 5 not in kept
+    assert kept >= {0, 1, 2, 3, 4}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_exception_names_its_chunk_and_can_be_mended(tmp_path: Path, workers: int) -> None:
+    out, mended = tmp_path / "s", tmp_path / "mended"
+    chunks = logged(tmp_path, 9, mended=str(mended))
+    with pytest.raises(
+        CampaignError, match=r"chunk 4 .* failed: ZeroDivisionError: by nothing"
+    ) as e:
+        run(campaign_work.stumble, chunks, seed=7, workers=workers, out=out)
+    assert "campaign_work.py" in e.value.__notes__[0]
+    mended.touch()
+    table = run(campaign_work.stumble, chunks, seed=7, workers=workers, out=out)
+    assert len(table) == 27
+    assert max(done(tmp_path / "log").values()) == 1
+
+
+def test_an_interrupt_leaves_no_workers_and_a_good_file(tmp_path: Path) -> None:
+    out = tmp_path / "s"
+
+    def interrupt(more: float) -> None:
+        if out.exists() and out.read_bytes().count(b"\n") > 4:
+            raise KeyboardInterrupt
+
+    before = children()
+    with pytest.raises(KeyboardInterrupt):
+        run(campaign_work.draw, logged(tmp_path, seconds=0.02), seed=7, workers=2, out=out,
+            progress=interrupt)  # fmt: skip
+    assert children() == before
+    run(campaign_work.draw, logged(tmp_path, seconds=0.02), seed=7, out=out)
+    assert set(done(tmp_path / "log")) == set(range(23))
+
+
+def children() -> set[int]:
+    import multiprocessing
+
+    return {p.pid or 0 for p in multiprocessing.active_children()}
+
+
+# -- what is refused -----------------------------------------------------------------------------
+
+
+def test_another_question_in_the_same_file_is_refused(tmp_path: Path) -> None:
+    out = tmp_path / "s"
+    run(campaign_work.draw, CHUNKS[:4], seed=7, out=out)
+    content = out.read_bytes()
+    for work, chunks, seed, words in (
+        (campaign_work.stumble, CHUNKS[:4], 7, "its work is campaign_work:draw"),
+        (campaign_work.draw, CHUNKS[:3], 7, "it has 4 chunks, not 3"),
+        (
+            campaign_work.draw,
+            [*CHUNKS[:3], {"i": 99}],
+            7,
+            "its chunks have {'i': 3, 'rows': 3} in place 3, not {'i': 99}",
+        ),
+        (campaign_work.draw, CHUNKS[:4], 8, "its seed is {'entropy': 7"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            run(work, chunks, seed=seed, out=out)
+    out.write_bytes(content.replace(b'"numpy": "', b'"numpy": "0.'))
+    with pytest.raises(ValueError, match="its versions is"):
+        run(campaign_work.draw, CHUNKS[:4], seed=7, out=out)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"a,b\n1,2\n", b"no newline", b'{"weberwhisk_campaign": 2}\n', b"{}\n", b"\xff\xfe\n"],
+)
+def test_other_files_are_left_alone(tmp_path: Path, content: bytes) -> None:
+    out = tmp_path / "mine.csv"
+    out.write_bytes(content)
+    with pytest.raises(ValueError, match="is not the file of a sweep"):
+        run(campaign_work.draw, CHUNKS, seed=7, out=out)
+    assert out.read_bytes() == content
+
+
+def test_a_line_changed_by_hand_is_refused(tmp_path: Path) -> None:
+    out = tmp_path / "s"
+    run(campaign_work.draw, CHUNKS[:4], seed=7, out=out)
+    lines = out.read_bytes().splitlines(keepends=True)
+    out.write_bytes(b"".join([*lines[:2], lines[2][:-9] + b"\n", *lines[3:]]))
+    with pytest.raises(ValueError, match="changed by hand \\(line 3\\)"):
+        run(campaign_work.draw, CHUNKS[:4], seed=7, out=out)
+    out.write_bytes(b"".join(lines).replace(b'"chunk": 3', b'"chunk": 30'))
+    with pytest.raises(ValueError, match="a line for chunk 30 of 4"):
+        run(campaign_work.draw, CHUNKS[:4], seed=7, out=out)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks")
+def test_two_sweeps_do_not_write_one_file(tmp_path: Path) -> None:
+    import fcntl
+
+    with open(tmp_path / "s", "wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(ValueError, match="is being written by another process"):
+            run(campaign_work.draw, CHUNKS, seed=7, out=tmp_path / "s")
+
+
+def test_bad_input_in_one_sentence(tmp_path: Path) -> None:
+    draw: Any = campaign_work.draw
+
+    def nested(chunk: Any, seed: Any) -> Any: ...
+
+    for work, chunks, options, words in (
+        (lambda c, s: None, CHUNKS, {}, "work must be a function at the top level"),
+        (nested, CHUNKS, {}, "work must be a function at the top level"),
+        (draw, [], {}, "there are no chunks"),
+        (draw, [{"k": np.ones(2)}], {}, "chunk 0 must be a dict of plain"),
+        (draw, [{"k": 1}, {"k": np.nan}], {}, "chunk 1 must be a dict of plain"),
+        (draw, [3], {}, "chunk 0 must be a dict"),
+        (draw, CHUNKS, {"workers": 0}, "workers must be a whole number"),
+        (draw, CHUNKS, {"workers": 2, "scheduler": "tcp://x:1"}, "a cluster has its own workers"),
+        (draw, CHUNKS, {"seed": None}, "seed must be a whole number"),
+        (draw, CHUNKS, {"seed": -1}, "seed must be a whole number"),
+        (draw, CHUNKS, {"out": tmp_path / "no" / "s"}, "cannot be written"),
+        (draw, CHUNKS, {"out": tmp_path}, "cannot be written"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            run(work, chunks, **{"seed": 1} | options)
+    for what, words in (
+        ("list", "must return a DataFrame, got list"),
+        ("dates", "got a column 'd' of datetime64"),
+        ("number", "different names"),
+    ):
+        with pytest.raises(CampaignError, match=words):
+            run(campaign_work.shapeless, [{"what": what}], seed=1)
+
+
+def test_workers_that_cannot_start_say_why(tmp_path: Path) -> None:
+    """A script without the guard that fresh interpreters need."""
+    script = tmp_path / "unguarded.py"
+    script.write_text(
+        f"import sys; sys.path.insert(0, {str(HERE)!r})\n"
+        "import campaign_work\n"
+        "from weberwhisk.campaign import run\n"
+        "run(campaign_work.draw, [{'i': 0}, {'i': 1}], seed=1, workers=2)\n"
+    )
+    ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
+    assert ended.returncode == 1
+    last = ended.stderr.strip().splitlines()[-1]
+    assert "workers end as soon as they start (exit status 1)" in last
+    assert 'if __name__ == "__main__":' in last
+
+
+def test_chunks_are_handed_out_alone_where_they_must() -> None:
+    from collections import deque
+
+    queue = deque(range(6))
+    assert portion(queue, {2, 4}, 10) == [0, 1]
+    assert portion(queue, {2, 4}, 10) == [2]
+    assert portion(queue, {2, 4}, 10) == [3]
+    assert portion(queue, {2, 4}, 0) == []
+    assert portion(queue, set(), 10) == [4, 5]
+
+
+# -- a cluster -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler, and two worker processes that are replaced when they die."""
+    pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("cluster")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent), *sys.path]),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+    }
+    file = folder / "scheduler.json"
+    where = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
+    commands = [
+        ["scheduler", "--port", "0", *where],
+        ["worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
+         "--scheduler-file", str(file), "--local-directory", str(folder)],
+    ]  # fmt: skip
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", "dask", *c], env=environment, cwd=folder,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )
+        for c in commands
+    ]  # fmt: skip
+    try:
+        while not file.exists():
+            assert processes[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait()
+
+
+def test_a_cluster_gives_the_same_bits(cluster: str) -> None:
+    alone = run(campaign_work.draw, CHUNKS, seed=7)
+    same(run(campaign_work.draw, CHUNKS, seed=7, scheduler=cluster), alone)
+
+
+def test_a_worker_of_the_cluster_is_killed_mid_run(cluster: str, tmp_path: Path) -> None:
+    chunks = [c | {"folder": str(tmp_path)} for c in logged(tmp_path, 16, seconds=0.05)]
+    out = tmp_path / "s"
+    table = run(campaign_work.kill_once, chunks, seed=7, scheduler=cluster, out=out)
+    assert (tmp_path / "killed").exists()
+    same(table, run(campaign_work.draw, [{"i": i} for i in range(16)], seed=7))
+    assert len(out.read_bytes().splitlines()) == 17
+
+
+def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> None:
+    chunks = logged(tmp_path, 9, mended=str(tmp_path / "mended"))
+    with pytest.raises(CampaignError, match=r"chunk 4 .* failed: ZeroDivisionError: by nothing"):
+        run(campaign_work.stumble, chunks, seed=7, scheduler=cluster)
+    with pytest.raises(CampaignError, match=r"chunk 5 .* has killed its worker"):
+        run(campaign_work.kill_always, logged(tmp_path, 6), seed=7, scheduler=cluster)
+
+
+def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    from weberwhisk.campaign import cluster as module
+
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(module, "CONNECT", 0.3)
+    with pytest.raises(
+        ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"
+    ):
+        run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(ValueError, match="no scheduler could be reached at 'nonsense'"):
+        run(campaign_work.draw, CHUNKS, seed=7, scheduler="nonsense")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"pip install 'weberwhisk\[cluster\]'"):
+        run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")

@@ -1,0 +1,195 @@
+"""Who does the chunks: this process, or workers of its own. A cluster has a module to itself.
+
+A crew takes chunks from the left of a queue, as many as it has room for, and reports what became of
+them. A chunk that may have killed its worker is done alone, so that there is no doubt the next
+time.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+from collections import Counter, deque
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Protocol
+
+from .job import Job, Report
+
+MOST_DEATHS = 3  # of workers, before their chunk is given up
+AHEAD = 0.2  # seconds of work that a worker holds, so that it need not wait for more
+EVERY = 0.02  # seconds between two messages of a worker whose chunks are short
+MOST = 1000  # chunks that a worker may hold
+
+
+class Crew(Protocol):
+    """Whatever does chunks."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is anything to wait for."""
+
+    def give(self, queue: deque[int], alone: set[int]) -> None:
+        """Take from the left of the queue what there is room for; some only alone."""
+
+    def take(self) -> Report:
+        """Wait for news."""
+
+    def close(self) -> None:
+        """Stop, whatever is being done."""
+
+
+def portion(queue: deque[int], alone: set[int], most: int) -> list[int]:
+    """Chunks for one worker with nothing in hand: up to `most`, or one that is to be alone."""
+    taken: list[int] = []
+    while queue and len(taken) < most and not (taken and queue[0] in alone):
+        taken.append(queue.popleft())
+        if taken[-1] in alone:
+            break
+    return taken
+
+
+def one_thread() -> None:
+    """Leave linear algebra one thread: others would add in another order, and fight for cores."""
+    import scipy.linalg  # noqa: F401  # its library must be there to be told
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+
+
+class Serial:
+    """This process, a chunk at a time."""
+
+    def __init__(self, job: Job) -> None:
+        import scipy.linalg  # noqa: F401
+        from threadpoolctl import threadpool_limits
+
+        self._job = job
+        self._held: list[int] = []
+        self._threads = threadpool_limits(1)
+
+    @property
+    def busy(self) -> bool:
+        return bool(self._held)
+
+    def give(self, queue: deque[int], alone: set[int]) -> None:
+        if queue and not self._held:
+            self._held.append(queue.popleft())
+
+    def take(self) -> Report:
+        return self._job.do(self._held.pop())
+
+    def close(self) -> None:
+        self._threads.restore_original_limits()
+
+
+class Processes:
+    """Processes of this machine, each replaced when it dies."""
+
+    def __init__(self, job: Job, workers: int) -> None:
+        self._job = job
+        self._deaths: Counter[int] = Counter()
+        self._still_born = 0
+        self._hands = [_Hand(job) for _ in range(workers)]
+
+    @property
+    def busy(self) -> bool:
+        return any(hand.held for hand in self._hands)
+
+    def give(self, queue: deque[int], alone: set[int]) -> None:
+        for hand in self._hands:
+            if not queue:
+                return
+            if not hand.ready or (hand.held and alone & {*hand.held, queue[0]}):
+                continue
+            share = -(-len(queue) // (2 * len(self._hands)))
+            room = max(1, min(hand.window, share)) - len(hand.held)
+            hand.give(portion(queue, alone, room))
+
+    def take(self) -> Report:
+        """News of one worker; an empty report where it has just begun."""
+        ready = wait([hand.connection for hand in self._hands])
+        hand = next(hand for hand in self._hands if hand.connection is ready[0])
+        try:
+            return hand.hear()
+        except (EOFError, OSError):
+            return self._replace(hand)
+
+    def _replace(self, hand: _Hand) -> Report:
+        hand.process.join(1.0)  # it is about to end, and how is worth knowing
+        hand.end()
+        self._still_born = 0 if hand.ready else self._still_born + 1
+        if self._still_born >= MOST_DEATHS:
+            raise WorkersDieAtBirth(hand.process.exitcode)
+        self._hands[self._hands.index(hand)] = _Hand(self._job)
+        killed = list(hand.held)
+        if len(killed) == 1:
+            self._deaths[killed[0]] += 1
+            if self._deaths[killed[0]] >= MOST_DEATHS:
+                return Report(deadly=killed[0])
+        return Report(suspects=killed)
+
+    def close(self) -> None:
+        for hand in self._hands:
+            hand.end()
+
+
+class WorkersDieAtBirth(Exception):
+    """No worker lives long enough to be given anything."""
+
+
+class _Hand:
+    """One worker process, and the chunks that it has."""
+
+    def __init__(self, job: Job) -> None:
+        # A fresh interpreter: a copy of this one would have its threads' locks, held for ever.
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process: BaseProcess = context.Process(target=_serve, args=(theirs, job), daemon=True)
+        self.process.start()
+        theirs.close()  # so that its end is the end of the connection
+        self.ready = False
+        self.held: dict[int, None] = {}
+        self.window = 1
+
+    def give(self, numbers: list[int]) -> None:
+        if not numbers:
+            return
+        self.held |= dict.fromkeys(numbers)
+        with suppress(OSError):  # dead: the next `take` finds out
+            self.connection.send(numbers)
+
+    def hear(self) -> Report:
+        report, seconds = self.connection.recv()
+        self.ready = True
+        done = [*report.lines, *([report.failure[0]] if report.failure else [])]
+        for number in done:
+            del self.held[number]
+        if done:
+            each = seconds / len(done)
+            self.window = max(1, int(min(AHEAD / max(each, 1e-6), MOST)))
+        return report
+
+    def end(self) -> None:
+        self.connection.close()
+        self.process.terminate()
+        self.process.join()
+
+
+def _serve(connection: Connection, job: Job) -> None:
+    """A worker's life: chunks by number in, reports out, until nobody is there."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked decides what an interrupt means
+    one_thread()
+    with suppress(EOFError, OSError):
+        connection.send((Report(), 0.0))
+        while True:
+            numbers = connection.recv()
+            report, since = Report(), time.monotonic()
+            for number in numbers:
+                report.add(job.do(number))
+                now = time.monotonic()
+                if now - since > EVERY or report.failure or number == numbers[-1]:
+                    connection.send((report, now - since))
+                    report, since = Report(), now

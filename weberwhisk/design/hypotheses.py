@@ -1,0 +1,216 @@
+"""The observers that an experiment is to tell apart, each with its priors and its fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _checks
+from ..behaviour.comparison import ConstantNoise
+from ..behaviour.fit import BIASES
+from ..behaviour.likelihood import WeberModel
+from ..behaviour.percepts import CuePercept, Percept, unit_percepts
+from ..behaviour.priors import DEFAULTS, Priors
+from ..behaviour.tasks import Task, task_named
+from ..behaviour.trials import Cells
+from ..cues import Compliance, ForceMap
+from ..observer import Observer
+from ..receptors import Weber
+from ..whisker import Whisker
+from .scheme import Scheme, refuse_out_of_reach
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """An observer as it will be fitted: what it feels, what is believed of it beforehand.
+
+    Parameters
+    ----------
+    name : str
+    percept : Percept
+        How a stimulus is felt: any cue, whisker and receptor noise, through `CuePercept`.
+    priors : Priors
+        Of the Weber fraction, the lapses, and the bias (PSE) of every standard: those of the fit.
+    bias : {"none", "shared", "per standard"}
+    noise : {"weber", "equal-variance"}
+    task : str
+        As for `read_trials`.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> scheme = Scheme([1.0, 2.0], [-0.2, 0.2])
+    >>> Hypothesis("Weber", IdentityPercept()).model(scheme).names
+    ('weber_fraction', 'lapse_low', 'lapse_high', 'bias[1]', 'bias[2]')
+    """
+
+    name: str
+    percept: Percept
+    priors: Priors = DEFAULTS
+    bias: str = "per standard"
+    noise: str = "weber"
+    task: str = "2AFC"
+
+    def __post_init__(self) -> None:
+        _checks.one_of("bias", self.bias, BIASES)
+        if self.bias != "none" and not task_named(self.task).has_bias:
+            raise ValueError(
+                f"{self.task} has no response bias to fit, got bias={self.bias!r}; write "
+                'bias="none".'
+            )
+
+    @property
+    def asked(self) -> Task:
+        """The task."""
+        return task_named(self.task)
+
+    @property
+    def weber_fraction(self) -> float:
+        """The median of what is believed of k: the expected animal."""
+        return float(self.priors.value("weber_fraction", 0.0))
+
+    def model(self, scheme: Scheme | Cells) -> WeberModel:
+        """The likelihood that the trials of a scheme will have, no answers filled in yet.
+
+        The same model that `fit_weber` builds from the trials.
+
+        Raises
+        ------
+        ValueError
+            For distances that cannot be felt.
+        """
+        cells = scheme.cells() if isinstance(scheme, Scheme) else scheme
+        for what, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
+            refuse_out_of_reach(self.percept, at, what)
+        felt = unit_percepts(
+            self.percept, cells.stimulus_1, cells.stimulus_2, cells.standard, self.noise
+        )
+        label = self.asked.bias_name or "bias"
+        names: tuple[str, ...] = (label,) if self.bias == "shared" else ()
+        group = np.zeros(cells.n.size, dtype=np.intp)
+        if self.bias == "per standard":
+            levels, group = np.unique(cells.standard, return_inverse=True)
+            names = tuple(f"{label}[{s:g}]" for s in levels)
+        return WeberModel(self.asked, felt, cells, self.priors, group, names)
+
+
+def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
+    """The paper's prediction (3.5) against the cylinder's (3.6): as `compare_taper` fits them.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        Tapered; the cylinder has its length and base radius.
+    **options
+        Of both hypotheses: `priors`, `bias`, `task`.
+
+    Examples
+    --------
+    >>> [h.name for h in taper(Whisker(50e-3, 100e-6, 5e-6))]
+    ['tapered', 'cylindrical']
+    """
+    if whisker.tip_radius >= whisker.base_radius:
+        raise ValueError(
+            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
+            f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
+        )
+    tapered, cylindrical = (
+        Hypothesis(name, CuePercept(Observer(w, Compliance(), Weber(1.0))), **options)
+        for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
+    )
+    return tapered, cylindrical
+
+
+def cues(
+    whisker: Whisker, deflection_angle: float, **options: Any
+) -> tuple[Hypothesis, Hypothesis]:
+    """The compliance cue (§2e) against the moment–axial-force map (§2f), as `compare_cues`.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    deflection_angle : float
+        rad, of every contact.
+    **options
+        Of both hypotheses.
+
+    Examples
+    --------
+    >>> [h.name for h in cues(Whisker(50e-3, 100e-6, 5e-6), 0.1)]
+    ['compliance', 'moment–axial-force map']
+    """
+    return (
+        Hypothesis(
+            "compliance", CuePercept(Observer(whisker, Compliance(), Weber(1.0))), **options
+        ),
+        Hypothesis(
+            "moment–axial-force map",
+            CuePercept(Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle),
+            **options,
+        ),
+    )
+
+
+def noises(percept: Percept, standards: ArrayLike, **options: Any) -> tuple[Hypothesis, Hypothesis]:
+    """Weber noise against noise that is the same at every stimulus.
+
+    Parameters
+    ----------
+    percept : Percept
+    standards : array_like
+        The constant sd is k × the geometric mean of the percept's sds there, so that both models
+        mean the same by k.
+    **options
+        Of both hypotheses.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> constant = noises(IdentityPercept(), [1.0, 4.0])[1]
+    >>> constant.percept.typical
+    2.0
+    """
+    sd = percept.unit_sd(np.atleast_1d(np.asarray(standards, dtype=float)))
+    if np.ptp(sd) <= 1e-9 * sd.max():
+        raise ValueError(
+            f"the percept has the same noise, {sd.max():g}, at all {sd.size} standards, so the two "
+            "kinds of noise are one; give standards far apart."
+        )
+    typical = float(np.exp(np.mean(np.log(sd))))
+    return (
+        Hypothesis("Weber noise", percept, **options),
+        Hypothesis("constant noise", ConstantNoise(percept, typical), **options),
+    )
+
+
+def told_apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Hypotheses that can be compared: names and predictions differ, and the task is one.
+
+    Raises
+    ------
+    ValueError
+        For none, names given twice, or different tasks.
+    """
+    given = tuple(hypotheses)
+    names = [h.name for h in given]
+    if not given:
+        raise ValueError("a design needs a hypothesis, got none; write taper(whisker), say.")
+    if len(set(names)) < len(names):
+        raise ValueError(f"hypotheses need names of their own, got {names}; rename one.")
+    if len({h.task for h in given}) > 1:
+        raise ValueError(
+            f"hypotheses are about one experiment, got tasks {[h.task for h in given]}; give all "
+            "the same."
+        )
+    return given
+
+
+def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypothesis, ...]:
+    """The same hypotheses with other priors, by parameter: `lapse_low=scipy.stats.beta(1, 19)`."""
+    return tuple(replace(h, priors=replace(h.priors, **changes)) for h in hypotheses)

@@ -1,0 +1,408 @@
+"""What is to be run: standards, offsets, trials and animals, and what limits them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+
+from .. import _checks
+from ..behaviour.percepts import CuePercept, Percept
+from ..behaviour.trials import Cells
+from ..mechanics import flick_past
+
+Array = NDArray[np.float64]
+
+#: Levels of a default design, in sds of the expected difference between the two percepts.
+LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)
+
+
+@dataclass(frozen=True, init=False)
+class Scheme:
+    """An experiment of constant stimuli: what each animal is shown, and how often.
+
+    Parameters
+    ----------
+    standards : sequence of float, length S
+        Stimulus 1: radial distances in m (or whatever unit the percept has).
+    offsets : sequence of float, or of S sequences
+        Comparison − standard, signed, in the same unit; one row for all standards or one each.
+    trials : int, or sequences of int like `offsets`
+        Trials of each comparison, for each animal.
+    animals : int
+
+    Raises
+    ------
+    ValueError
+        For no standards, offsets or animals, a standard given twice, a level without trials.
+
+    Examples
+    --------
+    >>> scheme = Scheme([15e-3, 30e-3], [-2e-3, 2e-3], trials=20, animals=3)
+    >>> scheme.n_trials, scheme.total_trials
+    (80, 240)
+    """
+
+    standards: tuple[float, ...]
+    offsets: tuple[tuple[float, ...], ...]
+    trials: tuple[tuple[int, ...], ...]
+    animals: int = 1
+
+    def __init__(
+        self,
+        standards: ArrayLike,
+        offsets: Sequence[Any],
+        trials: int | Sequence[Any] = 20,
+        animals: int = 1,
+    ) -> None:
+        at = np.atleast_1d(
+            _checks.finite("standards", standards, "give one distance in m, or several")
+        ).ravel()
+        if not at.size:
+            raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
+        if np.unique(at).size < at.size:
+            raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
+        _whole("animals", animals)
+        rows = _rows("offsets", offsets, at.size)
+        counts = [[trials] * len(row) for row in rows] if np.isscalar(trials) else None
+        counts = counts or _rows("trials", trials, at.size)  # type: ignore[arg-type]
+        for i, (row, n) in enumerate(zip(rows, counts, strict=True)):
+            if not row:
+                raise ValueError(f"standard {at[i]:g} has no offsets; give one or more.")
+            if len(row) != len(n):
+                raise ValueError(
+                    f"standard {at[i]:g} has {len(row)} offsets and {len(n)} numbers of trials; "
+                    "give one number for each."
+                )
+            if len(set(row)) < len(row):
+                raise ValueError(f"standard {at[i]:g} has an offset twice, in {row}; give it once.")
+            _checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
+            for count in n:
+                _whole("trials of a level", count)
+        order = np.argsort(at)
+        set_ = object.__setattr__
+        set_(self, "standards", tuple(float(s) for s in at[order]))
+        set_(self, "offsets", tuple(tuple(float(o) for o in rows[i]) for i in order))
+        set_(self, "trials", tuple(tuple(int(n) for n in counts[i]) for i in order))
+        set_(self, "animals", int(animals))
+
+    @classmethod
+    def spaced(
+        cls,
+        percept: Percept,
+        standards: ArrayLike,
+        *,
+        weber_fraction: float = 0.1,
+        levels: ArrayLike = LEVELS,
+        trials: int = 20,
+        animals: int = 1,
+        step: float = 0.0,
+    ) -> Scheme:
+        """Offsets in units of how well the expected animal tells each standard.
+
+        Parameters
+        ----------
+        percept : Percept
+            How a stimulus is expected to be felt.
+        standards : array_like, shape (S,)
+        weber_fraction : float
+            Of the expected animal.
+        levels : array_like
+            In sds of the difference between two percepts: at ±1 the animal is right in 84 %.
+        trials, animals
+            As for `Scheme`.
+        step : float
+            Standards and comparisons are rounded to its multiples; 0 leaves them.
+
+        Examples
+        --------
+        >>> from weberwhisk import Observer, Whisker, cues
+        >>> from weberwhisk.behaviour import CuePercept
+        >>> percept = CuePercept(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance()))
+        >>> scheme = Scheme.spaced(percept, [30e-3], levels=[-1, 1], step=0.5e-3)
+        >>> scheme.offsets
+        ((-0.002, 0.002),)
+        """
+        at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
+        _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+        at = np.unique(_snapped(at, step))
+        refuse_out_of_reach(percept, at, "standard")
+        sd = weber_fraction * difference_sd(percept, at)
+        z = _checks.finite("levels", levels, "write for example [-2, -1, 1, 2]")
+        rows = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
+        rows = [np.unique([float(f"{o:.12g}") for o in row]) for row in rows]
+        for s, row in zip(at, rows, strict=True):
+            if row.size < np.size(z):
+                one = weber_fraction * float(difference_sd(percept, s))
+                raise ValueError(
+                    f"steps of {step:g} are too coarse at standard {s:g}: {np.size(z)} levels fall "
+                    f"on {row.size}, as one sd is {one:.3g}; take finer steps, fewer levels or "
+                    "another standard."
+                )
+        return cls(at, rows, trials, animals)
+
+    @property
+    def n_trials(self) -> int:
+        """Trials of one animal."""
+        return sum(map(sum, self.trials))
+
+    @property
+    def total_trials(self) -> int:
+        """Trials of all animals together."""
+        return self.n_trials * self.animals
+
+    @property
+    def comparisons(self) -> tuple[tuple[float, ...], ...]:
+        """Stimulus 2 of every level."""
+        return tuple(
+            tuple(float(f"{s + o:.12g}") for o in row)
+            for s, row in zip(self.standards, self.offsets, strict=True)
+        )
+
+    def cells(self) -> Cells:
+        """Every level as a cell of one animal's table, without answers yet; arrays (C,)."""
+        sizes = [len(row) for row in self.offsets]
+        standard = np.repeat(self.standards, sizes)
+        n = np.concatenate([np.asarray(row, dtype=float) for row in self.trials])
+        comparison = np.concatenate([np.asarray(row) for row in self.comparisons])
+        return Cells(standard, comparison, standard, n, np.zeros(n.size))
+
+    def table(self) -> pd.DataFrame:
+        """One row a level: standard, offset, comparison, trials."""
+        cells = self.cells()
+        return pd.DataFrame(
+            {
+                "standard": cells.standard,
+                "offset": np.concatenate([np.asarray(row) for row in self.offsets]),
+                "comparison": cells.stimulus_2,
+                "trials": cells.n.astype(int),
+            }
+        )
+
+    def with_trials(self, trials: int) -> Scheme:
+        """The same levels with so many trials each."""
+        return Scheme(self.standards, self.offsets, trials, self.animals)
+
+    def with_animals(self, animals: int) -> Scheme:
+        """The same for so many animals."""
+        return replace(self, animals=animals)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What `Scheme(**...)` takes, for a JSON file."""
+        return {
+            "standards": list(self.standards),
+            "offsets": [list(row) for row in self.offsets],
+            "trials": [list(row) for row in self.trials],
+            "animals": self.animals,
+        }
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What the rig and the animal allow.
+
+    Parameters
+    ----------
+    nearest, farthest : float
+        Range of distances that the animal can reach, m.
+    step : float
+        The pole moves in steps of this size, counted from 0, m; 0 for any position.
+    easy_share : float
+        Least share of trials that must be easy, to keep the animal working.
+    easy_proportion : float
+        A trial is easy where the expected animal, when it attends, is right at least this often.
+
+    Examples
+    --------
+    >>> Constraints(nearest=5e-3, farthest=45e-3, step=0.1e-3, easy_share=0.2).positions([20e-3])
+    array([0.02])
+    """
+
+    nearest: float = 0.0
+    farthest: float = float("inf")
+    step: float = 0.0
+    easy_share: float = 0.0
+    easy_proportion: float = 0.95
+
+    def __post_init__(self) -> None:
+        _checks.non_negative("nearest", self.nearest, "give m, such as 5e-3")
+        _checks.non_negative("step", self.step, "give m, such as 0.1e-3, or 0")
+        if not self.nearest < self.farthest:
+            raise ValueError(
+                f"farthest must lie beyond nearest, got {self.farthest:g} and {self.nearest:g}, "
+                f"{self.nearest - self.farthest:g} short; exchange them, say."
+            )
+        if not 0 <= self.easy_share <= 1:
+            raise ValueError(
+                f"easy_share must lie between 0 and 1, got {self.easy_share:g}; write 0.2, say."
+            )
+        if not 0.5 < self.easy_proportion < 1:
+            raise ValueError(
+                "easy_proportion must lie between 0.5 and 1, got "
+                f"{self.easy_proportion:g}; write 0.95, say."
+            )
+
+    def positions(self, distance: ArrayLike) -> Array:
+        """Distances moved to the nearest position that the pole has."""
+        return _snapped(distance, self.step)
+
+    def check(self, scheme: Scheme, percept: Percept, weber_fraction: float = 0.1) -> None:
+        """Refuse a scheme that breaks a constraint.
+
+        Parameters
+        ----------
+        scheme : Scheme
+        percept : Percept
+            How the animal is expected to feel a stimulus; says what can be felt, and what is easy.
+        weber_fraction : float
+            Of the expected animal.
+
+        Raises
+        ------
+        ValueError
+            Naming the constraint, by how much it is missed and where.
+        """
+        cells = scheme.cells()
+        for name, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
+            low, high = float(at.min()), float(at.max())
+            if low < self.nearest:
+                raise ValueError(
+                    f"{name} {low:g} is nearer than the animal's range of {self.nearest:g} to "
+                    f"{self.farthest:g}, by {self.nearest - low:.3g}; move it out or widen the "
+                    "range."
+                )
+            if high > self.farthest:
+                raise ValueError(
+                    f"{name} {high:g} is farther than the animal's range of {self.nearest:g} to "
+                    f"{self.farthest:g}, by {high - self.farthest:.3g}; move it in or widen the "
+                    "range."
+                )
+            off = np.abs(at - self.positions(at))
+            if self.step and off.max() > 1e-6 * self.step:
+                worst = int(np.argmax(off))
+                raise ValueError(
+                    f"{name} {at[worst]:g} lies between two steps of {self.step:g}, off by "
+                    f"{off[worst]:.3g}; write {self.positions(at[worst]):g}."
+                )
+            refuse_out_of_reach(percept, at, name)
+        share = easy_share(scheme, percept, weber_fraction, self.easy_proportion)
+        if share < self.easy_share:
+            raise ValueError(
+                f"{100 * share:.3g} % of the trials are easy (right in "
+                f"{100 * self.easy_proportion:g} %), {100 * (self.easy_share - share):.3g} % fewer "
+                f"than easy_share={self.easy_share:g} asks for; add wider offsets or lower it."
+            )
+
+
+def easy_share(
+    scheme: Scheme, percept: Percept, weber_fraction: float, proportion: float = 0.95
+) -> float:
+    """Share of trials that an animal of this Weber fraction gets right that often, lapses aside.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> easy_share(Scheme([1.0], [-0.5, -0.1, 0.1, 0.5]), IdentityPercept(), 0.1)
+    0.5
+    """
+    cells = scheme.cells()
+    score = np.abs(decision_variable(percept, cells.standard, cells.stimulus_2)) / weber_fraction
+    return float(cells.n[score >= ndtri(proportion)].sum() / cells.n.sum())
+
+
+def decision_variable(percept: Percept, standard: ArrayLike, comparison: ArrayLike) -> Array:
+    """Difference between the two percepts in its own sds, for a Weber fraction of 1."""
+    s, c = np.asarray(standard, dtype=float), np.asarray(comparison, dtype=float)
+    gap = percept.direction * (percept.mean(c) - percept.mean(s))
+    return gap / np.hypot(percept.unit_sd(s), percept.unit_sd(c))
+
+
+def difference_sd(percept: Percept, standard: ArrayLike) -> Array:
+    """Offset that moves the difference between two percepts by one of its sds, for k = 1.
+
+    √2 σ(s)/|μ′(s)|, the small-offset limit: for a tapered whisker's compliance √2 r (1 − r/A).
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> difference_sd(IdentityPercept(), [1.0, 2.0]).round(6)
+    array([1.414214, 2.828427])
+    """
+    s = np.asarray(standard, dtype=float)
+    low, high = percept.domain
+    h = 1e-5 * np.minimum(np.where(s != 0, np.abs(s), 1.0), np.minimum(s - low, high - s))
+    slope = (percept.mean(s + h) - percept.mean(s - h)) / (2 * h)
+    return np.asarray(np.sqrt(2.0) * percept.unit_sd(s) / np.abs(slope))
+
+
+def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stimulus") -> None:
+    """Refuse what the whisker cannot feel: past its tip, past its base, or flicked past.
+
+    Raises
+    ------
+    ValueError
+        Naming the farthest offender and by how much it is off.
+    """
+    at = np.atleast_1d(np.asarray(stimulus, dtype=float))
+    low, high = percept.domain
+    if at.max() >= high:
+        raise ValueError(
+            f"{name} {at.max():g} is off the whisker, by {at.max() - high:.3g} past its tip at "
+            f"{high:g}; stay well inside."
+        )
+    if at.min() <= low:
+        raise ValueError(
+            f"{name} {at.min():g} is off the whisker, by {low - at.min():.3g} before its base at "
+            f"{low:g}; stay well inside."
+        )
+    felt = np.isfinite(percept.mean(at)) & np.isfinite(percept.unit_sd(at))
+    if felt.all():
+        return
+    worst = float(at[~felt].max())
+    why = percept.outcome(worst) if isinstance(percept, CuePercept) else "it gives no signal"
+    if not isinstance(percept, CuePercept) or percept.deflection_angle is None:
+        raise ValueError(f"{name} {worst:g} cannot be felt: {why}; choose another distance.")
+    whisker, unit = percept.observer.whisker, percept.unit
+    angle = np.degrees(percept.deflection_angle)
+    limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
+    if limit >= angle:
+        raise ValueError(f"{name} {worst:g} cannot be felt: {why}; choose another distance.")
+    grid = np.linspace(0.01, 0.999, 400) * high
+    held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
+    farthest = f"stay within {held.max():.3g}, or " if held.size else ""
+    raise ValueError(
+        f"{name} {worst:g} is flicked past: the whisker holds {limit:.3g}° there and contacts are "
+        f"at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
+    )
+
+
+def _snapped(distance: ArrayLike, step: float) -> Array:
+    at = np.asarray(distance, dtype=float)
+    return np.asarray(np.round(at / step) * step) if step else at
+
+
+def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
+    """One row a standard: as given, or the same for all."""
+    given = list(values)
+    if given and all(np.ndim(v) == 0 for v in given):
+        return [list(given) for _ in range(count)]
+    if len(given) != count or any(np.ndim(v) != 1 for v in given):
+        raise ValueError(
+            f"{name} has {len(given)} rows for {count} standards; give one row for all, or one "
+            "each."
+        )
+    return [list(row) for row in given]
+
+
+def _whole(name: str, value: Any) -> None:
+    try:
+        good = int(value) == value and value >= 1
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ValueError(f"{name} must be a whole number of 1 or more, got {value!r}; write 20.")

@@ -1,0 +1,116 @@
+"""JNDs over Weber fractions and contacts: `jnd_curve` as a sweep on one core, all or a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import campaign
+from ._checks import finite, positive
+from .cues import Compliance, ForceMap
+from .jnd import SD, criterion_factor, jnd_curve
+from .observer import Observer
+from .receptors import Weber
+from .whisker import Whisker
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def jnd_sweep(
+    whisker: Whisker,
+    weber_fraction: ArrayLike,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike | None = None,
+    *,
+    method: str = "quadrature",
+    criterion: str = SD,
+    draws: int = 200,
+    seed: int | np.random.SeedSequence,
+    workers: int = 1,
+    scheduler: str | None = None,
+    out: str | os.PathLike[str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> pd.DataFrame:
+    """The JND of every combination of Weber fraction, deflection angle and distance.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        One, not an array of them.
+    weber_fraction : array_like
+    radial_distance : array_like
+        m.
+    deflection_angle : array_like, optional
+        rad. Given, distance is felt by the map of moment and axial force (§2f), else by a light
+        tap (§2e).
+    method, criterion, draws
+        As for `jnd_curve`.
+    seed, workers, scheduler, out, progress
+        As for `campaign.run`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The columns of `jnd_curve` after ``weber_fraction``.
+
+    Examples
+    --------
+    >>> table = jnd_sweep(Whisker(50e-3, 100e-6, 5e-6), [0.05, 0.1], [10e-3, 40e-3],
+    ...                   draws=20, seed=1)
+    >>> (table[["weber_fraction", "radial_distance", "closed_form"]] * 1e3).round(3)
+       weber_fraction  radial_distance  closed_form
+    0            50.0             10.0        0.405
+    1            50.0             40.0        0.480
+    2           100.0             10.0        0.810
+    3           100.0             40.0        0.960
+    """
+    fields = {name: getattr(whisker, name) for name in whisker.__dataclass_fields__}
+    if any(np.ndim(value) for value in fields.values()):
+        raise ValueError(f"a sweep has one whisker, got {whisker!r}; give its fields as numbers.")
+    criterion_factor(criterion)
+    k = positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
+    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()
+    angles: list[float | None] = [None]
+    if deflection_angle is not None:
+        angles = [*finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()]
+    how = {"method": method, "criterion": criterion, "draws": draws}
+    chunks: list[dict[str, Any]] = [
+        {
+            "whisker": fields,
+            "weber_fraction": fraction,
+            "radial_distance": r.tolist(),
+            "deflection_angle": angle,
+            **how,
+        }
+        for fraction in k.tolist()
+        for angle in angles
+    ]
+    return campaign.run(
+        jnd_rows,
+        chunks,
+        seed=seed,
+        workers=workers,
+        scheduler=scheduler,
+        out=out,
+        title="JNDs",
+        progress=progress,
+    )
+
+
+def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
+    """The part of the sweep with one Weber fraction and deflection angle."""
+    angle = chunk["deflection_angle"]
+    observer = Observer(
+        Whisker(**chunk["whisker"]),
+        Compliance() if angle is None else ForceMap(),
+        Weber(chunk["weber_fraction"]),
+    )
+    how = {name: chunk[name] for name in ("method", "criterion", "draws")}
+    table = jnd_curve(observer, chunk["radial_distance"], angle, seed=seed, **how)
+    table.insert(0, "weber_fraction", chunk["weber_fraction"])
+    return table
