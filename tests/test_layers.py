@@ -58,6 +58,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "journal": (),
     "campaign": ("journal",),
     "jnd_surface": ("jnd", "campaign"),
+    "surveys": ("fusion",),
     "written": (),
     "behaviour": ("fusion", "campaign", "written"),
     "design": ("behaviour",),
@@ -66,7 +67,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "planning": ("figures", "runs"),
     "": ("planning", "jnd_surface"),
     "_terminal": (),
-    "commands": ("", "runs", "_terminal"),
+    "commands": ("", "surveys", "runs", "_terminal"),
     "cli": ("commands",),
 }
 ONLY_IN = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from ._terminal import new_app, run_app
-from .commands import bend, design, fit, jnd, quickstart, rehearse, simulate
+from .commands import bend, design, figure, fit, jnd, quickstart, rehearse, simulate
 
 app = new_app()
 COMMANDS = (
@@ -16,6 +16,7 @@ COMMANDS = (
     fit.fit,
     design.design,
     rehearse.rehearse,
+    figure.figure,
 )
 for command in COMMANDS:
     app.command()(command)

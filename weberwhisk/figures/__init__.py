@@ -14,6 +14,7 @@ from .plans import planned_jnds, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
+from .surveys import best_cue, cue_jnds, information, ridge, weber_2d
 
 __all__ = [
     "COLOURS",
@@ -23,7 +24,10 @@ __all__ = [
     "SINGLE",
     "adaptive",
     "bending",
+    "best_cue",
+    "cue_jnds",
     "figure_of",
+    "information",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
@@ -37,6 +41,8 @@ __all__ = [
     "psychometrics",
     "rehearsed",
     "residuals",
+    "ridge",
     "shrinkage",
     "styled",
+    "weber_2d",
 ]
