@@ -105,7 +105,8 @@ def best_cue(table: pd.DataFrame, names: Sequence[str]) -> Figure:
     ax.plot(place, limit, color="black", linewidth=1.2)
     top = 1.25 * limit.max()
     for i, (outcome, rows) in enumerate(ends.groupby("beyond", sort=False)):
-        low, high = rows["place"].min(), rows["place"].max()
+        half = (place[1] - place[0]) / 2
+        low, high = rows["place"].min() - half, min(rows["place"].max() + half, 1.0)
         edge = np.interp(np.linspace(low, high, 50), place, limit)
         ax.fill_between(
             np.linspace(low, high, 50), edge, top,
