@@ -65,6 +65,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "journal": (),
     "campaign": ("journal",),
     "jnd_surface": ("jnd", "campaign"),
+    "surveys": ("fusion",),
     "written": (),
     "behaviour": ("fusion", "campaign", "written"),
     "design": ("behaviour", "journal"),
@@ -74,7 +75,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "planning": ("figures", "runs"),
     "": ("planning", "jnd_surface"),
     "_terminal": (),
-    "commands": ("", "charts", "runs", "_terminal"),
+    "commands": ("", "charts", "surveys", "runs", "_terminal"),
     "cli": ("commands",),
 }
 ONLY_IN = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from ._terminal import new_app, run_app
-from .commands import bend, chart, design, fit, jnd, quickstart, rehearse, simulate
+from .commands import bend, chart, design, figure, fit, jnd, quickstart, rehearse, simulate
 from .commands import next as next_
 
 app = new_app()
@@ -18,6 +18,7 @@ COMMANDS = (
     design.design,
     rehearse.rehearse,
     chart.chart,
+    figure.figure,
 )
 for command in COMMANDS:
     app.command()(command)

@@ -15,6 +15,7 @@ from .plans import planned_jnds, planned_power, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
+from .surveys import best_cue, cue_jnds, information, ridge, weber_2d
 
 __all__ = [
     "COLOURS",
@@ -24,8 +25,11 @@ __all__ = [
     "SINGLE",
     "adaptive",
     "bending",
+    "best_cue",
+    "cue_jnds",
     "figure_of",
     "fits_and_growth",
+    "information",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
@@ -40,7 +44,9 @@ __all__ = [
     "psychometrics",
     "rehearsed",
     "residuals",
+    "ridge",
     "shrinkage",
     "speed_accuracy",
     "styled",
+    "weber_2d",
 ]

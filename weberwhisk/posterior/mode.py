@@ -24,6 +24,8 @@ _COARSE = {1: expit(np.linspace(-8.0, 8.0, 129)), 2: expit(np.linspace(-7.0, 6.0
 SECOND, LEAST_SHARE = 30.0, float(np.log(1e-3))
 #: How far, in ln, a place must be above the first peak's Gaussian to be climbed from.
 UNEXPLAINED = 5.0
+#: How far, in x, a climb may go before its start is tried again: the coarse grid's own spacing.
+LEFT = 0.4
 _STEP = 1e-4  # of the finite differences, in x: posteriors there are 0.005 wide and wider
 
 
@@ -84,15 +86,19 @@ def find_other(
     """Posteriors (n,) with a second peak that may count, and these peaks.
 
     A climb from the highest of the coarse grid's points that is higher than its neighbours and
-    none of the best one's. It may end at the peak that is known already, which does not count.
+    none of the best one's; or from the best point itself, in small steps, where the first climb
+    has left it behind. It may end at the peak that is known already, which does not count.
     """
+    left = np.abs(mode.x - starts.best).max(axis=1) > LEFT
     # What the known peak's own Gaussian says of a place is no other peak.
     off = starts.second - mode.x
     square = np.einsum("bd,bde,be->b", off, np.linalg.inv(mode.covariance), off)
-    rows = np.flatnonzero(starts.height > mode.log_density - square / 2 + UNEXPLAINED)
+    unexplained = starts.height > mode.log_density - square / 2 + UNEXPLAINED
+    rows = np.flatnonzero(unexplained | left)
     if not rows.size:
         return rows, mode.of(rows)
-    other = _climb(observer, reading[rows], starts.second[rows], 60)
+    start = np.where(left[:, None], starts.best, starts.second)[rows]
+    other = _climb(observer, reading[rows], start, 60, radius=0.1)
     apart = other.x - mode.x[rows]
     nearness = [
         np.einsum("bd,bde,be->b", apart, np.linalg.inv(c), apart)
@@ -158,11 +164,13 @@ def _second(
     return place * full.shape[-1] + last, height
 
 
-def _climb(observer: Observer, reading: Array, start: Array, steps: int) -> Mode:
-    """The peaks above starting points (B, U)."""
+def _climb(
+    observer: Observer, reading: Array, start: Array, steps: int, *, radius: float = 0.5
+) -> Mode:
+    """The peaks above starting points (B, U), with first steps no longer than the radius."""
     dim = start.shape[1]
     x = start.copy()
-    radius = np.full(len(x), 0.5)
+    reach = np.full(len(x), radius)
     stencil, weights_gradient, weights_hessian = _stencil(dim)
     top = np.full(len(x), -np.inf)
     centre = x.copy()
@@ -178,13 +186,13 @@ def _climb(observer: Observer, reading: Array, start: Array, steps: int) -> Mode
         relative = values[better] - now[better, None]
         gradient[accepted] = relative @ weights_gradient.T / _STEP
         hessian[accepted] = np.einsum("dek,bk->bde", weights_hessian, relative) / _STEP**2
-        radius[rejected] /= 4
-        radius[accepted] *= 1.5
-        step = _newton(gradient[moving], hessian[moving], radius[moving])
+        reach[rejected] /= 4
+        reach[accepted] *= 1.5
+        step = _newton(gradient[moving], hessian[moving], reach[moving])
         x[moving] = centre[moving] + step
         # Converged to a fraction of the posterior's own width, or to rounding.
         gain = np.abs(np.einsum("bd,bd->b", step, gradient[moving]))
-        moving = moving[(gain > 1e-9) & (radius[moving] > 1e-9)]
+        moving = moving[(gain > 1e-9) & (reach[moving] > 1e-9)]
         if not moving.size:
             break
     values, vectors = np.linalg.eigh(hessian)
