@@ -53,7 +53,7 @@ def adaptive(
             own = first[(first["weber_fraction"] == k) & (first["method"] == method)]
             width = half[own.index].groupby(own["n"]).median()
             ax.plot(width.index, 100 * width, **_look(i), label=method)
-        ax.axhline(25, color="0.7", linewidth=0.8, zorder=0)
+        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0)
         ax.set_title(f"k = {k:g}")
         ax.set(xlabel="Trials", ylim=(0, 100))
     axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
