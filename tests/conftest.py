@@ -15,15 +15,33 @@ for variable in ("COLUMNS", "FORCE_COLOR", "TTY_COMPATIBLE"):
     os.environ.pop(variable, None)
 os.environ["NO_COLOR"] = "1"
 
-# A property test judges an answer, never the time it took; in CI it tries the same cases each run.
-hypothesis.settings.register_profile("local", deadline=None, database=None)
-hypothesis.settings.register_profile("ci", deadline=None, database=None, derandomize=True)
-hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
+# A property test judges an answer, never the time it took. A failure prints a blob that repeats it
+# (and `--hypothesis-seed` a whole run); `pytest -m slow` tries twenty times as many cases.
+for name, examples in (("quick", 15), ("slow", 300)):
+    hypothesis.settings.register_profile(
+        name,
+        deadline=None,
+        database=None,
+        derandomize=False,
+        print_blob=True,
+        max_examples=examples,
+        suppress_health_check=[hypothesis.HealthCheck.too_slow],
+    )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """More cases of every property where the full-length tests are asked for."""
+    slow = "slow" in config.getoption("markexpr")
+    hypothesis.settings.load_profile("slow" if slow else "quick")
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave the full-length tests to ``pytest -m slow``."""
     if "slow" in config.getoption("markexpr"):
+        for item in items:
+            if hypothesis.is_hypothesis_test(getattr(item, "obj", None)):
+                item.add_marker("slow")
         return
     for item in items:
         if item.get_closest_marker("slow"):

@@ -198,7 +198,7 @@ def test_emcee_on_the_populations_own_parameters_agrees() -> None:
     )
     assert run.converged[0]
     found = moments_of(fit)
-    draws = run.draws[0].reshape(-1, 2)
+    draws = run.values[0].reshape(-1, 2)
     mean, sd = found["mu"]
     assert draws[:, 0].mean() == pytest.approx(mean, abs=0.3 * sd)
     assert draws[:, 0].std() == pytest.approx(sd, rel=0.3)

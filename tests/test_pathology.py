@@ -163,6 +163,14 @@ def test_the_cones_tip_where_signal_and_noise_both_vanish():
         assert p.sd == pytest.approx(0.1 * left * CONE.length, rel=0.2)
 
 
+def test_a_cone_has_a_reach_at_any_angle():
+    """Its very tip holds no contact, so that there the largest angle is not a number."""
+    for cue in (Compliance(tap_angle=0.05), ForceMap("moment", deflection_angle=0.05)):
+        end = ww.Observer(CONE, cue).reach[1]
+        assert ww.press(CONE, end * (1 - 1e-9), 0.05).outcome == Outcome.HELD
+        assert ww.press(CONE, end * (1 + 1e-6), 0.05).outcome == Outcome.FLICKED_PAST
+
+
 def test_the_map_near_its_fold_and_tip():
     """Posteriors cut off by the fold or the tip stay inside and say how sure they are."""
     observer = ww.Observer(W, ForceMap(), Weber(0.1))

@@ -299,3 +299,13 @@ def test_a_bent_ridge_is_not_taken_for_one_node(tolerance):
     # By a midpoint sum over r and θ_d.
     assert p.mean / observer.whisker.length == pytest.approx(0.1702, abs=2e-4)
     assert p.sd / observer.whisker.length == pytest.approx(0.0292, abs=2e-4)
+
+
+def test_a_long_thin_tail_is_followed_from_a_narrow_core():
+    # Windows grew and shrank in turn: wide enough for the tail they lost the core, and back.
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ForceMap(), Weber(0.2))
+    p = ww.posterior(observer, [3.576e-06, 3.0835e-04])
+    assert p.status == Status.CONVERGED
+    # By a midpoint sum of 3000 by 3000 contacts over r and θ_d/limit.
+    assert p.mean == pytest.approx(0.0263579, rel=1e-3)
+    assert p.sd == pytest.approx(0.00239566, rel=1e-2)

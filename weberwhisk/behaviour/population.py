@@ -66,35 +66,17 @@ def simulate_population(
     >>> trials.subjects, truth.columns.tolist()[:2]
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
-    if subjects != int(subjects) or subjects < 1:
+    rng = _checks.generator(seed)
+    truth = draw_animals(
+        subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
+        lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
+    )  # fmt: skip
+    _checks.whole("sessions", sessions, "write 10, say")
+    if _checks.number("session_spread", session_spread, "write for example 0.02") < 0:
         raise ValueError(
-            f"subjects must be a whole number of 1 or more, got {subjects!r}; write 6."
+            f"session_spread must not be negative, got {session_spread:g}; write 0.02, say."
         )
-    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
-    _checks.finite("bias", bias, "write for example 0")
-    for name, value in (
-        ("spread", spread),
-        ("session_spread", session_spread),
-        ("bias_spread", bias_spread),
-        ("lapse_low", lapse_low),
-        ("lapse_high", lapse_high),
-    ):
-        _checks.non_negative(name, value, "write for example 0.02")
-        if name.startswith("lapse") and value >= 0.5:
-            raise ValueError(f"{name} must be below 0.5, got {value:g}; write for example 0.02.")
-    rng = np.random.default_rng(seed)
-    # Uniform numbers alone, as in `simulate_trials`.
-    u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
     wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
-    truth = pd.DataFrame(
-        {
-            "subject": [f"s{i + 1}" for i in range(subjects)],
-            "weber_fraction": _rounded(weber_fraction * np.exp(spread * ndtri(u[:, 0]))),
-            "lapse_low": _lapses(lapse_low, u[:, 1]),
-            "lapse_high": _lapses(lapse_high, u[:, 2]),
-            "bias": _rounded(bias + bias_spread * ndtri(u[:, 3])),
-        }
-    )
     parts = []
     for i, row in enumerate(truth.to_dict("records")):
         animal = {str(name): value for name, value in row.items()}
@@ -109,6 +91,54 @@ def simulate_population(
             )
         )
     return joined(parts), truth
+
+
+def draw_animals(
+    subjects: int,
+    *,
+    weber_fraction: float = 0.1,
+    spread: float = 0.3,
+    lapse_low: float = 0.02,
+    lapse_high: float = 0.02,
+    bias: float = 0.0,
+    bias_spread: float = 0.2,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+) -> pd.DataFrame:
+    """Animals drawn from one population: the truth of `simulate_population`, a row an animal.
+
+    Examples
+    --------
+    >>> draw_animals(2, spread=0.0, bias_spread=0.0, seed=1)[["subject", "weber_fraction"]]
+      subject  weber_fraction
+    0      s1             0.1
+    1      s2             0.1
+    """
+    _checks.whole("subjects", subjects, "write 6, say")
+    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+    _checks.number("weber_fraction", weber_fraction, "write for example 0.1")
+    _checks.number("bias", bias, "write for example 0")
+    for name, value in (
+        ("spread", spread),
+        ("bias_spread", bias_spread),
+        ("lapse_low", lapse_low),
+        ("lapse_high", lapse_high),
+    ):
+        if _checks.number(name, value, "write for example 0.02") < 0:
+            raise ValueError(f"{name} must not be negative, got {value:g}; write 0.02, say.")
+        if name.startswith("lapse") and value >= 0.5:
+            raise ValueError(f"{name} must be below 0.5, got {value:g}; write for example 0.02.")
+    rng = _checks.generator(seed)
+    # Uniform numbers alone, as in `simulate_trials`.
+    u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
+    return pd.DataFrame(
+        {
+            "subject": [f"s{i + 1}" for i in range(subjects)],
+            "weber_fraction": _rounded(weber_fraction * np.exp(spread * ndtri(u[:, 0]))),
+            "lapse_low": _lapses(lapse_low, u[:, 1]),
+            "lapse_high": _lapses(lapse_high, u[:, 2]),
+            "bias": _rounded(bias + bias_spread * ndtri(u[:, 3])),
+        }
+    )
 
 
 def joined(parts: list[Trials]) -> Trials:

@@ -133,13 +133,13 @@ def sample(
             break
         start[lost] = centre + 0.5 * (start[lost] - centre)
     run = sample_stacked(log_density, start, seed=rng, precision=precision)
-    flat = run.draws[0].reshape(-1, dim)
+    flat = run.values[0].reshape(-1, dim)
     error = float(np.max(run.mcse_mean[0, :dim] / run.sd[0, :dim]))
     trouble = "" if run.converged[0] else f"emcee: {_reason(run.shortfall[0])}"
     return SampledPosterior(model, Draws(*unpack(flat)), ensembles, error, trouble)
 
 
 def _reason(shortfall: int) -> str:
-    from ..posterior.ensemble import Shortfall
+    from ..posterior.run import Shortfall
 
     return Shortfall(int(shortfall)).message

@@ -34,9 +34,9 @@ def reach_at(whisker: Whisker, deflection_angle: float, name: str) -> float:
     length = float(whisker.length)
 
     def room(fraction: float) -> float:
-        return float(ladder.flick_past(whisker, fraction * length).deflection_angle) - (
-            deflection_angle
-        )
+        last = ladder.flick_past(whisker, fraction * length).deflection_angle
+        # The tip of a perfect cone holds no contact at all.
+        return float(np.nan_to_num(last)) - deflection_angle
 
     if room(1e-6) < 0:
         raise ValueError(

@@ -69,7 +69,7 @@ class Scheme:
             raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
         _whole("animals", animals)
         rows = _rows("offsets", offsets, at.size)
-        counts = [[trials] * len(row) for row in rows] if np.ndim(trials) == 0 else None
+        counts = [[trials] * len(row) for row in rows] if np.isscalar(trials) else None
         counts = counts or _rows("trials", trials, at.size)  # type: ignore[arg-type]
         for i, (row, n) in enumerate(zip(rows, counts, strict=True)):
             if not row:

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from .grid import Nodes
+from .nodes import Nodes
 
 Array = NDArray[np.float64]
 
 #: Share of a posterior's mass below which a cell is not drawn from.
 LEAST_SHARE = 1e-5
+#: Proposals worked out together, unless one step takes more, and the most steps that they are for.
+AHEAD, MOST_AHEAD = 24_000, 32
 
 
 class StackedMove(emcee.moves.Move):
@@ -39,7 +41,12 @@ class StackedMove(emcee.moves.Move):
     def __init__(self, walkers: int, rng: np.random.Generator) -> None:
         self.walkers = walkers
         self.rng = rng
-        self.alive = np.zeros(1, dtype=np.intp)
+
+    def begin(self, posteriors: int, rows: int) -> None:
+        """Told of how many posteriors the blocks are, and how many rows belong to each."""
+
+    def leave(self, stay: NDArray[np.bool_]) -> None:
+        """Told which posteriors go on, when the others are done."""
 
     def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
         """New places for `active` (blocks, W/2, D) from `rest`, and the log Hastings factor."""
@@ -122,7 +129,7 @@ class StackedDifferentialEvolution(StackedMove):
 
 
 class StackedGrid(StackedMove):
-    """Proposals that do not depend on where a walker is: cells of a grid, in each block.
+    """Proposals that do not depend on where a walker is: cells of a grid over each posterior.
 
     A cell is drawn by its weight and a point inside it evenly, or, in a share `wide` of the
     steps, Student's t about the grid's mean, which reaches what lies outside. The grid is fixed
@@ -130,6 +137,9 @@ class StackedGrid(StackedMove):
     nearly every step is an independent draw, whatever the density's shape. Where the grid has
     missed something, walkers linger there, which the other moves of a mixture help and the run's
     diagnostics see.
+
+    As no proposal depends on a walker, all move at once, and where few posteriors are left the
+    proposals of many steps are drawn and their densities worked out together.
 
     Parameters
     ----------
@@ -147,7 +157,7 @@ class StackedGrid(StackedMove):
         rng: np.random.Generator,
         *,
         nodes: Sequence[Nodes],
-        wide: float = 0.1,
+        wide: float = 0.05,
         freedom: float = 5.0,
     ) -> None:
         super().__init__(walkers, rng)
@@ -189,29 +199,83 @@ class StackedGrid(StackedMove):
             gammaln(half) - gammaln(freedom / 2) - dim / 2 * np.log(freedom * np.pi)
         )
 
-    def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
-        index = np.repeat(self.alive, len(active) // len(self.alive))
-        size = active.shape[:2]
+    def begin(self, posteriors: int, rows: int) -> None:
+        self.alive = np.arange(posteriors)
+        # Of the proposals ahead, (b, steps, rows, ...): places, log-densities, ln of their own.
+        self.ahead: list[Array] = []
+        self.seen = np.full((posteriors, rows, self.points.shape[1]), np.nan)
+        self.proposed = np.empty((posteriors, rows))  # ln of the proposals' density at `seen`
+
+    def leave(self, stay: NDArray[np.bool_]) -> None:
+        self.alive = self.alive[stay]
+        self.ahead = [part[stay] for part in self.ahead]
+        self.seen, self.proposed = self.seen[stay], self.proposed[stay]
+
+    def propose(
+        self, model: emcee.model.Model, state: emcee.State
+    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+        """One step of every walker of every posterior; emcee calls this."""
+        if not self.ahead or not self.ahead[0].shape[1]:
+            self.look_ahead(model)
+        (new, value, drawn), self.ahead = (
+            [part[:, 0] for part in self.ahead],
+            [part[:, 1:] for part in self.ahead],
+        )
+        coords, log_prob = state.coords.reshape(new.shape), state.log_prob.reshape(value.shape)
+        moved = (coords != self.seen).any(axis=(1, 2))  # by another move
+        if moved.any():
+            self.proposed[moved] = self.log_density(coords[moved], self.alive[moved])
+        # log(u) is the negative of a standard exponential, and never -inf.
+        threshold = log_prob - self.proposed - self.rng.standard_exponential(value.shape)
+        take = value - drawn > threshold
+        for kept, candidate in ((log_prob, value), (self.proposed, drawn), (coords, new)):
+            kept[take] = candidate[take]
+        self.seen[:] = coords
+        return state, take.ravel()
+
+    def look_ahead(self, model: emcee.model.Model) -> None:
+        """Draw the proposals of the next steps, and work out their densities."""
+        count, rows, dim = self.seen.shape
+        steps = min(max(AHEAD // (count * rows), 1), MOST_AHEAD)
+        x, drawn = self.draw(steps * rows)
+        value = model.log_prob_fn(x.reshape(-1, dim))
+        shape = (count, steps, rows)
+        self.ahead = [x.reshape(*shape, dim), value.reshape(shape), drawn.reshape(shape)]
+
+    def draw(self, count: int) -> tuple[Array, Array]:
+        """Proposals (b, count, D) for every posterior left, and ln of their density (b, count)."""
+        size = (len(self.alive), count)
         u = self.rng.random(size) * (1 - 1e-12)  # rounding must not lift it into the next block
-        node = self.drawn[np.searchsorted(self.cumulative, index[:, None] + u, side="right")]
-        inside = (self.rng.random(active.shape) - 0.5) @ self.edges[index].swapaxes(1, 2)
-        z = self.rng.standard_normal(active.shape)
-        z /= np.sqrt(self.rng.chisquare(self.freedom, size) / self.freedom)[..., None]
-        far = self.centre[index][:, None] + z @ self.root[index].swapaxes(1, 2)
-        wide = self.rng.random(size) < self.wide
-        new = np.where(wide[..., None], far, self.points[node] + inside)
-        return new, self.log_density(active, index) - self.log_density(new, index)
+        where = np.searchsorted(self.cumulative, self.alive[:, None] + u, side="right")
+        node = self.drawn[where]
+        inside = self.rng.random((*size, self.points.shape[1])) - 0.5
+        x = self.points[node] + inside @ self.edges[self.alive].swapaxes(1, 2)
+        within = self.density[node]
+        far = np.nonzero(self.rng.random(size) < self.wide)
+        block = self.alive[far[0]]
+        z = self.rng.standard_normal((len(block), x.shape[-1]))
+        z /= np.sqrt(self.rng.chisquare(self.freedom, len(block)) / self.freedom)[:, None]
+        x[far] = self.centre[block] + np.einsum("bij,bj->bi", self.root[block], z)
+        within[far] = self.within(x[far][:, None], block)[:, 0]
+        return x, self.mixture(x, within, self.alive)
 
     def log_density(self, x: Array, index: NDArray[np.intp]) -> Array:
-        """ln of the density that proposals x (b, n, D) of blocks `index` (b,) are drawn from."""
+        """ln of the density that proposals x (b, n, D) for posteriors `index` (b,) have."""
+        return self.mixture(x, self.within(x, index), index)
+
+    def within(self, x: Array, index: NDArray[np.intp]) -> Array:
+        """The density of the cells at x; 0 outside the grid."""
         steps = (x - self.origin[index][:, None]) @ self.into_cells[index].swapaxes(1, 2)
         top = self.shape[index][:, None] - 1
         cell = np.clip(np.rint(steps), 0, top).astype(np.intp)
         node = self.first[index][:, None] + (cell * self.stride[index][:, None]).sum(axis=-1)
         held = (np.abs(steps - cell) <= 0.5 + 1e-9).all(axis=-1)
+        return np.where(held, self.density[node], 0.0)
+
+    def mixture(self, x: Array, within: Array, index: NDArray[np.intp]) -> Array:
+        """ln of the cells' density `within` at x and of Student's t, each with its share."""
         z = (x - self.centre[index][:, None]) @ self.inverse[index].swapaxes(1, 2)
         power = -(self.freedom + x.shape[-1]) / 2
-        fall = (1 + np.square(z).sum(axis=-1) / self.freedom) ** power
+        fall = np.exp(power * np.log(1 + np.square(z).sum(axis=-1) / self.freedom))
         tails = self.height[index][:, None] * fall
-        within = np.where(held, self.density[node], 0.0)
         return np.asarray(np.log((1 - self.wide) * within + self.wide * tails))

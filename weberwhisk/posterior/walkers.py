@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Seed
 from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
-from .grid import Density, integrate
+from .grid import integrate
 from .mode import Mode, find_mode
 from .moves import StackedGrid
+from .passes import Density
 from .peaks import is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
@@ -21,6 +22,8 @@ from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for: one unknown, and more.
 PRECISION = (0.02, 0.03)
 ENSEMBLES = 4
+#: Tolerance of the grids that proposals are drawn from: one unknown, and more.
+GRID_TOLERANCE = (0.03, 0.2)
 #: Steps after which a posterior that has not converged is called so: one unknown, and more.
 MOST_STEPS = (20_000, 6_000)
 #: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
@@ -71,9 +74,9 @@ def sample(
         name: np.concatenate([getattr(s, name) for s in samples])
         for name in ("mean", "sd", "mcse_mean", "mcse_sd", "shortfall")
     }
-    values = [part for s in samples for part in s.values[..., dim:]]  # each (E, N, U)
+    values = [part for s in samples for part in s.values]  # each (E, N, U)
     estimates = [
-        Estimate(*(joined[key][:, dim + i] for key in ("mean", "sd", "mcse_mean", "mcse_sd")))
+        Estimate(*(joined[key][:, i] for key in ("mean", "sd", "mcse_mean", "mcse_sd")))
         for i in range(dim)
     ]
     at_mode = observer.contact(np.concatenate(modes))[0]
@@ -82,9 +85,8 @@ def sample(
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
 
-    def quantile_of(p: Array) -> Array:
-        flat = [v.reshape(-1, dim) for v in values]
-        return np.stack([np.quantile(v, p, axis=0).T for v in flat])
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return np.stack([np.quantile(v[..., unknown], p) for v in values])
 
     def draws_of(count: int, seed: Seed) -> Array:
         return np.stack([v[:, -count:] for v in values])
@@ -96,16 +98,24 @@ def sample(
 def _moves(density: Density, mode: Mode) -> list[tuple[MoveMaker, float]]:
     """Most steps are drawn anew from a coarse grid over the posterior.
 
-    It takes 50 evaluations with one unknown and thousands with two, and then a step is nearly an
+    It takes 50 evaluations with one unknown and a thousand with two, and then a step is nearly an
     independent draw, where differential evolution needs five to nine or, on a bent ridge, hundreds.
+    A finer grid is hardly a better proposal: with two unknowns 85 % are accepted at a tolerance
+    of 0.1, 83 % at 0.2. A coarser one misses tails, in which walkers then linger.
     """
-    others = default_moves(mode.x.shape[1])
+    dim = mode.x.shape[1]
+    others = default_moves(dim)
     grid = integrate(
-        density, mode.x, mode_root(mode), tolerance=0.1, max_points=20_000, keep_points=True
+        density,
+        mode.x,
+        mode_root(mode),
+        tolerance=GRID_TOLERANCE[int(dim > 1)],
+        max_points=20_000,
+        keep_points=True,
     )
     assert grid.nodes is not None
     guess = partial(StackedGrid, nodes=grid.nodes)
-    return [(guess, 4 * sum(weight for _, weight in others)), *others]
+    return [(guess, 9 * sum(weight for _, weight in others)), *others]
 
 
 def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:

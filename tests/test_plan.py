@@ -1,0 +1,578 @@
+"""Plans of experiments: balanced trial lists, files that rigs read, and plans that come back."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import keyword
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from weberwhisk import Whisker, figures, plan_experiment, read_plan, write_plan
+from weberwhisk.behaviour import IdentityPercept, Priors, read_trials
+from weberwhisk.behaviour.answering import answer_trials
+from weberwhisk.behaviour.population import draw_animals
+from weberwhisk.cues import ForceMap
+from weberwhisk.design import (
+    Animals,
+    Constraints,
+    Goal,
+    Hypothesis,
+    Plan,
+    Scheme,
+    cues,
+    noises,
+    plan_json,
+    taper,
+    trial_lists,
+)
+from weberwhisk.design.exports import bpod_table, csv_text, own_table, psychopy_tables
+from weberwhisk.design.plan_file import plan_of
+from weberwhisk.design.preregistration import preregistration
+
+STANDARDS = [10e-3, 18e-3, 28e-3]
+OFFSETS = [-3e-3, -2e-3, -1e-3, 1e-3, 2e-3, 3e-3]
+
+
+@st.composite
+def schemes(draw: st.DrawFn) -> Scheme:
+    """Any scheme without an offset of nothing, level by level."""
+    standards = draw(st.lists(st.integers(10, 40), min_size=1, max_size=4, unique=True))
+    offset = st.integers(-9, 9).filter(bool)
+    rows = [draw(st.lists(offset, min_size=1, max_size=6, unique=True)) for _ in standards]
+    trials = [[draw(st.integers(1, 12)) for _ in row] for row in rows]
+    return Scheme(standards, rows, trials, draw(st.integers(1, 2)))
+
+
+@st.composite
+def even_schemes(draw: st.DrawFn) -> Scheme:
+    """Schemes with as many levels on either side of every standard, and trials alike."""
+    offsets = draw(st.lists(st.integers(1, 9), min_size=1, max_size=4, unique=True))
+    both = [sign * offset for sign in (-1, 1) for offset in offsets]
+    count = draw(st.integers(1, 4))
+    return Scheme(range(10, 10 + count), both, draw(st.integers(1, 30)), draw(st.integers(1, 2)))
+
+
+def runs(sides: pd.Series) -> list[int]:
+    return [len(list(run)) for _, run in groupby(sides)]
+
+
+# -- trial lists ---------------------------------------------------------------------------------
+
+
+@settings(max_examples=20)
+@given(schemes(), st.integers(5, 200), st.integers(0, 99))
+def test_every_list_holds_the_scheme_and_is_balanced(
+    scheme: Scheme, per_session: int, seed: int
+) -> None:
+    lists = trial_lists(scheme, trials_per_session=per_session, seed=seed)
+    levels = scheme.table()
+    assert lists["subject"].nunique() == scheme.animals
+    for _, own in lists.groupby("subject"):
+        # The scheme, no more and no less.
+        assert own["level"].value_counts(sort=False).sort_index().tolist() == list(levels["trials"])
+        level = levels.iloc[own["level"] - 1]
+        np.testing.assert_array_equal(own["standard"], level["standard"])
+        pair = np.sort(own[["stimulus_1", "stimulus_2"]], axis=1)
+        both = np.sort(level[["standard", "comparison"]], axis=1)
+        np.testing.assert_array_equal(pair, both)
+        # The right answer is what it says.
+        farther = np.where(own["stimulus_2"] > own["stimulus_1"], 2, 1)
+        np.testing.assert_array_equal(own["greater"], farther)
+        # Of the trials of a level, the standard comes first in half, within one.
+        first = (own["stimulus_1"] == own["standard"]).groupby(own["level"]).sum()
+        assert (2 * first - levels["trials"].to_numpy()).abs().max() <= 1
+        # Every level equally often in every block, within one.
+        times = own.groupby(["session", "block"])["level"].value_counts().unstack(fill_value=0)
+        assert (times.max() - times.min()).max() <= 1
+        # Sessions no longer than asked, numbered from one and without gaps.
+        size = own.groupby("session").size()
+        assert size.max() <= per_session
+        assert size.index.tolist() == list(range(1, len(size) + 1))
+        for _, session in own.groupby("session"):
+            assert session["trial"].tolist() == list(range(1, len(session) + 1))
+            assert (session["block"].diff().iloc[1:] >= 0).all()
+
+
+@settings(max_examples=20)
+@given(even_schemes(), st.integers(2, 6), st.integers(0, 99))
+def test_the_right_answer_cannot_be_foreseen_from_what_went_before(
+    scheme: Scheme, longest: int, seed: int
+) -> None:
+    lists = trial_lists(scheme, trials_per_session=300, longest_run=longest, seed=seed)
+    for _, session in lists.groupby(["subject", "session"]):
+        sides = session["greater"]
+        # Odd numbers of trials leave a level of each standard uneven, at most.
+        assert abs((sides == 1).sum() - (sides == 2).sum()) <= len(scheme.standards)
+        assert max(runs(sides)) <= longest
+
+
+def test_repeats_and_changes_of_the_right_answer_are_as_frequent() -> None:
+    scheme = Scheme(STANDARDS, OFFSETS, 40, 6)
+    lists = trial_lists(scheme, trials_per_session=300, seed=3)
+    by_session = lists.groupby(["subject", "session"])["greater"]
+    excess = [sum(1 if a == b else -1 for a, b in pairwise(sides)) for _, sides in by_session]
+    assert np.abs(excess).max() <= 3
+    assert np.mean(np.abs(excess) == 1) > 0.8
+    # And neither do the standard, nor the comparison's place, tell the answer, or each other.
+    table = pd.crosstab(lists["standard"], lists["greater"])
+    assert (table[1] == table[2]).all()
+    placed_first = lists["stimulus_1"] == lists["standard"]
+    assert (pd.crosstab(placed_first, lists["greater"]).nunique(axis=1) == 1).all()
+
+
+def test_after_two_right_answers_alike_or_not_either_may_come() -> None:
+    """No rule of two trials back earns much more than guessing: 12 000 trials, sd 0.005 a share."""
+    scheme = Scheme(STANDARDS, OFFSETS, 110, 6)
+    lists = trial_lists(scheme, trials_per_session=400, seed=5)
+    changes: dict[bool, list[bool]] = {True: [], False: []}
+    for _, session in lists.groupby(["subject", "session"]):
+        sides = session["greater"].tolist()
+        for a, b, c in zip(sides, sides[1:], sides[2:], strict=False):
+            changes[a == b].append(b != c)
+    assert abs(np.mean(changes[True]) - 0.5) < 0.055
+    assert abs(np.mean(changes[False]) - 0.5) < 0.055
+
+
+def test_lists_come_back_with_their_seed_and_each_animal_keeps_its_own() -> None:
+    scheme = Scheme(STANDARDS, OFFSETS, 10, 3)
+    one = trial_lists(scheme, seed=1)
+    pd.testing.assert_frame_equal(one, trial_lists(scheme, seed=1))
+    assert not one.equals(trial_lists(scheme, seed=2))
+    orders = [own["level"].tolist() for _, own in one.groupby("subject")]
+    assert orders[0] != orders[1] != orders[2]
+    more = trial_lists(scheme.with_animals(5), seed=1)
+    pd.testing.assert_frame_equal(one, more[more["subject"].isin(["s1", "s2", "s3"])])
+
+
+@pytest.mark.parametrize(
+    ("scheme", "options", "sentence"),
+    [
+        (Scheme([20e-3], [-2e-3, 0.0, 2e-3]), {}, "leave the offset 0 out"),
+        (Scheme([20e-3], [-2e-3, 2e-3]), {"trials_per_session": 0}, "trials_per_session must be"),
+        (Scheme([20e-3], [-2e-3, 2e-3]), {"longest_run": 1}, "longest_run must be a whole number"),
+    ],
+)
+def test_lists_that_cannot_be_are_refused(
+    scheme: Scheme, options: dict[str, int], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        trial_lists(scheme, seed=1, **options)
+
+
+# -- files ---------------------------------------------------------------------------------------
+
+
+def import_conditions(text: str) -> list[dict[str, object]]:
+    """What `psychopy.data.importConditions` makes of a CSV, by its documented rules."""
+    table = pd.read_csv(io.StringIO(text), encoding="utf-8-sig", sep=",", decimal=".")
+    names = list(table.columns)
+    assert len(set(names)) == len(names)
+    for name in names:
+        assert not name[0].isdigit()
+        assert not re.search(r"\W", name)
+        assert name.isidentifier()
+        assert not keyword.iskeyword(name)
+    assert not table.isna().any(axis=None)
+    return [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]
+
+
+def test_psychopy_reads_each_session_as_it_was_planned() -> None:
+    lists = trial_lists(Scheme(STANDARDS, OFFSETS, 11, 2), trials_per_session=90, seed=4)
+    read = []
+    for name, table in psychopy_tables(lists):
+        conditions = import_conditions(csv_text(table))
+        subject, session = name.removeprefix("psychopy_").split("_")
+        assert {row["subject"] for row in conditions} == {subject}
+        assert {f"{row['session']:03d}" for row in conditions} == {session}
+        read.extend(conditions)
+    assert len(read) == len(lists)
+    back = pd.DataFrame(read)
+    for name in ("standard", "stimulus_1", "stimulus_2"):
+        np.testing.assert_allclose(back[f"{name}_mm"], lists[name] * 1e3, rtol=1e-9)
+    farther = np.where(lists["stimulus_2"] > lists["stimulus_1"], "right", "left")
+    np.testing.assert_array_equal(back["correct_answer"], farther)
+    assert "trial" not in back  # the name of a routine in PsychoPy's Builder
+
+
+def test_the_table_for_bpod_is_numbers_alone() -> None:
+    lists = trial_lists(Scheme(STANDARDS, OFFSETS, 10, 2), seed=4)
+    text = csv_text(bpod_table(lists))
+    header, *lines = text.splitlines()
+    assert all(re.fullmatch(r"[A-Za-z]\w{0,62}", name) for name in header.split(","))
+    numbers = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+    assert numbers.shape == (len(lists), len(header.split(",")))
+    types = dict(zip(header.split(","), numbers.T, strict=True))["trial_type"]
+    np.testing.assert_array_equal(types, lists["greater"])
+
+
+def test_the_own_table_is_read_back_with_its_answers() -> None:
+    lists = trial_lists(Scheme(STANDARDS, OFFSETS, 10, 2), seed=4)
+    table = own_table(lists).assign(choice=lists["greater"] - 1)
+    columns = {name: f"{name}_mm" for name in ("standard", "stimulus_1", "stimulus_2")}
+    trials = read_trials(pd.read_csv(io.StringIO(csv_text(table))), columns=columns)
+    assert trials.subjects == ["s1", "s2"]
+    np.testing.assert_allclose(trials.standards, [10, 18, 28])
+    assert trials.n_trials == len(lists)
+
+
+# -- answers to a list ---------------------------------------------------------------------------
+
+
+def test_answers_to_a_list_have_the_probabilities_of_their_observers() -> None:
+    """Shares of answers against Φ by hand, for two animals, in both orders; 4.5 binomial sds."""
+    from scipy.special import ndtr
+
+    table = pd.DataFrame(
+        {
+            "subject": np.repeat(["s1", "s2"], 8000),
+            "standard": 1.0,
+            "stimulus_1": np.tile([1.0, 1.1], 8000),
+            "stimulus_2": np.tile([1.1, 1.0], 8000),
+        }
+    )
+    animals = pd.DataFrame(
+        {
+            "subject": ["s1", "s2"],
+            "weber_fraction": [0.1, 0.2],
+            "lapse_low": [0.0, 0.04],
+            "lapse_high": [0.02, 0.0],
+            "bias": [0.0, 0.3],
+        }
+    )
+    trials = answer_trials(table, animals, percept=IdentityPercept(), seed=1)
+    for row in animals.itertuples():
+        for s1, s2 in ((1.0, 1.1), (1.1, 1.0)):
+            own = trials.frame.query("subject == @row.subject and stimulus_1 == @s1")
+            chance = ndtr((s2 - s1) / (row.weber_fraction * np.hypot(s1, s2)) + row.bias)
+            p = row.lapse_low * (1 - chance) + (1 - row.lapse_high) * chance
+            share = own["count"].mean()
+            assert abs(share - p) < 4.5 * np.sqrt(p * (1 - p) / len(own))
+
+
+def test_an_animal_without_truth_is_refused() -> None:
+    table = own_table(trial_lists(Scheme([2.0], [-1, 1], 2, 2), seed=1)).rename(
+        columns=lambda name: name.removesuffix("_mm")
+    )
+    with pytest.raises(ValueError, match="truth about s2 is not given"):
+        answer_trials(table, draw_animals(1, seed=1), percept=IdentityPercept(), seed=1)
+
+
+# -- plans ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """Two animals, three standards, pole steps of 10 µm, and everything else not the default."""
+    return plan_experiment(
+        "C3",
+        standards=[8e-3, 15e-3, 22e-3],
+        trials=6,
+        animals=2,
+        expected=Animals(0.12, 0.2, 0.02, 0.1),
+        constraints=Constraints(5e-3, 27e-3, 1e-5, 0.2),
+        trials_per_session=60,
+        longest_run=4,
+        title="A plan, “tried”",
+        seed=7,
+    )
+
+
+def test_a_plan_comes_back_from_its_file_to_the_byte(plan: Plan, tmp_path: Path) -> None:
+    text = plan_json(plan)
+    (tmp_path / "plan.json").write_text(text, "utf-8")
+    again = read_plan(tmp_path / "plan.json")
+    assert plan_json(again) == text
+    assert csv_text(own_table(again.trials)) == csv_text(own_table(plan.trials))
+    assert preregistration(again) == preregistration(plan)
+    # And the fingerprint is that of the file of trials.
+    digest = hashlib.sha256(csv_text(own_table(plan.trials)).encode()).hexdigest()
+    assert json.loads(text)["trials_sha256"] == digest
+
+
+@pytest.mark.parametrize(
+    "hypotheses",
+    [
+        taper(Whisker.from_identity("C2"), bias="shared"),
+        cues(Whisker.from_identity("C2"), 0.1, priors=Priors(lapse_low=0.02, bias=norm(0.1, 2.0))),
+        noises(taper(Whisker.from_identity("C2"))[0].percept, [0.01, 0.02]),
+    ],
+    ids=["taper", "cues", "noises"],
+)
+def test_any_hypotheses_come_back_with_their_plan(hypotheses: tuple[Hypothesis, ...]) -> None:
+    plan = Plan(Scheme([10e-3, 20e-3], [-1e-3, 1e-3]), hypotheses, Goal(bayes_factor=3))
+    again = plan_of(plan_json(plan))
+    cells = plan.scheme.cells()
+    for one, other in zip(plan.hypotheses, again.hypotheses, strict=True):
+        assert (one.name, one.bias, one.noise, one.task) == (
+            other.name, other.bias, other.noise, other.task,
+        )  # fmt: skip
+        for call in ("mean", "unit_sd"):
+            mine, theirs = (getattr(h.percept, call)(cells.stimulus_2) for h in (one, other))
+            np.testing.assert_array_equal(mine, theirs)
+        score = np.linspace(-3, 3, 7)
+        for name in ("weber_fraction", "lapse_low", "lapse_high", "bias"):
+            np.testing.assert_array_equal(
+                one.priors.value(name, score), other.priors.value(name, score)
+            )
+
+
+def paths(value: object, here: tuple[object, ...] = ()) -> Iterator[tuple[object, ...]]:
+    """Every place in a JSON value."""
+    yield here
+    items: Any = ()
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    for key, inner in items:
+        yield from paths(inner, (*here, key))
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_plan_is_refused_in_one_sentence_or_is_the_same(
+    plan: Plan, data: st.DataObject
+) -> None:
+    """Any part removed or replaced: never a traceback, never other lists in silence."""
+    record = json.loads(plan_json(plan))
+    place = data.draw(st.sampled_from([p for p in paths(record) if p]))
+    *above, key = place
+    inside: Any = record
+    for step in above:
+        inside = inside[step]
+    put = data.draw(st.sampled_from(["remove", None, "x", -1, 0, 1e9, [], {}, True, {"is": "x"}]))
+    if put == "remove":
+        del inside[key]
+    else:
+        inside[key] = put
+    try:
+        read = plan_of(json.dumps(record))
+    except ValueError as error:
+        sentence = str(error)
+    else:
+        sentence = "plan.json"
+        assert read.fingerprint == plan.fingerprint
+    assert "plan.json" in sentence
+    assert "\n" not in sentence
+
+
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_plan_cut_short_is_refused(plan: Plan, data: st.DataObject) -> None:
+    content = plan_json(plan).encode()
+    with pytest.raises(ValueError, match=r"plan\.json is"):
+        plan_of(content[: data.draw(st.integers(0, len(content) - 3))])
+
+
+def test_a_plan_of_another_version_says_which_made_it(plan: Plan) -> None:
+    record = json.loads(plan_json(plan))
+    record["version"] = 2
+    record["made_with"] = {"weberwhisk": "9.9", "numpy": "7.1"}
+    with pytest.raises(ValueError, match=r"version 2 .* reads version 1; .*weberwhisk 9\.9"):
+        plan_of(json.dumps(record))
+
+
+def test_a_plan_whose_lists_come_out_differently_is_refused(plan: Plan) -> None:
+    record = json.loads(plan_json(plan))
+    record["plan"]["seed"] += 1
+    with pytest.raises(ValueError, match="gives other trial lists than when it was made"):
+        plan_of(json.dumps(record))
+
+
+C2 = Whisker.from_identity("C2")  # 33.6 mm
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"standards": [40e-3]}, r"standard 0\.04 is off the whisker, by 0\.0064 past its tip"),
+        ({"standards": [30e-3], "levels": [9.0]}, r"comparison .* is off the whisker, by"),
+        ({"scheme": Scheme([10e-3], [-11e-3])}, r"nearer than the animal's range .* by 0\.001"),
+        ({"trials": 0}, r"trials of a level must be a whole number of 1 or more, got 0"),
+        ({"animals": 0}, r"animals must be a whole number of 1 or more, got 0"),
+        ({"constraints": Constraints(nearest=9e-3), "trials": 5}, r"nearer .* by 0\.00"),
+        ({"constraints": Constraints(farthest=30e-3), "trials": 5}, r"farther .* by 0\.0"),
+        ({"constraints": Constraints(step=2e-3), "trials": 5}, r"steps of 0\.002 are too coarse"),
+        (
+            {"constraints": Constraints(easy_share=0.5), "trials": 5},
+            r"33\.3 % of the trials are easy .* 16\.7 % fewer than easy_share=0\.5",
+        ),
+        (
+            {
+                "goal": Goal(half_width=0.2),
+                "cue": ForceMap(),
+                "deflection_angle": 0.7,
+                "scheme": Scheme([10e-3, 25e-3], [-1e-3, 1e-3]),
+            },
+            r"flicked past: the whisker holds .* too much",
+        ),
+        ({"goal": Goal(half_width=0.2), "cue": ForceMap()}, r"needs the deflection angle"),
+        ({"cue": ForceMap(), "trials": 5}, r"Taper is tested by the compliance cue"),
+        ({"hypotheses": taper(C2)[:1], "trials": 5}, r"A Bayes factor compares two hypotheses"),
+        ({"together": True, "trials": 5}, r"One animal cannot be fitted together"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        plan_experiment("C2", **options)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: Goal(), "got neither"),
+        (lambda: Goal(10, 0.2), "got both"),
+        (lambda: Goal(bayes_factor=1), "bayes_factor must be above 1"),
+        (lambda: Goal(half_width=20), "half_width must lie between 0 and 1, got 20"),
+        (lambda: Goal(10, share=1), "share must lie between 0 and 1, got 1"),
+        (lambda: Animals(0), "weber_fraction must be above zero"),
+        (lambda: Animals(lapse=0.5), "lapse must be below 0.5"),
+        (lambda: Animals(spread=-1), "spread must not be negative"),
+    ],
+)
+def test_goals_and_animals_that_make_no_sense_are_refused(
+    make: Callable[[], object], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+# -- what is expected ----------------------------------------------------------------------------
+
+
+def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
+    """The one fit to expected answers against the median of thirty fits to simulated ones."""
+    plan = plan_experiment("C2", goal=Goal(half_width=0.3), trials=40)
+    ((_, expected),) = plan.expected_fits
+    k, lapse = plan.animals.weber_fraction, plan.animals.lapse
+    animal = pd.DataFrame(
+        [{"subject": "s1", "weber_fraction": k, "lapse_low": lapse, "lapse_high": lapse, "bias": 0}]
+    )
+    percept = plan.hypotheses[0].percept
+    found = []
+    for seed in range(30):
+        answers = answer_trials(plan.trials, animal, percept=percept, seed=seed)
+        row = plan.analyse(answers).estimates.iloc[0]
+        found.append((row["weber_fraction"], row["upper"] - row["lower"]))
+    middle, width = np.array(found).T
+    low, high = expected.interval()
+    # Medians of thirty: sd 1.25 sd/√30 each, four of these.
+    assert abs(expected.weber_fraction - np.median(middle)) < 4 * 1.25 * middle.std() / np.sqrt(30)
+    assert abs((high - low) - np.median(width)) < 4 * 1.25 * width.std() / np.sqrt(30)
+
+
+def test_expected_jnds_are_the_papers(plan: Plan) -> None:
+    """k r (1 − r/A) and k r, (3.5) and (3.6), in the 75 % criterion: 0.9539 of an sd."""
+    whisker = Whisker.from_identity("C3")
+    for hypothesis, fit in plan.expected_fits:
+        own = plan.jnds.query("hypothesis == @hypothesis")
+        r = own["stimulus"].to_numpy()
+        shape = r if hypothesis == "cylindrical" else r * (1 - r / whisker.apex_distance)
+        expected = 0.953873 * fit.weber_fraction * shape
+        np.testing.assert_allclose(own["jnd"], expected, rtol=2e-5)
+        assert (own["lower"] < own["jnd"]).all()
+        assert (own["jnd"] < own["upper"]).all()
+
+
+def test_expected_shares_hold_95_percent_of_animals(plan: Plan) -> None:
+    """The bars of the page, by simulation: counts fall inside in 95 % or a little more."""
+    rng = np.random.default_rng(1)
+    levels = plan.levels
+    counts = (
+        rng.binomial(levels["n"], levels["expected"], (4000, len(levels))) / levels["n"].to_numpy()
+    )
+    inside = (counts >= levels["lower"].to_numpy()) & (counts <= levels["upper"].to_numpy())
+    assert (inside.mean(axis=0) > 0.94).all()
+
+
+# -- the page and the folder ---------------------------------------------------------------------
+
+
+def test_the_page_stands_alone_and_holds_its_figures(plan: Plan) -> None:
+    html = figures.plan_page(plan)
+    parser = Page()
+    parser.feed(html)
+    assert not parser.open
+    # Nothing from elsewhere: no links, scripts or files.
+    assert parser.tags.isdisjoint({"script", "link", "iframe"})
+    assert len(parser.images) >= 2
+    for source in parser.images:
+        head, _, content = source.partition(",")
+        assert head == "data:image/svg+xml;base64"
+        assert b"<svg" in base64.b64decode(content)
+    words = " ".join(parser.text.split())
+    for fact in ("2 animals, 108 trials each", "A plan, “tried”", plan.fingerprint[:16], "8 mm"):
+        assert fact in words
+    assert figures.plan_page(plan) == html
+
+
+class Page(HTMLParser):
+    """Tags, text and images of a page, and whatever was left open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.images: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag == "img":
+            self.images.append(dict(attrs)["src"] or "")
+        elif tag != "meta":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_a_folder_has_everything_and_is_the_same_again(plan: Plan, tmp_path: Path) -> None:
+    first, second = (write_plan(plan, tmp_path / name) for name in ("a", "b"))
+    names = sorted(path.name for path in first.iterdir())
+    lists = [f"psychopy_{s}_{n:03d}.csv" for s in ("s1", "s2") for n in range(1, plan.sessions + 1)]
+    assert {"plan.json", "plan.html", "preregistration.txt", "trials.csv", *lists} < {*names}
+    assert names == sorted(path.name for path in second.iterdir())
+    for name in names:
+        if name != "design.run.json":  # has the time
+            assert (first / name).read_bytes() == (second / name).read_bytes(), name
+    again = read_plan(first / "plan.json")
+    assert csv_text(own_table(again.trials)).encode() == (first / "trials.csv").read_bytes()
+
+
+def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
+    text = " ".join(preregistration(plan).split())
+    for fact in (
+        "Bayes factor above 10",
+        "2 animals, 108 trials each, in 3 sessions of at most 60",
+        "sd of ln k 0.2",
+        "lapses of 2 % a side",
+        "not more than 4 times running",
+        "from seed 7",
+        "lognorm(1.099, scale=0.1)",
+        "beta(0.3, 3)",
+        "a response bias b for each standard",
+    ):
+        assert fact in text, fact
+    alone = Plan(plan.scheme, plan.hypotheses[:1], Goal(half_width=0.25), constraints=Constraints())
+    assert "half-width is below 25 %" in " ".join(preregistration(alone).split())
+    pooled = replace(plan, together=True)
+    assert "All animals are fitted together" in " ".join(preregistration(pooled).split())

@@ -1,0 +1,46 @@
+"""Threads: the same bits whatever their number, and none in a worker process."""
+
+from __future__ import annotations
+
+import multiprocessing
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk.posterior import threads
+
+
+def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.ForceMap())
+    readings = observer.read(np.tile([[20e-3, 0.2], [35e-3, 0.1]], (150, 1)), seed=1)
+    found = []
+    for count in (1, 3):
+        monkeypatch.setattr(threads, "thread_count", lambda count=count: count)
+        found.append(ww.posterior(observer, readings))
+    for name in ("mean", "sd", "log_evidence"):
+        np.testing.assert_array_equal(*(getattr(p, name) for p in found))
+
+
+def test_cores_and_who_may_use_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert threads.thread_count() == 8
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert threads.thread_count() == 3
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: object())
+    assert threads.thread_count() == 1
+
+
+def test_an_error_in_a_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "thread_count", lambda: 2)
+    with pytest.raises(ZeroDivisionError):
+        list(threads.on_threads(lambda n: 1 // n, [1, 0, 2]))
+
+
+def test_numpy_errors_are_raised_or_not_as_the_caller_has_set(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(threads, "thread_count", lambda: 2)
+    with np.errstate(divide="ignore"):
+        assert list(threads.on_threads(np.log, np.zeros(3))) == [-np.inf] * 3

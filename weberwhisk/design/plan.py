@@ -1,0 +1,171 @@
+"""A planned experiment: what is shown, what is expected, how it will be analysed, and why so much.
+
+A `Plan` holds what was asked and what follows from it is computed when it is asked for; its JSON
+has the former, and brings back the same plan with the same trial lists, to the byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import pandas as pd
+
+from ..behaviour.result import WeberFit
+from ..behaviour.trials import Trials
+from . import expectation
+from .analysis import Finding, analyse
+from .exports import csv_text, own_table
+from .goals import Animals, Goal
+from .hypotheses import Hypothesis, told_apart
+from .scheme import Constraints, Scheme
+from .trial_lists import sessions_needed, trial_lists
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A planned experiment; everything in it follows from its fields.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        Levels, trials and the number of animals; radial distances in m.
+    hypotheses : sequence of Hypothesis
+        As they will be fitted; the first is what is expected.
+    goal : Goal
+    animals : Animals
+        What they are expected to be like.
+    constraints : Constraints
+    trials_per_session, longest_run : int
+        See `trial_lists`.
+    together : bool
+        See `analyse`.
+    seed : int
+        Of the trial lists.
+    title : str
+    power : DataFrame, optional
+        What was found of the goal at several sizes.
+
+    Raises
+    ------
+    ValueError
+        For a scheme that breaks a constraint or cannot be felt, and a goal that needs another
+        hypothesis.
+    """
+
+    scheme: Scheme
+    hypotheses: Sequence[Hypothesis]
+    goal: Goal
+    animals: Animals = field(default_factory=Animals)
+    constraints: Constraints = field(default_factory=Constraints)
+    trials_per_session: int = 300
+    longest_run: int = 5
+    together: bool = False
+    seed: int = 1
+    title: str = "Discrimination of radial distance"
+    power: pd.DataFrame | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hypotheses", told_apart(self.hypotheses))
+        first = self.hypotheses[0]
+        if first.task not in ("2AFC", "2IFC"):
+            raise ValueError(
+                f"Trial lists are made for two stimuli a trial, got the task {first.task!r}; write "
+                "2AFC or 2IFC."
+            )
+        if self.goal.bayes_factor is not None and len(self.hypotheses) < 2:
+            raise ValueError(
+                f"A Bayes factor compares two hypotheses, got {first.name!r} alone; give another, "
+                "or Goal(half_width=0.2)."
+            )
+        if self.together and self.scheme.animals < 2:
+            raise ValueError("One animal cannot be fitted together with others; give two or more.")
+        self.constraints.check(self.scheme, first.percept, self.animals.weber_fraction)
+        for hypothesis in self.hypotheses:
+            hypothesis.model(self.scheme)  # refuses what this one cannot feel
+
+    # -- what is shown ---------------------------------------------------------------------------
+
+    @cached_property
+    def trials(self) -> pd.DataFrame:
+        """The trial lists of all animals, see `trial_lists`; radial distances in m."""
+        return trial_lists(
+            self.scheme, trials_per_session=self.trials_per_session, longest_run=self.longest_run,
+            seed=self.seed,
+        )  # fmt: skip
+
+    @property
+    def sessions(self) -> int:
+        """Sessions of each animal."""
+        return sessions_needed(self.scheme.cells(), self.trials_per_session)[0]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of the trial lists, as they are written."""
+        return hashlib.sha256(csv_text(own_table(self.trials)).encode()).hexdigest()
+
+    # -- what is expected ------------------------------------------------------------------------
+
+    @cached_property
+    def expected_trials(self) -> Trials:
+        """What one typical animal answers on average under the first hypothesis."""
+        return expectation.expected_trials(
+            self.scheme, self.hypotheses[0], self.animals.weber_fraction, self.animals.lapse
+        )
+
+    @cached_property
+    def expected_fits(self) -> tuple[tuple[str, WeberFit], ...]:
+        """Every hypothesis fitted to `expected_trials`."""
+        return tuple((h.name, expectation.fitted(self.expected_trials, h)) for h in self.hypotheses)
+
+    @cached_property
+    def levels(self) -> pd.DataFrame:
+        """Expected share of "second greater" at every level, and where 95 % of animals fall."""
+        return expectation.expected_levels(self.expected_trials)
+
+    @cached_property
+    def curves(self) -> pd.DataFrame:
+        """Expected psychometric functions, by hypothesis."""
+        return expectation.expected_curves(self.expected_fits)
+
+    @cached_property
+    def jnds(self) -> pd.DataFrame:
+        """Expected JND curves with the predicted interval of one animal, by hypothesis."""
+        cells = self.scheme.cells()
+        low, high = cells.stimulus_2.min(), cells.stimulus_2.max()
+        edge = self.hypotheses[0].percept.domain[1]
+        return expectation.expected_jnds(
+            self.expected_fits, 0.5 * low, high + 0.5 * (min(edge, 2 * high) - high)
+        )
+
+    @cached_property
+    def jnds_by_standard(self) -> pd.DataFrame:
+        """The JND that each standard's own trials will tell, of one animal."""
+        return expectation.expected_jnds_by_standard(self.expected_trials, self.hypotheses[0])
+
+    # -- what is done with the data ---------------------------------------------------------------
+
+    def analyse(self, trials: Trials, *, unit: float = 1.0) -> Finding:
+        """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
+        return analyse(trials, self.hypotheses, together=self.together, unit=unit)
+
+    def power_in_words(self) -> str:
+        """How often the planned size, or the next one looked at, reaches the goal."""
+        if self.power is None:
+            return ""
+        most = max(map(max, self.scheme.trials))
+        sizes = self.power[["trials", "animals"]].drop_duplicates()
+        inside = (sizes["trials"] <= most) & (sizes["animals"] <= self.scheme.animals)
+        trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
+        each = [
+            f"{100 * row['power']:.3g} % (95 % interval {100 * row['lower']:.3g} to "
+            f"{100 * row['upper']:.3g} %) if {row['truth']} is true"
+            for row in self.power.to_dict("records")
+            if row["trials"] == trials and row["animals"] == animals
+        ]
+        return (
+            f"Of simulated experiments with {trials} trials of each comparison and {animals} "
+            f"animal{'s' * int(animals > 1)}, this is reached by {', '.join(each)}."
+        )
