@@ -85,36 +85,40 @@ def keeps_the_protocol(observer, contact):
 
 
 def brute_force(observer, reading, points=400_000):
-    """Mean and sd of r by the midpoint rule in the contact itself, of one or two unknowns.
+    """Mean and sd of r by the midpoint rule in the contact itself, of one to three unknowns.
 
     Nothing is shared with the engines but the likelihood: no coordinates, no panels, no grids.
     """
     if len(observer.unknowns) == 1:
         return moments_by_midpoints(observer, reading, points)
     # First a coarse look at where the mass is, then a fine one there.
-    name, box = observer.unknowns[1], [observer.reach, _range(observer)]
-    for n in (500, 500, 2 * int(np.sqrt(points))):
+    dim = len(observer.unknowns)
+    box = [observer.reach, *(_range(observer, name) for name in observer.unknowns[1:])]
+    coarse, fine = (500, 2 * int(np.sqrt(points))) if dim == 2 else (64, 128)
+    for n in (coarse, coarse, fine):
         axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in box]
-        contact = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        table = observer.log_likelihood(reading, contact)
-        if name in observer.prior:
-            table = table + observer.prior[name].logpdf(axes[1])
+        table = np.empty((n,) * dim)
+        for i, r in enumerate(axes[0]):  # slice by slice: three dimensions are many
+            contact = np.stack(np.meshgrid(r, *axes[1:], indexing="ij"), axis=-1)[0]
+            table[i] = observer.log_likelihood(reading, contact)
+        for k, name in enumerate(observer.unknowns):
+            if name in observer.prior:
+                shape = [-1 if j == k else 1 for j in range(dim)]
+                table += observer.prior[name].logpdf(axes[k]).reshape(shape)
         near = table > table.max() - 40
         box = [
             (
                 max(axis[kept].min() - 2 * (axis[1] - axis[0]), edge[0]),
                 min(axis[kept].max() + 2 * (axis[1] - axis[0]), edge[1]),
             )
-            for axis, kept, edge in zip(
-                axes, (near.any(axis=1), near.any(axis=0)), box, strict=True
-            )
+            for k, (axis, edge) in enumerate(zip(axes, box, strict=True))
+            for kept in [near.any(axis=tuple(j for j in range(dim) if j != k))]
         ]
-    log = np.log(np.exp(table - table.max()).sum(axis=1) + 1e-300)
+    log = np.log(np.exp(table - table.max()).reshape(n, -1).sum(axis=1) + 1e-300)
     return weighted_moments(axes[0], log)
 
 
-def _range(observer):
-    name = observer.unknowns[1]
+def _range(observer, name):
     if name in observer.prior:
         return observer.prior[name].ppf([1e-13, 1 - 1e-13])
     return 0.0, 2.0

@@ -226,12 +226,19 @@ def test_another_question_in_the_same_file_is_refused(tmp_path: Path) -> None:
     for work, chunks, seed, words in (
         (campaign_work.stumble, CHUNKS[:4], 7, "its work is campaign_work:draw"),
         (campaign_work.draw, CHUNKS[:3], 7, "it has 4 chunks, not 3"),
-        (campaign_work.draw, [*CHUNKS[:3], {"i": 99}], 7, "its chunk 3 is {'i': 3, 'rows': 3}, no"),
+        (
+            campaign_work.draw,
+            [*CHUNKS[:3], {"i": 99}],
+            7,
+            "its chunks have {'i': 3, 'rows': 3} in place 3, not {'i': 99}",
+        ),
         (campaign_work.draw, CHUNKS[:4], 8, "its seed is {'entropy': 7"),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
             run(work, chunks, seed=seed, out=out)
-    out.write_bytes(content.replace(b'"numpy": "', b'"numpy": "0.'))
+    out.write_bytes(
+        content.replace(b'"versions": {"weberwhisk": "', b'"versions": {"weberwhisk": "0.')
+    )
     with pytest.raises(ValueError, match="its versions is"):
         run(campaign_work.draw, CHUNKS[:4], seed=7, out=out)
 
@@ -266,7 +273,7 @@ def test_two_sweeps_do_not_write_one_file(tmp_path: Path) -> None:
 
     with open(tmp_path / "s", "wb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        with pytest.raises(ValueError, match="is being written by another sweep"):
+        with pytest.raises(ValueError, match="is being written by another process"):
             run(campaign_work.draw, CHUNKS, seed=7, out=tmp_path / "s")
 
 

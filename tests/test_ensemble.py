@@ -13,15 +13,17 @@ from scipy import special
 
 from weberwhisk.posterior.ensemble import (
     MoveMaker,
-    Shortfall,
-    StackedDifferentialEvolution,
     StackedSample,
-    StackedStretch,
     recommended_walkers,
     sample_stacked,
 )
 from weberwhisk.posterior.grid import integrate
-from weberwhisk.posterior.moves import StackedGrid
+from weberwhisk.posterior.moves import (
+    StackedDifferentialEvolution,
+    StackedGrid,
+    StackedStretch,
+)
+from weberwhisk.posterior.run import Shortfall
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]

@@ -2,22 +2,47 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import io
+import json
 import keyword
 import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
 from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 
-from weberwhisk.behaviour import IdentityPercept, read_trials
+from weberwhisk import Whisker, figures, plan_experiment, read_plan, write_plan
+from weberwhisk.behaviour import IdentityPercept, Priors, read_trials
 from weberwhisk.behaviour.answering import answer_trials
 from weberwhisk.behaviour.population import draw_animals
-from weberwhisk.design import Scheme, trial_lists
+from weberwhisk.cues import ForceMap
+from weberwhisk.design import (
+    Animals,
+    Constraints,
+    Goal,
+    Hypothesis,
+    Plan,
+    Scheme,
+    cues,
+    noises,
+    plan_json,
+    taper,
+    trial_lists,
+)
 from weberwhisk.design.exports import bpod_table, csv_text, own_table, psychopy_tables
+from weberwhisk.design.plan_file import plan_of
+from weberwhisk.design.preregistration import preregistration
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
 OFFSETS = [-3e-3, -2e-3, -1e-3, 1e-3, 2e-3, 3e-3]
@@ -245,3 +270,309 @@ def test_an_animal_without_truth_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="truth about s2 is not given"):
         answer_trials(table, draw_animals(1, seed=1), percept=IdentityPercept(), seed=1)
+
+
+# -- plans ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """Two animals, three standards, pole steps of 10 µm, and everything else not the default."""
+    return plan_experiment(
+        "C3",
+        standards=[8e-3, 15e-3, 22e-3],
+        trials=6,
+        animals=2,
+        expected=Animals(0.12, 0.2, 0.02, 0.1),
+        constraints=Constraints(5e-3, 27e-3, 1e-5, 0.2),
+        trials_per_session=60,
+        longest_run=4,
+        title="A plan, “tried”",
+        seed=7,
+    )
+
+
+def test_a_plan_comes_back_from_its_file_to_the_byte(plan: Plan, tmp_path: Path) -> None:
+    text = plan_json(plan)
+    (tmp_path / "plan.json").write_text(text, "utf-8")
+    again = read_plan(tmp_path / "plan.json")
+    assert plan_json(again) == text
+    assert csv_text(own_table(again.trials)) == csv_text(own_table(plan.trials))
+    assert preregistration(again) == preregistration(plan)
+    # And the fingerprint is that of the file of trials.
+    digest = hashlib.sha256(csv_text(own_table(plan.trials)).encode()).hexdigest()
+    assert json.loads(text)["trials_sha256"] == digest
+
+
+@pytest.mark.parametrize(
+    "hypotheses",
+    [
+        taper(Whisker.from_identity("C2"), bias="shared"),
+        cues(Whisker.from_identity("C2"), 0.1, priors=Priors(lapse_low=0.02, bias=norm(0.1, 2.0))),
+        noises(taper(Whisker.from_identity("C2"))[0].percept, [0.01, 0.02]),
+    ],
+    ids=["taper", "cues", "noises"],
+)
+def test_any_hypotheses_come_back_with_their_plan(hypotheses: tuple[Hypothesis, ...]) -> None:
+    plan = Plan(Scheme([10e-3, 20e-3], [-1e-3, 1e-3]), hypotheses, Goal(bayes_factor=3))
+    again = plan_of(plan_json(plan))
+    cells = plan.scheme.cells()
+    for one, other in zip(plan.hypotheses, again.hypotheses, strict=True):
+        assert (one.name, one.bias, one.noise, one.task) == (
+            other.name, other.bias, other.noise, other.task,
+        )  # fmt: skip
+        for call in ("mean", "unit_sd"):
+            mine, theirs = (getattr(h.percept, call)(cells.stimulus_2) for h in (one, other))
+            np.testing.assert_array_equal(mine, theirs)
+        score = np.linspace(-3, 3, 7)
+        for name in ("weber_fraction", "lapse_low", "lapse_high", "bias"):
+            np.testing.assert_array_equal(
+                one.priors.value(name, score), other.priors.value(name, score)
+            )
+
+
+def paths(value: object, here: tuple[object, ...] = ()) -> Iterator[tuple[object, ...]]:
+    """Every place in a JSON value."""
+    yield here
+    items: Any = ()
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    for key, inner in items:
+        yield from paths(inner, (*here, key))
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_plan_is_refused_in_one_sentence_or_is_the_same(
+    plan: Plan, data: st.DataObject
+) -> None:
+    """Any part removed or replaced: never a traceback, never other lists in silence."""
+    record = json.loads(plan_json(plan))
+    place = data.draw(st.sampled_from([p for p in paths(record) if p]))
+    *above, key = place
+    inside: Any = record
+    for step in above:
+        inside = inside[step]
+    put = data.draw(st.sampled_from(["remove", None, "x", -1, 0, 1e9, [], {}, True, {"is": "x"}]))
+    if put == "remove":
+        del inside[key]
+    else:
+        inside[key] = put
+    try:
+        read = plan_of(json.dumps(record))
+    except ValueError as error:
+        sentence = str(error)
+    else:
+        sentence = "plan.json"
+        assert read.fingerprint == plan.fingerprint
+    assert "plan.json" in sentence
+    assert "\n" not in sentence
+
+
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_plan_cut_short_is_refused(plan: Plan, data: st.DataObject) -> None:
+    content = plan_json(plan).encode()
+    with pytest.raises(ValueError, match=r"plan\.json is"):
+        plan_of(content[: data.draw(st.integers(0, len(content) - 3))])
+
+
+def test_a_plan_of_another_version_says_which_made_it(plan: Plan) -> None:
+    record = json.loads(plan_json(plan))
+    record["version"] = 2
+    record["made_with"] = {"weberwhisk": "9.9", "numpy": "7.1"}
+    with pytest.raises(ValueError, match=r"version 2 .* reads version 1; .*weberwhisk 9\.9"):
+        plan_of(json.dumps(record))
+
+
+def test_a_plan_whose_lists_come_out_differently_is_refused(plan: Plan) -> None:
+    record = json.loads(plan_json(plan))
+    record["plan"]["seed"] += 1
+    with pytest.raises(ValueError, match="gives other trial lists than when it was made"):
+        plan_of(json.dumps(record))
+
+
+C2 = Whisker.from_identity("C2")  # 33.6 mm
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"standards": [40e-3]}, r"standard 0\.04 is off the whisker, by 0\.0064 past its tip"),
+        ({"standards": [30e-3], "levels": [9.0]}, r"comparison .* is off the whisker, by"),
+        ({"scheme": Scheme([10e-3], [-11e-3])}, r"nearer than the animal's range .* by 0\.001"),
+        ({"trials": 0}, r"trials of a level must be a whole number of 1 or more, got 0"),
+        ({"animals": 0}, r"animals must be a whole number of 1 or more, got 0"),
+        ({"constraints": Constraints(nearest=9e-3), "trials": 5}, r"nearer .* by 0\.00"),
+        ({"constraints": Constraints(farthest=30e-3), "trials": 5}, r"farther .* by 0\.0"),
+        ({"constraints": Constraints(step=2e-3), "trials": 5}, r"steps of 0\.002 are too coarse"),
+        (
+            {"constraints": Constraints(easy_share=0.5), "trials": 5},
+            r"33\.3 % of the trials are easy .* 16\.7 % fewer than easy_share=0\.5",
+        ),
+        (
+            {
+                "goal": Goal(half_width=0.2),
+                "cue": ForceMap(),
+                "deflection_angle": 0.7,
+                "scheme": Scheme([10e-3, 25e-3], [-1e-3, 1e-3]),
+            },
+            r"flicked past: the whisker holds .* too much",
+        ),
+        ({"goal": Goal(half_width=0.2), "cue": ForceMap()}, r"needs the deflection angle"),
+        ({"cue": ForceMap(), "trials": 5}, r"Taper is tested by the compliance cue"),
+        ({"hypotheses": taper(C2)[:1], "trials": 5}, r"A Bayes factor compares two hypotheses"),
+        ({"together": True, "trials": 5}, r"One animal cannot be fitted together"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        plan_experiment("C2", **options)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: Goal(), "got neither"),
+        (lambda: Goal(10, 0.2), "got both"),
+        (lambda: Goal(bayes_factor=1), "bayes_factor must be above 1"),
+        (lambda: Goal(half_width=20), "half_width must lie between 0 and 1, got 20"),
+        (lambda: Goal(10, share=1), "share must lie between 0 and 1, got 1"),
+        (lambda: Animals(0), "weber_fraction must be above zero"),
+        (lambda: Animals(lapse=0.5), "lapse must be below 0.5"),
+        (lambda: Animals(spread=-1), "spread must not be negative"),
+    ],
+)
+def test_goals_and_animals_that_make_no_sense_are_refused(
+    make: Callable[[], object], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+# -- what is expected ----------------------------------------------------------------------------
+
+
+def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
+    """The one fit to expected answers against the median of thirty fits to simulated ones."""
+    plan = plan_experiment("C2", goal=Goal(half_width=0.3), trials=40)
+    ((_, expected),) = plan.expected_fits
+    k, lapse = plan.animals.weber_fraction, plan.animals.lapse
+    animal = pd.DataFrame(
+        [{"subject": "s1", "weber_fraction": k, "lapse_low": lapse, "lapse_high": lapse, "bias": 0}]
+    )
+    percept = plan.hypotheses[0].percept
+    found = []
+    for seed in range(30):
+        answers = answer_trials(plan.trials, animal, percept=percept, seed=seed)
+        row = plan.analyse(answers).estimates.iloc[0]
+        found.append((row["weber_fraction"], row["upper"] - row["lower"]))
+    middle, width = np.array(found).T
+    low, high = expected.interval()
+    # Medians of thirty: sd 1.25 sd/√30 each, four of these.
+    assert abs(expected.weber_fraction - np.median(middle)) < 4 * 1.25 * middle.std() / np.sqrt(30)
+    assert abs((high - low) - np.median(width)) < 4 * 1.25 * width.std() / np.sqrt(30)
+
+
+def test_expected_jnds_are_the_papers(plan: Plan) -> None:
+    """k r (1 − r/A) and k r, (3.5) and (3.6), in the 75 % criterion: 0.9539 of an sd."""
+    whisker = Whisker.from_identity("C3")
+    for hypothesis, fit in plan.expected_fits:
+        own = plan.jnds.query("hypothesis == @hypothesis")
+        r = own["stimulus"].to_numpy()
+        shape = r if hypothesis == "cylindrical" else r * (1 - r / whisker.apex_distance)
+        expected = 0.953873 * fit.weber_fraction * shape
+        np.testing.assert_allclose(own["jnd"], expected, rtol=2e-5)
+        assert (own["lower"] < own["jnd"]).all()
+        assert (own["jnd"] < own["upper"]).all()
+
+
+def test_expected_shares_hold_95_percent_of_animals(plan: Plan) -> None:
+    """The bars of the page, by simulation: counts fall inside in 95 % or a little more."""
+    rng = np.random.default_rng(1)
+    levels = plan.levels
+    counts = (
+        rng.binomial(levels["n"], levels["expected"], (4000, len(levels))) / levels["n"].to_numpy()
+    )
+    inside = (counts >= levels["lower"].to_numpy()) & (counts <= levels["upper"].to_numpy())
+    assert (inside.mean(axis=0) > 0.94).all()
+
+
+# -- the page and the folder ---------------------------------------------------------------------
+
+
+def test_the_page_stands_alone_and_holds_its_figures(plan: Plan) -> None:
+    html = figures.plan_page(plan)
+    parser = Page()
+    parser.feed(html)
+    assert not parser.open
+    # Nothing from elsewhere: no links, scripts or files.
+    assert parser.tags.isdisjoint({"script", "link", "iframe"})
+    assert len(parser.images) >= 2
+    for source in parser.images:
+        head, _, content = source.partition(",")
+        assert head == "data:image/svg+xml;base64"
+        assert b"<svg" in base64.b64decode(content)
+    words = " ".join(parser.text.split())
+    for fact in ("2 animals, 108 trials each", "A plan, “tried”", plan.fingerprint[:16], "8 mm"):
+        assert fact in words
+    assert figures.plan_page(plan) == html
+
+
+class Page(HTMLParser):
+    """Tags, text and images of a page, and whatever was left open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.images: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag == "img":
+            self.images.append(dict(attrs)["src"] or "")
+        elif tag != "meta":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_a_folder_has_everything_and_is_the_same_again(plan: Plan, tmp_path: Path) -> None:
+    first, second = (write_plan(plan, tmp_path / name) for name in ("a", "b"))
+    names = sorted(path.name for path in first.iterdir())
+    lists = [f"psychopy_{s}_{n:03d}.csv" for s in ("s1", "s2") for n in range(1, plan.sessions + 1)]
+    assert {"plan.json", "plan.html", "preregistration.txt", "trials.csv", *lists} < {*names}
+    assert names == sorted(path.name for path in second.iterdir())
+    for name in names:
+        if name != "design.run.json":  # has the time
+            assert (first / name).read_bytes() == (second / name).read_bytes(), name
+    again = read_plan(first / "plan.json")
+    assert csv_text(own_table(again.trials)).encode() == (first / "trials.csv").read_bytes()
+
+
+def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
+    text = " ".join(preregistration(plan).split())
+    for fact in (
+        "Bayes factor above 10",
+        "2 animals, 108 trials each, in 3 sessions of at most 60",
+        "sd of ln k 0.2",
+        "lapses of 2 % a side",
+        "not more than 4 times running",
+        "from seed 7",
+        "lognorm(1.099, scale=0.1)",
+        "beta(0.3, 3)",
+        "a response bias b for each standard",
+    ):
+        assert fact in text, fact
+    alone = Plan(plan.scheme, plan.hypotheses[:1], Goal(half_width=0.25), constraints=Constraints())
+    assert "half-width is below 25 %" in " ".join(preregistration(alone).split())
+    pooled = replace(plan, together=True)
+    assert "All animals are fitted together" in " ".join(preregistration(pooled).split())

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -362,3 +363,89 @@ def test_to_json_is_strict_json() -> None:
 def test_a_missing_package_is_recorded_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "_RECORDED_PACKAGES", ("no-such-package",))
     assert runs._versions()["no-such-package"] is None
+
+
+RACING = """
+import sys
+import time
+import pandas as pd
+from weberwhisk.runs import Run
+
+out, value = sys.argv[1], float(sys.argv[2])
+names = ("bend", "second", "third")[: 3 if value == 1 else 2]
+for _ in range(int(sys.argv[3])):
+    with Run(out, "bend", {"value": value}) as run:
+        for name in names:
+            run.table(name, pd.DataFrame({"value": [value] * 50}))
+"""
+
+
+def whole(out: Path) -> float:
+    """The value of the one result in a folder, every file of it."""
+    record = json.loads((out / "bend.run.json").read_text("utf-8"))
+    value = record["inputs"]["value"]
+    assert {path.name for path in out.iterdir() if not path.name.startswith(".")} == {
+        "bend.run.json", *record["files"]
+    }  # fmt: skip
+    for name in record["files"]:
+        assert (out / name).read_text() == "value\n" + f"{value}\n" * 50
+    return float(value)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no lock on folders there")
+@pytest.mark.parametrize("there", [False, True])
+def test_two_runs_at_once_leave_one_of_the_two(tmp_path: Path, there: bool) -> None:
+    """They ended in tracebacks, and left files that no record listed."""
+    out = tmp_path / "out"
+    if there:
+        make(out, 3.0, extra=True)
+    racers = [
+        subprocess.Popen(
+            [sys.executable, "-c", RACING, str(out), str(value), "15"],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for value in (1.0, 2.0, 1.0)
+    ]
+    for racer in racers:
+        _, error = racer.communicate(timeout=120)
+        assert racer.returncode == 0, error
+    assert whole(out) in (1.0, 2.0)
+    assert not list(tmp_path.glob(".*")) + list(out.glob(".*"))
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill to survive")
+def test_killed_at_any_time_and_run_again(tmp_path: Path) -> None:
+    """The old result or the new one, after the next run whichever; a killer needs no lock's key."""
+    out = tmp_path / "out"
+    make(out, 3.0)
+    for wait in (0.0, 0.003, 0.01, 0.03):
+        racer = subprocess.Popen(
+            [sys.executable, "-c", "print(flush=True)" + RACING, str(out), "1", "1000"],
+            stdout=subprocess.PIPE,
+        )
+        assert racer.stdout is not None
+        racer.stdout.readline()
+        deadline = time.monotonic() + 60  # until it is in the middle of its runs
+        while whole_or_none(out) != 1.0 and time.monotonic() < deadline:
+            time.sleep(0.005)
+        time.sleep(wait)
+        racer.kill()
+        racer.communicate()
+        with Run(out, "jnd", {}):  # completes what was cut short
+            pass
+        assert whole_or_none(out, besides=("jnd.run.json",)) == 1.0
+        make(out, 3.0)
+        (out / "jnd.run.json").unlink()
+
+
+def whole_or_none(out: Path, besides: tuple[str, ...] = ()) -> float | None:
+    """The value that a folder's record tells of, if there is one now."""
+    try:
+        record = json.loads((out / "bend.run.json").read_text("utf-8"))
+    except FileNotFoundError:
+        return None
+    if besides:
+        names = {path.name for path in out.iterdir() if not path.name.startswith(".")}
+        assert names == {"bend.run.json", *record["files"], *besides}
+    return float(record["inputs"]["value"])

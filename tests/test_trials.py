@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -424,3 +425,18 @@ def test_nothing_is_dropped_or_changed() -> None:
     trials: Trials = read_trials(frame)
     pd.testing.assert_frame_equal(frame, before)
     assert len(trials) == 2
+
+
+def test_two_that_write_one_table_at_once_leave_it_whole(tmp_path: Path) -> None:
+    """They shared a half-written file, and one ended in a traceback."""
+    tables = [simulate_trials(seed=seed, trials_per_level=n) for seed, n in ((1, 40), (2, 10))]
+    path = tmp_path / "trials.csv"
+
+    def write(trials: Trials) -> None:
+        for _ in range(20):
+            trials.to_csv(path)
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(write, tables))
+    assert [p.name for p in tmp_path.iterdir()] == ["trials.csv"]
+    assert path.read_text() in [t.table().to_csv(index=False, lineterminator="\n") for t in tables]

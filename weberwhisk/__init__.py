@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from . import campaign, cues, mechanics, receptors
+    from . import campaign, cues, design, mechanics, receptors
     from .behaviour import (
         Comparison,
         PopulationFit,
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
+    from .design import plan_experiment, read_plan, rehearse
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor, jnd_curve
     from .jnd_surface import jnd_sweep
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
         sweep,
     )
     from .observer import Observer
+    from .planning import write_plan
     from .posterior import Posterior, Status, posterior
     from .whisker import Whisker, identities
 
@@ -95,6 +97,11 @@ _HOME = {
     "read_trials": "behaviour",
     "simulate_population": "behaviour",
     "simulate_trials": "behaviour",
+    "design": "design",
+    "plan_experiment": "design",
+    "read_plan": "design",
+    "rehearse": "design",
+    "write_plan": "planning",
 }
 __all__ = [
     "Bending",
@@ -121,6 +128,7 @@ __all__ = [
     "convert_jnd",
     "criterion_factor",
     "cues",
+    "design",
     "fit_population",
     "fit_weber",
     "flick_past",
@@ -130,16 +138,20 @@ __all__ = [
     "jnd_curve",
     "jnd_sweep",
     "mechanics",
+    "plan_experiment",
     "posterior",
     "press",
+    "read_plan",
     "read_trials",
     "receptors",
+    "rehearse",
     "rest_angle",
     "signal_jacobian",
     "simulate_population",
     "simulate_trials",
     "sticking",
     "sweep",
+    "write_plan",
 ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +37,58 @@ def non_negative(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     if not np.all(array >= 0):
         raise ValueError(f"{name} must not be negative, got {_first(array, array < 0)}; {hint}.")
     return array
+
+
+def number(name: str, value: ArrayLike, hint: str) -> float:
+    """`value` as one finite number."""
+    array = finite(name, value, hint)
+    if array.size != 1:
+        raise ValueError(f"{name} must be one number, got {array.size}; {hint}.")
+    return float(array.reshape(()))
+
+
+def whole(name: str, value: object, hint: str, least: int = 1) -> int:
+    """`value` as a whole number of `least` or more."""
+    array = np.asarray(value)
+    if array.size == 1 and array.dtype.kind in "iuf":
+        number = float(array.reshape(()))
+        if number.is_integer() and number >= least:
+            return int(number)
+    raise ValueError(
+        f"{name} must be a whole number of {least} or more, got {shown(value)}; {hint}."
+    )
+
+
+def kind(name: str, value: object, wanted: str, having: str, hint: str) -> None:
+    """Refuses what has no attribute `having`, and classes where one of their objects is wanted."""
+    if isinstance(value, type) or not hasattr(value, having):
+        raise ValueError(f"{name} must be {wanted}, got {shown(value)}; {hint}.")
+
+
+def generator(seed: Any) -> np.random.Generator:
+    """The random generator of a seed."""
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"seed must be a whole number of zero or more, a SeedSequence or a Generator, got "
+            f"{shown(seed)}; write seed=1, say."
+        ) from None
+
+
+def shown(value: object) -> str:
+    """A value as it fits into a sentence: itself, or what kind of thing it is.
+
+    Examples
+    --------
+    >>> shown("file.csv"), shown(np.zeros((9, 9))), shown(float)
+    ("'file.csv'", 'an object of type ndarray', 'the class float')
+    """
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    text = repr(value)
+    short = len(text) <= 50 and "\n" not in text
+    return text if short else f"an object of type {type(value).__name__}"
 
 
 def one_of(name: str, value: object, choices: Iterable[str]) -> str:

@@ -5,11 +5,23 @@ from __future__ import annotations
 import sys
 
 from ._terminal import new_app, run_app
-from .commands import bend, fit, jnd, quickstart, simulate
+from .commands import bend, chart, design, fit, jnd, quickstart, rehearse, simulate
+from .commands import next as next_
 
 app = new_app()
-for command in (quickstart.quickstart, bend.bend, jnd.jnd, simulate.simulate, fit.fit):
+COMMANDS = (
+    quickstart.quickstart,
+    bend.bend,
+    jnd.jnd,
+    simulate.simulate,
+    fit.fit,
+    design.design,
+    rehearse.rehearse,
+    chart.chart,
+)
+for command in COMMANDS:
     app.command()(command)
+app.command("next")(next_.next_trials)
 
 
 def main() -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from ._checks import finite, one_of
-from .cues.protocol import Cue
+from .cues.protocol import Cue, given, straight
 from .mechanics.contact import Outcome
 from .mechanics.surface import surface_of
-from .receptors import Events, ReceptorNoise, Seed
+from .receptors import Events, Joint, LogNormal, ReceptorNoise, Seed
+from .receptors.gaussian import Gaussian
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
+
+#: Values of each unknown that has a prior alone in `Observer.spread`.
+OTHERS = 7
 
 
 class Observer:
@@ -70,11 +74,7 @@ class Observer:
         *,
         model: str | None = None,
     ) -> None:
-        if not isinstance(whisker, Whisker):
-            raise ValueError(
-                f"An observer needs a Whisker, got {whisker!r}; "
-                "write Whisker.from_identity('C2'), say."
-            )
+        straight(whisker)
         if isinstance(cue, type) or not isinstance(cue, Cue):
             raise ValueError(f"An observer needs a cue, got {cue!r}; write cues.Compliance(), say.")
         if isinstance(noise, type) or not isinstance(noise, ReceptorNoise | None):
@@ -87,11 +87,6 @@ class Observer:
                     f"An observer has one whisker, got {np.size(getattr(whisker, name))} values of "
                     f"{name}; make one Observer for each."
                 )
-        if whisker.curvature != 0:
-            raise ValueError(
-                f"Cues are for straight whiskers so far, got curvature {whisker.curvature:g} 1/m; "
-                "write curvature=0."
-            )
         self.whisker = whisker
         self.cue = cue
         self.noise: ReceptorNoise = cue.default_noise() if noise is None else noise
@@ -149,7 +144,8 @@ class Observer:
     def contact(self, x: ArrayLike) -> tuple[Array, Array]:
         """The contact (..., U) at coordinates x (..., U), and ln of its prior density in x (...).
 
-        Flat priors count as the density 1 of the contact, so that theirs is ln |d contact/dx|.
+        Of the first unknowns alone where x has fewer. Flat priors count as the density 1 of the
+        contact, so that theirs is ln |d contact/dx|.
         """
         x = np.asarray(x, dtype=float)
         low, high = self.reach
@@ -166,7 +162,7 @@ class Observer:
                 fraction, log_slope = _squash(x[..., 1] - self._shear(out[..., 0], width))
                 out[..., 1] = low_angle + width * fraction
                 log_prior += np.where(width > 0, np.log(width) + log_slope, -np.inf)
-        for i, name in enumerate(self.unknowns):
+        for i, name in enumerate(self.unknowns[: x.shape[-1]]):
             if i >= self.bounded:
                 out[..., i] = _from_normal(self.prior[name], x[..., i])
                 log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
@@ -192,10 +188,10 @@ class Observer:
     def spread(self, fractions: Array) -> Array:
         """Coordinates (n, U) of contacts at all combinations of fractions of each range.
 
-        Unknowns that have priors alone take seven values within 2.5 sd of the middle.
+        Unknowns that have priors alone take `OTHERS` values within 2.5 sd of the middle.
         """
         bounded = [f(fractions) for f in (_unplace, _unsquash)[: self.bounded]]
-        others = [np.linspace(-2.5, 2.5, 7)] * (len(self.unknowns) - self.bounded)
+        others = [np.linspace(-2.5, 2.5, OTHERS)] * (len(self.unknowns) - self.bounded)
         x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *others, indexing="ij")], axis=-1)
         if self.bounded > 1:
             low, high = self.reach
@@ -271,6 +267,17 @@ class Observer:
         """Signals (..., S) of a contact (..., U), NaN where not held, and the outcome (...)."""
         return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.model)
 
+    def given(self, contact: Array) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+        """Signals and outcome for values (...) of the last unknown, the others (..., U − 1) given.
+
+        What does not depend on it is worked out once.
+        """
+        return given(self.cue, self.whisker, np.asarray(contact, dtype=float), model=self.model)
+
+    def last_unknown(self, z: Array) -> Array:
+        """The last unknown's values (...) at its coordinate z."""
+        return _from_normal(self.prior[self.unknowns[-1]], z)
+
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
         signals, outcome = self.signals(contact)
@@ -301,6 +308,17 @@ class Observer:
         return np.where(held[..., None], value, np.nan)
 
     # -- readings ------------------------------------------------------------------------------
+
+    def reading_outcome(self, reading: ArrayLike) -> NDArray[np.int8]:
+        """What the cue's method, taken by itself and as exact, makes of readings (..., R).
+
+        An `Outcome` each: `HELD` where it finds a contact, for cues without an inverse, and where
+        readings are not of the signals themselves (spikes are counts).
+        """
+        y = self.checked_reading(reading)
+        if not (hasattr(self.cue, "reading_outcome") and _of_signals(self.noise)):
+            return np.zeros(y.shape[:-1], dtype=np.int8)
+        return np.asarray(self.cue.reading_outcome(self.whisker, y), dtype=np.int8)
 
     def read(self, contact: ArrayLike, seed: Seed = None) -> Array:
         """Noisy readings (..., S) of a contact (..., U).
@@ -347,6 +365,13 @@ class Observer:
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
         return array
+
+
+def _of_signals(noise: ReceptorNoise) -> bool:
+    """Whether readings are numbers that a cue's inverse can take."""
+    if isinstance(noise, Joint):
+        return all(map(_of_signals, noise.noises))
+    return isinstance(noise, Gaussian | LogNormal | Events)
 
 
 def _from_normal(distribution: Any, z: Array) -> Array:

@@ -12,9 +12,10 @@ What happens to a folder that is there already:
   Several commands may therefore share a folder, and one with data of your own in it.
 - Several files cannot be renamed in one step. The finished set gets the name
   ``.weberwhisk-finished-…`` in one step, the old record is removed, the files are moved and the
-  new record comes last. Interrupts wait until that is over. If the process is killed outright in
-  between, the folder has no ``<command>.run.json``, and the next command that writes there
-  completes the move first.
+  new record comes last. Interrupts wait until that is over, and so do other runs that end in the
+  same folder: of two at once, the later one replaces the earlier whole. If the process is killed
+  outright in between, the folder has no ``<command>.run.json``, and the next command that writes
+  there completes the move first.
 
 A process killed outright before that leaves a hidden ``.weberwhisk-unfinished-…`` folder in or
 above the output folder; nothing reads it and it can be deleted.
@@ -31,19 +32,18 @@ import shutil
 import signal
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-import numpy as np
-
 from . import __version__
+from .written import UNFINISHED, atomic_write, sync, to_json
 
-_UNFINISHED = ".weberwhisk-unfinished-"
+__all__ = ["Run", "atomic_write", "to_json"]
+
 _FINISHED = ".weberwhisk-finished-"
 _RECORD = ".run.json"
 _NAME = re.compile(r"\w[\w.-]*")
@@ -129,11 +129,9 @@ class Run:
         place = self.out_dir
         while not place.exists():
             place = place.parent
-        staging = place / f"{_UNFINISHED}{secrets.token_hex(4)}"
+        staging = place / f"{UNFINISHED}{secrets.token_hex(4)}"
         try:
-            for left in sorted(self.out_dir.glob(f"{_FINISHED}*")):
-                _move_into_place(left, self.out_dir)
-            self._earlier = _recorded_files(self.out_dir / self._record)
+            self._look_again()
             staging.mkdir()
         except OSError as error:
             raise ValueError(
@@ -191,9 +189,18 @@ class Run:
             )
         if name in self.files:
             raise ValueError(f"The output file {name!r} is made twice; give each its own name.")
+        if name not in self._earlier:
+            self._look_again()  # another run may have made it meanwhile
         self._spare_others(name)
         self.files.append(name)
         return self._staging / name
+
+    def _look_again(self) -> None:
+        """Complete the moves that were cut short, and read what the folder's record lists."""
+        assert self.out_dir is not None
+        if self.out_dir.exists():
+            with _alone_in(self.out_dir):
+                self._earlier = _made_earlier(self.out_dir, self._record)
 
     def _spare_others(self, name: str) -> None:
         """Refuse to replace what an earlier run of this command did not make."""
@@ -206,6 +213,29 @@ class Run:
             )
 
     def _finish(self) -> None:
+        assert self._staging is not None
+        assert self.out_dir is not None
+        if not self.out_dir.exists():
+            self._seal()
+            self.out_dir.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.rename(self._staging, self.out_dir)
+                return
+            except OSError:  # unless another run made the folder meanwhile
+                if not self.out_dir.is_dir():
+                    raise
+        with _alone_in(self.out_dir):
+            self._earlier = _made_earlier(self.out_dir, self._record)
+            for name in self.files:
+                self._spare_others(name)
+            self._seal()
+            finished = self.out_dir / f"{_FINISHED}{secrets.token_hex(4)}"
+            with _interrupts_wait():
+                os.rename(self._staging, finished)
+                _move_into_place(finished, self.out_dir)
+
+    def _seal(self) -> None:
+        """Add the record, and have all on the disk."""
         assert self._staging is not None
         assert self.out_dir is not None
         record = {
@@ -225,17 +255,31 @@ class Run:
         }
         (self._staging / self._record).write_text(to_json(record), "utf-8")
         for path in self._staging.iterdir():
-            _sync(path)
-        for name in self.files:
-            self._spare_others(name)
-        if not self.out_dir.exists():
-            self.out_dir.parent.mkdir(parents=True, exist_ok=True)
-            os.rename(self._staging, self.out_dir)
-            return
-        finished = self.out_dir / f"{_FINISHED}{secrets.token_hex(4)}"
-        with _interrupts_wait():
-            os.rename(self._staging, finished)
-            _move_into_place(finished, self.out_dir)
+            sync(path)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Hold other runs out of a folder; the lock ends with the process, however that ends."""
+    try:
+        import fcntl
+    except ImportError:  # no such locks on Windows
+        yield
+        return
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network file systems have none
+            fcntl.flock(held, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(held)
+
+
+def _made_earlier(out_dir: Path, record: str) -> list[str]:
+    """Complete the moves that were cut short; the files that a command's record then lists."""
+    for left in sorted(out_dir.glob(f"{_FINISHED}*")):
+        _move_into_place(left, out_dir)
+    return _recorded_files(out_dir / record)
 
 
 def _move_into_place(finished: Path, out_dir: Path) -> None:
@@ -286,96 +330,6 @@ def _interrupts_wait() -> Iterator[None]:
             signal.signal(known, handler)
         for number in waiting:
             signal.raise_signal(number)
-
-
-def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file whole: a reader, a failure or a kill sees the old content or the new.
-
-    Parameters
-    ----------
-    path : path
-        The file; a link is followed. Its folder must exist.
-    content : str or bytes
-        Text is written as UTF-8.
-
-    Raises
-    ------
-    ValueError
-        If `path` is not an ordinary file or cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     atomic_write(f"{folder}/trials.csv", "s1,s2,choice\\n")
-    ...     print(Path(folder, "trials.csv").read_text(), end="")
-    s1,s2,choice
-    """
-    target = Path(os.path.realpath(path))
-    if target.exists() and not target.is_file():
-        raise ValueError(f"{str(target)!r} is not an ordinary file; name a file to write.")
-    part = target.with_name(f"{_UNFINISHED}{secrets.token_hex(4)}")
-    try:
-        try:
-            part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-            _sync(part)
-            os.replace(part, target)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise ValueError(
-            f"{str(target)!r} cannot be written ({error.strerror}); "
-            "name a file in a folder that exists and that you may write to."
-        ) from error
-
-
-def to_json(value: Any) -> str:
-    """Strict JSON of results: arrays, NumPy scalars, paths and outcomes included.
-
-    NaN and infinities, which JSON lacks, become null; members of an enumeration become their
-    names in lower case.
-
-    Raises
-    ------
-    TypeError
-        For anything that has no plain form.
-
-    Examples
-    --------
-    >>> print(to_json({"moment": np.array([1.5, np.nan]), "path": Path("a")}))
-    {
-      "moment": [
-        1.5,
-        null
-      ],
-      "path": "a"
-    }
-    """
-    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Enum):
-        return value.name.lower()
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
-        return value
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    raise TypeError(f"{type(value).__name__} has no JSON form; turn it into numbers and text.")
-
-
-def _sync(path: Path) -> None:
-    """Have the file on the disk before its name is."""
-    with open(path, "rb") as file:
-        os.fsync(file.fileno())
 
 
 def _now() -> str:

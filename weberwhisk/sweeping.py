@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._checks import finite, non_negative, positive
 from .cues import ForceMap
+from .cues.protocol import straight
 from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .observer import Observer
@@ -114,6 +115,7 @@ def follow(
     >>> (follow(w, push, felt).radial_distance * 1e3).round(3)
     array([30., 30., 30., 30.])
     """
+    straight(whisker)
     push, felt = _checked(push_angle, moment)
     r, theta, before = 0.0, 0.0, 0.0
     if start is not None:

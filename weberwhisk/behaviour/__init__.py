@@ -15,12 +15,11 @@ from .comparison import (
 from .criticism import checks, quantile_residuals, residuals_by
 from .datasets import load_numerosity, load_rat_auditory
 from .fit import fit_weber
-from .hierarchy import PopulationPriors
 from .law import WeberLawTest, weber_law_test
 from .percepts import CuePercept, IdentityPercept, LogAxisPercept, LogPercept, Percept
 from .population import simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
-from .priors import Priors
+from .priors import PopulationPriors, Priors
 from .psychometric import response_probability, threshold
 from .reading import read_trials
 from .result import WeberFit

@@ -7,7 +7,7 @@ the paper's question, whether a whisker's taper is felt, and its relatives there
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,17 +16,18 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
+from .. import _checks
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.loo import pointwise_loo
 from ..receptors import Weber
 from ..whisker import Whisker
-from .criticism import _Rows
-from .effects import Drift, Floor
+from .criticism import _Rows, check_fit
+from .effects import Drift, Effect, Floor, check_effects
 from .fit import fit_weber
-from .percepts import CuePercept, Percept, percept_for
+from .percepts import CuePercept, Percept, chosen_percept, percept_for
 from .result import WeberFit
-from .trials import Trials
+from .trials import Trials, check_trials
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,15 @@ class Comparison:
     a trial left out, summed over the trials; `elpd_difference` from the highest, with its standard
     error `difference_se`; `bad_k`, trials whose Pareto k is above 0.7, where LOO is not to be
     relied on; `weber_fraction`, and the `status` of the fit.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(weber_fraction=0.1, seed=1)
+    >>> known = {"lapse_low": 0.0, "lapse_high": 0.0}
+    >>> both = compare({"lapses": fit_weber(trials), "none": fit_weber(trials, priors=known)})
+    >>> both.table["log_bayes_factor"].iloc[0], both.report().startswith("none against lapses")
+    (np.float64(0.0), True)
     """
 
     table: pd.DataFrame
@@ -86,6 +96,13 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     >>> both.table.index.tolist()
     ['free', 'wrong']
     """
+    if not isinstance(fits, Mapping):
+        raise ValueError(
+            f"fits must be a mapping of names to fits, got {_checks.shown(fits)}; write "
+            "compare({'one': fit, 'two': other})."
+        )
+    for name, fit in fits.items():
+        check_fit(fit, f"the fit {name!r}")
     if len(fits) < 2:
         raise ValueError(f"two fits or more can be compared, got {len(fits)}; give another.")
     rows = {name: _Rows.of(fit) for name, fit in fits.items()}
@@ -189,7 +206,13 @@ class ConstantNoise:
         return np.full(np.shape(stimulus), self.typical)
 
 
-def compare_noise(trials: Trials, *, percept: Percept | None = None, **options: Any) -> Comparison:
+def compare_noise(
+    trials: Trials,
+    *,
+    percept: Percept | None = None,
+    effects: Sequence[Effect] = (),
+    **options: Any,
+) -> Comparison:
     """Weber noise, generalised Weber noise (with a floor), and constant noise.
 
     Parameters
@@ -197,6 +220,8 @@ def compare_noise(trials: Trials, *, percept: Percept | None = None, **options: 
     trials : Trials
         At several standards: at one alone the three are hardly to be told apart.
     percept : Percept, optional
+    effects : sequence of Effect, optional
+        Of all three.
     **options
         As for `fit_weber`.
 
@@ -212,7 +237,9 @@ def compare_noise(trials: Trials, *, percept: Percept | None = None, **options: 
     >>> compare_noise(trials).table.index[-1]
     'constant noise'
     """
-    felt = percept or percept_for(trials.scale, trials.log_unit, "weber")
+    check_trials(trials)
+    check_effects(effects)
+    felt = chosen_percept(percept, None) or percept_for(trials.scale, trials.log_unit, "weber")
     cells = trials.cells()
     noisiness = felt.unit_sd(np.concatenate([cells.stimulus_1, cells.stimulus_2]))
     if noisiness.size and np.ptp(noisiness) <= 1e-9 * noisiness.max():
@@ -223,19 +250,22 @@ def compare_noise(trials: Trials, *, percept: Percept | None = None, **options: 
     typical = float(np.exp(np.mean(np.log(noisiness)))) if noisiness.size else 1.0
     return compare(
         {
-            "Weber noise": fit_weber(trials, percept=felt, **options),
+            "Weber noise": fit_weber(trials, percept=felt, effects=effects, **options),
             "generalised Weber noise": fit_weber(
-                trials, percept=felt, effects=[Floor()], **options
+                trials, percept=felt, effects=[*effects, Floor()], **options
             ),
-            "constant noise": fit_weber(trials, percept=ConstantNoise(felt, typical), **options),
+            "constant noise": fit_weber(
+                trials, percept=ConstantNoise(felt, typical), effects=effects, **options
+            ),
         }
     )
 
 
-def compare_drift(trials: Trials, **options: Any) -> Comparison:
+def compare_drift(trials: Trials, *, effects: Sequence[Effect] = (), **options: Any) -> Comparison:
     """A stationary observer, and one whose Weber fraction drifts over the sessions.
 
     The drift of ln k is linear in the number of the session, or in its logarithm (fast first).
+    `effects` are those of all three; `options` go to `fit_weber`.
 
     Examples
     --------
@@ -244,11 +274,16 @@ def compare_drift(trials: Trials, **options: Any) -> Comparison:
     >>> compare_drift(trials).table.index[-1]
     'stationary'
     """
+    check_effects(effects)
+    courses = {
+        "stationary": [],
+        "drifting": [Drift()],
+        "drifting, fast first": [Drift(of_log=True)],
+    }
     return compare(
         {
-            "stationary": fit_weber(trials, **options),
-            "drifting": fit_weber(trials, effects=[Drift()], **options),
-            "drifting, fast first": fit_weber(trials, effects=[Drift(of_log=True)], **options),
+            name: fit_weber(trials, effects=[*effects, *own], **options)
+            for name, own in courses.items()
         }
     )
 
@@ -281,6 +316,8 @@ def compare_taper(
     >>> compare_taper(trials, whisker).table.index[0]
     'tapered'
     """
+    hint = "write Whisker.from_identity('C2'), say"
+    _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
     if whisker.tip_radius >= whisker.base_radius:
         raise ValueError("the whisker has no taper to test; give one whose tip is thinner.")
     felt = {

@@ -25,7 +25,14 @@ Array = NDArray[np.float64]
 
 REPEATS = 1000  # draws that a check is averaged over
 FEWER = 250  # the same, where every trial is looked at
+#: Draws times rows that are in memory together.
+NUMBERS_AT_ONCE = 2_000_000
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
+
+
+def check_fit(fit: object, name: str = "fit") -> None:
+    """Refuses what is not a fit of one observer."""
+    _checks.kind(name, fit, "a WeberFit", "posterior", "write fit_weber(trials)")
 
 
 def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
@@ -86,6 +93,8 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
     ['session', 'n', 'observed', 'expected', 'z']
     """
     rows = _Rows.of(fit)
+    if not columns:
+        raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         _checks.one_of("column", column, map(str, rows.frame.columns))
     p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0].mean(axis=0)[rows.cell]
@@ -120,7 +129,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
     lower = np.where(count > 0, bdtr(np.maximum(count - 1, 0), whole, p).mean(axis=0), 0.0)
-    u = np.random.default_rng(seed).random(count.size)
+    u = _checks.generator(seed).random(count.size)
     pit = np.clip(lower + u * (upper - lower), 1e-12, 1 - 1e-12)
     return gathered.assign(pit=pit, z=ndtri(pit))
 
@@ -158,14 +167,22 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(FEWER)
-    p, q = (side[:, rows.cell] for side in _probability(fit.model, draws))
-    rng = np.random.default_rng(seed)
-    again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
-    spread = np.maximum(rows.n * p * q, 1e-12)
+    by_cell = _probability(fit.model, draws)
+    rng = _checks.generator(seed)
+    statistics = rows.statistics()
+    # (seen, made) of every statistic; few draws at a time where there are many rows.
+    values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}
+    stride = max(NUMBERS_AT_ONCE // rows.n.size, 1)
+    for start in range(0, len(by_cell[0]), stride):
+        p, q = (side[start : start + stride, rows.cell] for side in by_cell)
+        again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)
+        spread = np.maximum(rows.n * p * q, 1e-12)
+        for name, (statistic, _) in statistics.items():
+            off = rows.count - rows.n * p, again - rows.n * p
+            values[name].append((statistic(off[0], spread), statistic(off[1], spread)))
     out = {}
-    for name, (statistic, remedy) in rows.statistics().items():
-        seen = statistic(rows.count - rows.n * p, spread)
-        made = statistic(again - rows.n * p, spread)
+    for name, (_, remedy) in statistics.items():
+        seen, made = (np.concatenate(parts) for parts in zip(*values[name], strict=True))
         greater = np.abs(made) >= np.abs(seen) if name in SIGNED else made >= seen
         out[name] = {
             "observed": seen.mean(),
@@ -187,6 +204,7 @@ class _Rows:
 
     @classmethod
     def of(cls, fit: WeberFit) -> _Rows:
+        check_fit(fit)
         frame = fit.trials.frame
         kept = (frame["count"].notna() & (frame["n"] > 0)).to_numpy()
         model, cells = fit.model, fit.model.cells

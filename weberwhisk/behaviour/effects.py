@@ -8,6 +8,7 @@ a number for each row of the table, and trials that differ in it are counted apa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -70,6 +71,13 @@ class Floor(_Plain):
 
     `floor` is in the unit of the signal. Its prior is log-normal: median 3 % of the table's typical
     signal (geometric mean), a factor of 4 either way as one sd.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(standards=[1.0, 4.0], weber_fraction=0.15, seed=1)
+    >>> fit_weber(trials, effects=[Floor()]).parameters
+    ('weber_fraction', 'floor', 'lapse_low', 'lapse_high', 'bias')
     """
 
     prior: Any = None
@@ -220,6 +228,13 @@ class Drift(_Plain):
 
     Linear in the number of the session in its row, or with `of_log` in its logarithm (fast first,
     slow later). The Weber fraction is that in the middle of the course.
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> trials = simulate_trials(sessions=3, trials_per_level=1, seed=1)
+    >>> Drift().column(trials)
+    array([-0.5, -0.5, -0.5,  0. ,  0. ,  0. ,  0.5,  0.5,  0.5])
     """
 
     prior: Any = _NORMAL[0.5]
@@ -241,6 +256,13 @@ class Step(_Plain):
     """A learning animal, by blocks: ln k changes by this much from session `at` on.
 
     Several steps make a piecewise course; the Weber fraction is that before the first.
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> trials = simulate_trials(sessions=3, trials_per_level=1, seed=1)
+    >>> Step(at=2).name, Step(at=2).column(trials)
+    ('step[2]', array([0., 0., 0., 1., 1., 1., 1., 1., 1.]))
     """
 
     at: Any
@@ -309,6 +331,22 @@ EFFECTS: dict[str, Effect] = {
     "drift-fast-first": Drift(of_log=True),
     "overdispersion": Overdispersion(),
 }
+
+
+def check_effects(effects: Any) -> None:
+    """Refuses what is not a sequence of effects, with what to write instead."""
+    if isinstance(effects, str) or not isinstance(effects, Sequence):
+        raise ValueError(
+            f"effects must be a sequence, got {_checks.shown(effects)}; write effects=[Drift()], "
+            "say, with Drift from weberwhisk.behaviour.effects."
+        )
+    for effect in effects:
+        named = EFFECTS.get(effect) if isinstance(effect, str) else None
+        instead = type(named).__name__ if named else getattr(effect, "__name__", "Drift")
+        _checks.kind(
+            "an effect", effect, "an Effect", "apply",
+            f"write {instead}(), from weberwhisk.behaviour.effects",
+        )  # fmt: skip
 
 
 def effect_named(text: str) -> Effect:

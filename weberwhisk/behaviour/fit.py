@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .effects import Effect
+from .effects import Effect, check_effects
 from .likelihood import WeberModel, gather
-from .percepts import NOISES, CuePercept, Percept, percept_for, refuse_unfelt, unit_percepts
+from .percepts import NOISES, Percept, chosen_percept, percept_for, refuse_unfelt, unit_percepts
 from .posteriors import GridPosterior, WeberPosterior
 from .priors import priors_for
 from .quadrature import integrate
 from .result import WeberFit
-from .trials import Trials
+from .trials import Trials, check_trials
 from .verdict import verdict
 
 BIASES = ("none", "shared", "per standard")
@@ -86,9 +86,10 @@ def fit_weber(
     """
     _checks.one_of("noise", noise, NOISES)
     model, felt, chosen = build_model(trials, percept, observer, bias, noise, priors, effects)
-    used = method or ("quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee")
+    by_itself = "quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee"
+    used = by_itself if method is None else method
     _checks.one_of("method", used, METHODS)
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     fewer = model.merged()
     posterior: WeberPosterior
     if used == "emcee":
@@ -117,6 +118,8 @@ def build_model(
     effects: Sequence[Effect] = (),
 ) -> tuple[WeberModel, Percept, str]:
     """The model of a fit, its percept, and the bias chosen."""
+    check_trials(trials)
+    check_effects(effects)
     if len(trials.subjects) > 1:
         shown = ", ".join(map(repr, trials.subjects[:4]))
         raise ValueError(
@@ -124,15 +127,12 @@ def build_model(
             "observer is fitted at a time; choose one with "
             f"trials.select(subject={trials.subjects[0]!r})."
         )
-    if percept is not None and observer is not None:
-        raise ValueError("percept and observer were both given; give one of them.")
-    felt = percept or (
-        CuePercept(observer)
-        if observer is not None
-        else percept_for(trials.scale, trials.log_unit, noise)
-    )
+    felt = chosen_percept(percept, observer)
+    if felt is None:
+        felt = percept_for(trials.scale, trials.log_unit, noise)
     task = trials.task
-    chosen = bias or ("shared" if task.has_bias else "none")
+    by_itself = "shared" if task.has_bias else "none"
+    chosen = by_itself if bias is None else bias
     _checks.one_of("bias", chosen, BIASES)
     if chosen != "none" and not task.has_bias:
         raise ValueError(

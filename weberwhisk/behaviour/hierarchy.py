@@ -10,15 +10,15 @@ power of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.ndimage import map_coordinates, zoom
 from scipy.special import logsumexp
 
+from .priors import PopulationPriors
 from .tabulated import Table
 
 Array = NDArray[np.float64]
@@ -28,26 +28,6 @@ NAMES = ("log_weber_fraction", "spread", "session_spread", "lapse_mean", "lapse_
 COARSE = (13, 13, 7, 7, 4)
 FINE = (23, 27, 11, 21, 9)
 KEPT = 1e-6  # of the peak: what a marginal density may fall to within the axes
-
-
-@dataclass(frozen=True, eq=False)
-class PopulationPriors:
-    """Prior beliefs about a population: frozen SciPy distributions.
-
-    - `spread`: standard deviation of ln k between animals: half-normal of 0.5. Two animals of a
-      spread of 0.5 differ by a factor of 1.8.
-    - `session_spread`: the same between sessions of one animal: half-normal of 0.3.
-    - `lapse_mean`, `lapse_spread`: mean and standard deviation over the animals of the normal
-      scores of their lapses, where (0, 1) is the prior of a single fit. Standard normal, and
-      log-normal with median 0.7 and a factor of 1.6 either way.
-
-    The prior of the population's median Weber fraction is that of a single fit.
-    """
-
-    spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.5))
-    session_spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.3))
-    lapse_mean: Any = field(default_factory=lambda: stats.norm(0.0, 1.0))
-    lapse_spread: Any = field(default_factory=lambda: stats.lognorm(0.5, scale=0.7))
 
 
 @dataclass(frozen=True)

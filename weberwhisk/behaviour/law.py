@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from .criticism import check_fit
 from .likelihood import WeberModel
 from .posteriors import GridPosterior
 from .quadrature import Grid, adapt, evaluate, integrate, lapse_prior
@@ -27,6 +28,16 @@ class WeberLawTest:
     `log_bayes_factor` is the natural log of the evidence for one shared Weber fraction over that
     for one per standard, each with the prior of the fit. `by_standard` has the Weber fraction
     fitted at each standard alone.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(standards=[1.0, 4.0], weber_fraction=0.15, seed=1)
+    >>> test = weber_law_test(fit_weber(trials))
+    >>> test.by_standard["standard"].tolist(), test.log_bayes_factor > 0
+    ([1.0, 4.0], True)
+    >>> test.report()[-75:]
+    'standard the wide prior of the fit, which favours the law when data are few.'
     """
 
     log_bayes_factor: float
@@ -54,6 +65,7 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
     ValueError
         With fewer than two standards, a fixed Weber fraction, or effects.
     """
+    check_fit(fit)
     model = fit.model
     if model.effects:
         raise ValueError(

@@ -9,6 +9,8 @@ from typing import Any
 
 import pandas as pd
 
+from .. import _checks
+
 SHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
 
 
@@ -44,6 +46,11 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """
     if isinstance(source, pd.DataFrame):
         return _numbered(source), "table"
+    if not isinstance(source, str | Path):
+        raise ValueError(
+            f"source must be a path or a DataFrame, got {_checks.shown(source)}; write "
+            "read_trials('file.csv')."
+        )
     path = Path(source)
     if not path.is_file():
         sentence = "there is no such file; give the path of a table of trials"
@@ -60,9 +67,9 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
         raise ValueError(
             f"{path.name}: the file is empty; give a header and one row per trial."
         ) from None
-    # The readers of the binary formats raise whatever their libraries do at a broken file.
-    except (ValueError, OSError, EOFError, KeyError, TypeError) as error:
-        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
+    # The readers of all these formats raise whatever their libraries do at a broken file.
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1] or type(error).__name__
         raise ValueError(
             f"{path.name}: not readable as a table ({reason}); save it as CSV."
         ) from None
@@ -74,6 +81,9 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
 
 
 def _numbered(raw: pd.DataFrame) -> pd.DataFrame:
+    if not raw.columns.is_unique:
+        twice = raw.columns[raw.columns.duplicated()][0]
+        raise ValueError(f"there are two columns {str(twice)!r}; give each its own name.")
     table = raw.set_axis(pd.RangeIndex(1, len(raw) + 1), axis=0)
     return table[table.notna().any(axis=1)] if table.shape[1] else table
 

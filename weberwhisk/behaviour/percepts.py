@@ -9,7 +9,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -168,7 +168,11 @@ class CuePercept:
     unit: float = 1.0
 
     def __post_init__(self) -> None:
+        hint = "write Observer(whisker, cues.Compliance()), say"
+        _checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
         _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
+        if self.deflection_angle is not None:
+            _checks.number("deflection_angle", self.deflection_angle, "give radians, such as 0.2")
         if "deflection_angle" in self.observer.unknowns and self.deflection_angle is None:
             raise ValueError(
                 f"{self.observer.cue!r} needs the deflection angle of the contacts, got none; "
@@ -242,6 +246,28 @@ class CuePercept:
         if outcome == Outcome.HELD:
             return "these signals cannot tell distance on this whisker"
         return outcome.message
+
+
+def chosen_percept(percept: Percept | None, observer: Any) -> Percept | None:
+    """The percept given, directly or as an observer; None where there is neither."""
+    if percept is not None and observer is not None:
+        raise ValueError("percept and observer were both given; give one of them.")
+    if observer is not None:
+        return CuePercept(observer)
+    if percept is not None:
+        _checks.kind("percept", percept, "a Percept", "unit_sd", "write IdentityPercept(), say")
+    return percept
+
+
+def refuse_outside(percept: Percept, stimulus: ArrayLike) -> None:
+    """Refuse stimuli that no observer can feel, such as negative magnitudes."""
+    stimuli, (low, high) = np.ravel(np.asarray(stimulus, dtype=float)), percept.domain
+    outside = ~((stimuli > low) & (stimuli < high))
+    if outside.any():
+        raise ValueError(
+            f"stimulus {stimuli[outside][0]:g} lies outside what can be felt, {low:g} to {high:g}; "
+            "choose other standards or comparisons."
+        )
 
 
 def refuse_unfelt(percept: Percept, stimulus: ArrayLike) -> None:

@@ -66,12 +66,16 @@ def simulate_population(
     >>> trials.subjects, truth.columns.tolist()[:2]
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     truth = draw_animals(
         subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
         lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
-    _checks.non_negative("session_spread", session_spread, "write for example 0.02")
+    _checks.whole("sessions", sessions, "write 10, say")
+    if _checks.number("session_spread", session_spread, "write for example 0.02") < 0:
+        raise ValueError(
+            f"session_spread must not be negative, got {session_spread:g}; write 0.02, say."
+        )
     wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
     parts = []
     for i, row in enumerate(truth.to_dict("records")):
@@ -109,22 +113,21 @@ def draw_animals(
     0      s1             0.1
     1      s2             0.1
     """
-    if subjects != int(subjects) or subjects < 1:
-        raise ValueError(
-            f"subjects must be a whole number of 1 or more, got {subjects!r}; write 6."
-        )
+    _checks.whole("subjects", subjects, "write 6, say")
     _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
-    _checks.finite("bias", bias, "write for example 0")
+    _checks.number("weber_fraction", weber_fraction, "write for example 0.1")
+    _checks.number("bias", bias, "write for example 0")
     for name, value in (
         ("spread", spread),
         ("bias_spread", bias_spread),
         ("lapse_low", lapse_low),
         ("lapse_high", lapse_high),
     ):
-        _checks.non_negative(name, value, "write for example 0.02")
+        if _checks.number(name, value, "write for example 0.02") < 0:
+            raise ValueError(f"{name} must not be negative, got {value:g}; write 0.02, say.")
         if name.startswith("lapse") and value >= 0.5:
             raise ValueError(f"{name} must be below 0.5, got {value:g}; write for example 0.02.")
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     # Uniform numbers alone, as in `simulate_trials`.
     u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
     return pd.DataFrame(

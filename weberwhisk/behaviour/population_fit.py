@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from ..posterior.arviz_io import to_arviz
 from .fit import fit_weber
-from .hierarchy import NAMES, Members, Population, PopulationPriors, integrate_population
-from .priors import Priors, priors_for
+from .hierarchy import NAMES, Members, Population, integrate_population
+from .priors import PopulationPriors, Priors, priors_for
 from .result import WeberFit
 from .status import FitStatus
 from .tabulated import tabulate
-from .trials import Trials
+from .trials import Trials, check_trials
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,13 @@ OF_PRIOR = 0.8  # posterior sd over prior sd of a spread, above which the data t
 
 
 class PopulationStatus(Enum):
-    """What the animals together could tell, worst first."""
+    """What the animals together could tell, worst first.
+
+    Examples
+    --------
+    >>> PopulationStatus.ONE_ANIMAL.ok, PopulationStatus.ONE_ANIMAL.value
+    (False, "there is one animal: the spread between animals is the prior's")
+    """
 
     NO_TRIALS = "no animal has trials that can be used"
     NOT_CONVERGED = "the posterior was not computed to the accuracy asked for"
@@ -50,6 +56,15 @@ class PopulationFit:
     `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
     given all the data, `alone`, `alone_lower` and `alone_upper` from its own, and the `status` of
     the latter. `sessions` is the same by session, None unless sessions were told apart.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import simulate_population
+    >>> fit = fit_population(simulate_population(3, trials_per_level=10, seed=1)[0])
+    >>> fit.parameters
+    ('weber_fraction', 'spread', 'mean_lapse_low', 'mean_lapse_high')
+    >>> fit.subjects["subject"].tolist(), fit.sessions is None
+    (['s1', 's2', 's3'], True)
     """
 
     status: PopulationStatus
@@ -219,6 +234,11 @@ def fit_population(
     >>> bool((fit.subjects["upper"] - fit.subjects["lower"] < 0.2).all())
     True
     """
+    check_trials(trials)
+    if population is not None:
+        hint = "write PopulationPriors(spread=scipy.stats.halfnorm(scale=0.5)), say"
+        _checks.kind("population", population, "PopulationPriors", "lapse_spread", hint)
+    _checks.generator(seed)
     for column, wanted in (("subject", True), ("session", sessions)):
         if wanted and column not in trials.frame:
             raise ValueError(
@@ -227,6 +247,11 @@ def fit_population(
             )
     unit_known = trials.scale == "linear" or trials.log_unit is not None
     believed = priors_for(priors, trials.cells(), unit_known, trials.task)
+    if believed.is_fixed("weber_fraction"):
+        raise ValueError(
+            "the Weber fraction of every animal was fixed, and a population learns them; leave it "
+            "out of priors, or fix the lapses alone."
+        )
     options = {"percept": percept, "observer": observer, "bias": bias, "noise": noise}
     fits = {
         labels: fit_weber(part, priors=believed, method="quadrature", seed=seed, **options)

@@ -79,6 +79,8 @@ class GridPosterior:
 
     @property
     def trouble(self) -> str:
+        if np.isinf(self.grid.error):
+            return "the posterior is too long and thin for a grid, and the integral was given up"
         if self.grid.error > 0.01:
             return f"the integral has an estimated error of {100 * self.grid.error:.2g} %"
         return ""

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 REACH = 9.0  # scores beyond which no prior has mass
 TINY = 1e-300
+DISTRIBUTION = "give a frozen distribution such as scipy.stats.beta(0.3, 3)"
 
 _WEBER = stats.lognorm(np.log(3.0), scale=0.1)
 _LAPSE = stats.beta(0.3, 3.0)
@@ -43,17 +44,23 @@ class Priors:
       of it below 3 %, one in ten above 28 %; normal scores correlated by 0.7, as an animal that
       does not attend errs at both ends. A lapse and a poor Weber fraction explain the same errors,
       so this prior moves k, and no prior suits all animals. At k = 0.1, 297 trials and lapses of 0,
-      0.02 and 0.1 a side the median k is off by −9, −2 and +20 % (lapses known: −1, −3 and −3 %)
-      and 95 % intervals cover 94, 97 and 98 % of 300 data sets each
-      (`tests/benchmarks/bench_fit.py`). `WeberFit.lapse_sensitivity` shows how far a fit hangs on
-      it; animals or sessions fitted together (`fit_population`) learn their lapses from each
-      other. State what you know of the animal.
+      0.02 and 0.1 a side the median k is off by −8, −2 and +17 % (lapses known: 0, −2 and −4 %) and
+      95 % intervals cover 91, 97 and 97 % of 500 data sets each; `analyses/lapse_prior.md` has
+      other k and other beliefs. `WeberFit.lapse_sensitivity` shows how far a fit hangs on it;
+      animals or sessions fitted together (`fit_population`) learn their lapses from each other.
+      State what you know of the animal.
     - `bias`: standard normal in sds of the difference between the percepts. The proportion of
       "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
       `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.
     - `effects`: by name; each effect of a fit brings its own (see `weberwhisk.behaviour.effects`).
 
     Every fit works in the normal scores of these priors, where each is a standard normal.
+
+    Examples
+    --------
+    >>> known = Priors(lapse_low=0.02, lapse_high=0.02, bias=stats.norm(0.0, 0.5))
+    >>> known.is_fixed("lapse_low"), known.words("bias")
+    (True, 'norm(0, 0.5)')
     """
 
     weber_fraction: Any = _WEBER
@@ -64,18 +71,27 @@ class Priors:
     effects: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.effects, Mapping):
+            raise ValueError(
+                f"effects must be a mapping of names to priors, got {_checks.shown(self.effects)}; "
+                "write effects={'drift': scipy.stats.norm(0, 1)}, say."
+            )
         for name in (*PARAMETERS, *self.effects):
-            if self.is_fixed(name):
-                _checks.finite(
-                    f"the prior of {name}",
-                    self.of(name),
-                    "give a frozen distribution such as scipy.stats.beta(0.3, 3), or a number",
-                )
+            prior = self.of(name)
+            if self.is_fixed(name) and prior is not None and not isinstance(prior, type):
+                _checks.number(f"the prior of {name}", prior, DISTRIBUTION + ", or a number")
+            else:
+                check_distribution(name, prior)
         low, high = self.support("weber_fraction")
         if low < 0 or high <= 0:
             raise ValueError(
                 f"the prior of weber_fraction must lie above zero, got support {low:g} to "
                 f"{high:g}; give for example scipy.stats.lognorm(1.1, scale=0.1)."
+            )
+        if "floor" in self and self.support("floor")[0] < 0:
+            raise ValueError(
+                f"the prior of floor must not reach below zero, got support from "
+                f"{self.support('floor')[0]:g}; give for example scipy.stats.halfnorm(scale=0.1)."
             )
         for name in ("lapse_low", "lapse_high", "overdispersion"):
             if name not in self:
@@ -86,7 +102,14 @@ class Priors:
                     f"the prior of {name} must lie between 0 and 1, got support {low:g} to "
                     f"{high:g}; give for example scipy.stats.beta(0.3, 3)."
                 )
-        if not -1 < self.lapse_correlation < 1:
+        lost = [self.support(name)[0] for name in ("lapse_low", "lapse_high")]
+        if sum(lost) >= 1:
+            raise ValueError(
+                f"the priors of lapse_low and lapse_high must leave something, got lapses of "
+                f"{lost[0]:g} and {lost[1]:g} at least; write 0.02 for each, say."
+            )
+        hint = "write 0 for lapses that know nothing of each other"
+        if not -1 < _checks.number("lapse_correlation", self.lapse_correlation, hint) < 1:
             raise ValueError(
                 f"lapse_correlation must lie between -1 and 1, got {self.lapse_correlation:g}; "
                 "write 0 for lapses that know nothing of each other."
@@ -154,6 +177,42 @@ class Priors:
         return f"{prior.dist.name}({', '.join(given)})"
 
 
+@dataclass(frozen=True, eq=False)
+class PopulationPriors:
+    """Prior beliefs about a population: frozen SciPy distributions.
+
+    - `spread`: standard deviation of ln k between animals: half-normal of 0.5. Two animals of a
+      spread of 0.5 differ by a factor of 1.8.
+    - `session_spread`: the same between sessions of one animal: half-normal of 0.3.
+    - `lapse_mean`, `lapse_spread`: mean and standard deviation over the animals of the normal
+      scores of their lapses, where (0, 1) is the prior of a single fit. Standard normal, and
+      log-normal with median 0.7 and a factor of 1.6 either way.
+
+    The prior of the population's median Weber fraction is that of a single fit.
+
+    Examples
+    --------
+    >>> round(float(PopulationPriors().spread.mean()), 2)
+    0.4
+    >>> wide = PopulationPriors(spread=stats.halfnorm(scale=1.0))
+    """
+
+    spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.5))
+    session_spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.3))
+    lapse_mean: Any = field(default_factory=lambda: stats.norm(0.0, 1.0))
+    lapse_spread: Any = field(default_factory=lambda: stats.lognorm(0.5, scale=0.7))
+
+    def __post_init__(self) -> None:
+        for name in ("spread", "session_spread", "lapse_mean", "lapse_spread"):
+            check_distribution(name, getattr(self, name))
+            low = float(getattr(self, name).support()[0])
+            if low < 0 and name != "lapse_mean":
+                raise ValueError(
+                    f"the prior of {name} must not reach below zero, got support from {low:g}; "
+                    "give for example scipy.stats.halfnorm(scale=0.5)."
+                )
+
+
 @lru_cache(maxsize=256)
 def _moments(prior: Any) -> tuple[float, float]:
     mean, sd = float(prior.mean()), float(prior.std())
@@ -173,6 +232,15 @@ def quantiles(prior: Any) -> Any:
         return CubicSpline(z, value)
     log_value = CubicSpline(z, np.log(np.maximum(value, TINY)))
     return lambda score: np.exp(log_value(score))
+
+
+def check_distribution(name: str, prior: Any) -> None:
+    """Refuses what is not a frozen continuous distribution."""
+    if isinstance(prior, type) or not (hasattr(prior, "dist") and hasattr(prior.dist, "pdf")):
+        raise ValueError(
+            f"the prior of {name} must be a frozen continuous distribution, got "
+            f"{_checks.shown(prior)}; {DISTRIBUTION}."
+        )
 
 
 DEFAULTS = Priors()
@@ -204,6 +272,11 @@ def priors_for(
     own = dict(effects or {})
     if isinstance(priors, Priors):
         return replace(priors, effects=own | dict(priors.effects)) if own else priors
+    if priors is not None and not isinstance(priors, Mapping):
+        raise ValueError(
+            f"priors must be Priors or a mapping, got {_checks.shown(priors)}; write "
+            "priors={'lapse_low': scipy.stats.beta(1, 9)}, say."
+        )
     changes = {"bias" if name == "criterion" else name: p for name, p in dict(priors or {}).items()}
     for name in changes:
         _checks.one_of("the prior's parameter", name, (*PARAMETERS, "lapse_correlation", *own))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .effects import Effect
-from .percepts import Percept, UnitPercepts, unit_percepts
+from .percepts import Percept, UnitPercepts, refuse_outside, unit_percepts
 from .tasks import Task
 
 Array = NDArray[np.float64]
@@ -62,13 +62,22 @@ def response_probability(
     s1, s2 = np.broadcast_arrays(
         np.atleast_1d(np.asarray(stimulus_1, float)), np.atleast_1d(np.asarray(stimulus_2, float))
     )
+    _check_task(task)
+    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
+    refuse_outside(percept, np.concatenate([s1, s2], axis=None))
     cells = unit_percepts(percept, s1, s2, s1 if standard is None else standard, noise)
     up, down = _chance(task, cells, weber_fraction, bias, effects)
     low, high = task.asymptotes(
-        np.asarray(lapse_low, dtype=float)[..., None],
-        np.asarray(lapse_high, dtype=float)[..., None],
+        _checks.non_negative("lapse_low", lapse_low, "write 0.02, say")[..., None],
+        _checks.non_negative("lapse_high", lapse_high, "write 0.02, say")[..., None],
     )
+    if np.any(low + high > 1):
+        raise ValueError("lapses sum to more than 1; write 0.02 for each, say.")
     return low * down + (1 - high) * up
+
+
+def _check_task(task: Task) -> None:
+    _checks.kind("task", task, "a Task", "decide", "write task_named('2AFC'), say")
 
 
 def _chance(
@@ -101,7 +110,7 @@ def criterion(task: Task, proportion: float) -> str:
 def check_proportion(task: Task, proportion: float) -> float:
     """A proportion at which the task has a threshold."""
     low = task.guess_rate or 0.0
-    value = float(_checks.finite("proportion", proportion, "write for example 0.75"))
+    value = _checks.number("proportion", proportion, "write for example 0.75")
     if not low < value < 1:
         raise ValueError(
             f"proportion must lie between {low:g} and 1 for {task.name}, got {value:g}; "
@@ -153,13 +162,16 @@ def threshold(
     >>> round(float(point), 5)
     1.21196
     """
+    _check_task(task)
     check_proportion(task, proportion)
+    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     values = [np.asarray(v, dtype=float) for _, v in effects]
     k, shift, *values = np.broadcast_arrays(
         np.asarray(weber_fraction, float), np.asarray(bias, float), *values
     )
     bound = [(effect, value) for (effect, _), value in zip(effects, values, strict=True)]
-    standard = float(_checks.finite("standard", standard, "give one stimulus"))
+    standard = _checks.number("standard", standard, "give one stimulus")
+    refuse_outside(percept, standard)
 
     def above(comparison: Array) -> Array:
         with np.errstate(all="ignore"):

@@ -88,7 +88,18 @@ def read_trials(
     >>> trials.n_trials, trials.task.name
     (2, '2AFC')
     """
+    _check_mapping("columns", columns, "{'choice': 'response'}")
+    for ours, theirs in (columns or {}).items():
+        if not isinstance(theirs, str):
+            raise ValueError(
+                f"columns[{ours!r}] must be the name of a column, got {_checks.shown(theirs)}; "
+                "write it as it stands in the header."
+            )
+    _check_mapping("choice_labels", choice_labels, "{'L': 'first', 'R': 'second'}")
     _checks.one_of("scale", scale, SCALES)
+    if whisker is not None:
+        hint = "write Whisker.from_identity('C2'), say"
+        _checks.kind("whisker", whisker, "a Whisker", "length", hint)
     asked = None if task is None else task_named(task)
     if log_unit is not None:
         _checks.positive("log_unit", log_unit, "give natural-log units per unit of the column")
@@ -97,6 +108,10 @@ def read_trials(
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
     check = TableCheck(pd.DataFrame(index=raw.index), name)
     stimuli, answer = _choose_columns(check, raw, dict(columns or {}), asked)
+    if scale == "linear" and log_unit is not None and stimuli != ("log_ratio",):
+        raise ValueError(
+            f"log_unit={log_unit:g} was given for magnitudes; write scale='log', or leave it out."
+        )
     if stimuli == ("log_ratio",):
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
     table = check.table
@@ -164,6 +179,13 @@ def _choose_columns(
     if answer.startswith("n_") and "n" not in expected:
         check.missing_column("n", here, "needed for the number of trials")
     return stimuli, answer
+
+
+def _check_mapping(name: str, value: object, example: str) -> None:
+    if value is not None and not isinstance(value, Mapping):
+        raise ValueError(
+            f"{name} must be a mapping, got {_checks.shown(value)}; write {name}={example}, say."
+        )
 
 
 def _notes(frame: pd.DataFrame, rows: NDArray[Any]) -> tuple[str, ...]:

@@ -127,7 +127,8 @@ def _next(fit: WeberFit) -> str:
         FitStatus.NO_TRIALS: "Trials with an answer.",
         FitStatus.REVERSED: "Nothing yet: first check choice_labels and the order of the stimuli.",
         FitStatus.ONE_SIDED: "Answers of both kinds: first find out why the animal gave only one.",
-        FitStatus.NOT_CONVERGED: "Nothing yet: fit by the other method first.",
+        FitStatus.NOT_CONVERGED: "Nothing yet: first fit by the other method, or state more "
+        "beforehand (priors=).",
         FitStatus.UNINFORMED: "Comparisons at several distances from the standard, on both sides, "
         "some easy enough that the animal is nearly always right.",
         FitStatus.UPPER_BOUND: "Harder comparisons: closer to the standard than any so far.",

@@ -16,7 +16,7 @@ from . import criticism, report
 from . import psychometric as curve
 from .effects import Effect
 from .likelihood import Draws, WeberModel
-from .percepts import Percept
+from .percepts import Percept, refuse_outside
 from .posteriors import WeberPosterior
 from .predictive import predicted, prior_draws
 from .sensitivity import lapse_sensitivity
@@ -35,6 +35,18 @@ class WeberFit:
 
     `weber_fraction` is the posterior median. `status` says what the data could tell and travels
     with the numbers; `notes` holds further sentences; `report()` puts all of it in plain words.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> fit = fit_weber(simulate_trials(weber_fraction=0.1, seed=1))
+    >>> fit.parameters
+    ('weber_fraction', 'lapse_low', 'lapse_high', 'bias')
+    >>> low, high = fit.interval(0.95)
+    >>> low < fit.weber_fraction < high
+    True
+    >>> fit.threshold(standard=2.0, proportion=0.75).columns.tolist()[:5]
+    ['standard', 'criterion', 'comparison', 'lower', 'upper']
     """
 
     trials: Trials = field(repr=False)
@@ -174,7 +186,9 @@ class WeberFit:
         at = np.array([tails[0], 0.5, tails[1]])
         rows = []
         for s in np.atleast_1d(
-            self.trials.standards if standard is None else np.asarray(standard, float)
+            self.trials.standards
+            if standard is None
+            else _checks.finite("standard", standard, "give one stimulus or several")
         ):
             if (biased and model.group_names) or model.effects:
                 d = self.posterior.draws()
@@ -244,6 +258,7 @@ class WeberFit:
             `comparison`, `median`, `lower`, `upper`: proportions.
         """
         levels = np.atleast_1d(_checks.finite("comparisons", comparisons, "give one or several"))
+        refuse_outside(self.percept, levels)
         if standard is None:
             if self.trials.standards.size != 1:
                 raise ValueError(
@@ -296,13 +311,13 @@ class WeberFit:
 
     def prior_predictive(self, seed: int = 0) -> pd.DataFrame:
         """The data beside what the priors alone expect of these trials: a check on the priors."""
-        rng = np.random.default_rng(seed)
+        rng = _checks.generator(seed)
         return predicted(self.model, prior_draws(self.model, 2000, rng), rng)
 
     def posterior_predictive(self, seed: int = 0) -> pd.DataFrame:
         """The data beside what the fitted observer would answer to these trials."""
         draws = self.posterior.draws().thinned(2000)
-        return predicted(self.model, draws, np.random.default_rng(seed))
+        return predicted(self.model, draws, _checks.generator(seed))
 
     @cached_property
     def lapse_sensitivity(self) -> pd.DataFrame:
@@ -337,7 +352,7 @@ class WeberFit:
             "thresholds": _plain(self.threshold().to_dict(orient="records")),
             "lapse_sensitivity": self.lapse_sensitivity.to_dict(orient="records"),
             "log_evidence": self.log_evidence,
-            "error": self.posterior.error,
+            "error": self.posterior.error if np.isfinite(self.posterior.error) else None,
             "misfit": self.misfit,
             "data": {
                 "source": self.trials.source,
@@ -377,7 +392,7 @@ def _tails(mass: float) -> tuple[float, float]:
 def _quantiles(sample: Array, at: Array) -> Array:
     """Quantiles of draws, some of which may be infinite: between two infinities lies no number."""
     if np.isfinite(sample).all():
-        return np.asarray(np.quantile(sample, at, method="median_unbiased"))
+        return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
     return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
 
 

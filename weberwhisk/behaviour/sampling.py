@@ -140,6 +140,6 @@ def sample(
 
 
 def _reason(shortfall: int) -> str:
-    from ..posterior.ensemble import Shortfall
+    from ..posterior.run import Shortfall
 
     return Shortfall(int(shortfall)).message

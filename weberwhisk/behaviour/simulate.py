@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .percepts import (
-    CuePercept,
     IdentityPercept,
     LogAxisPercept,
     LogPercept,
     Percept,
+    chosen_percept,
+    refuse_outside,
     refuse_unfelt,
 )
 from .psychometric import response_probability
@@ -102,31 +103,38 @@ def simulate_trials(
     """
     asked = task_named(task)
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
-        if float(_checks.non_negative(name, value, "write for example 0.02")) >= 1:
-            raise ValueError(f"{name} must be below 1, got {value:g}; write for example 0.02.")
+        if not 0 <= _checks.number(name, value, "write for example 0.02") < 1:
+            raise ValueError(
+                f"{name} must be zero or more and below 1, got {value:g}; write for example 0.02."
+            )
     if lapse_low + lapse_high >= 1:
         raise ValueError(
             f"lapse_low + lapse_high must be below 1, got {lapse_low + lapse_high:g}; "
             "write for example 0.02 for each."
         )
     for name, whole in (("trials_per_level", trials_per_level), ("sessions", sessions)):
-        if whole != int(whole) or whole < 1:
-            raise ValueError(
-                f"{name} must be a whole number of 1 or more, got {whole!r}; write 40."
-            )
-    if percept is not None and observer is not None:
-        raise ValueError("percept and observer were both given; give one of them.")
-    felt: Percept = percept or (CuePercept(observer) if observer is not None else IdentityPercept())
+        _checks.whole(name, whole, "write 40, say")
+    felt = chosen_percept(percept, observer) or IdentityPercept()
     is_log = isinstance(felt, (LogPercept, LogAxisPercept))
     base = np.atleast_1d(
         _checks.finite("standards", standards, "give one stimulus or several")
     ).ravel()
+    if not base.size:
+        raise ValueError("standards is empty; write standards=1.0, say.")
     levels = _levels(base, offsets, comparisons, is_log)
-    shift = np.broadcast_to(_checks.finite("bias", bias, "write for example 0"), base.shape)
+    shift = _checks.finite("bias", bias, "write for example 0")
+    if shift.shape not in ((), (1,), base.shape):
+        raise ValueError(
+            f"bias has shape {shift.shape} for standards of shape {base.shape}; give one number, "
+            "or one a standard."
+        )
+    shift = np.broadcast_to(shift, base.shape)
     fraction, wander = _course(weber_fraction, sessions, drift, bias_drift)
-    _refuse_outside(felt, np.concatenate([base, levels.ravel()]))
+    stimuli = np.concatenate([base, levels.ravel()])
+    refuse_outside(felt, stimuli)
+    refuse_unfelt(felt, stimuli)
 
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     p = np.concatenate(
         [
             response_probability(
@@ -184,7 +192,7 @@ def _course(
             "a session."
         )
     for name, value in (("drift", drift), ("bias_drift", bias_drift)):
-        _checks.finite(name, value, "write for example -0.5")
+        _checks.number(name, value, "write for example -0.5")
         if value and sessions < 2:
             raise ValueError(
                 f"{name} goes from the first session to the last, got sessions={sessions}; "
@@ -204,10 +212,10 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
         given = np.atleast_1d(
             _checks.finite("comparisons", comparisons, "give one level or several")
         )
-        if given.ndim > 1 and given.shape[0] != base.size:
+        if not given.size or given.shape not in (given.shape[-1:], (base.size, given.shape[-1])):
             raise ValueError(
-                f"comparisons has {given.shape[0]} rows for {base.size} standards; "
-                "give one row each."
+                f"comparisons has shape {given.shape} for {base.size} standards; give one row of "
+                "levels, or one row each."
             )
         return np.broadcast_to(given, (base.size, given.shape[-1]))
     relative = np.atleast_1d(
@@ -215,17 +223,11 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
             "offsets", SIGNED_OFFSETS if offsets is None else offsets, "write for example 0.1"
         )
     )
+    if relative.ndim > 1 or not relative.size:
+        raise ValueError(
+            f"offsets must be one row of numbers, got shape {relative.shape}; write "
+            "offsets=[-0.1, 0.1], or comparisons= with a row a standard."
+        )
     levels = base[:, None] + relative if is_log else base[:, None] * (1 + relative)
     # Twelve digits: a level is written as one would write it, and the same level is one level.
     return np.array([[float(f"{value:.12g}") for value in row] for row in levels])
-
-
-def _refuse_outside(percept: Percept, stimuli: Array) -> None:
-    low, high = percept.domain
-    outside = (stimuli <= low) | (stimuli >= high)
-    if outside.any():
-        raise ValueError(
-            f"stimulus {stimuli[outside][0]:g} lies outside what can be felt, {low:g} to {high:g}; "
-            "choose other standards or comparisons."
-        )
-    refuse_unfelt(percept, stimuli)

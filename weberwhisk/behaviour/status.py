@@ -4,7 +4,13 @@ from enum import Enum
 
 
 class FitStatus(Enum):
-    """The outcome of a fit, worst first; it travels with the numbers."""
+    """The outcome of a fit, worst first; it travels with the numbers.
+
+    Examples
+    --------
+    >>> FitStatus.REVERSED.ok, FitStatus.ONE_SIDED.message[:24]
+    (False, 'all answers are the same')
+    """
 
     NO_TRIALS = "there are no trials with an answer: the posterior is the prior"
     REVERSED = (

@@ -130,6 +130,9 @@ class PercentCorrect(_Compared):
     bias_name: str | None = None
     lapses: tuple[str, ...] = ("lapse_high",)
 
+    def __post_init__(self) -> None:
+        _checks.whole("alternatives", self.alternatives, "write PercentCorrect(3), say", least=2)
+
     @property
     def name(self) -> str:
         return f"{self.alternatives}AFC percent correct"

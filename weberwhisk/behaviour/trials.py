@@ -12,12 +12,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..written import atomic_write
 from .tasks import Task
 
 Array = NDArray[np.float64]
 
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")
+COLUMNS = ("standard", "stimulus_1", "stimulus_2", "n", "count")
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,20 @@ class Trials:
         Where the table came from, for messages.
     notes : tuple of str
         What a reader should know: missing answers, rows that occur twice.
+
+    Raises
+    ------
+    ValueError
+        For a frame without these columns, counts that are none, an unknown scale.
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> trials = simulate_trials(trials_per_level=20, sessions=3, seed=1)
+    >>> trials.n_trials, trials.sessions, trials.select(session=[1, 2]).n_trials
+    (180, [1, 2, 3], 120)
+    >>> trials.cells().n
+    array([20., 20., 20., 20., 20., 20., 20., 20., 20.])
     """
 
     frame: pd.DataFrame = field(repr=False)
@@ -68,6 +84,22 @@ class Trials:
     log_unit: float | None = None
     source: str = "table"
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        hint = "make it with read_trials, which takes a table under any names"
+        _checks.kind("frame", self.frame, "a DataFrame", "columns", hint)
+        lacking = [c for c in COLUMNS if c not in self.frame]
+        if lacking:
+            raise ValueError(f"frame has no column {', '.join(map(repr, lacking))}; {hint}.")
+        _checks.kind("task", self.task, "a Task", "decide", "write task_named('2AFC'), say")
+        _checks.one_of("scale", self.scale, SCALES)
+        n, count = (self.frame[c].to_numpy(float) for c in ("n", "count"))
+        wrong = (n < 0) | (n % 1 != 0) | (count < 0) | (count > n)
+        if wrong.any():
+            raise ValueError(
+                f"frame has n = {n[wrong][0]:g} and count = {count[wrong][0]:g} in a row; n must "
+                "be a whole number and count lie between 0 and n, or be NaN for no answer."
+            )
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -129,8 +161,7 @@ class Trials:
 
     def cells(self) -> Cells:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
-        columns = ("standard", "stimulus_1", "stimulus_2", "n", "count")
-        rows = np.column_stack([self.frame[c].to_numpy(float) for c in columns])
+        rows = np.column_stack([self.frame[c].to_numpy(float) for c in COLUMNS])
         rows = rows[~np.isnan(rows[:, 4]) & (rows[:, 3] > 0)]
         order = np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))
         rows = rows[order]
@@ -153,13 +184,18 @@ class Trials:
 
     def to_csv(self, path: str | Path) -> Path:
         """Write `table()`; the file is complete or absent, never half-written."""
-        target = Path(path)
-        partial = target.with_name(target.name + ".partial")
-        try:
-            self.table().to_csv(partial, index=False, lineterminator="\n")
-            return partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
+        atomic_write(path, self.table().to_csv(index=False, lineterminator="\n"))
+        return Path(path)
+
+
+def check_trials(trials: Any) -> None:
+    """Refuses what is not a table of trials, with the line that makes one."""
+    made = "read_trials('file.csv')"
+    if isinstance(trials, str | Path):
+        made = f"read_trials({str(trials)!r})"
+    elif isinstance(trials, pd.DataFrame):
+        made = "read_trials(table)"
+    _checks.kind("trials", trials, "Trials", "cells", f"write {made}")
 
 
 _COUNT_NAMES = {"choice": "greater", "correct": "correct"}

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 FAR = 3.0  # prior sds at which an end counts as the prior's
 LIKELY = 0.1  # likelihood ratio to the best k above which that end is not excluded
+ALIKE = 0.1  # of the largest d, below which two pairs of stimuli are of one kind
 STRONG = np.log(100.0)  # evidence for exchanged labels
 
 
@@ -56,6 +57,13 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
         notes.append(
             "There is one pair of stimuli: bias, lapses and Weber fraction cannot be told apart."
         )
+    elif cells.n.size and _kinds(model) < _dimensions(model):
+        notes.append(
+            f"The pairs of stimuli are of {_kinds(model)} kinds, as far apart as noise makes them, "
+            f"and the parameters are {_dimensions(model)}: the answers do not tell them apart, and "
+            "what is believed beforehand decides. State lapses that are known, for example "
+            "priors={'lapse_low': 0.02, 'lapse_high': 0.02}, or add easier and harder pairs."
+        )
     share = cells.count / np.maximum(cells.n, 1)
     if (
         cells.n.size > 1
@@ -69,6 +77,18 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     ):
         notes.append("Every level is answered all one way: only harder comparisons can tell more.")
     return tuple(notes)
+
+
+def _kinds(model: WeberModel) -> int:
+    """How many proportions the observer could give: pairs that differ in d by a tenth or more."""
+    d = np.sort(model.task.decide(model.percepts.felt(np.float64(1.0)))[0])
+    return 1 + int((np.diff(d) > ALIKE * np.abs(d).max()).sum())
+
+
+def _dimensions(model: WeberModel) -> int:
+    """Parameters that all pairs share, for an observer without effects."""
+    shared = model.free_bias and model.n_groups == 1
+    return 0 if model.effects else sum(model.free) + shared
 
 
 def _one_sided(model: WeberModel) -> bool:

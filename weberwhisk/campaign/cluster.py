@@ -7,9 +7,9 @@ import time
 from collections import deque
 from typing import Any
 
+from ..journal import versions
 from .crews import MOST, one_thread, portion
 from .job import Job, Report
-from .record import versions
 
 SECONDS = 0.5  # of work in one task: the cluster's own cost is some milliseconds a task
 PATIENCE = 300.0  # seconds without any worker, before the sweep is given up

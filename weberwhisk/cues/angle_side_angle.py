@@ -17,7 +17,7 @@ from .._checks import finite, non_negative, positive
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 from .reach import reach_at
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
@@ -136,6 +136,7 @@ class AngleSideAngle:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """First and second angle (..., 2), rad, of a contact (..., U), and its outcome."""
+        straight(whisker)
         r, bearing, _, first, angle = self._triangle(contact)
         outcome = self._outcome(whisker, r, first)
         angles = np.stack([angle, bearing], axis=-1)
@@ -194,6 +195,10 @@ class AngleSideAngle:
         r, far = scale * np.sin(first), scale * np.sin(second)
         outcome = np.where(meet, self._outcome(whisker, r, far), Outcome.PARALLEL)
         return np.where(outcome == Outcome.HELD, r, np.nan), outcome.astype(np.int8)
+
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """`PARALLEL` where two angles (..., 2) do not meet, or what else `radial_distance` says."""
+        return self.radial_distance(whisker, reading)[1]
 
 
 class TwoWhiskers(AngleSideAngle):

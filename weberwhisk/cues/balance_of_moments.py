@@ -17,7 +17,7 @@ from ..mechanics.surface import base_signals, surface_of
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
 from .angle_side_angle import ANGLE_SD
-from .protocol import Array
+from .protocol import Array, straight
 
 
 class BalanceOfMoments:
@@ -156,6 +156,7 @@ class BalanceOfMoments:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """Balance angle, rad, and effort where it is felt (..., S), and the outcome (...)."""
+        straight(whisker)
         contact = np.asarray(contact, dtype=float)
         r = contact[..., 0]
         on_whisker = (r > 0) & (r <= whisker.length) & (r < whisker.apex_distance)

@@ -13,7 +13,7 @@ from .._checks import finite, non_negative, positive
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 
 #: Whiskers of an array: 2⁸ patterns of touch.
 MOST_WHISKERS = 8
@@ -205,6 +205,7 @@ class ComparativeLength:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """Chances (..., 2ⁿ − 1) of all patterns but "all touch", of a contact (..., 1)."""
+        straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
         known = (r > 0) & (r <= self.farthest(whisker))
         chances = self._patterns(whisker, np.where(known, r, whisker.length))
@@ -269,6 +270,12 @@ class ComparativeLength:
             return np.nan, np.nan, Outcome.CONTRADICTORY
         outcome = Outcome.HELD if pattern.any() else Outcome.NO_TOUCH
         return float(cuts[fits[0]]), float(cuts[fits[-1] + 1]), outcome
+
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """What `interval` says of readings (..., n): `HELD`, `NO_TOUCH` or `CONTRADICTORY`."""
+        rows, back = np.unique(reading.reshape(-1, reading.shape[-1]), axis=0, return_inverse=True)
+        outcome = np.array([self.interval(whisker, row)[2] for row in rows], dtype=np.int8)
+        return outcome[back.reshape(reading.shape[:-1])]
 
 
 def _normal(z: Array) -> Array:

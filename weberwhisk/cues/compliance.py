@@ -12,7 +12,7 @@ from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
 from ..receptors import Weber
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 from .reach import reach_at
 
 
@@ -101,6 +101,7 @@ class Compliance:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """Moment rate, N m/s, and where unknown θ̇, rad/s, (..., S); outcome of a contact."""
+        straight(whisker)
         contact = np.asarray(contact, dtype=float)
         stiffness, outcome = self._stiffness(whisker, contact[..., 0], model)
         velocity = self._velocity(contact)

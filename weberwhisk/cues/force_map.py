@@ -14,7 +14,7 @@ from ..mechanics.contact import Outcome
 from ..mechanics.surface import base_signals
 from ..receptors import Weber
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 from .reach import reach_at
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -94,6 +94,7 @@ class ForceMap:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """Moment (N m) and forces (N), (..., S), and outcome of a contact (..., U)."""
+        straight(whisker)
         r, theta = self._place(contact)
         if model is None:
             signals, outcome = base_signals(whisker, r, theta)
@@ -169,6 +170,13 @@ class ForceMap:
             )
         lost = np.isnan(contact[..., 0])
         return contact, np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
+
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """What `contact` says of readings (..., S); `HELD` where there is no unique inverse."""
+        known = self.deflection_angle is not None
+        if (self.signal_names != ("moment",)) if known else (len(self.signal_names) != 2):
+            return np.zeros(reading.shape[:-1], dtype=np.int8)
+        return self.contact(whisker, reading[..., 0] if known else reading)[1]
 
     def _bisect(self, whisker: Whisker, wanted: Array) -> Array:
         low = np.full(wanted.shape, 1e-9 * float(whisker.length))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,9 @@ from numpy.typing import NDArray
 from ..mechanics.contact import Outcome
 from ..receptors import Joint, ReceptorNoise
 from ..whisker import Whisker
-from .protocol import Array, Cue
+from .protocol import Array, Cue, given
+
+Felt = tuple[Array, NDArray[np.int8]]
 
 
 class Fused:
@@ -73,6 +77,28 @@ class Fused:
     ) -> tuple[Array, NDArray[np.int8]]:
         """Signals of all cues (..., S); the outcome is that of the first cue that fails."""
         felt = [c.signals(whisker, self.part(c, contact), model=model) for c in self.cues]
+        return self._together(felt)
+
+    def given(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+        """The signals as a function of the last unknown (...): cues that know it feel the same."""
+        *known, last = self.unknowns
+        parts: list[Callable[[Array], Felt]] = []
+        for cue in self.cues:
+            place = contact[..., [known.index(name) for name in cue.unknowns if name != last]]
+            if last not in cue.unknowns:
+                parts.append(partial(_same, cue.signals(whisker, place, model=model)))
+            elif cue.unknowns[-1] == last:
+                parts.append(given(cue, whisker, place, model=model))
+            else:
+                parts.append(
+                    partial(_inserted, cue, cue.unknowns.index(last), whisker, place, model)
+                )
+        return lambda value: self._together([part(value) for part in parts])
+
+    def _together(self, felt: Sequence[Felt]) -> Felt:
+        """All signals, and the outcome of the first cue that fails."""
         outcome = felt[0][1]
         for _, other in felt[1:]:
             outcome = np.where(outcome == Outcome.HELD, other, outcome)
@@ -93,6 +119,19 @@ class Fused:
             out[..., row : row + slope.shape[-2], columns] = slope
             row += slope.shape[-2]
         return out
+
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """That of the first cue to which its part of the readings (..., R) gives no contact."""
+        noise = self.default_noise()
+        outcome = np.zeros(reading.shape[:-1], dtype=np.int8)
+        counts = [n.reading_size(s) for n, s in zip(noise.noises, noise.sizes, strict=True)]
+        for cue, part in zip(
+            self.cues, np.split(reading, np.cumsum(counts)[:-1], axis=-1), strict=True
+        ):
+            if hasattr(cue, "reading_outcome"):
+                own = cue.reading_outcome(whisker, part)
+                outcome = np.where(outcome == Outcome.HELD, own, outcome)
+        return outcome
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """Those of the cues; of an unknown that is shared, the first cue's."""
@@ -145,3 +184,15 @@ def _distinct(groups: list[tuple[str, ...]]) -> tuple[str, ...]:
         for i, group in enumerate(groups, start=1)
         for name in group
     )
+
+
+def _same(felt: Felt, last: Array) -> Felt:
+    """What is felt whatever the last unknown is."""
+    return felt
+
+
+def _inserted(
+    cue: Cue, index: int, whisker: Whisker, contact: Array, model: str | None, last: Array
+) -> Felt:
+    """What a cue feels to which the fusion's last unknown is one in between."""
+    return cue.signals(whisker, np.insert(contact, index, last, axis=-1), model=model)

@@ -12,7 +12,7 @@ from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 
 
 class LateralSlip:
@@ -106,6 +106,7 @@ class LateralSlip:
 
         Beyond the whisker, or on a surface steeper than the steepest, it is out of reach.
         """
+        straight(whisker)
         contact = np.asarray(contact, dtype=float)
         r, tilt = contact[..., 0], contact[..., 1]
         reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)

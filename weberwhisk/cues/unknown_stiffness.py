@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,18 @@ class UnknownStiffness:
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact[..., :-1], model=model)
         return signals * np.where(self._soft, contact[..., -1:], 1.0), outcome
+
+    def given(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+        """The signals as a function of the stiffness (...), the rest of the contact given."""
+        signals, outcome = self.cue.signals(whisker, contact, model=model)
+        return lambda factor: (
+            signals * np.where(self._soft, factor[..., None], 1.0)
+            if not self._soft.all()
+            else signals * factor[..., None],
+            outcome,
+        )
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Derivatives of the signals to the cue's unknowns and the stiffness, (..., S, U)."""

@@ -13,7 +13,7 @@ from ..mechanics import modes
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 
 #: Places along the whisker at which the shapes are worked out, for the spline between them.
 _PLACES = 1001
@@ -114,6 +114,7 @@ class Vibration:
 
         There is one rung: `model` makes no difference.
         """
+        straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
         reached = (r > 0) & (r <= whisker.length)
         outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)

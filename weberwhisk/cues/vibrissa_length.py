@@ -12,7 +12,7 @@ from .._checks import finite, non_negative, positive
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array
+from .protocol import Array, straight
 
 #: Sd over mean of the length of a rat's whiskers of one identity: the median over the 30 of
 #: Belli et al. (2017), in data/whisker_morphology.csv.
@@ -117,6 +117,7 @@ class VibrissaLength:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """Chances (..., 2) of no touch and of a touch with the tip, at a contact (..., 1)."""
+        straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
         known = (r > 0) & (r <= self.farthest(whisker))
         r = np.where(known, r, whisker.length)
@@ -160,3 +161,7 @@ class VibrissaLength:
         )
         middle = whisker.length * (1 - self.tip_zone / 2)
         return np.where(at_tip, middle, np.nan), outcome.astype(np.int8)
+
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """`HELD` after a touch of the tip, else `NO_TOUCH` or `TIP_NOT_TOUCHED`, (...)."""
+        return self.radial_distance(whisker, reading)[1]

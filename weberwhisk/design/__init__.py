@@ -1,30 +1,44 @@
 """The design of experiments: which distances, offsets, trials and animals, and why.
 
-The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses apart.
+The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses apart. While it
+runs, a placer chooses each trial from what the ones before have told.
 """
 
 from .analysis import Finding, analyse
+from .experiment import plan_experiment
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, cues, noises, taper
+from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
 from .plan import Plan
 from .plan_file import plan_json, read_plan
 from .rehearsal import Rehearsal, rehearse
 from .scheme import LEVELS, Constraints, Scheme
+from .session import Session
+from .staircases import Staircase
 from .trial_lists import trial_lists
 
 __all__ = [
     "LEVELS",
     "Animals",
+    "BayesianPlacer",
     "Constraints",
     "Finding",
     "Goal",
     "Hypothesis",
+    "Placer",
     "Plan",
+    "Proposal",
     "Rehearsal",
     "Scheme",
+    "Session",
+    "Staircase",
+    "TrialLog",
     "analyse",
     "cues",
+    "lattice",
+    "next_trial",
     "noises",
+    "plan_experiment",
     "plan_json",
     "read_plan",
     "rehearse",

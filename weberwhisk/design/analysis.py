@@ -11,7 +11,8 @@ import pandas as pd
 
 from .. import _checks
 from ..behaviour.fit import fit_weber
-from ..behaviour.population_fit import fit_population
+from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
+from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from .hypotheses import Hypothesis, told_apart
 
@@ -30,10 +31,14 @@ class Finding:
         median) with the 95 % interval `lower` to `upper`, and the `status` of the fit.
     log_evidence : mapping of str to float
         Of each hypothesis, all animals together.
+    left_out : tuple of str
+        Animals whose answers speak for no hypothesis: under one or another the fit found them
+        reversed, one-sided or none. They are not in the evidence, nor in the population.
     """
 
     estimates: pd.DataFrame = field(repr=False)
     log_evidence: dict[str, float]
+    left_out: tuple[str, ...] = ()
 
     def log_bayes_factor(self, hypothesis: str) -> float:
         """Natural log of the Bayes factor for a hypothesis against the best of the others.
@@ -94,37 +99,49 @@ def analyse(
     if unit != 1.0:
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)
+    given = told_apart(hypotheses)
+    return (_pooled if together else _apart)(trials, given)
+
+
+def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> Finding:
     rows: list[dict[str, Any]] = []
-    evidence = {}
-    for hypothesis in told_apart(hypotheses):
-        found, evidence[hypothesis.name] = (_pooled if together else _apart)(trials, hypothesis)
-        rows += [{"hypothesis": hypothesis.name, **row} for row in found]
-    return Finding(pd.DataFrame(rows), evidence)
-
-
-def _apart(trials: Trials, hypothesis: Hypothesis) -> tuple[list[dict[str, Any]], float]:
-    rows, evidence = [], 0.0
-    for subject in trials.subjects or [None]:
-        own = trials if subject is None else trials.select(subject=subject)
+    evidence: dict[str, list[float | None]] = {h.name: [] for h in hypotheses}
+    left_out = []
+    for subject in trials.subjects or ["s1"]:
+        own = trials.select(subject=subject) if trials.subjects else trials
         # Quadrature always: the evidence is part of the analysis.
-        fit = fit_weber(own, method="quadrature", **_options(hypothesis))
-        assert fit.log_evidence is not None
-        evidence += fit.log_evidence
-        rows.append(_row(subject or "s1", fit))
-    return rows, evidence
+        fits = [fit_weber(own, method="quadrature", **_options(h)) for h in hypotheses]
+        rows += [_row(h, str(subject), fit) for h, fit in zip(hypotheses, fits, strict=True)]
+        if any(fit.status in LEFT_OUT for fit in fits):
+            left_out.append(str(subject))
+            continue
+        for h, fit in zip(hypotheses, fits, strict=True):
+            evidence[h.name].append(fit.log_evidence)
+    total = {name: float(np.sum(np.array(values, float))) for name, values in evidence.items()}
+    return Finding(pd.DataFrame(rows), total, tuple(left_out))
 
 
-def _pooled(trials: Trials, hypothesis: Hypothesis) -> tuple[list[dict[str, Any]], float]:
+def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> Finding:
     if len(trials.subjects) < 2:
         raise ValueError(
             f"{trials.source}: animals are fitted together where there are two or more, got "
             f"{len(trials.subjects)}; write together=False."
         )
-    fit = fit_population(trials, **_options(hypothesis))
-    if fit.population is None:
-        nothing = {"subject": "population", "weber_fraction": np.nan, "lower": np.nan}
-        return [{**nothing, "upper": np.nan, "status": fit.status.name}], fit.log_evidence
-    return [_row("population", fit)], fit.log_evidence
+    fits = {h.name: fit_population(trials, **_options(h)) for h in hypotheses}
+    bad = {name: _names_left_out(fit) for name, fit in fits.items()}
+    left_out = sorted(set().union(*bad.values()))
+    kept = [s for s in trials.subjects if str(s) not in left_out]
+    for h in hypotheses:  # all of them weigh the same animals
+        if len(bad[h.name]) < len(left_out) and kept:
+            fits[h.name] = fit_population(trials.select(subject=kept), **_options(h))
+    rows = [_row(h, "population", fits[h.name]) for h in hypotheses]
+    evidence = {name: fit.log_evidence if kept else 0.0 for name, fit in fits.items()}
+    return Finding(pd.DataFrame(rows), evidence, tuple(left_out))
+
+
+def _names_left_out(fit: PopulationFit) -> set[str]:
+    status = fit.subjects["status"].isin([status.name for status in LEFT_OUT])
+    return set(fit.subjects["subject"][status].astype(str))
 
 
 def _options(hypothesis: Hypothesis) -> dict[str, Any]:
@@ -132,11 +149,17 @@ def _options(hypothesis: Hypothesis) -> dict[str, Any]:
     return {name: getattr(hypothesis, name) for name in names}
 
 
-def _row(subject: str, fit: Any) -> dict[str, Any]:
-    lower, upper = fit.interval(0.95)
+def _row(hypothesis: Hypothesis, subject: str, fit: WeberFit | PopulationFit) -> dict[str, Any]:
+    if isinstance(fit, PopulationFit) and fit.population is None:
+        middle = lower = upper = np.nan
+    elif "weber_fraction" in fit.parameters:
+        middle, (lower, upper) = fit.weber_fraction, fit.interval(0.95)
+    else:  # a number that was given
+        middle = lower = upper = fit.weber_fraction
     return {
+        "hypothesis": hypothesis.name,
         "subject": subject,
-        "weber_fraction": fit.weber_fraction,
+        "weber_fraction": middle,
         "lower": lower,
         "upper": upper,
         "status": fit.status.name,

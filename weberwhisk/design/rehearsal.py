@@ -171,15 +171,15 @@ def rehearse(
     >>> scheme = Scheme.spaced(tapered.percept, [15e-3, 45e-3], levels=[-2, -1, 1, 2], trials=25)
     >>> plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
     >>> rehearse(plan, 2, seed=1).table["truth"].tolist()
-    ['tapered', 'tapered', 'cylindrical', 'cylindrical']
+    ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
     if runs != int(runs) or runs < 1:
         raise ValueError(f"runs must be a whole number of 1 or more, got {runs!r}; write 100.")
     text = json.dumps(json.loads(plan_json(plan)))
     chunks = [
         {"plan": text, "truth": hypothesis.name, "run": run}
-        for hypothesis in plan.hypotheses
         for run in range(1, int(runs) + 1)
+        for hypothesis in plan.hypotheses
     ]
     table = campaign.run(
         one_experiment, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out,

@@ -13,64 +13,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntFlag
 from functools import partial
 
-import emcee
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from weberwhisk.posterior import diagnostics
-from weberwhisk.posterior.densities import checked_density
 from weberwhisk.posterior.moves import (
     Array,
     StackedDifferentialEvolution,
     StackedMove,
     StackedStretch,
 )
+from weberwhisk.posterior.run import Run
 
 Seed = int | np.random.SeedSequence | np.random.Generator
-
-
-class Shortfall(IntFlag):
-    """Why a posterior's sample is not to be relied on; 0 is converged, reasons add up."""
-
-    RHAT = 1
-    SHORT = 2
-    IMPRECISE = 4
-    STUCK = 8
-    ACCEPTANCE = 16
-
-    @property
-    def message(self) -> str:
-        """The reasons in words.
-
-        Examples
-        --------
-        >>> Shortfall(12).message
-        'Monte Carlo error above the precision asked for; a walker has not moved'
-        """
-        return "; ".join(_REASONS[flag] for flag in Shortfall if flag & self) or "converged"
-
-
-_REASONS = {
-    Shortfall.RHAT: "independent ensembles disagree (R-hat above 1.01)",
-    Shortfall.SHORT: "fewer than 160 autocorrelation times in all ensembles together",
-    Shortfall.IMPRECISE: "Monte Carlo error above the precision asked for",
-    Shortfall.STUCK: "a walker has not moved",
-    Shortfall.ACCEPTANCE: "fewer than 5 % of the proposals are accepted",
-}
-
 MoveMaker = Callable[[int, np.random.Generator], StackedMove]
 
-RHAT_LIMIT = 1.01  # Vehtari et al. (2021)
-TIMES = 160.0  # autocorrelation times in all ensembles together; emcee advises 50 for one
-LEAST_ACCEPTANCE = 0.05
-HEAVY = 4.0  # kurtosis above which the precision asked for is tightened by √2
-DRIFT = 3.0  # standard errors between early and late steps that still count as burnt in
 FEWEST_ENSEMBLES, FEWEST_STEPS = 4, 64
 FIRST_CHECK, GROWTH = 96, (1.2, 1.5)  # steps before the first judgement; growth to the next
-PIECE, STORED = 32, 1024  # steps in one call of emcee; steps on record before they are halved
 
 
 @dataclass(frozen=True)
@@ -78,8 +38,8 @@ class StackedSample:
     """Draws of B posteriors and what they are worth.
 
     The C columns of `values` and of every statistic are the functions asked for or, without any,
-    the D coordinates.
-    Statistics are of all steps after the burn-in; `values` holds an even selection of them.
+    the D coordinates. Statistics are of all steps after the burn-in; `values` holds an even
+    selection of them.
 
     Attributes
     ----------
@@ -240,7 +200,7 @@ def sample_stacked(
     posteriors, _, walkers, dim = places.shape
     rng = np.random.default_rng(seed)
     chosen = [(make(walkers, rng), weight) for make, weight in moves or default_moves(dim)]
-    run = _Run(log_density, places, chosen, rng, functions, indexed, max(keep // walkers, 8))
+    run = Run(log_density, places, chosen, rng, functions, indexed, max(keep // walkers, 8))
     fields: dict[str, NDArray] = {}
     done = np.zeros(posteriors, dtype=bool)
     check = max(FIRST_CHECK, 2 * run.selected)
@@ -264,206 +224,6 @@ def sample_stacked(
         if indexed and fresh.any():
             run.leave(~fresh)
     return StackedSample(**fields)
-
-
-class _Run:
-    """The posteriors still running, `alive`, and the record of their steps.
-
-    `series` (2, b, C, E, n) holds the means over the walkers, and over `batch` steps, of the
-    columns and of their squares, both about `origin`; `coords` (n, b, E, W, D) every batch-th
-    step. When the record is full it is halved and `batch` doubled, so it stays short.
-    """
-
-    def __init__(
-        self,
-        log_density: Callable[..., ArrayLike],
-        start: Array,
-        moves: list[tuple[StackedMove, float]],
-        rng: np.random.Generator,
-        functions: Callable[[Array], ArrayLike] | None,
-        indexed: bool,
-        selected: int,
-    ) -> None:
-        self.log_density, self.moves, self.functions = log_density, moves, functions
-        self.indexed, self.selected = indexed, selected
-        self.alive = np.arange(len(start))
-        for move, _ in moves:
-            move.begin(len(start), start[0, ..., 0].size)
-        self.shape = start.shape[1:]
-        self.batch, self.steps, self.checked = 1, 0, 0
-        self.moved = np.zeros(start.shape[:-1])
-        # A new sampler copies NumPy's global state, unless the state to go on from has its own.
-        own = np.random.RandomState(rng.integers(2**32, size=4)).get_state()
-        self.state = emcee.State(start.reshape(-1, start.shape[-1]).copy(), random_state=own)
-        self.state.log_prob = self.density(self.state.coords)
-        _refuse_outside(self.state.log_prob.reshape(len(start), -1))
-        self.origin = self.columns(start[None])[0].mean(axis=(1, 2))
-        self.series = np.empty((2, *self.origin.shape, self.shape[0], 0))
-        self.coords = np.empty((0, *start.shape))
-
-    def density(self, rows: Array) -> Array:
-        """The log-density of rows in block order; refuses NaN and +inf, which would stick."""
-        x = rows.reshape(len(self.alive), -1, self.shape[-1])
-        out = self.log_density(x, self.alive) if self.indexed else self.log_density(x)
-        return checked_density(out, x, self.alive).ravel()
-
-    def columns(self, coords: Array) -> Array:
-        """The functions, if any, of coordinates (n, b, E, W, D): (n, b, E, W, C)."""
-        if self.functions is None:
-            return coords
-        n, b, e, w, dim = coords.shape
-        points = coords.swapaxes(0, 1).reshape(b, n * e * w, dim)
-        extra = np.asarray(self.functions(points), dtype=float)
-        if extra.ndim != 3 or extra.shape[:2] != points.shape[:2] or not np.isfinite(extra).all():
-            raise ValueError(
-                f"functions must return finite values of shape {points.shape[:2]} and one axis "
-                f"more for points of shape {points.shape}, got shape {extra.shape} with "
-                f"{np.sum(~np.isfinite(extra))} not finite; return -inf as log-density where "
-                "they are not defined."
-            )
-        return extra.reshape(b, n, e, w, extra.shape[-1]).swapaxes(0, 1)
-
-    def advance(self, steps: int) -> None:
-        """Run emcee until at least `steps` have been made in all."""
-        self.moved[:] = 0
-        self.checked = self.steps
-        coords, series = [self.coords], [self.series]
-        while self.steps < steps:
-            length = max(PIECE, self.batch)
-            sampler = emcee.EnsembleSampler(
-                *self.state.coords.shape, self.density, moves=self.moves, vectorize=True
-            )
-            sampler.log_prob_fn = self.density  # emcee's wrapper prints all walkers on an error
-            self.state = sampler.run_mcmc(self.state, length, skip_initial_state_check=True)
-            self.steps += length
-            self.moved += sampler.backend.accepted.reshape(self.moved.shape)
-            chain = sampler.get_chain().reshape(length, *self.moved.shape, -1)
-            coords.append(chain[self.batch - 1 :: self.batch])
-            series.append(self.summed(chain))
-            if sum(map(len, coords)) >= max(STORED, 4 * self.selected):
-                coords = [np.concatenate(coords)[1::2]]
-                series = [_batched(np.concatenate(series, axis=-1), 2)]
-                self.batch *= 2
-        self.coords, self.series = np.concatenate(coords), np.concatenate(series, axis=-1)
-
-    def summed(self, chain: Array) -> Array:
-        """`series` of new steps (n, b, E, W, D)."""
-        values = self.columns(chain) - self.origin[:, None, None]
-        n, b, e, w, c = values.shape
-        pool = np.tile(np.eye(c), (w, 1)) / w  # a product is faster than a mean over so few
-        both = [v.reshape(-1, w * c) @ pool for v in (values, np.square(values))]
-        return _batched(np.stack(both).reshape(2, n, b, e, c).transpose(0, 2, 4, 3, 1), self.batch)
-
-    def leave(self, stay: NDArray[np.bool_]) -> None:
-        """Go on with some of the posteriors only."""
-        self.alive, self.moved = self.alive[stay], self.moved[stay]
-        for move, _ in self.moves:
-            move.leave(stay)
-        self.series, self.origin = self.series[:, stay], self.origin[stay]
-        self.coords = self.coords[:, stay]
-        rows = np.repeat(stay, self.shape[0] * self.shape[1])
-        state = self.state
-        self.state = emcee.State(
-            state.coords[rows], log_prob=state.log_prob[rows], random_state=state.random_state
-        )
-
-    def judge(self, precision: float, *, every: bool) -> dict[str, NDArray]:
-        """Every field of `StackedSample` for the posteriors still running.
-
-        What takes the draws (kurtosis, R-hat) is worked out where nothing else is wrong, or for
-        `every` posterior.
-        """
-        burn = self.burn_in()
-        parts = [np.flatnonzero(burn == cut) for cut in np.unique(burn)]
-        joined = [self.statistics(rows, int(burn[rows[0]])) for rows in parts]
-        order = np.argsort(np.concatenate(parts))
-        out = {k: np.concatenate([p[k] for p in joined])[order] for k in joined[0]}
-        out["acceptance"] = self.moved.mean(axis=(1, 2)) / (self.steps - self.checked)
-        out["steps"] = np.full(len(burn), self.steps)
-        out["burn_in"] = burn * self.batch
-        times = TIMES / self.shape[0]
-        fault = np.zeros(len(burn), dtype=np.int64)
-        fault |= Shortfall.SHORT * ~(self.steps >= times * out["tau"]).all(axis=1)
-        fault |= Shortfall.IMPRECISE * ~(_excess(out, precision) <= 1).all(axis=1)
-        fault |= Shortfall.STUCK * (self.moved == 0).any(axis=(1, 2))
-        fault |= Shortfall.ACCEPTANCE * (out["acceptance"] < LEAST_ACCEPTANCE)
-        # The steps at which these two would be met, if nothing but their number changed.
-        short = np.maximum(times * out["tau"], self.steps * _excess(out, precision) ** 2)
-        out["needed"] = short.max(axis=1)
-        asked = np.flatnonzero((fault == 0) | every)
-        values = self.values(asked, burn[asked])
-        tight, rhat = np.full(out["mean"].shape, precision), np.full(out["mean"].shape, np.nan)
-        if asked.size:
-            rhat[asked] = diagnostics.rhat(np.moveaxis(values, -1, 1))
-            tight[asked] = precision * np.where(_kurtosis(values) > HEAVY, np.sqrt(0.5), 1.0)
-        fault[asked] |= Shortfall.RHAT * ~(rhat[asked] < RHAT_LIMIT).all(axis=1)
-        fault |= Shortfall.IMPRECISE * ~(_excess(out, tight) <= 1).all(axis=1)
-        kept = np.full((len(burn), *values.shape[1:]), np.nan)
-        kept[asked] = values
-        return out | {"shortfall": fault, "rhat": rhat, "values": kept}
-
-    def burn_in(self) -> NDArray[np.intp]:
-        """The shortest of n/8, n/4 and n/2 batches after which no drift is left."""
-        n = self.series.shape[-1]
-        late = self.series[..., n // 2 :]
-        pieces = _batched(late, late.shape[-1] // 8)
-        noise = pieces.var(axis=(-2, -1)) / (pieces.shape[-2] * pieces.shape[-1])
-        burn = np.full(len(self.alive), n // 2)
-        settled = np.ones(len(burn), dtype=bool)
-        for cut in (n // 4, n // 8):
-            early = self.series[..., cut : cut + (n - cut) // 4]
-            gap = early.mean(axis=(-2, -1)) - late.mean(axis=(-2, -1))
-            share = 1.0 + late.shape[-1] / early.shape[-1]
-            settled &= (gap**2 <= DRIFT**2 * noise * share).all(axis=(0, 2))
-            burn[settled] = cut
-        return burn
-
-    def statistics(self, rows: NDArray[np.intp], cut: int) -> dict[str, NDArray]:
-        """Moments and their Monte Carlo errors after a burn-in of `cut` batches."""
-        first, second = self.series[:, rows, ..., cut:]
-        mean = first.mean(axis=(-2, -1))
-        centre = mean[..., None, None]
-        spread = second - 2 * centre * first + centre**2
-        variance = np.maximum(spread.mean(axis=(-2, -1)), 0.0)
-        of_mean, time = diagnostics.long_run_variance(first)
-        of_variance, _ = diagnostics.long_run_variance(spread)
-        count = first.shape[-2] * first.shape[-1]
-        sd = np.sqrt(variance)
-        return {
-            "mean": mean + self.origin[rows],
-            "sd": sd,
-            "mcse_mean": np.sqrt(of_mean / count),
-            "mcse_sd": np.sqrt(of_variance / count) / (2 * np.where(sd > 0, sd, np.nan)),
-            "tau": time * self.batch,
-            "ess": count * variance / np.where(of_mean > 0, of_mean, np.nan),
-        }
-
-    def values(self, rows: NDArray[np.intp], cut: NDArray[np.intp]) -> Array:
-        """An even selection of the columns of posteriors `rows`, (b, E, N, C), in order of time."""
-        steps = np.linspace(cut, len(self.coords) - 1, self.selected).round().astype(np.intp)
-        chosen = np.moveaxis(self.columns(self.coords[steps, rows]), 0, 2)
-        draws = self.selected * self.shape[1]
-        return chosen.reshape(len(rows), self.shape[0], draws, chosen.shape[-1])
-
-
-def _batched(x: Array, size: int) -> Array:
-    """Means over `size` neighbours along the last axis; a rest that fills no batch is left out."""
-    whole = x.shape[-1] // size * size
-    return x[..., :whole].reshape(*x.shape[:-1], -1, size).mean(axis=-1) if size > 1 else x
-
-
-def _excess(out: dict[str, NDArray], precision: ArrayLike) -> Array:
-    """Monte Carlo errors over those asked for, (b, C); the mean's may be √2 times the sd's."""
-    target = np.asarray(precision) * np.where(out["sd"] > 0, out["sd"], np.nan)
-    return np.asarray(np.maximum(out["mcse_sd"], out["mcse_mean"] / np.sqrt(2.0)) / target)
-
-
-def _kurtosis(values: Array) -> Array:
-    """Of the draws (b, E, N, C) of each column, (b, C); 3 is Gaussian."""
-    square = np.square(values - values.mean(axis=(1, 2), keepdims=True))
-    variance = square.mean(axis=(1, 2))
-    fourth = np.square(square).mean(axis=(1, 2))
-    return np.asarray(fourth / np.where(variance > 0, variance, np.nan) ** 2)
 
 
 def _checked_start(start: ArrayLike) -> Array:
@@ -503,14 +263,3 @@ def _checked_start(start: ArrayLike) -> Array:
             "never leave the line or plane they start on, so scatter them."
         )
     return places
-
-
-def _refuse_outside(log_prob: Array) -> None:
-    """Refuse walkers that start where the density is zero: emcee takes them, and they stay."""
-    outside = np.isneginf(log_prob).sum(axis=1)
-    if outside.any():
-        raise ValueError(
-            f"{outside.sum()} walker(s) of {np.sum(outside > 0)} posterior(s) start where the "
-            f"log-density is -inf, the first in posterior {np.argmax(outside > 0)}; start every "
-            "walker inside the support."
-        )

@@ -28,11 +28,12 @@ Array = NDArray[np.float64]
 Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
 Functions = Callable[[Array], ArrayLike]
 
-COARSE_PASSES, PASSES = 15, 50
+COARSE_PASSES, LONG_TRIED, PASSES = 15, 4, 50
 SLOWEST_FALL = 1 - 1e-6  # from layer to layer of nodes, when the mass beyond the last is guessed
 RESOLVED = 0.3  # error of the spacing up to which a coarse pass is believed
 LOST = 0.3  # change of ln Z, from all nodes to every second, at which mass falls between nodes
 NEARLY, FINER = 4.0, 0.75  # up to so many tolerances a spacing is cut by this instead of halved
+LEVEL = 1e-9  # sd over mean of a function that only rounding keeps from being constant
 BATCH = 40_000  # nodes evaluated in one call: the arrays of one pass stay in the cache
 
 
@@ -358,10 +359,13 @@ class _Work:
         self.coarse_passes[index] += 1
         late = self.coarse_passes[index] >= COARSE_PASSES
         self.end(index[late & cut_off], Status.OPEN)
-        # A long tail is followed along its axis: whitening by it would lose the narrow core. Where
-        # most of the mass is at the edge there is no core yet.
-        inside = np.abs(out.z_mean) < 0.5 * self.first_cells * self.width[index]
-        follow = cut_off & ~late & inside.all(axis=1)
+        # A long tail is followed along its axis: whitening by it would lose the narrow core. So is
+        # a heavy one where windows have grown and shrunk in turn; but where most of the mass is
+        # at the edge there is no core yet.
+        inside = (np.abs(out.z_mean) < 0.5 * self.first_cells * self.width[index]).all(axis=1)
+        follow = out.edge_mass.max(axis=(1, 2)) < 0.4
+        follow |= inside & (self.coarse_passes[index] > LONG_TRIED)
+        follow &= cut_off & ~late
         follow &= self.cells[index].max(axis=(1, 2)) <= 2 * self.first_cells
         self.cells[index[follow]] += np.where(open_sides[follow], self.cells[index[follow]], 0)
         # Where whitening has lost it, back to the last frame in which all was seen.
@@ -514,6 +518,9 @@ def _evaluate(
     off = np.ascontiguousarray((values - mean[:, None]).swapaxes(1, 2))  # (b, C, N)
     sd = np.sqrt((off**2 @ weights[..., None])[..., 0] / safe)
     off /= np.maximum(sd, 1e-100)[..., None]  # a single node has no sd
+    # What is the same everywhere is known wherever anything is.
+    level = (sd <= LEVEL * np.abs(mean))[..., None]
+    off = np.where(level & ~level.all(axis=1, keepdims=True), off[:, :1], off)
     # The mass, first and second moment of every node, as shares of the whole.
     mass = weights / safe
     terms = np.empty((len(index), 1 + 2 * off.shape[1], *counts))

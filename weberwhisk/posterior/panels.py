@@ -260,6 +260,10 @@ class Panels:
             np.minimum((200 * np.abs(a - b) / sd) ** 1.5, 1.0) * sd
             for a, b in ((mean, mean_7), (sd, sd_7))
         ]
+        # What lies on the last panels may lie beyond them too.
+        at_end = (panel == 0) | (panel == len(self.left) - 1)
+        beyond = np.add.reduceat(np.where(at_end, of_panels[:, 0], 0.0), starts) / mass[0]
+        errors = [np.maximum(error, beyond * sd) for error in errors]
         low, high = self._probable(reading)
         return mean, sd, *errors, np.log(mass[0]) + top, low >= high
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import finite
+from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 
@@ -45,8 +47,7 @@ _MESSAGES = {
     Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
     Status.IMPRECISE: "the estimated error is above the tolerance",
     Status.NOT_CONVERGED: "the walkers have not converged",
-    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone: "
-    "use quadrature",
+    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
 }
 
 
@@ -84,8 +85,19 @@ class Posterior:
     estimates: Mapping[str, Estimate]
     status: Any
     log_evidence: Any
-    quantile_of: Callable[[Array], Array]  # (Q,) → (B, U, Q)
+    quantile_of: Callable[[Array, int], Array]  # (Q,) and which unknown → (B, Q)
     draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
+
+    @cached_property
+    def outcome(self) -> Any:
+        """What the cue's method, taken by itself and as exact, makes of the reading.
+
+        An `Outcome`, or an array of int: `HELD` where it finds a contact; `CONTRADICTORY`,
+        `NO_TOUCH`, `PARALLEL` and the like where it fails, while the posterior, which knows that
+        readings and whiskers are uncertain, does not.
+        """
+        outcome = self.observer.reading_outcome(self.reading)
+        return outcome if self.reading.ndim > 1 else Outcome(int(outcome))
 
     @property
     def mean(self) -> Any:
@@ -118,7 +130,7 @@ class Posterior:
         p = finite("probability", probability, "write a number between 0 and 1")
         if np.any((p <= 0) | (p >= 1)):
             raise ValueError(f"A probability lies between 0 and 1, got {p}; write 0.975, say.")
-        values = self.quantile_of(np.atleast_1d(p))[:, self.observer.unknowns.index(of)]
+        values = self.quantile_of(np.atleast_1d(p), self.observer.unknowns.index(of))
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
 
@@ -134,7 +146,7 @@ class Posterior:
         return self.quantile([tail, 1 - tail], of=of)
 
     def summary(self) -> pd.DataFrame:
-        """One row for each reading and unknown: mean, sd, their errors, 95 % interval, status."""
+        """One row for each reading and unknown: moments, errors, 95 % interval, how it went."""
         import pandas as pd
 
         rows = []
@@ -147,6 +159,7 @@ class Posterior:
                     | columns
                     | {"low_95": low, "high_95": high}
                     | {"status": [Status(int(s)).message for s in np.atleast_1d(self.status)]}
+                    | {"outcome": [Outcome(int(o)).message for o in np.atleast_1d(self.outcome)]}
                 )
             )
         return pd.concat(rows, ignore_index=True)

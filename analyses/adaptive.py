@@ -1,0 +1,218 @@
+"""The trials that adaptive placement saves, by simulation.
+
+    python analyses/adaptive.py [folder] [--short] [--workers 2] [--scheduler tcp://...]
+
+Simulated animals with 3 % lapses a side and biases of their own (sd 0.3). One part measures the
+Weber fraction of an animal that is as expected (k = 0.1) and of one that is not (0.2): by expected
+information, by the same with lapses and bias in the objective (QUEST+), by two staircases, and by
+constant stimuli at ±0.6, 1.2 and 2 sd of the expected animal. The other part tells a tapered
+whisker from a cylinder. Whatever placed the trials, the same fit reads them. Writes adaptive (PNG,
+SVG), adaptive_estimation.csv, adaptive_discrimination.csv and adaptive_trials.csv: trials until the
+median 95 % interval is within ±25 %, and until the Bayes factor is above 10 in 80 % of runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import weberwhisk as ww
+from weberwhisk import campaign, figures
+from weberwhisk.behaviour import IdentityPercept, response_probability
+from weberwhisk.design import (
+    BayesianPlacer,
+    Hypothesis,
+    Proposal,
+    Scheme,
+    Staircase,
+    TrialLog,
+    lattice,
+    taper,
+)
+from weberwhisk.runs import Run
+
+LAPSE, BIAS_SD, EXPECTED = 0.03, 0.3, 0.1
+WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
+PLACES = (0.3, 0.6, 0.9)
+ESTIMATORS = ("information", "QUEST+", "1-up/2-down", "1-up/3-down", "constant")
+DISCRIMINATORS = ("information", "constant")
+ANIMALS, ANIMALS_SHORT = 40, 1
+MARKS_SHORT = (10, 20)
+MARKS = {"estimation": (30, 60, 90, 120, 180, 240, 300),
+         "discrimination": (30, 60, 90, 120, 150, 180, 240)}  # fmt: skip
+SEED = 20110166
+
+
+class Constant(TrialLog):
+    """Levels of a scheme in random order, as a placer."""
+
+    def __init__(self, hypotheses: Any, scheme: Scheme, seed: int) -> None:
+        super().__init__(hypotheses, scheme)
+        self._cells, self._rng = scheme.cells(), np.random.default_rng(seed)
+
+    finished = ""
+
+    def next(self, standard: float | None = None) -> Proposal:
+        at = self._rng.integers(self._cells.n.size)
+        s1, s2 = self._cells.stimulus_1[at], self._cells.stimulus_2[at]
+        return Proposal(len(self._rows) + 1, float(s1), float(s2))
+
+    def record(self, standard: float, comparison: float, choice: Any) -> None:
+        self._note(self._pair(standard, comparison), choice)
+
+
+def scene(part: str, method: str, seed: int) -> Any:
+    """The placer of one experiment."""
+    if part == "estimation":
+        hypotheses = [Hypothesis("Weber", IdentityPercept(), bias="shared")]
+        standards = np.array([1.0])
+        scheme = lattice(IdentityPercept(), standards)
+    else:
+        hypotheses = list(taper(WHISKER))
+        standards = np.array(PLACES) * WHISKER.length
+        levels = [lattice(h.percept, standards, each_side=10).offsets for h in hypotheses]
+        scheme = Scheme(standards, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
+    if method == "constant":
+        expected = Scheme.spaced(hypotheses[0].percept, standards, weber_fraction=EXPECTED)
+        return Constant(hypotheses, expected, seed)
+    if method.startswith("1-up"):
+        return Staircase(hypotheses[0], scheme, rule=method, seed=seed)
+    if method == "QUEST+":
+        return BayesianPlacer(hypotheses, scheme, goal="everything", easy_share=0.0, seed=seed)
+    goal = "weber_fraction" if part == "estimation" else "hypothesis"
+    return BayesianPlacer(hypotheses, scheme, goal=goal, seed=seed)
+
+
+def experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
+    """One animal: what is known of it after so many trials."""
+    rng = np.random.default_rng(seed)
+    placer = scene(chunk["part"], chunk["method"], int(rng.integers(2**31)))
+    truth = placer.hypotheses[chunk["truth"]]
+    bias = dict(zip(placer.scheme.standards, rng.normal(0, BIAS_SD, 3), strict=False))
+    rows = []
+    for number in range(1, max(chunk["marks"]) + 1):
+        trial = placer.next()
+        chance = response_probability(
+            truth.asked,
+            truth.percept,
+            trial.standard,
+            trial.comparison,
+            weber_fraction=chunk["weber_fraction"],
+            lapse_low=LAPSE,
+            lapse_high=LAPSE,
+            bias=bias[trial.standard],
+        )
+        placer.record(trial.standard, trial.comparison, int(rng.random() < chance[0]))
+        if number in chunk["marks"]:
+            rows.append({"n": number, **known(placer, chunk["truth"])})
+    about = {name: chunk[name] for name in ("method", "weber_fraction", "truth", "animal")}
+    return pd.DataFrame(rows).assign(**about)
+
+
+def known(placer: TrialLog, truth: int) -> dict[str, float]:
+    """Estimate and interval of k under the truth, and its log Bayes factor over the other."""
+    fits = list(placer.fits().values())
+    low, median, high = fits[truth].posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
+    row = {"median": float(median), "low": float(low), "high": float(high)}
+    if len(fits) == 2:
+        mine, other = fits[truth].log_evidence, fits[1 - truth].log_evidence
+        assert mine is not None
+        assert other is not None
+        row["log_bayes_factor"] = mine - other
+    return row
+
+
+def chunks(part: str, animals: int, marks: tuple[int, ...]) -> list[dict[str, Any]]:
+    """Every animal of every method and truth."""
+    estimating = part == "estimation"
+    return [
+        {"part": part, "method": method, "weber_fraction": k, "truth": truth, "animal": animal,
+         "marks": list(marks)}
+        for method in (ESTIMATORS if estimating else DISCRIMINATORS)
+        for k in ((0.1, 0.2) if estimating else (0.1,))
+        for truth in ((0,) if estimating else (0, 1))
+        for animal in range(animals)
+    ]  # fmt: skip
+
+
+def summary(estimation: pd.DataFrame, discrimination: pd.DataFrame) -> pd.DataFrame:
+    """Trials that each method needs; NaN where it does not get there."""
+    rows = []
+    half = (estimation["high"] - estimation["low"]) / (estimation["high"] + estimation["low"])
+    for (method, k), own in estimation.assign(half=half).groupby(["method", "weber_fraction"]):
+        width = own.groupby("n")["half"].median()
+        error = np.log(own["median"] / k)[own["n"] == own["n"].max()]
+        rows.append(("±25 % interval", method, f"k = {k:g}", crossing(width, 0.25),
+                     float(np.sqrt(np.mean(error**2)))))  # fmt: skip
+    for (method, truth), own in discrimination.groupby(["method", "truth"]):
+        share = (own["log_bayes_factor"] > np.log(10)).groupby(own["n"]).mean()
+        name = ("tapered", "cylinder")[truth]
+        rows.append(("Bayes factor > 10 in 80 %", method, name, crossing(-share, -0.8), np.nan))
+    names = ["goal", "method", "truth", "trials", "rmse_of_log_k_at_the_end"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def crossing(curve: pd.Series, level: float) -> float:
+    """Where a falling curve over n first passes a level, straight lines between points."""
+    n, y = curve.index.to_numpy(float), curve.to_numpy(float)
+    below = np.flatnonzero(y <= level)
+    if not below.size:
+        return float("nan")
+    i = int(below[0])
+    if i == 0:
+        return float(n[0])
+    return float(n[i - 1] + (n[i] - n[i - 1]) * (y[i - 1] - level) / (y[i - 1] - y[i]))
+
+
+def make(
+    folder: Path,
+    *,
+    short: bool = False,
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> dict[str, pd.DataFrame]:
+    """Tables and figure into `folder`; the sweeps stream into files beside it and resume."""
+    animals = ANIMALS_SHORT if short else ANIMALS
+    folder.mkdir(parents=True, exist_ok=True)
+    tables = {}
+    for part, marks in MARKS.items():
+        tables[part] = campaign.run(
+            experiment,
+            chunks(part, animals, MARKS_SHORT if short else marks),
+            seed=SEED,
+            workers=workers,
+            scheduler=scheduler,
+            out=folder / f"adaptive_{part}.{'short' if short else 'full'}.jsonl",
+            title=part,
+        )
+    tables["trials"] = summary(tables["estimation"], tables["discrimination"])
+    with Run(folder, "adaptive", {"animals": animals}, SEED) as run:
+        for name, table in tables.items():
+            run.table(f"adaptive_{name}", table)
+        run.figure("adaptive", figures.figure_of(figures.adaptive(tables)))
+    return tables
+
+
+if __name__ == "__main__":
+    # By its own name, which workers can import.
+    import adaptive
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = Path(__file__).parent.parent / "results" / "adaptive"
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--short", action="store_true", help="one animal, few trials")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--scheduler", help="of a dask.distributed cluster")
+    given = parser.parse_args()
+    made = adaptive.make(
+        given.folder,
+        short=given.short,
+        workers=1 if given.scheduler else given.workers,
+        scheduler=given.scheduler,
+    )
+    print(made["trials"].to_string(index=False, float_format="{:.3g}".format))

@@ -1,0 +1,472 @@
+"""Simulation-based calibration of every cue's posterior, of the engines and of the fits.
+
+    python analyses/calibration.py [--short] [folder]
+
+Truths are drawn from the observer's own prior, readings from `observer.read` (trials from
+`simulate_trials`), and the rank of each truth among draws from its posterior must be uniform
+(Talts et al. 2018, arXiv 1804.06788), and so must that of its likelihood, which also catches a
+posterior that has not looked at the data (Modrák et al. 2023, Bayesian Analysis). Uniform means:
+the ECDF stays within simultaneous bands (Säilynoja, Bürkner & Vehtari 2022, Statistics and
+Computing 32, 32). The broken models at the end must be caught by the same test. Writes calibration
+(CSV, PNG, SVG): ranks' p-values and coverage at 50, 80 and 95 %, and the ECDFs' departures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk import Observer, Status, Whisker, figures
+from weberwhisk.behaviour import Priors, fit_weber, simulate_trials
+from weberwhisk.cues import (
+    AngleSideAngle,
+    BalanceOfMoments,
+    ComparativeLength,
+    Compliance,
+    ContactAndDetachment,
+    ForceMap,
+    Fused,
+    LateralSlip,
+    SpaceMap,
+    TwoWhiskers,
+    UnknownStiffness,
+    Vibration,
+    VibrissaLength,
+)
+from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.receptors import (
+    Afferents,
+    GeneralisedWeber,
+    LogNormal,
+    NearMiss,
+    Saturating,
+    SpikeCount,
+    Weber,
+)
+from weberwhisk.runs import Run
+
+Array = np.ndarray
+HERE = Path(__file__).parent
+SEED = 20110166
+#: Draws that a truth is ranked among.
+DRAWS = 199
+MASSES = (0.5, 0.8, 0.95)
+
+WHISKER = Whisker(50e-3, 100e-6, 5e-6, 3e9)
+UNIT = float(WHISKER.compliance_constant / WHISKER.length)
+CUES: dict[str, Observer] = {
+    name: Observer(WHISKER, cue)
+    for name, cue in {
+        "vibrissa length (a)": VibrissaLength(),
+        "comparative length (b)": ComparativeLength([40e-3, 30e-3], [[0.0, 3e-3], [0.0, 6e-3]]),
+        "angle-side-angle (c)": AngleSideAngle(),
+        "the same, side unknown (c)": AngleSideAngle(side_sd=1e-3),
+        "two whiskers (c)": TwoWhiskers(side=10e-3),
+        "contact and detachment (c)": ContactAndDetachment(side=8e-3),
+        "vibration (d)": Vibration(3),
+        "vibration with phase (d)": Vibration(3, phase=True),
+        "compliance (e)": Compliance(),
+        "compliance, velocity felt (e)": Compliance(velocity_spread=0.5),
+        "lateral slip (e)": LateralSlip(friction_angle=0.2),
+        "force map (f)": ForceMap(),
+        "force map, three signals (f)": ForceMap(SIGNALS),
+        "moment at a known angle (f)": ForceMap("moment", deflection_angle=0.1),
+        "force map, stiffness unknown": UnknownStiffness(ForceMap()),
+        "map in space (g)": SpaceMap(),
+        "balance of moments (h)": BalanceOfMoments(),
+        "balance, effort known (h)": BalanceOfMoments(effort=0.5),
+        "compliance and vibration": Fused(Compliance(), Vibration(3, phase=True)),
+    }.items()
+}
+RECEPTORS: dict[str, Observer] = {
+    "Weber, k = 0.5": Observer(WHISKER, Compliance(), Weber(0.5)),
+    "floor and ceiling": Observer(
+        WHISKER, Compliance(), GeneralisedWeber(0.1, floor=0.5 * UNIT, ceiling=5 * UNIT)
+    ),
+    "saturating": Observer(WHISKER, Compliance(), Saturating(0.1, ceiling=2 * UNIT)),
+    "near miss": Observer(WHISKER, Compliance(), NearMiss(0.2, exponent=0.9, reference=UNIT)),
+    "log-normal": Observer(WHISKER, Compliance(), LogNormal(0.2)),
+    "spike counts": Observer(
+        WHISKER, Compliance(), SpikeCount(Afferents(12, 0.1 * UNIT, 10 * UNIT))
+    ),
+    "correlated": Observer(WHISKER, ForceMap(), Weber([0.1, 0.2], correlation=0.7)),
+}
+
+
+# -- uniform or not -------------------------------------------------------------------------------
+
+
+def _depth(ranks: Array, points: Array) -> Array:
+    """γ of each row of ranks in (0, 1): the least two-sided binomial tail of its ECDF."""
+    n = ranks.shape[-1]
+    ordered = np.sort(ranks, axis=-1)
+    count = np.stack([np.searchsorted(row, points, side="right") for row in ordered])
+    below, above = stats.binom.cdf(count, n, points), stats.binom.sf(count - 1, n, points)
+    return np.asarray(2 * np.minimum(below, above).min(axis=-1))
+
+
+def _points(n: int) -> Array:
+    """Where the ECDF of n ranks is looked at."""
+    size = min(n, 100)
+    return np.arange(1, size) / size
+
+
+@lru_cache(maxsize=64)
+def _depths(n: int) -> Array:
+    """γ of 4000 sets of n uniform ranks, ascending: Säilynoja et al.'s algorithm 1."""
+    rng = np.random.default_rng(SEED)
+    return np.sort(np.concatenate([_depth(rng.random((200, n)), _points(n)) for _ in range(20)]))
+
+
+def uniform_p(ranks: Array) -> float:
+    """How often uniform ranks stray as far from the diagonal as these; p of the band's test."""
+    depths = _depths(ranks.size)
+    return float(1 + (depths <= _depth(ranks[None], _points(ranks.size))[0]).sum()) / 4001
+
+
+def band(n: int, mass: float = 0.95) -> tuple[Array, Array, Array]:
+    """Points, and the simultaneous band of the ECDF of n uniform ranks there."""
+    points = _points(n)
+    level = 1 - np.quantile(_depths(n), 1 - mass)
+    low, high = stats.binom.interval(level, n, points)
+    return points, low / n, high / n
+
+
+# -- ranks of posteriors --------------------------------------------------------------------------
+
+
+def prior_draws(observer: Observer, n: int, rng: np.random.Generator) -> Array:
+    """Contacts (n, U) from the observer's prior: flat where it names none, over what is held."""
+    low, high = observer.reach
+    kept = np.empty((0, len(observer.unknowns)))
+    while len(kept) < n:
+        columns = []
+        for i, name in enumerate(observer.unknowns):
+            if name in observer.prior:
+                columns.append(observer.prior[name].rvs(4 * n, random_state=rng))
+            else:
+                # No whisker holds an angle above two radians.
+                columns.append(rng.uniform(*((low, high) if i == 0 else (0, 2)), 4 * n))
+        contact = np.stack(columns, axis=-1)
+        inside = (contact[:, 0] > low) & (contact[:, 0] < high)
+        inside &= np.all(contact[:, : observer.bounded] > 0, axis=1)
+        kept = np.concatenate([kept, contact[inside & (observer.signals(contact)[1] == 0)]])
+    return kept[:n]
+
+
+def rank(truth: Array, draws: Array, rng: np.random.Generator) -> Array:
+    """Ranks in (0, 1) of truths (n,) among draws (n, D), ties broken at random."""
+    below = (draws < truth[:, None]).sum(axis=1)
+    level = (draws == truth[:, None]).sum(axis=1)
+    return np.asarray((below + rng.random(truth.size) * (level + 1)) / (draws.shape[1] + 1))
+
+
+def posterior_ranks(
+    truth: Observer,
+    n: int,
+    method: str = "quadrature",
+    *,
+    assumed: Observer | None = None,
+    seed: int = SEED,
+) -> tuple[dict[str, Array], float]:
+    """Ranks of every unknown and of the likelihood, of posteriors not flagged; share flagged.
+
+    `assumed` reads, where it is not `truth` itself that does. A status depends on the reading and
+    the walkers alone, so that those without one must be calibrated among themselves.
+    """
+    rng = np.random.default_rng(seed)
+    model = assumed or truth
+    contact = prior_draws(truth, n, rng)
+    reading = truth.read(contact, rng)
+    p = ww.posterior(model, reading, method, seed=rng)
+    trusted = np.isin(p.status, (Status.CONVERGED, Status.UNIDENTIFIED, Status.IMPROBABLE_READING))
+    # Enough draws of every chain to be far apart from each other, and of them some.
+    draws = p.draws_of(64 if method == "quadrature" else 128, rng)
+    draws = draws.reshape(n, -1, draws.shape[-1])
+    some = rng.permuted(np.tile(np.arange(draws.shape[1]), (n, 1)), axis=1)[:, :DRAWS]
+    draws = np.take_along_axis(draws, some[..., None], axis=1)
+    out = {
+        name: rank(contact[:, i], draws[..., i], rng)[trusted]
+        for i, name in enumerate(truth.unknowns)
+    }
+    likely = model.log_likelihood(reading[:, None], draws)
+    out["likelihood"] = rank(model.log_likelihood(reading, contact), likely, rng)[trusted]
+    return out, 1 - float(trusted.mean())
+
+
+# -- ranks of fits --------------------------------------------------------------------------------
+
+FITS: dict[str, dict[str, Any]] = {
+    "2AFC, 5 trials a level": {"trials_per_level": 5},
+    "2AFC, 40 trials a level": {"trials_per_level": 40},
+    "percent correct": {"trials_per_level": 20, "task": "2AFC percent correct"},
+    "yes/no": {"trials_per_level": 20, "task": "yes/no"},
+    "radial distances": {
+        "trials_per_level": 20,
+        "observer": CUES["compliance (e)"],
+        "standards": 30e-3,
+        "offsets": [-0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3],
+    },
+}
+
+
+def fit_ranks(
+    design: dict[str, Any],
+    n: int,
+    method: str | None = "quadrature",
+    *,
+    assumed: dict[str, Any] | None = None,
+    seed: int = SEED,
+) -> tuple[dict[str, Array], float]:
+    """Ranks of every parameter of fits to trials of observers drawn from the priors."""
+    rng = np.random.default_rng(seed)
+    priors = Priors()
+    truths: dict[str, list[float]] = {}
+    drawn: dict[str, list[Array]] = {}
+    flagged = 0
+    for _ in range(n):
+        low = high = 1.0
+        while low + high >= 1:
+            score = rng.standard_normal(2)
+            score[1] = 0.7 * score[0] + np.sqrt(1 - 0.49) * score[1]
+            low, high = priors.lapse_low.ppf(stats.norm.cdf(score))
+        truth = {
+            "weber_fraction": float(np.exp(np.log(0.1) + np.log(3.0) * rng.standard_normal())),
+            "lapse_low": float(low),
+            "lapse_high": float(high),
+            "bias": float(rng.standard_normal()),
+        }
+        asked = design.get("task", "2AFC")
+        if "percent correct" in asked:
+            truth["bias"], truth["lapse_low"] = 0.0, 0.0
+        trials = simulate_trials(**design, **truth, seed=rng)
+        options = {k: v for k, v in design.items() if k == "observer"} | (assumed or {})
+        fit = fit_weber(trials, method=method, seed=rng, **options)
+        if fit.posterior.trouble:
+            flagged += 1
+            continue
+        draws = fit.posterior.draws().named(fit.model)
+        some = rng.permutation(len(next(iter(draws.values()))))[:DRAWS]
+        for name, values in draws.items():
+            truths.setdefault(name, []).append(truth["bias" if name == "criterion" else name])
+            drawn.setdefault(name, []).append(values[some])
+    out = {k: rank(np.array(truths[k]), np.stack(drawn[k]), rng) for k in truths}
+    return out, flagged / n
+
+
+# -- all of it ------------------------------------------------------------------------------------
+
+COMPLIANCE, FORCES = CUES["compliance (e)"], CUES["force map (f)"]
+BROKEN: dict[str, tuple[Observer, Observer]] = {
+    "k taken for 30 % more": (COMPLIANCE, Observer(WHISKER, Compliance(), Weber(0.13))),
+    "k taken for 30 % less": (COMPLIANCE, Observer(WHISKER, Compliance(), Weber(0.07))),
+    "noise taken for constant": (
+        COMPLIANCE,
+        Observer(WHISKER, Compliance(), GeneralisedWeber(0.0, floor=0.1 * UNIT)),
+    ),
+    "map's k taken for 30 % more": (FORCES, Observer(WHISKER, ForceMap(), Weber(0.13))),
+    "correlation ignored": (
+        RECEPTORS["correlated"],
+        Observer(WHISKER, ForceMap(), Weber([0.1, 0.2])),
+    ),
+    "whisker taken for 10 % softer": (
+        COMPLIANCE,
+        Observer(Whisker(50e-3, 100e-6, 5e-6, 2.7e9), Compliance()),
+    ),
+}
+BROKEN_FITS: dict[str, dict[str, Any]] = {
+    "lapses ignored": {"priors": {"lapse_low": 0.0, "lapse_high": 0.0}},
+    "noise taken for that of the standard": {"noise": "equal-variance"},
+}
+#: Cues that emcee is tried on: one unknown, two, three; several peaks.
+SAMPLED = (
+    "compliance (e)",
+    "vibration with phase (d)",
+    "compliance, velocity felt (e)",
+    "force map (f)",
+    "balance of moments (h)",
+    "the same, side unknown (c)",
+)
+#: Posteriors of one unknown, of two, of three, by emcee, and fits by quadrature and by emcee.
+FULL = (2000, 600, 120, 400, 400, 60)
+SHORT = (200, 60, 10, 40, 40, 0)
+
+Ranks = dict[str, Array]
+Job = tuple[str, str, str, Callable[[], tuple[Ranks, float]]]
+
+
+def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
+    """Group, name, engine and what to run."""
+    sampled, fitted, fits_sampled = sizes[3:]
+
+    def of(observer: Observer) -> int:
+        return sizes[len(observer.unknowns) - 1]
+
+    for group, some in (("cues", CUES), ("receptors", RECEPTORS)):
+        for name, o in some.items():
+            yield group, name, "quadrature", lambda o=o: posterior_ranks(o, of(o), seed=seed)
+    for name in SAMPLED:
+        o = CUES[name]
+        yield (
+            "emcee",
+            name,
+            "emcee",
+            lambda o=o: posterior_ranks(o, min(of(o), sampled), "emcee", seed=seed),
+        )
+    for name, design in FITS.items():
+        yield "fits", name, "quadrature", lambda d=design: fit_ranks(d, fitted, seed=seed)
+    if fits_sampled:
+        name = "2AFC, 40 trials a level"
+        yield "fits", name, "emcee", lambda: fit_ranks(FITS[name], fits_sampled, "emcee", seed=seed)
+    for name, (truth, assumed) in BROKEN.items():
+        yield (
+            "broken",
+            name,
+            "quadrature",
+            lambda t=truth, a=assumed: posterior_ranks(t, of(t), assumed=a, seed=seed),
+        )
+    for name, assumed in BROKEN_FITS.items():
+        design = {"trials_per_level": 40}
+        yield (
+            "broken",
+            name,
+            "quadrature",
+            lambda a=assumed, d=design: fit_ranks(d, fitted, assumed=a, seed=seed),
+        )
+
+
+@dataclass(frozen=True)
+class Row:
+    """Ranks of one quantity."""
+
+    group: str
+    name: str
+    engine: str
+    quantity: str
+    ranks: Array
+    flagged: float
+
+    def numbers(self) -> dict[str, object]:
+        """The row of the table."""
+        off = np.abs(self.ranks - 0.5) * 2
+        covered = {f"covered_{mass:.0%}".rstrip("%"): np.mean(off < mass) for mass in MASSES}
+        told = {k: v for k, v in vars(self).items() if k != "ranks"}
+        return {**told, "n": self.ranks.size, "p": uniform_p(self.ranks), **covered}
+
+
+def run_all(sizes: tuple[int, ...], seed: int = SEED) -> list[Row]:
+    """Ranks of everything."""
+    rows = []
+    for group, name, engine, run in jobs(sizes, seed):
+        ranks, flagged = run()
+        rows += [Row(group, name, engine, k, v, flagged) for k, v in ranks.items() if v.size]
+    return rows
+
+
+def verdict(table: pd.DataFrame) -> str:
+    """In a sentence: the smallest p of all that is right, and what of the broken was caught."""
+    right, broken = (table[(table["group"] == "broken") == b] for b in (False, True))
+    worst = right.loc[right["p"].idxmin()]
+    caught = broken.groupby("name")["p"].min()
+    return (
+        f"{len(right)} sets of ranks: {np.mean(right['p'] > 0.05):.0%} within their 95 % bands, "
+        f"the smallest p {worst['p']:.4f} ({worst['name']}, {worst['quantity']}), which the largest of "
+        f"as many would be in {1 - (1 - worst['p']) ** len(right):.0%} of such tables. "
+        f"Broken models caught at 5 %: {int(np.sum(caught < 0.05))} of {len(caught)}, "
+        f"the largest of their p {caught.max():.2g}."
+    )
+
+
+@figures.styled
+def draw(rows: list[Row]) -> Figure:
+    """ECDFs less the diagonal, times √n, a panel a group; below the last, coverage."""
+    figure = figures.new_figure(figures.DOUBLE, 4.6)
+    groups = {
+        "cues": "cues, quadrature",
+        "receptors": "receptors, quadrature",
+        "emcee": "emcee",
+        "fits": "fits of choices",
+        "broken": "broken on purpose",
+    }
+    axes = figure.subplots(2, 3).ravel()
+    for ax, (group, title) in zip(axes, groups.items(), strict=False):
+        some = [r for r in rows if r.group == group]
+        most = max(r.ranks.size for r in some)
+        points, low, high = band(most)
+        root = np.sqrt(most)
+        ax.fill_between(points, (low - points) * root, (high - points) * root, color="0.85")
+        # Of a broken model the quantity that gives it away.
+        if group == "broken":
+            best: dict[str, Row] = {}
+            for r in some:
+                if r.name not in best or uniform_p(r.ranks) < uniform_p(best[r.name].ranks):
+                    best[r.name] = r
+            some = list(best.values())
+        for i, r in enumerate(some):
+            ordered = np.sort(r.ranks)
+            grid = _points(r.ranks.size)
+            ecdf = np.searchsorted(ordered, grid, side="right") / ordered.size
+            ax.plot(
+                grid,
+                (ecdf - grid) * np.sqrt(ordered.size),
+                color=figures.COLOURS[i % len(figures.COLOURS)],
+                linestyle=figures.LINES[i // len(figures.COLOURS) % len(figures.LINES)],
+                linewidth=0.7,
+                label=r.name if group == "broken" else None,
+            )
+        ax.set(title=f"{title}: {len(some)}", xlabel="rank", ylabel="√n (ECDF − rank)")
+    axes[4].legend(fontsize=4.5)
+    table = pd.DataFrame([r.numbers() for r in rows])
+    for i, group in enumerate(groups):
+        some_rows = table[table["group"] == group]
+        for j, mass in enumerate(MASSES):
+            value = some_rows[f"covered_{mass:.0%}".rstrip("%")]
+            axes[5].plot(
+                j + (i - 2) * 0.15 + np.linspace(-0.05, 0.05, len(value)),
+                value - mass,
+                figures.MARKERS[i],
+                color=figures.COLOURS[i],
+                markersize=2,
+                label=group if j == 0 else None,
+            )
+    axes[5].axhline(0, color="0.7", linewidth=0.7, zorder=0)
+    axes[5].set(title="coverage", ylabel="covered − nominal", ylim=(-0.3, 0.3))
+    axes[5].set_xticks(range(3), [f"{m:.0%}" for m in MASSES])
+    axes[5].legend(fontsize=5, ncols=2)
+    return figure
+
+
+def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
+    """Table and figure into `folder`."""
+    rows = run_all(SHORT if short else FULL)
+    table = pd.DataFrame([r.numbers() for r in rows])
+    with Run(folder, "calibration", {"short": short}, SEED) as run:
+        run.table("calibration", table)
+        run.figure("calibration", draw(rows))
+    return table
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = HERE.parent / "results" / "calibration"
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--short", action="store_true", help="few draws")
+    given = parser.parse_args()
+    made = make(given.folder, short=given.short)
+    print(made.to_string(index=False, float_format="{:.3g}".format))
+    print(verdict(made))
+    print(f"Written to {given.folder}.")

@@ -1,0 +1,129 @@
+"""The rungs' part of `stability.py`: every rung held against SciPy's DOP853 in raw SI units.
+
+A case is a whisker (any taper, curvature) against a point at a share of its length and at a share
+of the angle at which it flicks past, with friction. The reference walks the branch from rest on
+its own, and says whether there is an equilibrium as well as what is felt there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from hunting import Axis, Domain, Fate, Judged
+from reference_beam import Beams
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+
+Array = np.ndarray
+Case = dict[str, Array]
+
+LENGTH, BASE, MODULUS = 50e-3, 100e-6, 3e9
+#: Relative error up to which a rung that claims less is forgiven: what `press` asks of rung 2.
+TOLERANCE = 1e-9
+#: Claimed errors from which the claim is a warning, and says that no digit can be relied on.
+ROUGH, HOPELESS = 0.01, 0.3
+#: Share of the last angle about which a walk in steps does not know on which side of it it is.
+UNDECIDED = 1e-5
+SIGNALS = ("moment", "axial_force", "transverse_force")
+
+STRAIGHT = {
+    "distance": Axis(1e-3, 1.02, special=(1.0,)),
+    "push": Axis(1e-4, 1.3, special=(1.0,)),
+    "tip": Axis(0.0, 1.0, special=(0.05,)),
+}
+CURVED = {
+    **STRAIGHT,
+    "push": Axis(-1.3, 1.3, special=(-1.0, 0.0, 1.0)),
+    "tip": Axis(0.01, 1.0, special=(0.05,)),
+    "curvature": Axis(-1.5, 1.5, special=(0.0,)),
+    "friction": Axis(-0.7, 0.7, special=(0.0,)),
+}
+
+
+def _scene(case: Case) -> tuple[ww.Whisker, Beams, Array, Array, Array]:
+    """Whisker, the same for the reference, distance, angle and friction of each case."""
+    n = case["distance"].size
+    zero = np.zeros(n)
+    curvature, friction = case.get("curvature", zero) / LENGTH, case.get("friction", zero)
+    tip = BASE * case["tip"]
+    whisker = ww.Whisker(LENGTH, BASE, tip, MODULUS, curvature)
+    beams = Beams(zero + LENGTH, zero + BASE, tip, zero + MODULUS, curvature, friction)
+    r = case["distance"] * LENGTH
+    side = np.where(case["push"] < 0, -1.0, 1.0)
+    end = ww.flick_past(whisker, r, friction, side=side).deflection_angle
+    _, rest = beams.at_rest(r)
+    # Where the package knows no last angle, a case is placed all the same.
+    end = np.where(np.isfinite(end), end, np.nan_to_num(rest) + side)
+    theta = np.nan_to_num(rest) + np.abs(case["push"]) * (end - np.nan_to_num(rest))
+    return whisker, beams, r, theta, friction
+
+
+def _press(whisker: ww.Whisker, rung: str, r: Array, theta: Array, friction: Array) -> ww.Bending:
+    return ww.press(whisker, r, theta, friction, model=rung)
+
+
+def judge(case: Case, rung: str) -> Judged:
+    """Each case pressed by a rung, beside the reference."""
+    whisker, beams, r, theta, friction = _scene(case)
+    if rung in ("closed_form", "elastica"):
+        whisker = ww.Whisker(LENGTH, BASE, BASE * case["tip"], MODULUS)
+    bent = _press(whisker, rung, r, theta, friction)
+    outcome = np.asarray(bent.outcome)
+    held = outcome == Outcome.HELD
+    walk = beams.walk(r, theta)
+    there = (walk["end"] == 0) | (held & (walk["end"] != 3))
+    # From the walk's own end; where it ended in doubt, from the rung's contact.
+    near = np.abs(walk["angle"] - theta) < UNDECIDED * np.maximum(np.abs(theta), 1e-3)
+    own_start = walk["end"] == 0
+    lost = ~np.isfinite(bent.arc_length)
+    arc = np.where(own_start | lost, walk["arc"], bent.arc_length)
+    force = np.where(own_start | lost, walk["force"], bent.force)
+    exact = beams.polish(r, theta, np.minimum(arc, LENGTH), force, steps=6)
+    with np.errstate(all="ignore"):
+        solved = (exact["left"] < 1e-7) & (exact["force"] * (theta - walk["rest"]) >= 0)
+        solved &= exact["arc"] <= LENGTH * (1 + 1e-12)
+        exists = there & solved & (own_start | (near & (exact["det"] * beams.scale(r) > 0)))
+        least = (
+            1e-3 * np.abs(exact["force"]) * np.stack([r, np.minimum(np.abs(theta), 1), 1 + 0 * r])
+        )
+        size = np.maximum(np.abs([exact[k] for k in SIGNALS]), least)
+        error = np.max(np.abs([getattr(bent, k) - exact[k] for k in SIGNALS]) / size, axis=0)
+        own = np.max(exact["own"] / size, axis=0)
+        allowed = np.maximum(bent.error, TOLERANCE) + 3 * own
+        excess = np.log(np.maximum(error, 1e-300) / allowed)
+    # An angle nearer to the branch's end than the walk resolves settles nothing by itself.
+    doubt = near & ~solved
+    at_tip = np.abs(np.where(lost, walk["arc"], bent.arc_length) / LENGTH - 1) < 1e-7
+    fate = np.full(r.size, Fate.REFUSED)
+    claimed = np.nan_to_num(bent.error, nan=np.inf)
+    right = held & exists & (error <= allowed)
+    fate[right] = np.where(claimed[right] > ROUGH, Fate.WARNED, Fate.RIGHT)
+    # A claimed error of a third and more says that no digit is to be relied on.
+    hopeless = claimed > HOPELESS
+    fate[held & exists & (error > allowed)] = Fate.SILENT
+    fate[held & exists & hopeless] = Fate.WARNED
+    excess = np.where(hopeless, np.minimum(excess, 0.0), excess)
+    # Held where nothing is: a warning if the claimed error says that anything may be.
+    nothing = held & ~exists & ~doubt & ~at_tip
+    fate[nothing] = np.where(hopeless[nothing], Fate.WARNED, Fate.SILENT)
+    fate[held & ~exists & (doubt | at_tip)] = Fate.WARNED
+    # Refused where there is an equilibrium, by more than the last digits of its end.
+    fate[~held & exists & ~at_tip & ~near] = Fate.SILENT
+    excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
+    return Judged(
+        fate,
+        excess,
+        {
+            "outcome": outcome,
+            "error": np.where(held & exists, error, np.nan),
+            "claimed": bent.error,
+            "reference": walk["end"],
+        },
+    )
+
+
+DOMAINS = [
+    Domain("closed form", STRAIGHT, lambda case: judge(case, "closed_form")),
+    Domain("elastica", STRAIGHT, lambda case: judge(case, "elastica")),
+    Domain("profile", CURVED, lambda case: judge(case, "profile")),
+]

@@ -1,0 +1,120 @@
+"""Intervals of every cue with several unknowns, or events: 95 % of 95 % hold the truth.
+
+Cues of one unknown are held to it next to their other tests.
+"""
+
+import numpy as np
+import pytest
+from cue_checks import SDS, agrees_with_brute_force, coverage
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk.cues import (
+    AngleSideAngle,
+    BalanceOfMoments,
+    ComparativeLength,
+    Compliance,
+    ContactAndDetachment,
+    ForceMap,
+    Fused,
+    LateralSlip,
+    SpaceMap,
+    TwoWhiskers,
+    UnknownStiffness,
+    Vibration,
+    VibrissaLength,
+)
+from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.fusion import prior_draws
+from weberwhisk.receptors import Weber
+
+W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+CUES = {
+    "length": VibrissaLength(),
+    "comparative": ComparativeLength([40e-3, 30e-3], [[0.0, 3e-3], [0.0, 6e-3]]),
+    "map": ForceMap(),
+    "three signals": ForceMap(SIGNALS),
+    "space": SpaceMap(),
+    "felt effort": BalanceOfMoments(effort=None),
+    "angle side angle": AngleSideAngle(),
+    "unknown side": AngleSideAngle(side_sd=1e-3),
+    "two whiskers": TwoWhiskers(),
+    "detachment": ContactAndDetachment(),
+    "slip": LateralSlip(),
+    "vibration": Vibration(3),
+    "fused": Fused(Compliance(), ForceMap()),
+    "soft map": UnknownStiffness(ForceMap()),
+    "soft fusion": Fused(UnknownStiffness(ForceMap()), Compliance()),
+}
+#: Three unknowns, whose intervals take ten times as long.
+LARGE = ("space", "unknown side", "soft map", "soft fusion")
+
+
+def share_covered(name, n):
+    observer = ww.Observer(W, CUES[name])
+    return coverage(observer, prior_draws(observer, n, seed=1), seed=2)
+
+
+@pytest.mark.parametrize("name", CUES)
+def test_intervals_cover_as_often_as_they_say(name):
+    n = 12 if name in LARGE else 40
+    # Fewer hits than this are rarer than one in 16 000; too many, only for larger samples.
+    least = stats.binom.ppf(stats.norm.cdf(-SDS), n, 0.95)
+    assert share_covered(name, n) * n >= least
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CUES)
+def test_of_two_thousand_intervals_93_to_97_per_cent_cover(name):
+    share = share_covered(name, 2000)
+    print(f"{name}: {share:.2%}")
+    assert 0.93 <= share <= 0.97
+
+
+#: Stiffness and noise small enough for no mass at the fold, at whose edge the midpoint rule errs.
+THREE = {
+    "soft map": (UnknownStiffness(ForceMap(), 0.03), Weber(0.03), [20e-3, 0.25, 1.02]),
+    "three signals": (UnknownStiffness(ForceMap(SIGNALS), 0.1), Weber(0.05), [20e-3, 0.3, 1.05]),
+    "soft fusion": (CUES["soft fusion"], None, [20e-3, 0.2, 0.9]),
+    "unknown side": (CUES["unknown side"], None, [20e-3, 1.4, 10.2e-3]),
+}
+
+
+@pytest.mark.parametrize("name", THREE)
+def test_three_unknowns_agree_with_brute_force(name):
+    cue, noise, contact = THREE[name]
+    observer = ww.Observer(W, cue, noise)
+    agrees_with_brute_force(observer, observer.read([contact], seed=3))
+
+
+def test_the_last_of_three_unknowns_has_the_moments_of_a_grid():
+    """Mean, sd and evidence of the stiffness, beside quadrature over all three coordinates."""
+    from weberwhisk.posterior.grid import integrate
+    from weberwhisk.posterior.mode import find_mode
+    from weberwhisk.posterior.solution import mode_root
+
+    observer = ww.Observer(W, CUES["soft map"])
+    readings = observer.read(prior_draws(observer, 6, seed=4), seed=5)
+    p = ww.posterior(observer, readings)
+    mode, seen = find_mode(observer, readings), {}
+
+    def density(x, index):
+        value, seen["contact"] = observer.log_density_and_contact(x, readings[index, None])
+        return value
+
+    whole = integrate(
+        density,
+        mode.x,
+        mode_root(mode),
+        functions=lambda x: seen["contact"],
+        only_functions=True,
+        tolerance=2e-3,
+        max_points=10**6,
+    )
+    kept = whole.converged & (p.status == 0)
+    assert kept.sum() >= 4
+    assert np.all(np.abs(p.log_evidence - whole.log_evidence)[kept] < 0.01)
+    for k, name in enumerate(observer.unknowns):
+        found = p.estimates[name]
+        assert np.all(np.abs(found.mean - whole.mean[:, k])[kept] < 0.012 * whole.sd[kept, k])
+        assert np.all(np.abs(found.sd / whole.sd[:, k] - 1)[kept] < 0.012)

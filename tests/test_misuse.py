@@ -1,0 +1,174 @@
+"""What was not meant is refused in one sentence: what is wrong, the value got, the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from weberwhisk import Observer, Whisker, cues
+from weberwhisk.behaviour import (
+    CuePercept,
+    IdentityPercept,
+    PercentCorrect,
+    PopulationPriors,
+    Priors,
+    Trials,
+    checks,
+    compare,
+    compare_cues,
+    compare_drift,
+    compare_noise,
+    compare_taper,
+    fit_population,
+    fit_weber,
+    quantile_residuals,
+    read_trials,
+    residuals_by,
+    response_probability,
+    simulate_population,
+    simulate_trials,
+    task_named,
+    threshold,
+    weber_law_test,
+)
+from weberwhisk.behaviour.effects import Drift, Floor
+
+TRIALS = simulate_trials(trials_per_level=3, seed=1)
+ANIMALS = simulate_population(2, trials_per_level=3, seed=1)[0]
+TABLE = TRIALS.table()
+FIT = fit_weber(TRIALS)
+WHISKER = Whisker(50e-3, 100e-6, 5e-6)
+TASK, SELF = task_named("2AFC"), IdentityPercept()
+A_WEBER_FIT = "must be a WeberFit, got .*; write fit_weber"
+
+
+def simulated(**options: Any) -> Callable[[], object]:
+    return lambda: simulate_trials(**{"seed": 1, **options})
+
+
+def fitted(**options: Any) -> Callable[[], object]:
+    return lambda: fit_weber(TRIALS, **options)
+
+
+def read(**options: Any) -> Callable[[], object]:
+    return lambda: read_trials(TABLE, **options)
+
+
+MISUSES: list[tuple[Callable[[], object], str]] = [
+    # Not a table of trials.
+    (lambda: fit_weber("file.csv"), r"got 'file.csv'; write read_trials\('file.csv'\)"),  # type: ignore[arg-type]
+    (lambda: fit_weber(TABLE), r"of type DataFrame; write read_trials\(table\)"),
+    (lambda: fit_population("a.csv"), r"write read_trials\('a.csv'\)"),  # type: ignore[arg-type]
+    (lambda: compare_noise("a.csv"), r"write read_trials\('a.csv'\)"),  # type: ignore[arg-type]
+    (lambda: compare_drift(None), "trials must be Trials, got None"),  # type: ignore[arg-type]
+    (lambda: Trials(TABLE, TASK), "no column 'n', 'count'; make it with read_trials"),
+    (lambda: Trials(None, TASK), "frame must be a DataFrame, got None"),  # type: ignore[arg-type]
+    (lambda: Trials(TRIALS.frame, "2AFC"), r"write task_named\('2AFC'\)"),  # type: ignore[arg-type]
+    (lambda: Trials(TRIALS.frame, TASK, "ln"), "scale 'ln' is unknown"),
+    (lambda: Trials(TRIALS.frame.assign(count=5), TASK), "n = 1 and count = 5"),
+    (lambda: Trials(TRIALS.frame.assign(n=-1), TASK), "n = -1"),
+    # Effects and priors.
+    (fitted(effects=["drift"]), r"an Effect, got 'drift'; write Drift\(\)"),
+    (fitted(effects="drift"), r"effects must be a sequence, got 'drift'"),
+    (fitted(effects=Drift()), "must be a sequence, got an object of type Drift"),
+    (fitted(effects=[Floor]), r"got the class Floor; write Floor\(\)"),
+    (fitted(effects=None), "must be a sequence, got None"),
+    (fitted(effects=[Floor(prior=stats.norm())]), "floor must not reach below zero"),
+    (fitted(priors=[1, 2]), r"priors must be Priors or a mapping, got \[1, 2\]"),
+    (fitted(priors="flat"), "priors must be Priors or a mapping, got 'flat'"),
+    (fitted(priors=PopulationPriors()), "got an object of type PopulationPriors"),
+    (fitted(priors={"lapse_low": stats.beta}), "must be a frozen continuous distribution"),
+    (fitted(priors={"lapse_low": stats.bernoulli(0.1)}), "frozen continuous distribution"),
+    (fitted(priors={"lapse_low": None}), "frozen continuous distribution, got None"),
+    (fitted(priors={"lapse_low": (1, 9)}), "must be one number, got 2"),
+    (fitted(priors={"lapse_low": 0.6, "lapse_high": 0.6}), "must leave something"),
+    (fitted(priors={"lapse_correlation": "high"}), "must be a number, got 'high'"),
+    (lambda: Priors(effects=["a"]), "effects must be a mapping"),  # type: ignore[arg-type]
+    (lambda: PopulationPriors(spread=0.3), "spread must be a frozen continuous"),
+    (lambda: PopulationPriors(spread=stats.norm()), "spread must not reach below zero"),
+    (
+        lambda: fit_population(ANIMALS, population={"spread": 1}),  # type: ignore[arg-type]
+        "population must be PopulationPriors",
+    ),
+    (lambda: fit_population(ANIMALS, priors={"weber_fraction": 0.1}), "a population learns them"),
+    # Percepts, observers, whiskers.
+    (fitted(percept="log"), r"got 'log'; write IdentityPercept\(\)"),
+    (fitted(percept=IdentityPercept), "got the class IdentityPercept"),
+    (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
+    (fitted(observer=WHISKER), "must be an Observer, got"),
+    (lambda: CuePercept("C2"), "must be an Observer"),  # type: ignore[arg-type]
+    (lambda: compare_taper(TRIALS, "C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
+    (
+        lambda: compare_cues(TRIALS, WHISKER, deflection_angle="a"),  # type: ignore[arg-type]
+        "deflection_angle must be a number",
+    ),
+    (lambda: CuePercept(Observer(WHISKER, cues.Compliance()), unit=0), "unit must be above zero"),
+    # Settings of a fit, and what is asked of it.
+    (fitted(bias=0), "bias 0 is unknown"),
+    (fitted(method=1), "method 1 is unknown"),
+    (fitted(seed="a"), "seed must be a whole number .* got 'a'"),
+    (fitted(seed=-1), "seed must be a whole number .* got -1"),
+    (lambda: FIT.threshold("a"), "standard must be a number, got 'a'"),
+    (lambda: FIT.threshold(-1.0), "stimulus -1 lies outside what can be felt"),
+    (lambda: FIT.psychometric([-1.0]), "stimulus -1 lies outside what can be felt"),
+    (lambda: FIT.prior_predictive(seed="a"), "seed must be"),  # type: ignore[arg-type]
+    # Comparisons and criticism.
+    (lambda: compare([FIT, FIT]), r"must be a mapping of names to fits"),  # type: ignore[arg-type]
+    (lambda: compare({"a": FIT, "b": "x"}), f"the fit 'b' {A_WEBER_FIT}"),  # type: ignore[dict-item]
+    (lambda: weber_law_test(TRIALS), A_WEBER_FIT),  # type: ignore[arg-type]
+    (lambda: checks(TRIALS), A_WEBER_FIT),  # type: ignore[arg-type]
+    (lambda: quantile_residuals(TRIALS), A_WEBER_FIT),  # type: ignore[arg-type]
+    (lambda: residuals_by(FIT), "no column was named"),
+    # Simulation.
+    (simulated(trials_per_level="a"), "whole number of 1 or more, got 'a'"),
+    (simulated(trials_per_level=[1, 2]), r"whole number of 1 or more, got \[1, 2\]"),
+    (simulated(trials_per_level=np.inf), "whole number of 1 or more, got inf"),
+    (simulated(lapse_low=[0.1, 0.2]), "lapse_low must be one number, got 2"),
+    (simulated(bias=[1, 2, 3]), r"bias has shape \(3,\) for standards of shape \(1,\)"),
+    (simulated(drift=[1, 2], sessions=2), "drift must be one number"),
+    (simulated(standards=[]), "standards is empty"),
+    (simulated(offsets=[]), r"one row of numbers, got shape \(0,\)"),
+    (simulated(offsets=[[0.1], [0.2]]), r"one row of numbers, got shape \(2, 1\)"),
+    (simulated(comparisons=np.ones((1, 1, 2))), r"comparisons has shape \(1, 1, 2\)"),
+    (simulated(percept="log"), "percept must be a Percept"),
+    (simulated(seed="x"), "seed must be"),
+    (lambda: simulate_population("a", seed=1), "subjects must be a whole number"),  # type: ignore[arg-type]
+    (lambda: simulate_population(3, spread=[1, 2], seed=1), "spread must be one number"),  # type: ignore[arg-type]
+    # Reading.
+    (lambda: read_trials(None), r"a path or a DataFrame, got None"),  # type: ignore[arg-type]
+    (lambda: read_trials(TRIALS), "a path or a DataFrame, got"),  # type: ignore[arg-type]
+    (lambda: read_trials(TABLE["choice"]), "an object of type Series"),
+    (lambda: read_trials(pd.concat([TABLE, TABLE[["choice"]]], axis=1)), "two columns 'choice'"),
+    (read(columns="a"), "columns must be a mapping, got 'a'"),
+    (read(columns={"choice": 5}), r"columns\['choice'\] must be the name of a column, got 5"),
+    (read(choice_labels="LR"), "choice_labels must be a mapping, got 'LR'"),
+    (read(log_unit=1.0), "log_unit=1 was given for magnitudes"),
+    (read(whisker="C2"), "whisker must be a Whisker"),
+    # The psychometric function by itself.
+    (lambda: PercentCorrect(1), "whole number of 2 or more, got 1"),
+    (lambda: PercentCorrect(2.5), "whole number of 2 or more, got 2.5"),  # type: ignore[arg-type]
+    (lambda: response_probability("2AFC", SELF, 1, 1.1, weber_fraction=0.1), "task must be a Task"),  # type: ignore[arg-type]
+    (lambda: response_probability(TASK, SELF, 1, 1.1, weber_fraction=-0.1), "above zero, got -0.1"),
+    (lambda: response_probability(TASK, SELF, 1, -1.1, weber_fraction=0.1), "stimulus -1.1 lies"),
+    (
+        lambda: response_probability(TASK, SELF, 1, 1.1, weber_fraction=0.1, lapse_low=2),
+        "lapses sum to more than 1",
+    ),
+    (lambda: threshold(TASK, SELF, 1, 0.75, weber_fraction=0), "above zero, got 0"),
+    (lambda: threshold(TASK, SELF, [1, 2], 0.75, weber_fraction=0.1), "must be one number, got 2"),  # type: ignore[arg-type]
+]
+
+
+@pytest.mark.parametrize("number", range(len(MISUSES)))
+def test_misuse_is_one_clear_sentence(number: int) -> None:
+    work, part = MISUSES[number]
+    with pytest.raises(ValueError, match=part) as caught:
+        work()
+    said = str(caught.value)
+    assert "\n" not in said
+    assert said.endswith(".")

@@ -1,0 +1,252 @@
+"""`weberwhisk design`: an experiment planned, with its trial lists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import a_number, numbers
+from ..design import LEVELS, Animals, Constraints, Goal, Plan
+from ..design.preregistration import assumptions
+from ..planning import fill
+from ..runs import Run, to_json
+from .options import (
+    AngleOption,
+    BaseRadiusOption,
+    CueOption,
+    IdentityOption,
+    JsonOption,
+    LengthOption,
+    ModulusOption,
+    SeedOption,
+    TipRadiusOption,
+    describe,
+    the_cue,
+    the_whisker,
+    whisker_line,
+    wrote,
+)
+
+
+def a_length(name: str, text: str) -> Any:
+    """An option that takes millimetres, with its help."""
+    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
+
+
+def design(
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    cue: CueOption = None,
+    deflection_angle_deg: AngleOption = None,
+    bayes_factor: Annotated[
+        float | None,
+        typer.Option(
+            "--bayes-factor",
+            parser=a_number,
+            metavar="NUMBER",
+            help="Goal: tapered whisker or cylinder, told apart by so much.  [default: 10]",
+        ),
+    ] = None,
+    half_width: Annotated[
+        float | None,
+        typer.Option(
+            "--half-width",
+            parser=a_number,
+            metavar="NUMBER",
+            help="Goal instead: the 95 % interval of k, 0.2 for ±20 %.",
+        ),
+    ] = None,
+    share: Annotated[
+        float,
+        typer.Option(
+            "--share", parser=a_number, metavar="NUMBER", help="Of experiments that reach the goal."
+        ),
+    ] = 0.8,
+    standard_mm: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--standard-mm",
+            metavar="LIST",
+            help="Radial distances compared with.  [default: 0.3, 0.6 and 0.9 of the length]",
+        ),
+    ] = None,
+    level: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--level",
+            metavar="LIST",
+            help="Comparisons, in sds of what the animal can tell.  "
+            f"[default: {','.join(f'{z:g}' for z in LEVELS)}]",
+        ),
+    ] = None,
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            "--trials",
+            help="Of each comparison, for each animal.  [default: what reaches the goal]",
+        ),
+    ] = None,
+    animals: Annotated[int, typer.Option("--animals", help="How many.")] = 1,
+    find: Annotated[
+        str | None,
+        typer.Option(
+            "--find",
+            help="What the goal decides: trials, animals or nothing.  [default: trials, where they "
+            "are not given]",
+        ),
+    ] = None,
+    weber_fraction: Annotated[
+        float, a_length("--weber-fraction", "Of the expected animals, the median.")
+    ] = 0.1,
+    spread: Annotated[float, a_length("--spread", "Sd of ln k between animals.")] = 0.3,
+    lapse: Annotated[float, a_length("--lapse", "Expected share lost on either side.")] = 0.03,
+    nearest_mm: Annotated[
+        float, a_length("--nearest-mm", "Nearest distance that the animal can reach.")
+    ] = 0.0,
+    farthest_mm: Annotated[
+        float | None, a_length("--farthest-mm", "Farthest distance that the animal can reach.")
+    ] = None,
+    step_mm: Annotated[float, a_length("--step-mm", "Step of the pole.")] = 0.0,
+    easy_share: Annotated[
+        float, a_length("--easy-share", "Least share of easy trials, which keep it working.")
+    ] = 0.0,
+    trials_per_session: Annotated[int, typer.Option("--trials-per-session", help="At most.")] = 300,
+    apart: Annotated[
+        bool,
+        typer.Option("--apart", help="Fit each animal by itself; several are fitted together."),
+    ] = False,
+    runs: Annotated[
+        int, typer.Option("--runs", help="Experiments simulated at each size, for the power.")
+    ] = 512,
+    title: Annotated[
+        str, typer.Option("--title", help="Of the page.")
+    ] = "Discrimination of radial distance",
+    seed: SeedOption = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FOLDER", help="Folder for lists, page, figures and plan."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan an experiment: distances, trials, animals, trial lists, and what to expect of it.
+
+    Writes trial lists for PsychoPy and Bpod, a page to print with expected curves and a text for a
+    preregistration, and plan.json, which `weberwhisk rehearse` simulates.
+    """
+    inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
+    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    if all(value is None for value in shape):
+        shape = ("C2", *shape[1:])
+    whisker = the_whisker(*shape, None)
+    _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
+    with Run(out, "design", inputs, seed) as run:
+        plan = ww.plan_experiment(
+            whisker,
+            goal=_goal(bayes_factor, half_width, share),
+            standards=None if not standard_mm else numbers("--standard-mm", standard_mm) * 1e-3,
+            levels=numbers("--level", level) if level else LEVELS,
+            trials=trials,
+            animals=animals,
+            find=find,
+            expected=Animals(weber_fraction, spread, lapse),
+            constraints=_constraints(nearest_mm, farthest_mm, step_mm, easy_share),
+            trials_per_session=trials_per_session,
+            together=False if apart else None,
+            title=title,
+            runs=runs,
+            seed=seed,
+            progress=_quiet if as_json else None,
+            **_felt(cue, deflection_angle_deg),
+        )
+        fill(run, plan)
+    if as_json:
+        print(to_json(_answer(plan, whisker)))
+        return
+    print(f"{whisker_line(whisker)}\n")
+    print(_summary(plan))
+    wrote(run)
+    if run.out_dir is None:
+        print("Write it, with its trial lists, by naming a folder: --out plan.")
+    else:
+        print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
+
+
+def _quiet(done: float) -> None:
+    """No progress bar: the answer alone is printed."""
+
+
+def _goal(bayes_factor: float | None, half_width: float | None, share: float) -> Goal:
+    if bayes_factor is not None and half_width is not None:
+        raise ValueError(
+            f"There is one goal, got --bayes-factor {bayes_factor:g} and --half-width "
+            f"{half_width:g}; leave one of them out."
+        )
+    if half_width is not None:
+        return Goal(half_width=half_width, share=share)
+    return Goal(bayes_factor=10.0 if bayes_factor is None else bayes_factor, share=share)
+
+
+def _constraints(
+    nearest_mm: float, farthest_mm: float | None, step_mm: float, easy_share: float
+) -> Constraints:
+    farthest = np.inf if farthest_mm is None else farthest_mm * 1e-3
+    return Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
+
+
+def _felt(cue: str | None, angles_deg: list[str] | None) -> dict[str, Any]:
+    if cue is None and not angles_deg:
+        return {}
+    felt, angles = the_cue(cue, angles_deg)
+    if angles.size > 1:
+        raise ValueError(
+            f"Choices are made at one deflection angle, got {angles.size} values of "
+            "--deflection-angle-deg; give one."
+        )
+    return {"cue": felt, "deflection_angle": angles[0] if angles.size else None}
+
+
+def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
+    scheme = plan.scheme.table()
+    return {
+        "whisker": describe(whisker),
+        "goal": str(plan.goal),
+        "animals": plan.scheme.animals,
+        "trials_per_animal": plan.scheme.n_trials,
+        "total_trials": plan.scheme.total_trials,
+        "sessions": plan.sessions,
+        "levels": [
+            {
+                "standard_mm": row["standard"] * 1e3,
+                "comparison_mm": row["comparison"] * 1e3,
+                "trials": row["trials"],
+            }
+            for row in scheme.to_dict("records")
+        ],
+        "power": None if plan.power is None else plan.power.to_dict("records"),
+        "trials_sha256": plan.fingerprint,
+    }
+
+
+def _summary(plan: Plan) -> str:
+    scheme = plan.scheme
+    lines = [
+        f"Goal: {plan.goal}.",
+        f"{scheme.animals} animal{'s' * (scheme.animals > 1)} × {scheme.n_trials} trials in "
+        f"{plan.sessions} session{'s' * (plan.sessions > 1)}, {scheme.total_trials} in all:",
+    ]
+    for standard, row, n in zip(scheme.standards, scheme.offsets, scheme.trials, strict=True):
+        offsets = ", ".join(f"{o * 1e3:+.3g}" for o in row)
+        times = ", ".join(map(str, sorted(set(n))))
+        lines.append(f"  standard {standard * 1e3:.4g} mm, offsets {offsets} mm, {times} each")
+    lines += [plan.power_in_words()] * bool(plan.power_in_words())
+    lines += ["Assumed:", *(f"  {line}" for line in assumptions(plan))]
+    return "\n".join(lines)

@@ -1,0 +1,94 @@
+"""`weberwhisk rehearse`: a planned experiment simulated from animals to conclusion."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import weberwhisk as ww
+
+from ..design import plan_json, read_plan
+from ..runs import Run, atomic_write, to_json
+from .options import JsonOption, OutOption, SeedOption, wrote
+
+
+def rehearse(
+    file: Annotated[
+        Path, typer.Argument(metavar="PLAN", help="plan.json, as `weberwhisk design` writes it.")
+    ],
+    runs: Annotated[
+        int, typer.Option("--runs", help="Experiments simulated under each hypothesis.")
+    ] = 100,
+    workers: Annotated[
+        int | None, typer.Option("--workers", help="Processes.  [default: one a core]")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", help="A dask.distributed scheduler, tcp://… (extra: cluster)."),
+    ] = None,
+    seed: SeedOption = 1,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a planned experiment, fit it as planned, and count how often it ends right.
+
+    With --out a rehearsal that was broken off goes on where it was when the command is given again.
+    """
+    if not file.is_file():
+        raise ValueError(
+            f"{str(file)!r} is not a file; name the plan.json that `weberwhisk design` wrote."
+        )
+    plan = read_plan(file)
+    inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
+    with Run(out, "rehearse", inputs, seed) as run:
+        stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
+        found = ww.rehearse(
+            plan,
+            runs,
+            seed=seed,
+            workers=_workers(workers, scheduler),
+            scheduler=scheduler,
+            out=stream,
+            progress=(lambda done: None) if as_json else None,
+        )
+        summary = found.summary().reset_index()
+        run.table("rehearsal", found.table)
+        run.table("rehearsal_summary", summary)
+        if run.out_dir is not None:
+            from .. import figures
+
+            atomic_write(run.path("rehearsal.txt"), found.report())
+            run.figure("rehearsal", figures.figure_of(figures.rehearsed(found)))
+    if stream is not None:
+        stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
+    if as_json:
+        print(to_json({"goal": str(plan.goal), "rows": summary.to_dict("records")}))
+        return
+    print(found.report(), end="")
+    wrote(run)
+
+
+def _workers(workers: int | None, scheduler: str | None) -> int:
+    if scheduler is not None:
+        return 1 if workers is None else workers
+    if workers is not None:
+        return workers
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
+    """Where the runs are kept while they come: a name for each question, to go on with."""
+    question = f"{plan_json(plan)} {runs} {seed}".encode()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"The output folder {str(folder)!r} cannot be made ({error.strerror}); name a folder "
+            "that you may write to."
+        ) from error
+    return folder / f"rehearsal-{hashlib.sha256(question).hexdigest()[:8]}.jsonl"

@@ -1,0 +1,201 @@
+"""From a question to a plan: sensible defaults for whatever an experimenter has not decided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from .. import _checks
+from ..behaviour.percepts import CuePercept
+from ..cues import Compliance
+from ..cues.protocol import Cue
+from ..observer import Observer
+from ..receptors import Weber
+from ..whisker import Whisker
+from .goals import Animals, Goal
+from .hypotheses import Hypothesis, taper
+from .plan import Plan
+from .power import power, sized, smallest
+from .scheme import LEVELS, Constraints, Scheme
+
+#: Where along the whisker the default standards stand, as fractions of its length.
+PLACES = (0.3, 0.6, 0.9)
+START = 20  # trials of a comparison, where the search for fewer or more starts
+
+
+def plan_experiment(
+    whisker: Whisker | str = "C2",
+    *,
+    goal: Goal | None = None,
+    hypotheses: Sequence[Hypothesis] | None = None,
+    cue: Cue | None = None,
+    deflection_angle: float | None = None,
+    scheme: Scheme | None = None,
+    standards: ArrayLike | None = None,
+    levels: ArrayLike = LEVELS,
+    trials: int | None = None,
+    animals: int = 1,
+    find: str | None = None,
+    expected: Animals | None = None,
+    constraints: Constraints | None = None,
+    trials_per_session: int = 300,
+    longest_run: int = 5,
+    together: bool | None = None,
+    title: str = "Discrimination of radial distance",
+    runs: int = 512,
+    seed: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Plan:
+    """Plan an experiment on the discrimination of radial distance.
+
+    Parameters
+    ----------
+    whisker : Whisker or str
+        The whisker, or its identity.
+    goal : Goal, optional
+        By default a Bayes factor above 10 in 80 % of experiments.
+    hypotheses : sequence of Hypothesis, optional
+        As they will be fitted, the expected one first. By default the tapered whisker against the
+        cylinder, or for a goal about the interval of k the tapered whisker alone.
+    cue, deflection_angle : Cue and float, optional
+        How distance is felt where the goal is the interval of k; the light tap by default.
+    scheme : Scheme, optional
+        Levels, trials and animals, where these are decided.
+    standards : array_like, optional
+        m; 0.3, 0.6 and 0.9 of the whisker's length by default.
+    levels : array_like
+        Comparisons of every standard, in sds of the expected animal's difference (see
+        `Scheme.spaced`).
+    trials : int, optional
+        Of every comparison, for each animal; by default as few as reach the goal, an even number.
+    animals : int
+    find : {"trials", "animals", "nothing"}, optional
+        What is made as small as the goal allows: by default the trials where they are not given,
+        and nothing where they are. For "animals" the search starts at `animals`.
+    expected : Animals, optional
+        What the animals are expected to be like.
+    constraints : Constraints, optional
+        What rig and animal allow.
+    trials_per_session, longest_run, title
+        See `Plan`.
+    together : bool, optional
+        Fit all animals at once (see `analyse`); by default where there are several.
+    runs : int
+        Experiments simulated at every size for the power; 0 leaves it out where nothing is to be
+        found.
+    seed : int
+        Of the trial lists and of these simulations.
+    progress : callable, optional
+        As for `campaign.run`.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        For constraints that contradict each other or the scheme, distances off the whisker or past
+        which it flicks, and a goal that no number of trials reaches: which one, and by how much.
+
+    Examples
+    --------
+    >>> plan = plan_experiment("C2", trials=20, animals=2, runs=0)
+    >>> plan.scheme.total_trials, plan.sessions
+    (720, 2)
+    >>> plan_experiment("C2", standards=[10e-3, 30e-3], runs=32).goal.bayes_factor
+    10.0
+    """
+    shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
+    aim = goal or Goal(bayes_factor=10.0)
+    limits, likely = constraints or Constraints(), expected or Animals()
+    given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
+    wanted = _what_to_find(find, trials, scheme)
+    if scheme is None:
+        percept = given[0].percept
+        at = np.asarray(PLACES) * percept.domain[1] if standards is None else standards
+        scheme = Scheme.spaced(
+            percept, at, weber_fraction=likely.weber_fraction, levels=levels,
+            trials=START if trials is None else trials, animals=animals, step=limits.step,
+        )  # fmt: skip
+    own: dict[str, Any] = {
+        "hypotheses": given, "goal": aim, "animals": likely, "constraints": limits,
+        "trials_per_session": trials_per_session, "longest_run": longest_run, "title": title,
+        "seed": seed,
+    }  # fmt: skip
+    Plan(scheme, **own)  # refuses what cannot be shown before anything is computed
+    options = {"goal": aim, "expected": likely, "runs": runs, "progress": progress}
+    found: pd.DataFrame | None = None
+    if wanted != "nothing":
+        scheme, found = _smallest(scheme, given, wanted, seed, options)
+    elif runs:
+        found = _curve(scheme, given, seed, options)
+    if together is None:
+        together = scheme.animals > 1
+    return Plan(scheme, **own, together=together, power=found)
+
+
+def _what_to_find(find: str | None, trials: int | None, scheme: Scheme | None) -> str:
+    decided = trials is not None or scheme is not None
+    if find is None:
+        return "nothing" if decided else "trials"
+    _checks.one_of("find", find, ("trials", "animals", "nothing"))
+    if find == "animals" and not decided:
+        raise ValueError(
+            "The number of animals is found for so many trials each, got none; write trials=20, "
+            "say."
+        )
+    if find == "nothing" and not decided:
+        raise ValueError("Trials are given or found, got neither; write trials=20, or leave find.")
+    return find
+
+
+def _smallest(
+    scheme: Scheme,
+    hypotheses: Sequence[Hypothesis],
+    vary: str,
+    seed: int,
+    options: dict[str, Any],
+) -> tuple[Scheme, pd.DataFrame]:
+    """The smallest scheme that reaches the goal, and the power of all sizes on the way."""
+    found = smallest(scheme, hypotheses, vary=vary, seed=seed, **options)
+    size = getattr(found.power.table.iloc[0], vary)
+    # Even numbers of trials let every pair come in both orders equally often.
+    final = sized(scheme, vary, int(size) + (int(size) % 2 if vary == "trials" else 0))
+    ways = [found.path.table[found.path.table[vary] != size], found.power.table]
+    return final, pd.concat(ways, ignore_index=True).sort_values(["truth", vary])
+
+
+def _curve(
+    scheme: Scheme, hypotheses: Sequence[Hypothesis], seed: int, options: dict[str, Any]
+) -> pd.DataFrame:
+    """The power of a scheme that is decided, and of half and twice as many trials."""
+    most = max(map(max, scheme.trials))
+    sizes = sorted({max(most // 2, 1), most, 2 * most})
+    return power(scheme, hypotheses, trials=sizes, seed=seed, **options).table
+
+
+def _hypotheses(
+    whisker: Whisker,
+    goal: Goal,
+    hypotheses: Sequence[Hypothesis] | None,
+    cue: Cue | None,
+    deflection_angle: float | None,
+) -> Sequence[Hypothesis]:
+    if hypotheses is not None:
+        if cue is not None:
+            raise ValueError("Hypotheses have their cues, got hypotheses and cue; leave one out.")
+        return hypotheses
+    if goal.bayes_factor is not None:
+        if cue is not None and not isinstance(cue, Compliance):
+            raise ValueError(
+                f"Taper is tested by the compliance cue, got {cue!r}; leave cue out, or give the "
+                "hypotheses."
+            )
+        return taper(whisker)
+    observer = Observer(whisker, cue or Compliance(), Weber(1.0))
+    return [Hypothesis("expected observer", CuePercept(observer, deflection_angle))]

@@ -1,0 +1,430 @@
+"""Which trial comes next: the one that is expected to tell most, or the one a rule says.
+
+The objective is the mutual information between the next answer and what is asked for, everything
+else integrated over what is believed of it (Lindley 1956; Kontsevich & Tyler 1999 for the
+psychometric function). Lapses and bias are nuisances: an objective that also counted what a trial
+tells of the lapses would spend trials on stimuli so easy that only a lapse can miss them (Prins
+2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _checks
+from ..behaviour.fit import fit_weber
+from ..behaviour.percepts import LogAxisPercept, LogPercept, Percept
+from ..behaviour.result import WeberFit
+from ..behaviour.trials import Trials
+from .belief import Belief, Pair, entropy
+from .hypotheses import Hypothesis, told_apart
+from .scheme import Constraints, Scheme, difference_sd, refuse_out_of_reach
+
+Array = NDArray[np.float64]
+
+GOALS = ("weber_fraction", "hypothesis", "everything")
+NEAR_BEST = 0.95  # of the most informative trial: any of these is as good, and none foreseen
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The next trial.
+
+    Parameters
+    ----------
+    trial : int
+        From 1.
+    standard, comparison : float
+        Stimulus 1 and stimulus 2, in the percept's unit.
+    easy : bool
+        Put in to keep the animal working.
+    information : float
+        Bits that the answer is expected to tell of what is asked for; NaN where a rule does not
+        count them.
+    """
+
+    trial: int
+    standard: float
+    comparison: float
+    easy: bool = False
+    information: float = float("nan")
+
+
+class Placer(Protocol):
+    """Whatever chooses trials: this module's `BayesianPlacer`, and `staircases.Staircase`."""
+
+    @property
+    def finished(self) -> str:
+        """Why there are trials enough; empty where there are not."""
+
+    def next(self, standard: float | None = None) -> Proposal:
+        """The next trial, the same until it is recorded."""
+
+    def record(self, standard: float, comparison: float, choice: Any) -> None:
+        """What was shown, and what was answered."""
+
+
+class TrialLog:
+    """The trials so far, as a fit takes them."""
+
+    def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme) -> None:
+        self.hypotheses = told_apart(hypotheses)
+        self.scheme = scheme
+        self._rows: list[tuple[float, float, float, float]] = []
+
+    @property
+    def n_trials(self) -> int:
+        """Trials with an answer."""
+        return sum(1 for row in self._rows if not np.isnan(row[3]))
+
+    def _pair(self, standard: float, comparison: float) -> Pair:
+        """What was shown; its standard is the nearest of the scheme's."""
+        for name, value in (("standard", standard), ("comparison", comparison)):
+            _checks.finite(name, value, "give what was shown")
+        nominal = min(self.scheme.standards, key=lambda s: abs(s - standard))
+        return float(standard), float(comparison), nominal
+
+    def _note(self, pair: Pair, choice: Any) -> int | None:
+        """Keep a trial."""
+        missing = choice is None or (isinstance(choice, float) and np.isnan(choice))
+        if not missing and choice not in (0, 1):
+            raise ValueError(
+                f"choice must be 1 ({self.hypotheses[0].asked.answer}), 0, or None for no answer, "
+                f"got {choice!r}."
+            )
+        self._rows.append((*pair, np.nan if missing else float(choice)))
+        return None if missing else int(choice)
+
+    def trials(self) -> Trials:
+        """Every trial recorded, in order.
+
+        The standard of a trial is the nearest of the scheme's, whatever was shown.
+        """
+        rows = np.array(self._rows, dtype=float).reshape(-1, 4)
+        frame = pd.DataFrame(
+            {
+                "session": 1,
+                "trial": np.arange(len(rows)) + 1,
+                "standard": rows[:, 2],
+                "stimulus_1": rows[:, 0],
+                "stimulus_2": rows[:, 1],
+                "n": 1,
+                "count": rows[:, 3],
+            }
+        )
+        percept = self.hypotheses[0].percept
+        unit = percept.log_unit if isinstance(percept, (LogPercept, LogAxisPercept)) else None
+        scale = "linear" if unit is None else "log"
+        return Trials(frame, self.hypotheses[0].asked, scale, unit, "trials placed")
+
+    def fits(self) -> dict[str, WeberFit]:
+        """The trials fitted under each hypothesis, as any other trials are."""
+        trials = self.trials()
+        return {
+            h.name: fit_weber(trials, percept=h.percept, bias=h.bias, noise=h.noise,
+                              priors=h.priors)
+            for h in self.hypotheses
+        }  # fmt: skip
+
+
+class BayesianPlacer(TrialLog):
+    """Trials that are expected to tell most.
+
+    Parameters
+    ----------
+    hypotheses : Hypothesis or sequence of Hypothesis
+        The observers that may be in front of you, each as it will be fitted; equally likely at
+        first.
+    scheme : Scheme
+        The trials that may be proposed, see `lattice`; how many of each is not read.
+    goal : {"weber_fraction", "hypothesis", "everything"}
+        What the answers are to tell: k (averaged over the hypotheses), which hypothesis is right,
+        or all parameters alike, lapses included (QUEST+, Watson 2017; to compare with).
+    easy_share : float
+        Share of trials that are as easy as the scheme has them, at random.
+    width : float, optional
+        Finished when the 95 % interval of k is within this share of its middle to either side:
+        0.2 for ±20 %.
+    most : int, optional
+        Finished after so many trials, answered or not.
+    seed : int
+        Of the choice among trials that are nearly as good as the best, and of the easy ones.
+
+    Raises
+    ------
+    ValueError
+        For an unknown goal, shares outside 0 to 1, or one hypothesis where they are to be told
+        apart.
+
+    Notes
+    -----
+    Everything follows from the trials recorded, so replaying them resumes a session exactly.
+    Stopping when the interval is narrow enough leaves the posterior what it is: it does not hang
+    on why the trials ended.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> h = Hypothesis("Weber", IdentityPercept())
+    >>> placer = BayesianPlacer(h, lattice(h.percept, 1.0), seed=1)
+    >>> trial = placer.next()
+    >>> placer.record(trial.standard, trial.comparison, 1)
+    >>> low, high = placer.interval()
+    >>> placer.n_trials, low < placer.weber_fraction < high
+    (1, True)
+    """
+
+    def __init__(
+        self,
+        hypotheses: Hypothesis | Sequence[Hypothesis],
+        scheme: Scheme,
+        *,
+        goal: str = "weber_fraction",
+        easy_share: float = 0.1,
+        width: float | None = None,
+        most: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__([hypotheses] if isinstance(hypotheses, Hypothesis) else hypotheses, scheme)
+        self.goal = _checks.one_of("goal", goal, GOALS)
+        if goal == "hypothesis" and len(self.hypotheses) < 2:
+            raise ValueError(
+                "one hypothesis cannot be told from others; give two, such as taper(whisker)."
+            )
+        if not 0 <= float(_checks.finite("easy_share", easy_share, "write 0.1, say")) < 1:
+            raise ValueError(
+                f"easy_share must lie between 0 and 1, got {easy_share:g}; write 0.1, say."
+            )
+        if width is not None:
+            _checks.positive("width", width, "write 0.2 for an interval of ±20 %")
+        if most is not None:
+            _checks.positive("most", most, "write 400, say")
+        self.easy_share, self.width, self.most = easy_share, width, most
+        self.seed = seed
+        self._cells = scheme.cells()
+        self._proposal: Proposal | None = None
+        self.beliefs = {h.name: Belief(h, self._cells) for h in self.hypotheses}
+
+    # -- what is known ---------------------------------------------------------------------------
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of each hypothesis."""
+        log = np.array([b.log_evidence for b in self.beliefs.values()])
+        share = np.exp(log - log.max())
+        return dict(zip(self.beliefs, (share / share.sum()).tolist(), strict=True))
+
+    @property
+    def best(self) -> Belief:
+        """The belief under the most probable hypothesis."""
+        chances = self.probabilities
+        return self.beliefs[max(chances, key=chances.__getitem__)]
+
+    @property
+    def weber_fraction(self) -> float:
+        """Posterior median of k, under the most probable hypothesis."""
+        return float(self.best.quantile(0.5))
+
+    def interval(self, mass: float = 0.95) -> tuple[float, float]:
+        """Central interval of k, under the most probable hypothesis."""
+        if not 0 < mass < 1:
+            raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
+        low, high = self.best.quantile(np.array([0.5 - mass / 2, 0.5 + mass / 2]))
+        return float(low), float(high)
+
+    @property
+    def finished(self) -> str:
+        """Why there are trials enough; empty where there are not."""
+        if self.width is not None:
+            low, high = self.interval()
+            if (high - low) / (high + low) <= self.width:
+                return f"the 95 % interval of k, {low:.4g} to {high:.4g}, is narrow enough"
+        if self.most is not None and len(self._rows) >= self.most:
+            return f"there are {len(self._rows)} trials, as many as wanted"
+        return ""
+
+    def information(self) -> Array:
+        """Bits that the answer to each trial of the scheme is expected to tell, (C,)."""
+        chance = np.array(list(self.probabilities.values()))
+        given_k, given = zip(*(b.predicted() for b in self.beliefs.values()), strict=True)
+        whole = entropy(chance @ np.array(given))
+        if self.goal == "hypothesis":
+            left = chance @ entropy(np.array(given))
+        elif self.goal == "everything":
+            left = chance @ np.array([b.entropy_of_all() for b in self.beliefs.values()])
+        else:
+            whole = chance @ entropy(np.array(given))
+            left = chance @ np.array(
+                [b.mass_k @ entropy(p) for b, p in zip(self.beliefs.values(), given_k, strict=True)]
+            )
+        return np.asarray(np.maximum(whole - left, 0.0) / np.log(2))
+
+    # -- trial by trial --------------------------------------------------------------------------
+
+    def next(self, standard: float | None = None) -> Proposal:
+        """The next trial, the same until it is recorded.
+
+        Parameters
+        ----------
+        standard : float, optional
+            One of the scheme's, where the order of the standards is yours.
+        """
+        known = self._proposal
+        if known is None or (standard is not None and known.standard != standard):
+            self._proposal = self._choose(standard)
+        assert self._proposal is not None
+        return self._proposal
+
+    def _choose(self, standard: float | None) -> Proposal:
+        number = len(self._rows) + 1
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
+        easy, draw = rng.random() < self.easy_share, rng.random()
+        cells = self._cells
+        allowed = np.ones(cells.n.size, dtype=bool)
+        if standard is not None:
+            allowed = cells.standard == standard
+            if not allowed.any():
+                raise ValueError(
+                    f"the scheme has no standard {standard:g}; choose one of "
+                    f"{', '.join(f'{s:g}' for s in self.scheme.standards)}."
+                )
+        information = self.information()
+        if easy:
+            extreme = [
+                int(f(np.flatnonzero(allowed & (cells.standard == s)), key=cells.stimulus_2.item))
+                for s in self.scheme.standards
+                if np.any(allowed & (cells.standard == s))
+                for f in (min, max)
+            ]
+            at = extreme[int(draw * len(extreme))]
+        else:
+            open_to = np.flatnonzero(allowed)
+            top = information[open_to].max()
+            good = open_to[information[open_to] >= NEAR_BEST * top]
+            at = int(good[int(draw * good.size)])
+        s1, s2 = float(cells.stimulus_1[at]), float(cells.stimulus_2[at])
+        return Proposal(number, s1, s2, bool(easy), float(information[at]))
+
+    def record(self, standard: float, comparison: float, choice: Any) -> None:
+        """Learn from a trial: what was shown, whether or not it was proposed, and the answer.
+
+        Parameters
+        ----------
+        standard, comparison : float
+            Stimulus 1 and stimulus 2, in the percept's unit.
+        choice : {0, 1, None}
+            1 is the answer that the task counts, "second greater" say; None for no answer.
+
+        Raises
+        ------
+        ValueError
+            For another choice, or stimuli that cannot be felt; the trial is not kept then.
+        """
+        pair = self._pair(standard, comparison)
+        for belief in self.beliefs.values():
+            belief.feel(pair)
+        answer = self._note(pair, choice)
+        self._proposal = None
+        if answer is not None:
+            for belief in self.beliefs.values():
+                belief.absorb(pair, answer)
+
+
+def next_trial(
+    trials: Trials,
+    hypotheses: Hypothesis | Sequence[Hypothesis],
+    scheme: Scheme,
+    **options: Any,
+) -> Proposal:
+    """The next trial after a table of trials, for who keeps the table.
+
+    A `BayesianPlacer` that lives through the session does the same in a millisecond or two.
+
+    Parameters
+    ----------
+    trials : Trials
+        May be none yet.
+    hypotheses, scheme, **options
+        As for `BayesianPlacer`.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept, simulate_trials
+    >>> h = Hypothesis("Weber", IdentityPercept())
+    >>> next_trial(simulate_trials(trials_per_level=2, seed=1), h, lattice(h.percept, 1.0)).trial
+    19
+    """
+    placer = BayesianPlacer(hypotheses, scheme, **options)
+    columns = [trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "n", "count")]
+    for s1, s2, n, count in zip(*columns, strict=True):
+        for i in range(int(n)):
+            placer.record(s1, s2, None if np.isnan(count) else int(i < count))
+    return placer.next()
+
+
+def lattice(
+    percept: Percept,
+    standards: ArrayLike,
+    constraints: Constraints | None = None,
+    *,
+    each_side: int = 16,
+    smallest: float = 0.01,
+    largest: float = 1.2,
+) -> Scheme:
+    """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
+
+    Parameters
+    ----------
+    percept : Percept
+        Says how large an offset is: offsets are multiples of the sd of the difference between two
+        percepts that an animal with k = 1 would have (`difference_sd`).
+    standards : array_like
+    constraints : Constraints, optional
+        What falls outside the range is left out, the rest put on the nearest step.
+    each_side : int
+        Comparisons on either side, at most.
+    smallest, largest : float
+        Offsets, in those sds: about twice the least and the greatest k that may be met.
+
+    Raises
+    ------
+    ValueError
+        Where a standard is left without comparisons on both sides.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> lattice(IdentityPercept(), 1.0, each_side=3, largest=0.5).comparisons
+    ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
+    """
+    low, high = percept.domain
+    # A range of distances begins at 0; other stimuli, such as logarithms, need not.
+    limits = constraints or Constraints(farthest=high)
+    nearest = limits.nearest if constraints else -np.inf
+    given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
+    at = np.unique(limits.positions(given))
+    refuse_out_of_reach(percept, at, "standard")
+    ratios = np.geomspace(smallest, largest, each_side)
+    rows = []
+    for s in at:
+        steps = ratios * float(difference_sd(percept, s))
+        levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
+        levels = np.array([float(f"{v:.6g}") for v in levels])
+        inside = (levels >= nearest) & (levels <= limits.farthest)
+        levels = levels[inside & (levels > low) & (levels < high)]
+        felt = np.isfinite(percept.mean(levels)) & np.isfinite(percept.unit_sd(levels))
+        levels = np.unique(levels[felt & (np.abs(levels - s) > 1e-9 * abs(s))])
+        if not (np.any(levels < s) and np.any(levels > s)):
+            raise ValueError(
+                f"standard {s:g} is left without comparisons on both sides, between "
+                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
+                "or widen the range."
+            )
+        rows.append([float(f"{level - s:.12g}") for level in levels])
+    return Scheme(at, rows)

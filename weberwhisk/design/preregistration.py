@@ -1,0 +1,200 @@
+"""A plan in words: what it takes for granted, and a text to paste into a preregistration."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..behaviour.comparison import ConstantNoise
+from ..behaviour.percepts import CuePercept, Percept
+from ..cues import Compliance, ForceMap
+from ..cues.protocol import Cue
+from .plan import Plan
+from .scheme import easy_share
+
+MM, UM = 1e-3, 1e-6
+
+
+def preregistration(plan: Plan) -> str:
+    """The plan as a preregistration asks for it: question, design, size, analysis, inference.
+
+    Every number is the plan's. What only the experimenter knows stands in square brackets.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Goal, Scheme, taper
+    >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, 2e-3], trials=60, animals=3)
+    >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
+    >>> "3 animals, 240 trials each" in preregistration(plan)
+    True
+    """
+    parts = {
+        "Question and hypotheses": _question(plan),
+        "Design": _design(plan),
+        "Order of trials": _order(plan),
+        "Sample size": _size(plan),
+        "Analysis": _analysis(plan),
+        "Inference": _inference(plan),
+        "Exclusion": _exclusion(plan),
+        "Files": _files(plan),
+    }
+    text = "\n\n".join(textwrap.fill(f"{title}. {words}", 92) for title, words in parts.items())
+    return f"{plan.title}\n\n{text}\n"
+
+
+def assumptions(plan: Plan) -> list[str]:
+    """What the expected numbers hang on, a sentence each."""
+    animals, first = plan.animals, plan.hypotheses[0]
+    easy = easy_share(plan.scheme, first.percept, animals.weber_fraction)
+    lines = [
+        f"Weber fraction of the animals: median {animals.weber_fraction:g}, ln k with an sd of "
+        f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
+        f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
+        f"{animals.bias_spread:g} between animals, in sds of the difference between two percepts.",
+        f"Distance is felt through {described(first.percept)}.",
+        "Noise is independent from trial to trial, k is the same in all sessions, and the two "
+        "stimuli are felt alike.",
+        f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
+    ]
+    return lines
+
+
+def described(percept: Percept) -> str:
+    """What a percept is, in words."""
+    if isinstance(percept, ConstantNoise):
+        return f"{described(percept.base)}, with the same noise at every distance"
+    if not isinstance(percept, CuePercept):
+        return f"{type(percept).__name__}"
+    whisker, cue = percept.observer.whisker, percept.observer.cue
+    shape = "cylindrical" if whisker.radius_ratio == 1 else "tapered"
+    radii = f"{whisker.base_radius / UM:.3g}"
+    if shape == "tapered":
+        radii += f" to {whisker.tip_radius / UM:.3g}"
+    return (
+        f"a {shape} whisker ({whisker.length / MM:.3g} mm long, radius {radii} µm) by its "
+        f"{_cue_in_words(cue, percept.deflection_angle)}"
+    )
+
+
+def _cue_in_words(cue: Cue, angle: float | None) -> str:
+    if isinstance(cue, Compliance):
+        tap = f"{np.degrees(cue.tap_angle):.3g}°" if cue.tap_angle else "a light tap"
+        return f"rotational compliance (§2e; {tap})"
+    at = "" if angle is None else f"; deflected by {np.degrees(angle):.3g}°"
+    if isinstance(cue, ForceMap):
+        return f"{' and '.join(cue.signal_names).replace('_', ' ')} (§2f{at})"
+    return f"{cue!r}{at}"
+
+
+def _question(plan: Plan) -> str:
+    names = [h.name for h in plan.hypotheses]
+    each = "; ".join(
+        f"({i}) {h.name}: distance is felt through {described(h.percept)}"
+        for i, h in enumerate(plan.hypotheses, 1)
+    )
+    asked = (
+        "Which of these observers makes the choices"
+        if len(names) > 1
+        else "How large is the Weber fraction k of this observer"
+    )
+    return f"{asked}? {each}. Each compares two noisy signals, with an sd of k times the signal."
+
+
+def _design(plan: Plan) -> str:
+    scheme, task = plan.scheme, plan.hypotheses[0].task
+    levels = "; ".join(
+        f"{s / MM:.5g} mm against {_numbers([c / MM for c in row])} mm"
+        for s, row in zip(scheme.standards, scheme.comparisons, strict=True)
+    )
+    counts = sorted({n for row in scheme.trials for n in row})
+    times = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return (
+        f"Task: {task}, which of two radial distances is the farther. Method of constant stimuli. "
+        f"Standards and comparisons: {levels}. Every pair is shown {times} times to each animal: "
+        f"{scheme.animals} animal{'s' * (scheme.animals > 1)}, {scheme.n_trials} trials each, in "
+        f"{plan.sessions} session{'s' * (plan.sessions > 1)} of at most {plan.trials_per_session}."
+    )
+
+
+def _order(plan: Plan) -> str:
+    return (
+        "Trials are randomised within blocks that hold every pair equally often (within one). The "
+        "standard is the first (left) stimulus in half of the trials of every pair, so that either "
+        "answer is right equally often; within a session the right answer repeats as often as it "
+        f"changes, and not more than {plan.longest_run} times running. Lists are drawn beforehand "
+        f"from seed {plan.seed}, a different one for each animal and session."
+    )
+
+
+def _size(plan: Plan) -> str:
+    words = f"The number of trials is set for {plan.goal}. "
+    if plan.power is not None:
+        words += plan.power_in_words() + " "
+    return (
+        f"{words}It assumes animals with a median Weber fraction of "
+        f"{plan.animals.weber_fraction:g} (sd of ln k {plan.animals.spread:g}) and lapses of "
+        f"{100 * plan.animals.lapse:g} % a side. Each animal is run to the end of its lists, and "
+        "no data are looked at to decide when to stop."
+    )
+
+
+def _analysis(plan: Plan) -> str:
+    h = plan.hypotheses[0]
+    fitted = (
+        "All animals are fitted together (weberwhisk.fit_population)"
+        if plan.together
+        else "Each animal is fitted by itself (weberwhisk.fit_weber, by quadrature)"
+    )
+    noise = "of its own stimulus" if h.noise == "weber" else "of the standard"
+    bias = {"none": "no response bias", "shared": "one response bias b",
+            "per standard": "a response bias b for each standard"}[h.bias]  # fmt: skip
+    priors = ", ".join(
+        f"{name.replace('_', ' ')} ~ {h.priors.words(name)}"
+        for name in ("weber_fraction", *h.asked.lapses, "bias")
+        if name != "bias" or h.bias != "none"
+    )
+    return (
+        f"{fitted}: P(second farther) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b), "
+        f"each signal with the sd {noise}, σ = k I, two lapse rates and {bias}. Priors (SciPy): "
+        f"{priors}; normal scores of the two lapse rates correlate by "
+        f"{h.priors.lapse_correlation:g}. The Weber fraction is reported as the posterior median "
+        "with its equal-tailed 95 % interval."
+    )
+
+
+def _inference(plan: Plan) -> str:
+    if plan.goal.bayes_factor is None:
+        return (
+            "The result is the interval of k; it is called precise if its half-width is below "
+            f"{100 * (plan.goal.half_width or 0):g} % of the estimate."
+        )
+    over = "" if plan.together or plan.scheme.animals == 1 else ", multiplied over animals"
+    return (
+        f"Hypotheses are compared by their exact evidence{over}. One is accepted if it is more "
+        f"than {plan.goal.bayes_factor:g} times as probable as every other (Bayes factor); "
+        "otherwise the experiment is reported as undecided."
+    )
+
+
+def _exclusion(plan: Plan) -> str:
+    return (
+        "No trials are left out but those without an answer. An animal whose fit has the status "
+        "REVERSED or ONE_SIDED is reported and left out of the conclusion. [Criteria of training "
+        "and health.]"
+    )
+
+
+def _files(plan: Plan) -> str:
+    from .. import __version__
+
+    return (
+        f"weberwhisk {__version__}; plan.json makes these lists again (SHA-256 "
+        f"{plan.fingerprint[:16]}…), and `weberwhisk rehearse plan.json` simulates the whole."
+    )
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.5g}" for value in values)

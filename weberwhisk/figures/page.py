@@ -1,0 +1,127 @@
+"""A plan on one page of paper: HTML that holds its own figures."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from ..design.preregistration import assumptions, preregistration
+from .plans import planned_jnds, planned_power, planned_psychometrics
+from .style import DOUBLE, figure_of, new_figure, styled
+
+if TYPE_CHECKING:
+    from ..design import Plan
+
+STYLE = """
+@page { size: A4; margin: 11mm 12mm; }
+body { font: 7.6pt/1.32 "Helvetica Neue", Arial, "DejaVu Sans", sans-serif; color: #111;
+  max-width: 186mm; margin: 0 auto; }
+h1 { font-size: 13pt; margin: 0 0 1mm; }
+h2 { font-size: 9pt; margin: 2.5mm 0 1mm; }
+p, ul { margin: 0 0 1mm; }
+ul { padding-left: 4mm; }
+img { width: 100%; display: block; }
+table { border-collapse: collapse; width: 100%; }
+td, th { text-align: left; padding: 0.3mm 2mm 0.3mm 0; vertical-align: top; font-weight: normal; }
+th { color: #555; white-space: nowrap; }
+.half { max-width: 50%; }
+.two { display: flex; gap: 5mm; } .two > * { flex: 1; min-width: 0; }
+.paste { columns: 2; column-gap: 5mm; text-align: left; }
+.paste p { orphans: 3; widows: 3; }
+"""
+
+
+def plan_page(plan: Plan) -> str:
+    """The plan on one A4 page: numbers, expected curves, assumptions, preregistration.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    str
+        HTML of one file; figures are inside it, as SVG.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Goal, Plan, Scheme, taper
+    >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, -1e-3, 1e-3, 2e-3])
+    >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
+    >>> plan_page(plan).startswith("<!DOCTYPE html>")
+    True
+    """
+    title, *paragraphs = preregistration(plan).strip().split("\n\n")
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>
+<style>{STYLE}</style></head><body>
+<h1>{escape(title)}</h1>
+<div class="two"><div>{_table(_numbers(plan))}</div>
+<div><h2 style="margin-top:0">Assumptions</h2><ul>{_items(assumptions(plan))}</ul></div></div>
+<h2>What is expected of a typical animal</h2>
+{_image(_psychometrics(plan), "Expected psychometric functions")}
+<div class="two">{"".join(_half(*half) for half in _halves(plan))}</div>
+<h2>Text for a preregistration</h2>
+<div class="paste">{"".join(_paragraph(p) for p in paragraphs)}</div>
+</body></html>
+"""
+
+
+def _numbers(plan: Plan) -> list[tuple[str, str]]:
+    scheme = plan.scheme
+    return [
+        ("Goal", str(plan.goal)),
+        ("Hypotheses", ", ".join(h.name for h in plan.hypotheses)),
+        ("Animals", f"{scheme.animals}"),
+        ("Trials", f"{scheme.n_trials} an animal, {scheme.total_trials} in all"),
+        ("Sessions", f"{plan.sessions} an animal, of at most {plan.trials_per_session} trials"),
+        ("Standards", ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards) + " mm"),
+        *((f"Offsets at {s * 1e3:.4g} mm", ", ".join(f"{o * 1e3:+.3g}" for o in row) + " mm")
+          for s, row in zip(scheme.standards, scheme.offsets, strict=True)),
+    ]  # fmt: skip
+
+
+@styled
+def _psychometrics(plan: Plan) -> Any:
+    return figure_of(planned_psychometrics(plan))
+
+
+@styled
+def _halves(plan: Plan) -> list[tuple[Any, str]]:
+    jnd = new_figure(DOUBLE / 2, 2.2)
+    planned_jnds(plan, jnd.subplots())
+    halves = [(jnd, "Expected JND curves")]
+    if plan.power is not None:
+        power = new_figure(DOUBLE / 2, 2.2)
+        planned_power(plan, power.subplots())
+        halves.append((power, "Power"))
+    return halves
+
+
+def _image(figure: Any, alt: str) -> str:
+    content = io.BytesIO()
+    figure.savefig(content, format="svg", metadata={"Date": None})
+    text = base64.b64encode(content.getvalue()).decode("ascii")
+    return f'<img alt="{escape(alt)}" src="data:image/svg+xml;base64,{text}">'
+
+
+def _half(figure: Any, alt: str) -> str:
+    return f'<div class="half">{_image(figure, alt)}</div>'
+
+
+def _table(rows: Sequence[tuple[str, str]]) -> str:
+    inner = "".join(f"<tr><th>{escape(a)}</th><td>{escape(b)}</td></tr>" for a, b in rows)
+    return f"<table>{inner}</table>"
+
+
+def _items(lines: Sequence[str]) -> str:
+    return "".join(f"<li>{escape(line)}</li>" for line in lines)
+
+
+def _paragraph(text: str) -> str:
+    head, _, rest = " ".join(text.split()).partition(". ")
+    return f"<p><b>{escape(head)}.</b> {escape(rest)}</p>"

@@ -1,0 +1,106 @@
+"""Files written whole, and results as strict JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+#: What files and folders that are not finished begin with.
+UNFINISHED = ".weberwhisk-unfinished-"
+
+
+def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write a file whole: a reader, a failure or a kill sees the old content or the new.
+
+    Parameters
+    ----------
+    path : path
+        The file; a link is followed. Its folder must exist.
+    content : str or bytes
+        Text is written as UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If `path` is not an ordinary file or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     atomic_write(f"{folder}/trials.csv", "s1,s2,choice\\n")
+    ...     print(Path(folder, "trials.csv").read_text(), end="")
+    s1,s2,choice
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise ValueError(f"{str(target)!r} is not an ordinary file; name a file to write.")
+    part = target.with_name(f"{UNFINISHED}{secrets.token_hex(4)}")
+    try:
+        try:
+            part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+            sync(part)
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"{str(target)!r} cannot be written ({error.strerror}); "
+            "name a file in a folder that exists and that you may write to."
+        ) from error
+
+
+def to_json(value: Any) -> str:
+    """Strict JSON of results: arrays, NumPy scalars, paths and outcomes included.
+
+    NaN and infinities, which JSON lacks, become null; members of an enumeration become their
+    names in lower case.
+
+    Raises
+    ------
+    TypeError
+        For anything that has no plain form.
+
+    Examples
+    --------
+    >>> print(to_json({"moment": np.array([1.5, np.nan]), "path": Path("a")}))
+    {
+      "moment": [
+        1.5,
+        null
+      ],
+      "path": "a"
+    }
+    """
+    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Enum):
+        return value.name.lower()
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    raise TypeError(f"{type(value).__name__} has no JSON form; turn it into numbers and text.")
+
+
+def sync(path: Path) -> None:
+    """Have the file on the disk before its name is."""
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
