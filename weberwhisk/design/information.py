@@ -22,7 +22,7 @@ from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from .goals import Animals
 from .hypotheses import Hypothesis, told_apart
-from .lattice import CUT, refined, widest
+from .nodes import CUT, refined, widest
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
 from .tables import Table
 

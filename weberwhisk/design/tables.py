@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.quadrature import score_prior
-from .lattice import CUT, DEEP, Indices, Lattice, Mask, lapse_weights, refined, widest
+from .nodes import CUT, DEEP, Indices, Lattice, Mask, lapse_weights, refined, widest
 
 Array = NDArray[np.float64]
 
