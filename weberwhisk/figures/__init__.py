@@ -5,8 +5,10 @@ Okabe and Ito, which the colour-blind can tell apart, and every colour comes wit
 line style, so that a figure also reads in grey.
 """
 
+from .charts import fits_and_growth, speed_accuracy
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
+from .design import information, power_curve
 from .jnds import jnd_curve, jnd_surface
 from .page import plan_page
 from .placements import adaptive, placements
@@ -24,6 +26,8 @@ __all__ = [
     "adaptive",
     "bending",
     "figure_of",
+    "fits_and_growth",
+    "information",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
@@ -34,10 +38,12 @@ __all__ = [
     "planned_power",
     "planned_psychometrics",
     "posterior",
+    "power_curve",
     "psychometric",
     "psychometrics",
     "rehearsed",
     "residuals",
     "shrinkage",
+    "speed_accuracy",
     "styled",
 ]

@@ -33,6 +33,7 @@ SLOWEST_FALL = 1 - 1e-6  # from layer to layer of nodes, when the mass beyond th
 RESOLVED = 0.3  # error of the spacing up to which a coarse pass is believed
 LOST = 0.3  # change of ln Z, from all nodes to every second, at which mass falls between nodes
 NEARLY, FINER = 4.0, 0.75  # up to so many tolerances a spacing is cut by this instead of halved
+LEVEL = 1e-9  # sd over mean of a function that only rounding keeps from being constant
 BATCH = 40_000  # nodes evaluated in one call: the arrays of one pass stay in the cache
 
 
@@ -517,6 +518,9 @@ def _evaluate(
     off = np.ascontiguousarray((values - mean[:, None]).swapaxes(1, 2))  # (b, C, N)
     sd = np.sqrt((off**2 @ weights[..., None])[..., 0] / safe)
     off /= np.maximum(sd, 1e-100)[..., None]  # a single node has no sd
+    # What is the same everywhere is known wherever anything is.
+    level = (sd <= LEVEL * np.abs(mean))[..., None]
+    off = np.where(level & ~level.all(axis=1, keepdims=True), off[:, :1], off)
     # The mass, first and second moment of every node, as shares of the whole.
     mass = weights / safe
     terms = np.empty((len(index), 1 + 2 * off.shape[1], *counts))

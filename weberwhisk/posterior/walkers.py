@@ -84,9 +84,8 @@ def sample(
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
 
-    def quantile_of(p: Array) -> Array:
-        flat = [v.reshape(-1, dim) for v in values]
-        return np.stack([np.quantile(v, p, axis=0).T for v in flat])
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return np.stack([np.quantile(v[..., unknown], p) for v in values])
 
     def draws_of(count: int, seed: Seed) -> Array:
         return np.stack([v[:, -count:] for v in values])
