@@ -38,7 +38,7 @@ KNOWN = Priors(lapse_low=0.02, lapse_high=0.03)
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     """One animal that will be told apart: half way and near the tip."""
-    return plan_experiment("C2", standards=PLACES, levels=LEVELS, trials=40, seed=3)
+    return plan_experiment("C2", standards=PLACES, levels=LEVELS, trials=40, runs=0, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,9 @@ def test_wilsons_interval_solves_its_own_equation() -> None:
 
 
 def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
-    plan = plan_experiment("C2", standards=PLACES, levels=LEVELS, trials=15, animals=2)
+    plan = plan_experiment(
+        "C2", standards=PLACES, levels=LEVELS, trials=15, animals=2, together=False, runs=0
+    )
     truth = plan.animals.draw(2, 1)
     answers = answer_trials(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
     frame = answers.frame.copy()

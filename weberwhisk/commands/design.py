@@ -13,7 +13,8 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import a_number, numbers
 from ..design import LEVELS, Animals, Constraints, Goal, Plan
-from ..design.preregistration import assumptions
+from ..design.exports import in_millimetres
+from ..design.preregistration import assumptions, offsets_in_words
 from ..planning import fill
 from ..runs import Run, to_json
 from .options import (
@@ -115,7 +116,7 @@ def design(
     farthest_mm: Annotated[
         float | None, a_length("--farthest-mm", "Farthest distance that the animal can reach.")
     ] = None,
-    step_mm: Annotated[float, a_length("--step-mm", "Step of the pole.")] = 0.0,
+    step_mm: Annotated[float, a_length("--step-mm", "Step of the pole, 0 for none.")] = 0.01,
     easy_share: Annotated[
         float, a_length("--easy-share", "Least share of easy trials, which keep it working.")
     ] = 0.0,
@@ -225,8 +226,8 @@ def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
         "sessions": plan.sessions,
         "levels": [
             {
-                "standard_mm": row["standard"] * 1e3,
-                "comparison_mm": row["comparison"] * 1e3,
+                "standard_mm": in_millimetres(row["standard"]),
+                "comparison_mm": in_millimetres(row["comparison"]),
                 "trials": row["trials"],
             }
             for row in scheme.to_dict("records")
@@ -244,7 +245,7 @@ def _summary(plan: Plan) -> str:
         f"{plan.sessions} session{'s' * (plan.sessions > 1)}, {scheme.total_trials} in all:",
     ]
     for standard, row, n in zip(scheme.standards, scheme.offsets, scheme.trials, strict=True):
-        offsets = ", ".join(f"{o * 1e3:+.3g}" for o in row)
+        offsets = offsets_in_words(row)
         times = ", ".join(map(str, sorted(set(n))))
         lines.append(f"  standard {standard * 1e3:.4g} mm, offsets {offsets} mm, {times} each")
     lines += [plan.power_in_words()] * bool(plan.power_in_words())

@@ -24,6 +24,7 @@ from .scheme import LEVELS, Constraints, Scheme
 
 #: Where along the whisker the default standards stand, as fractions of its length.
 PLACES = (0.3, 0.6, 0.9)
+STEP = 10e-6  # of the pole, m
 START = 20  # trials of a comparison, where the search for fewer or more starts
 
 
@@ -79,7 +80,7 @@ def plan_experiment(
     expected : Animals, optional
         What the animals are expected to be like.
     constraints : Constraints, optional
-        What rig and animal allow.
+        What rig and animal allow; pole steps of 10 µm by default.
     trials_per_session, longest_run, title
         See `Plan`.
     together : bool, optional
@@ -112,7 +113,7 @@ def plan_experiment(
     """
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
     aim = goal or Goal(bayes_factor=10.0)
-    limits, likely = constraints or Constraints(), expected or Animals()
+    limits, likely = constraints or Constraints(step=STEP), expected or Animals()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
     wanted = _what_to_find(find, trials, scheme)
     if scheme is None:
@@ -127,7 +128,9 @@ def plan_experiment(
         "trials_per_session": trials_per_session, "longest_run": longest_run, "title": title,
         "seed": seed,
     }  # fmt: skip
-    Plan(scheme, **own)  # refuses what cannot be shown before anything is computed
+    Plan(
+        scheme, **own, together=bool(together)
+    )  # refuses what cannot be shown before anything is computed
     options = {"goal": aim, "expected": likely, "runs": runs, "progress": progress}
     found: pd.DataFrame | None = None
     if wanted != "nothing":

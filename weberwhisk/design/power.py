@@ -155,7 +155,7 @@ def power(
     >>> few < many
     True
     """
-    given, aim = _asked(hypotheses, goal)
+    given, aim = asked(hypotheses, goal)
     likely = expected or Animals()
     named = [h.name for h in given] if truths is None else list(truths)
     for name in named:
@@ -224,7 +224,7 @@ def smallest(
     True
     """
     _checks.one_of("vary", vary, MOST)
-    given, aim = _asked(hypotheses, goal)
+    given, aim = asked(hypotheses, goal)
     end = MOST[vary] if most is None else most
     visited: dict[int, Power] = {}
 
@@ -291,7 +291,7 @@ def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
     return runs["half_width"] < goal.half_width
 
 
-def _asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:
+def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:
     given = told_apart(hypotheses)
     aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
     if aim.bayes_factor is not None and len(given) < 2:

@@ -8,6 +8,7 @@ line style, so that a figure also reads in grey.
 from .charts import fits_and_growth, speed_accuracy
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
+from .design import information, power_curve
 from .jnds import jnd_curve, jnd_surface
 from .page import plan_page
 from .placements import adaptive, placements
@@ -40,6 +41,7 @@ __all__ = [
     "planned_power",
     "planned_psychometrics",
     "posterior",
+    "power_curve",
     "psychometric",
     "psychometrics",
     "rehearsed",

@@ -60,7 +60,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
     if axes is None:
         width = SINGLE if len(standards) == 1 else DOUBLE
         axes = list(
-            new_figure(width, 2.2).subplots(1, len(standards), sharey=True, squeeze=False)[0]
+            new_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
         )
     for ax, standard in zip(axes, standards, strict=True):
         levels = plan.levels.query("standard == @standard")
@@ -154,15 +154,15 @@ def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
     most = max(map(max, plan.scheme.trials))
     unit = 1.0 if by_animals else plan.scheme.n_trials / most
     planned = plan.scheme.animals if by_animals else plan.scheme.n_trials
-    for i, (truth, rows) in enumerate(plan.power.groupby("truth", sort=False)):
-        own = rows.sort_values(["animals", "trials"])
+    for i, hypothesis in enumerate(plan.hypotheses):
+        own = plan.power.query("truth == @hypothesis.name").sort_values(["animals", "trials"])
         at = own["animals" if by_animals else "trials"].to_numpy(float) * unit
         share = own["power"].to_numpy(float)
         low, high = share - own["lower"].to_numpy(float), own["upper"].to_numpy(float) - share
         ax.errorbar(
             at, share, [low.clip(0).tolist(), high.clip(0).tolist()], color=COLOURS[i],
             fmt=f"{MARKERS[i]}{LINES[i % 4]}", markersize=3, elinewidth=1, capsize=2,
-            label=f"{truth} is true",
+            label=f"{hypothesis.name} is true",
         )  # fmt: skip
     ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0)
     ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0)
