@@ -36,7 +36,7 @@ TOOLS: dict[str, Tool] = {
 }
 
 
-def measure(name: str, tool: Tool, per_level: int, sets: int) -> Row:
+def measure_tool(name: str, tool: Tool, per_level: int, sets: int) -> Row:
     """One row: median CPU time, relative RMSE, bias and coverage over data sets of their own."""
     times, middle, inside = [], [], []
     for seed in range(sets):
@@ -63,12 +63,12 @@ def measure(name: str, tool: Tool, per_level: int, sets: int) -> Row:
     }
 
 
-def fits(*, full: bool = False, sets: int | None = None) -> pd.DataFrame:
+def measure(*, full: bool = False, sets: int | None = None) -> pd.DataFrame:
     """Relative RMSE of the Weber fraction, coverage of its 95 % interval, and CPU seconds a fit."""
     sets = sets or (100 if full else 6)
     rows = []
     for per_level in SIZES if full else SIZES[:2]:
         for name, tool in TOOLS.items():
             many = sets if name != "emcee" else max(sets // 4, 3)
-            rows.append(measure(name, tool, per_level, many))
+            rows.append(measure_tool(name, tool, per_level, many))
     return pd.DataFrame(rows)
