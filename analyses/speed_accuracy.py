@@ -3,8 +3,8 @@
     python analyses/speed_accuracy.py [--short] [--sets N] [folder]
 
 What `weberwhisk chart --full` measures, and: a chain of rigid links on springs and PyElastica on
-the beams; emcee without this package's help (a loop over readings, plain and vectorised, its stretch
-and its differential-evolution move), a gradient sampler (littlemcmc's NUTS) and a nested one
+the beams; emcee without this package's help (a loop over readings, plain and vectorised, its stretch and
+its differential-evolution move), a gradient sampler (littlemcmc's NUTS) and a nested one
 (dynesty) on the posteriors; psignifit and psychofit on the fits. All but the chain and emcee come
 with ``pip install weberwhisk[referees]``; what is not installed is left out, with a note.
 
@@ -228,7 +228,7 @@ def other_posteriors(full: bool, scenes: Iterable[str] = posteriors.OBSERVERS) -
 
 
 def psychofit_answer(trials: Trials) -> fits.Answer:
-    """psychofit's spread of an error function of ln ratio, as a Weber fraction; it has no interval."""
+    """psychofit's spread of an error function of ln ratio, as a Weber fraction; no interval."""
     import psychofit
 
     c = trials.cells()
