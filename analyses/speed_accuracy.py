@@ -3,10 +3,10 @@
     python analyses/speed_accuracy.py [--short] [--sets N] [folder]
 
 What `weberwhisk chart --full` measures, and: a chain of rigid links on springs and PyElastica on
-the beams; emcee without this package's help (a loop over readings, plain and vectorised, its stretch and
-its differential-evolution move), a gradient sampler (littlemcmc's NUTS) and a nested one
-(dynesty) on the posteriors; psignifit and psychofit on the fits. All but the chain and emcee come
-with ``pip install weberwhisk[referees]``; what is not installed is left out, with a note.
+the beams; emcee without this package's help (a loop over readings, plain and vectorised, its
+stretch and its differential-evolution move), a gradient sampler (littlemcmc's NUTS) and a nested
+one (dynesty) on the posteriors; psignifit and psychofit on the fits. All but the chain and emcee
+come with ``pip install weberwhisk[referees]``; what is not installed is left out, with a note.
 
 Writes beams, posteriors, fits and growth (CSV) and the figures speed_accuracy and fits_and_growth.
 """
