@@ -6,10 +6,15 @@ knob: `part`, `scene`, `method`, `knob`, `seconds` (CPU of one core, of one solu
 run. Rows of other tools may be joined to them; `weberwhisk.figures.speed_accuracy` draws either.
 """
 
-from .beams import beams
-from .fits import fits
-from .growth import growth
-from .posteriors import posteriors
+from . import beams, fits, growth, posteriors
 from .timing import machine
 
-__all__ = ["beams", "fits", "growth", "machine", "posteriors"]
+#: Name of each part, and what measures it: ``measure(full=...)`` gives its table.
+PARTS = {
+    "beams": beams.measure,
+    "posteriors": posteriors.measure,
+    "fits": fits.measure,
+    "growth": growth.measure,
+}
+
+__all__ = ["PARTS", "beams", "fits", "growth", "machine", "posteriors"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -61,7 +61,7 @@ def follow(arc: Any, force: Any, steps: int, kind: type = float) -> tuple[Any, A
         radius = base - (base - tip) / length * s
         return np.stack([-force * y[1] / (modulus * radius**4), np.cos(y[0]), np.sin(y[0])])
 
-    y = np.zeros(3, dtype=kind)
+    y: Any = np.zeros(3, dtype=kind)
     for i in range(steps):
         s = kind(arc) - i * h
         k1 = rates(s, y)
@@ -165,43 +165,31 @@ def boundary_value(scene: Scene, tolerance: float) -> float:
 
 
 def _calls(scene: Scene, full: bool) -> Iterator[tuple[str, float, int, Callable[[], Any]]]:
-    """Method, knob, contacts in a call, and the call, whose last value is a moment."""
+    """Method, knob, contacts in a call, and the call, which returns moments."""
     r, theta = scene.contact
     for name, rung in (("rung 0, closed form", closed_form), ("rung 1, elastica", elastica)):
         for count in (1, 10, 100, 1000, 10_000) if full else (1, 100, 10_000):
-            many = np.full(count, r)
-            yield (
-                name,
-                count,
-                count,
-                lambda rung=rung, many=many: rung.press(WHISKER, many, theta).moment,
-            )
+            yield name, count, count, partial(_moment, rung, np.full(count, r), theta)
     few = (1e-3, 1e-6, 1e-9, 1e-12) if full else (1e-3, 1e-9)
-    for tolerance in few:
-        many = np.full(300, r)
-        yield (
-            "rung 2, profile, 300 at once",
-            tolerance,
-            300,
-            lambda t=tolerance, many=many: profile.press(WHISKER, many, theta, tolerance=t).moment,
-        )
-        yield (
-            "rung 2, profile, one",
-            tolerance,
-            1,
-            lambda t=tolerance: profile.press(WHISKER, r, theta, tolerance=t).moment,
-        )
     point = r * np.array([np.cos(theta), np.sin(theta), 0.0])
     for tolerance in few:
-        yield (
-            "rung 3, rod, one",
-            tolerance,
-            1,
-            lambda t=tolerance: rod.press(WHISKER, point, tolerance=t).moment[..., 2],
-        )
-    for rtol in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11) if full else (1e-3, 1e-9):
-        yield "SciPy, root over DOP853", rtol, 1, lambda t=rtol: initial_value(scene, t)
-        yield "SciPy, solve_bvp", rtol, 1, lambda t=rtol: boundary_value(scene, t)
+        for name, many in (("300 at once", 300), ("one", 1)):
+            call = partial(_moment, profile, np.full(many, r), theta, tolerance=tolerance)
+            yield f"rung 2, profile, {name}", tolerance, many, call
+        yield "rung 3, rod, one", tolerance, 1, partial(_rod_moment, point, tolerance)
+    for tolerance in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11) if full else (1e-3, 1e-9):
+        for name, solver in (
+            ("SciPy, root over DOP853", initial_value), ("SciPy, solve_bvp", boundary_value)
+        ):  # fmt: skip
+            yield name, tolerance, 1, partial(solver, scene, tolerance)
+
+
+def _moment(rung: Any, r: Array, theta: float, **options: float) -> Any:
+    return rung.press(WHISKER, r, theta, **options).moment
+
+
+def _rod_moment(point: Array, tolerance: float) -> Any:
+    return rod.press(WHISKER, point, tolerance=tolerance).moment[..., 2]
 
 
 def row(scene: Scene, method: str, knob: float, moment: Any, seconds: float, count: int = 1) -> Row:
@@ -220,8 +208,8 @@ def row(scene: Scene, method: str, knob: float, moment: Any, seconds: float, cou
     }
 
 
-def beams(*, full: bool = False) -> pd.DataFrame:
-    """Relative error of the moment, and CPU seconds a contact, of every rung and of SciPy's solvers.
+def measure(*, full: bool = False) -> pd.DataFrame:
+    """Relative error of the moment, and CPU seconds a contact, of every rung and of SciPy.
 
     Parameters
     ----------

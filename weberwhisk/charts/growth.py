@@ -52,7 +52,7 @@ def _sizes(what: str, full: bool) -> Iterator[int]:
         n *= 4
 
 
-def growth(*, full: bool = False) -> pd.DataFrame:
+def measure(*, full: bool = False) -> pd.DataFrame:
     """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
     tables = []
     for what in MOST:

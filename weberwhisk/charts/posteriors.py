@@ -6,6 +6,7 @@ The referee is a midpoint sum in the contact itself that shares no code with any
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def cells(observer: Observer, n: int, box: Array) -> tuple[Array, Array]:
 
 
 def summed(observer: Observer, rows: Array, n: int, *, zoom: bool = False) -> Array:
-    """Sds of r (B,) by the midpoint sum; with `zoom` over the box of all but e⁻⁴⁰ of the density."""
+    """Sds of r (B,) by the midpoint sum; with `zoom` over a box of all but e⁻⁴⁰ of the density."""
     whole = np.tile([0.0, 1.0], (len(observer.unknowns), 1))
     contact, size = cells(observer, n, whole)
     signals, outcome = observer.signals(contact)
@@ -135,13 +136,13 @@ def _engines(observer: Observer, full: bool) -> Iterator[tuple[str, float, int, 
         yield "quadrature", tolerance, bulk, engine("quadrature", tolerance=tolerance)
     yield "Laplace", 0, bulk, engine("laplace")
     for n in (100, 300, 1000, 3000, 10_000) if full else (100, 3000):
-        yield "importance sampling", n, 32, lambda rows, n=n: importance(observer, rows, n)
+        yield "importance sampling", n, 32, partial(importance, observer, n=n)
     for tolerance in (0.1, 0.05, 0.02, 0.01) if full else (0.1, 0.03):
         count = 256 if full else 32
         yield "emcee, stacked", tolerance, count, engine("emcee", tolerance=tolerance, seed=3)
     sizes = (30, 100, 300, 1000, 3000) if one else (10, 30, 100, 300)
     for n in sizes if full else sizes[:3]:
-        yield "midpoint grid", n, 8, lambda rows, n=n: summed(observer, rows, n)
+        yield "midpoint grid", n, 8, partial(summed, observer, n=n)
 
 
 def row(
@@ -172,7 +173,7 @@ def exact_sds(observer: Observer, rows: Array, *, full: bool) -> tuple[Array, fl
     return exact, float(np.abs(half / exact[:8] - 1).max() / 3)
 
 
-def posteriors(*, full: bool = False) -> pd.DataFrame:
+def measure(*, full: bool = False) -> pd.DataFrame:
     """R.m.s. relative error of the sd of r, and CPU seconds a posterior, of every engine.
 
     The row "closed form" is the time of the linear sd (3.2), "referee" the error of the truth.

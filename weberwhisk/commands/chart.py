@@ -30,23 +30,22 @@ def chart(
 
     from .. import charts, figures
 
-    parts = (charts.beams, charts.posteriors, charts.fits, charts.growth)
     foot = charts.machine()
-    tables = []
+    tables = {}
     with Run(out, "chart", {"full": full, "machine": foot}) as run:
-        with progress("Charting", len(parts), as_json=as_json) as advance:
-            for part in parts:
-                tables.append(part(full=full))
-                run.table(part.__name__, tables[-1])
+        with progress("Charting", len(charts.PARTS), as_json=as_json) as advance:
+            for name, measure in charts.PARTS.items():
+                tables[name] = measure(full=full)
+                run.table(name, tables[name])
                 advance()
-        table = pd.concat(tables, ignore_index=True)
+        table = pd.concat(tables.values(), ignore_index=True)
         run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot))
         run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot))
     if as_json:
         print(to_json({"machine": foot, "rows": table.to_dict("records")}))
         return
     print(foot)
-    for part, rows in zip(parts, tables, strict=True):
+    for name, rows in tables.items():
         shown = rows.drop(columns="part").dropna(axis="columns", how="all")
-        print(f"\n{part.__name__}\n{shown.to_string(index=False, float_format='{:.3g}'.format)}")
+        print(f"\n{name}\n{shown.to_string(index=False, float_format='{:.3g}'.format)}")
     wrote(run)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from .style import COLOURS, DOUBLE, LINES, MARKERS, new_figure, styled
@@ -23,14 +22,14 @@ SMALL = 6.0
 @styled
 def speed_accuracy(
     table: pd.DataFrame, *, weber_fraction: float = 0.1, foot: str = "", outside: Iterable[str] = ()
-) -> Figure:
+) -> Any:
     """Beams above and posteriors below, a panel for each scene; every method a line over its knob.
 
     Crosses mark settings at which a method fails or flags answers, with their share; at the upper
     edge those without any answer. Methods named in `outside` have hollow marks.
     """
     figure = new_figure(DOUBLE, 7.4)
-    rows = figure.subfigures(2, 1, height_ratios=(1.0, 1.08))
+    rows: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.08))
     beams, posteriors = (table[table["part"] == part] for part in ("beams", "posteriors"))
     axes = _row(rows[0], beams, set(outside))
     for ax, (_, part) in zip(axes, beams.groupby("scene", sort=False), strict=True):
@@ -38,9 +37,7 @@ def speed_accuracy(
         _limits(ax, closed, ROUNDING, "rounding")
         ax.axhline(ALLOWED * weber_fraction, color="0.6", linewidth=0.7, linestyle="--")
         ax.set_ylim(1e-17, 30)
-        right = ax.secondary_yaxis(
-            "right", functions=(lambda e: e / weber_fraction, lambda e: e * weber_fraction)
-        )
+        right = ax.secondary_yaxis("right", functions=_scaling(weber_fraction))
         right.yaxis.set_major_locator(LogLocator(numticks=6))
         right.yaxis.set_minor_formatter(NullFormatter())
         if ax is axes[-1]:
@@ -51,9 +48,9 @@ def speed_accuracy(
     rows[0].supxlabel("CPU time of one contact (s)", fontsize=8)
     axes = _row(rows[1], posteriors[~posteriors["method"].isin(LANDMARKS)], set(outside))
     for ax, (_, part) in zip(axes, posteriors.groupby("scene", sort=False), strict=True):
-        marks = part.set_index("method")
-        doubt = max(marks.loc["referee", "error"], ROUNDING)
-        _limits(ax, marks.loc["closed form", "seconds"], doubt, "referee")
+        referee, closed = (part[part["method"] == name] for name in ("referee", "closed form"))
+        doubt = max(float(referee["error"].iloc[0]), ROUNDING)
+        _limits(ax, float(closed["seconds"].iloc[0]), doubt, "referee")
         ax.set_ylim(1e-17, 30)
     axes[0].set_ylabel("r.m.s. relative error of the sd")
     rows[1].supxlabel(
@@ -63,10 +60,10 @@ def speed_accuracy(
 
 
 @styled
-def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[str] = ()) -> Figure:
+def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[str] = ()) -> Any:
     """RMSE and coverage of fits against time, above; time and memory against size, below."""
     figure = new_figure(DOUBLE, 6.6)
-    rows = figure.subfigures(2, 1)
+    rows: Any = figure.subfigures(2, 1)
     fits, growth = (table[table["part"] == part] for part in ("fits", "growth"))
     left, right = rows[0].subplots(1, 2)
     for i, (method, part) in enumerate(fits.groupby("method", sort=False)):
@@ -92,13 +89,18 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
         axes, ("seconds", "bytes"), ("CPU time (s)", "peak memory (bytes)"), strict=True
     ):
         for i, (method, part) in enumerate(growth.groupby("method", sort=False)):
-            label = f"{method}: time ∝ n^{part['slope_seconds'].iloc[0]:.2f}, memory ∝ n^{part['slope_bytes'].iloc[0]:.2f}"
+            by_time, by_size = (part[f"slope_{c}"].iloc[0] for c in ("seconds", "bytes"))
+            label = f"{method}: time ∝ n^{by_time:.2f}, memory ∝ n^{by_size:.2f}"
             ax.loglog(part["count"], part[column], **_style(i, False), label=label)
         ax.set(xlabel="n in one call", ylabel=unit)
     _legend(rows[1], [axes[0]], columns=2)
     if foot:
         rows[1].supxlabel(foot, fontsize=SMALL)
     return figure
+
+
+def _scaling(k: float) -> tuple[Any, Any]:
+    return (lambda error: error / k), (lambda jnds: jnds * k)
 
 
 def _style(i: int, hollow: bool) -> dict[str, Any]:
