@@ -4,7 +4,7 @@
 
 Writes design_information (what one trial is expected to tell of k and of the hypothesis, over
 standard and offset, before any trial and after 120) and design_power (the share of experiments
-whose Bayes factor passes 10, and the interval of k, against trials) as PNG and SVG, with their
+whose Bayes factor passes 10, and the interval of k in 90 % of them, against trials) as PNG and SVG, with their
 tables as CSV.
 """
 
@@ -74,7 +74,7 @@ def draw_power(found: Power) -> Figure:
         )  # fmt: skip
     right.axhline(20, color="0.6", linewidth=0.8, linestyle=":")
     right.set(xscale="log", yscale="log", xlabel="Trials of each comparison",
-              ylabel="95 % interval of k, ± % (90 % of runs)")  # fmt: skip
+              ylabel="95 % interval of k (± %)")  # fmt: skip
     right.set_xticks(TRIALS, [str(n) for n in TRIALS])
     right.set_yticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
     right.minorticks_off()

@@ -91,7 +91,8 @@ def test_information_is_the_expected_gain_of_brute_force(standard, offset):
     # 280 bins of 400 000 draws add 280/(2·400 000·ln 2) = 5e-4 bits of their own.
     assert table["weber_fraction"] == pytest.approx(about_k, abs=1.2e-3)
     assert table["jnd"] == pytest.approx(about_jnd, abs=1.2e-3)
-    assert table["hypothesis"] == pytest.approx(about_model, abs=3e-4)
+    # The lapses' prior ends where they fill the curve, which its nodes meet to about 1 %.
+    assert table["hypothesis"] == pytest.approx(about_model, rel=0.02, abs=3e-4)
 
 
 def test_information_after_trials_is_that_of_brute_force():
@@ -222,12 +223,14 @@ def test_the_sketch_judges_as_the_fit_does():
 
 def test_the_best_scheme_beats_a_plain_one_in_simulation():
     limits = Constraints(nearest=8e-3, farthest=46e-3, step=0.1e-3, easy_share=0.15)
-    best = best_scheme((TAPERED, CYLINDRICAL), constraints=limits, pairs=2, trials=180).scheme
+    best = best_scheme(
+        (TAPERED, CYLINDRICAL), constraints=limits, standards=2, pairs=2, trials=180
+    ).scheme
     limits.check(best, TAPERED.percept)
     plain = Scheme.spaced(TAPERED.percept, [15e-3, 25e-3, 35e-3], trials=10)
-    assert best.n_trials == plain.n_trials == 180
+    assert best.n_trials <= plain.n_trials == 180
     found = [
-        ww.power(s, (TAPERED, CYLINDRICAL), runs=128, seed=1).table["power"].min()
+        ww.power(s, (TAPERED, CYLINDRICAL), runs=96, seed=1).table["power"].min()
         for s in (best, plain)
     ]
     assert found[0] > found[1] + 0.15

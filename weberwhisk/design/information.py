@@ -70,9 +70,9 @@ def information(
 
     Notes
     -----
-    An answer has one bit at most; 1 bit is ln 2 nats. These are the gains of the very next trial:
-    they shrink as the experiment goes on, and what is best to know first need not be best to know
-    in the end. A whole scheme is judged by `best_scheme` and `power`.
+    Good to about 1 %. An answer has one bit at most; 1 bit is ln 2 nats. These are the gains of the
+    very next trial: they shrink as the experiment goes on, and what is best to know first need not
+    be best to know in the end. A whole scheme is judged by `best_scheme` and `power`.
 
     Examples
     --------
