@@ -4,8 +4,8 @@
 
 Writes design_information (what one trial is expected to tell of k and of the hypothesis, over
 standard and offset, before any trial and after 120) and design_power (the share of experiments
-whose Bayes factor passes 10, and the interval of k in 90 % of them, against trials) as PNG and SVG, with their
-tables as CSV.
+whose Bayes factor passes 10, and the interval of k in 90 % of them, against trials) as PNG and SVG,
+with their tables as CSV.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from analysis_scripts import load
 from scipy.special import ndtr
 from scipy.stats import beta, lognorm, norm
 
@@ -288,3 +289,10 @@ def test_bad_input_is_refused_in_a_sentence(wrong, words):
 
 
 OF_THE_MAP = CuePercept(ww.Observer(WHISKER, kinds.ForceMap()), np.radians(20))
+
+
+def test_the_script_writes_its_figures_and_tables(tmp_path):
+    made = load("design").make(tmp_path, short=True)
+    assert made["power"].groupby("truth")["power"].last().min() > 0.8
+    assert (tmp_path / "design_power.csv").exists()
+    assert (tmp_path / "design_information.png").stat().st_size > 10_000
