@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from analysis_scripts import load
 from scipy.special import ndtr
 from scipy.stats import beta, lognorm, norm
 
@@ -58,7 +59,8 @@ def tap(distance, apex):
 
 def probability(standard, comparison, apex, k, low, high, bias):
     m0, m1 = tap(standard, apex), tap(comparison, apex)
-    return low + (1 - low - high) * ndtr((m0 - m1) / (k * np.hypot(m0, m1)) + bias)
+    p = low + (1 - low - high) * ndtr((m0 - m1) / (k * np.hypot(m0, m1)) + bias)
+    return np.clip(p, 1e-15, 1 - 1e-15)
 
 
 def by_bins(x, weight, p, edges):
@@ -90,7 +92,8 @@ def test_information_is_the_expected_gain_of_brute_force(standard, offset):
     # 280 bins of 400 000 draws add 280/(2·400 000·ln 2) = 5e-4 bits of their own.
     assert table["weber_fraction"] == pytest.approx(about_k, abs=1.2e-3)
     assert table["jnd"] == pytest.approx(about_jnd, abs=1.2e-3)
-    assert table["hypothesis"] == pytest.approx(about_model, abs=3e-4)
+    # The lapses' prior ends where they fill the curve, which its nodes meet to about 1 %.
+    assert table["hypothesis"] == pytest.approx(about_model, rel=0.02, abs=3e-4)
 
 
 def test_information_after_trials_is_that_of_brute_force():
@@ -158,12 +161,15 @@ def test_information_is_the_slope_of_what_is_expected_to_be_known():
     assert table["hypothesis"][0] == 0
 
 
-def test_after_trials_the_taper_shows_where_it_was_not_looked_for():
+def test_what_is_known_already_is_not_told_again():
     before = Scheme.spaced(TAPERED.percept, [15e-3, 42e-3], trials=20)
-    table = information((TAPERED, CYLINDRICAL), [15e-3, 42e-3], [1.5e-3], after=before)
-    fresh = information((TAPERED, CYLINDRICAL), [15e-3, 42e-3], [1.5e-3])
-    # The first trial tells next to nothing, as any bias explains it.
-    assert table["hypothesis"].max() > 5 * fresh["hypothesis"].max()
+    fresh, after = (
+        information((TAPERED, CYLINDRICAL), [15e-3, 30e-3, 42e-3], [1.5e-3], after=scheme)
+        for scheme in (None, before)
+    )
+    for about in ("weber_fraction", "jnd", "hypothesis"):
+        assert (after[about] > 0).all()
+    assert (after["weber_fraction"] < 0.2 * fresh["weber_fraction"]).all()
 
 
 def test_any_cue_has_information_and_what_is_not_felt_has_none():
@@ -201,7 +207,7 @@ def test_the_sketch_judges_as_the_fit_does():
     )  # fmt: skip
     values, exact = [], []
     for places in ((0, 8, 15), (2, 5, 9), (0, 1, 2)):
-        choice = tuple((i, (0, 2, 5)) for i in places)
+        choice = tuple((i, (0, 2, 4)) for i in places)
         scheme = search.scheme(choice, 1)
         values.append(search.value(choice))
         exact.append(
@@ -218,12 +224,14 @@ def test_the_sketch_judges_as_the_fit_does():
 
 def test_the_best_scheme_beats_a_plain_one_in_simulation():
     limits = Constraints(nearest=8e-3, farthest=46e-3, step=0.1e-3, easy_share=0.15)
-    best = best_scheme((TAPERED, CYLINDRICAL), constraints=limits, trials=180).scheme
+    best = best_scheme(
+        (TAPERED, CYLINDRICAL), constraints=limits, standards=2, pairs=2, trials=180
+    ).scheme
     limits.check(best, TAPERED.percept)
     plain = Scheme.spaced(TAPERED.percept, [15e-3, 25e-3, 35e-3], trials=10)
-    assert best.n_trials == plain.n_trials == 180
+    assert best.n_trials <= plain.n_trials == 180
     found = [
-        ww.power(s, (TAPERED, CYLINDRICAL), runs=128, seed=1).table["power"].min()
+        ww.power(s, (TAPERED, CYLINDRICAL), runs=96, seed=1).table["power"].min()
         for s in (best, plain)
     ]
     assert found[0] > found[1] + 0.15
@@ -250,8 +258,8 @@ def test_the_best_scheme_for_k_narrows_its_interval():
          "fewer than standards=3"),
         ({"trials": 10}, "8 short"),
         ({"pairs": 0}, "pairs must be"),
-        ({"constraints": Constraints(nearest=10e-3, farthest=40e-3, easy_share=0.9,
-                                     easy_proportion=0.999)}, "fewer than easy_share=0.9"),
+        ({"constraints": Constraints(nearest=25e-3, farthest=33e-3, easy_share=0.5,
+                                     easy_proportion=0.999)}, "fewer than easy_share=0.5"),
     ],
 )  # fmt: skip
 def test_impossible_constraints_are_named_with_by_how_much(options, words):
@@ -281,3 +289,10 @@ def test_bad_input_is_refused_in_a_sentence(wrong, words):
 
 
 OF_THE_MAP = CuePercept(ww.Observer(WHISKER, kinds.ForceMap()), np.radians(20))
+
+
+def test_the_script_writes_its_figures_and_tables(tmp_path):
+    made = load("design").make(tmp_path, short=True)
+    assert made["power"].groupby("truth")["power"].last().min() > 0.8
+    assert (tmp_path / "design_power.csv").exists()
+    assert (tmp_path / "design_information.png").stat().st_size > 10_000

@@ -28,8 +28,8 @@ from .tables import Table
 
 Array = NDArray[np.float64]
 
-NODES = 49, 9, 33  # of k, either lapse and the bias
-REACH = 3.5  # prior sds
+NODES = 41, 21, 25  # of k, either lapse and the bias
+REACH = 4.0  # prior sds
 THRESHOLDS = 161  # bins of the log of a JND
 
 
@@ -70,8 +70,9 @@ def information(
 
     Notes
     -----
-    An answer has one bit at most. 1 bit = ln 2 nats. About the hypothesis the first trial of a
-    standard tells next to nothing, as its bias may explain any answer: look at it `after` some.
+    Good to about 1 %. An answer has one bit at most; 1 bit is ln 2 nats. These are the gains of the
+    very next trial: they shrink as the experiment goes on, and what is best to know first need not
+    be best to know in the end. A whole scheme is judged by `best_scheme` and `power`.
 
     Examples
     --------
@@ -180,11 +181,10 @@ def believed(
     for group, end in enumerate(biases):
         bias = np.linspace(*end, NODES[2]) if model.free_bias else np.array([model.fixed_bias()])
         cells = np.flatnonzero(model.group == group)
-        p, q = model.probability(
-            k[:, None], lo, hi, np.repeat(bias[:, None, None, None], model.n_groups, axis=3)
-        )  # (B, K, L, C)
+        part = model.subset(model.cells.standard[cells[0]]) if model.n_groups > 1 else model
+        p, q = part.probability(k[:, None], lo, hi, bias[:, None, None, None])  # (B, K, L, C)
         x, n = counts[cells], model.cells.n[cells]
-        log_like = np.log(p[..., cells]) @ x + np.log(q[..., cells]) @ (n - x)
+        log_like = np.log(p) @ x + np.log(q) @ (n - x)
         log_like += model.log_bias_prior(bias)[:, None, None]
         groups.append((bias, log_like))
     alone = [np.logaddexp.reduce(log_like, axis=0) for _, log_like in groups]
@@ -249,7 +249,7 @@ def _shared(log_jnd: list[Array], answers: list[tuple[Array, Array]]) -> Array:
     total, up = np.zeros(bins.size), np.zeros((bins.size, answers[0][1].shape[1]))
     for value, (mass, p) in zip(log_jnd, answers, strict=True):
         # Belief is a density: spread evenly between nodes before it meets that of another.
-        fine = np.linspace(value[0], value[-1], 8 * (value.size - 1) + 1)
+        fine = np.linspace(value[0], value[-1], 64 * (value.size - 1) + 1)
         density = np.interp(fine, value, mass)
         density /= density.sum() * len(answers)
         given = np.stack([np.interp(fine, value, column) for column in p.T], axis=1)

@@ -48,7 +48,7 @@ def information(
     mesh = ax.pcolormesh(
         standard, offset, np.ma.masked_invalid(value), shading="nearest", cmap="cividis", vmin=0.0
     )
-    figure_of(ax).colorbar(mesh, ax=ax, label=f"Information about {ABOUT[about]} (millibit)")
+    figure_of(ax).colorbar(mesh, ax=ax, label=f"About {ABOUT[about]} (millibit)")
     best = np.unravel_index(np.nanargmax(value), value.shape)
     ax.plot(standard[best], offset[best], "o", markerfacecolor="none", color="w", markersize=7)
     ax.axhline(0.0, color="w", linewidth=0.5)
