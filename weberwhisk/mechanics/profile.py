@@ -220,11 +220,7 @@ def signal_jacobian(
         s, f = numbers[6, held], numbers[7, held] * sign
         path = resolve(rows.take(held).mirrored(sign), s, f, psi[held], tolerance)
         out[..., part][..., held] = signal_slopes(path, f, sign)
-    force = scenes.force
-    out[0] *= force * scenes.length
-    out[1:] *= force
-    out[:, 0] /= scenes.length
-    return np.moveaxis(out, -1, 0).reshape(*scenes.shape, 3, 2)
+    return scenes.jacobian(out)
 
 
 def rest_angle(whisker: Whisker | Profile, radial_distance: ArrayLike) -> Array:
