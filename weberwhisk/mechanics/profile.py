@@ -141,7 +141,7 @@ def press(
         `STUCK`: no contact that slides at this friction angle is in balance there, though one
         without friction is, or this much friction never lets the contact slide at all.
         ``error`` is an upper estimate of the relative error of the signals, above the true one in
-        99.5 % of scenes and by a factor of 25 in the median. The true error is below `tolerance`
+        99.7 % of scenes and by a factor of 11 in the median. The true error is below `tolerance`
         away from the fold. Towards it, where signals go as the square root of the angle left, and
         towards zero load, it grows without bound and `error` with it.
 
