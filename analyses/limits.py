@@ -243,7 +243,6 @@ def draw(table: pd.DataFrame) -> Any:
         below.axhline(0, color="black", linewidth=0.8, zorder=0)
         above.set_title(factor.name)
         below.set_xlabel(factor.unit)
-    axes[0, 0].set_yscale("symlog", linthresh=1)
     axes[0, 0].set_ylabel("bias of r / JND at k = 0.1")
     axes[1, 0].set_ylabel("d(inferred r)/d(true r)")
     axes[1, 0].set_ylim(-0.5, 2)
