@@ -225,13 +225,15 @@ class Scenes:
             step = np.linalg.solve(jacobian, np.nan_to_num(miss.T)[..., None])[..., 0].T
         return np.where(usable, step, np.inf), np.where(usable, np.sign(det), 0.0), miss
 
-    def _slopes(self, v: Array, target: Array, steps: int) -> tuple[Array, Array, Array]:
+    def _slopes(
+        self, v: Array, target: Array, steps: int, nudge: float = 1e-6
+    ) -> tuple[Array, Array, Array]:
         """How far the contact is from `target` (3, n); its slopes to v and those of the signals.
 
         The slopes are difference quotients, (n, 3, 3) and (n, 6, 3).
         """
         n = v.shape[1]
-        h = 1e-6 * self.scale(np.sqrt((target**2).sum(axis=0)))
+        h = nudge * self.scale(np.sqrt((target**2).sum(axis=0)))
         four = self.take(np.tile(np.arange(n), 4))
         probes = np.concatenate([v, *(v - h * np.eye(3)[:, [k]] for k in range(3))], axis=1)
         with np.errstate(all="ignore"):
@@ -239,6 +241,18 @@ class Scenes:
             both = np.concatenate([base.seen(base.lever), base.signals()]).reshape(9, 4, n)
             slopes = np.nan_to_num((both[:, :1] - both[:, 1:]) / h).transpose(2, 0, 1)
         return target - both[:3, 0], slopes[:, :3], slopes[:, 3:]
+
+    def central_slopes(self, v: Array, target: Array) -> tuple[Array, Array]:
+        """Slopes of the contact's place and of the signals to v, to 1e-9 or so: of both sides."""
+        steps = self.resolve(v, 1e-12).steps
+        h = 1e-5
+        sides = [self._slopes(v, target, steps, nudge)[1:] for nudge in (h, -h)]
+        # Beyond the very tip there is no other side.
+        tip = (v[0] + h > 1)[:, None, None]
+        places, signals = (
+            np.where(tip, near, (near + far) / 2) for near, far in zip(*sides, strict=True)
+        )
+        return places, signals
 
     def moved(self, v: Array, target: Array, base: Base) -> Array:
         """What the signals (6, n) are off by as the contacts are off `target`, at most."""

@@ -79,6 +79,14 @@ class Scenes:
         """Outcomes in the scenes' shape."""
         return flat.reshape(self.shape) if self.shape else Outcome(int(flat[0]))
 
+    def jacobian(self, slopes: Array) -> Array:
+        """Slopes (3, 2, n) of moment and two forces to (r, θ_d), (..., 3, 2) and in SI units."""
+        one = np.ones_like(self.length)
+        to_signal = self.force * np.stack([self.length, one, one])
+        to_contact = np.stack([self.length, one])
+        slopes = slopes * to_signal[:, None] / to_contact
+        return np.moveaxis(slopes, -1, 0).reshape(*self.shape, 3, 2)
+
     def bending(self, numbers: Array, outcome: NDArray[np.int8], error: Array) -> Bending:
         """Results in the scenes' shape and in SI units."""
         length, force, shape = self.length, self.force, self.shape
