@@ -41,7 +41,8 @@ WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLACES = (0.3, 0.6, 0.9)
 ESTIMATORS = ("information", "QUEST+", "1-up/2-down", "1-up/3-down", "constant")
 DISCRIMINATORS = ("information", "constant")
-ANIMALS, ANIMALS_SHORT = 40, 2
+ANIMALS, ANIMALS_SHORT = 40, 1
+MARKS_SHORT = (10, 20)
 MARKS = {"estimation": (30, 60, 90, 120, 180, 240, 300),
          "discrimination": (30, 60, 90, 120, 150, 180, 240)}  # fmt: skip
 SEED = 20110166
@@ -182,7 +183,7 @@ def make(
     for part, marks in MARKS.items():
         tables[part] = campaign.run(
             experiment,
-            chunks(part, animals, marks[:2] if short else marks),
+            chunks(part, animals, MARKS_SHORT if short else marks),
             seed=SEED,
             workers=workers,
             scheduler=scheduler,
@@ -204,7 +205,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     default = Path(__file__).parent.parent / "results" / "adaptive"
     parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="two animals, few trials")
+    parser.add_argument("--short", action="store_true", help="one animal, few trials")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--scheduler", help="of a dask.distributed cluster")
     given = parser.parse_args()

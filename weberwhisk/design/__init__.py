@@ -13,6 +13,7 @@ from .plan import Plan
 from .plan_file import plan_json, read_plan
 from .rehearsal import Rehearsal, rehearse
 from .scheme import LEVELS, Constraints, Scheme
+from .session import Session
 from .staircases import Staircase
 from .trial_lists import trial_lists
 
@@ -29,6 +30,7 @@ __all__ = [
     "Proposal",
     "Rehearsal",
     "Scheme",
+    "Session",
     "Staircase",
     "TrialLog",
     "analyse",

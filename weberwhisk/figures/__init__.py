@@ -5,12 +5,13 @@ Okabe and Ito, which the colour-blind can tell apart, and every colour comes wit
 line style, so that a figure also reads in grey.
 """
 
+from .charts import fits_and_growth, speed_accuracy
 from .choices import psychometric, psychometrics
 from .criticism import pairs, residuals, shrinkage
 from .jnds import jnd_curve, jnd_surface
 from .page import plan_page
 from .placements import adaptive, placements
-from .plans import planned_jnds, planned_psychometrics, rehearsed
+from .plans import planned_jnds, planned_power, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
@@ -24,6 +25,7 @@ __all__ = [
     "adaptive",
     "bending",
     "figure_of",
+    "fits_and_growth",
     "jnd_curve",
     "jnd_surface",
     "new_figure",
@@ -31,6 +33,7 @@ __all__ = [
     "placements",
     "plan_page",
     "planned_jnds",
+    "planned_power",
     "planned_psychometrics",
     "posterior",
     "psychometric",
@@ -38,5 +41,6 @@ __all__ = [
     "rehearsed",
     "residuals",
     "shrinkage",
+    "speed_accuracy",
     "styled",
 ]

@@ -9,7 +9,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ..design.preregistration import assumptions, preregistration
-from .plans import planned_jnds, planned_psychometrics
+from .plans import planned_jnds, planned_power, planned_psychometrics
 from .style import DOUBLE, figure_of, new_figure, styled
 
 if TYPE_CHECKING:
@@ -94,7 +94,12 @@ def _psychometrics(plan: Plan) -> Any:
 def _halves(plan: Plan) -> list[tuple[Any, str]]:
     jnd = new_figure(DOUBLE / 2, 2.2)
     planned_jnds(plan, jnd.subplots())
-    return [(jnd, "Expected JND curves")]
+    halves = [(jnd, "Expected JND curves")]
+    if plan.power is not None:
+        power = new_figure(DOUBLE / 2, 2.2)
+        planned_power(plan, power.subplots())
+        halves.append((power, "Power"))
+    return halves
 
 
 def _image(figure: Any, alt: str) -> str:

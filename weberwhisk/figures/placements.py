@@ -24,7 +24,7 @@ from .style import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..design import BayesianPlacer
+    from ..design import TrialLog
 
 
 @styled
@@ -81,12 +81,12 @@ def adaptive(
 
 
 @styled
-def placements(placer: BayesianPlacer, ax: Axes | None = None) -> Axes:
+def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     """The comparisons of a session in order, and whether they were judged greater.
 
     Parameters
     ----------
-    placer : BayesianPlacer
+    placer : BayesianPlacer or Staircase
         After some trials.
     ax : Axes, optional
     """

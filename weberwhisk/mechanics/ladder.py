@@ -13,8 +13,7 @@ from .._checks import finite, one_of, positive
 from ..whisker import Whisker
 from . import closed_form, elastica
 from .chebyshev import Array
-from .contact import Bending, Choice, Rung
-from .elastica import FlickPast
+from .contact import Bending, Choice, FlickPast, Rung
 
 if TYPE_CHECKING:
     from .shape import Profile

@@ -28,8 +28,8 @@ from . import closed_form, elastica, rod
 from .branch import zero_load
 from .chebyshev import Array
 from .contact import Bending, Choice, Outcome, Rung
-from .equilibrium import Solved, press_rows
-from .profile import _by_rows, _friction
+from .equilibrium import press_rows
+from .natural_units import Solved, by_rows, friction
 from .shape import Profile, Spiral
 from .trajectory import Rows
 
@@ -126,12 +126,12 @@ def press_chosen(
     def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, rung: Array) -> Solved:
         return press(Scene.of(rows, r, theta, psi, turn), rung.astype(np.int8), tolerance)
 
-    b = _by_rows(
+    b = by_rows(
         solve,
         whisker,
         length=radial_distance,
         angle=deflection_angle,
-        tilt=_friction(friction_angle),
+        tilt=friction(friction_angle),
         roll=roll,
         rung=choice.rung,
     )

@@ -40,11 +40,11 @@ def laplace(
     )
     root = np.linalg.cholesky(mode.covariance)
 
-    def quantile_of(p: Array) -> Array:
+    def quantile_of(p: Array, unknown: int) -> Array:
         spread = np.sqrt(np.diagonal(mode.covariance, axis1=1, axis2=2))
         out = []
         for value in ndtri(p):  # quantiles are carried along each coordinate
-            out.append(observer.contact(mode.x + value * spread)[0])
+            out.append(observer.contact(mode.x + value * spread)[0][:, unknown])
         return np.stack(out, axis=-1)
 
     def draws_of(count: int, seed: Seed) -> Array:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Seed
 from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
-from .grid import Density, integrate
+from .grid import integrate
 from .mode import Mode, find_mode
 from .moves import StackedGrid
+from .passes import Density
 from .peaks import is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
@@ -84,9 +85,8 @@ def sample(
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
 
-    def quantile_of(p: Array) -> Array:
-        flat = [v.reshape(-1, dim) for v in values]
-        return np.stack([np.quantile(v, p, axis=0).T for v in flat])
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return np.stack([np.quantile(v[..., unknown], p) for v in values])
 
     def draws_of(count: int, seed: Seed) -> Array:
         return np.stack([v[:, -count:] for v in values])

@@ -1,0 +1,15 @@
+"""Speed against accuracy, measured here and now: beams, posteriors, fits, and how they grow.
+
+Every part is a table in one form, a row for each method, scene and setting of the method's own
+knob: `part`, `scene`, `method`, `knob`, `seconds` (CPU of one core, of one solution), `error`,
+`failed` (share without an answer, or flagged by the method itself). Time and error are of the same
+run. Rows of other tools may be joined to them; `weberwhisk.figures.speed_accuracy` draws either.
+"""
+
+from .beams import beams
+from .fits import fits
+from .growth import growth
+from .posteriors import posteriors
+from .timing import machine
+
+__all__ = ["beams", "fits", "growth", "machine", "posteriors"]
