@@ -88,11 +88,12 @@ class Scene:
         return rows, zero_load(rows, self.distance)[1] + self.push
 
     def point(self) -> Array:
-        """The points (n, 3)."""
-        flat = np.cos(self.height)
+        """The points (n, 3); those out of reach have no height, and need none to be so."""
+        height = np.nan_to_num(self.height)
+        flat = np.cos(height)
         return np.asarray(
             self.distance
-            * np.stack([flat * np.cos(self.angle), flat * np.sin(self.angle), np.sin(self.height)])
+            * np.stack([flat * np.cos(self.angle), flat * np.sin(self.angle), np.sin(height)])
         ).T
 
     def profile(self) -> Profile:
