@@ -9,8 +9,8 @@ from scipy.special import ndtri
 
 from ..observer import Observer
 from ..receptors import Seed
-from .mode import Mode, find_mode
-from .peaks import is_divided
+from .mode import Mode
+from .peaks import find_highest, is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, contact_slope, is_unidentified
 
@@ -21,7 +21,7 @@ LAPLACE_MISFIT = 0.25
 def laplace(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
-    mode = find_mode(observer, reading)
+    mode = find_highest(observer, reading)
     contact, _ = observer.contact(mode.x)
     to_contact = contact_slope(observer, mode.x)
     covariance = to_contact @ mode.covariance @ np.swapaxes(to_contact, 1, 2)

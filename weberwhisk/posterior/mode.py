@@ -36,7 +36,9 @@ class Mode:
     covariance: Array
 
 
-def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
+def find_mode(
+    observer: Observer, reading: Array, *, steps: int = 60, start: Array | None = None
+) -> Mode:
     """Newton's method in a trust region, from the best point of a coarse grid.
 
     Parameters
@@ -45,9 +47,11 @@ def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
     reading : array, shape (B, S)
     steps : int
         Most iterations; few posteriors need more than ten.
+    start : array, shape (n, U), optional
+        Coordinates of the places to start from the best of; by default a coarse grid.
     """
     dim = len(observer.unknowns)
-    grid = observer.spread(_COARSE[min(dim, 2)])
+    grid = observer.spread(_COARSE[min(dim, 2)]) if start is None else start
     contact, log_prior = observer.contact(grid)
     signals, outcome = observer.signals(contact)
     held = outcome == 0
