@@ -110,11 +110,11 @@ def find_other(
     return rows[counts], other.of(np.flatnonzero(counts))
 
 
-def starting_points(observer: Observer, reading: Array) -> Starts:
-    """The best points of a coarse grid for readings (B, R)."""
+def starting_points(observer: Observer, reading: Array, places: Array | None = None) -> Starts:
+    """The best points of a coarse grid, or of places (n, 1) of one unknown, for readings (B, R)."""
     dim = len(observer.unknowns)
     fractions = _COARSE[min(dim, 2)]
-    grid = observer.spread(fractions)
+    grid = observer.spread(fractions) if places is None else places
     shape = (fractions.size,) * observer.bounded
     shape += (OTHERS,) * (dim - observer.bounded)
     contact, log_prior = observer.contact(grid)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from threading import local
 from typing import Any
 
@@ -15,7 +14,7 @@ from .grid import GridPosterior, integrate
 from .mode import Mode, find_mode, find_other, starting_points
 from .nodes import Nodes
 from .nuisance import integrate_but_last
-from .panels import Panels
+from .panels import panels_of
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 from .threads import on_threads
@@ -27,18 +26,12 @@ TOLERANCE = (1e-6, 1e-2)
 TOGETHER = 4096
 
 
-@lru_cache(maxsize=32)
-def _panels(observer: Observer) -> Panels:
-    """The panels of an observer, kept for its next readings."""
-    return Panels(observer)
-
-
 def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     if len(observer.unknowns) > 1:
         return _grid(observer, reading, tolerance, progress)
-    panels = _panels(observer)
+    panels = panels_of(observer)
     m = panels.moments(reading)
     error = np.maximum(m.mean_error, m.sd_error) / m.sd
     status = np.where(error > (tolerance or TOLERANCE[0]), Status.IMPRECISE, Status.CONVERGED)

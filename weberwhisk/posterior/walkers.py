@@ -12,10 +12,10 @@ from ..observer import Observer
 from ..receptors import Seed
 from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
 from .grid import integrate
-from .mode import Mode, find_mode
+from .mode import Mode
 from .moves import StackedGrid
 from .passes import Density
-from .peaks import is_divided
+from .peaks import find_highest, is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
@@ -45,7 +45,7 @@ def sample(
     for i, start in enumerate(pieces):
         rows = reading[start : start + STACKED]
         rng = np.random.default_rng(seeds[i])
-        mode = find_mode(observer, rows)
+        mode = find_highest(observer, rows)
 
         def density(x: Array, index: NDArray[np.intp], rows: Array = rows) -> Array:
             return observer.log_density(x, rows[index, None])
