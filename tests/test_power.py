@@ -14,7 +14,7 @@ from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
 from weberwhisk.behaviour.percepts import IdentityPercept
 from weberwhisk.design import Animals, Goal, Hypothesis, Scheme, cues, noises, taper, with_priors
 from weberwhisk.design.experiments import Fitted, compare, fit, simulate
-from weberwhisk.design.power import _probit, reaches, sized, smallest
+from weberwhisk.design.power_analysis import _probit, reaches, sized, smallest
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)

@@ -13,7 +13,7 @@ from .information import information
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
 from .plan import Plan
 from .plan_file import plan_json, read_plan
-from .power import Power, Smallest, power, smallest
+from .power_analysis import Power, Smallest, power, smallest
 from .rehearsal import Rehearsal, rehearse
 from .scheme import LEVELS, Constraints, Scheme
 from .session import Session

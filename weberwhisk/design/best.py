@@ -20,7 +20,7 @@ from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis
-from .power import asked
+from .power_analysis import asked
 from .scheme import Constraints, Scheme, difference_sd, easy_share
 from .tables import log_sum
 

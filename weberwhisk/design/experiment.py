@@ -19,7 +19,7 @@ from ..whisker import Whisker
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, taper
 from .plan import Plan
-from .power import power, sized, smallest
+from .power_analysis import power, sized, smallest
 from .scheme import LEVELS, Constraints, Scheme
 
 #: Where along the whisker the default standards stand, as fractions of its length.

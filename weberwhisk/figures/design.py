@@ -12,7 +12,7 @@ from .style import COLOURS, LINES, MARKERS, axes_or_new, figure_of, legend_above
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..design.power import Power
+    from ..design.power_analysis import Power
 
 #: What the columns of `information` are about.
 ABOUT = {"weber_fraction": "k", "jnd": "the JND", "hypothesis": "the hypothesis"}
