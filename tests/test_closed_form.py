@@ -73,3 +73,40 @@ def test_signals_on_no_taper_have_no_contact():
     assert np.isnan(theta)
     # Axial force of the wrong sign: no contact gives a pull.
     assert np.isnan(closed_form.contact_from_signals(w, b.moment, -b.axial_force)[0])
+
+
+# Pathologies, each with its reason. Straight, frictionless and without a fold, this rung has no
+# others; that it is used where it should not be, its error says.
+
+W, CONE = ww.Whisker(50e-3, 100e-6, 5e-6), ww.Whisker(50e-3, 100e-6, 0.0)
+
+
+def test_radius_ratio_to_one_and_to_infinity():
+    """The apex goes to infinity, or to the tip: u = r/A is computed from the taper instead."""
+    tips = 100e-6 * np.array([1 - 1e-15, 1.0, 1e-12, 0.0])
+    m = closed_form.press(ww.Whisker(50e-3, 100e-6, tips), 20e-3, 0.1).moment
+    assert m[0] == pytest.approx(m[1], rel=1e-14)
+    assert m[2] == pytest.approx(m[3], rel=1e-11)
+
+
+def test_contact_at_the_very_base_and_tip():
+    """Forces go as 1/r² at the base; at a tip of no width there is nothing to push."""
+    base = closed_form.press(W, 1e-9 * W.length, 0.01)
+    assert base.outcome is ww.Outcome.HELD
+    assert base.moment == pytest.approx(W.compliance_constant * 0.01 / (1e-9 * W.length))
+    assert closed_form.press(W, W.length, 0.01).outcome is ww.Outcome.HELD
+    assert closed_form.press(W, W.length * 1.001, 0.01).outcome is ww.Outcome.OUT_OF_REACH
+    assert closed_form.press(CONE, CONE.length, 0.01).outcome is ww.Outcome.OUT_OF_REACH
+    assert closed_form.bend(CONE, CONE.length, 1e-9).outcome is ww.Outcome.OUT_OF_REACH
+
+
+def test_zero_load_is_a_touch():
+    for bent in (closed_form.bend(W, 30e-3, 0.0), closed_form.press(W, 30e-3, 0.0)):
+        assert bent.outcome is ww.Outcome.HELD
+        assert bent.moment == bent.axial_force == bent.error == 0
+
+
+def test_far_past_every_fold_its_error_says_that_nothing_is_known():
+    """Linear theory holds any load, so that the estimate alone can warn; it must not overflow."""
+    assert np.all(closed_form.bend(W, 30e-3, [1e-3, 1.0, 1e6, 1e200]).error == 1)
+    assert np.all(closed_form.press(W, 30e-3, [1.6, 30.0]).error == 1)

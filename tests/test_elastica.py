@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.mechanics import build_map
-from weberwhisk.mechanics.elastica import DeflectionLimit, _map, load_cap
+from weberwhisk.mechanics.elastica import DeflectionLimit
+from weberwhisk.mechanics.elastica_map import load_cap, the_map
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -57,7 +58,7 @@ def test_bend_meets_an_independent_integrator_up_to_the_fold(ratio):
     w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio, 3e9)
     for fraction in (0.01, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999):
         u = np.array([fraction * w.taper])
-        fold = (_map().fold_load(u)[0] * load_cap(u))[0]
+        fold = (the_map().fold_load(u)[0] * load_cap(u))[0]
         for share in (1e-6, 0.01, 0.3, 0.7, 0.95, 1 - 1e-9):
             force = share * fold * 6 * w.stiffness * (1 - u[0]) ** 2
             force /= (fraction * w.length) ** 2 * (3 - 2 * u[0])
@@ -75,7 +76,7 @@ def test_press_finds_the_contact_that_bend_made(ratio):
     s = rng.uniform(0.01, 0.999, 4000) * w.length
     u = s / w.length * w.taper
     share = rng.uniform(0, 1, 4000) ** 0.3  # crowded towards the fold
-    load = share * _map().fold_load(u)[0] * load_cap(u)
+    load = share * the_map().fold_load(u)[0] * load_cap(u)
     bent = ww.bend(w, s, load * 6 * w.stiffness * (1 - u) ** 2 / (s**2 * (3 - 2 * u)))
     assert bent.held.all()
     back = ww.press(w, bent.radial_distance, bent.deflection_angle)
@@ -245,7 +246,7 @@ def test_everything_broadcasts():
 
 def test_the_shipped_map_is_the_one_the_script_builds():
     built = build_map.build()
-    m = _map()
+    m = the_map()
     shipped = {
         "force_given": m.force_given,
         "contact_given": m.contact_given,

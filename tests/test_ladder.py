@@ -75,13 +75,32 @@ def test_a_profile_takes_the_place_of_its_whisker():
     )
 
 
-@pytest.mark.parametrize("psi", [0.0, 0.2])
-def test_jacobian_is_the_slope_of_press(psi):
-    r, theta, h = 30e-3, 0.4, 1e-5
-    slopes = ww.signal_jacobian(CURVED, r, theta, psi)
+@pytest.mark.parametrize(("psi", "roll"), [(0.0, 0.0), (0.2, 0.0), (0.0, 0.3), (0.1, -1.2)])
+def test_jacobian_is_the_slope_of_press(psi, roll):
+    """Out of the plane the object's height goes with its distance, and is sloped as well."""
+    r, theta, h = 30e-3, 0.3, 1e-4
+    slopes = ww.signal_jacobian(CURVED, r, theta, psi, roll=roll)
     for k, (dr, dt) in enumerate(((h * r, 0.0), (0.0, h))):
-        up, down = (signals(ww.press(CURVED, r + s * dr, theta + s * dt, psi)) for s in (1, -1))
-        np.testing.assert_allclose(slopes[:, k], (up - down) / (2 * (dr + dt)), rtol=1e-5)
+        at = np.array([1, -1, 2, -2])
+        s = signals(ww.press(CURVED, r + at * dr, theta + at * dt, psi, roll=roll))
+        central = (8 * (s[:, 0] - s[:, 1]) - (s[:, 2] - s[:, 3])) / (12 * (dr + dt))
+        np.testing.assert_allclose(slopes[:, k], central, rtol=1e-6)
+
+
+def test_a_rolled_whisker_has_no_slopes_where_it_is_not_held():
+    """Beyond reach there is no height to meet it at, and past the fold nothing holds it."""
+    r, theta = np.array([30e-3, 30e-3, 60e-3]), np.array([0.3, 1.5, 0.3])
+    outcome = ww.press(CURVED, r, theta, roll=0.3).outcome
+    assert list(outcome) == [Outcome.HELD, Outcome.FLICKED_PAST, Outcome.OUT_OF_REACH]
+    slopes = ww.signal_jacobian(CURVED, r, theta, roll=0.3)
+    np.testing.assert_array_equal(np.isnan(slopes).all(axis=(1, 2)), [False, True, True])
+
+
+def test_a_straight_whisker_does_not_care_how_it_is_rolled():
+    a, b = (ww.bend(STRAIGHT, 30e-3, 1e-5, roll=roll) for roll in (0.0, 0.7))
+    np.testing.assert_array_equal(signals(a), signals(b))
+    a, b = (ww.flick_past(STRAIGHT, 30e-3, roll=roll).deflection_angle for roll in (0.0, 0.7))
+    assert a == b
 
 
 def test_the_other_side_of_a_straight_whisker_is_its_mirror_image():
@@ -139,6 +158,8 @@ def test_a_rolled_whisker_is_met_at_rest():
         (lambda: ww.choose_rung(STRAIGHT, 3e-2, 0.1, cue=Felt(("moment",), 2)), "no more unknowns"),
         (lambda: ww.press(STRAIGHT, 3e-2, [0.1] * 2, model=three()), "must broadcast"),
         (lambda: ww.flick_past(STRAIGHT, 3e-2, side=2), "side must be 1 or -1"),
+        (lambda: ww.flick_past(CURVED, 3e-2, roll=0.2), "a roll of 0.2 rad; write press"),
+        (lambda: ww.bend(CURVED, 3e-2, 1e-5, roll=0.2), "a roll of 0.2 rad; write rod.bend"),
         (lambda: ww.Observer(CURVED, ww.cues.ForceMap()), "straight whiskers so far"),
     ],
 )

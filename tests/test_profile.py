@@ -114,9 +114,9 @@ def test_a_smaller_tolerance_is_met_and_the_error_is_an_upper_estimate(straight_
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-9])
 def test_the_error_of_a_press_is_neither_too_small_nor_far_too_large(tolerance):
-    """Against a pass a thousand times finer: above the true error in 99 of a hundred scenes.
+    """Against a pass a thousand times finer: above the true error in 995 of a thousand scenes.
 
-    An estimate from two embedded formulas cannot follow the true error through its zeros, so that
+    An estimate from an embedded formula cannot follow the true error through its zeros, so that
     a few are far too large; most are not.
     """
     rng = np.random.default_rng(11)
@@ -134,10 +134,10 @@ def test_the_error_of_a_press_is_neither_too_small_nor_far_too_large(tolerance):
         [np.abs(getattr(got, k) / getattr(exact, k) - 1)[both] for k in SIGNALS[:3]], axis=0
     )
     estimate = got.error[both]
-    assert np.mean(off <= estimate) >= 0.99
+    assert np.mean(off <= estimate) >= 0.995
     many = estimate / np.maximum(off, 1e-15)
-    assert np.median(many) < 50
-    assert np.quantile(many, 0.8) < 200
+    assert np.median(many) < 20
+    assert np.quantile(many, 0.8) < 100
     assert np.mean(estimate <= 10 * tolerance) > 0.85
 
 

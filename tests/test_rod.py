@@ -204,6 +204,45 @@ def test_friction_at_which_nothing_slides():
     assert np.all(np.isnan(got.moment[1]))
 
 
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
+def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance):
+    """Near the fold a contact a little off its place makes signals that are far off."""
+    r = np.array([10e-3, 25e-3, 38e-3])[:, None]
+    rest = profile.rest_angle(CURVED, r)
+    end = profile.flick_past(CURVED, r).deflection_angle
+    theta = rest + np.array([1e-3, 0.3, 0.9, 0.999, 0.99999]) * (end - rest)
+    true = profile.press(CURVED, r, theta, tolerance=1e-13)
+    point = r[..., None] * np.stack([np.cos(theta), np.sin(theta), 0 * theta], axis=-1)
+    got = rod.press(CURVED, point, tolerance=tolerance)
+    off = np.max(
+        [
+            np.abs(got.moment[..., 2] / true.moment - 1),
+            np.abs(got.axial_force / true.axial_force - 1),
+            np.abs(got.force[..., 1] / true.transverse_force - 1),
+        ],
+        axis=0,
+    )
+    assert np.all(off <= got.error + true.error)
+    assert np.all(got.error < 1e3 * tolerance)
+    # Out of the plane, against itself.
+    height = np.array([-0.3, 0.1, 0.4])[:, None]
+    point = r[..., None] * np.stack(
+        [
+            np.cos(height) * np.cos(theta),
+            np.cos(height) * np.sin(theta),
+            np.sin(height) + 0 * theta,
+        ],
+        axis=-1,
+    )
+    got, true = (rod.press(CURVED, point, tolerance=t) for t in (tolerance, 1e-13))
+    held = got.outcome == Outcome.HELD
+    assert held.sum() > 5
+    for part in ("force", "moment"):
+        a, b = getattr(got, part)[held], getattr(true, part)[held]
+        size = np.linalg.norm(b, axis=-1)
+        assert np.all(np.linalg.norm(a - b, axis=-1) <= got.error[held] * size)
+
+
 def test_a_whisker_that_meets_the_sphere_twice_is_touched_nearer_to_the_base():
     """κL = 4.5: the tip has curled back inside the sphere of radius 20 mm."""
     w = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=90.0)

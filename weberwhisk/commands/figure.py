@@ -75,7 +75,7 @@ def information(whisker: ww.Whisker, short: bool, seed: int) -> Made:
     from .. import figures
 
     table = surveys.bits(40 if short else 400, whisker=whisker, seed=seed)
-    return Made({"information": table}, figures.information(table))
+    return Made({"information": table}, figures.cue_information(table))
 
 
 def weber_2d(whisker: ww.Whisker, short: bool, seed: int) -> Made:

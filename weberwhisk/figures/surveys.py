@@ -165,7 +165,7 @@ def ridge(table: pd.DataFrame, contact: tuple[float, float]) -> Figure:
 
 
 @styled
-def information(table: pd.DataFrame) -> Figure:
+def cue_information(table: pd.DataFrame) -> Figure:
     """Bars of what each cue tells alone and what it adds.
 
     Parameters

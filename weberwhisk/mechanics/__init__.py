@@ -10,8 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .contact import Bending, Choice, Outcome, Rung
-from .elastica import FlickPast
+from .contact import Bending, Choice, FlickPast, Outcome, Rung
 from .ladder import bend, flick_past, press, signal_jacobian
 
 if TYPE_CHECKING:

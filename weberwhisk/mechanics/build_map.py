@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from .chebyshev import Array, Curve, Table, fit, nodes
-from .elastica import load_cap, unfold
+from .elastica_map import load_cap, unfold
 
 COLLOCATION = 60
 

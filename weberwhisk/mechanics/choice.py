@@ -23,7 +23,7 @@ from ..whisker import Whisker
 from .chebyshev import Array
 from .contact import SIGNAL_UNIT, Choice, Rung
 from .estimates import Estimates, estimate
-from .profile import _friction, _Scenes
+from .natural_units import Scenes, friction
 from .scene import Scene
 from .shape import Profile
 
@@ -88,11 +88,11 @@ def choose_rung(
     the straight elastica is off by 0.039 JND; the closed form is off by 1 JND, 0.1 allowed
     """
     names, unknowns = _spec(cue)
-    scenes = _Scenes.of(
+    scenes = Scenes.of(
         whisker,
         length=positive("radial_distance", radial_distance, "give metres, such as 35e-3"),
         angle=finite("deflection_angle", deflection_angle, "give radians, such as 0.35"),
-        tilt=_friction(friction_angle),
+        tilt=friction(friction_angle),
         roll=finite("roll", roll, "give radians, 0 for contact in the plane of curvature"),
         weber_fraction=positive(
             "weber_fraction",

@@ -83,11 +83,13 @@ def _place(length: Array, taper: Array, r: Array) -> tuple[Array, NDArray[np.boo
 def _result(
     r: Array, theta: Array, contact_angle: Array, force: Array, lost: NDArray[np.bool_]
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    numbers = np.stack([force * r, force * contact_angle, force, r, theta, contact_angle, r, force])
+    with np.errstate(over="ignore"):  # of loads beyond belief: the error says so
+        axial = force * contact_angle
+        square = contact_angle**2
+        error = np.minimum(ERROR_PER_SQUARED_ANGLE * square * (1 + square) ** 3, 1.0)
+    numbers = np.stack([force * r, axial, force, r, theta, contact_angle, r, force])
     numbers[:, lost] = np.nan
     outcome = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
-    square = contact_angle**2
-    error = np.minimum(ERROR_PER_SQUARED_ANGLE * square * (1 + square) ** 3, 1.0)
     return numbers, outcome, np.where(lost, np.nan, error)
 
 

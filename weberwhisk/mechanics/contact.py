@@ -261,3 +261,25 @@ def by_rows(
         error=error.reshape(shape)[()],
         whisker=whisker,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class FlickPast:
+    """How far a whisker can be pressed against an object at a given radial distance.
+
+    Attributes
+    ----------
+    deflection_angle : float or array
+        Largest deflection angle, rad.
+    ended_by : Outcome or array of int
+        `FLICKED_PAST` where a fold ends it, `SLIPPED_OFF_TIP` where the tip does,
+        `OUT_OF_REACH` where there is no contact at all.
+    at_end, at_moment_peak : Bending
+        The whisker at that angle, and where its moment is largest on the way there: the end under
+        an imposed base angle, and under a muscle of limited moment.
+    """
+
+    deflection_angle: Any
+    ended_by: Any
+    at_end: Bending
+    at_moment_peak: Bending

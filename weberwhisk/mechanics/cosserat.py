@@ -15,20 +15,10 @@ from ..whisker import Whisker
 from .branch import rest_point, zero_load
 from .chebyshev import Array
 from .contact import Outcome
-from .equilibrium import on_whisker
+from .dop853 import CAUTION, ENDS, POINTS, SLOTS, STAGES
+from .equilibrium import ROUNDING, on_whisker
 from .shape import Profile
-from .trajectory import (
-    CAUTION,
-    ERRORS,
-    STAGES,
-    TABLEAU,
-    WEIGHTS,
-    Piece,
-    Rows,
-    local_error,
-    pilot,
-    rows_of,
-)
+from .trajectory import Piece, Rows, pilot, rows_of
 
 #: Of keratin; sets the torsional stiffness.
 POISSON_RATIO = 0.38
@@ -48,9 +38,41 @@ class Base:
     error: Array
     steps: int
 
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Base:
+        """The rods at `index`."""
+        d1, d2, d3, lever, force = (
+            vector[:, index] for vector in (self.d1, self.d2, self.d3, self.lever, self.force)
+        )
+        return Base(d1, d2, d3, lever, force, self.error[index], self.steps)
+
     def seen(self, vector: Array) -> Array:
         """A vector of the contact's frame in the base frame, (3, n)."""
         return np.stack([(d * vector).sum(axis=0) for d in (self.d3, self.d1, self.d2)])
+
+    def signals(self) -> Array:
+        """Force and moment at the base, in its frame, (6, n)."""
+        force = self.seen(self.force)
+        return np.concatenate([force, np.cross(self.seen(self.lever), force, axis=0)])
+
+    def signal_error(self, off: Array | float = 0.0) -> Array:
+        """Bound on the relative error of the signals, which are `off` besides what the pass makes.
+
+        The largest of those of axial force, transverse force, torsion and bending, each no less
+        than a thousandth of force or moment.
+        """
+        now = np.abs(self.signals())
+        force, moment = np.linalg.norm(now[:3], axis=0), np.linalg.norm(now[3:], axis=0)
+        arm = np.linalg.norm(self.lever, axis=0)
+        turned = np.concatenate([3 * [force], 3 * [moment + arm * force]])
+        with np.errstate(all="ignore"):
+            wrong = turned * (self.error + ROUNDING) + off
+            parts = [
+                np.hypot(wrong[k], wrong[m]) / np.maximum(np.hypot(now[k], now[m]), 1e-3 * whole)
+                for k, m, whole in ((0, 0, force), (1, 2, force), (3, 3, moment), (4, 5, moment))
+            ]
+            error = np.max(parts, axis=0)
+        # No load, no signals to be wrong.
+        return np.asarray(np.minimum(np.where(force == 0, self.error, error), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +149,7 @@ class Scenes:
         state = np.zeros((12, n))
         state[0] = state[4] = state[8] = 1.0
         slopes = np.zeros((STAGES, 12, n))
-        error = np.zeros((12, n))
+        error, bent = np.zeros(n), np.full(n, 1e-3)
         for piece in range(len(self.rows.arc) - 2, -1, -1):
             low, high = self.rows.arc[piece], np.minimum(self.rows.arc[piece + 1], v[0])
             if not np.any(high > low):
@@ -135,15 +157,16 @@ class Scenes:
             path = Piece(self.rows, piece, low, np.maximum(high, low), steps)
             for step in range(steps):
                 weight, give, curl = path.at(step)
-                for i in range(STAGES):
-                    at = state + np.tensordot(TABLEAU[i, :i], slopes[:i], axes=1) if i else state
-                    slopes[i] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
-                state = state + np.tensordot(WEIGHTS, slopes, axes=1)
-                third, fifth = np.tensordot(ERRORS, slopes, axes=1) ** 2
-                error += local_error(third, fifth)
+                for i, (used, share) in enumerate(POINTS):
+                    at = state + np.tensordot(share, slopes[used], axes=1) if i else state
+                    slopes[SLOTS[i]] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
+                change, off = np.tensordot(ENDS, slopes, axes=1)
+                state = state + change
+                size = (off[:9] ** 2).sum(axis=0) + (off[9:] ** 2).sum(axis=0) / v[0] ** 2
+                error += np.sqrt(size * np.sqrt(size))
+                bent = np.maximum(bent, np.hypot(state[6], state[7]))
         lever = state[9:]
-        bound = error[:9].sum(axis=0) + error[9:].sum(axis=0) / np.hypot(lever[2], lever[0])
-        bound = np.nan_to_num(bound / CAUTION, nan=np.inf)
+        bound = np.nan_to_num(CAUTION * error / np.sqrt(bent), nan=np.inf)
         return Base(state[:3], state[3:6], state[6:9], lever, force, bound, steps)
 
     def _slope(
@@ -194,21 +217,50 @@ class Scenes:
         return self._newton(v, target, steps)[0]
 
     def _newton(self, v: Array, target: Array, steps: int) -> tuple[Array, Array, Array]:
+        miss, jacobian, _ = self._slopes(v, target, steps)
+        with np.errstate(all="ignore"):
+            det = np.linalg.det(jacobian)
+            usable = np.isfinite(det) & (det != 0)
+            jacobian[~usable] = np.eye(3)
+            step = np.linalg.solve(jacobian, np.nan_to_num(miss.T)[..., None])[..., 0].T
+        return np.where(usable, step, np.inf), np.where(usable, np.sign(det), 0.0), miss
+
+    def _slopes(
+        self, v: Array, target: Array, steps: int, nudge: float = 1e-6
+    ) -> tuple[Array, Array, Array]:
+        """How far the contact is from `target` (3, n); its slopes to v and those of the signals.
+
+        The slopes are difference quotients, (n, 3, 3) and (n, 6, 3).
+        """
         n = v.shape[1]
-        h = 1e-6 * self.scale(np.sqrt((target**2).sum(axis=0)))
+        h = nudge * self.scale(np.sqrt((target**2).sum(axis=0)))
         four = self.take(np.tile(np.arange(n), 4))
         probes = np.concatenate([v, *(v - h * np.eye(3)[:, [k]] for k in range(3))], axis=1)
         with np.errstate(all="ignore"):
             base = four.follow(probes, steps)
-            places = base.seen(base.lever).reshape(3, 4, n)
-            miss = target - places[:, 0]
-            jacobian = (places[:, :1] - places[:, 1:]) / h[None]
-            j = np.nan_to_num(jacobian.transpose(2, 0, 1))
-            det = np.linalg.det(j)
-            usable = np.isfinite(det) & (det != 0)
-            j[~usable] = np.eye(3)
-            step = np.linalg.solve(j, np.nan_to_num(miss.T)[..., None])[..., 0].T
-        return np.where(usable, step, np.inf), np.where(usable, np.sign(det), 0.0), miss
+            both = np.concatenate([base.seen(base.lever), base.signals()]).reshape(9, 4, n)
+            slopes = np.nan_to_num((both[:, :1] - both[:, 1:]) / h).transpose(2, 0, 1)
+        return target - both[:3, 0], slopes[:, :3], slopes[:, 3:]
+
+    def central_slopes(self, v: Array, target: Array) -> tuple[Array, Array]:
+        """Slopes of the contact's place and of the signals to v, to 1e-9 or so: of both sides."""
+        steps = self.resolve(v, 1e-12).steps
+        h = 1e-5
+        sides = [self._slopes(v, target, steps, nudge)[1:] for nudge in (h, -h)]
+        # Beyond the very tip there is no other side.
+        tip = (v[0] + h > 1)[:, None, None]
+        places, signals = (
+            np.where(tip, near, (near + far) / 2) for near, far in zip(*sides, strict=True)
+        )
+        return places, signals
+
+    def moved(self, v: Array, target: Array, base: Base) -> Array:
+        """What the signals (6, n) are off by as the contacts are off `target`, at most."""
+        miss, places, signals = self._slopes(v, target, base.steps)
+        slopes = np.nan_to_num(signals @ np.linalg.pinv(places))
+        off = (base.error + ROUNDING) * np.linalg.norm(target, axis=0)
+        off = off + np.linalg.norm(miss, axis=0)
+        return np.asarray(np.linalg.norm(slopes, axis=2).T * off)
 
     def press(self, distance: Array, target: Array) -> tuple[Array, NDArray[np.int8]]:
         """Equilibria by continuation along the great circle from rest to the unit `target`."""

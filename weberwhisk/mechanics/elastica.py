@@ -7,75 +7,21 @@ u = s/A (A the apex distance) and the load, given as the contact angle that the 
 would predict, ℓ = F s²(3−2u) / (6EI₀(1−u)²). Cylinders are the edge u = 0, the perfect cone
 touched at its tip the edge u = 1, and the whole map is analytic in between.
 
-The map is held as two faces, each a Chebyshev table of logarithms of ratios to the closed form:
-
-- *force given*: (u, (ℓ/ℓ_cap)²) → contact angle, height, shortening;
-- *contact given*: (v = r/A, c = √(1 − (θ_d/θ_fold)²)) → force, contact angle, arc length. The
-  square root unfolds the fold at which an object at r flicks past: no root has to be found.
-
-`build_map` computes both; they are shipped as ``elastica_map.npz``.
+The map is held by `elastica_map`.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from functools import cache
-from importlib import resources
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
 from .chebyshev import Array, Curve, Table, fit, nodes
-from .contact import ROWS, TIP_ROUNDING, Bending, Outcome, Rung, beyond_tip, by_rows
+from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Outcome, Rung, beyond_tip, by_rows
+from .elastica_map import load_cap, the_map, unfold
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
 MAP_ERROR = 1e-12
-
-
-def load_cap(u: Array) -> Array:
-    """Largest load ℓ on the map: past the fold and past a contact angle of 90° for every u."""
-    return 5.3 - 2.6 * u
-
-
-def unfold(v: Array) -> Array:
-    """The coordinate x of v = x(1+x)/2, in which everything about the fold at r = vA is smooth."""
-    return (np.sqrt(1 + 8 * v) - 1) / 2
-
-
-def place_of(x: Array) -> Array:
-    """The v of a coordinate x: the inverse of `unfold`."""
-    return x * (1 + x) / 2
-
-
-def fold_angle(v: Array) -> Array:
-    """θ_fold at r = vA of any straight whisker, the tip aside."""
-    return _map().fold_angle(v)
-
-
-@dataclass(frozen=True, eq=False)
-class _Map:
-    force_given: Table  # (u, (ℓ/ℓ_cap)²) → ln α/ℓ, ln height ratio, ln shortening ratio
-    contact_given: Table  # (x(v), c) → ln F/F_lin, ln α/α_lin, ln of the extra arc length
-    fold_load: Curve  # u → ℓ/ℓ_cap at the fold
-    fold: Curve  # x(v) → θ_fold/(1−v), and c at the moment peak
-
-    def fold_angle(self, v: Array) -> Array:
-        """θ_fold at r = vA."""
-        return (1 - v) * self.fold(unfold(v))[0]
-
-
-@cache
-def _map() -> _Map:
-    with resources.files(__package__).joinpath("elastica_map.npz").open("rb") as file:
-        stored = np.load(file)
-        return _Map(
-            Table(stored["force_given"]),
-            Table(stored["contact_given"]),
-            Curve(stored["fold_load"]),
-            Curve(stored["fold"]),
-        )
 
 
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
@@ -105,7 +51,7 @@ def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
 def _bend(
     length: Array, taper: Array, stiffness: Array, arc: Array, force: Array
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    table = _map()
+    table = the_map()
     u = arc / length * taper
     beyond = beyond_tip(arc, length, u)
     u = np.where(beyond, 0.0, u)
@@ -156,7 +102,7 @@ def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayL
 def _press(
     length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    table = _map()
+    table = the_map()
     v = r / length * taper
     beyond = beyond_tip(r, length, v)
     v = np.where(beyond, 0.0, v)
@@ -210,28 +156,6 @@ def _numbers(
             sign * force,
         ]
     )
-
-
-@dataclass(frozen=True, eq=False)
-class FlickPast:
-    """How far a whisker can be pressed against an object at a given radial distance.
-
-    Attributes
-    ----------
-    deflection_angle : float or array
-        Largest deflection angle, rad.
-    ended_by : Outcome or array of int
-        `FLICKED_PAST` where a fold ends it, `SLIPPED_OFF_TIP` where the tip does,
-        `OUT_OF_REACH` where there is no contact at all.
-    at_end, at_moment_peak : Bending
-        The whisker at that angle, and where its moment is largest on the way there: the end under
-        an imposed base angle, and under a muscle of limited moment.
-    """
-
-    deflection_angle: Any
-    ended_by: Any
-    at_end: Bending
-    at_moment_peak: Bending
 
 
 def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
@@ -312,7 +236,7 @@ class DeflectionLimit:
     def __call__(self, radial_distance: Array) -> Array:
         """Largest angle at each distance (n,), rad; NaN out of reach."""
         v = np.clip(radial_distance / self.length * self.taper, 0.0, 1.0)
-        return self.of(radial_distance, _map().fold_angle(v))
+        return self.of(radial_distance, the_map().fold_angle(v))
 
     def of(self, radial_distance: Array, fold: Array) -> Array:
         """The same where the angles of the folds (n,) are known."""
@@ -334,7 +258,7 @@ TIP_NODES = 24
 
 def _limit(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, Array]:
     """Largest angle, c there, fold angle and c at the moment peak, at each r (n,)."""
-    table = _map()
+    table = the_map()
     v = r / length * taper
     beyond = beyond_tip(r, length, v)
     v = np.where(beyond, 0.0, v)
@@ -399,7 +323,7 @@ def _signal_jacobian(
     sign, theta = np.where(theta < 0, -1.0, 1.0), np.abs(theta)
     v_r = taper / length
 
-    table = _map()
+    table = the_map()
     x = unfold(v)
     x_r = 2 / (1 + 2 * x) * v_r
     scaled = table.fold(x)[0]

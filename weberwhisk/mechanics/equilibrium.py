@@ -6,22 +6,22 @@ The inner half of rung 2, in units of the whisker's length, base radius and base
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import elastica
 from .branch import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
-from .chebyshev import Array
+from .chebyshev import Array, Curve, Table
 from .contact import TIP_ROUNDING, Outcome
-from .trajectory import Path, Rows, follow_blocks, follow_each, needed, pilot
+from .elastica_map import the_map, unfold
+from .natural_units import Solved
+from .trajectory import Path, Rows, follow_each, needed
 
 #: Turn of the whisker at rest, rad, up to which Newton's method is trusted: about twice a rat's.
 MOST_TURN = 1.5
 #: Of contact distance and angle, a few last digits.
 ROUNDING = 3e-15
-
-Solved = tuple[Array, NDArray[np.int8], Array]
 
 
 def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float) -> Solved:
@@ -78,17 +78,10 @@ def _newton(
 ) -> tuple[Array, Array, Path, Array, NDArray[np.bool_]]:
     """Arc, force and pass at (r, θ), what the last step leaves; True where proved stable."""
     n = r.size
-    compliance = _compliance(rows, r, psi, start)
-    # Start from the straight taper that gives way as easily.
-    v = np.clip(1 - r**2 / (3 * compliance), 0.0, 0.999)
-    f, s = _straight(v, push, r)
-    f *= r**2 / (3 * (1 - v) * compliance)
-    s = np.minimum(s / r * start, 1.0)
-
+    compliance, f, s, steps = _guess(rows, r, psi, start, push)
     floor = 1e-6 / compliance
     size, before, left = np.full(n, np.inf), np.ones(n), np.zeros(n)
     paths: Path | None = None
-    steps = np.full(n, max(1, pilot(rows) // 2))
     active = np.arange(n)
     for count in range(12):
         at = active
@@ -101,20 +94,24 @@ def _newton(
             ds = (miss_r * t_f - miss_t * r_f) / d
             df = (miss_t * r_s - miss_r * t_s) / d
             ds = np.clip(np.nan_to_num(ds), -0.2 * r[at], 0.2 * r[at])
-            df = np.clip(np.nan_to_num(df), -0.5 * f[at] - floor[at], f[at] + floor[at])
+            most = np.abs(f[at]) + floor[at]
+            df = np.clip(np.nan_to_num(df), -0.5 * most, most)
             ds = np.minimum(ds, 1.0 - s[at])
-            now = np.maximum(np.abs(ds) / r[at], np.abs(df) / (f[at] + floor[at]))
+            now = np.maximum(np.abs(ds) / r[at], np.abs(df) / most)
             # What the step leaves in the signals, C·size²: C from the step before, but no
             # less than is usual, which goes up towards the fold as D falls.
             usual = 3 * np.maximum(1.0, (compliance[at] / d) ** 2)
             left[at] = 10 * now**2 * np.maximum(now / before[at] ** 2, usual)
             path = path.moved(ds, df)
-            # Errors of the pass grow towards the fold as they become those of the signals.
-            grown = np.clip(np.abs(compliance[at] / d), 1.0, 100.0)
+            # Errors of the pass become those of the signals: greater ones towards the fold, and
+            # where a curved whisker is hardly pushed from its rest.
+            idle = np.maximum(path.scale / np.abs(push[at]), 1.0)
+            grown = np.clip(np.maximum(np.abs(compliance[at] / d), idle), 1.0, 100.0)
             exact = np.maximum(tolerance / grown, min(tolerance, 1e-12))
+            loose = np.maximum(1e-4 / idle, exact)
             # The next pass need be no better than what its step will leave.
             last = 300 * now**4 < tolerance
-            bound = np.where(last, 0.5 * exact, np.clip(1e-2 * now**2, exact, 1e-4))
+            bound = np.where(last, 0.5 * exact, np.clip(1e-2 * now**2, exact, loose))
             steps[at] = needed(path.steps, path.error, bound)
         size[at] = now
         s[at] += ds
@@ -136,15 +133,36 @@ def _newton(
     return s, f, paths, left, found
 
 
-def _compliance(rows: Rows, r: Array, psi: Array, start: Array) -> Array:
-    """dθ_d/dF at zero load."""
-    v = np.clip(r * (1 - rows.radius[-1] / rows.radius[0]), 0.0, 0.999)
-    straight = r**2 / (3 * (1 - v))
-    if rows.law is None and rows.core is None and len(rows.arc) == 2 and not np.any(psi):
-        return straight
-    path = follow_blocks(rows, start, np.zeros_like(r), psi, 1)
+def _guess(
+    rows: Rows, r: Array, psi: Array, start: Array, push: Array
+) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """dθ_d/dF at zero load; force, arc and steps a piece to start Newton's method from.
+
+    Those of the straight taper (rung 1) that gives way as easily, in the same proportion of
+    contact angle to deflection angle, with its fold moved as friction and the rest shape move it.
+    """
+    # Where a taper has grown thin one step is not enough.
+    thin = start * (1 - rows.radius[-1] / rows.radius[0]) > 0.7
+    path = follow_each(rows, start, np.zeros_like(r), psi, np.where(thin, 2, 1))
     r_s, r_f, t_s, t_f = path.jacobian()
-    return np.maximum(t_f - t_s * r_f / r_s, 1e-3 * straight)
+    slide = -r_f / r_s
+    share = path.d_force[0] / t_f  # (3 − 2v) / (2 (1 − v)) for a straight taper touched at r = vA
+    v = np.clip((2 * share - 3) / (2 * share - 2), 0.0, 0.99)
+    compliance = np.maximum(t_f + t_s * slide, 1e-3 * r**2)
+    # The folds of curved whiskers and of those that friction pushes along, against straight ones.
+    tilt = path.angle - psi - path.deflection
+    moved = np.clip(1 - 0.45 * psi - 0.8 * tilt, 0.3, 3.0)
+    table, folds = _coarse()
+    x = unfold(v)
+    fold = (1 - v) * folds(x)[0]
+    near = np.minimum(push / (moved * fold), 0.98)
+    log_force, _, log_extra = table(x, np.sqrt(1 - near**2))
+    log_force += near * (0.4 * psi * (1 + near**2) - 0.35 * tilt)
+    f = near * moved * fold / compliance * np.exp(log_force)
+    s = start * (1 + push**2 / (1 - v) * np.exp(log_extra)) + slide * f
+    spanned = np.maximum((rows.arc[:-1] < start).sum(axis=0), 1)
+    steps = np.rint(2.8 * (push * share) ** 0.2 / spanned**0.7)
+    return compliance, f, np.clip(s, 0.5 * start, 1.0), np.clip(steps, 1, 4).astype(np.int64)
 
 
 def _winds(rows: Rows) -> NDArray[np.bool_]:
@@ -245,11 +263,8 @@ def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.int
     return index[np.argsort(arc[index])] if len(rows.arc) > 2 else index
 
 
-def _straight(v: Array, push: Array, r: Array) -> tuple[Array, Array]:
-    """Force and arc of the straight taper (rung 1) at this push, or close to its fold."""
-    table = elastica._map()
-    fold = table.fold_angle(v)
-    theta = np.minimum(push, 0.95 * fold)
-    c = np.sqrt(1 - (theta / fold) ** 2)
-    force, _, arc = elastica._contact(table.contact_given, v, c, np.ones_like(v), r, theta)
-    return force, arc
+@cache
+def _coarse() -> tuple[Table, Curve]:
+    """The map of rung 1 to six digits, which take a twentieth of the time."""
+    whole = the_map()
+    return Table(whole.contact_given.coefficients[:12, :8]), Curve(whole.fold.coefficients[:12, :1])

@@ -31,9 +31,9 @@ LARGEST_STEP = 0.2
 LEAST_PUSH = 1e-6
 #: Runge–Kutta steps a piece, and the largest error bound of such a pass that is believed; the
 #: bound exceeds the error by far.
-STEPS, RESOLVED = 4, 1e-4
+STEPS, RESOLVED = 5, 1e-4
 #: Accuracy of the rung 2 solution that rung 3 steps from.
-COARSE = 1e-5
+COARSE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ from .._checks import finite, one_of, positive
 from ..whisker import Whisker
 from . import closed_form, elastica
 from .chebyshev import Array
-from .contact import Bending, Choice, Rung
-from .elastica import FlickPast
+from .contact import Bending, Choice, FlickPast, Rung
 
 if TYPE_CHECKING:
     from .shape import Profile
@@ -34,6 +33,7 @@ def bend(
     force: ArrayLike,
     friction_angle: ArrayLike = 0.0,
     *,
+    roll: ArrayLike = 0.0,
     model: str | None = None,
     tolerance: float = TOLERANCE,
 ) -> Bending:
@@ -48,10 +48,13 @@ def bend(
         Contact force, N; its sign is that of the deflection.
     friction_angle : float or array
         Angle by which friction tilts the force from the normal towards the base, rad.
+    roll : float or array
+        As for `press`, where it makes no difference: a force given out of the plane of curvature
+        also has a direction, which `rod.bend` takes.
     model : {"closed_form", "elastica", "profile"}, optional
         The rung to use. By default the cheapest that models all there is: the elastica for every
         straight whisker without friction, and the profile, some twenty times dearer, for intrinsic
-        curvature, other stiffness profiles and friction. `rod.bend` takes forces out of the plane.
+        curvature, other stiffness profiles and friction.
     tolerance : float
         Relative error of the signals to stay below where equations are integrated: by the profile.
 
@@ -63,8 +66,8 @@ def bend(
     Raises
     ------
     ValueError
-        For input that is not finite, a distance that is not positive, an unknown model, and
-        for what the model named leaves out.
+        For input that is not finite, a distance that is not positive, an unknown model, for
+        what the model named leaves out, and for a curved whisker that is rolled.
 
     Examples
     --------
@@ -76,6 +79,8 @@ def bend(
     arc = positive("arc_length", arc_length, _METRES)
     load = finite("force", force, _NEWTONS)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
+    hint = "write rod.bend(whisker, arc_length, force, direction, plane=...)"
+    _refuse_roll(whisker, "bend", roll, hint)
     name = _rung(whisker, model, tilt, known=MODELS[:3])
     if name in _STRAIGHT:
         bent: Bending = _STRAIGHT[name].bend(whisker, arc, load)
@@ -206,6 +211,7 @@ def flick_past(
     friction_angle: ArrayLike = 0.0,
     *,
     side: ArrayLike = 1.0,
+    roll: ArrayLike = 0.0,
 ) -> FlickPast:
     """The last deflection angle at a radial distance, why it ends, and the peak of the moment.
 
@@ -218,6 +224,9 @@ def flick_past(
         As for `press`.
     side : +1, -1 or array
         Which way the whisker is pushed.
+    roll : float or array
+        As for `press`, where it makes no difference: out of the plane of curvature, follow the
+        outcomes of `press` as the deflection angle grows.
 
     Returns
     -------
@@ -226,7 +235,7 @@ def flick_past(
     Raises
     ------
     ValueError
-        As for `bend`, and for a side other than 1 and -1.
+        As for `bend`, also for a rolled curved whisker, and for a side other than 1 and -1.
 
     Examples
     --------
@@ -238,6 +247,8 @@ def flick_past(
     r = positive("radial_distance", radial_distance, _METRES)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     sides = finite("side", side, "write 1 or -1")
+    hint = "write press(..., roll=...) at growing deflection angles"
+    _refuse_roll(whisker, "flick_past", roll, hint)
     if _rung(whisker, None, tilt) == "profile" or np.any(np.abs(sides) != 1):
         return _module("profile").flick_past(whisker, r, tilt, side=sides)
     assert isinstance(whisker, Whisker)
@@ -259,14 +270,16 @@ def signal_jacobian(
     radial_distance: ArrayLike,
     deflection_angle: ArrayLike,
     friction_angle: ArrayLike = 0.0,
+    *,
+    roll: ArrayLike = 0.0,
 ) -> Array:
     """Derivatives of the base signals with respect to the contact.
 
     Parameters
     ----------
     whisker : Whisker or Profile
-    radial_distance, deflection_angle, friction_angle : float or array
-        m, rad, rad; as for `press`.
+    radial_distance, deflection_angle, friction_angle, roll : float or array
+        m, rad; as for `press`.
 
     Returns
     -------
@@ -282,10 +295,23 @@ def signal_jacobian(
     r = positive("radial_distance", radial_distance, _METRES)
     theta = finite("deflection_angle", deflection_angle, _RADIANS)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
-    if _rung(whisker, None, tilt) == "profile":
+    turn = finite("roll", roll, _NO_ROLL)
+    name = _rung(whisker, None, tilt, turn)
+    if name == "rod":
+        return _module("scene").jacobian_in_space(whisker, r, theta, tilt, turn)
+    if name == "profile":
         return _module("profile").signal_jacobian(whisker, r, theta, tilt)
     assert isinstance(whisker, Whisker)
     return elastica.signal_jacobian(whisker, r, theta)
+
+
+def _refuse_roll(whisker: Whisker | Profile, name: str, roll: ArrayLike, instead: str) -> None:
+    turn = finite("roll", roll, _NO_ROLL)
+    if _rung(whisker, None, 0.0, turn) == "rod":
+        raise ValueError(
+            f"{name} takes contact in the plane of a whisker's curvature alone, got a roll of "
+            f"{np.max(np.abs(turn)):g} rad; {instead}."
+        )
 
 
 _STRAIGHT: dict[str, Any] = {"closed_form": closed_form, "elastica": elastica}

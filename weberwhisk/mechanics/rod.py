@@ -140,7 +140,7 @@ def bend(
     base = scenes.resolve(v, tolerance)
     lost = ~(base.error <= max(tolerance, 1e-4))
     outcome = np.where(good & lost, Outcome.FLICKED_PAST, outcome)
-    return _result(scenes, v, base, outcome.astype(np.int8))
+    return _result(scenes, v, base, outcome.astype(np.int8), base.signal_error())
 
 
 def press(
@@ -209,14 +209,19 @@ def press(
         if np.max(np.abs(off[:, held]) / scenes.scale(distance)[:, held], initial=0.0) < 1e-11:
             break
     base = scenes.resolve(v, tolerance)
-    return _result(scenes, v, base, outcome)
+    held = outcome == Outcome.HELD
+    error = np.full(distance.size, np.nan)
+    at, found = scenes.take(np.flatnonzero(held)), base.take(held)
+    error[held] = found.signal_error(at.moved(v[:, held], (distance * target)[:, held], found))
+    return _result(scenes, v, base, outcome, error)
 
 
-def _result(scenes: Scenes, v: Array, base: Base, outcome: NDArray[np.int8]) -> RodBending:
+def _result(
+    scenes: Scenes, v: Array, base: Base, outcome: NDArray[np.int8], error: Array
+) -> RodBending:
     lost = outcome != Outcome.HELD
     contact = base.seen(base.lever)
-    force = base.seen(base.force)
-    moment = np.cross(contact, force, axis=0)
+    force, moment = np.split(base.signals(), 2)
     tangent = base.seen(np.stack([0 * v[0], 0 * v[0], 0 * v[0] + 1]))
 
     def vector(value: Any, unit: Array | float) -> Array:
@@ -235,6 +240,6 @@ def _result(scenes: Scenes, v: Array, base: Base, outcome: NDArray[np.int8]) -> 
         scalar(np.arctan2(v[2], v[1])),
         outcome.reshape(scenes.shape) if scenes.shape else Outcome(int(outcome[0])),
         np.full(scenes.shape, Rung.ROD, dtype=np.int8) if scenes.shape else Rung.ROD,
-        scalar(base.error),
+        scalar(error),
         scenes.whisker,
     )

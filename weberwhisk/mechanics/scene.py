@@ -28,8 +28,10 @@ from . import closed_form, elastica, rod
 from .branch import zero_load
 from .chebyshev import Array
 from .contact import Bending, Choice, Outcome, Rung
-from .equilibrium import Solved, press_rows
-from .profile import _by_rows, _friction
+from .cosserat import POISSON_RATIO
+from .cosserat import Scenes as Rods
+from .equilibrium import press_rows
+from .natural_units import Scenes, Solved, by_rows, friction
 from .shape import Profile, Spiral
 from .trajectory import Rows
 
@@ -89,11 +91,29 @@ class Scene:
 
     def point(self) -> Array:
         """The points (n, 3)."""
-        flat = np.cos(self.height)
+        height = np.nan_to_num(self.height)  # out of reach either way
+        flat = np.cos(height)
         return np.asarray(
             self.distance
-            * np.stack([flat * np.cos(self.angle), flat * np.sin(self.angle), np.sin(self.height)])
+            * np.stack([flat * np.cos(self.angle), flat * np.sin(self.angle), np.sin(height)])
         ).T
+
+    def point_slopes(self) -> Array:
+        """Derivatives of the points to distance and deflection angle, (n, 3, 2).
+
+        The height goes with the distance, as that at which the whisker at rest is met does: along
+        it dθ_rest/dr = tan(tangent angle − θ_rest)/r.
+        """
+        assert self.rows.law is not None
+        rest = zero_load(self.rows, self.distance)[1]
+        rise = np.tan(self.rows.law.turn(self.start) - rest) / self.distance
+        climb = rise * np.cos(rest) * np.sin(self.roll) / np.cos(self.height)
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        up, flat = np.sin(self.height), np.cos(self.height)
+        to_height = self.distance * np.stack([-up * c, -up * s, flat])
+        to_angle = self.distance * flat * np.stack([-s, c, 0 * s])
+        to_r = self.point().T / self.distance + to_height * climb
+        return np.moveaxis(np.stack([to_r, to_angle]), -1, 0).swapaxes(1, 2)
 
     def profile(self) -> Profile:
         """The whiskers as a `Profile` of unit length, base radius and base stiffness."""
@@ -126,12 +146,12 @@ def press_chosen(
     def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, rung: Array) -> Solved:
         return press(Scene.of(rows, r, theta, psi, turn), rung.astype(np.int8), tolerance)
 
-    b = _by_rows(
+    b = by_rows(
         solve,
         whisker,
         length=radial_distance,
         angle=deflection_angle,
-        tilt=_friction(friction_angle),
+        tilt=friction(friction_angle),
         roll=roll,
         rung=choice.rung,
     )
@@ -154,6 +174,27 @@ def press_in_space(
     """Rung 3 as a `Bending`; arguments as for `ladder.press`."""
     whole = Choice.complete(Rung.ROD, 1e-9)
     return press_chosen(whisker, radial_distance, deflection_angle, friction_angle, roll, whole)
+
+
+def jacobian_in_space(
+    whisker: Whisker | Profile,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike,
+    friction_angle: ArrayLike,
+    roll: ArrayLike,
+) -> Array:
+    """Rung 3's derivatives of (M_z, −F_x, F_y) to (r, θ_d); arguments as for `ladder.press`."""
+    scenes = Scenes.of(
+        whisker,
+        length=radial_distance,
+        angle=deflection_angle,
+        tilt=friction(friction_angle),
+        roll=roll,
+    )
+    slopes = np.full((3, 2, scenes.length.size), np.nan)
+    for part, rows, given in scenes.pieces():
+        slopes[..., part] = _spatial_slopes(Scene.of(rows, *given))
+    return scenes.jacobian(slopes)
 
 
 def press(scene: Scene, rung: NDArray[np.int8], tolerance: float) -> Solved:
@@ -209,6 +250,23 @@ def _spatial(scene: Scene) -> Solved:
         ]
     )
     return numbers, b.outcome, b.error
+
+
+def _spatial_slopes(scene: Scene) -> Array:
+    """Derivatives (3, 2, n) of (M_z, −F_x, F_y) to (r, θ_d) where held, else NaN."""
+    found = rod.press(scene.profile(), scene.point(), scene.friction, plane=scene.roll)
+    slopes = np.full((3, 2, scene.distance.size), np.nan)
+    held = np.flatnonzero(found.outcome == Outcome.HELD)
+    if held.size:
+        part = scene.take(held)
+        force, direction = found.magnitude[held], found.direction[held]
+        v = np.stack([found.arc_length[held], force * np.cos(direction), force * np.sin(direction)])
+        rods = Rods.of(part.profile(), (part.distance,), part.friction, part.roll, POISSON_RATIO)
+        places, signals = rods.central_slopes(v, part.point().T)
+        felt = signals[:, [5, 0, 1]] * np.array([1, -1, 1])[:, None]
+        to_place = felt @ np.linalg.inv(places)
+        slopes[..., held] = np.moveaxis(to_place @ part.point_slopes(), 0, -1)
+    return slopes
 
 
 #: By rung; rung 2 takes its tolerance as well.

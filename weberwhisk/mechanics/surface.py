@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..whisker import Whisker
 from .chebyshev import Array, Curve, Table, fit, nodes
 from .contact import ROWS, Outcome
-from .elastica import DeflectionLimit, fold_angle, place_of, press, unfold
+from .elastica import DeflectionLimit, press
+from .elastica_map import place_of, the_map, unfold
 
 #: What the terms left out may add up to, along either axis, of the closed form's signals.
 TOLERANCE = 1e-9
@@ -108,7 +109,7 @@ def _fold() -> Curve:
     """θ_fold/(1 − v) against x(v), in as many terms as the surface needs."""
     x = nodes(_ALONG)
     v = place_of(x)
-    coefficients = fit((fold_angle(v) / (1 - v))[:, None])
+    coefficients = fit((the_map().fold_angle(v) / (1 - v))[:, None])
     return Curve(coefficients[: _needed(np.abs(coefficients[:, 0]), TOLERANCE / 100)])
 
 
@@ -121,7 +122,7 @@ def _table() -> Table:
     x, c = nodes(_ALONG), nodes(_ACROSS)
     r = place_of(x)[:, None]
     cone = Whisker(1.0, 1.0, 0.0, youngs_modulus=4 / np.pi)
-    theta = fold_angle(r[:, 0])[:, None] * np.sqrt((1 - c) * (1 + c))
+    theta = the_map().fold_angle(r[:, 0])[:, None] * np.sqrt((1 - c) * (1 + c))
     bent = press(cone, r, theta)
     lateral = 3 * theta * (1 - r) / r**2
     values = np.stack(

@@ -25,22 +25,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import DOP853
 
 from .chebyshev import Array
+from .dop853 import CAUTION, ENDS, PLACES, POINTS, SLOTS, STAGES
 from .shape import Law, Profile
 
-STAGES = 12
-#: −sin χ, cos χ, X and the derivatives of χ and X, each to contact arc and to force, on which the
-#: right side depends; −Y and the derivatives of Y, on which it does not.
-FED, SUMMED = 7, 3
-TABLEAU = np.ascontiguousarray(DOP853.A[:STAGES, :STAGES], dtype=float)
-WEIGHTS = np.ascontiguousarray(DOP853.B, dtype=float)
-_C = np.asarray(DOP853.C[:STAGES], dtype=float)
-ERRORS = np.ascontiguousarray([DOP853.E3[:STAGES], DOP853.E5[:STAGES]], dtype=float)
-#: The estimate of one pass exceeds its error by a factor of 20 in the median and falls below it in
-#: one row of a hundred; this much is taken off, as what is made of it here adds sizes up.
-CAUTION = 1.5
+#: Rows of the state. The derivatives of χ and of X to contact arc and to force, −sin χ, cos χ and
+#: X: these `FED` are what the right side depends on. −Y and its derivatives: on these it does not.
+FED, ROWS_OF_STATE = 7, 10
 #: Rows followed at a time: slopes that fit the cache.
 BLOCK = 2000
 #: So few rows cost no more together than one by one.
@@ -179,17 +171,19 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
         Runge–Kutta steps on each piece.
     """
     n = arc.size
-    state, sums = np.zeros((FED, n)), np.zeros((SUMMED, n))
-    state[0], state[1] = np.sin(friction), np.cos(friction)
+    state = np.zeros((ROWS_OF_STATE, n))
+    state[4], state[5] = np.sin(friction), np.cos(friction)
     if rows.law is not None:
-        state[3] = -rows.law(arc)
-    state[5], sums[1] = state[1], -state[0]
-    slopes, rates = np.zeros((STAGES, FED, n)), np.zeros((STAGES, SUMMED, n))
+        state[0] = -rows.law(arc)
+    state[2], state[8] = state[5], -state[4]
+    # Apart, as a product with neighbouring rows of neighbouring stages takes half the time.
+    slopes, rates = np.zeros((STAGES, FED, n)), np.zeros((STAGES, ROWS_OF_STATE - FED, n))
+    fed, summed = slopes.reshape(STAGES, -1), rates.reshape(STAGES, -1)
+    point = np.empty((FED, n))
     wound = np.zeros(n)
-    error = np.zeros((4, n))
+    error = np.zeros((2, n))
     flips = np.zeros(n, dtype=np.int8)
     above = np.ones(n, dtype=bool)
-    point = np.empty_like(state)
     for piece in range(len(rows.arc) - 2, -1, -1):
         low, high = rows.arc[piece], np.minimum(rows.arc[piece + 1], arc)
         span = high - low
@@ -199,27 +193,33 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
         for step in range(steps):
             weight, give, curl = path.at(step)
             load = -force * give
-            left = state[0] > 0
-            for i in range(STAGES):
-                if i:
-                    np.dot(TABLEAU[i, :i], slopes[:i].reshape(i, -1), out=point.reshape(-1))
-                    point += state
-                now = point if i else state
-                _slope(now, weight[i], give[i], load[i], curl[i], slopes[i], rates[i])
-            state += np.dot(WEIGHTS, slopes.reshape(STAGES, -1)).reshape(FED, n)
-            sums += np.dot(WEIGHTS, rates.reshape(STAGES, -1)).reshape(SUMMED, n)
-            for part, what in ((slice(3), slopes[:, :3]), (slice(3, 4), rates[:, :1])):
-                third, fifth = np.dot(ERRORS, what.reshape(STAGES, -1)) ** 2
-                error[part] += local_error(third, fifth).reshape(-1, n)
-            turned = (state[1] < 0) & ((state[0] > 0) != left)
+            left = state[4] > 0
+            first = SLOTS[0]
+            _slope(state, weight[0], give[0], load[0], curl[0], slopes[first], rates[first])
+            for i in range(1, STAGES):
+                used, share = POINTS[i]
+                np.dot(share, fed[used], out=point.reshape(-1))
+                point += state[:FED]
+                at = SLOTS[i]
+                _slope(point, weight[i], give[i], load[i], curl[i], slopes[at], rates[at])
+            state[:FED] += np.dot(ENDS[0], fed).reshape(FED, n)
+            state[FED:] += np.dot(ENDS[0], summed).reshape(-1, n)
+            off_sine, off_cosine, off_x = np.dot(ENDS[1], fed[:, 4 * n :]).reshape(3, n)
+            off_y = np.dot(ENDS[1], summed[:, :n])
+            turn = off_sine * state[5] - off_cosine * state[4]
+            size = turn**2 + (off_y / arc) ** 2
+            error[0] += np.sqrt(size * np.sqrt(size))
+            size += (off_x / arc) ** 2
+            error[1] += np.sqrt(size * np.sqrt(size))
+            turned = (state[5] < 0) & ((state[4] > 0) != left)
             if np.any(turned):
-                wound += np.where(turned, np.where(state[0] > 0, 1.0, -1.0), 0.0)
-            now_above = np.where(span > 0, _determinant(state, sums) > 0, above)
+                wound += np.where(turned, np.where(state[4] > 0, 1.0, -1.0), 0.0)
+            now_above = np.where(span > 0, _determinant(state) > 0, above)
             flips += now_above != above
             above = now_above
-    angle = np.arctan2(state[0], state[1]) - 2 * np.pi * wound
-    lever, along = state[2], -sums[0]
-    d_arc, d_force = (np.stack([state[3 + k], state[5 + k], sums[1 + k]]) for k in (0, 1))
+    angle = np.arctan2(state[4], state[5]) - 2 * np.pi * wound
+    lever, along = state[6], -state[7]
+    d_arc, d_force = state[[0, 2, 8]], state[[1, 3, 9]]
     d_arc[0] *= -1
     d_force[0] *= -1
     # Relative to the angles, but no closer than a thousandth of what makes them up: they may
@@ -229,10 +229,9 @@ def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) ->
     if rows.law is not None:
         parts += np.abs(rows.law(arc)) * arc
     scale = np.minimum(np.maximum(deflection, 1e-3 * parts) + 1e-300, 1.0)
-    r = np.hypot(lever, along)
-    turned = np.abs(state[0]) * error[1] + np.abs(state[1]) * error[0]
-    reached = (np.abs(lever) * error[2] + np.abs(along) * error[3]) / r**2
-    errors = np.nan_to_num(np.stack([turned + error[3] / r, reached]) / CAUTION, nan=np.inf)
+    # Errors are relative to what bends the whisker; those of θ_d and of r are much the same.
+    error *= CAUTION / np.sqrt(np.stack([scale, np.maximum(scale, 1e-2)]))
+    errors = np.nan_to_num(error, nan=np.inf)
     taken = np.full(n, steps)
     return Path(angle, lever, along, errors, scale, d_arc, d_force, flips, taken)
 
@@ -253,7 +252,7 @@ class Piece:
         self.rate, self.own = rate, own
         self.high, self.span = high, high - low
         whole = np.expm1(rate * steps)
-        self.gone, self.whole = np.expm1(_C[:, None] * rate), whole
+        self.gone, self.whole = np.expm1(PLACES[:, None] * rate), whole
         self.weight = (1 + self.gone) * (self.span * rate / whole)
         self.fourth = np.square(np.square(self.a_high + self.gone * (self.a_high * own / rate)))
         self.give = self.weight / self.fourth
@@ -290,33 +289,24 @@ def _slope(
     rates: Array,
 ) -> None:
     """The right side of the equations, into `out` and `rates`; `load` is −F·give."""
-    turn = load * state[2]  # χ'
+    turn = load * state[6]  # χ'
     if curl is not None:
         turn -= curl
-    np.multiply(turn, state[1::-1], out=out[:2])  # (−sin χ)' = −cos χ·χ',  (cos χ)' = −sin χ·χ'
-    np.negative(out[0], out=out[0])
-    np.multiply(weight, state[1], out=out[2])
-    np.multiply(weight, state[0], out=rates[0])
-    np.multiply(load, state[5:], out=out[3:5])
-    out[4] -= give * state[2]
-    np.multiply(rates[0], state[3:5], out=out[5:])  # (X, Y)' = (cos χ, sin χ), so
-    np.multiply(out[2], state[3:5], out=rates[1:])  # (δX, δY)' = (−Y', X') δχ
+    np.multiply(turn, state[5:3:-1], out=out[4:6])  # (−sin χ)' = −cos χ·χ',  (cos χ)' = −sin χ·χ'
+    np.negative(out[4], out=out[4])
+    np.multiply(weight, state[5], out=out[6])  # X'
+    np.multiply(weight, state[4], out=rates[0])  # −Y'
+    np.multiply(load, state[2:4], out=out[:2])
+    out[1] -= give * state[6]
+    np.multiply(rates[0], state[:2], out=out[2:4])  # (X, Y)' = (cos χ, sin χ), so
+    np.multiply(out[6], state[:2], out=rates[1:])  # (δX, δY)' = (−Y', X') δχ
 
 
-def local_error(third: Array, fifth: Array) -> Array:
-    """The error of a step from the squares of DOP853's two estimates, of order h⁴ and h⁶.
-
-    Combined to the order h⁹ of the method's own error; Hairer, Nørsett & Wanner (I, II.10) make it
-    h⁸.
-    """
-    share = fifth / (fifth + 0.01 * third + 1e-300)
-    return np.asarray(np.sqrt(fifth * share * np.sqrt(share)))
-
-
-def _determinant(state: Array, sums: Array) -> Array:
+def _determinant(state: Array) -> Array:
     """D: the area that contact arc and force span at the contact, seen from the running point."""
-    x, y = state[2], -sums[0]
-    (arc_x, force_x), (arc_y, force_y) = state[5:] + state[3:5] * y, sums[1:] - state[3:5] * x
+    x, y = state[6], -state[7]
+    arc_x, force_x = state[2:4] + state[:2] * y
+    arc_y, force_y = state[8:] - state[:2] * x
     return np.asarray(arc_x * force_y - arc_y * force_x)
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
-from .grid import GridPosterior, Nodes, integrate
+from .grid import GridPosterior, integrate
 from .mode import Mode, find_mode, find_other, starting_points
+from .nodes import Nodes
 from .nuisance import integrate_but_last
 from .panels import Panels
 from .result import Estimate, Status
