@@ -63,8 +63,10 @@ def test_curved_whiskers_and_profiles_are_refused_in_one_sentence(cue):
     curved = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=20.0)
     contact = np.array([20e-3, 0.2, 0.1])[: len(cue.unknowns)]
     for call in (lambda w: ww.Observer(w, cue), lambda w: cue.signals(w, contact)):
-        for whisker, words in ((curved, "straight whiskers so far, got curvature 20"),
-                               ("a profile", "needs a Whisker, so far a straight one, got a str")):  # fmt: skip
+        for whisker, words in (
+            (curved, "straight whiskers so far, got curvature 20"),
+            ("a profile", "needs a Whisker, so far a straight one, got a str"),
+        ):
             with pytest.raises(ValueError, match=words) as error:
                 call(whisker)
             assert str(error.value).count(";") == 1
