@@ -62,7 +62,7 @@ def straight(whisker: Any) -> None:
     """
     if not isinstance(whisker, Whisker):
         raise ValueError(
-            f"Cues feel through a straight Whisker so far, got a {type(whisker).__name__}; "
+            f"A cue needs a Whisker, so far a straight one, got a {type(whisker).__name__}; "
             "write Whisker(50e-3, 100e-6, 5e-6), say."
         )
     if np.any(whisker.curvature):
