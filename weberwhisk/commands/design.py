@@ -12,7 +12,8 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import a_number, numbers
-from ..design import LEVELS, Animals, Constraints, Goal, Plan
+from ..design import Animals, Constraints, Goal, Plan
+from ..design.experiment import WIDE
 from ..design.exports import in_millimetres
 from ..design.preregistration import assumptions, offsets_in_words
 from ..planning import fill
@@ -86,9 +87,13 @@ def design(
             "--level",
             metavar="LIST",
             help="Comparisons, in sds of what the animal can tell.  "
-            f"[default: {','.join(f'{z:g}' for z in LEVELS)}]",
+            f"[default: {','.join(f'{z:g}' for z in WIDE)}]",
         ),
     ] = None,
+    best: Annotated[
+        bool,
+        typer.Option("--best", help="Choose standards and offsets by what they tell, in reach."),
+    ] = False,
     trials: Annotated[
         int | None,
         typer.Option(
@@ -154,7 +159,8 @@ def design(
             whisker,
             goal=_goal(bayes_factor, half_width, share),
             standards=None if not standard_mm else numbers("--standard-mm", standard_mm) * 1e-3,
-            levels=numbers("--level", level) if level else LEVELS,
+            levels=numbers("--level", level) if level else WIDE,
+            best=best,
             trials=trials,
             animals=animals,
             find=find,

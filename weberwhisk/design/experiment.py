@@ -16,15 +16,18 @@ from ..cues.protocol import Cue
 from ..observer import Observer
 from ..receptors import Weber
 from ..whisker import Whisker
+from .best import best_scheme
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, taper
 from .plan import Plan
 from .power_analysis import power, sized, smallest
-from .scheme import LEVELS, Constraints, Scheme
+from .scheme import Constraints, Scheme
 
 #: Where along the whisker the default standards stand, as fractions of its length.
 PLACES = (0.3, 0.6, 0.9)
 STEP = 10e-6  # of the pole, m
+#: Comparisons of every standard, in sds: the widest are easy.
+WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
 START = 20  # trials of a comparison, where the search for fewer or more starts
 
 
@@ -37,7 +40,8 @@ def plan_experiment(
     deflection_angle: float | None = None,
     scheme: Scheme | None = None,
     standards: ArrayLike | None = None,
-    levels: ArrayLike = LEVELS,
+    levels: ArrayLike = WIDE,
+    best: bool = False,
     trials: int | None = None,
     animals: int = 1,
     find: str | None = None,
@@ -70,7 +74,11 @@ def plan_experiment(
         m; 0.3, 0.6 and 0.9 of the whisker's length by default.
     levels : array_like
         Comparisons of every standard, in sds of the expected animal's difference (see
-        `Scheme.spaced`).
+        `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest tell of lapses, which else are
+        taken for a large k, and with them 162 trials do what 288 do at ±0.6, 1.2 and 2.
+    best : bool
+        Choose standards and offsets by `best_scheme` instead. It is best for the expected animal,
+        and wants the range that real ones reach among the constraints.
     trials : int, optional
         Of every comparison, for each animal; by default as few as reach the goal, an even number.
     animals : int
@@ -116,6 +124,13 @@ def plan_experiment(
     limits, likely = constraints or Constraints(step=STEP), expected or Animals()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
     wanted = _what_to_find(find, trials, scheme)
+    if best:
+        if scheme is not None or standards is not None:
+            raise ValueError("best=True chooses the standards; leave scheme and standards out.")
+        scheme = best_scheme(
+            given, goal=aim, constraints=limits, expected=likely, animals=animals, seed=seed
+        ).scheme
+        scheme = scheme if trials is None else scheme.with_trials(trials)
     if scheme is None:
         percept = given[0].percept
         at = np.asarray(PLACES) * percept.domain[1] if standards is None else standards
