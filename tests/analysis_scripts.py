@@ -19,5 +19,9 @@ def load(name: str) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # where its dataclasses look themselves up
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(FOLDER))  # as when it is run: scripts share code with one another
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(FOLDER))
     return module

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from .style import COLOURS, DOUBLE, LINES, MARKERS, new_figure, styled
 ROUNDING, ALLOWED = float(np.finfo(float).eps), 0.1
 #: Rows of a posteriors' table that are no method.
 LANDMARKS = ("closed form", "referee")
-SMALL = 6.0
+#: Size of small print, and letters of it in a line.
+SMALL, FOOT = 6.0, 130
 
 
 @styled
@@ -54,7 +56,7 @@ def speed_accuracy(
         ax.set_ylim(1e-17, 30)
     axes[0].set_ylabel("r.m.s. relative error of the sd")
     rows[1].supxlabel(
-        f"CPU time of one posterior (s), k = {weber_fraction:g}\n{foot}", fontsize=SMALL
+        f"CPU time of one posterior (s), k = {weber_fraction:g}\n{fill(foot, FOOT)}", fontsize=SMALL
     )
     return figure
 
@@ -95,7 +97,7 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
         ax.set(xlabel="n in one call", ylabel=unit)
     _legend(rows[1], [axes[0]], columns=2)
     if foot:
-        rows[1].supxlabel(foot, fontsize=SMALL)
+        rows[1].supxlabel(fill(foot, FOOT), fontsize=SMALL)
     return figure
 
 
