@@ -384,8 +384,8 @@ def verdict(table: pd.DataFrame) -> str:
     caught = broken.groupby("name")["p"].min()
     return (
         f"{len(right)} sets of ranks: {np.mean(right['p'] > 0.05):.0%} within their 95 % bands, "
-        f"the smallest p {worst['p']:.4f} ({worst['name']}, {worst['quantity']}), which the largest of "
-        f"as many would be in {1 - (1 - worst['p']) ** len(right):.0%} of such tables. "
+        f"the smallest p {worst['p']:.4f} ({worst['name']}, {worst['quantity']}), which the worst "
+        f"of as many would be in {1 - (1 - worst['p']) ** len(right):.0%} of such tables. "
         f"Broken models caught at 5 %: {int(np.sum(caught < 0.05))} of {len(caught)}, "
         f"the largest of their p {caught.max():.2g}."
     )

@@ -14,18 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-import weberwhisk as ww
-from weberwhisk import figures
-from weberwhisk.commands.jnd import in_millimetres, jnd_table, lines_and_points
-from weberwhisk.commands.quickstart import moment_dominated, surface_in_degrees, surface_table
+from weberwhisk.commands import figure
+from weberwhisk.commands.quickstart import moment_dominated
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.runs import Run
-
-WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
-WEBER_FRACTION = 0.1
-SEED = 20110166
-#: Posteriors at each distance of figure 4a.
-DRAWS, DRAWS_SHORT = 400, 16
+from weberwhisk.surveys import SEED, WHISKER, K
 
 #: Moment-dominated JND/(kL) by r/L, at these deflections; NaN: past the fold.
 DEGREES = (1.0, 5.0, 10.0, 20.0)
@@ -37,31 +30,18 @@ EXPECTED = {
 }
 
 
-def figure_4a(run: Run, draws: int) -> pd.DataFrame:
+def figure_4a(run: Run, short: bool) -> None:
     """Compliance cue, tapered and cylindrical: closed forms, and emcee's posteriors as points."""
-    r = np.linspace(0.05, 0.95, 10) * WHISKER.length
-    none = np.array([])
-    tables, shown = [], {}
-    for name, whisker in (("tapered", WHISKER), ("cylinder", WHISKER.cylinder())):
-        observer = ww.Observer(whisker, ww.cues.Compliance(), ww.receptors.Weber(WEBER_FRACTION))
-        table = jnd_table(observer, r, none, "emcee", "d'=1", draws, SEED, False, name)
-        written = in_millimetres(table)
-        written.insert(0, "whisker", name)
-        tables.append(written)
-        shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
-    joined = pd.concat(tables, ignore_index=True)
-    run.table("figure_4a", joined)
-    drawn = figures.jnd_curve(shown, length=WHISKER.length, weber_fraction=WEBER_FRACTION)
-    run.figure("figure_4a", figures.figure_of(drawn))
-    return joined
+    made = figure.figure_4a(WHISKER, short, SEED)
+    run.table("figure_4a", made.tables["figure-4a"])
+    run.figure("figure_4a", made.chart)
 
 
 def figure_4b(run: Run) -> pd.DataFrame:
     """Force map with noise in the moment alone; returns the surface beside what is expected."""
-    table = surface_table(WHISKER, WEBER_FRACTION)
-    run.table("figure_4b", surface_in_degrees(table))
-    drawn = figures.jnd_surface(table, length=WHISKER.length, weber_fraction=WEBER_FRACTION)
-    run.figure("figure_4b", figures.figure_of(drawn))
+    made = figure.figure_4b(WHISKER, True, SEED)
+    run.table("figure_4b", made.tables["figure-4b"])
+    run.figure("figure_4b", made.chart)
     checked = check()
     run.table("figure_4b_check", checked)
     return checked
@@ -76,13 +56,13 @@ def check() -> pd.DataFrame:
     ]
     place, angle, expected = np.array(rows).T
     contact = np.stack([place * WHISKER.length, np.radians(angle)], axis=-1)
-    jnd = weber_propagation(moment_dominated(WHISKER, WEBER_FRACTION), contact)
+    jnd = weber_propagation(moment_dominated(WHISKER, K), contact)
     return pd.DataFrame(
         {
             "r_over_length": place,
             "deflection_angle_deg": angle,
             "expected": expected,
-            "found": jnd / (WEBER_FRACTION * WHISKER.length),
+            "found": jnd / (K * WHISKER.length),
         }
     )
 
@@ -94,10 +74,9 @@ def agrees(checked: pd.DataFrame) -> bool:
 
 def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
     """Both figures into `folder`; returns the check of figure 4b."""
-    draws = DRAWS_SHORT if short else DRAWS
-    inputs = {"radius_ratio": WHISKER.radius_ratio, "weber_fraction": WEBER_FRACTION}
-    with Run(folder, "figure_4", inputs | {"draws": draws}, SEED) as run:
-        figure_4a(run, draws)
+    inputs = {"radius_ratio": WHISKER.radius_ratio, "weber_fraction": K, "short": short}
+    with Run(folder, "figure_4", inputs, SEED) as run:
+        figure_4a(run, short)
         return figure_4b(run)
 
 

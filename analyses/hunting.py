@@ -27,6 +27,7 @@ class Fate(IntEnum):
     WARNED = 1
     REFUSED = 2
     SILENT = 3
+    UNJUDGED = 4
 
     @property
     def words(self) -> str:
@@ -36,6 +37,7 @@ class Fate(IntEnum):
             "right as far as its warning says",
             "refused with an outcome",
             "wrong in silence",
+            "not judged: the reference itself was not sure",
         )[self]
 
 

@@ -90,6 +90,7 @@ def main() -> None:
                 f"| {9 * per_level} | {name} | {ms:.0f} | {bias:+.1f} | {rmse:.1f} | {covers:.1f} |"
             )
             print(lines[-1], flush=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "psignifit_side_by_side.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -85,6 +85,20 @@ def observers(trials: Trials) -> Comparison:
     )
 
 
+def by_default(trials: Trials) -> str:
+    """What the defaults make of the whole course, and what a bias per standard does."""
+    shared, own = fit_weber(trials), fit_weber(trials, bias="per standard")
+    low, high = own.interval()
+    why = next((note for note in shared.notes if "kinds" in note), "")
+    return (
+        f"With the default beliefs and one bias the status is {shared.status.name}: "
+        f"{shared.status.message}. {why} The animal moreover prefers another answer at each "
+        f"standard (misfit p = {shared.misfit:.2g}). With a bias per standard the status is "
+        f"{own.status.name}, at {own.weber_fraction:.3g} per unit ({low:.3g} to {high:.3g}, misfit "
+        f"p = {own.misfit:.2g}): as the biases differ and the lapses do not, these are told apart."
+    )
+
+
 def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     """The rat's part of the report."""
     whole = fit_weber(trials, priors=RAT)
@@ -107,6 +121,8 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         "checks, set beside data that this observer would give, say",
         "",
         markdown(checks(whole)),
+        "",
+        by_default(trials),
         "",
         f"The same in blocks of {BLOCK} sessions, where the animal changes less:",
         "",

@@ -116,6 +116,20 @@ class Beams:
         here = rows[:, 0]
         return here, (rows[:, 1] - here) / (arc * inside), (rows[:, 2] - here) / more
 
+    def contact_slopes(self, arc: Array, force: Array) -> tuple[Array, Array]:
+        """Results (6, n) and their slopes (6, 2, n) to distance and angle: central differences."""
+        h, n = 1e-5, arc.size
+        scale = np.array([[1 + h, 1, 1 - h, 1, 1], [1, 1 + h, 1, 1 - h, 1]])
+        arcs, forces = (scale[0, :, None] * arc).ravel(), (scale[1, :, None] * force).ravel()
+        # At the tip itself the whisker is taken to go on: its taper is a line.
+        rows = np.stack(list(self.take(np.tile(np.arange(n), 5)).follow(arcs, forces).values()))
+        up_arc, up_force, down_arc, down_force, here = np.moveaxis(rows.reshape(6, 5, n), 1, 0)
+        by_arc, by_force = (up_arc - down_arc) / (2 * h), (up_force - down_force) / (2 * h)
+        det = by_arc[3] * by_force[4] - by_arc[4] * by_force[3]
+        to_r = (by_arc * by_force[4] - by_force * by_arc[4]) / det
+        to_angle = (by_force * by_arc[3] - by_arc * by_force[3]) / det
+        return here, np.stack([to_r, to_angle], axis=1)
+
     def polish(
         self, r: Array, theta: Array, arc: Array, force: Array, steps: int = 4, rtol: float = 3e-14
     ) -> dict[str, Array]:

@@ -1,11 +1,14 @@
-"""Speed against accuracy: bent whiskers, and posteriors of one and of two unknowns.
+"""Speed against accuracy, with the tools of others beside this package's own.
 
-    python analyses/speed_accuracy.py [--short] [folder]
+    python analyses/speed_accuracy.py [--short] [--sets N] [folder]
 
-Writes speed_accuracy (CSV, PNG, SVG). Every method of inference is swept over its own knob on the
-same readings; time (CPU of one core) and error are of the same run. Error is the r.m.s. of
-sd/exact − 1, exact being a midpoint sum in the contact itself that shares no code with any engine.
-The beams are those of `referees.py`, read from `referees.csv`: one contact at a time.
+What `weberwhisk chart --full` measures, and: a chain of rigid links on springs and PyElastica on
+the beams; emcee without this package's help (a loop over readings, plain and vectorised, its
+stretch and its differential-evolution move), a gradient sampler (littlemcmc's NUTS) and a nested
+one (dynesty) on the posteriors; psignifit and psychofit on the fits. All but the chain and emcee
+come with ``pip install weberwhisk[referees]``; what is not installed is left out, with a note.
+
+Writes beams, posteriors, fits and growth (CSV) and the figures speed_accuracy and fits_and_growth.
 """
 
 from __future__ import annotations
@@ -15,318 +18,298 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import platform
+import contextlib
+import io
 import time
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import emcee
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from psignifit_side_by_side import psignifit_answer
+from referees import Scene as Loaded
+from referees import pyelastica
+from scipy.optimize import root
 
 import weberwhisk as ww
-from weberwhisk import Status, figures
+from weberwhisk import charts, figures
+from weberwhisk.behaviour import Trials
+from weberwhisk.charts import beams, fits, growth, posteriors
+from weberwhisk.charts.timing import timed
+from weberwhisk.mechanics import closed_form
 from weberwhisk.runs import Run
 
 HERE = Path(__file__).parent
-W = ww.Whisker(50e-3, 100e-6, 5e-6)
-K = 0.1
-OBSERVERS = {
-    "one unknown": ww.Observer(W, ww.cues.Compliance(), ww.receptors.Weber(K)),
-    "two unknowns": ww.Observer(W, ww.cues.ForceMap(), ww.receptors.Weber(K)),
-}
-SCENES = {
-    "easy": "easy: s = 0.4 L, α = 10°",
-    "middling": "middling: s = 0.6 L, α = 45°",
-    "hard": "hard: r = 0.7 L, 0.999 of the fold",
-}
 Array = np.ndarray
-Row = dict[str, object]
+PACKAGES = ("pyelastica", "dynesty", "littlemcmc", "psignifit", "psychofit")
 
 
-def readings(name: str, count: int, seed: int = 1) -> Array:
-    """Noisy readings of contacts all over the whisker."""
-    rng = np.random.default_rng(seed)
-    r = rng.uniform(0.2, 0.9, count) * W.length
-    contact = r[:, None]
-    if name == "two unknowns":
-        theta = ww.flick_past(W, r).deflection_angle * rng.uniform(0.05, 0.7, count)
-        contact = np.stack([r, theta], axis=-1)
-    return OBSERVERS[name].read(contact, seed + 1)
+def missing() -> list[str]:
+    """The referees that are not installed."""
+    modules = {"pyelastica": "elastica"}
+    return [name for name in PACKAGES if find_spec(modules.get(name, name)) is None]
 
 
-def cells(name: str, n: int, box: Array) -> tuple[Array, Array]:
-    """Contacts in the middle of n (or n × n) cells of a box of r/L (and θ_d over its limit).
+# -- beams ---------------------------------------------------------------------------------------
 
-    With them the size of each cell, as the limit of θ_d differs with distance.
+
+def chain(scene: beams.Scene, links: int) -> float:
+    """Rigid links on torsion springs, in balance link by link from the contact to the base.
+
+    Half a link stands at either end; the springs are the bending stiffness over a link's length.
     """
-    shares = [low + (np.arange(n) + 0.5) / n * (high - low) for low, high in box]
-    if name == "one unknown":
-        return shares[0][:, None] * W.length, np.ones(n)
-    r, angle = (a.ravel() for a in np.meshgrid(*shares, indexing="ij"))
-    limit = ww.flick_past(W, shares[0] * W.length).deflection_angle.repeat(n)
-    return np.stack([r * W.length, angle * limit], axis=-1), limit
+    w = beams.WHISKER
+    r, theta = scene.contact
+    taper = float(w.taper / w.length)
+
+    def at(arc: float, force: float) -> tuple[float, float, float]:
+        h = arc / links
+        angle, x, y = 0.0, h / 2, 0.0
+        for i in range(links):  # spring i is (i + ½) links from the contact
+            stiffness = float(w.stiffness) * (1 - (arc - (i + 0.5) * h) * taper) ** 4
+            angle -= force * x / (stiffness / h)
+            length = h if i < links - 1 else h / 2
+            x, y = x + length * np.cos(angle), y + length * np.sin(angle)
+        return force * x, float(np.hypot(x, y)), float(np.arctan2(y, x) - angle)
+
+    def miss(v: Array) -> list[float]:
+        _, distance, deflection = at(v[0] * r, np.exp(v[1]))
+        return [distance / r - 1, deflection - theta]
+
+    guess = float(closed_form.press(w, r, theta).force)
+    solved = root(miss, [1.02, np.log(guess)], tol=1e-12)
+    if not np.max(np.abs(solved.fun)) < 1e-9:
+        return float("nan")
+    return at(solved.x[0] * r, float(np.exp(solved.x[1])))[0]
 
 
-def summed(name: str, rows: Array, n: int, *, zoom: bool = False) -> Array:
-    """Sds of r by the midpoint sum over the whole reach: what one would write without a package.
+def other_beams(full: bool) -> pd.DataFrame:
+    """Rows of the spring-link chain and of PyElastica."""
+    rows = []
+    for scene in beams.SCENES:
+        for links in (10, 30, 100, 300) if full else (10, 30):
+            moment, seconds = timed(lambda: chain(scene, links), repeats=1)  # noqa: B023
+            rows.append(beams.row(scene, "chain of links on springs", links, moment, seconds))
+        if not full or find_spec("elastica") is None:
+            continue
+        b = ww.press(beams.WHISKER, *scene.contact)  # it takes a force, and finds the contact
+        loaded = Loaded(scene.name, beams.WHISKER, float(b.arc_length), float(b.force))
+        for elements in (30, 60):
+            moment, seconds = timed(lambda: pyelastica(elements, loaded).moment, repeats=1)  # noqa: B023
+            rows.append(beams.row(scene, "PyElastica, force given", elements, moment, seconds))
+    return pd.DataFrame(rows)
 
-    With `zoom` over the box that holds all but e⁻⁴⁰ of the density: to 1e-4 on narrow ridges at
-    n = 1500.
-    """
-    observer = OBSERVERS[name]
-    whole = np.tile([0.0, 1.0], (len(observer.unknowns), 1))
-    contact, size = cells(name, n, whole)
-    signals, _ = observer.signals(contact)
-    out = []
+
+# -- posteriors ----------------------------------------------------------------------------------
+
+
+def starts(observer: ww.Observer, row: Array, walkers: int, rng: np.random.Generator) -> Array:
+    """Walkers about Laplace's mean, in the observer's coordinates."""
+    laplace = ww.posterior(observer, row, method="laplace")
+    middle = np.stack([e.mean for e in laplace.estimates.values()])
+    spread = 0.1 * rng.standard_normal((walkers, middle.size))
+    return np.asarray(observer.coordinates(middle) + spread)
+
+
+def emcee_loop(observer: ww.Observer, rows: Array, steps: int, move: str, vectorize: bool) -> Array:
+    """Sds of r by emcee as it comes, 32 walkers, the first fifth of the steps left out."""
+    rng, out = np.random.default_rng(7), []
+    moves = {"stretch": emcee.moves.StretchMove, "DE": emcee.moves.DEMove}[move]()
     for row in rows:
-        r, area, log = contact[:, 0], size, observer.noise.log_likelihood(row, signals)
-        if zoom:
-            near = (log > log.max() - 40).reshape((n,) * len(whole))
-            box = []
-            for axis in range(near.ndim):
-                held = np.flatnonzero(
-                    near.any(axis=tuple(k for k in range(near.ndim) if k != axis))
-                )
-                box.append([max(held[0] - 2, 0) / n, min(held[-1] + 3, n) / n])
-            there, area = cells(name, n, np.array(box))
-            r, log = there[:, 0], observer.log_likelihood(row, there)
-        weight = np.exp(log - log.max()) * area
-        mean = weight @ r / weight.sum()
-        out.append(np.sqrt(weight @ (r - mean) ** 2 / weight.sum()))
-    return np.array(out)
-
-
-def importance(name: str, rows: Array, n: int, seed: int = 5) -> Array:
-    """Sds of r by importance sampling from Student's t about the mode."""
-    from scipy import stats
-
-    from weberwhisk.posterior.mode import find_mode
-    from weberwhisk.posterior.solution import mode_root
-
-    observer = OBSERVERS[name]
-    mode = find_mode(observer, rows)
-    root = mode_root(mode, widen=1.2)
-    t = stats.multivariate_t(shape=np.eye(root.shape[1]), df=5, seed=seed)
-    z = t.rvs(n).reshape(n, -1)
-    x = mode.x[:, None] + z @ root.swapaxes(1, 2)
-    value, contact = observer.log_density_and_contact(x, rows[:, None])
-    log = value - t.logpdf(z)
-    weight = np.exp(log - log.max(axis=1, keepdims=True))
-    weight /= weight.sum(axis=1, keepdims=True)
-    r = contact[..., 0]
-    mean = (weight * r).sum(axis=1)
-    return np.sqrt((weight * (r - mean[:, None]) ** 2).sum(axis=1))
-
-
-def plain_emcee(name: str, rows: Array, steps: int, seed: int = 7) -> Array:
-    """Sds of r by a loop over readings, 32 walkers each, the first fifth left out."""
-    observer, rng = OBSERVERS[name], np.random.default_rng(seed)
-    start = ww.posterior(observer, rows, method="laplace")
-    out = []
-    for i, row in enumerate(rows):
-        middle = np.stack([e.mean[i] for e in start.estimates.values()])
-        x = observer.coordinates(middle) + 0.1 * rng.standard_normal((32, len(middle)))
+        x = starts(observer, row, 32, rng)
         sampler = emcee.EnsembleSampler(
-            32, len(middle), observer.log_density, args=(row,), vectorize=True
+            32, x.shape[1], observer.log_density, args=(row,), vectorize=vectorize, moves=moves
         )
+        sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
         sampler.run_mcmc(x, steps)
         draws = sampler.get_chain(discard=steps // 5, flat=True)
         out.append(observer.contact(draws)[0][:, 0].std())
     return np.array(out)
 
 
-def sweeps(name: str, short: bool) -> Iterator[tuple[str, float, int, Callable[[Array], object]]]:
-    """Method, knob, how many readings, and what to run on them."""
-    observer, one = OBSERVERS[name], name == "one unknown"
+def nuts(observer: ww.Observer, rows: Array, draws: int) -> Array:
+    """Sds of r by littlemcmc's NUTS, gradients by central differences in one vectorised call."""
+    import littlemcmc
 
-    def engine(method: str, **options: object) -> Callable[[Array], object]:
-        return lambda rows: ww.posterior(observer, rows, method=method, **options)  # type: ignore[arg-type]
+    rng, out = np.random.default_rng(8), []
+    for row in rows:
+        start = starts(observer, row, 1, rng)[0]
+        step = 1e-5 * np.concatenate([np.eye(start.size), -np.eye(start.size)])
 
-    bulk, few = (256, 4) if short else (4096 if one else 1024, 8)
-    for tolerance in (1e-6,) if one else (1e-1, 1e-2, 1e-3, 1e-4, 1e-5):
-        yield "quadrature", tolerance, bulk, engine("quadrature", tolerance=tolerance)
-    yield "Laplace", 0.0, bulk, engine("laplace")
-    for tolerance in (0.1, 0.03) if short else (0.1, 0.05, 0.02, 0.01):
-        count = 64 if short else 512
-        yield "emcee, stacked", tolerance, count, engine("emcee", tolerance=tolerance, seed=3)
-    for n in (100, 1000) if short else (100, 300, 1000, 3000, 10_000):
-        yield "importance sampling", n, 64, lambda rows, n=n: importance(name, rows, n)
-    for n in (100, 300) if short else (100, 300, 1000, 3000):
-        yield "emcee, a loop", n, few, lambda rows, n=n: plain_emcee(name, rows, n)
-    sizes = (30, 100, 300, 1000, 10_000) if one else (10, 30, 100, 300)
-    for n in sizes[:3] if short else sizes:
-        yield (
-            "grid in r" if one else "grid in r, θ_d",
-            n,
-            few,
-            lambda rows, n=n: summed(name, rows, n),
+        def density(x: Array, row: Array = row, step: Array = step) -> tuple[float, Array]:
+            values = observer.log_density(np.concatenate([x[None], x + step]), row)
+            up, down = values[1 : x.size + 1], values[x.size + 1 :]
+            return float(values[0]), (up - down) / 2e-5
+
+        state = np.random.get_state()  # noqa: NPY002 — it draws from the global generator
+        try:
+            with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+                warnings.simplefilter("ignore")
+                trace, _ = littlemcmc.sample(
+                    logp_dlogp_func=density, model_ndim=start.size, start=start, draws=draws,
+                    tune=300, chains=1, cores=1, progressbar=False,
+                    random_seed=int(rng.integers(2**31)),
+                )  # fmt: skip
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
+        out.append(
+            observer.contact(np.moveaxis(trace[0], 0, -1).reshape(-1, start.size))[0][:, 0].std()
         )
+    return np.array(out)
 
 
-def posteriors(short: bool) -> pd.DataFrame:
-    """Error and time of every method and knob."""
-    table: list[Row] = []
-    for name in OBSERVERS:
-        rows = readings(name, 4096)
-        exact_of, n = (512, 20_000) if name == "one unknown" else (48, 1500)
-        if short:
-            exact_of, n = 8, min(n, 700)
-        exact = summed(name, rows[:exact_of], n, zoom=True)
-        for method, knob, count, run in sweeps(name, short):
-            run(rows[:2])  # what is made once is not counted
+def nested(observer: ww.Observer, rows: Array, live: int) -> Array:
+    """Sds of r by dynesty, from a box in the observer's coordinates that holds all of the mass."""
+    import dynesty
+
+    out = []
+    for row in rows:
+        box = np.array([4.0, 30.0 if observer.bounded > 1 else 6.0])[: len(observer.unknowns)]
+        if observer.bounded > 1:
+            middle = starts(observer, row, 1, np.random.default_rng(9))[0]
+            centre = np.array([0.0, middle[1]])
+        else:
+            centre = np.zeros(box.size)
+        sampler = dynesty.NestedSampler(
+            lambda x, row=row: float(np.maximum(observer.log_density(x, row), -1e300)),
+            lambda u, c=centre, b=box: c + (2 * u - 1) * b,
+            len(box), nlive=live, rstate=np.random.default_rng(10),
+        )  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            sampler.run_nested(print_progress=False)
+        found = sampler.results
+        weight = np.exp(found.logwt - found.logwt.max())
+        weight /= weight.sum()
+        r = observer.contact(found.samples)[0][:, 0]
+        out.append(np.sqrt(weight @ (r - weight @ r) ** 2))
+    return np.array(out)
+
+
+def other_engines(
+    observer: ww.Observer, full: bool
+) -> Iterator[tuple[str, float, Callable[[Array], Array]]]:
+    """Method, knob, and what to run on readings."""
+    for steps in (100, 300, 1000) if full else (100,):
+        for move in ("stretch", "DE"):
+            name = f"emcee loop, vectorised, {move}"
+            yield name, steps, lambda rows, n=steps, m=move: emcee_loop(observer, rows, n, m, True)
+    for steps in (100, 300) if full else (100,):
+        run = lambda rows, n=steps: emcee_loop(observer, rows, n, "stretch", False)  # noqa: E731
+        yield "emcee loop, plain, stretch", steps, run
+    if find_spec("littlemcmc"):
+        for draws in (100, 1000) if full else (50,):
+            yield "NUTS (littlemcmc)", draws, lambda rows, n=draws: nuts(observer, rows, n)
+    if find_spec("dynesty"):
+        for live in (50, 200) if full else (25,):
+            yield "nested (dynesty)", live, lambda rows, n=live: nested(observer, rows, n)
+
+
+def other_posteriors(full: bool, scenes: Iterable[str] = posteriors.OBSERVERS) -> pd.DataFrame:
+    """Rows of emcee's loops, NUTS and nested sampling: few readings, as each takes seconds."""
+    table = []
+    for scene in scenes:
+        observer = posteriors.OBSERVERS[scene]
+        rows = posteriors.readings(observer, 256)[: 3 if full else 1]
+        exact, _ = posteriors.exact_sds(observer, rows, full=full)
+        for method, knob, run in other_engines(observer, full):
             start = time.process_time()
-            result = run(rows[:count])
-            seconds = (time.process_time() - start) / count
-            shown = min(count, exact_of)
-            sd = result.sd[:shown] if isinstance(result, ww.Posterior) else np.asarray(result)
-            good = np.ones(shown, dtype=bool)
-            if isinstance(result, ww.Posterior):
-                good = np.asarray(result.status)[:shown] == Status.CONVERGED
-            ratio = sd[:shown] / exact[:shown] - 1
-            table.append(
-                {
-                    "unknowns": name,
-                    "method": method,
-                    "knob": knob,
-                    "readings": count,
-                    "seconds": seconds,
-                    "error": np.sqrt(np.mean(ratio**2)),
-                    "worst": np.abs(ratio).max(),
-                    "flagged": 1 - good.mean(),
-                    "worst_unflagged": np.abs(ratio[good]).max() if good.any() else np.nan,
-                }
-            )
+            sd = run(rows)
+            seconds = time.process_time() - start
+            good = np.ones(len(rows), dtype=bool)
+            table.append(posteriors.row(scene, method, knob, sd, good, exact, seconds / len(rows)))
     return pd.DataFrame(table)
 
 
-def growth(short: bool) -> pd.DataFrame:
-    """Time against the number of posteriors."""
-    table: list[Row] = []
-    for name, observer in OBSERVERS.items():
-        for method in ("quadrature", "emcee"):
-            most = {"quadrature": 65_536, "emcee": 1024}[method] // (64 if short else 1)
-            rows = np.resize(readings(name, 4096), (most, len(observer.cue.signal_names)))
-            count = 1
-            while count <= most and not (name == "two unknowns" and count > 8192):
-                start = time.process_time()
-                ww.posterior(observer, rows[:count], method=method, seed=1)
-                seconds = time.process_time() - start
-                table.append(
-                    {"unknowns": name, "method": method, "count": count, "seconds": seconds}
-                )
-                count *= 4
-    return pd.DataFrame(table)
+# -- fits ----------------------------------------------------------------------------------------
 
 
-def machine() -> str:
-    """What the times are of."""
-    names = ("numpy", "scipy", "emcee")
-    versions = ", ".join(f"{name} {version(name)}" for name in names)
-    return (
-        f"Python {platform.python_version()}, weberwhisk {ww.__version__}, {versions}; "
-        f"{platform.machine()}, one core, CPU time"
+def psychofit_answer(trials: Trials) -> fits.Answer:
+    """psychofit's spread of an error function of ln ratio, as a Weber fraction; no interval."""
+    import psychofit
+
+    c = trials.cells()
+    x = np.log(c.stimulus_2 / c.stimulus_1)
+    state = np.random.get_state()  # noqa: NPY002 — it draws from the global generator
+    try:
+        np.random.seed(1)  # noqa: NPY002
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found, _ = psychofit.mle_fit_psycho(
+                np.stack([x, c.n, c.count / c.n]), "erf_psycho_2gammas",
+                parstart=np.array([0.0, 0.2, 0.05, 0.05]), parmin=np.array([-0.3, 0.01, 0, 0]),
+                parmax=np.array([0.3, 2.0, 0.4, 0.4]), nfits=5,
+            )  # fmt: skip
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
+    # Its erf((x − b)/t) has sd t/√2, and ln(I2/I1) has √2 k.
+    return float(found[1]) / 2, np.nan, np.nan
+
+
+def other_fits(full: bool, sets: int) -> pd.DataFrame:
+    """Rows of psignifit and psychofit."""
+    tools = {"psychofit": psychofit_answer, "psignifit": psignifit_answer}
+    return pd.DataFrame(
+        [
+            fits.measure_tool(name, tool, per_level, sets)
+            for per_level in (fits.SIZES if full else fits.SIZES[:1])
+            for name, tool in tools.items()
+            if find_spec(name)
+        ]
     )
 
 
-def _beams(ax: Axes, scene: str) -> None:
-    table = pd.read_csv(HERE / "referees.csv")
-    table = table[(table["scene"] == SCENES[scene]) & (table["given"] == "contact")]
-    for i, (_, row) in enumerate(table.iterrows()):
-        ours = str(row["method"]).startswith("rung")
-        ax.loglog(
-            row["cpu_seconds"],
-            max(row["error_moment"], 1e-16),
-            figures.MARKERS[i % len(figures.MARKERS)],
-            color=figures.COLOURS[i % len(figures.COLOURS)],
-            markerfacecolor=None if ours else "none",
-            label=row["method"],
-        )
-    ax.set(title=f"one contact, {scene}", xlabel="CPU time (s)", ylabel="error of the moment")
-    ax.set(ylim=(1e-17, 10))
-    if scene == "easy":
-        ax.legend(fontsize=5.5, loc="center left")
+# -- together ------------------------------------------------------------------------------------
 
 
-def _posteriors(ax: Axes, table: pd.DataFrame) -> None:
-    for i, (method, part) in enumerate(table.groupby("method", sort=False)):
-        ax.loglog(
-            part["seconds"],
-            np.maximum(part["error"], 1e-10),
-            "-" + figures.MARKERS[i],
-            color=figures.COLOURS[i],
-            label=method,
-        )
-        flagged = part[part["flagged"] > 0]
-        for _, row in flagged.iterrows():
-            ax.annotate(
-                f"{row['flagged']:.0%}",
-                (row["seconds"], max(row["error"], 1e-10)),
-                textcoords="offset points",
-                xytext=(3, 3),
-                fontsize=5,
-            )
-    ax.set(xlabel="CPU time of a posterior (s)", ylabel="r.m.s. error of the sd")
+def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
+    """The four tables, this package's rows first."""
+    return {
+        "beams": pd.concat([beams.measure(full=full), other_beams(full)], ignore_index=True),
+        "posteriors": pd.concat(
+            [posteriors.measure(full=full), other_posteriors(full)], ignore_index=True
+        ),
+        "fits": pd.concat(
+            [fits.measure(full=full, sets=sets), other_fits(full, sets)], ignore_index=True
+        ),
+        "growth": growth.measure(full=full),
+    }
 
 
-def _growth(ax: Axes, table: pd.DataFrame) -> None:
-    for i, ((name, method), part) in enumerate(table.groupby(["unknowns", "method"], sort=False)):
-        late = part[part["seconds"] > 5 * part["seconds"].min()]
-        slope = (
-            np.polyfit(np.log(late["count"]), np.log(late["seconds"]), 1)[0]
-            if len(late) > 2
-            else np.nan
-        )
-        ax.loglog(
-            part["count"],
-            part["seconds"],
-            "-" + figures.MARKERS[i],
-            color=figures.COLOURS[i],
-            label=f"{method}, {name}" + (f": slope {slope:.2f}" if slope > 0 else ""),
-        )
-    ax.set(title="growth", xlabel="posteriors in one call", ylabel="CPU time (s)")
-    ax.set(ylim=(None, 3e4))
-    ax.legend(fontsize=5.5, loc="upper left")
+def make(folder: Path, *, full: bool = True, sets: int = 50) -> dict[str, pd.DataFrame]:
+    """Tables and figures into `folder`."""
+    foot = charts.machine(*PACKAGES)
+    absent = missing()
+    foot += f"; not installed: {', '.join(absent)}" if absent else ""
+    with Run(folder, "speed_accuracy", {"full": full, "sets": sets, "machine": foot}) as run:
+        tables = measure(full=full, sets=sets)
+        draw(run, tables, foot)
+    return tables
 
 
-@figures.styled
-def draw(table: pd.DataFrame, grown: pd.DataFrame) -> Figure:
-    """Beams above, posteriors and growth below."""
-    figure = figures.new_figure(figures.DOUBLE, 5.0)
-    above, below = figure.subplots(2, 3)
-    for ax, scene in zip(above, SCENES, strict=True):
-        _beams(ax, scene)
-    for ax, name in zip(below, OBSERVERS, strict=False):
-        _posteriors(ax, table[table["unknowns"] == name])
-        ax.set(title=f"posterior, {name}, k = {K:g}")
-    below[0].legend(fontsize=5.5, loc="center right")
-    _growth(below[2], grown)
-    figure.text(
-        0.01, -0.015, f"Above: referees.csv. Below: {machine()}. Percentages: flagged.", fontsize=5
-    )
-    return figure
-
-
-def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
-    """Tables and figure into `folder`."""
-    with Run(folder, "speed_accuracy", {"short": short, "machine": machine()}, 1) as run:
-        table, grown = posteriors(short), growth(short)
-        run.table("speed_accuracy", table)
-        run.table("growth", grown)
-        run.figure("speed_accuracy", draw(table, grown))
-    return table
+def draw(run: Run, tables: dict[str, pd.DataFrame], foot: str) -> None:
+    """Keep the tables and the figures of them."""
+    for name, table in tables.items():
+        run.table(name, table)
+    table = pd.concat(tables.values(), ignore_index=True)
+    own = {"closed form", "quadrature", "emcee", "Laplace", "emcee, stacked"}
+    outside = {
+        m for m in table["method"].unique() if not m.startswith(("rung", "quad")) and m not in own
+    }
+    run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot, outside=outside))
+    run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot, outside=outside))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     default = HERE.parent / "results" / "speed_accuracy"
     parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few readings, few knobs")
+    parser.add_argument("--short", action="store_true", help="few settings, little data")
+    parser.add_argument("--sets", type=int, default=50, help="data sets of each fit")
     given = parser.parse_args()
-    print(
-        make(given.folder, short=given.short).to_string(index=False, float_format="{:.3g}".format)
-    )
-    print(f"Written to {given.folder}.")
+    made = make(given.folder, full=not given.short, sets=4 if given.short else given.sets)
+    for name, table in made.items():
+        print(f"\n{name}\n{table.to_string(index=False, float_format='{:.3g}'.format)}")

@@ -22,8 +22,9 @@ LENGTH, BASE, MODULUS = 50e-3, 100e-6, 3e9
 TOLERANCE = 1e-9
 #: Claimed errors from which the claim is a warning, and says that no digit can be relied on.
 ROUGH, HOPELESS = 0.01, 0.3
-#: Share of the last angle about which a walk in steps does not know on which side of it it is.
-UNDECIDED = 1e-5
+#: Share of the last angle, and radians, about which a walk in steps does not know on which side
+#: of it it is: the angle is level at a fold, not so at the tip.
+UNDECIDED, LAST_STEP = 1e-5, 3e-4
 SIGNALS = ("moment", "axial_force", "transverse_force")
 
 STRAIGHT = {
@@ -73,7 +74,7 @@ def judge(case: Case, rung: str) -> Judged:
     walk = beams.walk(r, theta)
     there = (walk["end"] == 0) | (held & (walk["end"] != 3))
     # From the walk's own end; where it ended in doubt, from the rung's contact.
-    near = np.abs(walk["angle"] - theta) < UNDECIDED * np.maximum(np.abs(theta), 1e-3)
+    near = np.abs(walk["angle"] - theta) < np.maximum(UNDECIDED * np.abs(theta), LAST_STEP)
     own_start = walk["end"] == 0
     lost = ~np.isfinite(bent.arc_length)
     arc = np.where(own_start | lost, walk["arc"], bent.arc_length)
@@ -126,4 +127,5 @@ DOMAINS = [
     Domain("closed form", STRAIGHT, lambda case: judge(case, "closed_form")),
     Domain("elastica", STRAIGHT, lambda case: judge(case, "elastica")),
     Domain("profile", CURVED, lambda case: judge(case, "profile")),
+    Domain("rod, in the plane", CURVED, lambda case: judge(case, "rod")),
 ]

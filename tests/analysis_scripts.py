@@ -11,7 +11,9 @@ FOLDER = Path(__file__).parent.parent / "analyses"
 
 
 def load(name: str) -> ModuleType:
-    """The script of that name, run anew."""
+    """The script of that name, run anew; it finds its neighbours as when it is run by itself."""
+    if str(FOLDER) not in sys.path:
+        sys.path.insert(0, str(FOLDER))
     spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None

@@ -1,9 +1,9 @@
-"""The claims of analyses/all_cues.py, from small tables."""
+"""The claims of the charts of all cues, from small tables."""
 
 import numpy as np
-from analysis_scripts import load
 
-all_cues = load("all_cues")
+from weberwhisk import figures
+from weberwhisk import surveys as all_cues
 
 
 def test_no_cue_is_best_everywhere():
@@ -27,6 +27,22 @@ def test_only_the_cylinder_has_a_ridge():
     assert ridge["radial_distance"].max() > 2 * ridge["radial_distance"].quantile(0.1)
 
 
-def test_the_figures_are_drawn():
-    assert len(all_cues.draw_best(all_cues.best(10)).axes) == 1
-    assert len(all_cues.draw_ridge(all_cues.ridge(40)).axes) == 1
+def test_charts_name_the_regions_where_methods_fail():
+    """Every outcome of a table is written on its chart."""
+    table = all_cues.curves(6, 2)
+    lost = table[~table["outcome"].str.startswith("held")]
+    names = {outcome.split(":")[0] for outcome in lost["outcome"]}
+    assert {"one-sided", "flicked past"} <= names
+    assert lost[["closed_form", "fisher", "posterior"]].isna().all(axis=None)
+    works = figures.cue_jnds(table).axes[2]
+    assert names <= {text.get_text() for text in works.texts}
+
+    contacts = all_cues.best(30)
+    beyond = set(contacts["beyond"])
+    assert beyond == {"flicked past", "slipped off the tip"}
+    chart = figures.best_cue(contacts, all_cues.MAPPED).axes[0]
+    assert beyond <= {text.get_text() for text in chart.texts}
+
+    ridge = figures.ridge(all_cues.ridge(40), (25e-3, 0.3)).axes[0]
+    labels = {text.get_text() for text in ridge.get_legend().get_texts()}
+    assert {"tapered: converged", "cylinder: unidentified"} <= labels

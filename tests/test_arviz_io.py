@@ -14,7 +14,8 @@ from scipy import stats
 
 from weberwhisk.posterior import diagnostics
 from weberwhisk.posterior.arviz_io import resample, to_arviz
-from weberwhisk.posterior.grid import Nodes, integrate
+from weberwhisk.posterior.grid import integrate
+from weberwhisk.posterior.nodes import Nodes
 
 Array = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ import typer
 import weberwhisk as ww
 from weberwhisk import _checks, cli
 from weberwhisk._terminal import new_app, progress, run_app
+from weberwhisk.commands.figure import CHARTS
 from weberwhisk.commands.options import SCENES
 from weberwhisk.runs import Run
 
@@ -475,6 +476,31 @@ def test_jnd_of_the_force_map_combines_each_with_each(
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "jnd.csv", "jnd.png", "jnd.svg", "jnd.run.json",
     }  # fmt: skip
+
+
+def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(cli.app, ["figure"]) == 0
+    listed = capsys.readouterr().out
+    assert all(name in listed for name in CHARTS)
+    out = tmp_path / "out"
+    for name, tables in (("ridge", ["ridge"]), ("best-cue", ["best-cue"])):
+        assert run_app(cli.app, ["figure", name, "--short", "--out", str(out)]) == 0
+        assert all(len(pd.read_csv(out / f"{table}.csv")) > 100 for table in tables)
+        assert (out / f"{name}.png").stat().st_size > 0
+    capsys.readouterr()
+    assert run_app(cli.app, ["figure", "ridge"]) == 2
+    assert "write --out ridge" in capsys.readouterr().err
+    assert run_app(cli.app, ["figure", "rigde", "--out", str(out)]) == 2
+    assert "did you mean 'ridge'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("cue", ["three-forces", "moment"])
+def test_choices_by_other_cues_of_forces(tmp_path: Path, cue: str) -> None:
+    scene = [*SOFT, "--cue", cue, "--deflection-angle-deg", "5"]
+    out = str(tmp_path / "out")
+    made = ["simulate", *scene, "--standard-mm", "20", "--weber-fraction", "0.1", "--out", out]
+    assert run_app(cli.app, made) == 0
+    assert run_app(cli.app, ["fit", f"{out}/trials.csv", *scene, "--out", f"{out}/fit"]) == 0
 
 
 @pytest.mark.parametrize("cue", sorted(SCENES))

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import Outcome
+from weberwhisk import Outcome, sweeping
 from weberwhisk.mechanics import elastica
 from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
@@ -106,6 +106,31 @@ def test_the_filter_finds_the_contact_within_its_own_uncertainty(sweeps, name):
     assert np.mean((low <= r) & (r <= high)) > 0.7
     # Thirty readings tell more than one, though what is asked of them moves.
     assert track.distance_sd[10] < track.distance_sd[0]
+
+
+def test_walls_that_the_tip_meets_are_among_the_objects(monkeypatch):
+    """Contacts there run inwards at 1.6 lengths per rad: objects met by the flank alone miss it."""
+    body = wall(0.0, -10e-3, 0.0)
+    first = sweep(W, body, np.radians([-1.0, 60.0])).first_contact
+    full = sweep(W, body, np.concatenate([[first - 0.01], first + PUSH]))
+    held = full.bending.held
+    r, push = full.bending.radial_distance[held], PUSH[held[1:]]
+    readings = [
+        Weber(0.1).sample(full.bending.moment[held][:, None], 100 + s)[:, 0] for s in range(4)
+    ]
+
+    def square(share):
+        monkeypatch.setattr(sweeping, "TIP_SHARE", share)
+        off = []
+        for s, felt in enumerate(readings):
+            track = SweepFilter(W, Weber(0.1))(push, felt, seed=s)
+            assert np.all(track.outcome == Outcome.HELD)
+            off.append((track.radial_distance - r) / track.distance_sd)
+        return np.square(off)
+
+    with_walls, without = square(0.2), square(0.0)
+    assert np.sqrt(with_walls.mean()) < 1.6 < np.sqrt(without.mean())
+    assert np.sqrt(with_walls.max()) < 5 < np.sqrt(without.max())
 
 
 def test_on_a_peg_the_filter_is_the_product_of_the_likelihoods():

@@ -254,22 +254,3 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
     assert "contraction against" in report
     assert "nan" not in report
     assert (tmp_path / "figures" / "real_data.png").stat().st_size > 10_000
-
-
-# analyses/speed_accuracy.py
-# --------------------------
-
-
-def test_speed_and_accuracy_are_of_every_engine_and_right(tmp_path: Path) -> None:
-    table = load("speed_accuracy").make(tmp_path, short=True)
-    assert {"speed_accuracy.csv", "speed_accuracy.png", "growth.csv"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
-    assert np.isfinite(table["error"]).all()
-    assert (table["seconds"] > 0).all()
-    errors = table.set_index(["unknowns", "method"])["worst_unflagged"]
-    assert errors["one unknown", "quadrature"].max() < 1e-6
-    quadrature = table[(table["method"] == "quadrature") & (table["unknowns"] == "two unknowns")]
-    # The midpoint sum that these are held against is itself only so good on narrow ridges.
-    assert (quadrature["worst_unflagged"] < quadrature["knob"] + 2e-3).all()
-    assert errors["two unknowns", "emcee, stacked"].max() < 0.2

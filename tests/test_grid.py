@@ -77,6 +77,24 @@ def test_gamma_variables_and_their_logs(tolerance: float) -> None:
     np.testing.assert_allclose(fit.log_evidence, special.gammaln(shape), atol=tolerance)
 
 
+def test_constants_cost_nothing() -> None:
+    def functions(x: Array) -> Array:
+        return np.stack([x[..., 0], np.full(x.shape[:-1], 0.3)], axis=-1)
+
+    fit = integrate(
+        lambda x, index: -0.5 * x[..., 0] ** 2,
+        [[0.0]],
+        [[[1.0]]],
+        functions=functions,
+        only_functions=True,
+        tolerance=1e-2,
+    )
+    assert fit.converged.all()
+    assert fit.evaluations[0] < 20
+    assert fit.mean[0, 1] == pytest.approx(0.3, rel=1e-12)
+    assert fit.sd[0, 1] < 1e-12
+
+
 def test_beta_variables_in_logit_coordinates() -> None:
     a, b = np.array([0.7, 2.0, 30.0]), np.array([3.0, 2.0, 0.9])
     fit = integrate(

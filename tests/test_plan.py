@@ -288,6 +288,8 @@ def plan() -> Plan:
         trials_per_session=60,
         longest_run=4,
         title="A plan, “tried”",
+        together=False,
+        runs=16,
         seed=7,
     )
 
@@ -425,11 +427,14 @@ C2 = Whisker.from_identity("C2")  # 33.6 mm
         ({"cue": ForceMap(), "trials": 5}, r"Taper is tested by the compliance cue"),
         ({"hypotheses": taper(C2)[:1], "trials": 5}, r"A Bayes factor compares two hypotheses"),
         ({"together": True, "trials": 5}, r"One animal cannot be fitted together"),
+        ({"find": "nothing"}, r"Trials are given or found, got neither"),
+        ({"find": "animals"}, r"found for so many trials each, got none"),
+        ({"find": "whiskers"}, r"find 'whiskers' is unknown"),
     ],
 )
 def test_what_cannot_be_planned_is_refused(options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
-        plan_experiment("C2", **options)
+        plan_experiment("C2", **options, runs=0)
 
 
 @pytest.mark.parametrize(
@@ -452,12 +457,55 @@ def test_goals_and_animals_that_make_no_sense_are_refused(
         make()
 
 
+# -- the size ------------------------------------------------------------------------------------
+
+
+def test_the_goal_decides_the_number_of_trials() -> None:
+    """As few as reach it, even in number; the power of the plan says so, and half as many do not.
+
+    Chance: 48 experiments at a size have a standard error of 0.06.
+    """
+    goal = Goal(bayes_factor=10, share=0.7)
+    plan = plan_experiment(
+        "C2", goal=goal, standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], runs=48, seed=2
+    )
+    assert plan.power is not None
+    (trials,) = {n for row in plan.scheme.trials for n in row}
+    assert trials % 2 == 0
+    planned = plan.power[plan.power["trials"].between(trials - 1, trials)]
+    assert sorted(planned["truth"]) == ["cylindrical", "tapered"]
+    assert (planned["upper"] > 0.7).all()
+    small = plan.power[plan.power["trials"] <= trials / 2]
+    assert small["power"].min() < 0.7
+    assert "the aim is reached by" in plan.power_in_words()
+    ax = figures.planned_power(plan)
+    marked = [line.get_xdata()[0] for line in ax.get_lines() if len(set(line.get_xdata())) == 1]
+    assert plan.scheme.n_trials in marked
+
+
+def test_more_animals_are_found_for_trials_that_are_given() -> None:
+    plan = plan_experiment(
+        "C2", standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], trials=8, animals=2, find="animals",
+        runs=48,
+    )  # fmt: skip
+    assert plan.power is not None
+    assert {n for row in plan.scheme.trials for n in row} == {8}
+    planned = plan.power[plan.power["animals"] == plan.scheme.animals]
+    assert (planned["upper"] > 0.8).all()
+    assert plan.together == (plan.scheme.animals > 1)
+
+
+def test_a_goal_that_no_design_reaches_says_by_how_much() -> None:
+    with pytest.raises(ValueError, match=r"no design of up to 1000 trials .* % short"):
+        plan_experiment("C2", standards=[10e-3], goal=Goal(bayes_factor=1e4), runs=16)
+
+
 # -- what is expected ----------------------------------------------------------------------------
 
 
 def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
     """The one fit to expected answers against the median of thirty fits to simulated ones."""
-    plan = plan_experiment("C2", goal=Goal(half_width=0.3), trials=40)
+    plan = plan_experiment("C2", goal=Goal(half_width=0.3), trials=40, runs=0)
     ((_, expected),) = plan.expected_fits
     k, lapse = plan.animals.weber_fraction, plan.animals.lapse
     animal = pd.DataFrame(
@@ -510,7 +558,7 @@ def test_the_page_stands_alone_and_holds_its_figures(plan: Plan) -> None:
     assert not parser.open
     # Nothing from elsewhere: no links, scripts or files.
     assert parser.tags.isdisjoint({"script", "link", "iframe"})
-    assert len(parser.images) >= 2
+    assert len(parser.images) == 3
     for source in parser.images:
         head, _, content = source.partition(",")
         assert head == "data:image/svg+xml;base64"

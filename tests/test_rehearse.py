@@ -10,47 +10,60 @@ import pandas as pd
 import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr
+from scipy.stats import beta, lognorm, norm
 
 from weberwhisk import Whisker, plan_experiment, rehearse
 from weberwhisk.behaviour import IdentityPercept, Priors, fit_population
 from weberwhisk.behaviour.answering import answer_trials
 from weberwhisk.behaviour.comparison import ConstantNoise
 from weberwhisk.behaviour.simulate import simulate_trials
-from weberwhisk.design import Animals, Goal, Hypothesis, Plan, Rehearsal, Scheme, analyse, taper
-from weberwhisk.design.rehearsal import NEITHER, one_experiment, wilson
+from weberwhisk.design import (
+    Animals,
+    Goal,
+    Hypothesis,
+    Plan,
+    Rehearsal,
+    Scheme,
+    analyse,
+    taper,
+)
+from weberwhisk.design.rehearsal import NEITHER, wilson
 from weberwhisk.figures import rehearsed
 
 C2 = Whisker.from_identity("C2")
+PLACES, LEVELS = [20e-3, 30e-3], [-2, -1, 1, 2]
 KNOWN = Priors(lapse_low=0.02, lapse_high=0.03)
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    """One animal that will be told apart: near the base, half way and near the tip."""
-    return plan_experiment("C2", trials=25, seed=3)
+    """One animal that will be told apart: half way and near the tip."""
+    return plan_experiment("C2", standards=PLACES, levels=LEVELS, trials=40, runs=0, seed=3)
 
 
 @pytest.fixture(scope="module")
-def found(plan: Plan) -> Rehearsal:
-    return rehearse(plan, 6, seed=2)
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("rehearsal") / "runs.jsonl"
+
+
+@pytest.fixture(scope="module")
+def found(plan: Plan, stream: Path) -> Rehearsal:
+    return rehearse(plan, 3, seed=2, out=stream)
 
 
 def test_a_rehearsal_is_the_same_again_and_goes_on_where_it_was(
-    plan: Plan, found: Rehearsal, tmp_path: Path
+    plan: Plan, found: Rehearsal, stream: Path, tmp_path: Path
 ) -> None:
+    lines = stream.read_bytes().splitlines(keepends=True)
     file = tmp_path / "runs.jsonl"
-    whole = rehearse(plan, 6, seed=2, out=file)
-    pd.testing.assert_frame_equal(whole.table, found.table)
-    lines = file.read_bytes().splitlines(keepends=True)
-    file.write_bytes(b"".join(lines[:6]) + lines[6][:40])  # killed while it wrote the sixth
+    file.write_bytes(b"".join(lines[:4]) + lines[4][:40])  # killed while it wrote the fourth
     done: list[float] = []
-    again = rehearse(plan, 6, seed=2, out=file, progress=done.append)
+    again = rehearse(plan, 3, seed=2, out=file, progress=done.append)
     pd.testing.assert_frame_equal(again.table, found.table)
-    assert done[0] == 5
-    assert sum(done) == 12
+    assert done == [3, 1, 1, 1]
     # More runs leave the first ones as they are.
-    fewer = rehearse(plan, 2, seed=2)
-    pd.testing.assert_frame_equal(fewer.table, found.table.iloc[:4])
+    fewer = rehearse(plan, 1, seed=2)
+    pd.testing.assert_frame_equal(fewer.table, found.table.iloc[:2])
 
 
 def test_a_row_is_what_the_plan_finds_in_that_experiment(plan: Plan, found: Rehearsal) -> None:
@@ -110,7 +123,7 @@ def test_what_cannot_be_told_apart_stays_undecided() -> None:
     tapered, cylindrical = taper(C2)
     scheme = Scheme.spaced(tapered.percept, [10e-3], trials=20)
     plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
-    found = rehearse(plan, 6, seed=1)
+    found = rehearse(plan, 4, seed=1)
     assert (found.table["conclusion"] == NEITHER).all()
     assert found.table["log_bayes_factor"].abs().max() < np.log(3)
     assert (found.summary()["undecided"] == 1).all()
@@ -119,10 +132,18 @@ def test_what_cannot_be_told_apart_stays_undecided() -> None:
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """k drawn anew for each of sixty animals; fewer than 51 covered has a chance of 2e-3."""
-    plan = plan_experiment(
-        "C2", goal=Goal(half_width=0.45), trials=15, expected=Animals(0.12, 0.5, 0.03, 0.2)
-    )
+    """Animals drawn from the very priors of the fit: fewer than 51 of 60 has a chance of 2e-3.
+
+    With other priors coverage is not promised: where offsets are small, lapses and k explain each
+    other's errors, and the default prior of the lapses (mean 9 %) takes 10 % off k on average.
+    """
+    expected = Animals(0.12, 0.5, 0.03, 0.2)
+    lapse = beta(2, 2 / 0.03 - 2)
+    priors = Priors(lognorm(0.5, scale=0.12), lapse, lapse, norm(0, 0.2), lapse_correlation=0.0)
+    percept = taper(C2)[0].percept
+    scheme = Scheme.spaced(percept, PLACES, weber_fraction=0.12, levels=LEVELS, trials=20)
+    hypothesis = Hypothesis("tapered", percept, priors, bias="shared")
+    plan = Plan(scheme, [hypothesis], Goal(half_width=0.45), expected)
     found = rehearse(plan, 60, seed=4)
     assert found.table["covered"].sum() >= 51
     assert (found.table["conclusion"] == "").all()
@@ -170,7 +191,9 @@ def test_wilsons_interval_solves_its_own_equation() -> None:
 
 
 def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
-    plan = plan_experiment("C2", trials=15, animals=2)
+    plan = plan_experiment(
+        "C2", standards=PLACES, levels=LEVELS, trials=15, animals=2, together=False, runs=0
+    )
     truth = plan.animals.draw(2, 1)
     answers = answer_trials(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
     frame = answers.frame.copy()
@@ -184,23 +207,17 @@ def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
 
 
 def test_animals_fitted_together_are_fitted_as_a_population() -> None:
-    tapered, cylindrical = taper(C2)
-    scheme = Scheme.spaced(tapered.percept, [10e-3, 30e-3], levels=[-2, -1, 1, 2], trials=8,
-                           animals=2)  # fmt: skip
-    plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10), together=True)
+    tapered = taper(C2)[0]
+    scheme = Scheme.spaced(tapered.percept, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
+    plan = Plan(scheme, [tapered], Goal(half_width=0.5), together=True)
     truth = plan.animals.draw(2, 1)
     answers = answer_trials(plan.trials, truth, percept=tapered.percept, seed=1)
     finding = plan.analyse(answers)
     whole = fit_population(answers, percept=tapered.percept, bias="per standard")
-    row = finding.of("tapered").iloc[0]
+    row = finding.estimates.iloc[0]
     assert row["subject"] == "population"
     assert (row["lower"], row["upper"]) == whole.interval(0.95)
-    assert finding.log_evidence["tapered"] == whole.log_evidence
-    seed = np.random.SeedSequence(1)
-    from weberwhisk.design import plan_json
-
-    out = one_experiment({"plan": plan_json(plan), "truth": "tapered", "run": 1}, seed)
-    assert out["half_width"][0] > 0
+    assert finding.log_evidence == {"tapered": whole.log_evidence}
 
 
 def test_data_in_millimetres_say_the_same(plan: Plan) -> None:

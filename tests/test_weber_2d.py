@@ -1,13 +1,11 @@
-"""Weber's law in two dimensions (§3c): the claims of analyses/weber_2d.py."""
+"""Weber's law in two dimensions (§3c): the claims of its chart."""
 
 import numpy as np
 import pytest
-from analysis_scripts import load
 
 import weberwhisk as ww
+from weberwhisk import surveys as weber_2d
 from weberwhisk.jnd import fisher_jnd, jnd_curve, weber_propagation
-
-weber_2d = load("weber_2d")
 
 W, K = weber_2d.WHISKER, weber_2d.K
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
-    from .design import plan_experiment, read_plan, rehearse
+    from .design import plan_experiment, power, read_plan, rehearse
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor, jnd_curve
     from .jnd_surface import jnd_sweep
@@ -99,6 +99,7 @@ _HOME = {
     "simulate_trials": "behaviour",
     "design": "design",
     "plan_experiment": "design",
+    "power": "design",
     "read_plan": "design",
     "rehearse": "design",
     "write_plan": "planning",
@@ -140,6 +141,7 @@ __all__ = [
     "mechanics",
     "plan_experiment",
     "posterior",
+    "power",
     "press",
     "read_plan",
     "read_trials",

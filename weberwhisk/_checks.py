@@ -50,9 +50,10 @@ def number(name: str, value: ArrayLike, hint: str) -> float:
 def whole(name: str, value: object, hint: str, least: int = 1) -> int:
     """`value` as a whole number of `least` or more."""
     array = np.asarray(value)
-    if array.size == 1 and array.dtype.kind in "iuf" and least <= array < np.inf:
-        if float(array.reshape(())).is_integer():
-            return int(array.reshape(()))
+    if array.size == 1 and array.dtype.kind in "iuf":
+        number = float(array.reshape(()))
+        if number.is_integer() and number >= least:
+            return int(number)
     raise ValueError(
         f"{name} must be a whole number of {least} or more, got {shown(value)}; {hint}."
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 
 from ._terminal import new_app, run_app
-from .commands import bend, design, fit, jnd, quickstart, rehearse, simulate
+from .commands import bend, chart, design, figure, fit, jnd, quickstart, rehearse, simulate
+from .commands import next as next_
 
 app = new_app()
 COMMANDS = (
@@ -16,9 +17,12 @@ COMMANDS = (
     fit.fit,
     design.design,
     rehearse.rehearse,
+    chart.chart,
+    figure.figure,
 )
 for command in COMMANDS:
     app.command()(command)
+app.command("next")(next_.next_trials)
 
 
 def main() -> int:

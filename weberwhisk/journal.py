@@ -74,7 +74,7 @@ class Journal:
         self.path = Path(path)
         self.lines: list[str] = []
         self._kind = kind
-        self._question = json.loads(json.dumps(question)) | {"versions": versions()}
+        self._question = json.loads(json.dumps(question))
         self._about = about or {}
 
     def __enter__(self) -> Self:
@@ -113,7 +113,8 @@ class Journal:
 
     def _begin(self) -> None:
         started = datetime.now(UTC).isoformat(timespec="seconds")
-        about = self._about | {"python": platform.python_version(), "started": started}
+        about = {"python": platform.python_version(), "started": started} | self._about
+        about = {"made_with": versions()} | about
         self.append(json.dumps({_mark(self._kind): FORMAT, **about, **self._question}))
 
     def _same(self, header: dict[str, Any]) -> None:

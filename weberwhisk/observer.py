@@ -19,6 +19,9 @@ from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
+#: Values of each unknown that has a prior alone in `Observer.spread`.
+OTHERS = 7
+
 
 class Observer:
     """An ideal observer of one contact.
@@ -185,10 +188,10 @@ class Observer:
     def spread(self, fractions: Array) -> Array:
         """Coordinates (n, U) of contacts at all combinations of fractions of each range.
 
-        Unknowns that have priors alone take seven values within 2.5 sd of the middle.
+        Unknowns that have priors alone take `OTHERS` values within 2.5 sd of the middle.
         """
         bounded = [f(fractions) for f in (_unplace, _unsquash)[: self.bounded]]
-        others = [np.linspace(-2.5, 2.5, 7)] * (len(self.unknowns) - self.bounded)
+        others = [np.linspace(-2.5, 2.5, OTHERS)] * (len(self.unknowns) - self.bounded)
         x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *others, indexing="ij")], axis=-1)
         if self.bounded > 1:
             low, high = self.reach

@@ -28,7 +28,7 @@ def write_plan(
     - ``trials.csv``: all trial lists, which `weberwhisk fit` reads with the answers added;
     - ``psychopy_<animal>_<session>.csv``: a conditions file for every session;
     - ``bpod.csv``: all trials as numbers alone;
-    - ``planned_levels.csv``, ``planned_jnds.csv`` and figures of what is expected.
+    - ``planned_levels.csv``, ``planned_jnds.csv``, ``planned_power.csv`` and figures of them.
 
     Parameters
     ----------
@@ -85,7 +85,8 @@ def fill(run: Run, plan: Plan) -> None:
     run.figure("planned_psychometric", figures.figure_of(figures.planned_psychometrics(plan)))
     run.figure("planned_jnd", figures.figure_of(figures.planned_jnds(plan)))
     if plan.power is not None:
-        run.table("power", plan.power)
+        run.table("planned_power", plan.power)
+        run.figure("planned_power", figures.figure_of(figures.planned_power(plan)))
 
 
 def in_millimetres(table: pd.DataFrame) -> pd.DataFrame:

@@ -33,6 +33,10 @@ from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
+#: Share of objects that the tip meets first, as a wall's; how near to the tip (in lengths) their
+#: contacts start, and the sd of the rate at which they run inwards, in lengths per rad.
+TIP_SHARE, TIP_ZONE, TIP_RATE = 0.2, 0.02, 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -210,7 +214,8 @@ class SweepFilter:
 
     The state is r, θ_d and the rate of slip dr/dρ, which wanders: the object's shape is unknown,
     and smooth. A bootstrap particle filter (Gordon, Salmond & Smith 1993, IEE Proc. F 140, 107)
-    with systematic resampling; the likelihood of each moment is that of an `Observer`.
+    with systematic resampling; the likelihood of each moment is that of an `Observer`. A share of
+    the objects is met by the tip, as walls are, and runs inwards from there.
 
     Parameters
     ----------
@@ -273,7 +278,13 @@ class SweepFilter:
             prior = self.observer.prior["radial_distance"]
             ends = prior.cdf([low, high])
             r = prior.ppf(ends[0] + u * (ends[1] - ends[0]))
-        rate = self.slip_rate * self.observer.whisker.length * rng.standard_normal(u.size)
+        length = float(self.observer.whisker.length)
+        rate = self.slip_rate * length * rng.standard_normal(u.size)
+        if self.slip_rate > 0 and "radial_distance" not in self.observer.prior:
+            # What the tip meets first runs inwards from there, and faster: (slip) knows no tip.
+            tip = rng.permutation(u.size) < TIP_SHARE * u.size
+            r[tip] = length * (1 - TIP_ZONE * u[tip])
+            rate[tip] = -TIP_RATE * length * np.abs(rng.standard_normal(int(tip.sum())))
         return np.stack([r, np.zeros_like(r), rate], axis=-1)
 
     def move(self, state: Array, push: float, seed: Seed = None) -> Array:

@@ -34,10 +34,10 @@ class WeberLawTest:
     >>> from weberwhisk import fit_weber, simulate_trials
     >>> trials = simulate_trials(standards=[1.0, 4.0], weber_fraction=0.15, seed=1)
     >>> test = weber_law_test(fit_weber(trials))
-    >>> test.by_standard["standard"].tolist(), test.log_bayes_factor > 0
-    ([1.0, 4.0], True)
-    >>> test.report()[-75:]
-    'standard the wide prior of the fit, which favours the law when data are few.'
+    >>> test.by_standard["standard"].tolist()
+    [1.0, 4.0]
+    >>> "against one for each" in test.report()
+    True
     """
 
     log_bayes_factor: float

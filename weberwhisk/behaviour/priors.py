@@ -44,11 +44,11 @@ class Priors:
       of it below 3 %, one in ten above 28 %; normal scores correlated by 0.7, as an animal that
       does not attend errs at both ends. A lapse and a poor Weber fraction explain the same errors,
       so this prior moves k, and no prior suits all animals. At k = 0.1, 297 trials and lapses of 0,
-      0.02 and 0.1 a side the median k is off by −9, −2 and +20 % (lapses known: −1, −3 and −3 %)
-      and 95 % intervals cover 94, 97 and 98 % of 300 data sets each
-      (`tests/benchmarks/bench_fit.py`). `WeberFit.lapse_sensitivity` shows how far a fit hangs on
-      it; animals or sessions fitted together (`fit_population`) learn their lapses from each
-      other. State what you know of the animal.
+      0.02 and 0.1 a side the median k is off by −8, −2 and +17 % (lapses known: 0, −2 and −4 %) and
+      95 % intervals cover 91, 97 and 97 % of 500 data sets each; `analyses/lapse_prior.md` has
+      other k and other beliefs. `WeberFit.lapse_sensitivity` shows how far a fit hangs on it;
+      animals or sessions fitted together (`fit_population`) learn their lapses from each other.
+      State what you know of the animal.
     - `bias`: standard normal in sds of the difference between the percepts. The proportion of
       "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
       `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.

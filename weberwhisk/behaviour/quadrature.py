@@ -31,6 +31,9 @@ FOLLOWED = 20  # what a value costs where bias nodes follow the lapses, in ordin
 # where errors along a ridge cannot cancel. For a normal bump the error t falls to t⁴/8 at half the
 # step, so what is left is far smaller.
 COARSE, SLICED = 0.04, 0.1
+# Where the answers forbid all beyond a place the density ends in a cliff, not as a bump: no node
+# near the peak (in ln) may stand so far above its neighbour.
+NEAR, CLIFF = 4.0, 8.0
 PLENTY, GOOD = 50_000_000, 3e-3  # values after which an evidence good to this is good enough
 STEP, LAPSE_STEP = 2.0, 1.6  # of the first axes, in conditional sds; they are halved once
 FINER = 0.7  # of a step that was too coarse
@@ -286,6 +289,12 @@ def _thinned_by_line(joint: Array, axis: int) -> float:
     return float(np.abs(2 * lines[..., ::2].sum(axis=-1) - whole).sum() / whole.sum())
 
 
+def _steepest(log_density: Array) -> float:
+    """The farthest fall from one node to the next, of nodes near the peak."""
+    high = np.maximum(log_density[1:], log_density[:-1]) > -NEAR
+    return float(np.max(np.abs(np.diff(log_density)), where=high, initial=0.0))
+
+
 def adapt(joint: Array, index: int, axis: Array, ends: tuple[float, float]) -> Array:
     """The axis itself where it serves; wider where mass hangs over, finer where nodes are few."""
     if axis.size == 1:
@@ -297,7 +306,9 @@ def adapt(joint: Array, index: int, axis: Array, ends: tuple[float, float]) -> A
     below = min(below, max(int((axis[0] - ends[0]) / step), 0))
     above = min(above, max(int((ends[1] - axis[-1]) / step), 0))
     shrink = min(
-        _shrink(_thinned(log_density), COARSE), _shrink(_thinned_by_line(joint, index), SLICED)
+        _shrink(_thinned(log_density), COARSE),
+        _shrink(_thinned_by_line(joint, index), SLICED),
+        _shrink(_steepest(log_density), CLIFF),
     )
     if shrink == 1 and below <= 0 and above <= 0:
         return axis

@@ -43,6 +43,7 @@ class Record:
             "work": name,
             "seed": {"entropy": job.entropy, "spawn_key": list(job.spawn_key)},
             "chunks": list(job.chunks.values()),
+            "versions": journal.versions(),
         }
         self._journal: journal.Journal | None = None
         if path is not None:

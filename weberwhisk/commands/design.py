@@ -11,9 +11,10 @@ import typer
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, numbers, progress
+from .._terminal import a_number, numbers
 from ..design import LEVELS, Animals, Constraints, Goal, Plan
-from ..design.preregistration import assumptions
+from ..design.exports import in_millimetres
+from ..design.preregistration import assumptions, offsets_in_words
 from ..planning import fill
 from ..runs import Run, to_json
 from .options import (
@@ -96,6 +97,14 @@ def design(
         ),
     ] = None,
     animals: Annotated[int, typer.Option("--animals", help="How many.")] = 1,
+    find: Annotated[
+        str | None,
+        typer.Option(
+            "--find",
+            help="What the goal decides: trials, animals or nothing.  [default: trials, where they "
+            "are not given]",
+        ),
+    ] = None,
     weber_fraction: Annotated[
         float, a_length("--weber-fraction", "Of the expected animals, the median.")
     ] = 0.1,
@@ -107,14 +116,18 @@ def design(
     farthest_mm: Annotated[
         float | None, a_length("--farthest-mm", "Farthest distance that the animal can reach.")
     ] = None,
-    step_mm: Annotated[float, a_length("--step-mm", "Step of the pole.")] = 0.0,
+    step_mm: Annotated[float, a_length("--step-mm", "Step of the pole, 0 for none.")] = 0.01,
     easy_share: Annotated[
         float, a_length("--easy-share", "Least share of easy trials, which keep it working.")
     ] = 0.0,
     trials_per_session: Annotated[int, typer.Option("--trials-per-session", help="At most.")] = 300,
-    together: Annotated[
-        bool, typer.Option("--together", help="Fit all animals at once, as `fit --together`.")
+    apart: Annotated[
+        bool,
+        typer.Option("--apart", help="Fit each animal by itself; several are fitted together."),
     ] = False,
+    runs: Annotated[
+        int, typer.Option("--runs", help="Experiments simulated at each size, for the power.")
+    ] = 512,
     title: Annotated[
         str, typer.Option("--title", help="Of the page.")
     ] = "Discrimination of radial distance",
@@ -136,10 +149,7 @@ def design(
         shape = ("C2", *shape[1:])
     whisker = the_whisker(*shape, None)
     _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
-    with (
-        Run(out, "design", inputs, seed) as run,
-        progress("Number of trials", 1, as_json=as_json) as advance,
-    ):
+    with Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker,
             goal=_goal(bayes_factor, half_width, share),
@@ -147,13 +157,15 @@ def design(
             levels=numbers("--level", level) if level else LEVELS,
             trials=trials,
             animals=animals,
+            find=find,
             expected=Animals(weber_fraction, spread, lapse),
             constraints=_constraints(nearest_mm, farthest_mm, step_mm, easy_share),
             trials_per_session=trials_per_session,
-            together=together,
+            together=False if apart else None,
             title=title,
+            runs=runs,
             seed=seed,
-            progress=advance,
+            progress=_quiet if as_json else None,
             **_felt(cue, deflection_angle_deg),
         )
         fill(run, plan)
@@ -167,6 +179,10 @@ def design(
         print("Write it, with its trial lists, by naming a folder: --out plan.")
     else:
         print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
+
+
+def _quiet(done: float) -> None:
+    """No progress bar: the answer alone is printed."""
 
 
 def _goal(bayes_factor: float | None, half_width: float | None, share: float) -> Goal:
@@ -210,8 +226,8 @@ def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
         "sessions": plan.sessions,
         "levels": [
             {
-                "standard_mm": row["standard"] * 1e3,
-                "comparison_mm": row["comparison"] * 1e3,
+                "standard_mm": in_millimetres(row["standard"]),
+                "comparison_mm": in_millimetres(row["comparison"]),
                 "trials": row["trials"],
             }
             for row in scheme.to_dict("records")
@@ -229,7 +245,7 @@ def _summary(plan: Plan) -> str:
         f"{plan.sessions} session{'s' * (plan.sessions > 1)}, {scheme.total_trials} in all:",
     ]
     for standard, row, n in zip(scheme.standards, scheme.offsets, scheme.trials, strict=True):
-        offsets = ", ".join(f"{o * 1e3:+.3g}" for o in row)
+        offsets = offsets_in_words(row)
         times = ", ".join(map(str, sorted(set(n))))
         lines.append(f"  standard {standard * 1e3:.4g} mm, offsets {offsets} mm, {times} each")
     lines += [plan.power_in_words()] * bool(plan.power_in_words())

@@ -14,6 +14,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import a_number, a_seed, numbers
+from ..cues.force_map import SIGNALS
 from ..runs import Run, to_json
 
 if TYPE_CHECKING:
@@ -75,9 +76,11 @@ CueOption = Annotated[
     str | None,
     typer.Option(
         "--cue",
-        help="What tells of distance: compliance or force-map; in jnd also vibrissa-length, "
-        "comparative-length, angle-side-angle, two-whiskers, contact-and-detachment or "
-        "balance-of-moments.  [default: compliance]",
+        help="What tells of distance: compliance, force-map, three-forces (transverse force too) "
+        "or moment (at a known angle); in jnd also vibrissa-length, comparative-length, "
+        "angle-side-angle, two-whiskers, contact-and-detachment, vibration, lateral-slip, "
+        "space-map, balance-of-moments, felt-effort, unknown-stiffness or fused (tap and force "
+        "map).  [default: compliance]",
     ),
 ]
 AngleOption = Annotated[
@@ -85,12 +88,13 @@ AngleOption = Annotated[
     typer.Option(
         "--deflection-angle-deg",
         metavar="LIST",
-        help="Deflection of the contact.  [default: 10 for the force map; for compliance 0, the "
-        "lightest tap]",
+        help="Deflection of the contact.  [default: 10 where forces are felt; for compliance 0, "
+        "the lightest tap]",
     ),
 ]
 
-CUES = ("compliance", "force-map")
+#: Cues of forces, whose noise is one Weber fraction: what choices can tell of.
+CUES = ("compliance", "force-map", "three-forces", "moment")
 
 
 def _array(whisker: ww.Whisker) -> ww.cues.ComparativeLength:
@@ -107,7 +111,13 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
     "angle-side-angle": lambda whisker: ww.cues.AngleSideAngle(),
     "two-whiskers": lambda whisker: ww.cues.TwoWhiskers(),
     "contact-and-detachment": lambda whisker: ww.cues.ContactAndDetachment(),
+    "vibration": lambda whisker: ww.cues.Vibration(3),
+    "lateral-slip": lambda whisker: ww.cues.LateralSlip(),
+    "space-map": lambda whisker: ww.cues.SpaceMap(),
     "balance-of-moments": lambda whisker: ww.cues.BalanceOfMoments(),
+    "felt-effort": lambda whisker: ww.cues.BalanceOfMoments(effort=None),
+    "unknown-stiffness": lambda whisker: ww.cues.UnknownStiffness(ww.cues.ForceMap()),
+    "fused": lambda whisker: ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()),
 }
 
 
@@ -123,13 +133,17 @@ def the_scene(
         felt, angles = the_cue(name, angles_deg)
         noise = the_noise(weber_fraction, len(felt.signal_names))
         return ww.Observer(whisker, felt, noise), angles
-    for given, what in ((angles_deg, "--deflection-angle-deg"), (weber_fraction, WEBER_FRACTION)):
+    felt = SCENES[cue](whisker)
+    deflected = "deflection_angle" in felt.unknowns
+    useless = [(weber_fraction, WEBER_FRACTION)]
+    useless += [] if deflected else [(angles_deg, "--deflection-angle-deg")]
+    for given, what in useless:
         if given:
             raise ValueError(
                 f"The cue {cue} has no use for {what}, got {', '.join(given)}; leave it out, or "
                 "write --cue force-map."
             )
-    return ww.Observer(whisker, SCENES[cue](whisker)), np.array([])
+    return ww.Observer(whisker, felt), _angles(angles_deg) if deflected else np.array([])
 
 
 def the_cue(
@@ -148,12 +162,23 @@ def the_cue(
             "--deflection-angle-deg", angles if angles.size else np.zeros(1), "give degrees, 0 say"
         )
         return ww.cues.Compliance(tap_angle=float(np.radians(tap[0]))), np.array([])
-    angles = _checks.positive(
-        "--deflection-angle-deg",
-        angles if angles.size else np.full(1, 10.0),
-        "give degrees, 10 say",
-    )
-    return ww.cues.ForceMap(), np.radians(angles)
+    deflections = _angles(angles_deg)
+    if name == "moment":
+        if deflections.size > 1:
+            raise ValueError(
+                f"The moment is felt at one known angle, got {deflections.size} values of "
+                "--deflection-angle-deg; give one."
+            )
+        known = ww.cues.ForceMap("moment", deflection_angle=float(deflections[0]))
+        return known, np.array([])
+    signals = SIGNALS if name == "three-forces" else SIGNALS[:2]
+    return ww.cues.ForceMap(signals), deflections
+
+
+def _angles(texts: list[str] | None) -> NDArray[np.float64]:
+    """Deflection angles in rad, ten degrees where none is given."""
+    given = numbers("--deflection-angle-deg", texts or ["10"])
+    return np.radians(_checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
 
 
 def the_noise(texts: list[str] | None, signals: int) -> ww.receptors.Weber:

@@ -10,7 +10,6 @@ import typer
 
 import weberwhisk as ww
 
-from .._terminal import progress
 from ..design import plan_json, read_plan
 from ..runs import Run, atomic_write, to_json
 from .options import JsonOption, OutOption, SeedOption, wrote
@@ -45,18 +44,16 @@ def rehearse(
     plan = read_plan(file)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
     with Run(out, "rehearse", inputs, seed) as run:
-        total = runs * len(plan.hypotheses)
         stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
-        with progress("Rehearsal", total, as_json=as_json) as advance:
-            found = ww.rehearse(
-                plan,
-                runs,
-                seed=seed,
-                workers=_workers(workers, scheduler),
-                scheduler=scheduler,
-                out=stream,
-                progress=advance,
-            )
+        found = ww.rehearse(
+            plan,
+            runs,
+            seed=seed,
+            workers=_workers(workers, scheduler),
+            scheduler=scheduler,
+            out=stream,
+            progress=(lambda done: None) if as_json else None,
+        )
         summary = found.summary().reset_index()
         run.table("rehearsal", found.table)
         run.table("rehearsal_summary", summary)

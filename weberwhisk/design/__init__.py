@@ -5,14 +5,18 @@ runs, a placer chooses each trial from what the ones before have told.
 """
 
 from .analysis import Finding, analyse
+from .best import Best, best_scheme
 from .experiment import plan_experiment
 from .goals import Animals, Goal
-from .hypotheses import Hypothesis, cues, noises, taper
+from .hypotheses import Hypothesis, cues, noises, taper, with_priors
+from .information import information
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
 from .plan import Plan
 from .plan_file import plan_json, read_plan
+from .power import Power, Smallest, power, smallest
 from .rehearsal import Rehearsal, rehearse
 from .scheme import LEVELS, Constraints, Scheme
+from .session import Session
 from .staircases import Staircase
 from .trial_lists import trial_lists
 
@@ -20,26 +24,35 @@ __all__ = [
     "LEVELS",
     "Animals",
     "BayesianPlacer",
+    "Best",
     "Constraints",
     "Finding",
     "Goal",
     "Hypothesis",
     "Placer",
     "Plan",
+    "Power",
     "Proposal",
     "Rehearsal",
     "Scheme",
+    "Session",
+    "Smallest",
     "Staircase",
     "TrialLog",
     "analyse",
+    "best_scheme",
     "cues",
+    "information",
     "lattice",
     "next_trial",
     "noises",
     "plan_experiment",
     "plan_json",
+    "power",
     "read_plan",
     "rehearse",
+    "smallest",
     "taper",
     "trial_lists",
+    "with_priors",
 ]

@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
+from .. import _checks
 from ..behaviour.percepts import CuePercept
 from ..cues import Compliance
 from ..cues.protocol import Cue
@@ -17,10 +19,13 @@ from ..whisker import Whisker
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, taper
 from .plan import Plan
+from .power import power, sized, smallest
 from .scheme import LEVELS, Constraints, Scheme
 
 #: Where along the whisker the default standards stand, as fractions of its length.
 PLACES = (0.3, 0.6, 0.9)
+STEP = 10e-6  # of the pole, m
+START = 20  # trials of a comparison, where the search for fewer or more starts
 
 
 def plan_experiment(
@@ -35,12 +40,14 @@ def plan_experiment(
     levels: ArrayLike = LEVELS,
     trials: int | None = None,
     animals: int = 1,
+    find: str | None = None,
     expected: Animals | None = None,
     constraints: Constraints | None = None,
     trials_per_session: int = 300,
     longest_run: int = 5,
-    together: bool = False,
+    together: bool | None = None,
     title: str = "Discrimination of radial distance",
+    runs: int = 512,
     seed: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Plan:
@@ -65,17 +72,26 @@ def plan_experiment(
         Comparisons of every standard, in sds of the expected animal's difference (see
         `Scheme.spaced`).
     trials : int, optional
-        Of every comparison, for each animal; by default as few as reach the goal.
+        Of every comparison, for each animal; by default as few as reach the goal, an even number.
     animals : int
+    find : {"trials", "animals", "nothing"}, optional
+        What is made as small as the goal allows: by default the trials where they are not given,
+        and nothing where they are. For "animals" the search starts at `animals`.
     expected : Animals, optional
         What the animals are expected to be like.
     constraints : Constraints, optional
-        What rig and animal allow.
-    trials_per_session, longest_run, together, title
+        What rig and animal allow; pole steps of 10 µm by default.
+    trials_per_session, longest_run, title
         See `Plan`.
+    together : bool, optional
+        Fit all animals at once (see `analyse`); by default where there are several.
+    runs : int
+        Experiments simulated at every size for the power; 0 leaves it out where nothing is to be
+        found.
     seed : int
-        Of the trial lists, and of the simulations that find the number of trials.
+        Of the trial lists and of these simulations.
     progress : callable, optional
+        As for `campaign.run`.
 
     Returns
     -------
@@ -89,27 +105,81 @@ def plan_experiment(
 
     Examples
     --------
-    >>> plan = plan_experiment("C2", trials=20, animals=2)
+    >>> plan = plan_experiment("C2", trials=20, animals=2, runs=0)
     >>> plan.scheme.total_trials, plan.sessions
     (720, 2)
+    >>> plan_experiment("C2", standards=[10e-3, 30e-3], runs=32).goal.bayes_factor
+    10.0
     """
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
     aim = goal or Goal(bayes_factor=10.0)
-    limits, likely = constraints or Constraints(), expected or Animals()
+    limits, likely = constraints or Constraints(step=STEP), expected or Animals()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
-    own: dict[str, Any] = {
-        "hypotheses": given, "goal": aim, "animals": likely, "constraints": limits,
-        "trials_per_session": trials_per_session, "longest_run": longest_run,
-        "together": together, "title": title, "seed": seed,
-    }  # fmt: skip
+    wanted = _what_to_find(find, trials, scheme)
     if scheme is None:
         percept = given[0].percept
         at = np.asarray(PLACES) * percept.domain[1] if standards is None else standards
         scheme = Scheme.spaced(
             percept, at, weber_fraction=likely.weber_fraction, levels=levels,
-            trials=1 if trials is None else trials, animals=animals, step=limits.step,
+            trials=START if trials is None else trials, animals=animals, step=limits.step,
         )  # fmt: skip
-    return Plan(scheme, **own)
+    own: dict[str, Any] = {
+        "hypotheses": given, "goal": aim, "animals": likely, "constraints": limits,
+        "trials_per_session": trials_per_session, "longest_run": longest_run, "title": title,
+        "seed": seed,
+    }  # fmt: skip
+    Plan(
+        scheme, **own, together=bool(together)
+    )  # refuses what cannot be shown before anything is computed
+    options = {"goal": aim, "expected": likely, "runs": runs, "progress": progress}
+    found: pd.DataFrame | None = None
+    if wanted != "nothing":
+        scheme, found = _smallest(scheme, given, wanted, seed, options)
+    elif runs:
+        found = _curve(scheme, given, seed, options)
+    if together is None:
+        together = scheme.animals > 1
+    return Plan(scheme, **own, together=together, power=found)
+
+
+def _what_to_find(find: str | None, trials: int | None, scheme: Scheme | None) -> str:
+    decided = trials is not None or scheme is not None
+    if find is None:
+        return "nothing" if decided else "trials"
+    _checks.one_of("find", find, ("trials", "animals", "nothing"))
+    if find == "animals" and not decided:
+        raise ValueError(
+            "The number of animals is found for so many trials each, got none; write trials=20, "
+            "say."
+        )
+    if find == "nothing" and not decided:
+        raise ValueError("Trials are given or found, got neither; write trials=20, or leave find.")
+    return find
+
+
+def _smallest(
+    scheme: Scheme,
+    hypotheses: Sequence[Hypothesis],
+    vary: str,
+    seed: int,
+    options: dict[str, Any],
+) -> tuple[Scheme, pd.DataFrame]:
+    """The smallest scheme that reaches the goal, and the power of all sizes on the way."""
+    found = smallest(scheme, hypotheses, vary=vary, seed=seed, **options)
+    size = getattr(found.power.table.iloc[0], vary)
+    # Even numbers of trials let every pair come in both orders equally often.
+    final = sized(scheme, vary, int(size) + (int(size) % 2 if vary == "trials" else 0))
+    ways = [found.path.table[found.path.table[vary] != size], found.power.table]
+    return final, pd.concat(ways, ignore_index=True).sort_values(["truth", vary])
+
+
+def _curve(
+    scheme: Scheme, hypotheses: Sequence[Hypothesis], seed: int, options: dict[str, Any]
+) -> pd.DataFrame:
+    """The power of a scheme that is decided, and of half and twice as many trials."""
+    most = max(map(max, scheme.trials))
+    sizes = sorted({max(most // 2, 1), most, 2 * most})
+    return power(scheme, hypotheses, trials=sizes, seed=seed, **options).table
 
 
 def _hypotheses(

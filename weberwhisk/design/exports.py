@@ -30,8 +30,7 @@ def own_table(lists: pd.DataFrame) -> pd.DataFrame:
     >>> own_table(lists).columns[4:].tolist()
     ['level', 'standard_mm', 'stimulus_1_mm', 'stimulus_2_mm', 'greater']
     """
-    millimetres = {name: _millimetres(lists[name]) for name in STIMULI}
-    table = lists.assign(**millimetres)
+    table = lists.assign(**{name: lists[name].map(in_millimetres) for name in STIMULI})
     return table.rename(columns={name: f"{name}_mm" for name in STIMULI})
 
 
@@ -81,6 +80,6 @@ def csv_text(table: pd.DataFrame) -> str:
     return table.to_csv(index=False, lineterminator="\n")
 
 
-def _millimetres(metres: pd.Series) -> pd.Series:
-    # Written as one would write them: 20.1, not 20.100000000000001.
-    return (metres * 1e3).map(lambda value: float(f"{value:.9g}"))
+def in_millimetres(metres: float) -> float:
+    """A length as one would write it: 20.1, not 20.100000000000001."""
+    return float(f"{metres * 1e3:.9g}")

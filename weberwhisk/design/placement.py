@@ -403,8 +403,10 @@ def lattice(
     >>> lattice(IdentityPercept(), 1.0, each_side=3, largest=0.5).comparisons
     ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
     """
-    limits = constraints or Constraints()
     low, high = percept.domain
+    # A range of distances begins at 0; other stimuli, such as logarithms, need not.
+    limits = constraints or Constraints(farthest=high)
+    nearest = limits.nearest if constraints else -np.inf
     given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
     at = np.unique(limits.positions(given))
     refuse_out_of_reach(percept, at, "standard")
@@ -414,14 +416,14 @@ def lattice(
         steps = ratios * float(difference_sd(percept, s))
         levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
         levels = np.array([float(f"{v:.6g}") for v in levels])
-        inside = (levels >= limits.nearest) & (levels <= limits.farthest)
+        inside = (levels >= nearest) & (levels <= limits.farthest)
         levels = levels[inside & (levels > low) & (levels < high)]
         felt = np.isfinite(percept.mean(levels)) & np.isfinite(percept.unit_sd(levels))
         levels = np.unique(levels[felt & (np.abs(levels - s) > 1e-9 * abs(s))])
         if not (np.any(levels < s) and np.any(levels > s)):
             raise ValueError(
                 f"standard {s:g} is left without comparisons on both sides, between "
-                f"{max(low, limits.nearest):g} and {min(high, limits.farthest):g}; choose another, "
+                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
                 "or widen the range."
             )
         rows.append([float(f"{level - s:.12g}") for level in levels])

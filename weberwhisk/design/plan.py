@@ -152,5 +152,21 @@ class Plan:
         return analyse(trials, self.hypotheses, together=self.together, unit=unit)
 
     def power_in_words(self) -> str:
-        """What was found of the goal, nothing where it was not looked for."""
-        return ""
+        """How often the planned size, or the next one looked at, reaches the goal."""
+        if self.power is None:
+            return ""
+        most = max(map(max, self.scheme.trials))
+        sizes = self.power[["trials", "animals"]].drop_duplicates()
+        inside = (sizes["trials"] <= most) & (sizes["animals"] <= self.scheme.animals)
+        trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
+        compared = len(self.hypotheses) > 1
+        each = [
+            f"{100 * row['power']:.3g} % (95 % interval {100 * row['lower']:.3g} to "
+            f"{100 * row['upper']:.3g} %)" + f" if {row['truth']} is true" * compared
+            for row in self.power.to_dict("records")
+            if row["trials"] == trials and row["animals"] == animals
+        ]
+        return (
+            f"Of simulated experiments with {trials} trials of each comparison and {animals} "
+            f"animal{'s' * int(animals > 1)}, the aim is reached by {', '.join(each)}."
+        )

@@ -89,6 +89,20 @@ def _cue_in_words(cue: Cue, angle: float | None) -> str:
     return f"{cue!r}{at}"
 
 
+def offsets_in_words(offsets: Sequence[float]) -> str:
+    """Offsets in millimetres, those that come with either sign once.
+
+    Examples
+    --------
+    >>> offsets_in_words([-2e-3, -1e-3, 1e-3, 2e-3]), offsets_in_words([-1e-3, 2e-3])
+    ('±1, ±2', '-1, +2')
+    """
+    millimetres = [float(f"{o / MM:.4g}") for o in offsets]
+    if sorted(millimetres) == sorted(-o for o in millimetres):
+        return ", ".join(f"±{o:.4g}" for o in sorted(millimetres) if o > 0)
+    return ", ".join(f"{o:+.4g}" for o in millimetres)
+
+
 def _question(plan: Plan) -> str:
     names = [h.name for h in plan.hypotheses]
     each = "; ".join(
@@ -130,7 +144,7 @@ def _order(plan: Plan) -> str:
 
 
 def _size(plan: Plan) -> str:
-    words = f"The number of trials is set for {plan.goal}. "
+    words = f"The aim is {plan.goal}. "
     if plan.power is not None:
         words += plan.power_in_words() + " "
     return (

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.quadrature import score_prior
-from .lattice import CUT, Indices, Lattice, Mask, lapse_weights, refined, widest
+from .nodes import CUT, DEEP, Indices, Lattice, Mask, lapse_weights, refined, widest
 
 Array = NDArray[np.float64]
 
-BATCH = 512  # data sets weighed on one lattice
+BATCHES = 512, 512, 128  # data sets weighed on one lattice, pass by pass
 BLOCK = 400_000  # values at once: what stays in the cache
 ROUNDED = 4  # biases of a triple, to a multiple
 LEAST = np.float32(1e-30)  # of a probability
@@ -51,21 +51,32 @@ def integrate(model: WeberModel, counts: Array) -> Iterator[tuple[Indices, Weigh
     Weights
         Theirs, with D·A rows.
     """
-    start = widest(model)
-    table = _Table(model, start)
-    flat = counts.reshape(-1, counts.shape[-1])
-    place = np.concatenate(
-        [table.profile(flat[i : i + BATCH])[1].argmax(axis=0) for i in range(0, len(flat), BATCH)]
-    )
-    place = table.k_of[place].reshape(counts.shape[:2])
+    start = Table(model, widest(model))
+    everything = np.arange(len(counts))
+    for i in range(0, len(counts), BATCHES[0]):
+        yield from _zoom(model, start, counts, everything[i : i + BATCHES[0]], 1)
+
+
+def _zoom(
+    model: WeberModel, table: Table, counts: Array, rows: Indices, depth: int
+) -> Iterator[tuple[Indices, Weights]]:
+    """Some data sets on finer and finer lattices, in batches that are more and more alike."""
+    animals = counts.shape[1]
+    answers = table.answers(counts[rows].reshape(-1, counts.shape[-1]))
+    best, joint = table.profile(answers)
+    place = table.k_of[joint.argmax(axis=0)].reshape(rows.size, animals)
     order = np.lexsort((place.max(axis=1), place.min(axis=1)))
-    batch = max(1, BATCH // counts.shape[1])
-    for rows in (order[i : i + batch] for i in range(0, len(order), batch)):
-        inside = counts[rows].reshape(-1, counts.shape[-1])
-        lattice, fine = refined(model, start, table.held(inside))
-        while not fine:
-            lattice, fine = refined(model, lattice, _Table(model, lattice).held(inside))
-        yield rows, _Table(model, lattice).integrated(inside)
+    size = max(1, BATCHES[min(depth, len(BATCHES) - 1)] // animals)
+    for own in (order[i : i + size] for i in range(0, order.size, size)):
+        inside = (own[:, None] * animals + np.arange(animals)).ravel()
+        part = [a[:, inside] for a in answers]
+        held = table.held(part, best[..., inside], joint[:, inside], CUT if depth == 1 else DEEP)
+        lattice, fine = refined(model, table.lattice, held, with_neighbours=depth == 1)
+        finer = Table(model, lattice)
+        if fine:
+            yield rows[own], finer.integrated(part)
+        else:
+            yield from _zoom(model, finer, counts, rows[own], depth + 1)
 
 
 @dataclass(frozen=True)
@@ -88,7 +99,7 @@ class _Piece:
         return flat.reshape(*self.bias.shape, -1)
 
 
-class _Table:
+class Table:
     """The answers' log-probabilities on a lattice, in pieces that stay in the cache."""
 
     def __init__(self, model: WeberModel, lattice: Lattice) -> None:
@@ -120,7 +131,7 @@ class _Table:
         width = np.minimum(-(-width // ROUNDED) * ROUNDED, bias.size)
         for size in np.unique(width):
             some = np.flatnonzero(width == size)
-            most = max(1, BLOCK // (BATCH * int(size)))
+            most = max(1, BLOCK // (BATCHES[-1] * int(size)))
             for own in (some[i : i + most] for i in range(0, some.size, most)):
                 b = np.minimum(first[own], bias.size - size) + np.arange(size)[:, None]
                 table = np.empty((2 * cells.size + 1, *b.shape), dtype=np.float32)
@@ -131,8 +142,8 @@ class _Table:
                 table[-1] = log_weight[b]
                 yield _Piece(group, own, b, table)
 
-    def _answers(self, counts: Array) -> list[NDArray[np.float32]]:
-        """The rows that meet the tables, a matrix for each group."""
+    def answers(self, counts: Array) -> list[NDArray[np.float32]]:
+        """What meets the tables, (2C + 1, R) for each group."""
         n = self.model.cells.n
         ones = np.ones((len(counts), 1))
         return [
@@ -140,36 +151,42 @@ class _Table:
             for c in self.groups
         ]
 
-    def profile(self, counts: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def profile(
+        self, answers: list[NDArray[np.float32]]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Each group at its best bias, (G, T, R), and all with the prior, (T, R)."""
-        answers = self._answers(counts)
-        best = np.empty((len(self.groups), self.k_of.size, len(counts)), dtype=np.float32)
+        shape = len(self.groups), self.k_of.size, answers[0].shape[1]
+        best = np.empty(shape, dtype=np.float32)
         for piece in self.pieces:
             best[piece.group, piece.triples] = piece.values(answers).max(axis=0)
         return best, best.sum(axis=0) + self.log_prior[:, None]
 
-    def held(self, counts: Array) -> list[Mask]:
-        """The nodes that are not empty in some data set, like the lattice's masks."""
-        answers = self._answers(counts)
-        best, joint = self.profile(counts)
-        joint -= joint.max(axis=0)
-        full = np.any(joint > -CUT, axis=1)
-        best -= joint + CUT  # what a node must surpass
+    def held(
+        self,
+        answers: list[NDArray[np.float32]],
+        best: NDArray[np.float32],
+        joint: NDArray[np.float32],
+        cut: float,
+    ) -> list[Mask]:
+        """Nodes within `cut` of the best in some data set, like the lattice's masks."""
+        joint = joint - joint.max(axis=0)
+        full = np.any(joint > -cut, axis=1)
+        least = best - (joint + cut)  # what a node must surpass
         masks = [np.zeros(mask.shape, dtype=bool) for mask in self.lattice.masks]
         for piece in self.pieces:
             some = np.flatnonzero(full[piece.triples])
             if some.size:
                 triples, bias = piece.triples[some], piece.bias[:, some]
                 part = _Piece(piece.group, triples, bias, piece.table[:, :, some])
-                own = (part.values(answers) > best[piece.group, triples]).any(axis=2)
+                own = (part.values(answers) > least[piece.group, triples]).any(axis=2)
                 where = tuple(np.broadcast_to(a[triples], own.shape)[own] for a in self.at)
                 masks[piece.group][(*where, bias[own])] = True
         return masks
 
-    def integrated(self, counts: Array) -> Weights:
+    def integrated(self, answers: list[NDArray[np.float32]]) -> Weights:
         """The likelihood of k, lapses and biases integrated."""
-        answers = self._answers(counts)
-        joint = np.repeat(self.log_prior[:, None], len(counts), axis=1).astype(float)
+        count = answers[0].shape[1]
+        joint = np.repeat(self.log_prior[:, None], count, axis=1).astype(float)
         for piece in self.pieces:
             values = piece.values(answers)
             top = values.max(axis=0)
@@ -181,7 +198,13 @@ class _Table:
         starts = np.flatnonzero(np.diff(self.k_of, prepend=-1))
         kept = self.k_of[starts]
         scores = self.lattice.axes[0]
-        total = np.zeros((scores.size, len(counts)))
+        total = np.zeros((scores.size, count))
         total[kept] = np.add.reduceat(np.exp(joint, out=joint), starts, axis=0)
         log_mass = np.log(np.maximum(total, 1e-300)) + top
         return Weights(scores, (log_mass - score_prior(scores)[:, None]).T)
+
+
+def log_sum(values: Array, axis: int) -> Array:
+    """ln Σ exp of finite values; SciPy's costs several times as much."""
+    top = values.max(axis=axis, keepdims=True)
+    return np.log(np.exp(values - top).sum(axis=axis)) + np.squeeze(top, axis)

@@ -8,25 +8,26 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from ..design.preregistration import assumptions, preregistration
-from .plans import planned_jnds, planned_psychometrics
+from ..design.preregistration import assumptions, offsets_in_words, preregistration
+from .plans import planned_jnds, planned_power, planned_psychometrics
 from .style import DOUBLE, figure_of, new_figure, styled
 
 if TYPE_CHECKING:
     from ..design import Plan
 
 STYLE = """
-@page { size: A4; margin: 11mm 12mm; }
-body { font: 7.6pt/1.32 "Helvetica Neue", Arial, "DejaVu Sans", sans-serif; color: #111;
-  max-width: 186mm; margin: 0 auto; }
+@page { size: A4; margin: 9mm 11mm; }
+body { font: 7.3pt/1.28 "Helvetica Neue", Arial, "DejaVu Sans", sans-serif; color: #111;
+  max-width: 188mm; margin: 0 auto; }
 h1 { font-size: 13pt; margin: 0 0 1mm; }
 h2 { font-size: 9pt; margin: 2.5mm 0 1mm; }
 p, ul { margin: 0 0 1mm; }
 ul { padding-left: 4mm; }
-img { width: 100%; display: block; }
+img { display: block; }
 table { border-collapse: collapse; width: 100%; }
 td, th { text-align: left; padding: 0.3mm 2mm 0.3mm 0; vertical-align: top; font-weight: normal; }
 th { color: #555; white-space: nowrap; }
+td:last-child { width: 100%; }
 .half { max-width: 50%; }
 .two { display: flex; gap: 5mm; } .two > * { flex: 1; min-width: 0; }
 .paste { columns: 2; column-gap: 5mm; text-align: left; }
@@ -55,6 +56,7 @@ def plan_page(plan: Plan) -> str:
     >>> plan_page(plan).startswith("<!DOCTYPE html>")
     True
     """
+    wide = 100 if len(plan.scheme.standards) > 1 else 50
     title, *paragraphs = preregistration(plan).strip().split("\n\n")
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>
@@ -63,7 +65,10 @@ def plan_page(plan: Plan) -> str:
 <div class="two"><div>{_table(_numbers(plan))}</div>
 <div><h2 style="margin-top:0">Assumptions</h2><ul>{_items(assumptions(plan))}</ul></div></div>
 <h2>What is expected of a typical animal</h2>
-{_image(_psychometrics(plan), "Expected psychometric functions")}
+<p>Bars of shares hold 95 % of what chance makes of one animal's trials. Bands and bars of JNDs are
+predicted 95 % intervals, of all its trials and of each standard's. Bars of power are Monte Carlo
+errors (95 %).</p>
+{_image(figure_of(planned_psychometrics(plan)), "Expected psychometric functions", wide)}
 <div class="two">{"".join(_half(*half) for half in _halves(plan))}</div>
 <h2>Text for a preregistration</h2>
 <div class="paste">{"".join(_paragraph(p) for p in paragraphs)}</div>
@@ -80,28 +85,29 @@ def _numbers(plan: Plan) -> list[tuple[str, str]]:
         ("Trials", f"{scheme.n_trials} an animal, {scheme.total_trials} in all"),
         ("Sessions", f"{plan.sessions} an animal, of at most {plan.trials_per_session} trials"),
         ("Standards", ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards) + " mm"),
-        *((f"Offsets at {s * 1e3:.4g} mm", ", ".join(f"{o * 1e3:+.3g}" for o in row) + " mm")
+        *((f"Offsets at {s * 1e3:.4g} mm", f"{offsets_in_words(row)} mm")
           for s, row in zip(scheme.standards, scheme.offsets, strict=True)),
     ]  # fmt: skip
 
 
 @styled
-def _psychometrics(plan: Plan) -> Any:
-    return figure_of(planned_psychometrics(plan))
-
-
-@styled
 def _halves(plan: Plan) -> list[tuple[Any, str]]:
-    jnd = new_figure(DOUBLE / 2, 2.2)
+    jnd = new_figure(DOUBLE / 2, 2.0)
     planned_jnds(plan, jnd.subplots())
-    return [(jnd, "Expected JND curves")]
+    halves = [(jnd, "Expected JND curves")]
+    if plan.power is not None:
+        power = new_figure(DOUBLE / 2, 2.0)
+        planned_power(plan, power.subplots())
+        halves.append((power, "Power"))
+    return halves
 
 
-def _image(figure: Any, alt: str) -> str:
+def _image(figure: Any, alt: str, percent: int = 100) -> str:
     content = io.BytesIO()
     figure.savefig(content, format="svg", metadata={"Date": None})
     text = base64.b64encode(content.getvalue()).decode("ascii")
-    return f'<img alt="{escape(alt)}" src="data:image/svg+xml;base64,{text}">'
+    source = f"data:image/svg+xml;base64,{text}"
+    return f'<img alt="{escape(alt)}" style="width: {percent}%" src="{source}">'
 
 
 def _half(figure: Any, alt: str) -> str:

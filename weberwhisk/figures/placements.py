@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from .choices import binomial_interval
 from .style import (
     COLOURS,
     DOUBLE,
@@ -24,7 +25,7 @@ from .style import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..design import BayesianPlacer
+    from ..design import TrialLog
 
 
 @styled
@@ -53,8 +54,8 @@ def adaptive(
             own = first[(first["weber_fraction"] == k) & (first["method"] == method)]
             width = half[own.index].groupby(own["n"]).median()
             ax.plot(width.index, 100 * width, **_look(i), label=method)
-        ax.axhline(25, color="0.7", linewidth=0.8, zorder=0)
-        ax.set_title(f"k = {k:g}")
+        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0)
+        ax.text(0.95, 0.93, f"k = {k:g}", ha="right", transform=ax.transAxes)
         ax.set(xlabel="Trials", ylim=(0, 100))
     axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
     legend_above(axes[0])
@@ -63,30 +64,31 @@ def adaptive(
         for method in dict.fromkeys(second["method"]):
             own = second[(second["truth"] == truth) & (second["method"] == method)]
             found = (own["log_bayes_factor"] > np.log(10)).groupby(own["n"])
-            share, count = found.mean(), found.size()
+            share, count = found.mean(), found.sum().to_numpy(float)
+            low, high = binomial_interval(count, found.size().to_numpy(float))
             look = _look(methods.index(method)) | {"linestyle": LINES[truth % len(LINES)]}
             ax.errorbar(
                 share.index,
                 100 * share,
-                100 * np.sqrt(share * (1 - share) / count),
+                100 * np.stack([share - low, high - share]),
                 **look,
                 capsize=2,
                 elinewidth=0.8,
                 label=f"{method}, {('tapered', 'cylinder')[truth]}",
             )
     ax.axhline(80, color="0.7", linewidth=0.8, zorder=0)
-    ax.set(xlabel="Trials", ylabel="Bayes factor above 10 (% of runs)", ylim=(0, 102))
+    ax.set(xlabel="Trials", ylabel="Runs with Bayes factor > 10 (%)", ylim=(0, 102))
     legend_above(ax)
     return np.array(list(axes), dtype=object)
 
 
 @styled
-def placements(placer: BayesianPlacer, ax: Axes | None = None) -> Axes:
+def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     """The comparisons of a session in order, and whether they were judged greater.
 
     Parameters
     ----------
-    placer : BayesianPlacer
+    placer : BayesianPlacer or Staircase
         After some trials.
     ax : Axes, optional
     """

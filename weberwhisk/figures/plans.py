@@ -60,7 +60,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
     if axes is None:
         width = SINGLE if len(standards) == 1 else DOUBLE
         axes = list(
-            new_figure(width, 2.2).subplots(1, len(standards), sharey=True, squeeze=False)[0]
+            new_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
         )
     for ax, standard in zip(axes, standards, strict=True):
         levels = plan.levels.query("standard == @standard")
@@ -125,6 +125,51 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
     ax.set_ylim(bottom=0)
     ax.set_xlabel("Radial distance (mm)")
     ax.set_ylabel(f"JND (mm), {points['criterion'].iloc[0]}")
+    legend_above(ax)
+    return ax
+
+
+@styled
+def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
+    """How often the goal is reached, against the size of the experiment, by which truth.
+
+    Bars are Wilson's 95 % intervals of the simulations; lines mark the goal and the plan.
+
+    Raises
+    ------
+    ValueError
+        For a plan whose power was not looked at.
+
+    Examples
+    --------
+    >>> from weberwhisk import plan_experiment
+    >>> ax = planned_power(plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=16))
+    >>> ax.get_xlabel()
+    'Trials of an animal'
+    """
+    if plan.power is None:
+        raise ValueError("The plan's power was not looked at; plan it with runs=512.")
+    ax = axes_or_new(ax)
+    by_animals = plan.power["animals"].nunique() > 1
+    most = max(map(max, plan.scheme.trials))
+    unit = 1.0 if by_animals else plan.scheme.n_trials / most
+    planned = plan.scheme.animals if by_animals else plan.scheme.n_trials
+    for i, hypothesis in enumerate(plan.hypotheses):
+        own = plan.power.query("truth == @hypothesis.name").sort_values(["animals", "trials"])
+        at = own["animals" if by_animals else "trials"].to_numpy(float) * unit
+        share = own["power"].to_numpy(float)
+        low, high = share - own["lower"].to_numpy(float), own["upper"].to_numpy(float) - share
+        ax.errorbar(
+            at, share, [low.clip(0).tolist(), high.clip(0).tolist()], color=COLOURS[i],
+            fmt=f"{MARKERS[i]}{LINES[i % 4]}", markersize=3, elinewidth=1, capsize=2,
+            label=f"{hypothesis.name} is true",
+        )  # fmt: skip
+    ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0)
+    ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0)
+    ax.set_ylim(0, 1.02)
+    ax.set_xlim(left=0)
+    ax.set_xlabel("Animals" if by_animals else "Trials of an animal")
+    ax.set_ylabel("Share that reaches the goal")
     legend_above(ax)
     return ax
 

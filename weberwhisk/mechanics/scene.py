@@ -90,8 +90,8 @@ class Scene:
         return rows, zero_load(rows, self.distance)[1] + self.push
 
     def point(self) -> Array:
-        """The points (n, 3)."""
-        height = np.nan_to_num(self.height)  # out of reach either way
+        """The points (n, 3); those out of reach have no height, and need none to be so."""
+        height = np.nan_to_num(self.height)
         flat = np.cos(height)
         return np.asarray(
             self.distance

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from ..observer import Observer
+from ..observer import OTHERS, Observer
 from .densities import refuse_impossible
+from .threads import on_threads
 
 Array = NDArray[np.float64]
 
 #: Coarse grid of starting points, per unknown, as fractions of its range.
 #: In three dimensions and more the further unknowns take few values.
 _COARSE = {1: expit(np.linspace(-8.0, 8.0, 129)), 2: expit(np.linspace(-7.0, 6.0, 27))}
+#: Most that a second peak of the coarse grid may be below the first, in ln of the density, to be
+#: climbed, and the least mass over the first's, in ln, that counts.
+SECOND, LEAST_SHARE = 30.0, float(np.log(1e-3))
+#: How far, in ln, a place must be above the first peak's Gaussian to be climbed from.
+UNEXPLAINED = 5.0
+#: How far, in x, a climb may go before its start is tried again: the coarse grid's own spacing.
+LEFT = 0.4
 _STEP = 1e-4  # of the finite differences, in x: posteriors there are 0.005 wide and wider
 
 
@@ -35,33 +45,132 @@ class Mode:
     log_density: Array
     covariance: Array
 
+    def of(self, rows: NDArray[np.intp]) -> Mode:
+        """Those of some of the posteriors."""
+        return Mode(self.x[rows], self.log_density[rows], self.covariance[rows])
 
-def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
+
+class Starts(NamedTuple):
+    """Where climbs start: the best point of a coarse grid, and the best of its other peaks.
+
+    Coordinates (B, U) each, and ln of the density at the second (B,), −∞ where there is none and
+    where it is too far below the first to count.
+    """
+
+    best: Array
+    second: Array
+    height: Array
+
+
+def find_mode(
+    observer: Observer, reading: Array, starts: Starts | None = None, *, steps: int = 60
+) -> Mode:
     """Newton's method in a trust region, from the best point of a coarse grid.
 
     Parameters
     ----------
     observer : Observer
     reading : array, shape (B, S)
+    starts : Starts, optional
+        `starting_points`, if they are there already.
     steps : int
         Most iterations; few posteriors need more than ten.
     """
+    starts = starting_points(observer, reading) if starts is None else starts
+    return _climb(observer, reading, starts.best, steps)
+
+
+def find_other(
+    observer: Observer, reading: Array, mode: Mode, starts: Starts
+) -> tuple[NDArray[np.intp], Mode]:
+    """Posteriors (n,) with a second peak that may count, and these peaks.
+
+    A climb from the highest of the coarse grid's points that is higher than its neighbours and
+    none of the best one's; or from the best point itself, in small steps, where the first climb
+    has left it behind. It may end at the peak that is known already, which does not count.
+    """
+    left = np.abs(mode.x - starts.best).max(axis=1) > LEFT
+    # What the known peak's own Gaussian says of a place is no other peak.
+    off = starts.second - mode.x
+    square = np.einsum("bd,bde,be->b", off, np.linalg.inv(mode.covariance), off)
+    unexplained = starts.height > mode.log_density - square / 2 + UNEXPLAINED
+    rows = np.flatnonzero(unexplained | left)
+    if not rows.size:
+        return rows, mode.of(rows)
+    start = np.where(left[:, None], starts.best, starts.second)[rows]
+    other = _climb(observer, reading[rows], start, 60, radius=0.1)
+    apart = other.x - mode.x[rows]
+    nearness = [
+        np.einsum("bd,bde,be->b", apart, np.linalg.inv(c), apart)
+        for c in (other.covariance, mode.covariance[rows])
+    ]
+    volume = [0.5 * np.linalg.slogdet(c)[1] for c in (other.covariance, mode.covariance[rows])]
+    mass = other.log_density - mode.log_density[rows] + volume[0] - volume[1]
+    counts = (np.min(nearness, axis=0) > 4.0) & (mass > LEAST_SHARE)
+    return rows[counts], other.of(np.flatnonzero(counts))
+
+
+def starting_points(observer: Observer, reading: Array, places: Array | None = None) -> Starts:
+    """The best points of a coarse grid, or of places (n, 1) of one unknown, for readings (B, R)."""
     dim = len(observer.unknowns)
-    grid = observer.spread(_COARSE[min(dim, 2)])
+    fractions = _COARSE[min(dim, 2)]
+    grid = observer.spread(fractions) if places is None else places
+    shape = (fractions.size,) * observer.bounded
+    shape += (OTHERS,) * (dim - observer.bounded)
     contact, log_prior = observer.contact(grid)
     signals, outcome = observer.signals(contact)
-    held = outcome == 0
-    grid, signals = grid[held], signals[held]
-    log_prior = log_prior[held]
-    best = np.empty(len(reading), dtype=np.intp)
-    for i in range(0, len(reading), 256):
-        part = slice(i, i + 256)
-        value = observer.noise.log_likelihood(reading[part, None], signals) + log_prior
-        refuse_impossible(reading[part], value.max(axis=1))
-        best[part] = np.argmax(value, axis=1)
+    held = np.asarray(outcome == 0)
+    signals, log_prior = signals[held], log_prior[held]
+    best, second = np.zeros((2, len(reading)), dtype=np.intp)
+    height = np.full(len(reading), -np.inf)
 
-    x = grid[best].copy()
-    radius = np.full(len(x), 0.5)
+    def part(start: int) -> None:
+        rows = slice(start, start + 256)
+        value = observer.noise.log_likelihood(reading[rows, None], signals) + log_prior
+        refuse_impossible(reading[rows], value.max(axis=1))
+        table = np.full((len(value), len(grid)), -np.inf)
+        table[:, held] = value
+        best[rows] = table.argmax(axis=1)
+        if dim > 1:
+            second[rows], height[rows] = _second(table, best[rows], shape)
+
+    list(on_threads(part, range(0, len(reading), 256)))
+    return Starts(grid[best], grid[second], height)
+
+
+def _second(
+    table: Array, best: NDArray[np.intp], shape: tuple[int, ...]
+) -> tuple[NDArray[np.intp], Array]:
+    """The highest point (n,) that no neighbour beats, away from the best, and its height (n,).
+
+    Neighbours are along the first two axes; of further axes the highest value stands for all.
+    """
+    rows = np.arange(len(table))
+    full = table.reshape(len(table), *shape[:2], -1)
+    flat = full.max(axis=-1)
+    padded = np.pad(flat, ((0, 0), (1, 1), (1, 1)), constant_values=-np.inf)
+    n, m = flat.shape[1:]
+    peak = np.isfinite(flat)
+    for i, j in product(range(3), repeat=2):
+        peak &= flat >= padded[:, i : i + n, j : j + m]
+    first, along = np.divmod(best // full.shape[-1], m)
+    away = np.abs(np.arange(n) - first[:, None])[:, :, None] > 1
+    away = away | (np.abs(np.arange(m) - along[:, None])[:, None, :] > 1)
+    flat = np.where(peak & away, flat, -np.inf).reshape(len(table), -1)
+    place = flat.argmax(axis=1)
+    last = full.reshape(len(table), n * m, -1)[rows, place].argmax(axis=1)
+    height = flat[rows, place]
+    height = np.where(height > table[rows, best] - SECOND, height, -np.inf)
+    return place * full.shape[-1] + last, height
+
+
+def _climb(
+    observer: Observer, reading: Array, start: Array, steps: int, *, radius: float = 0.5
+) -> Mode:
+    """The peaks above starting points (B, U), with first steps no longer than the radius."""
+    dim = start.shape[1]
+    x = start.copy()
+    reach = np.full(len(x), radius)
     stencil, weights_gradient, weights_hessian = _stencil(dim)
     top = np.full(len(x), -np.inf)
     centre = x.copy()
@@ -77,13 +186,13 @@ def find_mode(observer: Observer, reading: Array, *, steps: int = 60) -> Mode:
         relative = values[better] - now[better, None]
         gradient[accepted] = relative @ weights_gradient.T / _STEP
         hessian[accepted] = np.einsum("dek,bk->bde", weights_hessian, relative) / _STEP**2
-        radius[rejected] /= 4
-        radius[accepted] *= 1.5
-        step = _newton(gradient[moving], hessian[moving], radius[moving])
+        reach[rejected] /= 4
+        reach[accepted] *= 1.5
+        step = _newton(gradient[moving], hessian[moving], reach[moving])
         x[moving] = centre[moving] + step
         # Converged to a fraction of the posterior's own width, or to rounding.
         gain = np.abs(np.einsum("bd,bd->b", step, gradient[moving]))
-        moving = moving[(gain > 1e-9) & (radius[moving] > 1e-9)]
+        moving = moving[(gain > 1e-9) & (reach[moving] > 1e-9)]
         if not moving.size:
             break
     values, vectors = np.linalg.eigh(hessian)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from .grid import Nodes
+from .nodes import Nodes
 
 Array = NDArray[np.float64]
 

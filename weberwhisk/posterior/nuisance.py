@@ -107,7 +107,13 @@ class Conditional:
 
 
 def integrate_but_last(
-    observer: Observer, reading: Array, mode: Mode, *, tolerance: float, max_points: int
+    observer: Observer,
+    reading: Array,
+    mode: Mode,
+    *,
+    tolerance: float,
+    max_points: int,
+    keep_points: bool = False,
 ) -> GridPosterior:
     """Moments of all unknowns (B, U) for readings (B, R) with these modes: as `integrate` gives."""
     conditional = Conditional(observer, reading, mode, tolerance)
@@ -125,6 +131,7 @@ def integrate_but_last(
         functions=lambda x: last.columns,
         tolerance=tolerance,
         max_points=max_points,
+        keep_points=keep_points,
     )
     dim = rest.x.shape[1]
     off = conditional.error(found, np.arange(len(reading)))[:, None]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -165,6 +166,11 @@ class Panels:
             _Window(*observer.noise.interval(signals, width)) for width in (WINDOW, IMPROBABLE)
         )
 
+    @property
+    def middles(self) -> Array:
+        """Coordinates (P, 1) of the panels' middles: no place is farther off than a JND."""
+        return np.asarray((self.left + self.half)[:, None])
+
     def _edges(self) -> Array:
         """First cuts in x: finer where the tip is near, and half an sd apart under a prior."""
         cuts = np.concatenate([np.linspace(X_RANGE[0], 0, 15), np.linspace(0, X_RANGE[1], 17)])
@@ -288,6 +294,12 @@ class Panels:
         cumulative = np.maximum.accumulate((before[:-1, None] + inside).reshape(-1) / before[-1])
         step = (density / (before[-1] * self.half[panel, None])).reshape(-1)
         return _hermite_inverse(x.reshape(-1), cumulative, step, probability, self.observer)
+
+
+@lru_cache(maxsize=32)
+def panels_of(observer: Observer) -> Panels:
+    """The panels of an observer, kept for its next readings."""
+    return Panels(observer)
 
 
 def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:

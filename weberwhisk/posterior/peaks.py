@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
 from ..observer import Observer
-from .panels import Panels
+from .mode import Mode, find_mode, starting_points
+from .panels import panels_of
 from .solution import Array
 
 
@@ -48,7 +49,7 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     if not 0 < share < 1:
         raise ValueError(f"mass must lie between 0 and 1, got {share:g}; write 0.95, say.")
     y = observer.checked_reading(reading)
-    panels = Panels(observer)
+    panels = panels_of(observer)
     r, log_weight = panels.r.reshape(-1), panels.log_weight.reshape(-1)
     signals = np.nan_to_num(observer.signals(r[:, None])[0], nan=1.0)  # of no weight where not held
     prior = observer.prior.get("radial_distance")
@@ -59,6 +60,18 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
         weight = np.exp(log + log_weight - (log + log_weight).max())
         counts.append(_count(log + log_prior, weight / weight.sum(), share))
     return np.array(counts) if y.ndim > 1 else counts[0]
+
+
+def find_highest(observer: Observer, reading: Array) -> Mode:
+    """`find_mode`; with one unknown from the best of the panels, between which no peak is lost.
+
+    A signature (§2d) may have more peaks, and narrower ones, than any fixed grid has places.
+    """
+    if len(observer.unknowns) > 1:
+        return find_mode(observer, reading)
+    return find_mode(
+        observer, reading, starting_points(observer, reading, panels_of(observer).middles)
+    )
 
 
 def is_divided(observer: Observer, reading: Array) -> NDArray[np.bool_]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from threading import local
 from typing import Any
 
@@ -11,12 +10,14 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
-from .grid import GridPosterior, Nodes, integrate
-from .mode import Mode, find_mode
+from .grid import GridPosterior, integrate
+from .mode import Mode, find_mode, find_other, starting_points
+from .nodes import Nodes
 from .nuisance import integrate_but_last
-from .panels import Panels
+from .panels import panels_of
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
+from .threads import on_threads
 
 #: Error of mean and sd, over the sd, above which a quadrature is called imprecise: one unknown,
 #: and more.
@@ -25,25 +26,19 @@ TOLERANCE = (1e-6, 1e-2)
 TOGETHER = 4096
 
 
-@lru_cache(maxsize=32)
-def _panels(observer: Observer) -> Panels:
-    """The panels of an observer, kept for its next readings."""
-    return Panels(observer)
-
-
 def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     if len(observer.unknowns) > 1:
         return _grid(observer, reading, tolerance, progress)
-    panels = _panels(observer)
+    panels = panels_of(observer)
     m = panels.moments(reading)
     error = np.maximum(m.mean_error, m.sd_error) / m.sd
     status = np.where(error > (tolerance or TOLERANCE[0]), Status.IMPRECISE, Status.CONVERGED)
     status = np.where(m.improbable, Status.IMPROBABLE_READING, status)
 
-    def quantile_of(p: Array) -> Array:
-        return panels.quantiles(reading, p)[:, None, :]
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return panels.quantiles(reading, p)
 
     def draws_of(count: int, seed: Seed) -> Array:
         u = _stratified(len(reading), count, seed)
@@ -55,13 +50,18 @@ def quadrature(
 
 def _grid(observer: Observer, reading: Array, tolerance: float | None, progress: Any) -> Solution:
     dim = len(observer.unknowns)
-    mode = find_mode(observer, reading)
-    root = mode_root(mode)
+    starts = starting_points(observer, reading)
+    mode = find_mode(observer, reading, starts)
     contact = observer.contact(mode.x)[0]
     unidentified = is_unidentified(observer, contact)
     improbable = is_improbable(observer, reading, contact)
 
-    def integral(rows: NDArray[np.intp], *, keep_points: bool = False) -> GridPosterior:
+    def limits(rows: NDArray[np.intp]) -> dict[str, Any]:
+        # A ridge that no reading resolves is not worth resolving either.
+        most = MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES
+        return {"tolerance": tolerance or TOLERANCE[1], "max_points": most}
+
+    def integral(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
         last = local()  # the contact of the points last asked for: worked out once for both
 
         def density(x: Array, index: NDArray[np.intp]) -> Array:
@@ -70,14 +70,19 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
 
         return integrate(
             density,
-            mode.x[rows],
-            root[rows],
+            at.x,
+            mode_root(at),
             functions=lambda x: last.contact,
             only_functions=True,
-            tolerance=tolerance or TOLERANCE[1],
-            # A ridge that no reading resolves is not worth resolving either.
-            max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
             keep_points=keep_points,
+            **limits(rows),
+        )
+
+    def moments(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
+        if dim < 3:
+            return integral(rows, at, keep_points=keep_points)
+        return integrate_but_last(
+            observer, reading[rows], at, keep_points=keep_points, **limits(rows)
         )
 
     # Ridges go apart from the rest, so that no posterior depends on its neighbours.
@@ -87,20 +92,9 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         for start in range(0, len(rows), TOGETHER)
     ]
 
-    def moments(rows: NDArray[np.intp]) -> GridPosterior:
-        if dim < 3:
-            return integral(rows)
-        return integrate_but_last(
-            observer,
-            reading[rows],
-            Mode(mode.x[rows], mode.log_density[rows], mode.covariance[rows]),
-            tolerance=tolerance or TOLERANCE[1],
-            max_points=MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES,
-        )
-
     parts, done = [], 0
     for rows in pieces:
-        parts.append(moments(rows))
+        parts.append(moments(rows, mode.of(rows)))
         done += len(rows)
         if progress:
             progress(done, len(reading))
@@ -115,21 +109,30 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     ]
     converged = np.concatenate([part.converged for part in parts])[back]
     status = np.where(converged, Status.CONVERGED, Status.IMPRECISE)
+    # A second peak that the grid has missed has a grid, and moments, of its own.
+    rows, other = find_other(observer, reading, mode, starts)
+    if rows.size:
+        beside = moments(rows, other)
+        off = (np.abs(beside.mean - mean[rows]) / sd[rows]).max(axis=1)
+        status[rows[~(off < APART)]] = Status.SEVERAL_PEAKS
     status = np.where(unidentified, Status.UNIDENTIFIED, status)
     status = np.where(improbable, Status.IMPROBABLE_READING, status)
 
-    def nodes(row: int) -> Nodes:
-        kept = integral(np.array([row]), keep_points=True).nodes
+    def nodes(row: int, *, of_all: bool) -> Nodes:
+        rows = np.array([row])
+        kept = (integral if of_all else moments)(rows, mode.of(rows), keep_points=True).nodes
         assert kept is not None
         return kept[0]
 
-    def quantile_of(p: Array) -> Array:
-        out = np.empty((len(reading), dim, p.size))
-        for row in range(len(reading)):
-            kept = nodes(row)
-            contact = observer.contact(kept.points)[0]
-            out[row] = [kept.quantile(contact[:, i], p) for i in range(dim)]
-        return out
+    def quantile_of(p: Array, unknown: int) -> Array:
+        # Of three unknowns, the last is not among the nodes' coordinates unless asked for.
+        of_all = unknown == dim - 1
+
+        def quantiles(row: int) -> Array:
+            kept = nodes(row, of_all=of_all)
+            return kept.quantile(observer.contact(kept.points)[0][:, unknown], p)
+
+        return np.stack(list(on_threads(quantiles, range(len(reading)))))
 
     def draws_of(count: int, seed: Seed) -> Array:
         from .arviz_io import resample
@@ -137,7 +140,7 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         rng = np.random.default_rng(seed)
         out = np.empty((len(reading), 4, count, dim))
         for row in range(len(reading)):
-            kept = nodes(row)
+            kept = nodes(row, of_all=True)
             x = resample(kept.points, kept.weights, 4 * count, seed=rng, edges=kept.edges)
             out[row] = observer.contact(rng.permutation(x))[0].reshape(4, count, dim)
         return out
@@ -146,6 +149,8 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
     return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
 
 
+#: Means from either of two peaks differ by less than this, in sds, where each grid has seen both.
+APART = 0.05
 #: Most nodes in one pass over one posterior.
 MOST_NODES = 2_000_000
 

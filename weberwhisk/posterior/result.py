@@ -47,8 +47,7 @@ _MESSAGES = {
     Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
     Status.IMPRECISE: "the estimated error is above the tolerance",
     Status.NOT_CONVERGED: "the walkers have not converged",
-    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone: "
-    "use quadrature",
+    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
 }
 
 
@@ -86,7 +85,7 @@ class Posterior:
     estimates: Mapping[str, Estimate]
     status: Any
     log_evidence: Any
-    quantile_of: Callable[[Array], Array]  # (Q,) → (B, U, Q)
+    quantile_of: Callable[[Array, int], Array]  # (Q,) and which unknown → (B, Q)
     draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
 
     @cached_property
@@ -131,7 +130,7 @@ class Posterior:
         p = finite("probability", probability, "write a number between 0 and 1")
         if np.any((p <= 0) | (p >= 1)):
             raise ValueError(f"A probability lies between 0 and 1, got {p}; write 0.975, say.")
-        values = self.quantile_of(np.atleast_1d(p))[:, self.observer.unknowns.index(of)]
+        values = self.quantile_of(np.atleast_1d(p), self.observer.unknowns.index(of))
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
 

@@ -27,7 +27,7 @@ class Solution(NamedTuple):
     estimates: list[Estimate]
     status: NDArray[np.int8]
     log_evidence: Array
-    quantile_of: Callable[[Array], Array]
+    quantile_of: Callable[[Array, int], Array]
     draws_of: Callable[[int, Seed], Array]
 
 

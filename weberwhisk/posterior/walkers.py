@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Seed
 from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
-from .grid import Density, integrate
-from .mode import Mode, find_mode
+from .grid import integrate
+from .mode import Mode
 from .moves import StackedGrid
-from .peaks import is_divided
+from .passes import Density
+from .peaks import find_highest, is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 
@@ -44,7 +45,7 @@ def sample(
     for i, start in enumerate(pieces):
         rows = reading[start : start + STACKED]
         rng = np.random.default_rng(seeds[i])
-        mode = find_mode(observer, rows)
+        mode = find_highest(observer, rows)
 
         def density(x: Array, index: NDArray[np.intp], rows: Array = rows) -> Array:
             return observer.log_density(x, rows[index, None])
@@ -84,9 +85,8 @@ def sample(
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
 
-    def quantile_of(p: Array) -> Array:
-        flat = [v.reshape(-1, dim) for v in values]
-        return np.stack([np.quantile(v, p, axis=0).T for v in flat])
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return np.stack([np.quantile(v[..., unknown], p) for v in values])
 
     def draws_of(count: int, seed: Seed) -> Array:
         return np.stack([v[:, -count:] for v in values])

@@ -23,8 +23,9 @@ Mask = NDArray[np.bool_]
 
 STEP = 1.7  # of k and the biases, in the least sd that they can have given the rest
 LAPSE_STEP = 1.4  # of the lapses, in their stretched coordinates
-FINER = 3.0  # from one pass to the next, at most
-CUT = 8.0  # nats under the best node, where a node counts as empty
+FINER, CLOSE = 3.0, 4.5  # from one pass to the next; where one pass will do
+CUT = 8.0  # nats under the best node, where a node and its neighbours count as empty
+DEEP = 12.0  # the same without neighbours, at the passes after the first
 NO_LAPSE = 0.01  # trials lost, below which a lapse is none
 FAR = 8.0  # scores of k beyond which nothing is looked for
 FAR_LAPSE = 4.5  # the same for lapses
@@ -69,10 +70,15 @@ def _everywhere(axes: tuple[Array, ...]) -> tuple[Mask, ...]:
     return tuple(np.ones((*shape, bias.size), dtype=bool) for bias in axes[3:])
 
 
-def refined(model: WeberModel, lattice: Lattice, held: list[Mask]) -> tuple[Lattice, bool]:
-    """A finer lattice over the nodes held, and whether it is as fine as wanted."""
-    # A neighbour on every side: what lies between nodes may be fuller than they are.
-    wide = [binary_dilation(mask) for mask in held]
+def refined(
+    model: WeberModel, lattice: Lattice, held: list[Mask], with_neighbours: bool
+) -> tuple[Lattice, bool]:
+    """A finer lattice over the cells of the nodes held, and whether it is as fine as wanted.
+
+    With neighbours where nodes are so far apart that what lies between them may be far fuller than
+    they are.
+    """
+    wide = [binary_dilation(mask) for mask in held] if with_neighbours else held
     used = [
         np.logical_or.reduce([m.any(axis=tuple(j for j in range(4) if j != i)) for m in wide])
         for i in range(3)
@@ -89,7 +95,7 @@ def refined(model: WeberModel, lattice: Lattice, held: list[Mask]) -> tuple[Latt
         gap = np.diff(axis)
         low = max(axis[some[0]] - 0.5 * gap[max(some[0] - 1, 0)], low)
         high = min(axis[some[1]] + 0.5 * gap[min(some[1], gap.size - 1)], high)
-        wanted = max(step, gap.max() / FINER)
+        wanted = step if gap.max() < CLOSE * step else gap.max() / FINER
         new = np.linspace(low, high, max(int(np.ceil((high - low) / wanted)) + 1, 3))
         fine = fine and new[1] - new[0] <= 1.001 * step
         axes.append(new)

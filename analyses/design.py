@@ -1,0 +1,105 @@
+"""Which distances tell most, and how many trials it takes to tell a taper from a cylinder.
+
+    python analyses/design.py [folder] [--short]
+
+Writes design_information (what one trial is expected to tell of k and of the hypothesis, over
+standard and offset, before any trial and after 120) and design_power (the share of experiments
+whose Bayes factor passes 10, and the interval of k in 90 % of them, against trials) as PNG and SVG,
+with their tables as CSV.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+import weberwhisk as ww
+from weberwhisk import figures
+from weberwhisk.design import Animals, Power, Scheme, information, taper
+from weberwhisk.runs import Run
+
+WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
+PLACES = np.array([0.3, 0.6, 0.9]) * WHISKER.length
+#: One animal with k = 0.1 and lapses of 3 % a side.
+ANIMAL = Animals(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
+TRIALS = [3, 5, 10, 20, 40]
+SEED = 20110166
+
+
+def tell(points: int) -> dict[str, pd.DataFrame]:
+    """Information of one trial, before any and after 120."""
+    hypotheses = taper(WHISKER)
+    standards = np.linspace(0.1, 0.9, points) * WHISKER.length
+    offsets = np.linspace(-8e-3, 8e-3, 2 * points + 1)
+    before = Scheme.spaced(hypotheses[0].percept, PLACES[[0, 2]], trials=10)
+    return {
+        when: information(hypotheses, standards, offsets, after=scheme, expected=ANIMAL)
+        for when, scheme in (("before", None), ("after 120 trials", before))
+    }
+
+
+def draw_information(tables: dict[str, pd.DataFrame]) -> Figure:
+    figure = figures.new_figure(figures.DOUBLE, 5.0)
+    axes = figure.subplots(2, 2, sharex=True, sharey=True)
+    for row, (when, table) in zip(axes, tables.items(), strict=True):
+        for ax, about in zip(row, ("weber_fraction", "hypothesis"), strict=True):
+            figures.information(table, ax, about=about)
+            ax.set_title(when)
+    return figure
+
+
+def grow(runs: int) -> Power:
+    """Power against trials, whichever is true."""
+    hypotheses = taper(WHISKER)
+    scheme = Scheme.spaced(hypotheses[0].percept, PLACES)
+    return ww.power(scheme, hypotheses, trials=TRIALS, expected=ANIMAL, runs=runs, seed=SEED)
+
+
+def draw_power(found: Power) -> Figure:
+    figure = figures.new_figure(figures.DOUBLE, 2.8)
+    left, right = figure.subplots(1, 2)
+    figures.power_curve(found, left)
+    for i, (truth, own) in enumerate(found.table.groupby("truth", sort=False)):
+        middle = own["half_width"].to_numpy(float)
+        right.errorbar(
+            own["trials"] * 1.03 ** (2 * i - 1),
+            100 * middle,
+            100 * np.array([middle - own["half_width_5"], own["half_width_95"] - middle]),
+            color=figures.COLOURS[i], marker=figures.MARKERS[i], linestyle=figures.LINES[i],
+            elinewidth=1, label=truth,
+        )  # fmt: skip
+    right.axhline(20, color="0.6", linewidth=0.8, linestyle=":")
+    right.set(xscale="log", yscale="log", xlabel="Trials of each comparison",
+              ylabel="95 % interval of k (± %)")  # fmt: skip
+    right.set_xticks(TRIALS, [str(n) for n in TRIALS])
+    right.set_yticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
+    right.minorticks_off()
+    return figure
+
+
+def make(folder: Path, *, short: bool = False) -> dict[str, pd.DataFrame]:
+    """Tables and figures into `folder`."""
+    runs = 16 if short else 2000
+    with Run(folder, "design", {"weber_fraction": 0.1, "runs": runs}, SEED) as run:
+        tables, found = tell(4 if short else 25), grow(runs)
+        whole = pd.concat(tables, names=["when"]).reset_index("when")
+        run.table("design_information", whole)
+        run.table("design_power", found.table)
+        run.figure("design_information", draw_information(tables))
+        run.figure("design_power", draw_power(found))
+    return {"information": whole, "power": found.table}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = Path(__file__).parent.parent / "results" / "design"
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--short", action="store_true", help="few runs, seconds")
+    given = parser.parse_args()
+    made = make(given.folder, short=given.short)
+    print(made["power"][["truth", "trials", "power", "lower", "upper", "half_width"]].to_string())
+    print(f"Written to {given.folder}.")

@@ -1,0 +1,163 @@
+"""Stability atlas: where every rung, engine, JND and fit is right, warns, refuses, or is wrong.
+
+    python analyses/stability.py [--short] [--seed N] [folder]
+
+A search hunts for answers that are wrong in silence (`hunting.py`), each judged by a reference that
+shares nothing with what is judged: SciPy's DOP853 in raw SI (`reference_beam.py`) for rungs and
+JNDs, sums over plain grids for posteriors and fits. Writes stability (CSV: a row for each domain,
+with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV: all cases,
+which replay what is found).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import warnings
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import stability_choices
+import stability_posteriors
+import stability_rungs
+from hunting import Domain, Fate, hunt, silent
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from weberwhisk import figures
+from weberwhisk.runs import Run
+
+HERE = Path(__file__).parent
+SEED = 20110166
+#: Observers of two unknowns: a case costs a tenth of a second, by emcee near one.
+TWO = (
+    "force map",
+    "cylinder's ridge",
+    "three forces",
+    "correlated map",
+    "axial force dominates",
+    "velocity felt",
+    "angle-side-angle",
+    "balance of moments",
+    "lateral slip",
+)
+SAMPLED = (
+    "compliance",
+    "vibration",
+    "vibration, phase",
+    "floor and ceiling",
+    "log-normal",
+    "force map",
+    "cylinder's ridge",
+    "velocity felt",
+    "angle-side-angle",
+)
+COLOURS = {
+    Fate.RIGHT: "#0072B2",
+    Fate.WARNED: "#E69F00",
+    Fate.REFUSED: "0.75",
+    Fate.UNJUDGED: "#CC79A7",
+    Fate.SILENT: "#000000",
+}
+
+
+def domains() -> list[tuple[Domain, str, str, str, int]]:
+    """Each domain, the panel that it is shown in, its two axes there, and a share of the effort."""
+    found = [
+        (d, d.name, "distance", "push", 6)
+        for d in (*stability_rungs.DOMAINS, stability_choices.DOMAINS[0])
+    ]
+    found.append((stability_choices.DOMAINS[1], "fit of choices", "weber_fraction", "trials", 2))
+    for method in ("quadrature", "laplace", "emcee"):
+        for name in SAMPLED if method == "emcee" else stability_posteriors.OBSERVERS:
+            two = name in TWO
+            effort = (2 if two else 6) if method != "emcee" else (1 if two else 2)
+            panel = f"{method}, {'two unknowns' if two else 'one unknown'}"
+            d = stability_posteriors.domain(name, method)
+            found.append((d, panel, "distance", "k", effort))
+    return found
+
+
+def run_all(size: int, generations: int, seed: int = SEED) -> pd.DataFrame:
+    """All cases of all domains, `size` times a domain's effort of each kind."""
+    tables = []
+    for i, (d, panel, x, y, effort) in enumerate(domains()):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the references, past the ends of what exists
+            found = hunt(d, size * effort, generations, seed + i)
+        tables.append(found.assign(panel=panel, x=found[x], y=found[y]))
+        print(f"{d.name}: {len(found)} cases, {len(silent(found))} wrong in silence", flush=True)
+    return pd.concat(tables, ignore_index=True)
+
+
+def summary(cases: pd.DataFrame) -> pd.DataFrame:
+    """A row for each domain: how many cases met which fate, and the worst excess."""
+    counts = cases.groupby(["domain", "fate"], sort=False).size().unstack(fill_value=0)
+    counts = counts.reindex(columns=[int(f) for f in Fate], fill_value=0)
+    counts.columns = [f.name.lower() for f in Fate]
+    judged = cases[np.isfinite(cases["excess"])]
+    counts["worst_over_admitted"] = np.exp(judged.groupby("domain")["excess"].max())
+    counts["seed"] = cases.groupby("domain")["seed"].first()
+    return counts.reset_index()
+
+
+def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
+    for fate in (Fate.REFUSED, Fate.UNJUDGED, Fate.RIGHT, Fate.WARNED, Fate.SILENT):
+        some = cases[cases["fate"] == fate]
+        ax.plot(
+            some["x"],
+            some["y"],
+            "X" if fate == Fate.SILENT else ".",
+            color=COLOURS[fate],
+            markersize=5 if fate == Fate.SILENT else 1.8,
+            label=fate.words,
+        )
+    shown = "distance (over the reach)"
+    ax.set(title=title, xlabel=shown, ylabel="push (over the last angle)")
+    if "unknown" in title:
+        ax.set(yscale="log", ylabel="Weber fraction k")
+    if title.startswith("fit"):
+        ax.set(xscale="log", yscale="log", xlabel="Weber fraction", ylabel="trials a level")
+
+
+@figures.styled
+def draw(cases: pd.DataFrame) -> Figure:
+    """A map for each rung and engine."""
+    figure = figures.new_figure(figures.DOUBLE, 5.4)
+    axes = figure.subplots(3, 4).ravel()
+    panels = list(cases["panel"].unique())
+    for ax, panel in zip(axes, panels, strict=False):
+        _map(ax, cases[cases["panel"] == panel], panel)
+    handles, labels = axes[0].get_legend_handles_labels()
+    for ax in axes[len(panels) :]:
+        ax.axis("off")
+    axes[-1].legend(handles, labels, loc="center", markerscale=2, fontsize=6)
+    return figure
+
+
+def make(folder: Path, *, short: bool = False, seed: int = SEED) -> pd.DataFrame:
+    """Tables and figure into `folder`."""
+    cases = run_all(*((1, 1) if short else (6, 3)), seed)
+    with Run(folder, "stability", {"short": short}, seed) as run:
+        run.table("stability", summary(cases))
+        run.table("stability_cases", cases.drop(columns=["x", "y"]))
+        run.figure("stability", draw(cases))
+    return cases
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = HERE.parent / "results" / "stability"
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--short", action="store_true", help="few cases")
+    parser.add_argument("--seed", type=int, default=SEED)
+    given = parser.parse_args()
+    made = make(given.folder, short=given.short, seed=given.seed)
+    print(summary(made).to_string(index=False, float_format="{:.3g}".format))
+    wrong = silent(made).dropna(axis=1, how="all")
+    print("Wrong in silence:", "none." if wrong.empty else f"\n{wrong.head(20).to_string()}")
+    print(f"Written to {given.folder}.")

@@ -1,0 +1,71 @@
+"""Simulated experiments a second, against a plain loop of fits, and a whole power analysis.
+
+    OMP_NUM_THREADS=1 python tests/benchmarks/bench_design.py [experiments]
+
+An experiment of 504 trials (three standards, six levels) is simulated, fitted by quadrature under
+two models and compared. CPU seconds of one process; two cores do twice as many (chunks of
+`campaign.run` share nothing). The power analysis is `smallest` with its defaults, wall time, two
+workers.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+import weberwhisk as ww
+from weberwhisk.behaviour import fit_weber, simulate_trials
+from weberwhisk.design import Animals, Hypothesis, Scheme, smallest, taper
+from weberwhisk.design.experiments import compare, simulate
+
+WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
+PLACES = [15e-3, 30e-3, 45e-3]
+ANIMALS = {
+    "one animal as it is": Animals(0.1, 0.0, 0.03, 0.0, lapses_vary=False),
+    "animals that differ": Animals(),
+}
+
+
+def engine(hypotheses: tuple[Hypothesis, ...], animals: Animals, count: int) -> float:
+    """Experiments a CPU second."""
+    scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)
+    start = time.process_time()
+    counts, _ = simulate(hypotheses[0], scheme, animals, count, np.random.default_rng(1))
+    compare(hypotheses, hypotheses[0].name, scheme, counts)
+    return count / (time.process_time() - start)
+
+
+def loop(hypotheses: tuple[Hypothesis, ...], count: int) -> float:
+    """The named alternative: `simulate_trials` and `fit_weber`, one experiment after another."""
+    scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)
+    start = time.process_time()
+    for seed in range(count):
+        trials = simulate_trials(
+            percept=hypotheses[0].percept, standards=PLACES, comparisons=scheme.comparisons,
+            trials_per_level=28, lapse_low=0.03, lapse_high=0.03, seed=seed,
+        )  # fmt: skip
+        fits = [fit_weber(trials, percept=h.percept, bias="per standard") for h in hypotheses]
+        _ = fits[0].log_evidence - fits[1].log_evidence, fits[0].interval(0.95)
+    return count / (time.process_time() - start)
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 2048
+    hypotheses = taper(WHISKER)
+    plain = loop(hypotheses, 10)
+    print(f"a loop of fit_weber: {plain:.1f} experiments per CPU second")
+    for words, animals in ANIMALS.items():
+        engine(hypotheses, animals, 64)  # tables of priors are made once
+        rate = engine(hypotheses, animals, count)
+        print(f"batched, {words}: {rate:.0f} per CPU second, {rate / plain:.0f} times the loop")
+    scheme = Scheme.spaced(hypotheses[0].percept, PLACES)
+    start = time.perf_counter()
+    found = smallest(scheme, hypotheses, workers=2)
+    print(found.report())
+    print(f"a whole power analysis, two workers: {time.perf_counter() - start:.0f} s of wall time")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""Speed against accuracy: the tables' errors, what a figure needs of them, and the command.
+
+Times are measured by the charts and never asserted.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from analysis_scripts import load
+
+import weberwhisk as ww
+from weberwhisk import charts, cli, figures
+from weberwhisk._terminal import run_app
+from weberwhisk.charts import beams, fits, growth, posteriors
+
+
+@pytest.fixture(scope="module")
+def beam_table() -> pd.DataFrame:
+    return beams.measure()
+
+
+def test_the_truth_of_the_beams_is_that_of_the_referees() -> None:
+    """Benchmark P70 of the theory notes: 60° at 0.7 L."""
+    moment, axial, r, theta = beams.follow(35e-3, 8.755567343e-5, 4000)
+    assert moment == pytest.approx(2.311081582e-6, rel=1e-9)
+    assert axial == pytest.approx(7.582544e-5, rel=1e-6)
+    b = ww.press(beams.WHISKER, r, theta)
+    assert b.moment == pytest.approx(moment, rel=1e-10)
+
+
+def test_every_rung_and_solver_is_as_good_as_its_knob(beam_table: pd.DataFrame) -> None:
+    assert set(beam_table["scene"]) == {scene.name for scene in beams.SCENES}
+    assert (beam_table["failed"] == 0).all()
+    assert (beam_table["seconds"] > 0).all()
+    worst = beam_table.groupby("method")["error"].max()
+    assert worst["rung 1, elastica"] < 1e-12
+    fine = beam_table[beam_table["knob"] == 1e-9].groupby("method")["error"].max()
+    assert (fine[["rung 2, profile, one", "SciPy, solve_bvp"]] < 1e-9).all()
+    assert fine["rung 3, rod, one"] < 1e-8
+    easy = beam_table[beam_table["scene"].str.startswith("easy")].set_index("method")["error"]
+    assert easy["rung 0, closed form"].max() < 0.01  # 0.1 JND at k = 0.1
+
+
+def test_the_referee_of_posteriors_is_right_and_so_is_quadrature() -> None:
+    for scene, observer in posteriors.OBSERVERS.items():
+        rows = posteriors.readings(observer, 16)[:2]
+        exact = posteriors.summed(
+            observer, rows, 400 if len(observer.unknowns) > 1 else 4000, zoom=True
+        )
+        p = ww.posterior(observer, rows, tolerance=1e-4 if len(observer.unknowns) > 1 else None)
+        good = p.status == ww.Status.CONVERGED
+        assert good.any(), scene
+        np.testing.assert_allclose(p.sd[good], exact[good], rtol=3e-3)
+
+
+def test_fits_are_scored() -> None:
+    row = fits.measure_tool("known", lambda trials: (0.11, 0.09, 0.12), 5, 3)
+    assert row["error"] == pytest.approx(0.1)
+    assert row["bias"] == pytest.approx(0.1)
+    assert row["coverage"] == 1
+    value, low, high = fits.TOOLS["quadrature"](ww.simulate_trials(weber_fraction=fits.K, seed=1))
+    assert low < value < high
+
+
+def test_growth_is_that_of_the_arithmetic() -> None:
+    assert growth.slope([1, 4, 16, 64], [3, 12, 48, 192]) == pytest.approx(1)
+    assert np.isnan(growth.slope([1], [1]))
+
+
+def made_up() -> dict[str, pd.DataFrame]:
+    """Tables of every form, with a failure and a method that never answers."""
+    scenes, knobs = ("easy", "hard"), (1.0, 2.0)
+
+    def rows(part: str, methods: tuple[str, ...]) -> pd.DataFrame:
+        return pd.DataFrame(
+            [
+                {"part": part, "scene": scene, "method": method, "knob": knob, "count": 5,
+                 "seconds": 1e-3 * knob, "error": np.nan if method == "lost" else 1e-3 / knob,
+                 "failed": float(method == "lost") or 0.5 * (knob > 1), "coverage": 0.9}
+                for scene in scenes for method in methods for knob in knobs
+            ]
+        )  # fmt: skip
+
+    marks = pd.DataFrame(
+        {"part": "posteriors", "scene": scene, "method": name, "seconds": 1e-6, "error": 1e-9}
+        for scene in scenes
+        for name in ("closed form", "referee")
+    )
+    grown = pd.DataFrame({"part": "growth", "method": "n", "count": [1, 10], "seconds": [1, 2.0]})
+    return {
+        "beams": rows("beams", ("rung 0, closed form", "lost")),
+        "posteriors": pd.concat([rows("posteriors", ("quadrature", "theirs")), marks]),
+        "fits": rows("fits", ("quadrature",)),
+        "growth": grown.assign(bytes=[100, 900], slope_seconds=0.3, slope_bytes=0.9),
+    }
+
+
+def test_figures_mark_failures_and_limits() -> None:
+    table = pd.concat(made_up().values(), ignore_index=True)
+    figure = figures.speed_accuracy(table, foot="a machine", outside={"theirs"})
+    axes = [ax for part in figure.subfigs for ax in part.axes]
+    assert len(axes) == 4
+    for ax in axes:
+        texts = [text.get_text() for text in ax.texts]
+        assert "closed form" in texts
+        assert "50%" in texts
+        assert ax.get_xscale() == ax.get_yscale() == "log"
+    assert "100%" in [text.get_text() for text in axes[0].texts]
+    hollow = next(line for line in axes[2].lines if line.get_label() == "theirs")
+    assert hollow.get_markerfacecolor() == "white"
+    other = figures.fits_and_growth(table)
+    assert len([ax for part in other.subfigs for ax in part.axes]) == 4
+
+
+def test_the_command_writes_tables_figures_and_the_machine(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tables = made_up()
+    parts = {name: lambda full, table=table: table for name, table in tables.items()}
+    monkeypatch.setattr(charts, "PARTS", parts)
+    assert run_app(cli.app, ["chart", "--out", str(tmp_path), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert "numpy" in printed["machine"]
+    assert str(Path.home()) not in printed["machine"]
+    assert len(printed["rows"]) == sum(map(len, tables.values()))
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        "beams.csv", "posteriors.csv", "fits.csv", "growth.csv", "speed_accuracy.png",
+        "speed_accuracy.svg", "fits_and_growth.png", "fits_and_growth.svg", "chart.run.json",
+    }  # fmt: skip
+    assert run_app(cli.app, ["chart", "--out", str(tmp_path)]) == 0
+    assert "rung 0, closed form" in capsys.readouterr().out
+
+
+def test_the_chain_of_links_converges_as_their_length_squared() -> None:
+    script = load("speed_accuracy")
+    scene = beams.SCENES[0]
+    errors = [script.chain(scene, links) / beams.truth(scene) - 1 for links in (20, 40, 80)]
+    order = np.log2(np.abs(errors[:-1]) / np.abs(errors[1:]))
+    np.testing.assert_allclose(order, 2, atol=0.1)
+
+
+def test_plain_emcee_is_right() -> None:
+    script = load("speed_accuracy")
+    observer = posteriors.OBSERVERS["one unknown: r"]
+    rows = posteriors.readings(observer, 4)[:1]
+    exact = posteriors.summed(observer, rows, 2000, zoom=True)
+    for move in ("stretch", "DE"):
+        sd = script.emcee_loop(observer, rows, 300, move, True)
+        np.testing.assert_allclose(sd, exact, rtol=0.15)

@@ -1,0 +1,160 @@
+"""`weberwhisk design` and `weberwhisk rehearse`: folders, answers, refusals, and going on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import weberwhisk as ww
+from weberwhisk import cli
+from weberwhisk._terminal import run_app
+
+DESIGN = ["design", "--standard-mm", "20,30", "--level", "-2,-1,1,2", "--trials", "12"]
+REHEARSE = ["rehearse", "--runs", "2", "--workers", "1"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("design") / "out"
+    assert run_app(cli.app, [*DESIGN, "--runs", "16", "--out", str(out)]) == 0
+    return out
+
+
+def test_design_writes_what_the_rig_needs(folder: Path) -> None:
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {
+        "plan.json", "plan.html", "preregistration.txt", "trials.csv", "bpod.csv",
+        "psychopy_s1_001.csv", "planned_levels.csv", "planned_jnds.csv", "planned_power.csv",
+        "planned_psychometric.png", "planned_jnd.svg", "planned_power.png", "design.run.json",
+    }  # fmt: skip
+    trials = pd.read_csv(folder / "trials.csv")
+    assert trials["standard_mm"].value_counts().to_dict() == {20.0: 48, 30.0: 48}
+    record = json.loads((folder / "design.run.json").read_text("utf-8"))
+    assert record["inputs"]["trials"] == 12
+    jnds = pd.read_csv(folder / "planned_jnds.csv")
+    assert jnds["stimulus_mm"].between(1, 33.6).all()
+    assert jnds["jnd_mm"].between(0.001, 3).all()
+
+
+def test_the_same_command_makes_the_same_plan(folder: Path, tmp_path: Path) -> None:
+    assert run_app(cli.app, [*DESIGN, "--runs", "16", "--out", str(tmp_path / "again")]) == 0
+    for name in ("plan.json", "trials.csv", "psychopy_s1_001.csv", "bpod.csv", "plan.html"):
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_design_answers_in_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(cli.app, [*DESIGN, "--runs", "0", "--animals", "3", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    found = json.loads(printed.out, parse_constant=pytest.fail)
+    assert found["trials_per_animal"] == 96
+    assert found["total_trials"] == 288
+    assert {row["standard_mm"] for row in found["levels"]} == {20.0, 30.0}
+    assert found["power"] is None
+
+
+def test_design_tells_people_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(cli.app, [*DESIGN, "--runs", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "1 animal × 96 trials in 1 session, 96 in all" in said
+    assert "standard 20 mm, offsets ±" in said
+    assert "Assumed:" in said
+
+
+def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "rehearsal"
+    assert run_app(cli.app, [*REHEARSE, str(folder / "plan.json"), "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {
+        "rehearsal.csv", "rehearsal_summary.csv", "rehearsal.txt", "rehearsal.png",
+        "rehearsal.svg", "rehearse.run.json",
+    }  # fmt: skip
+    table = pd.read_csv(out / "rehearsal.csv")
+    expected = ww.rehearse(ww.read_plan(folder / "plan.json"), 2, seed=1).table
+    pd.testing.assert_frame_equal(table, expected)
+
+
+def test_a_rehearsal_broken_off_goes_on(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from weberwhisk.design import rehearsal
+
+    calls: list[int] = []
+    whole = rehearsal.one_experiment
+
+    def breaks(chunk: dict[str, object], seed: object) -> pd.DataFrame:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return whole(chunk, seed)  # type: ignore[arg-type]
+
+    breaks.__module__, breaks.__qualname__ = whole.__module__, whole.__qualname__
+    out = tmp_path / "rehearsal"
+    command = [*REHEARSE, str(folder / "plan.json"), "--out", str(out)]
+    monkeypatch.setattr(rehearsal, "one_experiment", breaks)
+    assert run_app(cli.app, command) == 130
+    (stream,) = out.iterdir()
+    assert len(stream.read_text().splitlines()) == 3  # a header and two experiments
+    calls.clear()
+    assert run_app(cli.app, command) == 0
+    assert len(calls) == 2
+    monkeypatch.undo()
+    assert not stream.exists()
+    expected = ww.rehearse(ww.read_plan(folder / "plan.json"), 2, seed=1).table
+    pd.testing.assert_frame_equal(pd.read_csv(out / "rehearsal.csv"), expected)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--half-width", "0.2", "--bayes-factor", "10"], "There is one goal, got"),
+        (["--standard-mm", "35"], "is off the whisker, by 0.0014 past its tip"),
+        (["--trials", "0"], "trials of a level must be a whole number of 1 or more, got 0"),
+        (["--easy-share", "0.8"], "fewer than easy_share=0.8 asks for"),
+        (["--step-mm", "3"], "are too coarse at standard"),
+        (["--farthest-mm", "25"], "farther than the animal's range"),
+        (["--nearest-mm", "30", "--farthest-mm", "20"], "farthest must lie beyond nearest"),
+        (["--half-width", "0.2", "--cue", "force-map", "--deflection-angle-deg", "60"], "flicked"),
+        (["--cue", "force-map"], "Taper is tested by the compliance cue"),
+        (["--trials-per-session", "0"], "trials_per_session must be a whole number"),
+        (["--share", "1"], "share must lie between 0 and 1"),
+        (["--identity", "Z9"], "Z9"),
+    ],
+)
+def test_design_refuses_in_one_sentence_and_leaves_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: list[str], sentence: str
+) -> None:
+    out = tmp_path / "out"
+    command = [*DESIGN, "--runs", "0", *options, "--out", str(out)]
+    assert run_app(cli.app, command) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (None, "is not a file"),
+        ("{", "is no whole plan"),
+        ("[1]", "is not a plan"),
+        ('{"format": "weberwhisk plan", "version": 3}', "has version 3 of the plan's format"),
+        ('{"format": "weberwhisk plan", "version": 1}', "is damaged: KeyError 'power'"),
+    ],
+)
+def test_rehearse_refuses_what_is_no_plan(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, content: str | None, sentence: str
+) -> None:
+    file = tmp_path / "plan.json"
+    if content is not None:
+        file.write_text(content)
+    out = tmp_path / "out"
+    assert run_app(cli.app, [*REHEARSE, str(file), "--out", str(out)]) == 2
+    printed = capsys.readouterr()
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1
+    assert not out.exists()

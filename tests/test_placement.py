@@ -1,0 +1,407 @@
+"""Trials placed one by one: the package's own likelihood, exact information, fewer trials."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import quad
+
+import weberwhisk as ww
+from weberwhisk.behaviour import (
+    CuePercept,
+    IdentityPercept,
+    LogPercept,
+    Priors,
+    fit_weber,
+    response_probability,
+    simulate_trials,
+)
+from weberwhisk.design import (
+    BayesianPlacer,
+    Constraints,
+    Hypothesis,
+    Scheme,
+    Staircase,
+    lattice,
+    next_trial,
+    taper,
+)
+from weberwhisk.figures import placements
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+PLAIN = Hypothesis("Weber", IdentityPercept(), bias="shared")
+QUIET = Priors(lapse_low=0.02, lapse_high=0.02)
+
+
+def animal(h: Hypothesis, seed: int, k: float = 0.1, lapse: float = 0.03, bias: float = 0.0) -> Any:
+    """Answers of an observer."""
+    rng = np.random.default_rng(seed)
+
+    def answer(standard: float, comparison: float) -> int:
+        chance = response_probability(
+            h.asked, h.percept, standard, comparison, weber_fraction=k,
+            lapse_low=lapse, lapse_high=lapse, bias=bias,
+        )  # fmt: skip
+        return int(rng.random() < chance[0])
+
+    return answer
+
+
+def session(placer: Any, n: int, answer: Any) -> Any:
+    for _ in range(n):
+        trial = placer.next()
+        placer.record(trial.standard, trial.comparison, answer(trial.standard, trial.comparison))
+    return placer
+
+
+# -- the belief is the fit's posterior -----------------------------------------------------------
+
+TAPER = taper(W)
+KNOWN = Hypothesis("known", IdentityPercept(), Priors(lapse_low=0.01, lapse_high=0.0, bias=0.1),
+                   bias="shared")  # fmt: skip
+CORRECT = Hypothesis("percent correct", IdentityPercept(), bias="none", task="3AFC percent correct")
+
+
+@pytest.mark.parametrize(
+    ("hypotheses", "standards", "n"),
+    [
+        ([PLAIN], [1.0], 20),
+        ([PLAIN], [1.0], 300),
+        ([Hypothesis("Weber", IdentityPercept())], [0.5, 2.0], 150),
+        ([KNOWN], [1.0], 100),
+        ([CORRECT], [1.0], 100),
+        ([Hypothesis("log", LogPercept(), bias="shared")], [0.0], 60),
+        (TAPER, [0.3 * W.length, 0.8 * W.length], 120),
+    ],
+    ids=["few", "many", "biases", "known", "percent correct", "log", "whisker"],
+)
+def test_the_belief_agrees_with_the_fit_of_the_same_trials(hypotheses, standards, n):
+    """Quantiles of k to a twentieth of the posterior sd, and the evidence to 5 %."""
+    scheme = lattice(hypotheses[-1].percept, standards)
+    placer = BayesianPlacer(hypotheses, scheme, seed=2)
+    session(placer, n, animal(hypotheses[0], seed=n, bias=0.2 * hypotheses[0].asked.has_bias))
+    for name, fit in placer.fits().items():
+        at = [0.025, 0.5, 0.975]
+        off = placer.beliefs[name].quantile(np.array(at)) - fit.posterior.quantile(
+            "weber_fraction", at
+        )
+        assert np.abs(off).max() < 0.05 * fit.posterior.sd("weber_fraction")
+        assert placer.beliefs[name].log_evidence == pytest.approx(fit.log_evidence, abs=0.05)
+
+
+def test_probabilities_are_those_of_the_evidence():
+    placer = BayesianPlacer(TAPER, lattice(TAPER[1].percept, [15e-3, 40e-3]), seed=2)
+    session(placer, 40, animal(TAPER[0], seed=3))
+    log = np.array([fit.log_evidence for fit in placer.fits().values()])
+    share = 1 / (1 + np.exp(log[1] - log[0]))
+    assert placer.probabilities["tapered"] == pytest.approx(share, abs=0.01)
+    assert sum(placer.probabilities.values()) == pytest.approx(1)
+
+
+def test_what_was_shown_counts_and_not_what_was_proposed():
+    shown = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=2)
+    for comparison, choice in ((1.123, 1), (0.9, 0), (1.05, 1)):
+        shown.next()
+        shown.record(1.01, comparison, choice)
+    frame = shown.trials().frame
+    assert frame["stimulus_2"].tolist() == [1.123, 0.9, 1.05]
+    assert frame["stimulus_1"].tolist() == [1.01] * 3
+    assert frame["standard"].tolist() == [1.0] * 3
+    fit = shown.fits()["Weber"]
+    assert shown.weber_fraction == pytest.approx(fit.weber_fraction, rel=0.02)
+
+
+def test_no_answer_teaches_nothing_and_is_kept():
+    placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=2)
+    before = placer.interval()
+    for none in (None, float("nan")):
+        placer.record(1.0, 1.1, none)
+    assert placer.interval() == before
+    assert placer.trials().n_missing == 2
+    assert placer.next().trial == 3
+
+
+# -- the objective -------------------------------------------------------------------------------
+
+
+def test_information_is_the_integral_that_it_says():
+    """k alone unknown: I = H(∫ p π) − ∫ H(p) π by SciPy's quadrature and the textbook's Φ."""
+    h = Hypothesis("k alone", IdentityPercept(), QUIET, bias="none")
+    scheme = Scheme([2.0], [[-1.0, -0.3, 0.02, 0.1, 0.5, 1.5]])
+    found = BayesianPlacer(h, scheme, seed=1).information()
+    prior = stats.lognorm(np.log(3.0), scale=0.1)
+
+    def entropy(p: float) -> float:
+        return float(-p * np.log2(p) - (1 - p) * np.log2(1 - p))
+
+    def chance(k: float, s2: float) -> float:
+        return 0.02 + 0.96 * float(stats.norm.cdf((s2 - 2) / (k * np.hypot(2, s2))))
+
+    def mean(f: Any) -> float:
+        return quad(lambda z: f(prior.ppf(stats.norm.cdf(z))) * stats.norm.pdf(z), -6, 6,
+                    limit=200)[0]  # fmt: skip
+
+    for s2, bits in zip(scheme.comparisons[0], found, strict=True):
+        whole = entropy(mean(lambda k, s2=s2: chance(k, s2)))
+        left = mean(lambda k, s2=s2: entropy(chance(k, s2)))
+        assert bits == pytest.approx(whole - left, abs=1e-4)
+
+
+@pytest.mark.parametrize("goal", ["weber_fraction", "hypothesis", "everything"])
+def test_lapses_and_bias_are_integrated_out(goal):
+    """Brute force: draws of all parameters from their priors, and means over them."""
+    priors = Priors(lapse_low=stats.beta(2, 18), lapse_high=stats.beta(1, 9), lapse_correlation=0)
+    tapered, cylinder = (Hypothesis(h.name, h.percept, priors, bias="shared") for h in taper(W))
+    scheme = Scheme([40e-3], [[-20e-3, -4e-3, -1e-3, 1e-3, 3e-3, 9e-3]])
+    found = BayesianPlacer([tapered, cylinder], scheme, goal=goal, seed=1).information()
+    rng = np.random.default_rng(5)
+    inner, nodes = 20_000, np.linspace(-4, 4, 31)
+    weight = stats.norm.pdf(nodes) / stats.norm.pdf(nodes).sum()
+    low, high = priors.lapse_low.rvs(inner, rng), priors.lapse_high.rvs(inner, rng)
+    bias = rng.normal(size=inner)
+
+    def entropy(p: np.ndarray) -> np.ndarray:
+        return -p * np.log2(p) - (1 - p) * np.log2(1 - p)
+
+    given_k, given_all = [], []
+    for h in (tapered, cylinder):
+        p = np.array([
+            response_probability(
+                h.asked, h.percept, 40e-3, scheme.comparisons[0],
+                weber_fraction=0.1 * 3.0**z, lapse_low=low, lapse_high=high, bias=bias,
+            )
+            for z in nodes
+        ])  # fmt: skip
+        given_k.append(p.mean(axis=1))
+        given_all.append(weight @ entropy(p).mean(axis=1))
+    given_k = np.array(given_k)
+    given = np.einsum("k,hkc->hc", weight, given_k)
+    if goal == "hypothesis":
+        bits = entropy(given.mean(axis=0)) - entropy(given).mean(axis=0)
+    elif goal == "everything":
+        bits = entropy(given.mean(axis=0)) - np.mean(given_all, axis=0)
+    else:
+        left = np.einsum("k,hkc->hc", weight, entropy(given_k))
+        bits = (entropy(given) - left).mean(axis=0)
+    # Four standard errors of a mean over 20 000 draws of a bias of sd 1.
+    assert found == pytest.approx(bits, abs=4e-3)
+
+
+@pytest.mark.parametrize(("near", "easy"), [(5, 10), (15, 40)])
+def test_the_lapses_do_not_draw_trials_to_the_extremes(near, easy):
+    """Once some easy trials were put, only an objective that counts lapses still prizes them.
+
+    Before that the other does too, and rightly: a lapse not known is a poor k or none.
+    """
+    scheme = lattice(PLAIN.percept, 1.0)
+    extremes = scheme.comparisons[0][0], scheme.comparisons[0][-1]
+    shares = {}
+    for goal in ("weber_fraction", "everything"):
+        placer = BayesianPlacer(PLAIN, scheme, goal=goal, easy_share=0.0, seed=4)
+        answer = animal(PLAIN, seed=4)
+        for comparison in [0.8, 0.9, 1.1, 1.2] * near + [*extremes] * (easy // 2):
+            placer.record(1.0, comparison, answer(1.0, comparison))
+        bits = placer.information()
+        shares[goal] = bits[[0, -1]].max() / bits.max()
+    assert shares["weber_fraction"] < 0.1
+    assert shares["everything"] > 0.3
+
+
+def test_nearly_as_good_trials_are_drawn_at_random_and_replayed():
+    scheme = lattice(PLAIN.percept, 1.0)
+    placer = session(BayesianPlacer(PLAIN, scheme, seed=3), 30, animal(PLAIN, seed=1))
+    bits = placer.information()
+    trial = placer.next()
+    assert trial.easy or trial.information >= 0.95 * bits.max()
+    again = BayesianPlacer(PLAIN, scheme, seed=3)
+    for s1, s2, choice in placer.trials().frame[["stimulus_1", "stimulus_2", "count"]].to_numpy():
+        assert again.next() == again.next()
+        assert (again.next().standard, again.next().comparison) == (s1, s2)
+        again.record(s1, s2, int(choice))
+    assert again.next() == trial
+    assert next_trial(placer.trials(), PLAIN, scheme, seed=3) == trial
+    other = session(BayesianPlacer(PLAIN, scheme, seed=4), 30, animal(PLAIN, seed=1))
+    assert (
+        other.trials().frame["stimulus_2"].tolist() != placer.trials().frame["stimulus_2"].tolist()
+    )
+
+
+def test_easy_trials_are_mixed_in():
+    scheme = lattice(PLAIN.percept, [1.0, 3.0])
+    placer = BayesianPlacer(PLAIN, scheme, easy_share=0.3, seed=6)
+    answer, easy = animal(PLAIN, seed=1), []
+    for _ in range(120):
+        trial = placer.next()
+        easy.append(trial.easy)
+        levels = scheme.comparisons[scheme.standards.index(trial.standard)]
+        assert not trial.easy or trial.comparison in (min(levels), max(levels))
+        placer.record(trial.standard, trial.comparison, answer(trial.standard, trial.comparison))
+    # A binomial's 4 sd.
+    assert abs(np.mean(easy) - 0.3) < 4 * np.sqrt(0.3 * 0.7 / 120)
+
+
+def test_a_standard_may_be_asked_for():
+    placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, [1.0, 3.0]), seed=6)
+    assert placer.next(3.0).standard == 3.0
+    assert placer.next().standard == 3.0
+    assert placer.next(1.0).standard == 1.0
+    with pytest.raises(ValueError, match="no standard 2; choose one of 1, 3"):
+        placer.next(2.0)
+
+
+def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
+    placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), width=0.5, most=300, seed=1)
+    answer, n = animal(PLAIN, seed=1), 0
+    while not placer.finished:
+        trial = placer.next()
+        placer.record(trial.standard, trial.comparison, answer(trial.standard, trial.comparison))
+        n += 1
+    low, high = placer.fits()["Weber"].interval(0.95)
+    assert "is narrow enough" in placer.finished
+    assert 20 < n < 300
+    assert (high - low) / (high + low) < 0.55
+    few = session(BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), most=3, seed=1), 3, answer)
+    assert few.finished == "there are 3 trials, as many as wanted"
+
+
+# -- the classical rules -------------------------------------------------------------------------
+
+
+def test_two_down_one_up_by_hand():
+    """Levels from the easiest: 0.8, 0.4, 0.2, 0.1 either side; strides 4, 2, then 1."""
+    scheme = Scheme([1.0], [[-0.8, -0.4, -0.2, -0.1, 0.1, 0.2, 0.4, 0.8]])
+    staircase = Staircase(PLAIN, scheme, seed=1)
+    offsets = []
+    for right in (1, 1, 0, 1, 1, 0, 0, 1, None, 1):
+        trial = staircase.next()
+        offsets.append(round(abs(trial.comparison - 1), 6))
+        greater = trial.comparison > 1
+        staircase.record(1.0, trial.comparison, None if right is None else greater == bool(right))
+    assert offsets == [0.8, 0.8, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8, 0.8]
+    assert staircase.n_trials == 9
+
+
+@pytest.mark.parametrize(("rule", "share"), [("1-up/2-down", 0.7071), ("1-up/3-down", 0.7937)])
+def test_rules_settle_where_they_should(rule, share):
+    """Share of right answers at the turning levels of an animal that does not lapse."""
+    scheme = lattice(PLAIN.percept, 1.0, each_side=40)
+    found = []
+    for seed in range(12):
+        staircase = Staircase(PLAIN, scheme, rule=rule, seed=seed)
+        session(staircase, 300, animal(PLAIN, seed=seed, lapse=0.0))
+        found.append(staircase.weber_fraction)
+    # Turns lie a little above the level aimed at (Levitt 1971): within 15 % of k.
+    assert np.mean(np.log(np.array(found) / 0.1)) == pytest.approx(0, abs=0.15)
+    assert stats.norm.cdf(stats.norm.ppf(share)) == pytest.approx(share)
+
+
+def test_a_staircase_ends_and_its_trials_are_fitted():
+    scheme = lattice(PLAIN.percept, [1.0, 2.0])
+    staircase = Staircase(PLAIN, scheme, turns=4, seed=2)
+    answer = animal(PLAIN, seed=3)
+    while not staircase.finished:
+        trial = staircase.next()
+        staircase.record(trial.standard, trial.comparison, answer(trial.standard, trial.comparison))
+    assert staircase.finished == "every track has turned 4 times"
+    assert staircase.fits()["Weber"].trials.n_trials == staircase.n_trials
+    assert np.isnan(Staircase(PLAIN, scheme, rule="1-up/1-down").weber_fraction)
+
+
+# -- the trials saved ----------------------------------------------------------------------------
+
+
+def test_information_saves_trials():
+    """k twice what was expected: a narrower interval than constant stimuli for the expected k."""
+    constant = Scheme.spaced(PLAIN.percept, [1.0], weber_fraction=0.1)
+    halves = {"information": [], "constant": []}
+    for seed in range(5):
+        placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=seed)
+        session(placer, 120, animal(PLAIN, seed=seed, k=0.2))
+        low, high = placer.interval()
+        halves["information"].append((high - low) / (high + low))
+        trials = simulate_trials(
+            weber_fraction=0.2, comparisons=constant.comparisons[0], trials_per_level=20,
+            lapse_low=0.03, lapse_high=0.03, seed=seed,
+        )  # fmt: skip
+        low, high = fit_weber(trials).interval()
+        halves["constant"].append((high - low) / (high + low))
+    assert np.mean(halves["information"]) < 0.8 * np.mean(halves["constant"])
+
+
+def test_information_about_the_taper_tells_it_sooner():
+    """Natural log Bayes factors after 90 trials: placed for the hypothesis, and for k."""
+    standards = np.array([0.3, 0.6, 0.9]) * W.length
+    levels = [lattice(h.percept, standards, each_side=8).offsets for h in TAPER]
+    scheme = Scheme(standards, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
+    found = {}
+    for goal in ("hypothesis", "weber_fraction"):
+        total = 0.0
+        for seed in range(3):
+            placer = BayesianPlacer(TAPER, scheme, goal=goal, seed=seed)
+            session(placer, 90, animal(TAPER[0], seed=seed))
+            beliefs = placer.beliefs
+            total += beliefs["tapered"].log_evidence - beliefs["cylindrical"].log_evidence
+        found[goal] = total / 3
+    assert found["hypothesis"] > found["weber_fraction"] + 1
+
+
+# -- what is refused -----------------------------------------------------------------------------
+
+
+def test_bad_input_in_one_sentence():
+    scheme = lattice(PLAIN.percept, 1.0)
+    for options, words in (
+        ({"goal": "k"}, "goal 'k' is unknown"),
+        ({"goal": "hypothesis"}, "one hypothesis cannot be told from others"),
+        ({"easy_share": 1.0}, "easy_share must lie between 0 and 1"),
+        ({"easy_share": np.nan}, "easy_share must be finite"),
+        ({"width": 0.0}, "width must be above zero"),
+        ({"most": 0}, "most must be above zero"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            BayesianPlacer(PLAIN, scheme, **options)
+    placer = BayesianPlacer(PLAIN, scheme)
+    for trial, words in (
+        ((1.0, 1.1, 2), "choice must be 1"),
+        ((1.0, 1.1, "yes"), "choice must be 1"),
+        ((1.0, np.nan, 1), "comparison must be finite"),
+        ((1.0, -1.0, 1), "is off the whisker"),
+        (("far", 1.0, 1), "standard must be a number"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            placer.record(*trial)
+    assert len(placer.trials()) == 0
+    with pytest.raises(ValueError, match="mass must lie between 0 and 1"):
+        placer.interval(95)
+    for arguments, words in (
+        (dict(rule="2-down"), "rule '2-down' is unknown"),
+        (dict(turns=0), "turns must be above zero"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Staircase(PLAIN, scheme, **arguments)
+    with pytest.raises(ValueError, match="comparisons on one side only"):
+        Staircase(PLAIN, Scheme([1.0], [[0.1, 0.2]]))
+
+
+def test_a_lattice_stays_where_the_animal_and_the_pole_can_go():
+    percept = CuePercept(ww.Observer(W, ww.cues.Compliance(), ww.receptors.Weber(1.0)), unit=1e-3)
+    scheme = lattice(percept, [10.0, 30.0], Constraints(5.0, 40.0, 0.5))
+    levels = np.concatenate(scheme.comparisons)
+    assert levels.min() >= 5
+    assert levels.max() <= 40
+    assert np.allclose(levels / 0.5, np.round(levels / 0.5))
+    assert not np.any(np.isin(levels, [10.0, 30.0]))
+    assert max(lattice(percept, [48.0]).comparisons[0]) < 50
+    with pytest.raises(ValueError, match="standard 40 is left without comparisons on both sides"):
+        lattice(percept, [40.0], Constraints(5.0, 40.0))
+    with pytest.raises(ValueError, match="standard 60 is off the whisker"):
+        lattice(percept, [60.0])
+
+
+def test_the_figure_shows_every_trial():
+    placer = session(BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0)), 9, animal(PLAIN, seed=1))
+    ax = placements(placer)
+    assert sum(len(line.get_xdata()) for line in ax.lines[:2]) == 9

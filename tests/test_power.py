@@ -1,0 +1,345 @@
+"""Power: against a brute-force simulation that shares no code, against the fits that will be made,
+and against what a search with Monte Carlo error may claim."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.special import logsumexp, ndtr, roots_jacobi
+from scipy.stats import beta, lognorm, norm
+
+import weberwhisk as ww
+from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
+from weberwhisk.behaviour.percepts import IdentityPercept
+from weberwhisk.design import Animals, Goal, Hypothesis, Scheme, cues, noises, taper, with_priors
+from weberwhisk.design.experiments import Fitted, compare, fit, simulate
+from weberwhisk.design.power import _probit, reaches, sized, smallest
+
+WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
+TAPERED, CYLINDRICAL = taper(WHISKER)
+#: One animal as it is, no two alike in nothing.
+ALIKE = Animals(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
+LENGTH, APEX = 50e-3, 50e-3 / (1 - 1 / 20)
+
+
+def design(places, trials):
+    """The issue's own: ±0.6, 1.2, 2.0 sd of the tapered prediction."""
+    return Scheme.spaced(TAPERED.percept, np.multiply(places, LENGTH), trials=trials)
+
+
+# -- a referee that shares no code with the package ----------------------------------------------
+
+PLAIN = {"lapse_low": beta(1, 19), "lapse_high": beta(1, 19), "lapse_correlation": 0.0}
+
+
+def plain_experiments(places, trials, truth, runs, rng):
+    """Counts, one (runs, 6) for each standard, and the decision variables of both models."""
+    z = np.array([-2.0, -1.2, -0.6, 0.6, 1.2, 2.0])
+    counts, scores = [], []
+    for r in np.multiply(places, LENGTH):
+        c = r + z * 0.1 * np.sqrt(2) * r * (1 - r / APEX)
+        both = {}
+        for name, far in (("tapered", APEX), ("cylindrical", np.inf)):
+            m0, m1 = 1 / r - 1 / far, 1 / c - 1 / far  # moment of a tap; its noise is k m
+            both[name] = (m0 - m1) / np.sqrt(m0**2 + m1**2)
+        scores.append(both)
+        p = 0.03 + 0.94 * ndtr(both[truth] / 0.1)
+        counts.append(rng.binomial(trials, p, size=(runs, 6)))
+    return counts, scores
+
+
+def plain_evidence(counts, scores, name, trials):
+    """Log evidence of each run: sums over even ln k and PSE, Gauss–Jacobi over the lapses."""
+    log_k = np.arange(-7.0, 1.5, 0.14)
+    x, w = roots_jacobi(11, 18.0, 0.0)  # the density of Beta(1, 19) on 0 to 1
+    lapse, w = (x + 1) / 2, w / w.sum()
+    lo, hi = (a.ravel() for a in np.meshgrid(lapse, lapse))
+    log_w = np.log(np.outer(w, w)).ravel() + norm(np.log(0.1), np.log(3)).logpdf(log_k)[:, None]
+    pse = np.arange(-4.5, 4.6, 0.2)
+    log_pse = norm.logpdf(pse) + np.log(0.2)
+    total = np.zeros((len(counts[0]), log_k.size, lo.size))
+    for n_up, both in zip(counts, scores, strict=True):
+        up = ndtr(both[name] / np.exp(log_k)[:, None, None] + pse[:, None])  # (K, B, 6)
+        for i in range(lo.size):
+            p = lo[i] + (1 - lo[i] - hi[i]) * up
+            like = np.tensordot(n_up, np.log(p), (1, 2))
+            like += np.tensordot(trials - n_up, np.log1p(-p), (1, 2))
+            total[:, :, i] += logsumexp(like + log_pse, axis=2)
+    return logsumexp((total + log_w).reshape(len(total), -1), axis=1) + np.log(0.14)
+
+
+def brute_force(places, trials, truth, runs, seed):
+    """Log Bayes factors of the truth, and the counts."""
+    other = {"tapered": "cylindrical", "cylindrical": "tapered"}[truth]
+    counts, scores = plain_experiments(places, trials, truth, runs, np.random.default_rng(seed))
+    evidence = [plain_evidence(counts, scores, name, trials) for name in (truth, other)]
+    return evidence[0] - evidence[1], np.concatenate(counts, axis=1)[:, None].astype(float)
+
+
+def check_brute_force(places, trials, truth, runs):
+    hypotheses = with_priors((TAPERED, CYLINDRICAL), **PLAIN)
+    scheme = design(places, trials)
+    plain, counts = brute_force(places, trials, truth, runs, seed=trials)
+    ours, _ = compare(hypotheses, truth, scheme, counts)
+    # The same experiments: the same Bayes factors.
+    assert np.abs(ours - plain).max() < 0.1
+    assert abs(np.mean(ours - plain)) < 0.03
+    # Others: the same power, within the Monte Carlo error of both.
+    found = ww.power(scheme, hypotheses, expected=ALIKE, truths=[truth], runs=1024, seed=2).table[
+        "power"
+    ][0]
+    share = np.mean(plain > np.log(10))
+    error = np.sqrt(max(found * (1 - found), 0.01) * (1 / runs + 1 / 1024))
+    assert abs(found - share) < 3.5 * error
+
+
+@pytest.mark.parametrize("truth", ["tapered", "cylindrical"])
+def test_power_is_that_of_a_brute_force_simulation(truth):
+    check_brute_force((0.3, 0.6, 0.9), 5, truth, 40)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trials", [5, 10, 20])
+@pytest.mark.parametrize("truth", ["tapered", "cylindrical"])
+def test_power_is_that_of_a_brute_force_simulation_at_length(truth, trials):
+    check_brute_force((0.3, 0.6, 0.9), trials, truth, 400)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", ["tapered", "cylindrical"])
+def test_standards_close_together_tell_next_to_nothing_by_brute_force(truth):
+    check_brute_force((0.3, 0.5), 20, truth, 400)
+
+
+def test_standards_close_together_tell_next_to_nothing():
+    found = [
+        ww.power(design(p, 20), (TAPERED, CYLINDRICAL), expected=ALIKE, runs=128).table["power"]
+        for p in ((0.3, 0.5), (0.3, 0.6, 0.9))
+    ]
+    assert found[0].max() < 0.2
+    assert found[1].min() > 0.7
+
+
+# -- the same answers as the fits that will be made ----------------------------------------------
+
+
+def trials_of(scheme, counts, task="2AFC", subject=None):
+    cells = scheme.cells()
+    frame = pd.DataFrame(
+        {
+            "standard": cells.standard,
+            "stimulus_1": cells.stimulus_1,
+            "stimulus_2": cells.stimulus_2,
+            "n": cells.n.astype(int),
+            "count": counts,
+        }
+    )
+    if subject is not None:
+        frame["subject"] = subject
+    return Trials(frame, task_named(task))
+
+
+WEBER = Hypothesis("Weber", IdentityPercept())
+CASES = {
+    "tapered, few trials": (TAPERED, design((0.3, 0.9), 5)),
+    "cylinder, many trials": (CYLINDRICAL, design((0.3, 0.6, 0.9), 100)),
+    "force map": (cues(WHISKER, 0.1)[1], design((0.3, 0.8), 20)),
+    "constant noise": (
+        noises(IdentityPercept(), [1.0, 3.0])[1], Scheme([1.0, 3.0], [-0.4, -0.2, 0.2, 0.4]),
+    ),
+    "shared bias": (Hypothesis("a", IdentityPercept(), bias="shared"),
+                    Scheme([1.0, 2.0], [-0.3, -0.1, 0.1, 0.3])),
+    "no bias": (Hypothesis("a", IdentityPercept(), bias="none"),
+                Scheme([1.0, 2.0], [-0.3, -0.1, 0.1, 0.3])),
+    "known lapses": (with_priors([WEBER], lapse_low=0.03, lapse_high=0.03)[0],
+                     Scheme([1.0], [-0.3, -0.1, 0.1, 0.3])),
+    "another prior": (with_priors([WEBER], weber_fraction=lognorm(0.3, scale=0.12))[0],
+                      Scheme([1.0], [-0.3, -0.1, 0.1, 0.3])),
+    "yes/no": (Hypothesis("a", IdentityPercept(), task="yes/no"),
+               Scheme([1.0], [-0.2, 0.1, 0.2, 0.3])),
+    "percent correct": (Hypothesis("a", IdentityPercept(), task="3AFC percent correct",
+                                   bias="none"), Scheme([1.0], [0.05, 0.1, 0.2, 0.5])),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_experiment_is_fitted_as_fit_weber_fits_it(case):
+    hypothesis, scheme = CASES[case]
+    counts, _ = simulate(hypothesis, scheme, Animals(), 16, np.random.default_rng(5))
+    fitted = fit(hypothesis, scheme, counts)
+    for i in range(4):
+        own = fit_weber(
+            trials_of(scheme, counts[i, 0], hypothesis.task), percept=hypothesis.percept,
+            priors=hypothesis.priors, bias=hypothesis.bias,
+        )  # fmt: skip
+        low, high = own.interval(0.95)
+        assert fitted.log_evidence[i] == pytest.approx(own.log_evidence, abs=0.06)
+        # In widths of the interval, which is what a design is about.
+        assert fitted.quantiles[i] == pytest.approx(
+            [low, own.weber_fraction, high], abs=0.04 * (high - low)
+        )
+
+
+def test_a_known_weber_fraction_has_no_interval():
+    (known,) = with_priors([WEBER], weber_fraction=0.1)
+    scheme = Scheme([1.0], [-0.2, 0.2])
+    fitted = fit(known, scheme, np.array([[[3.0, 18.0]]]))
+    own = fit_weber(trials_of(scheme, [3, 18]), bias="per standard", priors=known.priors)
+    assert fitted.half_width[0] == 0
+    assert fitted.log_evidence[0] == pytest.approx(own.log_evidence, abs=0.02)
+
+
+def test_animals_share_a_population_as_fit_population_has_it():
+    scheme = design((0.3, 0.9), 20).with_animals(3)
+    counts, _ = simulate(TAPERED, scheme, Animals(), 8, np.random.default_rng(3))
+    fitted = fit(TAPERED, scheme, counts)
+    for i in range(1):
+        frames = [trials_of(scheme, counts[i, a], subject=f"s{a}").frame for a in range(3)]
+        pooled = Trials(pd.concat(frames, ignore_index=True), task_named("2AFC"))
+        own = fit_population(pooled, percept=TAPERED.percept, bias="per standard")
+        low, high = own.interval(0.95)
+        # There the animals also learn their lapses from each other: near, not the same.
+        assert np.log(fitted.quantiles[i]) == pytest.approx(
+            np.log([low, own.weber_fraction, high]), abs=0.15
+        )
+
+
+def test_more_animals_narrow_the_interval_but_not_below_their_spread():
+    rng = np.random.default_rng(1)
+    width = [
+        np.median(fit(TAPERED, s, simulate(TAPERED, s, Animals(spread=0.5), 48, rng)[0]).half_width)
+        for s in (design((0.3, 0.6), 40).with_animals(n) for n in (2, 8))
+    ]
+    assert width[1] < 0.7 * width[0]
+    assert width[1] > 1.96 * 0.5 / np.sqrt(8) * 0.7
+
+
+def test_intervals_cover_what_the_prior_draws():
+    """Rank statistics of draws from the prior: 95 % intervals hold 95 %, whatever the design."""
+    scheme = design((0.3, 0.9), 10)
+    believed = Animals(spread=0.0, lapses_vary=True, lapse=0.05, bias_spread=1.0)
+    (hypothesis,) = with_priors(
+        [TAPERED], lapse_low=beta(2, 38), lapse_high=beta(2, 38), lapse_correlation=0.0,
+    )  # fmt: skip
+    counts, k = simulate(
+        hypothesis, scheme, believed, 600, np.random.default_rng(4), assurance=True
+    )
+    low, middle, high = fit(hypothesis, scheme, counts).quantiles.T
+    assert abs(np.mean((low < k) & (k < high)) - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 600)
+    assert abs(np.mean(middle < k) - 0.5) < 4 * np.sqrt(0.25 / 600)
+
+
+# -- power, assurance, and the smallest design ---------------------------------------------------
+
+
+def test_power_grows_with_trials_and_falls_with_lapses():
+    scheme = design((0.3, 0.9), 10)
+    found = ww.power(
+        scheme, (TAPERED, CYLINDRICAL), trials=[5, 20], lapses=[0.0, 0.15], truths=["tapered"],
+        runs=128, seed=3,
+    ).table.set_index(["trials", "lapse"])  # fmt: skip
+    assert found["power"][20, 0.0] > found["power"][5, 0.0] + 0.1
+    assert found["power"][20, 0.0] > found["power"][20, 0.15] + 0.05
+    assert found["half_width"][20, 0.0] < found["half_width"][5, 0.0]
+    inside = (found["lower"] <= found["power"]) & (found["power"] <= found["upper"])
+    assert inside.all()
+
+
+def test_assurance_is_the_mean_of_power_over_the_prior():
+    """Drawing k from a prior of two values is half the power at each."""
+    scheme = design((0.3, 0.9), 12)
+    (narrow,) = with_priors([TAPERED], weber_fraction=lognorm(0.8, scale=0.1))
+    hypotheses = narrow, with_priors([CYLINDRICAL], weber_fraction=lognorm(0.8, scale=0.1))[0]
+    whole = ww.power(
+        scheme, hypotheses, truths=["tapered"], runs=512, expected=ALIKE, assurance=True
+    ).table["power"][0]
+    at = [
+        ww.power(
+            scheme, hypotheses, truths=["tapered"], runs=96, seed=i,
+            expected=Animals(float(k), 0.0, 0.03, 0.0, lapses_vary=False),
+        ).table["power"][0]
+        for i, k in enumerate(lognorm(0.8, scale=0.1).ppf((np.arange(7) + 0.5) / 7))
+    ]  # fmt: skip
+    assert abs(whole - np.mean(at)) < 4 * np.sqrt(0.25 / 512 + 0.25 / 672)
+
+
+def test_the_same_seed_gives_the_same_bits():
+    scheme = design((0.3, 0.9), 5)
+    once, again, other = (
+        ww.power(scheme, (TAPERED, CYLINDRICAL), runs=24, seed=seed).runs for seed in (1, 1, 2)
+    )
+    pd.testing.assert_frame_equal(once, again)
+    assert not once["log_bayes_factor"].equals(other["log_bayes_factor"])
+
+
+def test_probit_regression_finds_a_known_crossing_and_its_error():
+    rng = np.random.default_rng(8)
+    sizes, runs = np.array([10.0, 14, 17, 20, 40]), 400
+    x = np.log(sizes / 20)
+    found = np.array(
+        [
+            _probit(x, rng.binomial(runs, ndtr(0.7 + 1.5 * x)).astype(float),
+                    np.full(5, float(runs)), norm.ppf(0.8), np.log(20))
+            for _ in range(200)
+        ]
+    )  # fmt: skip
+    truth = 20 * np.exp((norm.ppf(0.8) - 0.7) / 1.5)
+    size, error = found.T
+    assert abs(size.mean() - truth) < 4 * size.std() / np.sqrt(200) + 0.1
+    assert error.mean() == pytest.approx(size.std(), rel=0.2)
+
+
+def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():
+    hypotheses = TAPERED, CYLINDRICAL
+    found = smallest(
+        design((0.3, 0.9), 10), hypotheses, runs=128, truths=["tapered"], expected=ALIKE, seed=2
+    )
+    trials = max(map(max, found.scheme.trials))
+    assert found.size_error < 0.2 * found.size
+    assert trials == np.ceil(found.size)
+    row = found.power.table.iloc[0]
+    assert abs(row["power"] - 0.8) < 0.12
+    half = sized(found.scheme, "trials", trials // 2)
+    less = ww.power(half, hypotheses, truths=["tapered"], expected=ALIKE, runs=256, seed=3)
+    assert less.table["upper"][0] < 0.8
+    # Bracketing, not a sweep.
+    assert len(found.path.table) < 10
+
+
+def test_the_smallest_number_of_animals():
+    found = smallest(
+        design((0.3, 0.9), 10), [TAPERED], goal=Goal(half_width=0.45, share=0.5), vary="animals",
+        runs=48, seed=2, expected=Animals(spread=0.2),
+    )  # fmt: skip
+    assert 2 <= found.scheme.animals <= 30
+    assert "animals" in found.report()
+
+
+def test_goals_are_counted_as_they_are_said():
+    runs = pd.DataFrame({"log_bayes_factor": [2.2, 2.4], "half_width": [0.19, 0.21]})
+    assert reaches(runs, Goal(bayes_factor=10)).tolist() == [False, True]
+    assert reaches(runs, Goal(half_width=0.2)).tolist() == [True, False]
+    assert Fitted(np.zeros(1), np.array([[0.8, 1.0, 1.2]])).half_width[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda: ww.power(design((0.3,), 5), [TAPERED], goal=Goal(bayes_factor=10)),
+         "needs a second hypothesis"),
+        (lambda: ww.power(design((0.3,), 5), [TAPERED], truths=["tappered"]), "did you mean"),
+        (lambda: ww.power(design((0.3,), 5), [TAPERED], trials=[0]), "got 0"),
+        (lambda: ww.power(design((0.3,), 5), [TAPERED], runs=0), "got 0"),
+        (lambda: ww.power(design((0.3,), 5), [TAPERED], animals=[0]), "animals must be"),
+        (lambda: ww.power(Scheme([49e-3], [-2e-3, 2e-3]), [TAPERED]), "by 0.001 past its tip"),
+        (lambda: smallest(design((0.3, 0.5), 5), (TAPERED, CYLINDRICAL), most=10, runs=32),
+         "no design of up to 10 trials a comparison"),
+        (lambda: smallest(design((0.3, 0.5), 5), (TAPERED, CYLINDRICAL), most=10, runs=32),
+         "% short"),
+        (lambda: smallest(design((0.3,), 5), [TAPERED], vary="lapses"), "choose one of"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_in_a_sentence(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        wrong()

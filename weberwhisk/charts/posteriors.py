@@ -1,0 +1,207 @@
+"""Error of a posterior's sd against time: every engine, swept over its own knob.
+
+The referee is a midpoint sum in the contact itself that shares no code with any engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from .. import cues, receptors
+from ..jnd import weber_propagation
+from ..mechanics import flick_past
+from ..mechanics.chebyshev import Array
+from ..observer import Observer
+from ..posterior import Posterior, Status, posterior
+from ..posterior.mode import find_mode
+from ..posterior.solution import mode_root
+from ..whisker import Whisker
+from .timing import Row, timed
+
+WHISKER = Whisker(50e-3, 100e-6, 5e-6)
+K = 0.1
+OBSERVERS = {
+    "one unknown: r": Observer(WHISKER, cues.Compliance(), receptors.Weber(K)),
+    "two: r, θ_d": Observer(WHISKER, cues.ForceMap(), receptors.Weber(K)),
+    "r and a nuisance: stiffness": Observer(
+        WHISKER, cues.UnknownStiffness(cues.Compliance(), 0.2), receptors.Weber(K)
+    ),
+}
+#: Cells of the referee along each axis, in full and in short.
+CELLS = {1: (20_000, 4000), 2: (1500, 500)}
+Engine = Callable[[Array], Posterior | Array]
+
+
+def readings(observer: Observer, count: int, seed: int = 1) -> Array:
+    """Noisy readings (count, S) of contacts all over the whisker."""
+    rng = np.random.default_rng(seed)
+    r = rng.uniform(0.2, 0.9, count) * WHISKER.length
+    contact = r[:, None]
+    if "deflection_angle" in observer.unknowns:
+        theta = flick_past(WHISKER, r).deflection_angle * rng.uniform(0.05, 0.7, count)
+        contact = np.stack([r, theta], axis=-1)
+    elif observer.bounded < len(observer.unknowns):
+        contact = np.concatenate([contact, rng.lognormal(0, 0.2, (count, 1))], axis=-1)
+        contact[:, 1] *= observer.at_middle(contact[:1, :1])[0, 1]
+    return observer.read(contact, seed + 1)
+
+
+def cells(observer: Observer, n: int, box: Array) -> tuple[Array, Array]:
+    """Contacts in the middle of cells of a box, and the prior's weight of each, up to a factor.
+
+    Axes: r over the reach, then the share of the largest θ_d, or a nuisance from −6 to 6 prior sds.
+    """
+    shares = [low + (np.arange(n) + 0.5) / n * (high - low) for low, high in box]
+    if len(shares) == 1:
+        return shares[0][:, None] * observer.reach[1], np.ones(n)
+    first, second = (a.ravel() for a in np.meshgrid(*shares, indexing="ij"))
+    r = first * observer.reach[1]
+    if observer.bounded > 1:
+        width = observer.angle_range(shares[0] * observer.reach[1])[1].repeat(n)
+        return np.stack([r, second * width], axis=-1), width
+    # The prior is log-normal: ln of the stiffness over its median is normal.
+    prior = observer.prior[observer.unknowns[1]]
+    z = 12 * second - 6
+    ends = np.log(prior.ppf([0.15865525393145707, 0.5]))
+    value = np.exp(ends[1] + (ends[1] - ends[0]) * z)
+    return np.stack([r, value], axis=-1), np.exp(-0.5 * z * z)
+
+
+def summed(observer: Observer, rows: Array, n: int, *, zoom: bool = False) -> Array:
+    """Sds of r (B,) by the midpoint sum; with `zoom` over a box of all but e⁻⁴⁰ of the density."""
+    whole = np.tile([0.0, 1.0], (len(observer.unknowns), 1))
+    contact, size = cells(observer, n, whole)
+    signals, outcome = observer.signals(contact)
+    held = outcome == 0
+    out = []
+    for row in rows:
+        log = np.where(
+            held, observer.noise.log_likelihood(row, np.where(held[:, None], signals, 1)), -np.inf
+        )
+        place, weight = contact[:, 0], size
+        if zoom:
+            near = (log + np.log(size) > (log + np.log(size)).max() - 40).reshape((n,) * len(whole))
+            box = []
+            for axis in range(near.ndim):
+                at = np.flatnonzero(near.any(axis=tuple(k for k in range(near.ndim) if k != axis)))
+                box.append([max(at[0] - 2, 0) / n, min(at[-1] + 3, n) / n])
+            there, weight = cells(observer, n, np.array(box))
+            place, log = there[:, 0], observer.log_likelihood(row, there)
+        share = np.exp(log - log.max()) * weight
+        mean = share @ place / share.sum()
+        out.append(np.sqrt(share @ (place - mean) ** 2 / share.sum()))
+    return np.array(out)
+
+
+def importance(observer: Observer, rows: Array, n: int, seed: int = 5) -> Array:
+    """Sds of r (B,) by importance sampling from Student's t about the mode."""
+    from scipy import stats
+
+    mode = find_mode(observer, rows)
+    root = mode_root(mode, widen=1.2)
+    t = stats.multivariate_t(shape=np.eye(root.shape[1]), df=5, seed=seed)
+    z = t.rvs(n).reshape(n, -1)
+    value, contact = observer.log_density_and_contact(
+        mode.x[:, None] + z @ root.swapaxes(1, 2), rows[:, None]
+    )
+    log = value - t.logpdf(z)
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    r = contact[..., 0]
+    mean = (weight * r).sum(axis=1)
+    return np.asarray(np.sqrt((weight * (r - mean[:, None]) ** 2).sum(axis=1)))
+
+
+def _engines(observer: Observer, full: bool) -> Iterator[tuple[str, float, int, Engine]]:
+    """Method, knob, how many readings, and what to run on them."""
+    one = len(observer.unknowns) == 1
+
+    def engine(method: str, **options: Any) -> Engine:
+        return lambda rows: posterior(observer, rows, method=method, **options)
+
+    bulk = (2048 if one else 256) if full else (256 if one else 32)
+    yield (
+        "quadrature, one by one",
+        0,
+        8,
+        lambda rows: np.array([posterior(observer, row).sd for row in rows]),
+    )
+    tolerances = (1e-6,) if one else (1e-1, 1e-2, 1e-3, 1e-4, 1e-5) if full else (1e-2, 1e-4)
+    for tolerance in tolerances:
+        yield "quadrature", tolerance, bulk, engine("quadrature", tolerance=tolerance)
+    yield "Laplace", 0, bulk, engine("laplace")
+    for n in (100, 300, 1000, 3000, 10_000) if full else (100, 3000):
+        yield "importance sampling", n, 32, partial(importance, observer, n=n)
+    for tolerance in (0.1, 0.05, 0.02, 0.01) if full else (0.1, 0.03):
+        count = 256 if full else 32
+        yield "emcee, stacked", tolerance, count, engine("emcee", tolerance=tolerance, seed=3)
+    sizes = (30, 100, 300, 1000, 3000) if one else (10, 30, 100, 300)
+    for n in sizes if full else sizes[:3]:
+        yield "midpoint grid", n, 8, partial(summed, observer, n=n)
+
+
+def row(
+    scene: str, method: str, knob: float, sd: Array, good: Any, exact: Array, seconds: float
+) -> Row:
+    """A row of the table, from the sds that a method found and those it vouches for."""
+    ratio = sd / exact - 1
+    good = good & np.isfinite(ratio)
+    return {
+        "part": "posteriors",
+        "scene": scene,
+        "method": method,
+        "knob": knob,
+        "count": sd.size,
+        "seconds": seconds,
+        "error": float(np.sqrt(np.mean(ratio**2))),
+        "failed": 1 - good.mean(),
+        "worst_vouched": float(np.abs(ratio[good]).max()) if good.any() else np.nan,
+    }
+
+
+def exact_sds(observer: Observer, rows: Array, *, full: bool) -> tuple[Array, float]:
+    """The referee's sds, and its own error: against a sum with half as many cells an axis."""
+    n = CELLS[len(observer.unknowns)][0 if full else 1]
+    exact = summed(observer, rows, n, zoom=True)
+    half = summed(observer, rows[:8], n // 2, zoom=True)
+    # Halving quarters the error of a midpoint sum, or better.
+    return exact, float(np.abs(half / exact[:8] - 1).max() / 3)
+
+
+def measure(*, full: bool = False) -> pd.DataFrame:
+    """R.m.s. relative error of the sd of r, and CPU seconds a posterior, of every engine.
+
+    The row "closed form" is the time of the linear sd (3.2), "referee" the error of the truth.
+    """
+    table = []
+    for scene, observer in OBSERVERS.items():
+        rows = readings(observer, 2048 if full else 256)
+        judged = (256 if len(observer.unknowns) == 1 else 32) if full else 8
+        exact, doubt = exact_sds(observer, rows[:judged], full=full)
+        middle = observer.at_middle(np.tile([25e-3, 0.2], (1000, 1))[:, : observer.bounded])
+        _, seconds = timed(lambda: weber_propagation(observer, middle, model="closed_form"))  # noqa: B023
+        table.append(
+            {
+                "part": "posteriors",
+                "scene": scene,
+                "method": "closed form",
+                "seconds": seconds / 1000,
+            }
+        )
+        table.append({"part": "posteriors", "scene": scene, "method": "referee", "error": doubt})
+        for method, knob, count, run in _engines(observer, full):
+            run(rows[:2])  # what is made once is not counted
+            result, seconds = timed(lambda: run(rows[:count]), repeats=1)  # noqa: B023
+            shown = min(count, judged)
+            if isinstance(result, Posterior):
+                sd, good = result.sd, np.asarray(result.status) == Status.CONVERGED
+            else:
+                sd, good = result, np.ones(len(result), dtype=bool)
+            found = sd[:shown], good[:shown], exact[:shown]
+            table.append(row(scene, method, knob, *found, seconds / count))
+    return pd.DataFrame(table)

@@ -1,0 +1,179 @@
+"""`weberwhisk figure`: charts of what every cue tells of distance, each with its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import numpy as np
+import typer
+
+import weberwhisk as ww
+
+from .. import _checks, surveys
+from ..runs import Run
+from .jnd import in_millimetres, jnd_table, lines_and_points
+from .options import (
+    BaseRadiusOption,
+    IdentityOption,
+    LengthOption,
+    ModulusOption,
+    OutOption,
+    SeedOption,
+    TipRadiusOption,
+    describe,
+    the_whisker,
+    wrote,
+)
+from .quickstart import surface_in_degrees, surface_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Posteriors at each distance, and in the form that is quick to look at.
+DRAWS, DRAWS_SHORT = 200, 16
+
+
+class Made(NamedTuple):
+    """A chart, and the tables behind it by name."""
+
+    tables: dict[str, pd.DataFrame]
+    chart: Any
+
+
+Make = Callable[[ww.Whisker, bool, int], Made]
+
+
+def cues(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """JND of each cue against distance, posteriors over closed forms, where each works"""
+    from .. import figures
+
+    points, draws = (8, DRAWS_SHORT) if short else (30, DRAWS)
+    table = surveys.curves(points, draws, whisker=whisker, seed=seed)
+    return Made({"cues": table}, figures.cue_jnds(table))
+
+
+def best_cue(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """the best cue at every contact, over distance and deflection"""
+    from .. import figures
+
+    table = surveys.best(40 if short else 90, whisker=whisker)
+    return Made({"best-cue": table}, figures.best_cue(table, surveys.MAPPED))
+
+
+def ridge(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """pair plot of the posterior of one reading: a taper's, and a cylinder's ridge"""
+    from .. import figures
+
+    table = surveys.ridge(400 if short else 8000, whisker=whisker, seed=seed)
+    contact = surveys.RIDGE[0] * whisker.length, surveys.RIDGE[1]
+    return Made({"ridge": table}, figures.ridge(table, contact))
+
+
+def information(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """bits about distance that each cue tells alone and adds to the others"""
+    from .. import figures
+
+    table = surveys.bits(40 if short else 400, whisker=whisker, seed=seed)
+    return Made({"information": table}, figures.cue_information(table))
+
+
+def weber_2d(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """Weber's law in two dimensions: either limit, between them, and the false zero"""
+    from .. import figures
+
+    pairs = surveys.FAMILY.items()
+    surfaces = {
+        name: surveys.surface(*noise, 40 if short else 80, whisker=whisker) for name, noise in pairs
+    }
+    zero = surveys.false_zero(DRAWS_SHORT if short else DRAWS, whisker=whisker, seed=seed)
+    chart = figures.weber_2d(
+        surfaces,
+        zero,
+        surveys.linear_between(whisker=whisker),
+        length=whisker.length,
+        weber_fraction=surveys.K,
+    )
+    return Made({"weber-2d": zero, "weber-2d-gain": surveys.gain()}, chart)
+
+
+def figure_4a(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """the paper's figure 4a: JND by compliance, tapered and cylindrical, with posteriors"""
+    import pandas as pd
+
+    from .. import figures
+
+    r, none = np.linspace(0.05, 0.95, 10) * whisker.length, np.array([])
+    tables, shown = [], {}
+    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+        observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(surveys.K))
+        draws = DRAWS_SHORT if short else 2 * DRAWS
+        table = jnd_table(observer, r, none, "emcee", "d'=1", draws, seed, False, name)
+        tables.append(in_millimetres(table).assign(whisker=name))
+        shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
+    drawn = figures.jnd_curve(shown, length=whisker.length, weber_fraction=surveys.K)
+    joined = pd.concat(tables, ignore_index=True)
+    joined.insert(0, "whisker", joined.pop("whisker"))
+    return Made({"figure-4a": joined}, figures.figure_of(drawn))
+
+
+def figure_4b(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """the paper's figure 4b: JND by the force map, with noise in the moment alone"""
+    from .. import figures
+
+    table = surface_table(whisker, surveys.K)
+    drawn = figures.jnd_surface(table, length=whisker.length, weber_fraction=surveys.K)
+    return Made({"figure-4b": surface_in_degrees(table)}, figures.figure_of(drawn))
+
+
+#: The charts by name.
+CHARTS: dict[str, Make] = {
+    "cues": cues,
+    "best-cue": best_cue,
+    "ridge": ridge,
+    "information": information,
+    "figure-4a": figure_4a,
+    "figure-4b": figure_4b,
+    "weber-2d": weber_2d,
+}
+
+
+def figure(
+    name: Annotated[
+        str | None, typer.Argument(help="Which chart; without it, a list of them.")
+    ] = None,
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    short: Annotated[bool, typer.Option("--short", help="Few posteriors: seconds.")] = False,
+    seed: SeedOption = surveys.SEED,
+    out: OutOption = None,
+) -> None:
+    """Charts of what every cue tells of distance; each with its table.
+
+    Without a whisker, of one 50 mm long with radii of 100 and 5 µm; k = 0.1 throughout.
+    """
+    inputs = dict(locals())
+    if name is None:
+        for key, make in CHARTS.items():
+            print(f"{key:12} {make.__doc__}")
+        return
+    make = CHARTS[_checks.one_of("figure", name, CHARTS)]
+    if out is None:
+        raise ValueError(
+            f"The figure {name} needs a folder to be written to, got none; write --out {name}."
+        )
+    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    whisker = surveys.WHISKER
+    if any(value is not None for value in shape):
+        whisker = the_whisker(*shape, None)
+    for used in ("out", "seed"):
+        inputs.pop(used)
+    with Run(out, "figure", inputs | {"whisker": describe(whisker)}, seed) as run:
+        made = make(whisker, short, seed)
+        for key, table in made.tables.items():
+            run.table(key, table)
+        run.figure(name, made.chart)
+    wrote(run)

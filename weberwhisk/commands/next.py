@@ -1,0 +1,167 @@
+"""`weberwhisk next`: the next trial of a running experiment, line by line for a rig."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import weberwhisk as ww
+
+from .. import _checks
+from .._terminal import a_number, numbers
+from ..behaviour import CuePercept, IdentityPercept
+from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
+from ..design.session import Session, converse
+from ..design.staircases import RULES
+from ..runs import Run
+from .distance import distance_percept
+from .options import (
+    AngleOption,
+    BaseRadiusOption,
+    CueOption,
+    IdentityOption,
+    LengthOption,
+    ModulusOption,
+    OutOption,
+    SeedOption,
+    TipRadiusOption,
+)
+
+METHODS = ("weber-fraction", "taper", *RULES)
+
+
+def a_place(name: str, text: str) -> Any:
+    """An option that takes one number, with its help."""
+    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
+
+
+def next_trials(
+    identity: IdentityOption = None,
+    length_mm: LengthOption = None,
+    base_radius_um: BaseRadiusOption = None,
+    tip_radius_um: TipRadiusOption = None,
+    youngs_modulus_gpa: ModulusOption = None,
+    cue: CueOption = None,
+    deflection_angle_deg: AngleOption = None,
+    standard: Annotated[
+        list[str] | None,
+        typer.Option("--standard", metavar="LIST", help="Magnitudes compared with."),
+    ] = None,
+    standard_mm: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--standard-mm", metavar="LIST", help="Radial distances, where there is a whisker."
+        ),
+    ] = None,
+    goal: Annotated[
+        str,
+        typer.Option(
+            "--goal",
+            help="What the trials are to tell: weber-fraction, or taper (against a cylinder); or a "
+            "rule: 1-up/2-down, 1-up/3-down, 1-up/1-down.",
+        ),
+    ] = "weber-fraction",
+    nearest: Annotated[float, a_place("--nearest", "Least stimulus; mm with a whisker.")] = 0.0,
+    farthest: Annotated[
+        float, a_place("--farthest", "Greatest stimulus; mm with a whisker.")
+    ] = float("inf"),
+    step: Annotated[float, a_place("--step", "Stimuli come in steps of this size.")] = 0.0,
+    easy_share: Annotated[float, a_place("--easy-share", "Share of easy trials.")] = 0.1,
+    width_percent: Annotated[
+        float | None,
+        typer.Option(
+            "--width-percent",
+            parser=a_number,
+            metavar="NUMBER",
+            help="Stop when the 95 % interval of k is within ± this.",
+        ),
+    ] = None,
+    most: Annotated[int | None, typer.Option("--most", help="Stop after so many trials.")] = None,
+    bias: Annotated[
+        str, typer.Option("--bias", help="per-standard, shared or none.")
+    ] = "per-standard",
+    task: Annotated[str, typer.Option("--task", help="As for simulate.")] = "2AFC",
+    log: Annotated[
+        Path | None,
+        typer.Option("--log", metavar="FILE", help="Keeps every trial; goes on where it was."),
+    ] = None,
+    seed: SeedOption = 1,
+    out: OutOption = None,
+) -> None:
+    """Place trials one by one: a line of JSON out, an answer in, over standard input and output.
+
+    An answer is 1, 0 or null, or {"choice": 1, "comparison_mm": 21.4} where another stimulus was
+    shown than was proposed (without a whisker: "comparison"). A line that cannot be used gets
+    {"error": ...} and the trial stands. With --log nothing is lost: start the same command again.
+    """
+    inputs = {k: v for k, v in locals().items() if k not in ("out", "log")}
+    if farthest == float("inf"):
+        inputs["farthest"] = None
+    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
+    name = "--standard" if percept is None else "--standard-mm"
+    texts = standard if percept is None else standard_mm
+    if not texts or (standard if percept is not None else standard_mm):
+        raise ValueError(f"{name} says what is compared with, got none; write {name} 20, say.")
+    at = numbers(name, texts)
+    limits = Constraints(nearest, farthest, step)
+    placer = _placer(goal, percept, whisker, at, limits, bias.replace("-", " "), task,
+                     easy_share, width_percent, most, seed)  # fmt: skip
+    unit = "" if percept is None else "_mm"
+    with Run(out, "next", inputs, seed) as run, Session(placer, log, inputs) as session:
+        for line in converse(session, sys.stdin, unit):
+            print(line, flush=True)
+        table = placer.trials().table()
+        columns = ("standard", "stimulus_1", "stimulus_2")
+        run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in columns}))
+        if run.out_dir is not None and len(table):
+            from .. import figures
+
+            run.figure("trials", figures.figure_of(figures.placements(placer)))
+
+
+def _placer(
+    goal: str,
+    percept: CuePercept | None,
+    whisker: ww.Whisker | None,
+    standards: np.ndarray,
+    limits: Constraints,
+    bias: str,
+    task: str,
+    easy_share: float,
+    width_percent: float | None,
+    most: int | None,
+    seed: int,
+) -> BayesianPlacer | Staircase:
+    """What the options ask for."""
+    _checks.one_of("--goal", goal, METHODS)
+    how: dict[str, Any] = {"bias": bias, "task": task}
+    felt = percept or IdentityPercept()
+    hypotheses = [Hypothesis("Weber", felt, **how)]
+    scheme = lattice(felt, standards, limits)
+    if goal in RULES:
+        return Staircase(hypotheses[0], scheme, rule=goal, most=most, seed=seed)
+    if goal == "taper":
+        if percept is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
+            raise ValueError(
+                "--goal taper tells a tapered whisker from a cylinder, got none; write "
+                "--identity C2, say."
+            )
+        observer = ww.Observer(whisker.cylinder(), percept.observer.cue, percept.observer.noise)
+        other = CuePercept(observer, percept.deflection_angle, percept.unit)
+        hypotheses = [Hypothesis("tapered", felt, **how), Hypothesis("cylindrical", other, **how)]
+        rows = zip(scheme.offsets, lattice(other, standards, limits).offsets, strict=True)
+        scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in rows])
+    return BayesianPlacer(
+        hypotheses,
+        scheme,
+        goal="hypothesis" if goal == "taper" else "weber_fraction",
+        easy_share=easy_share,
+        width=None if width_percent is None else width_percent / 100,
+        most=most,
+        seed=seed,
+    )

@@ -1,0 +1,339 @@
+"""The best standards and offsets that rig and animal allow.
+
+A scheme is judged by what it is expected to find: the log Bayes factor, or the interval of k, of
+the *expected* answers of an animal, n·P of every level (Cowan et al. 2011, Eur. Phys. J. C 71:1554,
+§3.2), integrated as data are. Log-probabilities of every position are tabulated once, so that
+thousands of schemes can be tried: one position is exchanged at a time, for the best there is, until
+no exchange helps (Meyer & Nachtsheim 1995, Technometrics 37:60), from a few starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..behaviour.quadrature import lapse_prior, score_prior
+from ..behaviour.trials import Cells
+from .goals import Animals, Goal
+from .hypotheses import Hypothesis
+from .power import asked
+from .scheme import Constraints, Scheme, difference_sd, easy_share
+from .tables import log_sum
+
+Array = NDArray[np.float64]
+
+NODES = 41, 5, 21  # of k, either lapse and the bias
+PLACES = 19  # standards to choose from
+LEVELS = np.arange(0.3, 4.01, 0.3)  # sizes of offsets to choose from, in sds of the difference
+STARTS = 3
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best scheme found, and how it was.
+
+    `table` has a row for every start: `value`, the expected log Bayes factor in nats of the truth
+    that is hardest to tell, or minus the expected half-width of the interval of k; the schemes'
+    `standards` and `offsets`.
+    """
+
+    scheme: Scheme
+    value: float
+    table: pd.DataFrame = field(repr=False)
+
+
+def best_scheme(
+    hypotheses: Sequence[Hypothesis],
+    *,
+    goal: Goal | None = None,
+    constraints: Constraints | None = None,
+    expected: Animals | None = None,
+    standards: int = 3,
+    pairs: int = 3,
+    trials: int = 360,
+    animals: int = 1,
+    seed: int = 1,
+) -> Best:
+    """Choose standards and offsets for a number of trials.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        The first is the expected one.
+    goal : Goal, optional
+        Whether to go for the Bayes factor (by default with two hypotheses) or the interval of k.
+    constraints : Constraints, optional
+    expected : Animals, optional
+        The animal whose answers are expected.
+    standards, pairs : int
+        How many standards, and how many offsets on either side of each.
+    trials : int
+        Of one animal, all levels together: they are spread evenly.
+    animals : int
+        Written into the scheme.
+    seed : int
+        Of the starts.
+
+    Raises
+    ------
+    ValueError
+        For constraints that nothing satisfies, saying which and by how much.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Constraints, taper
+    >>> found = best_scheme(taper(Whisker(50e-3, 100e-6, 5e-6)), standards=2, pairs=1,
+    ...                     constraints=Constraints(nearest=5e-3, farthest=45e-3))
+    >>> near, far = found.scheme.standards
+    >>> near < 15e-3 and far > 35e-3
+    True
+    """
+    given, aim = asked(hypotheses, goal)
+    limits, likely = constraints or Constraints(), expected or Animals()
+    for name, number in (("standards", standards), ("pairs", pairs), ("trials", trials)):
+        if number != int(number) or number < 1:
+            raise ValueError(
+                f"{name} must be a whole number of 1 or more, got {number!r}; write 3."
+            )
+    each = trials // (2 * pairs * standards)
+    if each < 1:
+        raise ValueError(
+            f"{trials} trials are fewer than the {2 * pairs * standards} levels of {standards} "
+            f"standards with {pairs} pairs, {2 * pairs * standards - trials} short; give more."
+        )
+    sites = _sites(given, limits, likely, pairs)
+    if len(sites) < standards:
+        raise ValueError(
+            f"the constraints leave {len(sites)} standards that have {pairs} pairs of offsets, "
+            f"{standards - len(sites)} fewer than standards={standards}; widen the range of "
+            f"{limits.nearest:g} to {limits.farthest:g}, take finer steps or fewer pairs."
+        )
+    _refuse_too_hard(sites, limits, standards, pairs)
+    search = _Search(given, sites, likely, aim, limits, pairs, each)
+    rng = np.random.default_rng(seed)
+    found = [search.climb(search.start(standards, rng if i else None)) for i in range(STARTS)]
+    value, choice = max(found, key=lambda pair: pair[0])
+    schemes = [search.scheme(c, animals) for _, c in found]
+    table = pd.DataFrame(
+        {
+            "value": [v for v, _ in found],
+            "standards": [list(s.standards) for s in schemes],
+            "offsets": [[list(row) for row in s.offsets] for s in schemes],
+        }
+    )
+    return Best(search.scheme(choice, animals), value, table)
+
+
+@dataclass(frozen=True)
+class _Site:
+    """A standard and the sizes of offset that it may have, the easy ones among them."""
+
+    standard: float
+    sizes: Array
+    easy: NDArray[np.bool_]
+
+
+Choice = tuple[tuple[int, tuple[int, ...]], ...]  # sites, and the sizes chosen at each
+
+
+class _Search:
+    def __init__(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        sites: list[_Site],
+        animals: Animals,
+        goal: Goal,
+        limits: Constraints,
+        pairs: int,
+        each: int,
+    ) -> None:
+        self.sites, self.goal, self.limits = sites, goal, limits
+        self.pairs, self.each = pairs, each
+        self.models = [_Sketch(h, sites, animals) for h in hypotheses]
+        self.values: dict[Choice, float] = {}
+
+    def start(self, standards: int, rng: np.random.Generator | None) -> Choice:
+        """Spread evenly, or anywhere; the widest offsets are easy."""
+        if rng is None:
+            at = np.linspace(0, len(self.sites) - 1, standards).round().astype(int)
+        else:
+            at = np.sort(rng.choice(len(self.sites), standards, replace=False))
+        choice = []
+        for i in at:
+            size = self.sites[i].sizes.size
+            choice.append((int(i), tuple(range(size - self.pairs, size))))
+        return tuple(choice)
+
+    def climb(self, choice: Choice) -> tuple[float, Choice]:
+        """Exchange one thing at a time for the best there is, until nothing helps."""
+        value = self.value(choice)
+        while True:
+            tried = [(self.value(c), c) for c in self._neighbours(choice)]
+            best, other = max(tried, key=lambda pair: pair[0], default=(-np.inf, choice))
+            if best <= value + 1e-9:
+                return value, choice
+            value, choice = best, other
+
+    def _neighbours(self, choice: Choice) -> list[Choice]:
+        out = []
+        taken = {i for i, _ in choice}
+        for at, (site, sizes) in enumerate(choice):
+            count = self.sites[site].sizes.size
+            changed = [
+                (site, tuple(sorted({*sizes[:j], new, *sizes[j + 1 :]})))
+                for j in range(len(sizes))
+                for new in range(count)
+                if new not in sizes
+            ]
+            for other in range(len(self.sites)):
+                if other not in taken:  # as wide there as here
+                    share = (self.sites[other].sizes.size - 1) / max(count - 1, 1)
+                    moved = {round(j * share) for j in sizes}
+                    if len(moved) == len(sizes):
+                        changed.append((other, tuple(sorted(moved))))
+            out += [tuple(sorted((*choice[:at], new, *choice[at + 1 :]))) for new in changed]
+        return out
+
+    def value(self, choice: Choice) -> float:
+        """What is expected of a choice; minus infinity where too few trials are easy."""
+        if choice not in self.values:
+            easy = np.mean([self.sites[i].easy[list(sizes)].mean() for i, sizes in choice])
+            self.values[choice] = (
+                self._expected(choice) if easy >= self.limits.easy_share else -np.inf
+            )
+        return self.values[choice]
+
+    def _expected(self, choice: Choice) -> float:
+        if self.goal.bayes_factor is None:
+            return -self.models[0].half_width(self.models[0], choice, self.each)
+        worst = np.inf
+        for truth in self.models:
+            own = truth.log_evidence(truth, choice, self.each)
+            others = [
+                m.log_evidence(truth, choice, self.each) for m in self.models if m is not truth
+            ]
+            worst = min(worst, own - max(others))
+        return float(worst)
+
+    def scheme(self, choice: Choice, animals: int) -> Scheme:
+        rows = []
+        for site, sizes in choice:
+            size = self.sites[site].sizes[list(sizes)]
+            rows.append([float(f"{o:.12g}") for o in np.concatenate([-size[::-1], size])])
+        return Scheme([self.sites[i].standard for i, _ in choice], rows, self.each, animals)
+
+
+class _Sketch:
+    """One hypothesis on a fixed grid: log-probabilities of all positions, tabulated once."""
+
+    def __init__(self, hypothesis: Hypothesis, sites: list[_Site], animals: Animals) -> None:
+        s1 = np.concatenate([np.full(2 * s.sizes.size, s.standard) for s in sites])
+        s2 = s1 + np.concatenate([np.concatenate([-s.sizes, s.sizes]) for s in sites])
+        self.first = np.concatenate([[0], np.cumsum([2 * s.sizes.size for s in sites])])
+        self.count = [s.sizes.size for s in sites]
+        model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
+        self.scores = np.linspace(-3.3, 3.3, NODES[0]) if model.free[0] else np.zeros(1)
+        self.k = model.value("weber_fraction", self.scores)
+        axes = [
+            s.coordinate(np.linspace(-1.2, 2.2, NODES[1])) if free else np.zeros(1)
+            for s, free in zip(model.stretches[-2:], model.free[-2:], strict=True)
+        ]
+        low, high = (model.at(n, a) for n, a in zip(model.lead[-2:], axes, strict=True))
+        lo, hi = (a.ravel() for a in np.meshgrid(low, high, indexing="ij"))
+        bias = np.array([model.fixed_bias()])
+        if model.free_bias:
+            mean, sd = model.priors.moments("bias")
+            bias = mean + sd * np.linspace(-2.5, 2.5, NODES[2])
+        self.bias = model.log_bias_prior(bias)[:, None]
+        self.prior = score_prior(self.scores)[:, None] + lapse_prior(model, *axes).ravel()
+        self.yes = np.empty((s1.size, bias.size, self.k.size * lo.size), dtype=np.float32)
+        self.no = np.empty_like(self.yes)
+        for b, value in enumerate(bias):
+            p, q = model.probability(
+                self.k[:, None], lo, hi, np.full((1, 1, model.n_groups), value)
+            )
+            self.yes[:, b] = np.log(p).reshape(-1, s1.size).T
+            self.no[:, b] = np.log(q).reshape(-1, s1.size).T
+        k, lapse = np.array([animals.weber_fraction]), np.array([animals.lapse])
+        middle = np.full((1, model.n_groups), float(model.priors.value("bias", 0.0)))
+        self.expected = model.probability(k, lapse, lapse, middle)[0][0]
+
+    def _posterior(self, truth: _Sketch, choice: Choice, each: int) -> Array:
+        """Log posterior of k and the lapses, (K, L), given the answers that a truth expects."""
+        total = self.prior.copy()
+        for site, sizes in choice:
+            at = self.first[site] + np.array([*sizes, *(self.count[site] + s for s in sizes)])
+            x = (each * truth.expected[at]).astype(np.float32)
+            by_bias = np.tensordot(x, self.yes[at], 1) + np.tensordot(each - x, self.no[at], 1)
+            total += log_sum(by_bias + self.bias, 0).reshape(total.shape)
+        return total
+
+    def log_evidence(self, truth: _Sketch, choice: Choice, each: int) -> float:
+        return float(log_sum(self._posterior(truth, choice, each).reshape(1, -1), 1)[0])
+
+    def half_width(self, truth: _Sketch, choice: Choice, each: int) -> float:
+        """1.96 sds of ln k."""
+        log_post = log_sum(self._posterior(truth, choice, each), 1)
+        mass = np.exp(log_post - log_post.max())
+        mass /= mass.sum()
+        x = np.log(self.k)
+        return float(1.96 * np.sqrt(max(mass @ x**2 - (mass @ x) ** 2, 0.0)))
+
+
+def _sites(
+    hypotheses: Sequence[Hypothesis], limits: Constraints, animals: Animals, pairs: int
+) -> list[_Site]:
+    """The standards and offsets that every hypothesis and constraint allows."""
+    felt = hypotheses[0].percept
+    low = max(limits.nearest, max(h.percept.domain[0] for h in hypotheses))
+    high = min(limits.farthest, min(h.percept.domain[1] for h in hypotheses))
+    if not (np.isfinite(high) and low < high):
+        raise ValueError(
+            f"the range of {limits.nearest:g} to {limits.farthest:g} leaves nothing that can be "
+            f"felt, which ends at {high:g}, {low - high:.3g} before it begins; give "
+            "Constraints(nearest=..., farthest=...)."
+        )
+    at = np.unique(limits.positions(np.linspace(low, high, PLACES + 2)[1:-1]))
+    out = []
+    for s in at[(at > low) & (at < high)]:
+        if not all(_felt(h, np.array([s])).all() for h in hypotheses):
+            continue
+        one = animals.weber_fraction * float(difference_sd(felt, s))
+        sizes = np.unique(limits.positions(LEVELS * one))
+        sizes = sizes[sizes > 0]
+        inside = (s - sizes > low) & (s + sizes < high)
+        inside &= (s - sizes >= limits.nearest) & (s + sizes <= limits.farthest)
+        sizes = sizes[inside]
+        for h in hypotheses:
+            sizes = sizes[_felt(h, s - sizes) & _felt(h, s + sizes)]
+        if sizes.size < pairs:
+            continue
+        easy = [
+            easy_share(
+                Scheme([s], [-d, d], 1), felt, animals.weber_fraction, limits.easy_proportion
+            )
+            for d in sizes
+        ]
+        out.append(_Site(float(s), sizes, np.asarray(easy) == 1.0))
+    return out
+
+
+def _felt(hypothesis: Hypothesis, at: Array) -> NDArray[np.bool_]:
+    percept = hypothesis.percept
+    return np.isfinite(percept.mean(at)) & np.isfinite(percept.unit_sd(at))
+
+
+def _refuse_too_hard(sites: list[_Site], limits: Constraints, standards: int, pairs: int) -> None:
+    most = np.sort([min(int(s.easy.sum()), pairs) / pairs for s in sites])[::-1]
+    share = float(most[:standards].mean())
+    if share < limits.easy_share:
+        raise ValueError(
+            f"at most {100 * share:.3g} % of the trials can be easy here (right in "
+            f"{100 * limits.easy_proportion:g} %), {100 * (limits.easy_share - share):.3g} % fewer "
+            f"than easy_share={limits.easy_share:g} asks for; lower it, or widen the range."
+        )

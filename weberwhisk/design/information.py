@@ -1,0 +1,300 @@
+"""What one more trial is expected to tell, as a function of its standard and offset, in bits.
+
+The mutual information of an answer and what is asked: the Weber fraction, the JND at a distance, or
+which hypothesis is right (Lindley 1956, Ann. Math. Stat. 27:986), everything else integrated out:
+a lapse or a bias that must be learnt as well costs information, and is not counted as any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import entr
+
+from .. import _checks
+from ..behaviour.likelihood import WeberModel
+from ..behaviour.percepts import UnitPercepts, unit_percepts
+from ..behaviour.quadrature import lapse_prior, score_prior
+from ..behaviour.trials import Cells
+from .goals import Animals
+from .hypotheses import Hypothesis, told_apart
+from .nodes import CUT, refined, widest
+from .scheme import Scheme, difference_sd, refuse_out_of_reach
+from .tables import Table
+
+Array = NDArray[np.float64]
+
+NODES = 41, 21, 25  # of k, either lapse and the bias
+REACH = 4.0  # prior sds
+THRESHOLDS = 161  # bins of the log of a JND
+
+
+def information(
+    hypotheses: Sequence[Hypothesis],
+    standards: ArrayLike,
+    offsets: ArrayLike,
+    *,
+    after: Scheme | None = None,
+    expected: Animals | None = None,
+    jnd_at: float | None = None,
+) -> pd.DataFrame:
+    """Expected information of one trial at every standard and offset.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        With any cue, whisker, noise and priors; equally probable.
+    standards : array_like, shape (S,)
+        m.
+    offsets : array_like, shape (J,) or (S, J)
+        Comparison − standard, m; one row for all, or one each. Comparisons that cannot be felt
+        have no information: NaN.
+    after : Scheme, optional
+        What has been run before: the parameters are then known as well as they are expected to be
+        after it, averaged over each hypothesis being the truth. By default nothing has, and beliefs
+        are the priors.
+    expected : Animals, optional
+        The animal whose answers are expected before; its Weber fraction and lapses.
+    jnd_at : float, optional
+        Distance of the JND asked for, m; by default the middle standard.
+
+    Returns
+    -------
+    DataFrame
+        One row a standard and offset: `standard`, `offset`, and in bits `weber_fraction`, `jnd`,
+        `hypothesis`.
+
+    Notes
+    -----
+    Good to about 1 %. An answer has one bit at most; 1 bit is ln 2 nats. These are the gains of the
+    very next trial: they shrink as the experiment goes on, and what is best to know first need not
+    be best to know in the end. A whole scheme is judged by `best_scheme` and `power`.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> weber = Hypothesis("Weber", IdentityPercept())
+    >>> table = information([weber], [1.0], [0.0, 0.1, 0.2, 0.4])
+    >>> int(table["weber_fraction"].argmax())
+    2
+    """
+    given = told_apart(hypotheses)
+    at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
+    rows = np.atleast_2d(_checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
+    if len(rows) not in (1, at.size):
+        raise ValueError(
+            f"offsets has {len(rows)} rows for {at.size} standards; give one for all, or one each."
+        )
+    rows = np.broadcast_to(rows, (at.size, rows.shape[1]))
+    for h in given:
+        refuse_out_of_reach(h.percept, at, "standard")
+    place = float(np.sort(at)[at.size // 2]) if jnd_at is None else float(jnd_at)
+    likely = expected or Animals()
+    truths: Sequence[Hypothesis | None] = given if after is not None else [None]
+    parts = []
+    for truth in truths:
+        beliefs = [believed(h, after, truth, likely) for h in given]
+        parts.append(
+            np.stack(
+                [_of_standard(beliefs, s, s + row, place) for s, row in zip(at, rows, strict=True)]
+            )
+        )
+    bits = np.mean(parts, axis=0)  # (S, 3, J)
+    return pd.DataFrame(
+        {
+            "standard": np.repeat(at, rows.shape[1]),
+            "offset": rows.ravel(),
+            "weber_fraction": bits[:, 0].ravel(),
+            "jnd": bits[:, 1].ravel(),
+            "hypothesis": bits[:, 2].ravel(),
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known of an observer: nodes and their probabilities.
+
+    `k` (K,); for each standard run before, and under None for all others, `bias` (B,), `mass`
+    (K, B), and the means of either lapse there, (K, B).
+    """
+
+    hypothesis: Hypothesis
+    k: Array
+    known: dict[float | None, tuple[Array, Array, Array, Array]]
+
+    def answers(self, standard: float, comparisons: Array) -> tuple[Array, Array]:
+        """Probability of each k (K,), and of the answer given it (K, J)."""
+        shared = self.hypothesis.bias != "per standard"
+        own = next(iter(self.known)) if shared else standard
+        bias, mass, low, high = self.known.get(own, self.known[None])
+        model = self.hypothesis.asked
+        felt = unit_percepts(
+            self.hypothesis.percept, np.full(comparisons.shape, standard), comparisons,
+            np.full(comparisons.shape, standard), self.hypothesis.noise,
+        )  # fmt: skip
+        d, weight = model.decide(felt.felt(self.k))
+        weight = np.broadcast_to(weight, d.shape)
+        up, down = model.chance(d[:, None], weight[:, None] * bias[:, None])  # (K, B, J)
+        p = low[..., None] * down + (1 - high)[..., None] * up
+        of_k = mass.sum(axis=1)
+        given_k = np.einsum("kb,kbj->kj", mass, p) / np.maximum(of_k, 1e-300)[:, None]
+        return of_k, given_k
+
+
+def believed(
+    hypothesis: Hypothesis, after: Scheme | None, truth: Hypothesis | None, animals: Animals
+) -> Belief:
+    """What is known of an observer after the answers that the truth is expected to give."""
+    before = after if after is not None else Scheme([1.0], [0.0], 1)
+    if after is None:
+        model = _silent(hypothesis)
+        counts = np.zeros(1)
+        ends = [(-REACH, REACH)] + [
+            tuple(stretch.coordinate([-REACH, REACH])) for stretch in model.stretches[-2:]
+        ]
+        mean, sd = model.priors.moments("bias") if model.free_bias else (0.0, 0.0)
+        biases = [(mean - REACH * sd, mean + REACH * sd)]
+    else:
+        model = hypothesis.model(before)
+        assert truth is not None
+        counts = expected_counts(truth, before, animals)[0, 0]
+        ends, biases = _range(model, counts)
+    k_axis, low_axis, high_axis = (
+        np.linspace(float(end[0]), float(end[1]), n) if free else np.zeros(1)
+        for end, n, free in zip(
+            ends, (NODES[0], NODES[1], NODES[1]), (model.free[0], *model.free[-2:]), strict=True
+        )
+    )
+    k = model.value("weber_fraction", k_axis)
+    low, high = (
+        model.at(n, a) for n, a in zip(model.lead[-2:], (low_axis, high_axis), strict=True)
+    )
+    lo, hi = (a.ravel() for a in np.meshgrid(low, high, indexing="ij"))
+    log_prior = score_prior(k_axis)[:, None] + lapse_prior(model, low_axis, high_axis).ravel()
+    known: dict[float | None, tuple[Array, Array, Array, Array]] = {}
+    groups = []
+    for group, end in enumerate(biases):
+        bias = np.linspace(*end, NODES[2]) if model.free_bias else np.array([model.fixed_bias()])
+        cells = np.flatnonzero(model.group == group)
+        part = model.subset(model.cells.standard[cells[0]]) if model.n_groups > 1 else model
+        p, q = part.probability(k[:, None], lo, hi, bias[:, None, None, None])  # (B, K, L, C)
+        x, n = counts[cells], model.cells.n[cells]
+        log_like = np.log(p) @ x + np.log(q) @ (n - x)
+        log_like += model.log_bias_prior(bias)[:, None, None]
+        groups.append((bias, log_like))
+    alone = [np.logaddexp.reduce(log_like, axis=0) for _, log_like in groups]
+    joint = log_prior + sum(alone)
+    lost = model.lapses(lo, hi)
+    for group, (bias, log_like) in enumerate(groups):
+        known[_standard(model, group)] = (bias, *_by_bias(log_like - alone[group] + joint, lost))
+    if None not in known:
+        bias, _ = groups[0]
+        if model.free_bias:
+            mean, sd = model.priors.moments("bias")
+            bias = np.linspace(mean - REACH * sd, mean + REACH * sd, NODES[2])
+        log_bias = model.log_bias_prior(bias)[:, None, None]
+        known[None] = (bias, *_by_bias(log_bias + joint, lost))
+    return Belief(hypothesis, k, known)
+
+
+def expected_counts(truth: Hypothesis, scheme: Scheme, animals: Animals) -> Array:
+    """Answers of an expected animal on average, (1, 1, C): without bias, and not whole."""
+    model = truth.model(scheme)
+    k, lapse = np.array([animals.weber_fraction]), np.array([animals.lapse])
+    bias = float(truth.priors.value("bias", 0.0)) if truth.asked.bias_name == "criterion" else 0.0
+    p, _ = model.probability(k, lapse, lapse, np.full((1, model.n_groups), bias))
+    return np.asarray(p * model.cells.n)[None]
+
+
+def entropy(p: Array) -> Array:
+    """Of an answer with probability p, bits."""
+    return np.asarray((entr(p) + entr(1 - p)) / np.log(2))
+
+
+def _of_standard(beliefs: list[Belief], standard: float, comparisons: Array, place: float) -> Array:
+    """The three informations at the comparisons of a standard, (3, J) bits."""
+    out = np.full((3, comparisons.size), np.nan)
+    felt = np.ones(comparisons.size, dtype=bool)
+    for b in beliefs:
+        low, high = b.hypothesis.percept.domain
+        inside = (comparisons > low) & (comparisons < high)
+        safe = np.where(inside, comparisons, standard)
+        felt &= inside & np.isfinite(b.hypothesis.percept.unit_sd(safe))
+    if not felt.any():
+        return out
+    answers = [b.answers(standard, comparisons[felt]) for b in beliefs]
+    mean = np.stack([mass @ p for mass, p in answers])  # (M, J)
+    about_k = np.mean(
+        [entropy(m) - mass @ entropy(p) for m, (mass, p) in zip(mean, answers, strict=True)], axis=0
+    )
+    about_hypothesis = entropy(mean.mean(axis=0)) - entropy(mean).mean(axis=0)
+    log_jnd = [np.log(b.k * float(difference_sd(b.hypothesis.percept, place))) for b in beliefs]
+    about_jnd = _shared(log_jnd, answers)
+    out[:, felt] = about_k, about_jnd, about_hypothesis
+    return np.maximum(out, 0.0)
+
+
+def _shared(log_jnd: list[Array], answers: list[tuple[Array, Array]]) -> Array:
+    """Information about a quantity that every hypothesis has a belief of, (J,) bits."""
+    if len(log_jnd) == 1 or log_jnd[0].size == 1:
+        mass, p = answers[0]
+        return np.asarray(entropy(mass @ p) - mass @ entropy(p))
+    low, high = min(a.min() for a in log_jnd), max(a.max() for a in log_jnd)
+    bins = np.linspace(low, high + 1e-9, THRESHOLDS)
+    total, up = np.zeros(bins.size), np.zeros((bins.size, answers[0][1].shape[1]))
+    for value, (mass, p) in zip(log_jnd, answers, strict=True):
+        # Belief is a density: spread evenly between nodes before it meets that of another.
+        fine = np.linspace(value[0], value[-1], 64 * (value.size - 1) + 1)
+        density = np.interp(fine, value, mass)
+        density /= density.sum() * len(answers)
+        given = np.stack([np.interp(fine, value, column) for column in p.T], axis=1)
+        at = np.clip(np.searchsorted(bins, fine) - 1, 0, bins.size - 1)
+        np.add.at(total, at, density)
+        np.add.at(up, at, density[:, None] * given)
+    share = up / np.maximum(total, 1e-300)[:, None]
+    return np.asarray(entropy(up.sum(axis=0)) - total @ entropy(np.clip(share, 0.0, 1.0)))
+
+
+def _by_bias(log_mass: Array, lost: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """Mass (K, B) of nodes (B, K, L), and the mean lapses there."""
+    mass = np.exp(log_mass - log_mass.max())
+    mass /= mass.sum()
+    of_bias = mass.sum(axis=2)
+    low, high = (mass @ part / np.maximum(of_bias, 1e-300) for part in lost)
+    return of_bias.T, low.T, high.T
+
+
+def _standard(model: WeberModel, group: int) -> float | None:
+    """The standard of a group; None for what is not of any standard."""
+    own = np.unique(model.cells.standard[model.group == group])
+    return float(own[0]) if own.size == 1 and model.cells.n.sum() > 0 else None
+
+
+def _silent(hypothesis: Hypothesis) -> WeberModel:
+    """The model of no trials: its priors alone."""
+    one, none = np.ones(1), np.zeros(1)
+    names = () if hypothesis.bias == "none" else ("bias",)
+    felt = UnitPercepts(one, one, one, one)
+    cells = Cells(one, one, one, none, none)
+    group = np.zeros(1, dtype=np.intp)
+    return WeberModel(hypothesis.asked, felt, cells, hypothesis.priors, group, names)
+
+
+def _range(
+    model: WeberModel, counts: Array
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Where the posterior lies: ends of the axes of k and the lapses, and of each bias."""
+    lattice, fine, first = widest(model), False, True
+    while not fine:
+        table = Table(model, lattice)
+        answers = table.answers(counts[None])
+        held = table.held(answers, *table.profile(answers), CUT + 3)
+        lattice, fine = refined(model, lattice, held, with_neighbours=first)
+        first = False
+    ends = [(float(a[0]), float(a[-1])) for a in lattice.axes]
+    return ends[:3], ends[3:]

@@ -1,0 +1,379 @@
+"""How often an experiment reaches its goal, and the smallest that reaches it often enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import log_ndtr, ndtri
+from scipy.stats import binomtest
+
+from .. import _checks, campaign
+from .coding import encode
+from .experiments import experiments
+from .goals import Animals, Goal
+from .hypotheses import Hypothesis, told_apart
+from .scheme import Scheme
+
+Array = NDArray[np.float64]
+
+CHUNK = 512  # experiments done at once: the grid of chunks belongs to the seed
+CLOSE = 0.05  # of the size: how near the bracket closes
+MOST = {"trials": 1000, "animals": 200}
+BY = ["truth", "trials", "animals", "lapse"]
+
+
+@dataclass(frozen=True)
+class Power:
+    """What designs of several sizes reach.
+
+    Columns of `table`, a row for each truth and size: `truth`; `trials` of the comparison shown
+    most, for each animal; `animals`; `lapse`; `runs`; `power`, the share of experiments that reach
+    the goal, with its Monte Carlo interval `lower` to `upper` (95 %, Wilson); the median, and 5 and
+    95 % quantiles, of `half_width` (of the 95 % interval of k, over its median) and of
+    `log_bayes_factor` (natural log, for the truth against the best of the others); `coverage` of
+    the interval of k. `runs` has one row an experiment.
+    """
+
+    goal: Goal
+    table: pd.DataFrame
+    runs: pd.DataFrame = field(repr=False)
+    assurance: bool = False
+
+    def report(self) -> str:
+        """The table in words, a line a row."""
+        what = "assurance" if self.assurance else "power"
+        lines = [f"Goal: {self.goal}."]
+        for _, row in self.table.iterrows():
+            lines.append(
+                f"{row['truth']}, {row['animals']} × {row['trials']} trials a comparison, lapse "
+                f"{row['lapse']:g}: {what} {100 * row['power']:.3g} % "
+                f"({100 * row['lower']:.3g} to {100 * row['upper']:.3g})"
+            )
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The smallest design that reaches a goal.
+
+    `scheme` has that size. `size`, with its Monte Carlo standard error `size_error`, is where the
+    power of the truth that needs most crosses the goal's share, in trials of a comparison or in
+    animals; it is not whole. `power` is a Power of that scheme from runs that took no part in the
+    search, `path` one of all sizes that the search visited.
+    """
+
+    scheme: Scheme
+    vary: str
+    size: float
+    size_error: float
+    power: Power
+    path: Power = field(repr=False)
+
+    def report(self) -> str:
+        """The answer in words."""
+        row = _worst(self.power)
+        what = "trials of each comparison" if self.vary == "trials" else "animals"
+        return (
+            f"{self.power.goal}: {row[self.vary]} {what} ({self.size:.3g} ± {self.size_error:.2g}),"
+            f" {self.scheme.n_trials} trials an animal, {self.scheme.total_trials} in all; "
+            f"{100 * row['power']:.3g} % reach it ({100 * row['lower']:.3g} to "
+            f"{100 * row['upper']:.3g}) where {row['truth']} is true."
+        )
+
+
+def power(
+    scheme: Scheme,
+    hypotheses: Sequence[Hypothesis],
+    *,
+    goal: Goal | None = None,
+    expected: Animals | None = None,
+    trials: Sequence[int] | None = None,
+    animals: Sequence[int] | None = None,
+    lapses: Sequence[float] | None = None,
+    truths: Sequence[str] | None = None,
+    runs: int = 1000,
+    assurance: bool = False,
+    seed: int | np.random.SeedSequence = 1,
+    **sweep: Any,
+) -> Power:
+    """Simulate experiments of several sizes, fit each, compare, and count what they reach.
+
+    Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
+    of its fit; see `weberwhisk.design.tables`.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        Levels, trials and animals.
+    hypotheses : sequence of Hypothesis
+        To be told apart; one alone for the interval of its k.
+    goal : Goal, optional
+        By default a Bayes factor above 10 in 80 % of experiments, or with one hypothesis ±20 %.
+    expected : Animals, optional
+        What the animals are like: every experiment draws its own.
+    trials, animals : sequence of int, optional
+        Sizes: trials of the comparison shown most, others in proportion; and numbers of animals.
+        By default those of the scheme.
+    lapses : sequence of float, optional
+        Lapse rates, instead of the expected one.
+    truths : sequence of str, optional
+        Names of the hypotheses that are the truth in turn; all by default.
+    runs : int
+        Experiments of each size and truth.
+    assurance : bool
+        Draw k from the prior for every experiment: power averaged over what is believed, not power
+        at one value (O'Hagan, Stevens & Campbell 2005, Pharmaceut. Statist. 4:187).
+    seed : int or SeedSequence
+    **sweep
+        As for `campaign.run`: `workers`, `scheduler`, `out`, `title`, `progress`.
+
+    Returns
+    -------
+    Power
+
+    Raises
+    ------
+    ValueError
+        For distances that cannot be felt, sizes that are not whole, unknown truths, and a goal that
+        needs another hypothesis.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Animals, Scheme, taper
+    >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
+    >>> scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3])
+    >>> found = power(scheme, hypotheses, trials=[5, 40], truths=["tapered"], runs=64, seed=1)
+    >>> few, many = found.table["power"]
+    >>> few < many
+    True
+    """
+    given, aim = asked(hypotheses, goal)
+    likely = expected or Animals()
+    named = [h.name for h in given] if truths is None else list(truths)
+    for name in named:
+        _checks.one_of("truth", name, [h.name for h in given])
+    if runs != int(runs) or runs < 1:
+        raise ValueError(f"runs must be a whole number of 1 or more, got {runs!r}; write 1000.")
+    most = max(map(max, scheme.trials))
+    sizes = product(named, trials or [most], animals or [scheme.animals], lapses or [likely.lapse])
+    chunks = [
+        chunk
+        for truth, n, number, lapse in sizes
+        for chunk in _chunks(
+            sized(sized(scheme, "trials", n), "animals", number), given,
+            replace(likely, lapse=lapse), truth, int(runs), assurance,
+        )
+    ]  # fmt: skip
+    for h in given:  # refused here, in one sentence, not in a worker
+        h.model(scheme)
+    table = campaign.run(experiments, chunks, seed=seed, **({"title": "power"} | sweep))
+    return Power(aim, summary(table, aim), table, assurance)
+
+
+def smallest(
+    scheme: Scheme,
+    hypotheses: Sequence[Hypothesis],
+    *,
+    goal: Goal | None = None,
+    vary: str = "trials",
+    most: int | None = None,
+    runs: int = 512,
+    seed: int = 1,
+    **options: Any,
+) -> Smallest:
+    """The fewest trials, or animals, that reach a goal, whichever hypothesis is true.
+
+    The size is doubled or halved until the goal lies between two, then the bracket is halved until
+    it is within 5 %. A probit regression of all runs visited on the log of the size gives the size
+    and its Monte Carlo error; fresh runs give the power there.
+
+    Parameters
+    ----------
+    scheme, hypotheses, goal
+        As for `power`; the search starts at the scheme's own size.
+    vary : {"trials", "animals"}
+    most : int, optional
+        Where the search ends: 1000 trials of a comparison, or 200 animals.
+    runs : int
+        Experiments of each size and truth visited.
+    seed : int
+    **options
+        As for `power`.
+
+    Raises
+    ------
+    ValueError
+        For a goal that is not reached with `most`, with what is.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Scheme, taper
+    >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
+    >>> scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3], trials=20)
+    >>> found = smallest(scheme, hypotheses, runs=64, truths=["tapered"], seed=1)
+    >>> 5 < found.size < 40
+    True
+    """
+    _checks.one_of("vary", vary, MOST)
+    given, aim = asked(hypotheses, goal)
+    end = MOST[vary] if most is None else most
+    visited: dict[int, Power] = {}
+
+    def reached(size: int) -> bool:
+        if size not in visited:
+            visited[size] = power(
+                sized(scheme, vary, size), given, goal=aim, runs=runs,
+                seed=np.random.SeedSequence([seed, size]), **options,
+            )  # fmt: skip
+        return bool(visited[size].table["power"].min() >= aim.share)
+
+    start = max(map(max, scheme.trials)) if vary == "trials" else scheme.animals
+    low, high = 0, min(start, end)
+    while not reached(high):
+        if high == end:
+            raise ValueError(_out_of_reach(visited[end], vary, end))
+        low, high = high, min(2 * high, end)
+    while low == 0 and high > 1:
+        half = high // 2
+        low, high = (low, half) if reached(half) else (half, high)
+    while high - low > max(1, CLOSE * high):
+        middle = (low + high) // 2
+        low, high = (low, middle) if reached(middle) else (middle, high)
+    path = _joined(list(visited.values()))
+    size, error = _crossing(path, vary, aim.share, low, high)
+    scheme = sized(scheme, vary, int(np.ceil(size)))
+    fresh = np.random.SeedSequence([seed, 0])
+    found = power(scheme, given, goal=aim, runs=2 * runs, seed=fresh, **options)
+    return Smallest(scheme, vary, size, error, found, path)
+
+
+def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
+    """The scheme with so many animals, or trials of the comparison shown most."""
+    if vary == "animals":
+        return scheme.with_animals(size)
+    most = max(map(max, scheme.trials))
+    if size != int(size) or size < 1:
+        raise ValueError(f"trials must be a whole number of 1 or more, got {size!r}; write 20.")
+    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
+    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
+
+
+def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
+    """What `Power.table` holds, of single runs."""
+    met = reaches(runs, goal)
+    rows = []
+    for key, own in runs.groupby(BY, sort=False):
+        count = int(met[own.index].sum())
+        lower, upper = binomtest(count, len(own)).proportion_ci(0.95, "wilson")
+        row = dict(zip(BY, key, strict=True)) | {
+            "runs": len(own), "power": count / len(own), "lower": lower, "upper": upper,
+        }  # fmt: skip
+        for name in ("half_width", "log_bayes_factor"):
+            low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
+            row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
+        rows.append(row | {"coverage": own["covers"].mean()})
+    return pd.DataFrame(rows)
+
+
+def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
+    """Which experiments reach the goal."""
+    if goal.bayes_factor is not None:
+        return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
+    return runs["half_width"] < goal.half_width
+
+
+def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:
+    given = told_apart(hypotheses)
+    aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
+    if aim.bayes_factor is not None and len(given) < 2:
+        raise ValueError(
+            f"{aim} needs a second hypothesis, got {given[0].name!r} alone; write "
+            "Goal(half_width=0.2), or give another."
+        )
+    return given, aim
+
+
+def _chunks(
+    scheme: Scheme,
+    hypotheses: Sequence[Hypothesis],
+    animals: Animals,
+    truth: str,
+    runs: int,
+    assurance: bool,
+) -> list[dict[str, Any]]:
+    label = {
+        "trials": max(map(max, scheme.trials)), "animals": scheme.animals, "lapse": animals.lapse,
+    }  # fmt: skip
+    common = {
+        "scheme": encode(scheme), "hypotheses": encode(list(hypotheses)),
+        "animals": encode(animals), "truth": truth, "assurance": assurance, "label": label,
+    }  # fmt: skip
+    return [common | {"runs": min(CHUNK, runs - i)} for i in range(0, runs, CHUNK)]
+
+
+def _joined(found: list[Power]) -> Power:
+    runs = pd.concat([p.runs for p in found], ignore_index=True)
+    table = summary(runs, found[0].goal).sort_values(BY).reset_index(drop=True)
+    return Power(found[0].goal, table, runs, found[0].assurance)
+
+
+def _crossing(path: Power, vary: str, share: float, low: int, high: int) -> tuple[float, float]:
+    """Where the power of the truth that needs most crosses the share, and the standard error."""
+    found = []
+    for _, own in path.table.groupby("truth"):
+        n, x = own["runs"].to_numpy(float), np.log(own[vary].to_numpy(float))
+        hits = own["power"].to_numpy(float) * n
+        # Half a run either way: power that never or always reached it has a finite probit.
+        hits, n = hits + 0.5, n + 1.0
+        found.append(_probit(x - np.log(high), hits, n, float(ndtri(share)), np.log(high)))
+    size, error = max(found)
+    inside = float(np.clip(size, max(low, 1), high))
+    return inside, error
+
+
+def _probit(x: Array, hits: Array, n: Array, wanted: float, shift: float) -> tuple[float, float]:
+    """exp(x + shift) where Φ(a + b x) has the score wanted, and its standard error."""
+
+    def loss(theta: Array) -> float:
+        score = theta[0] + theta[1] * x
+        return -float(hits @ log_ndtr(score) + (n - hits) @ log_ndtr(-score))
+
+    if x.size == 1:  # one size is all there is: a single trial, or animal
+        return float(np.exp(x[0] + shift)), 0.0
+    a, b = minimize(loss, [wanted, 1.0], method="BFGS").x
+    if b <= 0:  # power that does not rise within its noise
+        return float(np.exp(x.min() + shift)), float("inf")
+    score = a + b * x
+    density = np.exp(-0.5 * score**2) / np.sqrt(2 * np.pi)
+    weight = n * density**2 / np.exp(log_ndtr(score) + log_ndtr(-score))
+    information = np.array([[weight.sum(), weight @ x], [weight @ x, weight @ x**2]])
+    at = (wanted - a) / b
+    slope = np.array([-1.0, -at]) / b
+    error = float(np.sqrt(slope @ np.linalg.solve(information, slope)))
+    size = float(np.exp(at + shift))
+    return size, size * error
+
+
+def _worst(found: Power) -> pd.Series:
+    """The row of the truth that reaches the goal least often."""
+    return found.table.iloc[int(found.table["power"].to_numpy().argmin())]
+
+
+def _out_of_reach(found: Power, vary: str, most: int) -> str:
+    row = _worst(found)
+    what = "trials a comparison" if vary == "trials" else "animals"
+    return (
+        f"no design of up to {most} {what} reaches {found.goal}: with {most} it is "
+        f"{100 * row['power']:.3g} % ({100 * row['lower']:.3g} to {100 * row['upper']:.3g}) where "
+        f"{row['truth']} is true, {100 * (found.goal.share - row['power']):.3g} % short; set the "
+        "standards farther apart, take more of them or of animals, or ask for less."
+    )

@@ -1,0 +1,220 @@
+"""A session at the rig: trials on file as they come, and a conversation line by line.
+
+The file is the memory. Every answer is in it before the next trial is given out, and when the
+process is started again, whatever ended it, the answers in the file are learnt from again and the
+session goes on with the trial that it had come to.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from typing import Any, Self
+
+from ..journal import Journal
+from .placement import BayesianPlacer, Placer, Proposal
+from .staircases import Staircase
+
+KIND = "session"
+
+
+class Session:
+    """A placer whose trials are kept in a file, as a context manager.
+
+    Parameters
+    ----------
+    placer : Placer
+        Fresh: what is in the file is recorded in it again.
+    path : path or None
+        An append-only file of JSON lines. None: in memory alone.
+    question : dict, optional
+        How the placer was made, as JSON has it. A file of another question is refused.
+
+    Raises
+    ------
+    ValueError
+        If the file is of another question or of none, or is being written by another session.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.design import BayesianPlacer, Hypothesis, lattice
+    >>> file, h = tempfile.mkdtemp() + "/rat1.jsonl", Hypothesis("Weber", IdentityPercept())
+    >>> def fresh():
+    ...     return BayesianPlacer(h, lattice(h.percept, 1.0), seed=1)
+    >>> with Session(fresh(), file) as session:
+    ...     for choice in (1, 0, None, 1):
+    ...         trial = session.next()
+    ...         session.record(trial.standard, trial.comparison, choice)
+    >>> with Session(fresh(), file) as session:  # the rig was switched off
+    ...     session.next().trial
+    5
+    """
+
+    def __init__(
+        self,
+        placer: Placer,
+        path: str | os.PathLike[str] | None,
+        question: dict[str, Any] | None = None,
+    ) -> None:
+        self.placer = placer
+        self._journal = None if path is None else Journal(path, KIND, question or {})
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        if self._journal is not None:
+            self._open.enter_context(self._journal)
+            try:
+                for place, line in enumerate(self._journal.lines):
+                    self._again(place, json.loads(line))
+            except BaseException:
+                self._open.close()
+                raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._open.close()
+
+    def _again(self, place: int, row: dict[str, Any]) -> None:
+        try:
+            self.placer.record(row["standard"], row["comparison"], row["choice"])
+        except (KeyError, ValueError) as error:
+            assert self._journal is not None
+            raise ValueError(
+                f"{str(self._journal.path)!r} has a trial that cannot be read (line {place + 2}: "
+                f"{error}); name another file."
+            ) from error
+
+    @property
+    def finished(self) -> str:
+        """Why there are trials enough; empty where there are not."""
+        return self.placer.finished
+
+    def next(self, standard: float | None = None) -> Proposal:
+        """The next trial, the same until it is recorded, also after a restart."""
+        return self.placer.next(standard)
+
+    def record(self, standard: float, comparison: float, choice: Any) -> None:
+        """Keep and learn from a trial: what was shown, and the answer."""
+        proposed = self.placer.next()
+        self.placer.record(standard, comparison, choice)
+        if self._journal is not None:
+            row = {
+                "trial": proposed.trial,
+                "standard": float(standard),
+                "comparison": float(comparison),
+                "choice": None if choice is None or choice != choice else int(choice),
+                "easy": proposed.easy,
+                "proposed": [proposed.standard, proposed.comparison],
+            }
+            self._journal.append(json.dumps(row))
+
+    def sync(self) -> None:
+        """Have the trials on the disk, safe from a power cut too."""
+        if self._journal is not None:
+            self._journal.sync()
+
+
+def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator[str]:
+    """Trials out, answers in, a line of JSON each.
+
+    Parameters
+    ----------
+    session : Session
+    lines : iterable of str
+        Answers: ``1``, ``0`` or ``null`` (none given), or an object with ``choice`` and, where
+        they differ from what was proposed, ``standard`` and ``comparison``. With ``trial``, its
+        number, an answer that was sent twice is refused.
+    unit : str
+        Ending of the names of stimuli: ``"_mm"``.
+
+    Yields
+    ------
+    str
+        A trial, ``{"trial": 1, "standard": …, "comparison": …, "easy": false, …}``, after every
+        answer; ``{"error": "…"}`` where a line could not be used: the trial still stands; at the
+        end ``{"finished": "…", "trials": …}``.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.design import Hypothesis, Scheme, Staircase
+    >>> staircase = Staircase(Hypothesis("Weber", IdentityPercept()),
+    ...                       Scheme([20.0], [[-4.0, -2.0, 2.0, 4.0]]), most=2, seed=1)
+    >>> answers = ["1", "2", '{"choice": 0, "comparison_mm": 23.9}']
+    >>> with Session(staircase, None) as session:
+    ...     for line in converse(session, answers, "_mm"):
+    ...         print(line)
+    {"trial": 1, "standard_mm": 20.0, "comparison_mm": 16.0, "easy": false}
+    {"trial": 2, "standard_mm": 20.0, "comparison_mm": 24.0, "easy": false}
+    {"error": "choice must be 1 (\\"second greater\\"), 0, or None for no answer, got 2."}
+    {"finished": "there are 2 trials, as many as wanted", "trials": 2}
+    """
+    answers = iter(lines)
+    while not session.finished:
+        trial = session.next()
+        names = f"standard{unit}", f"comparison{unit}"
+        row: dict[str, Any] = {
+            "trial": trial.trial,
+            names[0]: trial.standard,
+            names[1]: trial.comparison,
+            "easy": trial.easy,
+        }
+        yield json.dumps(row | _known(session.placer))
+        session.sync()  # while the animal is at it
+        for line in answers:
+            if not line.strip():
+                continue
+            try:
+                session.record(*_answer(line, trial, names))
+                break
+            except ValueError as error:
+                yield json.dumps({"error": " ".join(str(error).split())})
+        else:
+            return
+    about = {"finished": session.finished, "trials": session.next().trial - 1}
+    yield json.dumps(about | _known(session.placer))
+
+
+def _known(placer: Placer) -> dict[str, Any]:
+    """What is known so far, where the placer knows it."""
+    if isinstance(placer, Staircase) or not isinstance(placer, BayesianPlacer):
+        return {}
+    low, high = placer.interval()
+    known = {"weber_fraction": placer.weber_fraction, "low": low, "high": high}
+    rounded: dict[str, Any] = {name: float(f"{value:.5g}") for name, value in known.items()}
+    if len(placer.hypotheses) > 1:
+        chances = placer.probabilities
+        rounded["probabilities"] = {name: float(f"{p:.5g}") for name, p in chances.items()}
+    return rounded
+
+
+def _answer(line: str, trial: Proposal, names: tuple[str, str]) -> tuple[float, float, Any]:
+    """What was shown, and the choice."""
+    hint = 'write 1, 0, null, or {"choice": 1, "comparison...": ...}'
+    try:
+        given = json.loads(line)
+    except ValueError:
+        raise ValueError(f"an answer must be JSON, got {line.strip()!r}; {hint}.") from None
+    if not isinstance(given, dict):
+        return trial.standard, trial.comparison, given
+    allowed = {"choice", "trial", *names}
+    unknown = sorted({*given} - allowed)
+    if "choice" not in given or unknown:
+        wrong = f"{unknown[0]!r} is unknown" if unknown else "it has no choice"
+        raise ValueError(
+            f"an answer has choice and perhaps {', '.join(sorted(allowed - {'choice'}))}, got "
+            f"{line.strip()} where {wrong}; {hint}."
+        )
+    if given.get("trial", trial.trial) != trial.trial:
+        raise ValueError(
+            f"trial {given['trial']} is not the one that is open; answer trial {trial.trial}."
+        )
+    standard, comparison = (
+        given.get(name, proposed)
+        for name, proposed in zip(names, (trial.standard, trial.comparison), strict=True)
+    )
+    return standard, comparison, given["choice"]

@@ -1,0 +1,229 @@
+"""What every cue tells of distance, from the tables of `weberwhisk.surveys`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+from .jnds import jnd_surface
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@styled
+def cue_jnds(table: pd.DataFrame) -> Figure:
+    """JNDs against r (lines: Fisher, marks: posterior), posteriors over closed forms, and failures.
+
+    Open marks are where the two differ by more than the Monte Carlo error. In the lowest panel
+    every cue has a line where it works; elsewhere it says what fails.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `surveys.curves`.
+    """
+    figure = new_figure(DOUBLE, 8.6)
+    top, below, works = figure.subplots(3, 1, sharex=True, height_ratios=(4, 2, 2))
+    groups = list(table.groupby("cue", sort=False))
+    for i, (name, rows) in enumerate(groups):
+        colour = COLOURS[i % len(COLOURS)]
+        look: dict[str, Any] = {
+            "color": colour,
+            "marker": MARKERS[i // 2 % len(MARKERS)],
+            "markersize": 3,
+        }
+        # One event has no limit of small noise, and its information at a point says little.
+        events = rows["closed_form"].isna().all()
+        expected = rows["posterior" if events else "fisher"]
+        top.semilogy(rows["place"], expected * 1e3, LINES[i % len(LINES)], color=colour)
+        top.plot(rows["place"], rows["posterior"] * 1e3, linestyle="none", label=name, **look)
+        ratio = rows["posterior"] / rows["closed_form"]
+        error = 1.96 * rows["posterior_error"] / rows["closed_form"]
+        off = np.abs(ratio - 1) > error
+        for shown, face in ((off, "none"), (~off, colour)):
+            below.errorbar(
+                rows["place"][shown], ratio[shown], error[shown],
+                linestyle="none", linewidth=0.7, markerfacecolor=face, **look,
+            )  # fmt: skip
+        _where_it_works(works, rows, -i, colour)
+    below.axhline(1.0, color="black", linewidth=0.8)
+    below.set(ylabel="posterior /\nclosed form", ylim=(0.3, 1.7))
+    top.set(ylabel="JND (mm), d'=1", ylim=(0.05, 60))
+    works.set(xlabel="Radial distance r/L", ylabel="where it works", yticks=[])
+    figure.legend(*top.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _where_it_works(ax: Axes, rows: pd.DataFrame, height: float, colour: str) -> None:
+    """A line where a cue works, and the names of what fails elsewhere."""
+    held = rows["outcome"].str.startswith("held").to_numpy()
+    place = rows["place"].to_numpy()
+    ax.plot(np.where(held, place, np.nan), np.full(place.size, height), color=colour, linewidth=2.5)
+    for outcome, lost in rows[~held].groupby("outcome", sort=False):
+        ends = lost["place"].min(), lost["place"].max()
+        ax.plot(ends, (height, height), ":", color="0.5", linewidth=1)
+        name, late = str(outcome).split(":")[0], ends[0] > 0.85
+        x, side = (ends[1], "right") if late else (ends[0], "left")
+        ax.text(x, height, name, fontsize="x-small", color="0.3", va="bottom", ha=side)
+
+
+@styled
+def best_cue(table: pd.DataFrame, names: Sequence[str]) -> Figure:
+    """The best cue as a map over (r, θ_d), and what becomes of contacts beyond.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `surveys.best`.
+    names : sequence of str
+        Of the cues in question.
+    """
+    figure = new_figure(SINGLE * 1.4, 3.6)
+    ax = figure.subplots()
+    shown = [name for name in names if (table["best"] == name).any()]
+    which = table.pivot(index="place", columns="share", values="best").map(shown.index)
+    ends = table.drop_duplicates("place").sort_values("place")
+    place, limit = ends["place"].to_numpy(), np.degrees(ends["limit"].to_numpy())
+    # The table's contacts are the middles of cells in r and in the share of the largest angle.
+    r, share = _edges(place), _edges(which.columns.to_numpy())
+    colours = [COLOURS[list(names).index(name)] for name in shown]
+    ax.pcolormesh(
+        np.broadcast_to(r[:, None], (r.size, share.size)),
+        np.interp(r, place, limit)[:, None] * share,
+        which.to_numpy(),
+        cmap=ListedColormap(colours), vmin=-0.5, vmax=len(shown) - 0.5, rasterized=True,
+    )  # fmt: skip
+    for name, colour in zip(shown, colours, strict=True):
+        ax.fill_between([], [], color=colour, label=name)
+    ax.plot(place, limit, color="black", linewidth=1.2)
+    top = 1.25 * limit.max()
+    for i, (outcome, rows) in enumerate(ends.groupby("beyond", sort=False)):
+        half = (place[1] - place[0]) / 2
+        low, high = rows["place"].min() - half, min(rows["place"].max() + half, 1.0)
+        edge = np.interp(np.linspace(low, high, 50), place, limit)
+        ax.fill_between(
+            np.linspace(low, high, 50), edge, top,
+            facecolor="none", edgecolor="0.75", hatch=("//", "..")[i % 2], linewidth=0,
+        )  # fmt: skip
+        side = "right" if low > 0.8 else "center"
+        x = high if side == "right" else (low + high) / 2
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+        ax.text(x, top * (0.93 - 0.1 * i), str(outcome), ha=side, va="center", bbox=box)
+    ax.set(xlabel="Radial distance r/L", ylabel="Deflection angle θ$_d$ (degrees)")
+    ax.set(xlim=(0, 1), ylim=(0, top))
+    figure.legend(loc="outside upper center", ncols=2)
+    return figure
+
+
+def _edges(middles: np.ndarray) -> np.ndarray:
+    """Edges of even cells, from their middles; between 0 and 1."""
+    half = (middles[1] - middles[0]) / 2
+    return np.clip(np.append(middles - half, middles[-1] + half), 1e-3, 1.0)
+
+
+@styled
+def ridge(table: pd.DataFrame, contact: tuple[float, float]) -> Figure:
+    """A pair plot of distance and angle for either whisker, and the contact (m, rad).
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `surveys.ridge`.
+    contact : (float, float)
+    """
+    figure = new_figure(SINGLE * 1.4, SINGLE * 1.4)
+    grid = figure.add_gridspec(2, 2, width_ratios=(3, 1), height_ratios=(1, 3))
+    ax = figure.add_subplot(grid[1, 0])
+    above = figure.add_subplot(grid[0, 0], sharex=ax)
+    beside = figure.add_subplot(grid[1, 1], sharey=ax)
+    for i, (name, rows) in enumerate(table.groupby("whisker", sort=False)):
+        x, y = rows["radial_distance"] * 1e3, np.degrees(rows["deflection_angle"])
+        label = f"{name}: {rows['status'].iloc[0]}"
+        ax.plot(x, y, ".", markersize=1.5, alpha=0.5, color=COLOURS[i], label=label)
+        look: dict[str, Any] = {
+            "bins": 40,
+            "density": True,
+            "histtype": "step",
+            "color": COLOURS[i],
+            "linewidth": 1,
+        }
+        above.hist(x, **look)
+        beside.hist(y, orientation="horizontal", **look)
+    ax.plot(contact[0] * 1e3, np.degrees(contact[1]), "k+", markersize=10, label="contact")
+    ax.set(xlabel="Radial distance (mm)", ylabel="Deflection angle θ$_d$ (degrees)")
+    ax.legend(frameon=False)
+    for side in (above, beside):
+        side.tick_params(labelbottom=False, labelleft=False)
+    return figure
+
+
+@styled
+def cue_information(table: pd.DataFrame) -> Figure:
+    """Bars of what each cue tells alone and what it adds.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `surveys.bits`.
+    """
+    figure = new_figure(DOUBLE / 1.4, 2.4)
+    ax = figure.subplots()
+    places = np.arange(len(table))[::-1]
+    for i, (shift, column) in enumerate(((0.2, "alone"), (-0.2, "added"))):
+        rows = table if column == "alone" else table.iloc[:-1]
+        error = rows[f"{column}_error"]
+        heights = places[: len(rows)] + shift
+        ax.barh(heights, rows[column], 0.38, xerr=error, label=column, color=COLOURS[i])
+    ax.set_yticks(places, table["cue"])
+    ax.set_xlabel("information about radial distance (bits)")
+    ax.legend(frameon=False)
+    return figure
+
+
+@styled
+def weber_2d(
+    surfaces: Mapping[str, pd.DataFrame],
+    false_zero: pd.DataFrame,
+    linear: pd.DataFrame,
+    *,
+    length: float,
+    weber_fraction: float,
+) -> Figure:
+    """JNDs of three pairs of noises as surfaces, and the false zero beside posteriors.
+
+    Parameters
+    ----------
+    surfaces : mapping of title to DataFrame
+        From `surveys.surface`.
+    false_zero, linear : DataFrame
+        From the functions of these names in `surveys` (`linear_between`).
+    length, weber_fraction : float
+        JNDs are shown over their product; m.
+    """
+    figure = new_figure(DOUBLE, 5.6)
+    *axes, last = figure.subplots(2, 2).ravel()
+    for ax, (title, table) in zip(axes, surfaces.items(), strict=True):
+        jnd_surface(table, ax, length=length, weber_fraction=weber_fraction)
+        ax.set_title(title)
+    scale = weber_fraction * length
+    angle = np.degrees(linear["deflection_angle"])
+    last.semilogy(angle, linear["linear"] / scale, color=COLOURS[0], label="linear")
+    last.errorbar(
+        np.degrees(false_zero["deflection_angle"]),
+        false_zero["posterior"] / scale,
+        1.96 * false_zero["posterior_error"] / scale,
+        fmt="o", color=COLOURS[1], label="posterior",
+    )  # fmt: skip
+    last.set(
+        xlabel="Deflection angle θ$_d$ (degrees)", ylabel="JND/(kL), d'=1", ylim=(1e-4, 1),
+        title="its false zero, far out",
+    )  # fmt: skip
+    last.legend(frameon=False)
+    return figure_of(last)

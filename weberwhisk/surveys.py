@@ -1,0 +1,234 @@
+"""What every cue tells of distance, on one whisker: the numbers behind the surveys' charts.
+
+The JND of each cue against distance, by every route; which cue is best at every contact; what each
+adds to the others; the posterior's ridge on a cylinder; and Weber's law in two dimensions (§3c),
+the whole family between the paper's two limits.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cues import (
+    AngleSideAngle,
+    BalanceOfMoments,
+    ComparativeLength,
+    Compliance,
+    ContactAndDetachment,
+    Cue,
+    ForceMap,
+    Fused,
+    LateralSlip,
+    TwoWhiskers,
+    Vibration,
+    VibrissaLength,
+)
+from .cues.force_map import SIGNALS
+from .fusion import added_information
+from .jnd import fisher_jnd, jnd_curve, weber_propagation
+from .mechanics.contact import Outcome
+from .mechanics.ladder import flick_past, press
+from .observer import Observer
+from .posterior import posterior
+from .receptors import Weber
+from .whisker import Whisker
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+WHISKER = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
+K = 0.1
+#: Deflection where a cue does not say, rad.
+ANGLE = np.radians(5.0)
+SEED = 20110166
+#: One line a cue, in the order of the paper's sections.
+CUES: dict[str, Cue] = {
+    "whisker length (a)": VibrissaLength(),
+    "which of three whiskers touch (b)": ComparativeLength(
+        [40e-3, 30e-3], [[0.0, 3e-3], [0.0, 6e-3]]
+    ),
+    "angle-side-angle (c)": AngleSideAngle(),
+    "two whiskers (c)": TwoWhiskers(),
+    "contact and detachment (c)": ContactAndDetachment(),
+    "vibration, 3 modes with phase (d)": Vibration(3, phase=True),
+    "tap (e)": Compliance(),
+    "tap, velocity felt (e)": Compliance(velocity_spread=0.5),
+    "tap on a tilted surface (e)": LateralSlip(),
+    "moment and axial force (f)": ForceMap(),
+    "moment and both forces (f)": ForceMap(SIGNALS),
+    "moment at a known angle (f)": ForceMap("moment", deflection_angle=ANGLE),
+    "balance of moments (h)": BalanceOfMoments(),
+}
+#: Those that a contact of any distance and angle has.
+MAPPED = ("vibration, 3 modes with phase (d)", "tap (e)", "moment and axial force (f)",
+          "moment and both forces (f)")  # fmt: skip
+
+
+def curves(
+    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
+) -> pd.DataFrame:
+    """The JND of every cue by every route, m, a row for each cue and distance.
+
+    Up to the tip for all of them: where a method does not work there its ``outcome`` says why.
+    """
+    import pandas as pd
+
+    tables = []
+    for name, cue in CUES.items():
+        r = np.linspace(0.03, 0.97, points) * whisker.length
+        angle = ANGLE if "deflection_angle" in cue.unknowns else None
+        table = jnd_curve(Observer(whisker, cue), r, angle, draws=draws, seed=seed)
+        table.insert(0, "cue", name)
+        tables.append(table)
+    joined = pd.concat(tables, ignore_index=True)
+    return joined.assign(place=joined["radial_distance"] / whisker.length)
+
+
+def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
+    """Fisher JND (m) of the mapped cues at contacts up to the last that is held.
+
+    The name of the least is ``best``; ``limit`` is the largest deflection (rad) at that distance,
+    ``beyond`` what becomes of a contact beyond it, and ``share`` the deflection over the limit.
+    """
+    import pandas as pd
+
+    r = np.linspace(0.03, 0.99, points) * whisker.length
+    share = np.linspace(0.02, 0.99, points)
+    limit = np.asarray(flick_past(whisker, r).deflection_angle)
+    lost = press(whisker, r, limit * 1.05).outcome
+    beyond = np.array([Outcome(int(k)).message.split(":")[0] for k in lost])
+    place, part = (a.ravel() for a in np.meshgrid(np.arange(points), share, indexing="ij"))
+    contact = np.stack([r[place], limit[place] * part], axis=-1)
+    table = pd.DataFrame(contact, columns=["radial_distance", "deflection_angle"])
+    table = table.assign(
+        share=part, limit=limit[place], beyond=beyond[place], place=r[place] / whisker.length
+    )
+    for name in MAPPED:
+        observer = Observer(whisker, CUES[name])
+        table[name] = fisher_jnd(observer, contact[:, : len(observer.unknowns)])
+    table["best"] = table[list(MAPPED)].idxmin(axis=1)
+    return table
+
+
+def bits(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
+    """What the mapped cues tell alone and add to the others."""
+    fused = Fused(*(CUES[name] for name in MAPPED[:3]))
+    table = added_information(Observer(whisker, fused), draws=draws, seed=seed)
+    table["cue"] = [*MAPPED[:3], "all three"]
+    return table
+
+
+#: The contact whose reading has the posteriors of `ridge`: r over the length, θ_d in rad.
+RIDGE = (0.5, 0.3)
+
+
+def ridge(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
+    """Draws from the posterior of one reading of M and Fx, tapered and cylindrical; its status."""
+    import pandas as pd
+
+    from .posterior import Status
+
+    tables = []
+    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+        observer = Observer(shape, ForceMap(), Weber(0.03))
+        reading = observer.signals([RIDGE[0] * whisker.length, RIDGE[1]])[0]
+        found = posterior(observer, reading)
+        drawn = found.draws_of(draws // 4, seed)[0].reshape(-1, 2)
+        table = pd.DataFrame(drawn, columns=["radial_distance", "deflection_angle"])
+        status = Status(int(found.status)).name.lower()
+        tables.append(table.assign(whisker=name, status=status))
+    return pd.concat(tables, ignore_index=True)
+
+
+# -- Weber's law in two dimensions -----------------------------------------------------------------
+
+NONE = 1e-9
+#: Weber fractions of moment and axial force.
+FAMILY = {
+    "moment noise alone": (K, NONE),
+    "both alike": (K, K),
+    "axial force noise alone": (NONE, K),
+}
+#: Noise in the moment that is next to none, and still has posteriors.
+SLIGHT = 0.003
+#: Where the false zero is shown.
+PLACE = 0.7
+
+
+def observer(
+    k_moment: float, k_force: float, correlation: float = 0.0, *, whisker: Whisker = WHISKER
+) -> Observer:
+    """The paper's pair of signals under Weber noise."""
+    noise = Weber([k_moment, k_force], correlation=correlation)
+    return Observer(whisker, ForceMap(), noise)
+
+
+def closed_form(r: Array, k_moment: float, k_force: float, rho: float) -> Array:
+    """½(A−r)(3A−2r)/(2A−r)·√(4k_M² + k_F² − 4ρk_Mk_F): the JND at small angle, m."""
+    a = WHISKER.apex_distance
+    noise = np.sqrt(4 * k_moment**2 + k_force**2 - 4 * rho * k_moment * k_force)
+    return 0.5 * (a - r) * (3 * a - 2 * r) / (2 * a - r) * noise
+
+
+def surface(
+    k_moment: float, k_force: float, points: int = 80, *, whisker: Whisker = WHISKER
+) -> pd.DataFrame:
+    """The JND over every contact that the whisker holds, as `figures.jnd_surface` takes it."""
+    import pandas as pd
+
+    r = np.linspace(0.02, 0.99, points) * whisker.length
+    limit = np.asarray(flick_past(whisker, r).deflection_angle)
+    share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, points))
+    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * share), axis=-1)
+    jnd = weber_propagation(observer(k_moment, k_force, whisker=whisker), contact)
+    columns = (contact[..., 0], contact[..., 1], jnd)
+    names = ("radial_distance", "deflection_angle", "jnd")
+    return pd.DataFrame({n: c.ravel() for n, c in zip(names, columns, strict=True)})
+
+
+def false_zero(
+    draws: int, degrees: Array | None = None, *, whisker: Whisker = WHISKER, seed: int = SEED
+) -> pd.DataFrame:
+    """Linear, Fisher and posterior JNDs (m) with noise in the axial force and next to none else."""
+    limit = np.degrees(float(flick_past(whisker, PLACE * whisker.length).deflection_angle))
+    share = np.array([0.08, 0.2, 0.33, 0.45, 0.57, 0.7, 0.77, 0.81, 0.85, 0.875, 0.915, 0.955])
+    theta = np.radians(limit * share if degrees is None else degrees)
+    place = PLACE * whisker.length
+    table = jnd_curve(observer(SLIGHT, K, whisker=whisker), place, theta, draws=draws, seed=seed)
+    contact = table[["radial_distance", "deflection_angle"]].to_numpy()
+    linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
+    table.insert(4, "linear", linear)
+    kept = ["deflection_angle", "linear", "fisher", "posterior", "posterior_error", "unreliable"]
+    return table[kept]
+
+
+def linear_between(*, whisker: Whisker = WHISKER) -> pd.DataFrame:
+    """The linear JND (m) of `false_zero` at deflections in between, up to flick-past."""
+    import pandas as pd
+
+    place = PLACE * whisker.length
+    limit = float(flick_past(whisker, place).deflection_angle)
+    theta = np.linspace(0.04, 0.99, 400) * limit
+    contact = np.stack([np.full(theta.size, place), theta], axis=-1)
+    linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
+    return pd.DataFrame({"deflection_angle": theta, "linear": linear})
+
+
+def gain() -> pd.DataFrame:
+    """JNDs (m) as the noise of k_F = 2k_M becomes one gain: at small angle and at 10 degrees."""
+    import pandas as pd
+
+    r = 0.5 * WHISKER.length
+    contact = np.array([[r, 1e-4], [r, np.radians(10.0)]])
+    rows = []
+    for rho in (-0.9, 0.0, 0.9, 0.99, 0.999, 0.9999, 0.999999):
+        o = observer(K, 2 * K, rho)
+        rows.append((rho, float(closed_form(np.array(r), K, 2 * K, rho)),
+                     *weber_propagation(o, contact), *fisher_jnd(o, contact)))  # fmt: skip
+    columns = ["rho", "closed_form", "linear_0", "linear_10", "fisher_0", "fisher_10"]
+    return pd.DataFrame(rows, columns=columns)
