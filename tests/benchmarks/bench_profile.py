@@ -7,7 +7,7 @@ way to the fold ("far"), half of them with friction.
 A compiled kernel was measured and not kept. The inner loop, `trajectory.follow` for a linear
 taper of constant curvature, written in numba 0.68 with blocks of 32 rows that its compiler turns
 into vector instructions, took 0.98 µs for a pass of four steps with its derivatives; NumPy took
-1.4 µs then (the same results to 1e-14, same run, 2.5 GHz) and has gained a fifth since. Less than
+1.4 µs (the same results to 1e-14, same run, 2.5 GHz). A factor of
 1.5 on the inner loop is not worth 3 s of compiling in each fresh process, 0.25 s of every import,
 208 MB of dependency and a second spelling of every whisker's radius and curvature. What did pay was
 to do less: two passes a solution, each no finer than its Newton step deserves, from the start of
