@@ -77,7 +77,8 @@ class Beams:
             "axial_force": axial,
             "transverse_force": transverse,
             "radial_distance": np.hypot(along, across),
-            "deflection_angle": np.arctan2(across, along),
+            # Counted on past half a turn.
+            "deflection_angle": np.arctan2(-y, -x) - angle,
             "contact_angle": -angle,
         }
 

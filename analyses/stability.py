@@ -133,9 +133,7 @@ def draw(cases: pd.DataFrame) -> Figure:
     for ax, panel in zip(axes, panels, strict=False):
         _map(ax, cases[cases["panel"] == panel], panel)
     handles, labels = axes[0].get_legend_handles_labels()
-    for ax in axes[len(panels) :]:
-        ax.axis("off")
-    axes[-1].legend(handles, labels, loc="center", markerscale=2, fontsize=6)
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=6)
     return figure
 
 

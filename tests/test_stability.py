@@ -126,7 +126,8 @@ def test_a_posterior_beyond_the_last_panel_is_imprecise() -> None:
     """A log-normal reading from 1e-9 of the reach: quadrature ends at 1e-8, and said nothing."""
     observer = Observer(W, cues.Compliance(), receptors.LogNormal(0.5))
     far, near = (
-        ww.posterior(observer, observer.signals([share * W.length])[0]) for share in (1e-9, 1e-5)
+        ww.posterior(observer, factor * observer.signals([share * W.length])[0])
+        for share, factor in ((1e-9, 0.5), (1e-5, 1.0))
     )
     assert far.status == Status.IMPRECISE
     assert near.status == Status.CONVERGED

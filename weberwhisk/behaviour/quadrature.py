@@ -19,6 +19,7 @@ from .dispersion import DispersedAnswers
 from .likelihood import WeberModel
 from .mode import find_mode, log_lapses_possible, log_score_prior
 from .priors import TINY
+from .stretch import PLAIN
 
 Array = NDArray[np.float64]
 Axes = tuple[Array, ...]
@@ -308,7 +309,8 @@ def adapt(joint: Array, index: int, axis: Array, ends: tuple[float, float]) -> A
     shrink = min(
         _shrink(_thinned(log_density), COARSE),
         _shrink(_thinned_by_line(joint, index), SLICED),
-        _shrink(_steepest(log_density), CLIFF),
+        # A lapse's axis ends where its prior does, steep or not.
+        _shrink(_steepest(log_density), CLIFF if ends == PLAIN.ends else np.inf),
     )
     if shrink == 1 and below <= 0 and above <= 0:
         return axis

@@ -266,12 +266,21 @@ class Panels:
             np.minimum((200 * np.abs(a - b) / sd) ** 1.5, 1.0) * sd
             for a, b in ((mean, mean_7), (sd, sd_7))
         ]
-        # What lies on the last panels may lie beyond them too.
-        at_end = (panel == 0) | (panel == len(self.left) - 1)
-        beyond = np.add.reduceat(np.where(at_end, of_panels[:, 0], 0.0), starts) / mass[0]
+        beyond = self._beyond(row, panel, weight, len(reading)) / mass[0]
         errors = [np.maximum(error, beyond * sd) for error in errors]
         low, high = self._probable(reading)
         return mean, sd, *errors, np.log(mass[0]) + top, low >= high
+
+    def _beyond(self, row: Index, panel: Index, weight: Array, count: int) -> Array:
+        """The mass beyond the ends of the axis, were the density of r to stay what it is there."""
+        out = np.zeros(count)
+        for end, node in ((0, 0), (len(self.left) - 1, 14)):
+            here = panel == end
+            x = self.left[end] + self.half[end] * (NODES[node] + 1)
+            # r is e to the power of sinh x, out there.
+            scale = KRONROD[node] * self.half[end] * np.cosh(x)
+            out[row[here]] += weight[here, node] / scale
+        return out
 
     def quantiles(self, reading: Array, probability: Array, *, rows: int = 128) -> Array:
         """Quantiles (B, Q) of r for readings (B, S), at probabilities (B, Q) or (Q,)."""

@@ -1,0 +1,94 @@
+"""Truths rank uniformly among draws from their posteriors, unless the model is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from analysis_scripts import load
+from scipy import stats
+
+from weberwhisk import Observer
+
+calibration = load("calibration")
+#: Sets of ranks looked at here: with a correct model one in two thousand runs of all fails.
+RARE = 1e-3 / 20
+
+
+def test_the_bands_hold_uniform_ranks_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(1)
+    points, low, high = calibration.band(200, 0.9)
+    inside = 0
+    for _ in range(1000):
+        ecdf = np.searchsorted(np.sort(rng.random(200)), points, side="right") / 200
+        inside += bool(np.all((ecdf >= low) & (ecdf <= high)))
+    # Binomial counts are whole, so that the level is a little more than asked for.
+    assert stats.binomtest(inside, 1000, 0.91).pvalue > 1e-3
+
+
+def test_p_is_uniform_where_ranks_are_and_small_where_they_are_not() -> None:
+    rng = np.random.default_rng(2)
+    p = [calibration.uniform_p(rng.random(100)) for _ in range(300)]
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+    assert calibration.uniform_p(rng.random(200) ** 1.5) < 1e-3
+    assert calibration.uniform_p(stats.norm.cdf(1.3 * rng.standard_normal(300))) < 0.01
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "vibrissa length (a)",
+        "vibration with phase (d)",
+        "compliance (e)",
+        "balance, effort known (h)",
+    ],
+)
+def test_one_unknown(name: str) -> None:
+    ranks, flagged = calibration.posterior_ranks(calibration.CUES[name], 300, seed=11)
+    assert flagged < 0.1
+    assert min(map(calibration.uniform_p, ranks.values())) > RARE
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "n"),
+    [
+        ("force map (f)", "quadrature", 50),
+        ("compliance, velocity felt (e)", "quadrature", 100),
+        ("compliance (e)", "emcee", 100),
+    ],
+)
+def test_engines(name: str, method: str, n: int) -> None:
+    ranks, flagged = calibration.posterior_ranks(calibration.CUES[name], n, method, seed=12)
+    assert flagged < 0.2
+    assert min(map(calibration.uniform_p, ranks.values())) > RARE
+
+
+@pytest.mark.parametrize("name", ["2AFC, 5 trials a level", "percent correct"])
+def test_fits(name: str) -> None:
+    ranks, flagged = calibration.fit_ranks(calibration.FITS[name], 60, seed=13)
+    assert flagged < 0.05
+    assert min(map(calibration.uniform_p, ranks.values())) > RARE
+
+
+@pytest.mark.parametrize(
+    "name", ["k taken for 30 % more", "k taken for 30 % less", "noise taken for constant"]
+)
+def test_a_broken_likelihood_is_caught(name: str) -> None:
+    truth, assumed = calibration.BROKEN[name]
+    assert isinstance(assumed, Observer)
+    ranks, _ = calibration.posterior_ranks(truth, 300, assumed=assumed, seed=14)
+    assert min(map(calibration.uniform_p, ranks.values())) < RARE * 20
+
+
+def test_ignored_lapses_are_caught() -> None:
+    assumed = calibration.BROKEN_FITS["lapses ignored"]
+    ranks, _ = calibration.fit_ranks({"trials_per_level": 40}, 60, assumed=assumed, seed=15)
+    assert calibration.uniform_p(ranks["weber_fraction"]) < RARE * 20
+
+
+@pytest.mark.slow
+def test_everything_in_full() -> None:
+    rows = calibration.run_all(calibration.FULL)
+    p = np.array([calibration.uniform_p(r.ranks) for r in rows if r.group != "broken"])
+    assert p.min() > 0.01 / p.size
+    for name in [*calibration.BROKEN, *calibration.BROKEN_FITS]:
+        assert min(calibration.uniform_p(r.ranks) for r in rows if r.name == name) < 0.01
