@@ -22,7 +22,7 @@ from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from .goals import Animals
 from .hypotheses import Hypothesis, told_apart
-from .nodes import CUT, refined, widest
+from .nodes import coarseness, emptiness, refined, widest
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
 from .tables import Table
 
@@ -293,7 +293,7 @@ def _range(
     while not fine:
         table = Table(model, lattice)
         answers = table.answers(counts[None])
-        held = table.held(answers, *table.profile(answers), CUT + 3)
+        held = table.held(answers, *table.profile(answers), emptiness(coarseness(model, lattice)))
         lattice, fine = refined(model, lattice, held, with_neighbours=first)
         first = False
     ends = [(float(a[0]), float(a[-1])) for a in lattice.axes]

@@ -23,9 +23,9 @@ Mask = NDArray[np.bool_]
 
 STEP = 1.7  # of k and the biases, in the least sd that they can have given the rest
 LAPSE_STEP = 1.4  # of the lapses, in their stretched coordinates
-FINER, CLOSE = 3.0, 4.5  # from one pass to the next; where one pass will do
-CUT = 8.0  # nats under the best node, where a node and its neighbours count as empty
-DEEP = 12.0  # the same without neighbours, at the passes after the first
+FINER, CLOSE = 3.0, 3.0  # from one pass to the next; where one pass will do
+CUT = 9.5  # nats under the best node, where a node counts as empty
+MOST_BETWEEN = 20.0  # nats allowed for what may lie between nodes, at most
 NO_LAPSE = 0.01  # trials lost, below which a lapse is none
 FAR = 8.0  # scores of k beyond which nothing is looked for
 FAR_LAPSE = 4.5  # the same for lapses
@@ -134,6 +134,21 @@ def _none(model: WeberModel, name: str) -> float:
     z = np.linspace(-FAR_LAPSE, 3.0, 151)
     lost = model.value(name, z) * max(float(model.cells.n.sum()), 1.0)
     return float(stretch.coordinate(z[max(int(np.searchsorted(lost, NO_LAPSE)) - 1, 0)]))
+
+
+def coarseness(model: WeberModel, lattice: Lattice) -> float:
+    """How many times as far apart nodes are as they should be, on the worst axis."""
+    steps = _steps(model, lattice.axes[0])
+    return max(
+        float(np.diff(axis).max()) / step
+        for axis, step in zip(lattice.axes, steps, strict=True)
+        if axis.size > 1
+    )
+
+
+def emptiness(coarse: float) -> float:
+    """Nats under the best node at which one is empty: half a cell from a peak costs its share."""
+    return CUT + min(0.5 * (0.5 * STEP * coarse) ** 2, MOST_BETWEEN)
 
 
 def _limits(model: WeberModel) -> list[tuple[float, float]]:

@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.quadrature import score_prior
-from .nodes import CUT, DEEP, Indices, Lattice, Mask, lapse_weights, refined, widest
+from .nodes import (
+    CLOSE,
+    Indices,
+    Lattice,
+    Mask,
+    coarseness,
+    emptiness,
+    lapse_weights,
+    refined,
+    widest,
+)
 
 Array = NDArray[np.float64]
 
@@ -62,6 +72,7 @@ def _zoom(
 ) -> Iterator[tuple[Indices, Weights]]:
     """Some data sets on finer and finer lattices, in batches that are more and more alike."""
     animals = counts.shape[1]
+    coarse = coarseness(model, table.lattice)
     answers = table.answers(counts[rows].reshape(-1, counts.shape[-1]))
     best, joint = table.profile(answers)
     place = table.k_of[joint.argmax(axis=0)].reshape(rows.size, animals)
@@ -70,8 +81,8 @@ def _zoom(
     for own in (order[i : i + size] for i in range(0, order.size, size)):
         inside = (own[:, None] * animals + np.arange(animals)).ravel()
         part = [a[:, inside] for a in answers]
-        held = table.held(part, best[..., inside], joint[:, inside], CUT if depth == 1 else DEEP)
-        lattice, fine = refined(model, table.lattice, held, with_neighbours=depth == 1)
+        held = table.held(part, best[..., inside], joint[:, inside], emptiness(coarse))
+        lattice, fine = refined(model, table.lattice, held, with_neighbours=coarse > 1.5 * CLOSE)
         finer = Table(model, lattice)
         if fine:
             yield rows[own], finer.integrated(part)
