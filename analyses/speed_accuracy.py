@@ -155,9 +155,8 @@ def nuts(observer: ww.Observer, rows: Array, draws: int) -> Array:
                 )  # fmt: skip
         finally:
             np.random.set_state(state)  # noqa: NPY002
-        out.append(
-            observer.contact(np.moveaxis(trace[0], 0, -1).reshape(-1, start.size))[0][:, 0].std()
-        )
+        draws_of = np.reshape(trace[0], (draws, start.size))  # a chain: draws by unknowns
+        out.append(observer.contact(draws_of)[0][:, 0].std())
     return np.array(out)
 
 
