@@ -75,7 +75,7 @@ class Rehearsal:
                     "lower": lower,
                     "upper": upper,
                     "right": float(own["right"].mean()),
-                    "wrong": 1 - float(own["right"].mean()) - undecided,
+                    "wrong": float((1 - own["right"] - (own["conclusion"] == NEITHER)).mean()),
                     "undecided": undecided,
                     "covered": float(own["covered"].mean()),
                     "half_width": float(own["half_width"].median()),
