@@ -323,6 +323,16 @@ def test_goals_are_counted_as_they_are_said():
     assert Fitted(np.zeros(1), np.array([[0.8, 1.0, 1.2]])).half_width[0] == pytest.approx(0.2)
 
 
+def test_the_report_says_where_intervals_of_k_miss():
+    # Of many animals with few trials each, whose lapses only their own priors tell apart.
+    scheme = design((0.3, 0.9), 8).with_animals(32)
+    found = ww.power(scheme, (TAPERED, CYLINDRICAL), truths=[TAPERED.name], runs=32, seed=1)
+    assert found.table["coverage"][0] < 0.7
+    assert "hold the truth in" in found.report()
+    few = ww.power(scheme.with_animals(2), (TAPERED, CYLINDRICAL), truths=[TAPERED.name], runs=32)
+    assert "Caution" not in few.report()
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
