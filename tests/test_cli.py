@@ -259,9 +259,11 @@ def test_entry_point(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 def test_every_command_has_the_common_options() -> None:
     commands = typer.main.get_command(cli.app).commands  # type: ignore[attr-defined]
     assert "bend" in commands
-    for command in commands.values():
+    # What is charted is the same on every machine, and `next` speaks JSON anyway.
+    without = {"chart": {"--seed"}, "next": {"--json"}}
+    for name, command in commands.items():
         options = {name for parameter in command.params for name in parameter.opts}
-        assert {"--out", "--json", "--seed"} <= options, command.name
+        assert {"--out", "--json", "--seed"} - without.get(name, set()) <= options, name
 
 
 def test_a_value_error_of_weberwhisk_is_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,11 +11,12 @@ import typer
 import weberwhisk as ww
 
 from .. import _checks, surveys
-from ..runs import Run
+from ..runs import Run, to_json
 from .jnd import in_millimetres, jnd_table, lines_and_points
 from .options import (
     BaseRadiusOption,
     IdentityOption,
+    JsonOption,
     LengthOption,
     ModulusOption,
     OutOption,
@@ -150,6 +151,7 @@ def figure(
     short: Annotated[bool, typer.Option("--short", help="Few posteriors: seconds.")] = False,
     seed: SeedOption = surveys.SEED,
     out: OutOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Charts of what every cue tells of distance; each with its table.
 
@@ -169,11 +171,14 @@ def figure(
     whisker = surveys.WHISKER
     if any(value is not None for value in shape):
         whisker = the_whisker(*shape, None)
-    for used in ("out", "seed"):
+    for used in ("out", "seed", "as_json"):
         inputs.pop(used)
     with Run(out, "figure", inputs | {"whisker": describe(whisker)}, seed) as run:
         made = make(whisker, short, seed)
         for key, table in made.tables.items():
             run.table(key, table)
         run.figure(name, made.chart)
+    if as_json:
+        print(to_json({key: table.to_dict("records") for key, table in made.tables.items()}))
+        return
     wrote(run)

@@ -91,6 +91,7 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
         power = record["power"]
         plan = Plan(**decode(record["plan"]), power=None if power is None else _table(power))
         fingerprint = record["trials_sha256"]
+        now = plan.fingerprint  # lays out the lists, which may be impossible
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{source} is damaged: {type(error).__name__} {error} where its parts are put "
@@ -98,10 +99,10 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
         ) from None
     except ValueError as error:
         raise ValueError(f"{source} does not hold a plan that can be run: {error}") from None
-    if plan.fingerprint != fingerprint:
+    if now != fingerprint:
         raise ValueError(
             f"{source} gives other trial lists than when it was made (SHA-256 "
-            f"{plan.fingerprint[:8]}…, not {str(fingerprint)[:8]}…): it was changed since, or made "
+            f"{now[:8]}…, not {str(fingerprint)[:8]}…): it was changed since, or made "
             f"with other versions ({_made_with(record)}); {AGAIN}."
         )
     return plan

@@ -18,6 +18,8 @@ from ..mechanics import flick_past
 
 Array = NDArray[np.float64]
 
+#: Trials of one experiment at most: what is listed must fit the memory.
+MOST_TRIALS = 10_000_000
 #: Levels of a default design, in sds of the expected difference between the two percepts.
 LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)
 
@@ -84,6 +86,12 @@ class Scheme:
             _checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
             for count in n:
                 _whole("trials of a level", count)
+        total = sum(float(n) for row in counts for n in row) * float(animals)
+        if total > MOST_TRIALS:
+            raise ValueError(
+                f"an experiment may have up to {MOST_TRIALS} trials, got {total:.10g} with all "
+                "animals; write fewer trials or animals."
+            )
         order = np.argsort(at)
         set_ = object.__setattr__
         set_(self, "standards", tuple(float(s) for s in at[order]))
