@@ -86,18 +86,17 @@ class Scheme:
             _checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
             for count in n:
                 _whole("trials of a level", count)
-        total = sum(float(n) for row in counts for n in row) * float(animals)
-        if total > MOST_TRIALS:
-            raise ValueError(
-                f"an experiment may have up to {MOST_TRIALS} trials, got {total:.10g} with all "
-                "animals; write fewer trials or animals."
-            )
         order = np.argsort(at)
         set_ = object.__setattr__
         set_(self, "standards", tuple(float(s) for s in at[order]))
         set_(self, "offsets", tuple(tuple(float(o) for o in rows[i]) for i in order))
         set_(self, "trials", tuple(tuple(int(n) for n in counts[i]) for i in order))
         set_(self, "animals", int(animals))
+        if self.total_trials > MOST_TRIALS:
+            raise ValueError(
+                f"an experiment may have up to {MOST_TRIALS} trials, got {self.total_trials} with "
+                "all animals; write fewer trials or animals."
+            )
 
     @classmethod
     def spaced(
