@@ -67,12 +67,13 @@ def response_probability(
     refuse_outside(percept, np.concatenate([s1, s2], axis=None))
     cells = unit_percepts(percept, s1, s2, s1 if standard is None else standard, noise)
     up, down = _chance(task, cells, weber_fraction, bias, effects)
-    low, high = task.asymptotes(
-        _checks.non_negative("lapse_low", lapse_low, "write 0.02, say")[..., None],
-        _checks.non_negative("lapse_high", lapse_high, "write 0.02, say")[..., None],
-    )
-    if np.any(low + high > 1):
+    lapses = [
+        _checks.non_negative(name, value, "write 0.02, say")[..., None]
+        for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high))
+    ]
+    if np.any(sum(lapses) > 1):
         raise ValueError("lapses sum to more than 1; write 0.02 for each, say.")
+    low, high = task.asymptotes(*lapses)
     return low * down + (1 - high) * up
 
 

@@ -228,7 +228,10 @@ class DeflectionLimit:
             low, high = np.where(tip, low, middle), np.where(tip, middle, high)
         self.tip_from = float(high[0])
         r = self._tip_distance(nodes(TIP_NODES))
-        self.tip = Curve(fit((at(r)[0] ** 2 / (self.length - r))[:, None]))
+        room = self.length - r
+        # Of a whisker that all but ends in a point no distance is left between the fold's end and
+        # the tip: no room, no angle.
+        self.tip = Curve(fit(np.where(room > 0, at(r)[0] ** 2 / (room + (room == 0)), 0)[:, None]))
 
     def _tip_distance(self, x: Array) -> Array:
         return self.tip_from + (self.length - self.tip_from) * x
