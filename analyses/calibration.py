@@ -48,6 +48,7 @@ from weberwhisk.cues import (
     VibrissaLength,
 )
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.fusion import prior_draws
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -147,25 +148,6 @@ def band(n: int, mass: float = 0.95) -> tuple[Array, Array, Array]:
 
 
 # -- ranks of posteriors --------------------------------------------------------------------------
-
-
-def prior_draws(observer: Observer, n: int, rng: np.random.Generator) -> Array:
-    """Contacts (n, U) from the observer's prior: flat where it names none, over what is held."""
-    low, high = observer.reach
-    kept = np.empty((0, len(observer.unknowns)))
-    while len(kept) < n:
-        columns = []
-        for i, name in enumerate(observer.unknowns):
-            if name in observer.prior:
-                columns.append(observer.prior[name].rvs(4 * n, random_state=rng))
-            else:
-                # No whisker holds an angle above two radians.
-                columns.append(rng.uniform(*((low, high) if i == 0 else (0, 2)), 4 * n))
-        contact = np.stack(columns, axis=-1)
-        inside = (contact[:, 0] > low) & (contact[:, 0] < high)
-        inside &= np.all(contact[:, : observer.bounded] > 0, axis=1)
-        kept = np.concatenate([kept, contact[inside & (observer.signals(contact)[1] == 0)]])
-    return kept[:n]
 
 
 def rank(truth: Array, draws: Array, rng: np.random.Generator) -> Array:

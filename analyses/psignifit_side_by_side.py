@@ -12,28 +12,18 @@ equal asymptotes; its width, over 1.645 √2 twice, is its Weber fraction. Times
 from __future__ import annotations
 
 import sys
-import time
 import warnings
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import norm
 
-from weberwhisk.behaviour import Trials, fit_weber, simulate_trials
-
-K, LAPSE = 0.1, 0.02
-Answer = tuple[float, float, float]
+from weberwhisk.behaviour import Trials
+from weberwhisk.charts import fits
 
 
-def ours(trials: Trials) -> Answer:
-    """Median and 95 % interval."""
-    fit = fit_weber(trials)
-    return fit.weber_fraction, *fit.interval()
-
-
-def psignifit_answer(trials: Trials) -> Answer:
+def psignifit_answer(trials: Trials) -> fits.Answer:
     """psignifit's estimate and 95 % interval of the width, as a Weber fraction."""
     import psignifit
 
@@ -48,46 +38,26 @@ def psignifit_answer(trials: Trials) -> Answer:
     return tuple(per_width * float(v) for v in (found.parameter_estimate["width"], low, high))  # type: ignore[return-value]
 
 
-def measure(answer: Callable[[Trials], Answer], per_level: int, sets: int) -> list[float]:
-    """CPU milliseconds (median), median bias, RMSE and coverage in per cent."""
-    times, errors, inside = [], [], 0
-    for seed in range(sets):
-        trials = simulate_trials(
-            weber_fraction=K, lapse_low=LAPSE, lapse_high=LAPSE, trials_per_level=per_level,
-            seed=400_000 + 1000 * per_level + seed,
-        )  # fmt: skip
-        start = time.process_time()
-        middle, low, high = answer(trials)
-        times.append(time.process_time() - start)
-        errors.append(middle / K - 1)
-        inside += low < K < high
-    e = np.array(errors)
-    return [
-        1e3 * float(np.median(times)),
-        100 * float(np.median(e)),
-        100 * float(np.sqrt(np.mean(e**2))),
-        100 * inside / sets,
-    ]
-
-
 def main() -> None:
     sets = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     folder = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).parent
-    tools = {"weberwhisk": ours, f"psignifit {version('psignifit')}": psignifit_answer}
+    tools = {"weberwhisk": fits.ours(), f"psignifit {version('psignifit')}": psignifit_answer}
     lines = [
         "# The same data fitted by weberwhisk and by psignifit",
         "",
         f"Made by `analyses/psignifit_side_by_side.py {sets}`: {sets} data sets a row; Weber "
-        f"fraction {K:g}, lapses {LAPSE:g} at each end, nine signed levels to ±0.30.",
+        f"fraction {fits.K:g}, lapses {fits.LAPSE:g} at each end, nine signed levels to ±0.30.",
         "",
         "| trials | tool | CPU ms a fit | median bias, % | RMSE, % | 95 % interval covers, % |",
         "|---|---|---|---|---|---|",
     ]
-    for per_level in (13, 33, 111):
+    for per_level in fits.SIZES:
         for name, answer in tools.items():
-            ms, bias, rmse, covers = measure(answer, per_level, sets)
+            row = fits.measure_tool(name, answer, per_level, sets)
+            per_cent = {key: 100 * row[key] for key in ("bias", "error", "coverage")}
             lines.append(
-                f"| {9 * per_level} | {name} | {ms:.0f} | {bias:+.1f} | {rmse:.1f} | {covers:.1f} |"
+                f"| {9 * per_level} | {name} | {1e3 * row['seconds']:.0f} | "
+                f"{per_cent['bias']:+.1f} | {per_cent['error']:.1f} | {per_cent['coverage']:.1f} |"
             )
             print(lines[-1], flush=True)
     folder.mkdir(parents=True, exist_ok=True)

@@ -72,10 +72,7 @@ def simulate_population(
         lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
     _checks.whole("sessions", sessions, "write 10, say")
-    if _checks.number("session_spread", session_spread, "write for example 0.02") < 0:
-        raise ValueError(
-            f"session_spread must not be negative, got {session_spread:g}; write 0.02, say."
-        )
+    _spread("session_spread", session_spread)
     wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
     parts = []
     for i, row in enumerate(truth.to_dict("records")):
@@ -114,8 +111,8 @@ def draw_animals(
     1      s2             0.1
     """
     _checks.whole("subjects", subjects, "write 6, say")
-    _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
-    _checks.number("weber_fraction", weber_fraction, "write for example 0.1")
+    hint = "write for example 0.1"
+    _checks.positive("weber_fraction", _checks.number("weber_fraction", weber_fraction, hint), hint)
     _checks.number("bias", bias, "write for example 0")
     for name, value in (
         ("spread", spread),
@@ -123,8 +120,7 @@ def draw_animals(
         ("lapse_low", lapse_low),
         ("lapse_high", lapse_high),
     ):
-        if _checks.number(name, value, "write for example 0.02") < 0:
-            raise ValueError(f"{name} must not be negative, got {value:g}; write 0.02, say.")
+        _spread(name, value)
         if name.startswith("lapse") and value >= 0.5:
             raise ValueError(f"{name} must be below 0.5, got {value:g}; write for example 0.02.")
     rng = _checks.generator(seed)
@@ -159,6 +155,12 @@ def joined(parts: list[Trials]) -> Trials:
     frame = pd.concat([t.frame for t in parts], ignore_index=True)
     notes = tuple(dict.fromkeys(note for t in parts for note in t.notes))
     return replace(parts[0], frame=frame, notes=notes if len(parts) == 1 else ())
+
+
+def _spread(name: str, value: float) -> None:
+    """Refuses what is not one number of zero or more."""
+    one = _checks.number(name, value, "write for example 0.02")
+    _checks.non_negative(name, one, "write 0.02, say")
 
 
 def _lapses(mean: float, u: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .. import _checks
 from .cluster import Cluster, ClusterLost
 from .crews import MOST_DEATHS, Crew, Processes, Serial, WorkersDieAtBirth
 from .job import Chunk, Job, Report, Work, check_chunks, check_work
@@ -93,8 +94,7 @@ def run(
     """
     name = check_work(work)
     plain = check_chunks(chunks)
-    if workers != int(workers) or workers < 1:
-        raise ValueError(f"workers must be a whole number of 1 or more, got {workers!r}; write 2.")
+    _checks.whole("workers", workers, "write 2")
     if scheduler is not None and workers != 1:
         raise ValueError(
             f"a cluster has its own workers, got workers={workers} with a scheduler; leave one out."

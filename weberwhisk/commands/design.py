@@ -11,7 +11,7 @@ import typer
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, numbers
+from .._terminal import numbers
 from ..design import Animals, Constraints, Goal, Plan
 from ..design.experiment import WIDE
 from ..design.exports import in_millimetres
@@ -29,16 +29,12 @@ from .options import (
     SeedOption,
     TipRadiusOption,
     describe,
+    number_option,
     the_cue,
     the_whisker,
     whisker_line,
     wrote,
 )
-
-
-def a_length(name: str, text: str) -> Any:
-    """An option that takes millimetres, with its help."""
-    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
 
 
 def design(
@@ -51,27 +47,18 @@ def design(
     deflection_angle_deg: AngleOption = None,
     bayes_factor: Annotated[
         float | None,
-        typer.Option(
+        number_option(
             "--bayes-factor",
-            parser=a_number,
-            metavar="NUMBER",
-            help="Goal: tapered whisker or cylinder, told apart by so much.  [default: 10]",
+            "Goal: tapered whisker or cylinder, told apart by so much.  [default: 10]",
         ),
     ] = None,
     half_width: Annotated[
         float | None,
-        typer.Option(
-            "--half-width",
-            parser=a_number,
-            metavar="NUMBER",
-            help="Goal instead: the 95 % interval of k, 0.2 for ±20 %.",
-        ),
+        number_option("--half-width", "Goal instead: the 95 % interval of k, 0.2 for ±20 %."),
     ] = None,
     share: Annotated[
         float,
-        typer.Option(
-            "--share", parser=a_number, metavar="NUMBER", help="Of experiments that reach the goal."
-        ),
+        number_option("--share", "Of experiments that reach the goal."),
     ] = 0.8,
     standard_mm: Annotated[
         list[str] | None,
@@ -111,19 +98,19 @@ def design(
         ),
     ] = None,
     weber_fraction: Annotated[
-        float, a_length("--weber-fraction", "Of the expected animals, the median.")
+        float, number_option("--weber-fraction", "Of the expected animals, the median.")
     ] = 0.1,
-    spread: Annotated[float, a_length("--spread", "Sd of ln k between animals.")] = 0.3,
-    lapse: Annotated[float, a_length("--lapse", "Expected share lost on either side.")] = 0.03,
+    spread: Annotated[float, number_option("--spread", "Sd of ln k between animals.")] = 0.3,
+    lapse: Annotated[float, number_option("--lapse", "Expected share lost on either side.")] = 0.03,
     nearest_mm: Annotated[
-        float, a_length("--nearest-mm", "Nearest distance that the animal can reach.")
+        float, number_option("--nearest-mm", "Nearest distance that the animal can reach.")
     ] = 0.0,
     farthest_mm: Annotated[
-        float | None, a_length("--farthest-mm", "Farthest distance that the animal can reach.")
+        float | None, number_option("--farthest-mm", "Farthest distance that the animal can reach.")
     ] = None,
-    step_mm: Annotated[float, a_length("--step-mm", "Step of the pole, 0 for none.")] = 0.01,
+    step_mm: Annotated[float, number_option("--step-mm", "Step of the pole, 0 for none.")] = 0.01,
     easy_share: Annotated[
-        float, a_length("--easy-share", "Least share of easy trials, which keep it working.")
+        float, number_option("--easy-share", "Least share of easy trials, which keep it working.")
     ] = 0.0,
     trials_per_session: Annotated[int, typer.Option("--trials-per-session", help="At most.")] = 300,
     apart: Annotated[

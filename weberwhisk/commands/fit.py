@@ -11,7 +11,7 @@ import typer
 
 import weberwhisk as ww
 
-from .._terminal import a_number, numbers
+from .._terminal import numbers
 from ..behaviour import CuePercept, FitStatus
 from ..behaviour.effects import EFFECTS, effect_named
 from ..runs import Run, atomic_write, to_json
@@ -28,6 +28,7 @@ from .options import (
     OutOption,
     SeedOption,
     TipRadiusOption,
+    number_option,
     whisker_line,
     wrote,
 )
@@ -71,12 +72,7 @@ def fit(
     ] = "linear",
     log_unit: Annotated[
         float | None,
-        typer.Option(
-            "--log-unit",
-            parser=a_number,
-            metavar="NUMBER",
-            help="Natural-log units per unit of a log column, where known.",
-        ),
+        number_option("--log-unit", "Natural-log units per unit of a log column, where known."),
     ] = None,
     subject: Annotated[
         str | None, typer.Option("--subject", help="The one to fit, where there are several.")

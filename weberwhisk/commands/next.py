@@ -12,7 +12,7 @@ import typer
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, numbers
+from .._terminal import numbers
 from ..behaviour import CuePercept, IdentityPercept
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import Session, converse
@@ -28,15 +28,12 @@ from .options import (
     ModulusOption,
     OutOption,
     SeedOption,
+    StandardMmOption,
     TipRadiusOption,
+    number_option,
 )
 
 METHODS = ("weber-fraction", "taper", *RULES)
-
-
-def a_place(name: str, text: str) -> Any:
-    """An option that takes one number, with its help."""
-    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
 
 
 def next_trials(
@@ -51,12 +48,7 @@ def next_trials(
         list[str] | None,
         typer.Option("--standard", metavar="LIST", help="Magnitudes compared with."),
     ] = None,
-    standard_mm: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--standard-mm", metavar="LIST", help="Radial distances, where there is a whisker."
-        ),
-    ] = None,
+    standard_mm: StandardMmOption = None,
     goal: Annotated[
         str,
         typer.Option(
@@ -65,20 +57,17 @@ def next_trials(
             "rule: 1-up/2-down, 1-up/3-down, 1-up/1-down.",
         ),
     ] = "weber-fraction",
-    nearest: Annotated[float, a_place("--nearest", "Least stimulus; mm with a whisker.")] = 0.0,
+    nearest: Annotated[
+        float, number_option("--nearest", "Least stimulus; mm with a whisker.")
+    ] = 0.0,
     farthest: Annotated[
-        float, a_place("--farthest", "Greatest stimulus; mm with a whisker.")
+        float, number_option("--farthest", "Greatest stimulus; mm with a whisker.")
     ] = float("inf"),
-    step: Annotated[float, a_place("--step", "Stimuli come in steps of this size.")] = 0.0,
-    easy_share: Annotated[float, a_place("--easy-share", "Share of easy trials.")] = 0.1,
+    step: Annotated[float, number_option("--step", "Stimuli come in steps of this size.")] = 0.0,
+    easy_share: Annotated[float, number_option("--easy-share", "Share of easy trials.")] = 0.1,
     width_percent: Annotated[
         float | None,
-        typer.Option(
-            "--width-percent",
-            parser=a_number,
-            metavar="NUMBER",
-            help="Stop when the 95 % interval of k is within ± this.",
-        ),
+        number_option("--width-percent", "Stop when the 95 % interval of k is within ± this."),
     ] = None,
     most: Annotated[int | None, typer.Option("--most", help="Stop after so many trials.")] = None,
     bias: Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -20,6 +20,12 @@ from ..runs import Run, to_json
 if TYPE_CHECKING:
     import pandas as pd
 
+
+def number_option(name: str, text: str) -> Any:
+    """An option that takes one number, with its help."""
+    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
+
+
 # Options that several commands share.
 OutOption = Annotated[
     Path | None,
@@ -33,30 +39,24 @@ IdentityOption = Annotated[
 ]
 LengthOption = Annotated[
     float | None,
-    typer.Option(
-        "--length-mm", parser=a_number, metavar="NUMBER", help="Arc length from base to tip."
-    ),
+    number_option("--length-mm", "Arc length from base to tip."),
 ]
 BaseRadiusOption = Annotated[
     float | None,
-    typer.Option("--base-radius-um", parser=a_number, metavar="NUMBER", help="Radius at the base."),
+    number_option("--base-radius-um", "Radius at the base."),
 ]
 TipRadiusOption = Annotated[
     float | None,
-    typer.Option(
-        "--tip-radius-um",
-        parser=a_number,
-        metavar="NUMBER",
-        help="Radius at the tip, 0 for a perfect cone.",
-    ),
+    number_option("--tip-radius-um", "Radius at the tip, 0 for a perfect cone."),
 ]
 ModulusOption = Annotated[
     float | None,
+    number_option("--youngs-modulus-gpa", "Young's modulus.  [default: 3.34]"),
+]
+StandardMmOption = Annotated[
+    list[str] | None,
     typer.Option(
-        "--youngs-modulus-gpa",
-        parser=a_number,
-        metavar="NUMBER",
-        help="Young's modulus.  [default: 3.34]",
+        "--standard-mm", metavar="LIST", help="Radial distances, where there is a whisker."
     ),
 ]
 DistanceOption = Annotated[

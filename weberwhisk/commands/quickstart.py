@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, progress
+from .._terminal import progress
 from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
 from ..runs import Run, atomic_write, to_json
 from .jnd import in_millimetres, jnd_table, lines_and_points
-from .options import JsonOption, SeedOption, describe, whisker_line, wrote
+from .options import JsonOption, SeedOption, describe, number_option, whisker_line, wrote
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +44,7 @@ def quickstart(
     ] = "C2",
     weber_fraction: Annotated[
         float,
-        typer.Option(
-            "--weber-fraction", parser=a_number, metavar="NUMBER", help="Of the receptors."
-        ),
+        number_option("--weber-fraction", "Of the receptors."),
     ] = 0.1,
     draws: Annotated[
         int, typer.Option("--draws", help="Noisy readings at each place of the JND curve.")

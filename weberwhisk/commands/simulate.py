@@ -9,7 +9,7 @@ import typer
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, numbers
+from .._terminal import numbers
 from ..behaviour.datapackage import data_package, describe_table
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..runs import Run, atomic_write, to_json
@@ -24,16 +24,13 @@ from .options import (
     ModulusOption,
     OutOption,
     SeedOption,
+    StandardMmOption,
     TipRadiusOption,
     describe,
+    number_option,
     whisker_line,
     wrote,
 )
-
-
-def a_share(name: str, text: str) -> Any:
-    """An option that takes one number, with its help."""
-    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
 
 
 def simulate(
@@ -48,12 +45,7 @@ def simulate(
         list[str] | None,
         typer.Option("--standard", metavar="LIST", help="Magnitudes compared with.  [default: 1]"),
     ] = None,
-    standard_mm: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--standard-mm", metavar="LIST", help="Radial distances, where there is a whisker."
-        ),
-    ] = None,
+    standard_mm: StandardMmOption = None,
     offset: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,17 +54,22 @@ def simulate(
             help="Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]",
         ),
     ] = None,
-    weber_fraction: Annotated[float, a_share("--weber-fraction", "The truth to find.")] = 0.1,
-    lapse_low: Annotated[float, a_share("--lapse-low", "Share lost at the low end.")] = 0.0,
-    lapse_high: Annotated[float, a_share("--lapse-high", "Share lost at the high end.")] = 0.0,
-    bias: Annotated[float, a_share("--bias", "Towards the second, in sds.")] = 0.0,
+    weber_fraction: Annotated[float, number_option("--weber-fraction", "The truth to find.")] = 0.1,
+    lapse_low: Annotated[float, number_option("--lapse-low", "Share lost at the low end.")] = 0.0,
+    lapse_high: Annotated[
+        float, number_option("--lapse-high", "Share lost at the high end.")
+    ] = 0.0,
+    bias: Annotated[float, number_option("--bias", "Towards the second, in sds.")] = 0.0,
     drift: Annotated[
-        float, a_share("--drift", "Change of ln k from the first session to the last.")
+        float, number_option("--drift", "Change of ln k from the first session to the last.")
     ] = 0.0,
     bias_drift: Annotated[
-        float, a_share("--bias-drift", "Change of the bias from the first session to the last.")
+        float,
+        number_option("--bias-drift", "Change of the bias from the first session to the last."),
     ] = 0.0,
-    missing: Annotated[float, a_share("--missing", "Share of trials without an answer.")] = 0.0,
+    missing: Annotated[
+        float, number_option("--missing", "Share of trials without an answer.")
+    ] = 0.0,
     trials_per_level: Annotated[
         int, typer.Option("--trials-per-level", help="Trials of each comparison.")
     ] = 40,
@@ -81,7 +78,7 @@ def simulate(
         int, typer.Option("--subjects", help="Animals; with several, each draws its own truth.")
     ] = 1,
     spread: Annotated[
-        float, a_share("--spread", "Standard deviation of ln k between several animals.")
+        float, number_option("--spread", "Standard deviation of ln k between several animals.")
     ] = 0.3,
     task: Annotated[
         str, typer.Option("--task", help="2AFC, 2IFC, or '2AFC percent correct' and the like.")

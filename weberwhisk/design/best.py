@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from .. import _checks
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from .goals import Animals, Goal
@@ -96,10 +97,7 @@ def best_scheme(
     given, aim = asked(hypotheses, goal)
     limits, likely = constraints or Constraints(), expected or Animals()
     for name, number in (("standards", standards), ("pairs", pairs), ("trials", trials)):
-        if number != int(number) or number < 1:
-            raise ValueError(
-                f"{name} must be a whole number of 1 or more, got {number!r}; write 3."
-            )
+        _checks.whole(name, number, "write 3")
     each = trials // (2 * pairs * standards)
     if each < 1:
         raise ValueError(

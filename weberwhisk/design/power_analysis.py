@@ -170,8 +170,7 @@ def power(
     named = [h.name for h in given] if truths is None else list(truths)
     for name in named:
         _checks.one_of("truth", name, [h.name for h in given])
-    if runs != int(runs) or runs < 1:
-        raise ValueError(f"runs must be a whole number of 1 or more, got {runs!r}; write 1000.")
+    _checks.whole("runs", runs, "write 1000")
     most = max(map(max, scheme.trials))
     sizes = product(named, trials or [most], animals or [scheme.animals], lapses or [likely.lapse])
     chunks = [
@@ -271,8 +270,7 @@ def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
     if vary == "animals":
         return scheme.with_animals(size)
     most = max(map(max, scheme.trials))
-    if size != int(size) or size < 1:
-        raise ValueError(f"trials must be a whole number of 1 or more, got {size!r}; write 20.")
+    _checks.whole("trials", size, "write 20")
     counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
     return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
 

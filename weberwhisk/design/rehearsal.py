@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .. import campaign
+from .. import _checks, campaign
 from ..behaviour.answering import answer_trials
 from ..behaviour.status import FitStatus
 from .plan import Plan
@@ -173,8 +173,7 @@ def rehearse(
     >>> rehearse(plan, 2, seed=1).table["truth"].tolist()
     ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
-    if runs != int(runs) or runs < 1:
-        raise ValueError(f"runs must be a whole number of 1 or more, got {runs!r}; write 100.")
+    _checks.whole("runs", runs, "write 100")
     text = json.dumps(json.loads(plan_json(plan)))
     chunks = [
         {"plan": text, "truth": hypothesis.name, "run": run}

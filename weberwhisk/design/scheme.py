@@ -69,7 +69,7 @@ class Scheme:
             raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
         if np.unique(at).size < at.size:
             raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
-        _whole("animals", animals)
+        _checks.whole("animals", animals, "write 20")
         rows = _rows("offsets", offsets, at.size)
         counts = [[trials] * len(row) for row in rows] if np.isscalar(trials) else None
         counts = counts or _rows("trials", trials, at.size)  # type: ignore[arg-type]
@@ -85,7 +85,7 @@ class Scheme:
                 raise ValueError(f"standard {at[i]:g} has an offset twice, in {row}; give it once.")
             _checks.finite("offsets", row, "write for example [-2e-3, 2e-3]")
             for count in n:
-                _whole("trials of a level", count)
+                _checks.whole("trials of a level", count, "write 20")
         order = np.argsort(at)
         set_ = object.__setattr__
         set_(self, "standards", tuple(float(s) for s in at[order]))
@@ -404,12 +404,3 @@ def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
             "each."
         )
     return [list(row) for row in given]
-
-
-def _whole(name: str, value: Any) -> None:
-    try:
-        good = int(value) == value and value >= 1
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise ValueError(f"{name} must be a whole number of 1 or more, got {value!r}; write 20.")

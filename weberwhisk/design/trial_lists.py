@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from .. import _checks
 from ..behaviour.trials import Cells
 from .scheme import Scheme
 
@@ -69,14 +70,8 @@ def trial_lists(
     >>> table.groupby(["subject", "session"])["greater"].value_counts().unique().tolist()
     [10]
     """
-    for name, value, low, hint in (
-        ("trials_per_session", trials_per_session, 1, 300),
-        ("longest_run", longest_run, 2, 5),
-    ):
-        if value != int(value) or value < low:
-            raise ValueError(
-                f"{name} must be a whole number of {low} or more, got {value!r}; write {hint}, say."
-            )
+    _checks.whole("trials_per_session", trials_per_session, "write 300, say")
+    _checks.whole("longest_run", longest_run, "write 5, say", least=2)
     levels = scheme.cells()
     alike = levels.standard == levels.stimulus_2
     if alike.any():

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .densities import Density, Functions
 from .frames import Frames, Status
 from .nodes import Array, Nodes
-from .passes import Density, Functions, evaluate
+from .passes import evaluate
 from .threads import on_threads
 
 PASSES = 50

@@ -10,7 +10,6 @@ know no stiffness, are worked out once for all of them.
 from __future__ import annotations
 
 from dataclasses import replace
-from threading import local
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
+from .densities import taken_apart
 from .grid import GridPosterior, integrate
 from .mode import Mode
 from .solution import Array, mode_root
@@ -118,17 +118,12 @@ def integrate_but_last(
     """Moments of all unknowns (B, U) for readings (B, R) with these modes: as `integrate` gives."""
     conditional = Conditional(observer, reading, mode, tolerance)
     rest = Mode(mode.x[:, :-1], mode.log_density, mode.covariance[:, :-1, :-1])
-    last = local()  # the columns at the points last asked for: worked out once for both
-
-    def density(x: Array, index: Index) -> Array:
-        value, last.columns = conditional(x, index)
-        return value
-
+    density, functions = taken_apart(conditional)
     found = integrate(
         density,
         rest.x,
         mode_root(rest),
-        functions=lambda x: last.columns,
+        functions=functions,
         tolerance=tolerance,
         max_points=max_points,
         keep_points=keep_points,

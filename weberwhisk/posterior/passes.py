@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -10,14 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .densities import checked_density
+from .densities import Density, Functions, checked_density
 from .nodes import Array, Nodes
 
 if TYPE_CHECKING:
     from .frames import Frames
-
-Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
-Functions = Callable[[Array], ArrayLike]
 
 SLOWEST_FALL = 1 - 1e-6  # from layer to layer of nodes, when the mass beyond the last is guessed
 LOST = 0.3  # change of ln Z, from all nodes to every second, at which mass falls between nodes

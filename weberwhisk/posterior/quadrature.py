@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from threading import local
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
+from .densities import taken_apart
 from .grid import GridPosterior, integrate
 from .mode import Mode, find_mode, find_other, starting_points
 from .nodes import Nodes
@@ -62,17 +62,14 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         return {"tolerance": tolerance or TOLERANCE[1], "max_points": most}
 
     def integral(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
-        last = local()  # the contact of the points last asked for: worked out once for both
-
-        def density(x: Array, index: NDArray[np.intp]) -> Array:
-            value, last.contact = observer.log_density_and_contact(x, reading[rows[index], None])
-            return value
-
+        density, functions = taken_apart(
+            lambda x, index: observer.log_density_and_contact(x, reading[rows[index], None])
+        )
         return integrate(
             density,
             at.x,
             mode_root(at),
-            functions=lambda x: last.contact,
+            functions=functions,
             only_functions=True,
             keep_points=keep_points,
             **limits(rows),

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
+from .densities import Density
 from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
 from .grid import integrate
 from .mode import Mode
 from .moves import StackedGrid
-from .passes import Density
 from .peaks import find_highest, is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
