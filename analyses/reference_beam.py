@@ -15,6 +15,8 @@ from scipy.integrate import solve_ivp
 Array = np.ndarray
 #: Most whiskers in one system: their steps are common.
 TOGETHER = 64
+#: Most evaluations of one system: one that winds up for ever is given up.
+PATIENCE = 100_000
 #: Small-angle contact angle, rad, past which no trial is followed: folds lie below 5.
 MOST = 12.0
 
@@ -54,8 +56,11 @@ class Beams:
         push = np.abs(force)
         force_x, force_y = -push * np.sin(self.friction), side * push * np.cos(self.friction)
         stiff = self.modulus * np.pi / 4
+        left = iter(range(PATIENCE))
 
         def rates(t: float, state: Array) -> Array:
+            if next(left, None) is None:
+                return np.full(3 * n, np.nan)  # which ends the integration
             angle, x, y = state.reshape(3, n)
             radius = at_contact * np.exp(growth * t)
             # ds/dt < 0: radius = base − slope·s, and where nothing tapers s = arc·(1 − t).
@@ -66,8 +71,8 @@ class Beams:
 
         tiny = np.concatenate([np.full(n, 1e-18), 1e-18 * self.length, 1e-18 * self.length])
         state = np.zeros(3 * n)
-        end = solve_ivp(rates, (0.0, 1.0), state, method="DOP853", rtol=rtol, atol=tiny).y[:, -1]
-        angle, x, y = end.reshape(3, n)
+        run = solve_ivp(rates, (0.0, 1.0), state, method="DOP853", rtol=rtol, atol=tiny)
+        angle, x, y = run.y[:, -1].reshape(3, n) if run.success else np.full((3, n), np.nan)
         # Turn the contact's frame into the base's.
         c, s = np.cos(angle), -np.sin(angle)
         along, across = -(c * x - s * y), -(s * x + c * y)

@@ -112,7 +112,7 @@ def judge(case: Case, rung: str) -> Judged:
     nothing = held & ~exists & ~doubt & ~at_tip
     fate[nothing] = np.where(hopeless[nothing], Fate.WARNED, Fate.SILENT)
     fate[held & ~exists & (doubt | at_tip)] = Fate.WARNED
-    fate[held & ~exists & lost_way] = Fate.UNJUDGED
+    fate[held & ~exists & (lost_way | ~np.isfinite(exact["moment"]))] = Fate.UNJUDGED
     refused = ~held & exists & ~at_tip & ~near
     if rung == "rod":
         # In space a whisker may leave the plane where in it all is well: it is past the contact.

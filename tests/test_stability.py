@@ -153,6 +153,29 @@ def test_a_cliff_in_the_posterior_of_a_fit_is_resolved() -> None:
     np.testing.assert_allclose(found, [0.0078879, 0.0409360, 0.0814715], rtol=6e-3)
 
 
+@pytest.mark.parametrize(
+    ("span", "levels", "n", "answers"),
+    [
+        (0.11309, 9, 1, [1] * 9),
+        (0.03253, 7, 4, [1, 3, 2, 1, 3, 2, 0]),
+    ],
+)
+def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
+    span: float, levels: int, n: int, answers: list[int]
+) -> None:
+    """Eighteen nodes gave the evidence to 1e-8, and the interval's lower end 2.2 % too high.
+
+    Held to half a million draws from the prior, weighed.
+    """
+    places = 1 + span * np.linspace(-1, 1, levels)
+    frame = pd.DataFrame({"standard": 1.0, "comparison": places, "n": n, "n_greater": answers})
+    fit = fit_weber(read_trials(frame))
+    exact, counted = load("stability_choices").weighed_fit(places, n, np.array(answers))
+    assert counted > 50_000
+    found = fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
+    np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)
+
+
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:
     """The rod took 226°, past the fold, for −134°, where it found a contact on the other side."""
     whisker = Whisker(50e-3, 100e-6, 100e-6, 3e9, 16.19846)
