@@ -363,7 +363,9 @@ def _times(ax: Any, ladder: pd.DataFrame) -> None:
             )
     gain = np.geomspace(1.01, 100, 400)
     ax.plot(gain, 1 - 1 / gain, color="black", linewidth=0.8)
-    ax.annotate("below: pays at the first use", (2.0, 0.012))
+    ax.annotate(
+        "below the line: pays at the first use", (0.98, 0.5), xycoords="axes fraction", ha="right"
+    )
     ax.axvline(1, color="0.6", linewidth=0.8)
     ax.set(xscale="log", yscale="log", ylabel="Choosing, in times of the complete rung")
     ax.set(xlabel="Times quicker than the complete rung, once chosen")

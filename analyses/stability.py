@@ -116,8 +116,8 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
             markersize=5 if fate == Fate.SILENT else 1.8,
             label=fate.words,
         )
-    shown = "distance (over the reach)"
-    ax.set(title=title, xlabel=shown, ylabel="push (over the last angle)")
+    ax.set(xlabel="distance / reach", ylabel="push / last angle")
+    ax.set_title(title, fontsize=6.5)
     if "unknown" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("fit"):
