@@ -112,7 +112,8 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         beside = moments(rows, other)
         off = (np.abs(beside.mean - mean[rows]) / sd[rows]).max(axis=1)
         status[rows[~(off < APART)]] = Status.SEVERAL_PEAKS
-    status = np.where(unidentified, Status.UNIDENTIFIED, status)
+    # Of numbers that may be anything, that comes first.
+    status = np.where(unidentified & (status != Status.IMPRECISE), Status.UNIDENTIFIED, status)
     status = np.where(improbable, Status.IMPROBABLE_READING, status)
 
     def nodes(row: int, *, of_all: bool) -> Nodes:
