@@ -126,10 +126,12 @@ def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np
         size = np.maximum(np.abs(ds) / r, np.abs(df) / f)
     good = (size < LARGEST_STEP) & (path.flips == 0) & (s + ds <= 1) & (path.error < RESOLVED)
     ds, df = np.where(good, ds, 0.0), np.where(good, df, 0.0)
-    before = np.stack([path.angle, path.lever, path.along])
-    after = before + path.d_arc[:3] * ds + path.d_force[:3] * df
-    start = numbers_of(*before, s, f, scene.friction, sign)
-    numbers = numbers_of(*after, s + ds, f + df, scene.friction, sign)
+    start = numbers_of(path.angle, path.lever, path.along, s, f, scene.friction, sign)
+    beta, lever, along = (
+        value + path.d_arc[k] * ds + path.d_force[k] * df
+        for k, value in enumerate((path.angle, path.lever, path.along))
+    )
+    numbers = numbers_of(beta, lever, along, s + ds, f + df, scene.friction, sign)
     with np.errstate(all="ignore"):
         moved = np.maximum(np.abs(numbers[0] / start[0] - 1), size)
     good &= moved < LARGEST_STEP
