@@ -33,7 +33,7 @@ from weberwhisk.runs import Run
 
 HERE = Path(__file__).parent
 SEED = 20110166
-#: Observers of two unknowns: a case costs a tenth of a second, by emcee near one.
+#: Observers of two unknowns or three: a case costs a tenth of a second, by emcee near one.
 TWO = (
     "force map",
     "cylinder's ridge",
@@ -44,6 +44,8 @@ TWO = (
     "angle-side-angle",
     "balance of moments",
     "lateral slip",
+    "tap and map fused",
+    "map, stiffness unknown",
 )
 SAMPLED = (
     "compliance",
@@ -76,7 +78,7 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
         for name in SAMPLED if method == "emcee" else stability_posteriors.OBSERVERS:
             two = name in TWO
             effort = (2 if two else 6) if method != "emcee" else (1 if two else 2)
-            panel = f"{method}, {'two unknowns' if two else 'one unknown'}"
+            panel = f"{method}, {'several unknowns' if two else 'one unknown'}"
             d = stability_posteriors.domain(name, method)
             found.append((d, panel, "distance", "k", effort))
     return found
@@ -116,8 +118,8 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
             markersize=5 if fate == Fate.SILENT else 1.8,
             label=fate.words,
         )
-    shown = "distance (over the reach)"
-    ax.set(title=title, xlabel=shown, ylabel="push (over the last angle)")
+    ax.set(xlabel="distance / reach", ylabel="push / last angle")
+    ax.set_title(title, fontsize=6.5)
     if "unknown" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("fit"):

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import stability_three
 from hunting import Axis, Domain, Fate, Judged
 from scipy.special import expit, logit
 
@@ -78,6 +79,19 @@ OBSERVERS: dict[str, Make] = {
         receptors.Joint(
             [receptors.Weber(k), receptors.GeneralisedWeber(0.0, floor=k)], sizes=[1, 1]
         ),
+    ),
+    "two taps fused": lambda k: Observer(
+        W,
+        cues.Fused(cues.Compliance(), cues.Compliance(tap_angle=0.3)),
+        receptors.Joint([receptors.Weber(k), receptors.Weber(2 * k)], sizes=[1, 1]),
+    ),
+    "tap and map fused": lambda k: Observer(
+        W,
+        cues.Fused(cues.Compliance(), cues.ForceMap()),
+        receptors.Joint([receptors.Weber(2 * k), receptors.Weber(k)], sizes=[1, 2]),
+    ),
+    "map, stiffness unknown": lambda k: Observer(
+        W, cues.UnknownStiffness(cues.ForceMap()), receptors.Weber(max(k, 0.03))
     ),
 }
 
@@ -286,7 +300,8 @@ def judge(case: Case, name: str, method: str) -> Judged:
             if status != Status.CONVERGED:
                 fate[row] = Fate.WARNED
                 continue
-            mean, sd, known = brute(o, reading[j], near[j])
+            sums = stability_three.brute if len(o.unknowns) > 2 else brute
+            mean, sd, known = sums(o, reading[j], near[j])
             seen["exact_mean"][row], seen["exact_sd"][row] = mean, sd
             if known > UNKNOWN[len(o.unknowns) > 1]:
                 fate[row] = Fate.UNJUDGED

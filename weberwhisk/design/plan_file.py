@@ -72,7 +72,7 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     """A plan from the text of its JSON; see `read_plan`."""
     try:
         record = json.loads(content)
-    except ValueError as error:  # also bytes that are no text
+    except (ValueError, RecursionError) as error:  # also bytes that are no text
         raise ValueError(
             f"{source} is no whole plan: its JSON cannot be read ({error}); {AGAIN}."
         ) from None
@@ -109,7 +109,10 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
 
 
 def _table(columns: Any) -> pd.DataFrame:
-    return pd.DataFrame(decode(columns))
+    table = decode(columns)
+    if not isinstance(table, dict) or len({len(column) for column in table.values()}) > 1:
+        raise TypeError("power is not a table of columns")
+    return pd.DataFrame(table)
 
 
 def _made_with(record: dict[str, Any]) -> str:

@@ -197,8 +197,8 @@ def _answer(line: str, trial: Proposal, names: tuple[str, str]) -> tuple[float, 
     hint = 'write 1, 0, null, or {"choice": 1, "comparison...": ...}'
     try:
         given = json.loads(line)
-    except ValueError:
-        raise ValueError(f"an answer must be JSON, got {line.strip()!r}; {hint}.") from None
+    except (ValueError, RecursionError):  # brackets a thousand deep
+        raise ValueError(f"an answer must be JSON, got {line.strip()[:80]!r}; {hint}.") from None
     if not isinstance(given, dict):
         return trial.standard, trial.comparison, given
     allowed = {"choice", "trial", *names}

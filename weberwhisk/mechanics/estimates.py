@@ -6,7 +6,7 @@ the step, for a pass or two in the place of a solution. Rung 1 checks rung 0 (bo
 one pass of rung 2 at rung 1's contact checks both for curvature, stiffness profile and friction;
 two steps of rung 3 at rung 2's contact check all of them for what is out of the plane. Where a step
 is large, or leaves the stable branch or the whisker, it vouches for nothing, and the scene is left
-to the rung above.
+to the rung above; the square of a smaller one is added to the errors, as what it may have missed.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from .trajectory import follow_blocks
 
 #: Largest relative Newton step that is believed.
 LARGEST_STEP = 0.2
+#: What a step may be wrong by, in times its square.
+DOUBT = 2.0
 #: Below this push, rad, signals are proportional to it, so that their relative errors stay.
 LEAST_PUSH = 1e-6
 #: Runge–Kutta steps a piece, and the largest error bound of such a pass that is believed; the
@@ -68,12 +70,12 @@ def estimate(scene: Scene) -> Estimates:
         0,
         -1,
     )
-    held = outcome == Outcome.HELD
+    held, moved = outcome == Outcome.HELD, np.zeros(push.size)
     flat = np.flatnonzero((top == Rung.PROFILE) & held)
     if flat.size:
         part, contact = scene.take(flat), numbers[6:, flat]
         contact[0] *= part.start / part.distance
-        true[:, flat], slopes[..., flat], held[flat] = _planar_step(part, contact)
+        true[:, flat], slopes[..., flat], held[flat], moved[flat] = _planar_step(part, contact)
     vouched = np.stack([held, held, np.ones_like(held)])
 
     high = np.flatnonzero(top == Rung.ROD)
@@ -84,7 +86,7 @@ def estimate(scene: Scene) -> Estimates:
         vouched[2, high] = outcome == Outcome.HELD
         high, part, contact = _where(outcome == Outcome.HELD, high, part, numbers[6:])
     if high.size:
-        _, slopes[..., high], _ = _planar_step(part, contact)
+        _, slopes[..., high], *_ = _planar_step(part, contact)
         true[:, high], good = _spatial_step(part, contact)
         vouched[2, high] = good
     vouched[:2] &= vouched[2]
@@ -92,6 +94,8 @@ def estimate(scene: Scene) -> Estimates:
     misses = np.zeros((4, 3, push.size))
     for rung, signals in enumerate((small, straight, planar)):
         miss = np.where(vouched[rung], signals - true, np.inf)
+        if rung < Rung.PROFILE:  # what one step leaves is of the order of its square
+            miss = miss + np.copysign(DOUBT * moved**2 * true, miss)
         misses[rung] = np.where(rung < top, miss, 0.0)
     return Estimates(top, true, slopes, misses)
 
@@ -102,8 +106,11 @@ def _where(
     return index[mask], scene.take(np.flatnonzero(mask)), numbers[:, mask]
 
 
-def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Rung 2's signals and slopes one Newton step from a contact (arc, force), and its vouching."""
+def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Rung 2's signals and slopes one Newton step from a contact (arc, force), and its vouching.
+
+    And by how much of itself the step moved the moment.
+    """
     rows, angle = scene.planar()
     sign = np.where(scene.push < 0, -1.0, 1.0)
     r, angle = scene.distance, angle * sign
@@ -119,12 +126,16 @@ def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np
         size = np.maximum(np.abs(ds) / r, np.abs(df) / f)
     good = (size < LARGEST_STEP) & (path.flips == 0) & (s + ds <= 1) & (path.error < RESOLVED)
     ds, df = np.where(good, ds, 0.0), np.where(good, df, 0.0)
+    start = numbers_of(path.angle, path.lever, path.along, s, f, scene.friction, sign)
     beta, lever, along = (
         value + path.d_arc[k] * ds + path.d_force[k] * df
         for k, value in enumerate((path.angle, path.lever, path.along))
     )
     numbers = numbers_of(beta, lever, along, s + ds, f + df, scene.friction, sign)
-    return numbers[:3], slopes, good
+    with np.errstate(all="ignore"):
+        moved = np.maximum(np.abs(numbers[0] / start[0] - 1), size)
+    good &= moved < LARGEST_STEP
+    return numbers[:3], slopes, good, np.where(good, moved, 0.0)
 
 
 def _spatial_step(scene: Scene, contact: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -112,7 +112,9 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
         beside = moments(rows, other)
         off = (np.abs(beside.mean - mean[rows]) / sd[rows]).max(axis=1)
         status[rows[~(off < APART)]] = Status.SEVERAL_PEAKS
-    status = np.where(unidentified, Status.UNIDENTIFIED, status)
+    # Along a ridge a few per cent are of no interest; numbers that may be anything are.
+    lost = (status == Status.IMPRECISE) & ~(np.maximum(mean_error, sd_error) < LOST).all(axis=1)
+    status = np.where(unidentified & ~lost, Status.UNIDENTIFIED, status)
     status = np.where(improbable, Status.IMPROBABLE_READING, status)
 
     def nodes(row: int, *, of_all: bool) -> Nodes:
@@ -148,6 +150,8 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
 
 #: Means from either of two peaks differ by less than this, in sds, where each grid has seen both.
 APART = 0.05
+#: An error, in sds, from which the imprecision of a ridge is worse news than the ridge.
+LOST = 0.3
 #: Most nodes in one pass over one posterior.
 MOST_NODES = 2_000_000
 

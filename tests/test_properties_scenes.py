@@ -1,0 +1,230 @@
+"""Properties of sweeps over objects, vibrations, muscles and fused cues."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
+
+import weberwhisk as ww
+from weberwhisk import Observer, cues, receptors
+from weberwhisk.cues import Fused
+from weberwhisk.jnd import fisher_jnd
+from weberwhisk.mechanics import Body, Outcome, cylinder, peg, wall
+from weberwhisk.mechanics.modes import impulse_response, modes
+from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+
+#: A sweep takes a tenth of a second: few examples.
+sweeps = settings(max_examples=max(settings.default.max_examples // 5, 3))
+
+
+@st.composite
+def swept(draw: st.DrawFn) -> tuple[ww.Whisker, str, tuple[float, ...]]:
+    """A whisker, and an object by name, its numbers in lengths of the whisker and rad.
+
+    Units go from metres down: a wall is some metres long.
+    """
+    w = draw(whiskers(curved=draw(st.booleans())))
+    assume(w.tip_radius > 1e-2 * w.base_radius)
+    name = draw(st.sampled_from(["peg", "cylinder", "wall"]))
+    x, y = draw(floats(0.2, 0.95)), draw(floats(-0.3, -0.02))
+    if name == "wall":
+        return w, name, (x, y, draw(floats(-0.2, 0.6)))
+    return w, name, (x, y, draw(floats(0.005, 0.015)))
+
+
+def made(name: str, numbers: tuple[float, ...], unit: float) -> Body:
+    x, y, third = numbers
+    if name == "wall":
+        return wall(x * unit, y * unit, third)
+    if name == "peg":
+        return peg(x * unit, y * unit)
+    return cylinder(x * unit, y * unit, third * unit)
+
+
+ROTATIONS = np.concatenate([[-0.5], np.linspace(0.0, 1.0, 5)])
+
+
+@sweeps
+@given(swept(), st.integers(-6, 0).map(lambda n: 2.0**n), POWERS)
+def test_a_sweep_is_whole_touches_its_object_and_knows_no_unit(
+    scene: tuple[ww.Whisker, str, tuple[float, ...]], size: float, stiff: float
+) -> None:
+    w, name, numbers = scene
+    body = made(name, numbers, w.length)
+    assume(body.depth(0.0, 0.0) < 0)
+    s = ww.sweep(w, body, ROTATIONS)
+    b, held = s.bending, np.asarray(s.bending.held)
+    for value in (b.moment, b.force, b.axial_force, s.contact[:, 0]):
+        assert (np.isfinite(value) == held).all()
+    # Held in one stretch, from first contact to the end.
+    assert (np.diff(np.flatnonzero(held)) == 1).all()
+    if held.any():
+        depth = np.array([body.depth(x, y) for x, y in s.contact[held]])
+        assert np.abs(depth).max() < 1e-5 * w.length
+        assert s.rotation[held].min() >= s.first_contact - 1e-9
+        assert (b.force[held] >= 0).all()
+    if np.isfinite(s.end):
+        assert s.ended_by not in (Outcome.HELD, Outcome.OUT_OF_REACH)
+        assert not held[s.rotation > s.end].any()
+    other = ww.sweep(scaled(w, size, stiff), made(name, numbers, w.length * size), ROTATIONS)
+    np.testing.assert_array_equal(other.bending.outcome, b.outcome)
+    np.testing.assert_allclose(
+        other.bending.moment[held], b.moment[held] * stiff * size**3,
+        rtol=1e-5, atol=1e-8 * stiff * size**3 * w.moment_scale,
+    )  # fmt: skip
+
+
+@sweeps
+@given(whiskers(), floats(0.1, 0.95), floats(0.02, 0.2))
+def test_a_peg_swept_against_is_a_peg_pressed_against(
+    w: ww.Whisker, fraction: float, below: float
+) -> None:
+    assume(w.tip_radius > 1e-3 * w.base_radius)
+    r = fraction * w.length
+    s = ww.sweep(w, peg(r * np.cos(below), -r * np.sin(below)), ROTATIONS)
+    np.testing.assert_allclose(s.first_contact, below, atol=1e-6)
+    alone = ww.press(w, r, np.maximum(ROTATIONS - below, 0.0))
+    held = np.asarray(s.bending.held)
+    assert np.asarray(alone.held)[held].all()
+    np.testing.assert_allclose(
+        s.bending.moment[held], alone.moment[held], rtol=1e-4, atol=1e-7 * w.moment_scale
+    )
+    end = ww.flick_past(w, r)
+    if np.isfinite(s.end) and not s.tip.any():
+        np.testing.assert_allclose(s.end - below, end.deflection_angle, atol=2e-3)
+
+
+# -- vibrations -----------------------------------------------------------------------------------
+
+
+@given(whiskers(), POWERS, POWERS, floats(0.0, 0.9))
+def test_modes_are_orthonormal_and_scale(
+    w: ww.Whisker, size: float, stiff: float, zeta: float
+) -> None:
+    m = modes(w, 4, damping_ratio=zeta)
+    assert (np.diff(m.frequency) > 0).all()
+    assert (m.error < 1e-3).all()
+    other = modes(scaled(w, size, stiff), 4, damping_ratio=zeta)
+    np.testing.assert_allclose(other.frequency, m.frequency * np.sqrt(stiff) / size, rtol=1e-9)
+    # Between the cylinder's and the cone's.
+    low, high = np.array([3.5160, 22.034, 61.697]), np.array([8.7193, 38.453])
+    assert low[0] * 0.9999 <= m.normalised_frequency[0] <= high[0] * 1.0001
+    assert (m.shape(w.length) > 0).all()
+    assert np.abs(m.shape(0.0)).max() < 1e-6 * np.abs(m.shape(w.length)).max()
+    s = (np.polynomial.legendre.leggauss(160)[0] + 1) / 2 * w.length
+    weight = np.polynomial.legendre.leggauss(160)[1] / 2 * w.length
+    radius = w.base_radius + (w.tip_radius - w.base_radius) * s / w.length
+    shapes = m.shape(s)
+    mass = (shapes * (weight * w.density * np.pi * radius**2)) @ shapes.T
+    np.testing.assert_allclose(mass, np.eye(4), atol=1e-6)
+
+
+@given(whiskers(), floats(0.05, 0.95), floats(-5.0, 5.0), floats(0.01, 0.5))
+def test_ringing_is_linear_dies_away_and_begins_at_zero(
+    w: ww.Whisker, place: float, impulse: float, zeta: float
+) -> None:
+    m = modes(w, 3, damping_ratio=zeta)
+    longest = 40 / (zeta * m.angular_frequency[0])
+    time = np.array([-1.0, 0.0, 0.003, 0.05, 1.0]) * longest
+    one, many = (impulse_response(m, place * w.length, time, p) for p in (1.0, impulse))
+    np.testing.assert_allclose(many.moment, impulse * one.moment, rtol=1e-12)
+    assert (one.moment[:2] == 0).all()
+    largest = np.abs(one.amplitude * m.base_moment / m.angular_frequency).sum()
+    assert np.abs(one.moment[-1]) < 1e-9 * largest
+    assert np.isfinite(one.transverse_force).all()
+
+
+# -- muscle against whisker -----------------------------------------------------------------------
+
+
+@given(
+    whiskers(),
+    st.lists(floats(0.02, 1.1), min_size=1, max_size=5),
+    floats(0.6, 2.2),
+    st.sampled_from(list(MuscleCurve)),
+    POWERS,
+    POWERS,
+)
+def test_where_muscle_and_whisker_balance(
+    w: ww.Whisker, places: list[float], impact: float, curve: MuscleCurve, size: float, stiff: float
+) -> None:
+    r = np.array(places) * w.length
+    b = moment_balance(w, r, impact, curve=curve, gain=2.0)
+    balanced = np.asarray(b.outcome) == Balance.BALANCED
+    assert (np.isfinite(b.balance_angle) == balanced).all()
+    assert (np.isfinite(b.moment) == balanced).all()
+    for outcome in b.outcome:
+        assert Balance(int(outcome)).message
+    # At the balance both moments are the same, and the whisker is held there.
+    theta = b.balance_angle[balanced]
+    felt = ww.press(w, r[balanced], theta)
+    assert np.all(felt.held)
+    muscle = curve.moment(impact + theta)
+    np.testing.assert_allclose(2.0 * felt.normalised_moment, muscle, rtol=1e-6, atol=1e-9)
+    other = moment_balance(scaled(w, size, stiff), r * size, impact, curve=curve, gain=2.0)
+    np.testing.assert_array_equal(other.outcome, b.outcome)
+    np.testing.assert_allclose(other.balance_angle, b.balance_angle, rtol=1e-12)
+    # A stiffer whisker (a weaker muscle) stops sooner.
+    sooner = moment_balance(w, r[balanced], impact, curve=curve, gain=2.2)
+    assert (np.asarray(sooner.outcome) == Balance.BALANCED).all()
+    assert (sooner.balance_angle <= theta * (1 + 1e-9) + 1e-12).all()
+
+
+# -- fused cues -----------------------------------------------------------------------------------
+
+
+@st.composite
+def fusions(draw: st.DrawFn) -> tuple[ww.Whisker, Fused, np.ndarray]:
+    """Two or three cues of one contact, and where it is."""
+    w = draw(whiskers())
+    assume(1e-2 * w.base_radius < w.tip_radius < 0.9 * w.base_radius)
+    makes = st.sampled_from(
+        [lambda: cues.Compliance(), lambda: cues.ForceMap(), lambda: cues.VibrissaLength(),
+         lambda: cues.Compliance(tap_angle=0.02),
+         lambda: cues.ForceMap("moment", deflection_angle=0.1)]
+    )  # fmt: skip
+    fused = Fused(*(draw(makes)() for _ in range(draw(st.integers(2, 3)))))
+    r = draw(floats(0.1, 0.8)) * w.length
+    end = float(ww.flick_past(w, r).deflection_angle)
+    assume(end > 0.15)
+    contact = {"radial_distance": r, "deflection_angle": draw(floats(0.05, 0.8)) * end}
+    return w, fused, np.array([contact[name] for name in fused.unknowns])
+
+
+def told(w: ww.Whisker, cue: object, contact: np.ndarray, noise: object = None) -> float:
+    return float(np.ravel(fisher_jnd(Observer(w, cue, noise), contact))[0])  # type: ignore[arg-type]
+
+
+@given(fusions(), POWERS, POWERS)
+def test_fused_cues_tell_no_less_than_each_alone(
+    scene: tuple[ww.Whisker, Fused, np.ndarray], size: float, stiff: float
+) -> None:
+    w, fused, contact = scene
+    together = told(w, fused, contact)
+    assert np.isfinite(together)
+    alone = [told(w, cue, fused.part(cue, contact)) for cue in fused.cues]
+    assert together <= min(alone) * (1 + 1e-6)
+    # In any order, and of any size and stuff.
+    back = Fused(*fused.cues[::-1])
+    assert back.unknowns == fused.unknowns
+    np.testing.assert_allclose(told(w, back, contact), together, rtol=1e-6)
+    larger = contact * [size if n == "radial_distance" else 1.0 for n in fused.unknowns]
+    np.testing.assert_allclose(
+        told(scaled(w, size, stiff), fused, larger), together * size, rtol=1e-6
+    )
+    if len(fused.unknowns) == 1:  # information adds
+        added = np.sum(np.array(alone) ** -2.0) ** -0.5
+        np.testing.assert_allclose(together, added, rtol=1e-6)
+
+
+@given(whiskers(), floats(0.1, 0.8), logarithmic(0.01, 0.3), st.integers(2, 4))
+def test_looking_again_is_worth_a_root(w: ww.Whisker, fraction: float, k: float, n: int) -> None:
+    """n looks at one contact: the JND of one over √n, as of independent readings."""
+    assume(w.tip_radius < 0.9 * w.base_radius)
+    contact, noise = np.array([fraction * w.length]), receptors.Weber(k)
+    one = told(w, cues.Compliance(), contact, noise)
+    joint = receptors.Joint([noise] * n, sizes=[1] * n)
+    several = told(w, Fused(*[cues.Compliance() for _ in range(n)]), contact, joint)
+    np.testing.assert_allclose(several, one / np.sqrt(n), rtol=1e-9)

@@ -1,0 +1,48 @@
+"""The sum over three unknowns that judges maps of unknown stiffness is right itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from analysis_scripts import load
+from scipy.special import expit, logit
+
+import weberwhisk as ww
+
+posteriors = load("stability_posteriors")
+three = load("stability_three")
+
+
+def test_the_sum_over_three_unknowns_is_of_the_package_s_model() -> None:
+    """Its density is the observer's, up to a constant, integrated over the stiffness by SciPy."""
+    observer = posteriors.observer("map, stiffness unknown", 0.1)
+    signals, _ = observer.signals(np.array([25e-3, 0.2, 1.2]))
+    reading = signals * [1.05, 0.9]
+    w, v = np.linspace(-2.0, 2.0, 5), np.linspace(-3.0, 3.0, 7)
+    found = three._log_density(observer, reading, w, v, 200)
+    low, high = observer.reach
+    stiffness = np.exp(np.linspace(-3.0, 3.0, 4001))
+    off = []
+    for i, x in enumerate(w):
+        r = low + expit(x) * (high - low)
+        limit = float(ww.flick_past(observer.whisker, r).deflection_angle)
+        for j, y in enumerate(v):
+            if found[i, j] < found.max() - 15:  # where there is no mass windows may end too soon
+                continue
+            contact = np.stack(np.broadcast_arrays(r, limit * expit(y), stiffness), axis=-1)
+            density = np.exp(observer.log_likelihood(reading, contact))
+            density = density * observer.prior["stiffness"].pdf(stiffness)
+            slope = limit * expit(x) * expit(-x) * expit(y) * expit(-y)
+            off.append(found[i, j] - np.log(slope * np.trapezoid(density, stiffness)))
+    assert len(off) > 5
+    np.testing.assert_allclose(off, off[0], atol=2e-3)
+
+
+def test_the_sum_knows_its_error_and_agrees_with_quadrature() -> None:
+    observer = posteriors.observer("map, stiffness unknown", 0.3)
+    contact = np.array([25e-3, 0.2, 1.2])
+    reading = observer.signals(contact)[0] * [1.1, 0.8]
+    near = float(logit(contact[0] / observer.reach[1]))
+    mean, sd, known = three.brute(observer, reading, near)
+    assert known < 1e-3
+    p = ww.posterior(observer, reading)
+    np.testing.assert_allclose([p.mean, p.sd], [mean, sd], rtol=5e-3)
