@@ -20,7 +20,7 @@ from .quadrature import Care, Grid, integrate, log_marginal
 Array = NDArray[np.float64]
 
 BUMP = (21, 25, 11)  # most nodes of k, of a lapse and of a bias that a bump takes
-FINER = Care(5e-5, 0.02, 0.03), Care(5e-6, 0.005, 0.01), Care(5e-7, 0.001, 0.003)
+FINER = Care(5e-5, 0.005, 0.03), Care(5e-6, 0.001, 0.01), Care(5e-7, 0.0003, 0.003)
 STEADY = 0.03  # shift of a quantile, in sds of the score of k, that ends it
 LEFT = 1 / 3  # of the last shift, what may still be wrong: steps at least halve the error
 ENDS = np.array([0.025, 0.5, 0.975])
