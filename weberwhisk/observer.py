@@ -389,6 +389,9 @@ def _from_normal(distribution: Any) -> Callable[[Array], Array]:
         middle, above = distribution.ppf([0.5, ndtr(1.0)])
         spread = np.log(above / middle)
         return lambda z: np.asarray(middle * np.exp(spread * z))
+    if family == "uniform":
+        low, high = distribution.support()
+        return lambda z: np.asarray(low + (high - low) * ndtr(z))
 
     def value(z: Array) -> Array:
         z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is

@@ -58,6 +58,17 @@ class LatticeMoments(NamedTuple):
     log_evidence: Array
     converged: NDArray[np.bool_]
 
+    def of(self, rows: NDArray[np.bool_]) -> LatticeMoments:
+        """The same of some of the posteriors."""
+        return LatticeMoments(
+            self.mean[rows],
+            self.sd[rows],
+            self.mean_error[rows],
+            self.sd_error[rows],
+            self.log_evidence[rows],
+            self.converged[rows],
+        )
+
 
 def integrate_on_lattice(
     tiled: Tiled,
@@ -66,7 +77,7 @@ def integrate_on_lattice(
     top: Array,
     *,
     tolerance: float,
-    judged: int | None = None,
+    nested: bool = False,
 ) -> LatticeMoments:
     """Moments of functions of two coordinates under B densities.
 
@@ -82,19 +93,21 @@ def integrate_on_lattice(
         ln of the densities at the peaks, or near it.
     tolerance : float
         Largest estimated error of a mean or an sd, over the sd.
-    judged : int, optional
-        How many of the functions, the first ones, are held to it; by default all.
+    nested : bool
+        Whether the last two functions are the mean and the variance of one more unknown at each
+        node, of which the mean is held to that unknown's whole sd, and the variance to nothing.
     """
     level = _levels(covariance, fitting(tolerance, 2))
     own, given = (np.diagonal(c, axis1=1, axis2=2) for c in (covariance, np.linalg.inv(covariance)))
-    thin = (own * given > THINNEST**2).any(axis=1)
+    thin = np.asarray((own * given > THINNEST**2).any(axis=1))
     left, parts = np.arange(len(centre)), []
     for attempt in range(TRIES):
-        flood = _Flood(tiled, centre[left], level[left], top[left], left, thin[left], tolerance)
-        found, rough = flood.moments(judged)
-        last = attempt == TRIES - 1
-        done = np.full(len(left), True) if last else found.converged | flood.lost
-        parts.append((left[done], LatticeMoments._make(column[done] for column in found)))
+        flood = _Flood(
+            tiled, centre[left], level[left], top[left], left, thin[left], tolerance, nested
+        )
+        found, rough = flood.moments()
+        done = found.converged | flood.lost | np.full(len(left), attempt == TRIES - 1)
+        parts.append((left[done], found.of(done)))
         level[left] += rough
         left = left[~done]
         if not left.size:
@@ -146,9 +159,10 @@ class _Flood:
         index: Index,
         lost: NDArray[np.bool_],
         tolerance: float,
+        nested: bool,
     ) -> None:
         self.tiled, self.level, self.top, self.index = tiled, level, top, index
-        self.tolerance = tolerance
+        self.tolerance, self.nested = tolerance, nested
         self.spacing = 2.0 ** (-level / 2)
         # Sums lose no digits about a place inside.
         _, origin = tiled(centre[:, None])(index, np.arange(len(index)))
@@ -194,24 +208,29 @@ class _Flood:
         If layers go on falling as the last two do from the two before; and twice that.
         """
         columns = self.origin.shape[1]
-        mass, mean, variance = self.all_moments()
-        mean, variance = mean[row, :, None], variance[row, :, None]
+        mass, mean, _, unit = self.all_moments()
+        mean, unit = mean[row, :, None], unit[row, :, None]
         own, first, second = np.split(self.faces, [1, 1 + columns], axis=1)
         about = second - 2 * mean * first + mean**2 * own
         with np.errstate(invalid="ignore", over="ignore"):
-            pull = np.where(variance > 0, about / np.where(variance > 0, variance, 1.0), 0.0)
+            pull = np.where(unit > 0, about / np.where(unit > 0, unit, 1.0) ** 2, 0.0)
+            pull = pull[:, :-1] if self.nested else pull
             outer, inner = np.split((own[:, 0] + pull.max(axis=1)) / mass[row, None], 2, axis=1)
             fall = np.minimum(outer / np.where(inner > 0, inner, 1.0), SLOWEST)
         fall = np.where(inner > 0, fall, SLOWEST)
         return np.asarray(2 * outer * fall / (1 - fall))
 
-    def all_moments(self) -> tuple[Array, Array, Array]:
-        """Mass (b,), means about the origin and variances (b, C) of all nodes."""
+    def all_moments(self) -> tuple[Array, Array, Array, Array]:
+        """Mass (b,), means about the origin, sds, and what their errors are over (b, C)."""
         columns = self.origin.shape[1]
         mass = np.maximum(self.sums[:, 0, 0], np.finfo(float).tiny)
         mean = self.sums[:, 1 : columns + 1, 0] / mass[:, None]
         second = self.sums[:, columns + 1 :, 0] / mass[:, None]
-        return mass, mean, np.maximum(second - mean**2, 0.0)
+        sd = np.sqrt(np.maximum(second - mean**2, 0.0))
+        unit = sd.copy()
+        if self.nested:
+            unit[:, -2] = np.sqrt(sd[:, -2] ** 2 + np.maximum(self.origin + mean, 0.0)[:, -1])
+        return mass, mean, sd, unit
 
     def weigh(self, row: Index, tile: NDArray[np.int64]) -> Array:
         """Sums (n, 1 + 2C, subsets and sides) over tiles: mass, first and second moments."""
@@ -242,17 +261,16 @@ class _Flood:
         list(on_threads(part, range(0, len(row), size)))
         return out
 
-    def moments(self, judged: int | None) -> tuple[LatticeMoments, NDArray[np.int64]]:
+    def moments(self) -> tuple[LatticeMoments, NDArray[np.int64]]:
         """What was found, and how much finer (b, 2) a lattice should be."""
-        mass, mean, variance = self.all_moments()
-        sd = np.sqrt(variance)
+        mass, mean, sd, unit = self.all_moments()
         row, tile = _unkey(self.keys)
         shares = self.shares(row)
         for side, step in enumerate(_NEIGHBOURS):
             shares[:, side] *= ~self.seen(_key(row, tile + step))
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         edge = np.add.reduceat(shares.sum(axis=1), starts)[:, None]
-        changes = [self.change(k, mass, mean, sd) for k in range(1, len(_SUBSETS))]
+        changes = [self.change(k, mass, mean, sd, unit) for k in range(1, len(_SUBSETS))]
         second, fourth = changes[:3], changes[3:]
         errors = [
             [claimed_error(a, b) for a, b in zip(two, four, strict=True)]
@@ -263,6 +281,7 @@ class _Flood:
             [np.where(h, 1.0, e[k]) for h, e in zip(hidden, errors, strict=True)] for k in (1, 2)
         )
         mean_error, sd_error = (np.max(parts, axis=0) + edge for parts in (of_mean, of_sd))
+        judged = -1 if self.nested else None
         worst = np.maximum(mean_error, sd_error)[:, :judged].max(axis=1)
         alone = np.stack(
             [
@@ -274,17 +293,20 @@ class _Flood:
         rough = alone > self.tolerance / 2
         rough[~rough.any(axis=1)] = True
         spacing = np.log(self.spacing.prod(axis=1))
+        own = np.where(sd > 0, unit / np.where(sd > 0, sd, 1.0), 1.0)
         found = LatticeMoments(
             self.origin + mean,
             sd,
-            mean_error,
-            sd_error,
+            mean_error * own,
+            sd_error * own,
             np.log(mass) + self.top + spacing,
             (worst <= self.tolerance) & ~self.lost,
         )
         return found, rough * np.where(alone > 0.2, 2, 1)
 
-    def change(self, k: int, mass: Array, mean: Array, sd: Array) -> tuple[Array, Array, Array]:
+    def change(
+        self, k: int, mass: Array, mean: Array, sd: Array, unit: Array
+    ) -> tuple[Array, Array, Array]:
         """What subset k alone makes of ln Z (b,), the means and the sds (b, C), as `passes` has it.
 
         A function that is the same everywhere has no error.
@@ -294,7 +316,7 @@ class _Flood:
         known = part[:, 0] > 0
         own = np.where(known, part[:, 0], 1.0)
         of_mass = np.where(known, np.abs(np.log(own * _SUBSETS[k][0] / mass)), np.inf)
-        scale = np.where(sd > 0, sd, 1.0)
+        scale = np.where(unit > 0, unit, 1.0)
         first = part[:, 1 : columns + 1] / own[:, None]
         second = part[:, columns + 1 :] / own[:, None]
         width = np.sqrt(np.maximum(second - first**2, 0.0))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from ..observer import OTHERS, Observer
-from ..receptors import ReceptorNoise
+from ..receptors import Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .threads import on_threads
@@ -142,6 +142,11 @@ def starting_points(observer: Observer, reading: Array, places: Array | None = N
 
 def _log_likelihoods(noise: ReceptorNoise, reading: Array, signals: Array) -> Array:
     """ln p(reading | signals) of readings (B, R) at signals (N, S), (B, N)."""
+    if isinstance(noise, Joint):
+        first, *others = (_log_likelihoods(*part) for part in noise.apart(reading, signals))
+        for value in others:
+            first += value
+        return first
     if isinstance(noise, Gaussian):
         return noise.log_likelihoods(reading, signals)
     return noise.log_likelihood(reading[:, None], signals)

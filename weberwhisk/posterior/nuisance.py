@@ -174,7 +174,7 @@ class LastUnknown:
             covariance,
             self.mode.log_density,
             tolerance=self.tolerance,
-            judged=-1,  # not the variance, which is a small part of the whole
+            nested=True,
         )
         return found._replace(**self.completed(found))
 
