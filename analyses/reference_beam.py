@@ -82,6 +82,45 @@ class Beams:
             "contact_angle": -angle,
         }
 
+    def sideways(self, arc: Array, force: Array, poisson_ratio: float = 0.38) -> Array:
+        """How far a unit of force out of the plane moves the contact out of it, m/N.
+
+        Positive at rest; where it is no longer, the whisker leaves the plane by itself. By the
+        equations of a rod linearised about the planar one: rotations ω of its cross-sections about
+        axes in the plane and z out of it, ω' = (1 + ν) t(t·q)/EI + n(n·q)/EI, q = δm − ω × m.
+        """
+        parts = []
+        for start in range(0, arc.size, TOGETHER):
+            part = slice(start, start + TOGETHER)
+            parts.append(self.take(part)._sideways(arc[part], force[part], poisson_ratio))
+        return np.concatenate(parts)
+
+    def _sideways(self, arc: Array, force: Array, poisson_ratio: float) -> Array:
+        n = arc.size
+        push, side = np.abs(force), np.where(force < 0, -1.0, 1.0)
+        force_x, force_y = -push * np.sin(self.friction), side * push * np.cos(self.friction)
+        aside = np.cos(self.friction)
+
+        def rates(t: float, state: Array) -> Array:
+            angle, x, y, turn_x, turn_y, z = state.reshape(6, n)
+            slope = (self.base_radius - self.tip_radius) / self.length
+            stiff = self.modulus * np.pi / 4 * (self.base_radius - slope * arc * (1 - t)) ** 4
+            moment = -x * force_y + y * force_x
+            q_x = z * force_y - y * aside - turn_y * moment
+            q_y = x * aside - z * force_x + turn_x * moment
+            c, s = np.cos(angle), np.sin(angle)
+            twist, bend = (1 + poisson_ratio) * (q_x * c + q_y * s), q_y * c - q_x * s
+            rise = [
+                self.curvature + moment / stiff, c, s,
+                (twist * c - bend * s) / stiff, (twist * s + bend * c) / stiff,
+                turn_x * s - turn_y * c,
+            ]  # fmt: skip
+            return -np.concatenate(rise).reshape(6, n).ravel() * np.tile(arc, 6)
+
+        end = solve_ivp(rates, (0.0, 1.0), np.zeros(6 * n), method="DOP853", rtol=1e-9, atol=1e-14)
+        _, x, y, turn_x, turn_y, z = end.y[:, -1].reshape(6, n)
+        return -z + turn_x * y - turn_y * x
+
     # -- the contact given in space -----------------------------------------------------------
 
     def scale(self, r: Array) -> Array:
@@ -106,7 +145,8 @@ class Beams:
         h = 1e-5
         n = arc.size
         inside = np.where(arc * (1 + h) > self.length, -h, h)
-        more = h * np.minimum(unit, self._most(arc))
+        # Away from zero, where friction turns round.
+        more = h * np.minimum(unit, self._most(arc)) * np.where(force < 0, -1.0, 1.0)
         all_three = self.take(np.tile(np.arange(n), 3))
         found = all_three.follow(
             np.concatenate([arc, arc * (1 + inside), arc]),
@@ -202,7 +242,8 @@ class Beams:
             at = active
             some, u, d = self.take(at), unit[at], r[at]
             tiny = 1e-9 * u * side[at]
-            here, by_arc, by_force = some.slopes(arc[at], force[at] + tiny, u, 1e-9)
+            push = some._tamed(arc[at], force[at] + tiny)
+            here, by_arc, by_force = some.slopes(arc[at], push, u, 1e-9)
             tangent = np.stack([-by_force[3] * u, by_arc[3] * d])
             tangent /= np.hypot(*tangent)
             tangent *= np.where((tangent * way[:, at]).sum(axis=0) < 0, -1.0, 1.0)
