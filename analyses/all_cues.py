@@ -4,9 +4,11 @@
 
 Writes, with k = 0.1 for every signal of size: all_cues_jnd (the JND of each cue against r, on one
 axis, and below it the posterior's JND over the closed form's, with its Monte Carlo error),
-all_cues_best (the best cue at every contact, and where it is flicked past), all_cues_ridge (the
-posterior of one reading on a tapered whisker and on a cylinder), all_cues_bits (what each cue tells
-alone and adds to the others) as PNG and SVG, and their tables as CSV.
+all_cues_outcomes (what each cue's method makes of readings: no touch, tip not touched, lines that
+do not meet, flicked past, modes that are not resolved), all_cues_best (the best cue at every
+contact, and where it is flicked past), all_cues_ridge (the posterior of one reading on a tapered
+whisker and on a cylinder), all_cues_bits (what each cue tells alone and adds to the others) as PNG
+and SVG, and their tables as CSV.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from weberwhisk.surveys import SEED, WHISKER, K
 #: The charts, and the names of their files.
 CHARTS = {
     "jnd": figure.cues,
+    "outcomes": figure.outcomes,
     "best": figure.best_cue,
     "ridge": figure.ridge,
     "bits": figure.information,

@@ -164,7 +164,6 @@ def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Arra
     windows = [(-5.5, 5.5)] * 4  # scores of k and of both lapses, the bias
     pair = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]])
     lapses = stats.beta(0.3, 3)
-    ratio = np.zeros(2)
     for sizes in ((45, 15, 15, 41), (61, 15, 15, 41), (121, 19, 19, 41)):
         k, low, high, b = (np.linspace(*w, m) for w, m in zip(windows, sizes, strict=True))
         p_low, p_high = (lapses.ppf(ndtr(z))[:, None] for z in (low, high))
@@ -184,10 +183,10 @@ def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Arra
             log[i] = total + prior[..., None] - 0.5 * b**2 - 0.5 * z**2
         weight = np.exp(log - log.max())
         axes = (k, low, high, b)
-        if windows[0] == (-5.5, 5.5):
-            marginal = np.log(np.maximum(weight.sum(axis=(1, 2, 3)), 1e-300)) + 0.5 * k**2
-            inside = np.abs(k) <= FAR + 0.5
-            ratio = np.interp([-FAR, FAR], k, marginal) - marginal[inside].max()
+        marginal = np.log(np.maximum(weight.sum(axis=(1, 2, 3)), 1e-300)) + 0.5 * k**2
+        inside = np.abs(k) <= FAR + 0.5
+        ratio = np.interp([-FAR, FAR], k, marginal, left=-np.inf, right=-np.inf)
+        ratio -= marginal[inside].max(initial=-700.0)
         for i, axis in enumerate(axes):
             mass = weight.sum(axis=tuple(j for j in range(4) if j != i))
             held = np.flatnonzero(mass > 1e-8 * mass.max())

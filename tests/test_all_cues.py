@@ -46,3 +46,33 @@ def test_charts_name_the_regions_where_methods_fail():
     ridge = figures.ridge(all_cues.ridge(40), (25e-3, 0.3)).axes[0]
     labels = {text.get_text() for text in ridge.get_legend().get_texts()}
     assert {"tapered: converged", "cylinder: unidentified"} <= labels
+
+
+def test_every_way_to_fail_is_an_outcome_on_a_chart():
+    """By chance, as a tip that is not touched, or altogether, as modes that damping merges."""
+    table = all_cues.outcomes(30, 60, seed=3)
+    total = table.groupby(["cue", "radial_distance"])["share"].sum()
+    assert np.allclose(total, 1.0)
+    names = {cue: set(rows["outcome"]) for cue, rows in table.groupby("cue")}
+    assert {"no touch", "tip not touched"} <= names["whisker length (a)"]
+    assert "no touch" in names["which of three whiskers touch (b)"]
+    assert {"one-sided", "out of reach"} <= names["angle-side-angle (c)"]
+    assert "flicked past" in names["contact and detachment (c)"]
+    assert "slipped off the tip" in names["moment and axial force (f)"]
+    assert "flicked past" in names["balance of moments (h)"]
+    # Modes that are one peak tell nothing, wherever the impact is.
+    damped = table[table["cue"] == "vibration, 6 damped modes (d)"]
+    on_whisker = damped[damped["place"] <= 1.0]
+    assert np.all(on_whisker.loc[on_whisker["outcome"] == "unresolved", "share"] == 1.0)
+    assert "held" not in names["vibration, 6 damped modes (d)"]
+    # The tip is touched less and less often towards the base, and nothing further and further out.
+    length = table[table["cue"] == "whisker length (a)"]
+    none = length[length["outcome"] == "no touch"].sort_values("place")["share"].to_numpy()
+    assert none[0] == 0.0
+    assert none[-1] > 0.5
+
+    chart = figures.cue_outcomes(table)
+    shown = {text.get_text() for text in chart.legends[0].get_texts()}
+    assert shown == set(table["outcome"])
+    titles = {ax.get_title() for ax in chart.axes} - {""}
+    assert titles == set(table["cue"])

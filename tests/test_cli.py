@@ -485,7 +485,11 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
     listed = capsys.readouterr().out
     assert all(name in listed for name in CHARTS)
     out = tmp_path / "out"
-    for name, tables in (("ridge", ["ridge"]), ("best-cue", ["best-cue"])):
+    for name, tables in (
+        ("ridge", ["ridge"]),
+        ("best-cue", ["best-cue"]),
+        ("outcomes", ["outcomes"]),
+    ):
         assert run_app(cli.app, ["figure", name, "--short", "--out", str(out)]) == 0
         assert all(len(pd.read_csv(out / f"{table}.csv")) > 100 for table in tables)
         assert (out / f"{name}.png").stat().st_size > 0

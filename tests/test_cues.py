@@ -7,11 +7,19 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import (
+    AngleSideAngle,
     BalanceOfMoments,
+    ComparativeLength,
     Compliance,
+    ContactAndDetachment,
     Cue,
     ForceMap,
     Fused,
+    LateralSlip,
+    SpaceMap,
+    TwoWhiskers,
+    UnknownStiffness,
+    Vibration,
     VibrissaLength,
 )
 from weberwhisk.receptors import GeneralisedWeber, Weber
@@ -194,6 +202,34 @@ def test_an_observer_says_what_it_was_not_given():
             ww.Observer(*arguments)
     with pytest.raises(ValueError, match="model"):
         ww.Observer(W, cue, model="foo")
+
+
+EVERY = [
+    *CUES,
+    ComparativeLength([40e-3], [[0.0, 3e-3]]),
+    AngleSideAngle(),
+    AngleSideAngle(side_sd=1e-3),
+    TwoWhiskers(),
+    ContactAndDetachment(),
+    Vibration(3),
+    LateralSlip(),
+    SpaceMap(),
+    BalanceOfMoments(),
+    UnknownStiffness(ForceMap()),
+]
+
+
+@pytest.mark.parametrize("cue", EVERY, ids=repr)
+def test_every_cue_refuses_whiskers_that_it_cannot_feel_through(cue):
+    """A profile, and a curved whisker: by the observer, and by the cue itself."""
+    profile = ww.Profile.of(W)
+    bent = ww.Whisker(50e-3, 1e-4, 5e-6, curvature=10.0)
+    contact = np.full((1, len(cue.unknowns)), 0.02)
+    for whisker, words in ((profile, "got a Profile"), (bent, "curvature")):
+        with pytest.raises(ValueError, match=words):
+            ww.Observer(whisker, cue)
+        with pytest.raises(ValueError, match=words):
+            cue.signals(whisker, contact)
 
 
 def test_stiffness_scales_forces_alone():

@@ -152,3 +152,19 @@ def test_misuse_is_refused_in_one_sentence(make, words):
     with pytest.raises(ValueError, match=words) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+def test_emcee_samples_each_event_once():
+    """Readings that come again have the posterior of the first, in their own places."""
+    observer = ww.Observer(W, VibrissaLength())
+    readings = np.array([[1.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
+    p = ww.posterior(observer, readings, method="emcee", seed=1)
+    exact = ww.posterior(observer, readings)
+    assert np.abs(p.sd / exact.sd - 1).max() < 0.1
+    for first, again in ((0, 2), (1, 4)):
+        assert p.mean[first] == p.mean[again]
+        assert np.array_equal(p.interval(0.95)[first], p.interval(0.95)[again])
+    draws = p.draws_of(8, 1)
+    assert draws.shape[0] == 5
+    assert np.array_equal(draws[0], draws[2])
+    assert not np.array_equal(draws[0], draws[3])

@@ -268,6 +268,12 @@ def jnd_curve(
         For input that is not finite or positive, an unknown criterion or method, a cue that needs
         a deflection angle, fewer than two draws.
 
+    Notes
+    -----
+    Quadrature works out each posterior to 1e-2 of its sd (to 1e-6 with one unknown), and most of
+    them to a few thousandths. In the mean over the draws that is far below the Monte Carlo error,
+    which for 200 draws is some 1e-2 of the JND.
+
     Examples
     --------
     >>> from weberwhisk import Observer, Whisker, cues

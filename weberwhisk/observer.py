@@ -117,6 +117,11 @@ class Observer:
             one_of("model", model, ("closed_form", "elastica", "profile", "rod"))
         self.prior = {**cue.priors(whisker), **(prior or {})}
         self.model = model
+        self._from_normal = {
+            name: _from_normal(self.prior[name])
+            for name in cue.unknowns
+            if name not in ("radial_distance", "deflection_angle")
+        }
         #: How many unknowns the whisker bounds: the first ones; the rest have priors alone.
         self.bounded = 2 if "deflection_angle" in cue.unknowns else 1
         self.reach = self._range("radial_distance", cue.farthest(whisker))
@@ -164,7 +169,7 @@ class Observer:
                 log_prior += np.where(width > 0, np.log(width) + log_slope, -np.inf)
         for i, name in enumerate(self.unknowns[: x.shape[-1]]):
             if i >= self.bounded:
-                out[..., i] = _from_normal(self.prior[name], x[..., i])
+                out[..., i] = self._from_normal[name](x[..., i])
                 log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
             elif name in self.prior:
                 log_prior = log_prior + self.prior[name].logpdf(out[..., i])
@@ -276,7 +281,7 @@ class Observer:
 
     def last_unknown(self, z: Array) -> Array:
         """The last unknown's values (...) at its coordinate z."""
-        return _from_normal(self.prior[self.unknowns[-1]], z)
+        return self._from_normal[self.unknowns[-1]](z)
 
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
@@ -374,19 +379,28 @@ def _of_signals(noise: ReceptorNoise) -> bool:
     return isinstance(noise, Gaussian | LogNormal | Events)
 
 
-def _from_normal(distribution: Any, z: Array) -> Array:
-    """The value as far up its distribution as z is up the standard normal."""
+def _from_normal(distribution: Any) -> Callable[[Array], Array]:
+    """The value as far up its distribution as z is up the standard normal, as a function of z."""
     family = getattr(getattr(distribution, "dist", None), "name", None)
     if family == "norm":
-        return np.asarray(distribution.mean() + distribution.std() * z)
+        mean, sd = float(distribution.mean()), float(distribution.std())
+        return lambda z: mean + sd * z
     if family == "lognorm" and distribution.support()[0] == 0.0:
         middle, above = distribution.ppf([0.5, ndtr(1.0)])
-        return np.asarray(middle * np.exp(np.log(above / middle) * z))
-    z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
-    below, tail = z < 0, ndtr(-np.abs(z))
-    out = np.empty(z.shape)
-    out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
-    return out
+        spread = np.log(above / middle)
+        return lambda z: np.asarray(middle * np.exp(spread * z))
+    if family == "uniform":
+        low, high = distribution.support()
+        return lambda z: np.asarray(low + (high - low) * ndtr(z))
+
+    def value(z: Array) -> Array:
+        z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
+        below, tail = z < 0, ndtr(-np.abs(z))
+        out = np.empty(z.shape)
+        out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
+        return out
+
+    return value
 
 
 def _to_normal(distribution: Any, value: Array) -> Array:

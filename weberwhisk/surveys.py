@@ -89,6 +89,53 @@ def curves(
     return joined.assign(place=joined["radial_distance"] / whisker.length)
 
 
+#: What may fail otherwise than at an edge of the reach: by chance, or altogether.
+FAILING: dict[str, Cue] = {
+    **{
+        name: CUES[name]
+        for name in (
+            "whisker length (a)",
+            "which of three whiskers touch (b)",
+            "angle-side-angle (c)",
+            "contact and detachment (c)",
+            "moment and axial force (f)",
+            "balance of moments (h)",
+        )
+    },
+    "vibration, 6 damped modes (d)": Vibration(6, damping_ratio=0.2),
+}
+
+
+def outcomes(
+    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
+) -> pd.DataFrame:
+    """What becomes of contacts and, by each cue's own method, of noisy readings of them.
+
+    A row for each cue, distance (to a fifth beyond the tip) and `Outcome`: its ``share`` of the
+    readings, or 1 where there is no reading.
+    """
+    import pandas as pd
+
+    rng, tables = np.random.default_rng(seed), []
+    r = np.linspace(0.03, 1.2, points) * whisker.length
+    for name, cue in FAILING.items():
+        observer = Observer(whisker, cue)
+        count = observer.bounded
+        contact = observer.at_middle(np.stack([r, np.full(points, ANGLE)], axis=-1)[:, :count])
+        signals, lost = observer.signals(contact)
+        of_readings = np.repeat(lost[:, None], draws, axis=1)
+        held = lost == Outcome.HELD
+        if held.any():
+            readings = observer.noise.sample(np.repeat(signals[held], draws, axis=0), rng)
+            of_readings[held] = observer.reading_outcome(readings).reshape(-1, draws)
+        for outcome in np.unique(of_readings):
+            share = (of_readings == outcome).mean(axis=1)
+            table = pd.DataFrame({"cue": name, "radial_distance": r, "share": share})
+            label = Outcome(int(outcome)).message.split(":")[0]
+            tables.append(table.assign(outcome=label, place=r / whisker.length))
+    return pd.concat(tables, ignore_index=True)
+
+
 def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
     """Fisher JND (m) of the mapped cues at contacts up to the last that is held.
 

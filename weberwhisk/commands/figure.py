@@ -54,6 +54,15 @@ def cues(whisker: ww.Whisker, short: bool, seed: int) -> Made:
     return Made({"cues": table}, figures.cue_jnds(table))
 
 
+def outcomes(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+    """where each cue finds a distance, and what fails elsewhere or by chance"""
+    from .. import figures
+
+    points, draws = (25, DRAWS_SHORT) if short else (100, 2 * DRAWS)
+    table = surveys.outcomes(points, draws, whisker=whisker, seed=seed)
+    return Made({"outcomes": table}, figures.cue_outcomes(table))
+
+
 def best_cue(whisker: ww.Whisker, short: bool, seed: int) -> Made:
     """the best cue at every contact, over distance and deflection"""
     from .. import figures
@@ -130,6 +139,7 @@ def figure_4b(whisker: ww.Whisker, short: bool, seed: int) -> Made:
 #: The charts by name.
 CHARTS: dict[str, Make] = {
     "cues": cues,
+    "outcomes": outcomes,
     "best-cue": best_cue,
     "ridge": ridge,
     "information": information,

@@ -7,6 +7,7 @@ whiskers (`TwoWhiskers`), a base that moves within a whisk (`ContactAndDetachmen
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -129,6 +130,8 @@ class AngleSideAngle:
         first_reach, reach = self._reaches(whisker)
         seen = (r > 0) & (r <= reach) & (first <= first_reach)
         known = seen & (r <= self._farthest(whisker))
+        if known.all():
+            return np.zeros(known.shape, dtype=np.int8)
         outcome = np.select([known, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH)
         return np.asarray(outcome, dtype=np.int8)
 
@@ -141,6 +144,29 @@ class AngleSideAngle:
         outcome = self._outcome(whisker, r, first)
         angles = np.stack([angle, bearing], axis=-1)
         return np.where((outcome == Outcome.HELD)[..., None], angles, np.nan), outcome
+
+    def given(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+        """The signals as a function of the last unknown (...), the rest of the contact given."""
+        straight(whisker)
+        if self.side_sd == 0:
+            return lambda bearing: self.signals(
+                whisker, np.concatenate([contact, bearing[..., None]], axis=-1)
+            )
+        r, bearing = contact[..., 0], contact[..., 1]
+        ahead, across = r * np.cos(bearing), r * np.sin(bearing)
+
+        def signals(side: Array) -> tuple[Array, NDArray[np.int8]]:
+            along = side + ahead
+            outcome = self._outcome(whisker, r, np.hypot(along, across))
+            angles = np.empty((*along.shape, 2))
+            angles[..., 0], angles[..., 1] = np.arctan2(across, along), bearing
+            if outcome.any():
+                angles[outcome != Outcome.HELD] = np.nan
+            return angles, outcome
+
+        return signals
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Slopes of the angles, (..., 2, U).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,23 @@ class SpaceMap:
         sizes, outcome = self._plane.signals(whisker, contact[..., :2], model=model)
         turn = np.where(outcome == Outcome.HELD, contact[..., 2], np.nan)[..., None]
         return np.concatenate([sizes, turn, turn], axis=-1), outcome
+
+    def given(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+        """The signals as a function of the azimuth (...), the rest of the contact given."""
+        sizes, outcome = self._plane.signals(whisker, contact, model=model)
+        signals = np.empty((*outcome.shape, 5))
+        signals[..., :3] = sizes
+        lost = outcome != Outcome.HELD
+
+        def turned(azimuth: Array) -> tuple[Array, NDArray[np.int8]]:
+            out = signals.copy()
+            out[..., 3:] = azimuth[..., None]
+            out[lost] = np.nan
+            return out, outcome
+
+        return turned
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Derivatives (..., 5, 3) of the signals with respect to r, θ_d and ω."""

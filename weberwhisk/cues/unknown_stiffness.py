@@ -78,6 +78,8 @@ class UnknownStiffness:
         for name in names:
             one_of("signal", name, cue.signal_names)
         self._soft = np.isin(cue.signal_names, names)
+        #: Whether every signal is proportional to the stiffness.
+        self.is_scale = bool(self._soft.all())
         self.signal_names: tuple[str, ...] = cue.signal_names
         self.unknowns: tuple[str, ...] = (*cue.unknowns, "stiffness")
 
@@ -99,7 +101,7 @@ class UnknownStiffness:
         signals, outcome = self.cue.signals(whisker, contact, model=model)
         return lambda factor: (
             signals * np.where(self._soft, factor[..., None], 1.0)
-            if not self._soft.all()
+            if not self.is_scale
             else signals * factor[..., None],
             outcome,
         )

@@ -16,7 +16,7 @@ from .plans import planned_jnds, planned_power, planned_psychometrics, rehearsed
 from .posteriors import posterior
 from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
-from .surveys import best_cue, cue_information, cue_jnds, ridge, weber_2d
+from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, ridge, weber_2d
 
 __all__ = [
     "COLOURS",
@@ -29,6 +29,7 @@ __all__ = [
     "best_cue",
     "cue_information",
     "cue_jnds",
+    "cue_outcomes",
     "figure_of",
     "fits_and_growth",
     "information",

@@ -75,6 +75,46 @@ def _where_it_works(ax: Axes, rows: pd.DataFrame, height: float, colour: str) ->
 
 
 @styled
+def cue_outcomes(table: pd.DataFrame) -> Figure:
+    """The share of readings of which each cue makes a distance, and the names of what else.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `surveys.outcomes`.
+    """
+    groups = list(table.groupby("cue", sort=False))
+    names = ["held", *(name for name in table["outcome"].unique() if name != "held")]
+    looks: dict[str, dict[str, Any]] = {
+        name: {
+            "facecolor": COLOURS[i % len(COLOURS)],
+            "alpha": 0.45 if i else 0.9,
+            "hatch": "//" if i >= len(COLOURS) else None,
+            "linewidth": 0,
+        }
+        for i, name in enumerate(names)
+    }
+    count = -(-len(groups) // 2)
+    figure = new_figure(DOUBLE, 1.2 * count + 0.8)
+    axes = figure.subplots(count, 2, sharex=True, sharey=True).ravel()
+    for ax in axes[len(groups) :]:
+        ax.set_axis_off()
+    for ax, (cue, rows) in zip(axes, groups, strict=False):
+        below = np.zeros(rows["place"].nunique())
+        for name, part in rows.groupby("outcome", sort=False):
+            place, share = part["place"].to_numpy(), part["share"].to_numpy()
+            ax.fill_between(place, below, below + share, step="mid", **looks[str(name)])
+            below = below + share
+        ax.set(title=cue, xlim=(place[0], place[-1]), ylim=(0, 1))
+    for name, look in looks.items():
+        axes[0].fill_between([], [], label=name, **look)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    figure.supxlabel("Radial distance r/L")
+    figure.supylabel("share of readings")
+    return figure
+
+
+@styled
 def best_cue(table: pd.DataFrame, names: Sequence[str]) -> Figure:
     """The best cue as a map over (r, θ_d), and what becomes of contacts beyond.
 

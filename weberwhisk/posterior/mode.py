@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from ..observer import OTHERS, Observer
+from ..receptors import Joint, ReceptorNoise
+from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .threads import on_threads
 
@@ -126,7 +128,7 @@ def starting_points(observer: Observer, reading: Array, places: Array | None = N
 
     def part(start: int) -> None:
         rows = slice(start, start + 256)
-        value = observer.noise.log_likelihood(reading[rows, None], signals) + log_prior
+        value = _log_likelihoods(observer.noise, reading[rows], signals) + log_prior
         refuse_impossible(reading[rows], value.max(axis=1))
         table = np.full((len(value), len(grid)), -np.inf)
         table[:, held] = value
@@ -136,6 +138,18 @@ def starting_points(observer: Observer, reading: Array, places: Array | None = N
 
     list(on_threads(part, range(0, len(reading), 256)))
     return Starts(grid[best], grid[second], height)
+
+
+def _log_likelihoods(noise: ReceptorNoise, reading: Array, signals: Array) -> Array:
+    """ln p(reading | signals) of readings (B, R) at signals (N, S), (B, N)."""
+    if isinstance(noise, Joint):
+        first, *others = (_log_likelihoods(*part) for part in noise.apart(reading, signals))
+        for value in others:
+            first += value
+        return first
+    if isinstance(noise, Gaussian):
+        return noise.log_likelihoods(reading, signals)
+    return noise.log_likelihood(reading[:, None], signals)
 
 
 def _second(

@@ -9,20 +9,22 @@ know no stiffness, are worked out once for all of them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .densities import taken_apart
 from .grid import GridPosterior, integrate
+from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled, integrate_on_lattice
 from .mode import Mode
-from .solution import Array, mode_root
-
-Index = NDArray[np.intp]
+from .scale import has_scale, without_scale
+from .solution import mode_root
 
 #: Nodes of the rule, from the tolerance on that stands before them.
 RULES = ((3e-3, 5), (3e-4, 9), (0.0, 15))
@@ -30,118 +32,200 @@ RULES = ((3e-3, 5), (3e-4, 9), (0.0, 15))
 WIDEST = 4.0
 #: Most steps towards the conditional mode, in widths the last of them, and the density (in ln,
 #: below the highest) at nodes that are not waited for.
-STEPS, NEAR, NEGLIGIBLE = 8, 0.5, 30.0
+STEPS, NEAR, NEGLIGIBLE = 8, 1.0, 30.0
 
 
 class Conditional:
     """The density of all unknowns but the last, for readings (B, R) and their modes."""
 
-    def __init__(self, observer: Observer, reading: Array, mode: Mode, tolerance: float) -> None:
-        self.observer, self.reading, self.mode = observer, reading, mode
+    def __init__(self, observer: Observer, reading: Array, mode: Mode, count: int) -> None:
+        self.observer, self.reading, self.mode, self.count = observer, reading, mode, count
         precision = np.linalg.inv(mode.covariance)
         self.width = precision[:, -1, -1] ** -0.5
         self.slope = -precision[:, -1, :-1] / precision[:, -1, -1, None]
-        self.count = next(count for least, count in RULES if tolerance >= least)
 
     def __call__(self, x: Array, index: Index, *, finer: int = 1) -> tuple[Array, Array]:
         """ln of the density at x (b, N, U − 1), (b, N); and columns (b, N, U + 1).
 
         The columns are the contact, and of the last unknown the mean and variance at each node.
         """
-        observer, reading = self.observer, self.reading[index, None]
-        contact, log_prior = observer.contact(x)
-        felt = observer.given(contact)
-
-        def log_density(z: Array) -> tuple[Array, Array]:
-            value = observer.last_unknown(z)
-            signals, outcome = felt(value)
-            held = outcome == Outcome.HELD
-            signals = np.where(held[..., None], signals, 1.0)
-            log = observer.noise.log_likelihood(reading, signals) - 0.5 * z**2
-            return np.where(held, log, -np.inf), value
-
+        contact, log_prior = self.observer.contact(x)
         off = x - self.mode.x[index, None, :-1]
         middle = self.mode.x[index, None, -1] + (off @ self.slope[index, :, None])[..., 0]
         width = np.broadcast_to(self.width[index, None], middle.shape)
+        reading, at = self.reading[index, None], contact
+        peak, step, narrower = self.climb(self.log_density(reading, at), middle, width)
+        middle = middle + step * width
+        # From here on without the nodes that hold nothing; far from its peak no node tells.
+        live = peak + log_prior > self.mode.log_density[index, None] - NEGLIGIBLE
+        live |= (np.abs(step) > WIDEST / 2) & np.isfinite(peak)
+        log, columns = np.full(live.shape, -np.inf), np.zeros((*live.shape, x.shape[-1] + 2))
+        if not live.any():
+            return log, columns
+        rows = np.nonzero(live)[0]
+        reading, at, prior = self.reading[index[rows]], contact[live], log_prior[live]
+        middle, width, step, peak = middle[live], width[live], step[live], peak[live]
+        narrower = narrower[live]
+        least = self.mode.log_density[index[rows]] - NEGLIGIBLE / 2 - prior
         for _ in range(STEPS):
-            below, here, above = (log_density(middle + s * width)[0] for s in (-1.0, 0.0, 1.0))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                rise, bend = (above - below) / 2, 2 * here - below - above
-                # Uphill all the way where there is no peak to aim at.
-                step = np.where(bend > 0, rise / bend, np.inf * np.sign(rise))
-                step = np.nan_to_num(np.clip(step, -WIDEST, WIDEST))
-                middle = middle + step * width
-                tiny = here < here.max(axis=1, keepdims=True) - NEGLIGIBLE
-            if np.all(tiny | (np.abs(step) < NEAR)):
+            waited = (peak > least) | (np.abs(step) > WIDEST / 2)
+            far = np.flatnonzero(waited & (np.abs(step) >= NEAR))
+            if not far.size:
                 break
-        with np.errstate(invalid="ignore"):
-            bend = np.clip(np.nan_to_num(bend, nan=1.0), WIDEST**-2, WIDEST**2)
-        width = width * bend**-0.5
+            density = self.log_density(reading[far], at[far])
+            peak[far], step[far], narrower[far] = self.climb(density, middle[far], width[far])
+            middle[far] += step[far] * width[far]
+        width = width * narrower
+        density = self.log_density(reading, at)
         t, weight = hermegauss(finer * self.count)
         rule = np.log(weight) + t**2 / 2
-        each = [log_density(middle + node * width) for node in t]
-        log = np.stack([value + w for (value, _), w in zip(each, rule, strict=True)])
-        top = log.max(axis=0)
+        each = [density(middle + node * width) for node in t]
+        value = np.stack([v + w for (v, _), w in zip(each, rule, strict=True)])
+        top = value.max(axis=0)
         safe = np.where(np.isfinite(top), top, 0.0)
-        share = np.exp(log - safe)
+        share = np.exp(value - safe)
         total = share.sum(axis=0)
-        values = np.stack([value for _, value in each])
+        values = np.stack([v for _, v in each])
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = (share * values).sum(axis=0) / total
             variance = (share * np.square(values - mean)).sum(axis=0) / total
-            marginal = np.log(total * width) + safe + log_prior - 0.5 * np.log(2 * np.pi)
-        columns = np.concatenate([contact, mean[..., None], variance[..., None]], axis=-1)
-        return marginal, np.where(np.isfinite(marginal)[..., None], columns, 0.0)
+            marginal = np.log(total * width) + safe + prior - 0.5 * np.log(2 * np.pi)
+        found = np.isfinite(marginal)
+        log[live] = marginal
+        part = np.concatenate([at, mean[:, None], variance[:, None]], axis=-1)
+        columns[live] = np.where(found[:, None], part, 0.0)
+        return log, columns
 
-    def error(self, found: GridPosterior, rows: Index) -> Array:
-        """How far ln of the density is off, across the middle of each posterior (b,).
+    def log_density(self, reading: Array, contact: Array) -> Callable[[Array], tuple[Array, Array]]:
+        """ln of the density of the last unknown, and its value, at its coordinate (...)."""
+        felt = self.observer.given(contact)
+
+        def log_density(z: Array) -> tuple[Array, Array]:
+            value = self.observer.last_unknown(z)
+            signals, outcome = felt(value)
+            held = outcome == Outcome.HELD
+            if held.all():
+                return self.observer.noise.log_likelihood(reading, signals) - 0.5 * z**2, value
+            signals = np.where(held[..., None], signals, 1.0)
+            log = self.observer.noise.log_likelihood(reading, signals) - 0.5 * z**2
+            return np.where(held, log, -np.inf), value
+
+        return log_density
+
+    @staticmethod
+    def climb(
+        density: Callable[[Array], tuple[Array, Array]], middle: Array, width: Array
+    ) -> tuple[Array, Array, Array]:
+        """A Newton step in widths, with the height it ends at and the factor of the width."""
+        below, here, above = (density(middle + s * width)[0] for s in (-1.0, 0.0, 1.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rise, bend = (above - below) / 2, 2 * here - below - above
+            # Uphill all the way where there is no peak to aim at.
+            step = np.where(bend > 0, rise / bend, np.inf * np.sign(rise))
+            step = np.nan_to_num(np.clip(step, -WIDEST, WIDEST))
+            bend = np.clip(np.nan_to_num(bend, nan=1.0), WIDEST**-2, WIDEST**2)
+            height = np.fmax(np.fmax(below, above), here + np.nan_to_num(step * rise) / 2)
+        return height, step, bend**-0.5
+
+    def on_tiles(self, points: Array, *, finer: int = 1) -> OnTiles:
+        """The same for pairs of a reading and a tile of nodes (T, N, U − 1), as `lattice` asks."""
+
+        def density(row: Index, tile: Index) -> tuple[Array, Array]:
+            log, columns = self(points[tile], row, finer=finer)
+            return log, np.moveaxis(columns, -1, 1)
+
+        return density
+
+
+class LastUnknown:
+    """The moments of all unknowns (B, U) for readings (B, R), the last integrated out first.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of three unknowns and more.
+    reading : array, shape (B, R)
+    mode : Mode
+        Of these readings.
+    tolerance : float
+    """
+
+    def __init__(self, observer: Observer, reading: Array, mode: Mode, tolerance: float) -> None:
+        self.observer, self.reading, self.mode = observer, reading, mode
+        self.tolerance = tolerance
+        self.rest = Mode(mode.x[:, :-1], mode.log_density, mode.covariance[:, :-1, :-1])
+        self.count = next(count for least, count in RULES if tolerance >= least)
+        self.conditional = Conditional(observer, reading, mode, self.count)
+
+    def tiled(self, finer: int = 1) -> Tiled:
+        """The density and its functions on tiles, by a rule of so many times the nodes."""
+        if has_scale(self.observer):
+            top, count = self.mode.log_density, finer * self.count
+            return without_scale(self.observer, self.reading, top, count)
+        return partial(self.conditional.on_tiles, finer=finer)
+
+    def on_lattice(self) -> LatticeMoments:
+        """By `lattice`, of three unknowns."""
+        root = mode_root(self.rest)
+        covariance = root @ root.swapaxes(1, 2)
+        found = integrate_on_lattice(
+            self.tiled(),
+            self.rest.x,
+            covariance,
+            self.mode.log_density,
+            tolerance=self.tolerance,
+            nested=True,
+        )
+        return found._replace(**self.completed(found))
+
+    def on_grid(self, *, max_points: int, keep_points: bool = False) -> GridPosterior:
+        """By `grid`, as `integrate` gives them."""
+        tiled = self.tiled()
+
+        def both(x: Array, index: Index) -> tuple[Array, Array]:
+            log, values = tiled(x)(index, np.arange(len(x)))
+            return log, np.moveaxis(values, 1, -1)
+
+        density, functions = taken_apart(both)
+        found = integrate(
+            density,
+            self.rest.x,
+            mode_root(self.rest),
+            functions=functions,
+            only_functions=True,
+            tolerance=self.tolerance,
+            max_points=max_points,
+            keep_points=keep_points,
+        )
+        return replace(found, **self.completed(found))
+
+    def completed(self, found: GridPosterior | LatticeMoments) -> dict[str, Any]:
+        """Mean, sd and their errors of all unknowns, from the functions'."""
+        mean, sd, mean_error, sd_error = found.mean, found.sd, found.mean_error, found.sd_error
+        dim = mean.shape[1] - 2
+        # Of the last unknown: the variance of its mean at the nodes, and the mean of its variance.
+        whole = np.sqrt(sd[:, dim] ** 2 + mean[:, dim + 1])
+        share = sd[:, dim] / whole
+        spread = sd[:, dim + 1] * mean_error[:, dim + 1] / (2 * whole**2)
+        last_mean_error, last_sd_error = share * mean_error[:, dim], share**2 * sd_error[:, dim]
+        off = self.error()[:, None]
+        return {
+            "mean": mean[:, : dim + 1],
+            "sd": np.column_stack([sd[:, :dim], whole]),
+            "mean_error": np.column_stack([mean_error[:, :dim], last_mean_error]) + off,
+            "sd_error": np.column_stack([sd_error[:, :dim], last_sd_error + spread]) + off,
+        }
+
+    def error(self) -> Array:
+        """How far ln of the density is off, across the middle of each posterior (B,).
 
         The rule with three times as many nodes tells, at one sd to either side along each axis.
         """
-        sd = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
-        steps = np.concatenate([s * np.eye(sd.shape[1]) for s in (-1.0, 0.0, 1.0)])
-        places = np.nan_to_num(found.mean[:, None, : sd.shape[1]] + steps * sd[:, None])
-        change = self(places, rows, finer=3)[0] - self(places, rows)[0]
+        width = np.linalg.norm(mode_root(self.rest), axis=2)
+        steps = np.concatenate([s * np.eye(width.shape[1]) for s in (-1.0, 0.0, 1.0)])
+        places = self.rest.x[:, None] + steps * width[:, None]
+        rows = np.arange(len(places))
+        fine, plain = (self.tiled(finer)(places)(rows, rows)[0] for finer in (3, 1))
         with np.errstate(invalid="ignore"):
-            return np.ptp(np.nan_to_num(change, nan=1.0, posinf=1.0, neginf=-1.0), axis=1)
-
-
-def integrate_but_last(
-    observer: Observer,
-    reading: Array,
-    mode: Mode,
-    *,
-    tolerance: float,
-    max_points: int,
-    keep_points: bool = False,
-) -> GridPosterior:
-    """Moments of all unknowns (B, U) for readings (B, R) with these modes: as `integrate` gives."""
-    conditional = Conditional(observer, reading, mode, tolerance)
-    rest = Mode(mode.x[:, :-1], mode.log_density, mode.covariance[:, :-1, :-1])
-    density, functions = taken_apart(conditional)
-    found = integrate(
-        density,
-        rest.x,
-        mode_root(rest),
-        functions=functions,
-        tolerance=tolerance,
-        max_points=max_points,
-        keep_points=keep_points,
-    )
-    dim = rest.x.shape[1]
-    off = conditional.error(found, np.arange(len(reading)))[:, None]
-    # Of the last unknown: the variance of its mean at the nodes, and the mean of its variance.
-    mean, sd, mean_error, sd_error = (
-        getattr(found, name)[:, dim:] for name in ("mean", "sd", "mean_error", "sd_error")
-    )
-    whole = np.sqrt(sd[:, dim] ** 2 + mean[:, dim + 1])
-    share = sd[:, dim] / whole
-    spread = sd[:, dim + 1] * mean_error[:, dim + 1] / (2 * whole**2)
-    last_mean_error, last_sd_error = share * mean_error[:, dim], share**2 * sd_error[:, dim]
-    return replace(
-        found,
-        mean=mean[:, : dim + 1],
-        sd=np.column_stack([sd[:, :dim], whole]),
-        mean_error=np.column_stack([mean_error[:, :dim], last_mean_error]) + off,
-        sd_error=np.column_stack([sd_error[:, :dim], last_sd_error + spread]) + off,
-    )
+            change = np.nan_to_num(fine - plain, nan=1.0, posinf=1.0, neginf=-1.0)
+        return np.asarray(np.ptp(change, axis=1))

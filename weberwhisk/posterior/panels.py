@@ -160,8 +160,8 @@ class Panels:
         log_prior = np.where(held, log_prior, -np.inf).reshape(x.shape)
         self.log_weight = log_prior + np.log(self.half[:, None] * KRONROD)
         #: ln p(reading | each node) and ln p(reading | each middle), for readings and panels.
-        self._at_nodes = _prepared(observer.noise, signals)
-        self._at_middle = _prepared(observer.noise, signals[:, 7])
+        self._at_nodes = prepared(observer.noise, signals)
+        self._at_middle = prepared(observer.noise, signals[:, 7])
         self._plausible, self._probable = (
             _Window(*observer.noise.interval(signals, width)) for width in (WINDOW, IMPROBABLE)
         )
@@ -326,7 +326,7 @@ def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:
     return noise.mean(signals), noise.sd(signals)
 
 
-def _prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
+def prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
     """ln p(reading | signals of a panel), for readings (n, R) and panels (n,)."""
     if isinstance(noise, Gaussian | Events):
         return noise.prepared(signals)

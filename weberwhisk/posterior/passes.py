@@ -145,14 +145,14 @@ def _resolution(terms: Array) -> tuple[Array, Array, Array]:
     order one no longer fall in any order.
     """
     second, fourth = _thinned(terms, 2), _thinned(terms, 4)
-    error, mean_error, sd_error = (_claim(a, b) for a, b in zip(second, fourth, strict=True))
+    error, mean_error, sd_error = (claimed_error(a, b) for a, b in zip(second, fourth, strict=True))
     # Mass that every second node cannot see lies on few nodes, whose moments mean nothing: a
     # single one of them has no error at all.
     lost = (second[0] > LOST)[:, None]
     return error, np.where(lost, 1.0, mean_error), np.where(lost, 1.0, sd_error)
 
 
-def _claim(second: ArrayLike, fourth: ArrayLike) -> Array:
+def claimed_error(second: ArrayLike, fourth: ArrayLike) -> Array:
     """Error claimed of all nodes, given the changes δ₂ and δ₄."""
     second = np.asarray(second)
     trusted = np.clip(fourth, second, np.maximum(second, 0.1))
@@ -234,7 +234,7 @@ def fitting(tolerance: float, dim: int) -> float:
         return float(min(dim * 2.0 * u * np.exp(-u), 1.0))
 
     width = 1.2
-    while _claim(change(2.0 * width), change(4.0 * width)) > tolerance / 4.0:
+    while claimed_error(change(2.0 * width), change(4.0 * width)) > tolerance / 4.0:
         width *= 0.98
     return width
 

@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
-from .densities import taken_apart
-from .grid import GridPosterior, integrate
+from .lattice import LatticeMoments
 from .mode import Mode, find_mode, find_other, starting_points
 from .nodes import Nodes
-from .nuisance import integrate_but_last
+from .nuisance import LastUnknown
 from .panels import panels_of
 from .result import Estimate, Status
-from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
+from .solution import Array, Solution, is_improbable, is_unidentified
 from .threads import on_threads
+from .tiles import AllUnknowns
 
 #: Error of mean and sd, over the sd, above which a quadrature is called imprecise: one unknown,
 #: and more.
 TOLERANCE = (1e-6, 1e-2)
-#: Posteriors whose grids are worked on together.
-TOGETHER = 4096
+#: Posteriors that are worked on together, by one thread.
+TOGETHER = 1024
 
 
 def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     if len(observer.unknowns) > 1:
-        return _grid(observer, reading, tolerance, progress)
+        return _several(observer, reading, tolerance, progress)
     panels = panels_of(observer)
     m = panels.moments(reading)
     error = np.maximum(m.mean_error, m.sd_error) / m.sd
@@ -48,78 +49,33 @@ def quadrature(
     return Solution([estimate], status.astype(np.int8), m.log_evidence, quantile_of, draws_of)
 
 
-def _grid(observer: Observer, reading: Array, tolerance: float | None, progress: Any) -> Solution:
-    dim = len(observer.unknowns)
-    starts = starting_points(observer, reading)
-    mode = find_mode(observer, reading, starts)
-    contact = observer.contact(mode.x)[0]
-    unidentified = is_unidentified(observer, contact)
-    improbable = is_improbable(observer, reading, contact)
-
-    def limits(rows: NDArray[np.intp]) -> dict[str, Any]:
-        # A ridge that no reading resolves is not worth resolving either.
-        most = MOST_NODES // 100 if unidentified[rows[0]] else MOST_NODES
-        return {"tolerance": tolerance or TOLERANCE[1], "max_points": most}
-
-    def integral(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
-        density, functions = taken_apart(
-            lambda x, index: observer.log_density_and_contact(x, reading[rows[index], None])
-        )
-        return integrate(
-            density,
-            at.x,
-            mode_root(at),
-            functions=functions,
-            only_functions=True,
-            keep_points=keep_points,
-            **limits(rows),
-        )
-
-    def moments(rows: NDArray[np.intp], at: Mode, *, keep_points: bool = False) -> GridPosterior:
-        if dim < 3:
-            return integral(rows, at, keep_points=keep_points)
-        return integrate_but_last(
-            observer, reading[rows], at, keep_points=keep_points, **limits(rows)
-        )
-
-    # Ridges go apart from the rest, so that no posterior depends on its neighbours.
-    pieces = [
-        rows[start : start + TOGETHER]
-        for rows in (np.flatnonzero(~unidentified), np.flatnonzero(unidentified))
-        for start in range(0, len(rows), TOGETHER)
-    ]
-
-    parts, done = [], 0
-    for rows in pieces:
-        parts.append(moments(rows, mode.of(rows)))
-        done += len(rows)
+def _several(
+    observer: Observer, reading: Array, tolerance: float | None, progress: Any
+) -> Solution:
+    dim, wanted = len(observer.unknowns), tolerance or TOLERANCE[1]
+    starts = range(0, len(reading), TOGETHER)
+    parts = []
+    for part in on_threads(lambda i: _part(observer, reading[i : i + TOGETHER], wanted), starts):
+        parts.append(part)
         if progress:
-            progress(done, len(reading))
-    back = np.argsort(np.concatenate(pieces))
-    mean, sd, mean_error, sd_error = (
-        np.concatenate([getattr(part, name) for part in parts])[back]
-        for name in ("mean", "sd", "mean_error", "sd_error")
+            progress(min(len(parts) * TOGETHER, len(reading)), len(reading))
+    mode = Mode(*(np.concatenate([getattr(p.mode, f.name) for p in parts]) for f in fields(Mode)))
+    mean, sd, mean_error, sd_error, log_evidence, _ = map(
+        np.concatenate, zip(*(part.moments for part in parts), strict=True)
+    )
+    status, unidentified = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("status", "unidentified")
     )
     estimates = [
         Estimate(mean[:, i], sd[:, i], mean_error[:, i] * sd[:, i], sd_error[:, i] * sd[:, i])
         for i in range(dim)
     ]
-    converged = np.concatenate([part.converged for part in parts])[back]
-    status = np.where(converged, Status.CONVERGED, Status.IMPRECISE)
-    # A second peak that the grid has missed has a grid, and moments, of its own.
-    rows, other = find_other(observer, reading, mode, starts)
-    if rows.size:
-        beside = moments(rows, other)
-        off = (np.abs(beside.mean - mean[rows]) / sd[rows]).max(axis=1)
-        status[rows[~(off < APART)]] = Status.SEVERAL_PEAKS
-    # Along a ridge a few per cent are of no interest; numbers that may be anything are.
-    lost = (status == Status.IMPRECISE) & ~(np.maximum(mean_error, sd_error) < LOST).all(axis=1)
-    status = np.where(unidentified & ~lost, Status.UNIDENTIFIED, status)
-    status = np.where(improbable, Status.IMPROBABLE_READING, status)
 
     def nodes(row: int, *, of_all: bool) -> Nodes:
         rows = np.array([row])
-        kept = (integral if of_all else moments)(rows, mode.of(rows), keep_points=True).nodes
+        whole = _engine(observer, reading[rows], mode.of(rows), wanted, of_all=of_all)
+        kept = whole.on_grid(max_points=_most(unidentified[row]), keep_points=True).nodes
         assert kept is not None
         return kept[0]
 
@@ -144,8 +100,74 @@ def _grid(observer: Observer, reading: Array, tolerance: float | None, progress:
             out[row] = observer.contact(rng.permutation(x))[0].reshape(4, count, dim)
         return out
 
-    log_evidence = np.concatenate([part.log_evidence for part in parts])[back]
     return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
+
+
+class _Part(NamedTuple):
+    """What was found of some of the readings."""
+
+    mode: Mode
+    moments: LatticeMoments
+    status: NDArray[np.int64]
+    unidentified: NDArray[np.bool_]
+
+
+def _part(observer: Observer, reading: Array, tolerance: float) -> _Part:
+    starts = starting_points(observer, reading)
+    mode = find_mode(observer, reading, starts)
+    contact = observer.contact(mode.x)[0]
+    unidentified = is_unidentified(observer, contact)
+    found = _moments(observer, reading, mode, unidentified, tolerance)
+    status = np.where(found.converged, Status.CONVERGED, Status.IMPRECISE)
+    # A second peak that was missed has moments of its own.
+    rows, other = find_other(observer, reading, mode, starts)
+    if rows.size:
+        beside = _moments(observer, reading[rows], other, unidentified[rows], tolerance)
+        off = (np.abs(beside.mean - found.mean[rows]) / found.sd[rows]).max(axis=1)
+        status[rows[~(off < APART)]] = Status.SEVERAL_PEAKS
+    # Along a ridge a few per cent are of no interest; numbers that may be anything are.
+    precise = (np.maximum(found.mean_error, found.sd_error) < LOST).all(axis=1)
+    status[unidentified & ((status != Status.IMPRECISE) | precise)] = Status.UNIDENTIFIED
+    status[is_improbable(observer, reading, contact)] = Status.IMPROBABLE_READING
+    return _Part(mode, found, status, unidentified)
+
+
+def _moments(
+    observer: Observer,
+    reading: Array,
+    mode: Mode,
+    unidentified: NDArray[np.bool_],
+    tolerance: float,
+) -> LatticeMoments:
+    """By lattices, and on a grid of its own where a posterior asks too much of them."""
+    if len(observer.unknowns) < 4:
+        found = _engine(observer, reading, mode, tolerance).on_lattice()
+    else:
+        mean, sd, mean_error, sd_error = np.full((4, *mode.x.shape), np.nan)
+        none = np.zeros(len(reading), dtype=bool)
+        found = LatticeMoments(mean, sd, mean_error, sd_error, mode.log_density.copy(), none)
+    # Ridges go apart from the rest, so that no posterior depends on its neighbours.
+    for ridge in (False, True):
+        left = np.flatnonzero(~found.converged & (unidentified == ridge))
+        if left.size:
+            engine = _engine(observer, reading[left], mode.of(left), tolerance)
+            again = engine.on_grid(max_points=_most(ridge))
+            for name, column in found._asdict().items():
+                column[left] = getattr(again, name)
+    return found
+
+
+def _engine(
+    observer: Observer, reading: Array, mode: Mode, tolerance: float, *, of_all: bool = False
+) -> AllUnknowns | LastUnknown:
+    """All unknowns at once, or of three and more the last one first."""
+    at_once = of_all or len(observer.unknowns) == 2
+    return (AllUnknowns if at_once else LastUnknown)(observer, reading, mode, tolerance)
+
+
+def _most(ridge: bool) -> int:
+    """Most nodes of one posterior: a ridge that no reading resolves is not worth resolving."""
+    return MOST_NODES // 100 if ridge else MOST_NODES
 
 
 #: Means from either of two peaks differ by less than this, in sds, where each grid has seen both.

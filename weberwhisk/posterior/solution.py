@@ -30,6 +30,16 @@ class Solution(NamedTuple):
     quantile_of: Callable[[Array, int], Array]
     draws_of: Callable[[int, Seed], Array]
 
+    def of(self, rows: NDArray[np.intp]) -> Solution:
+        """The same for readings some of which come again and again."""
+        return Solution(
+            [Estimate(*(column[rows] for column in estimate)) for estimate in self.estimates],
+            self.status[rows],
+            self.log_evidence[rows],
+            lambda p, unknown: self.quantile_of(p, unknown)[rows],
+            lambda count, seed: self.draws_of(count, seed)[rows],
+        )
+
 
 def mode_root(mode: Mode, *, widen: float = 1.0) -> Array:
     """A square root of each mode's covariance, (B, U, U), no wider than `WIDEST`.

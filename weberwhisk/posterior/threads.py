@@ -7,11 +7,14 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
+from contextvars import ContextVar, copy_context
 from typing import TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+
+_inside: ContextVar[bool] = ContextVar("inside a thread of on_threads", default=False)
 
 
 def thread_count() -> int:
@@ -30,22 +33,29 @@ def thread_count() -> int:
 def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
     """Results in the order of the tasks, which must not depend on each other.
 
+    A task that has tasks of its own does these one after the other.
+
     Examples
     --------
     >>> list(on_threads(abs, [-1, 2, -3]))
     [1, 2, 3]
     """
     waiting = list(tasks)
-    count = min(thread_count(), len(waiting))
+    count = 1 if _inside.get() else min(thread_count(), len(waiting))
     if count < 2:
         yield from map(function, waiting)
         return
+
+    def task_of_many(task: Task) -> Result:
+        _inside.set(True)
+        return function(task)
+
     # NumPy's error state belongs to the context, and a thread starts with a fresh one.
     with ThreadPoolExecutor(count) as pool:
         ahead: deque[Future[Result]] = deque()
         try:
             for task in waiting:
-                ahead.append(pool.submit(copy_context().run, function, task))
+                ahead.append(pool.submit(copy_context().run, task_of_many, task))
                 if len(ahead) > 2 * count:  # no further ahead: results take memory
                     yield ahead.popleft().result()
             while ahead:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
-from ..receptors import Seed
+from ..receptors import Events, Seed
 from .densities import Density
 from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
 from .grid import integrate
@@ -33,6 +33,11 @@ STACKED = 1024
 def sample(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
+    if isinstance(observer.noise, Events):
+        # Few things can happen: each is sampled once.
+        each, back = np.unique(reading, axis=0, return_inverse=True)
+        if len(each) < len(reading):
+            return sample(observer, each, seed, tolerance, progress).of(back.reshape(-1))
     dim = len(observer.unknowns)
     many = int(dim > 1)
     precision = tolerance or PRECISION[many]

@@ -68,7 +68,7 @@ class Gaussian:
             )
         return np.asarray(np.linalg.inv(self._correlations(size)), dtype=float)
 
-    def _root(self, size: int) -> Array:
+    def root(self, size: int) -> Array:
         """Upper triangular; of the (reading − mean)/sd it makes numbers without correlation."""
         return np.asarray(np.linalg.cholesky(self._precision(size)).T)
 
@@ -76,7 +76,7 @@ class Gaussian:
         """ln p(reading | signals), shape (...). −∞ where a signal leaves its receptor no spread."""
         sd = self.sd(signals)
         size = sd.shape[-1]
-        root = self._root(size)
+        root = self.root(size)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             z = (np.asarray(reading, dtype=float) - self.mean(signals)) / sd
             # Sums over the few signals one by one: a contraction costs several times as much.
@@ -105,7 +105,7 @@ class Gaussian:
         """
         sd, mean = self.sd(signals), self.mean(signals)
         size = sd.shape[-1]
-        root = self._root(size)
+        root = self.root(size)
         held = np.all(sd > 0, axis=-1)
         scale = root / np.where(held[..., None], sd, 1.0)[..., None, :]
         offset = -(scale @ mean[..., None])[..., 0]
@@ -130,6 +130,28 @@ class Gaussian:
             return value
 
         return log_likelihood
+
+    def log_likelihoods(self, reading: Array, signals: Array) -> Array:
+        """`log_likelihood` of readings (B, S) at each of many signals (N, S), (B, N).
+
+        As the quadratic function of the reading that it is, by one product of matrices: fast, and
+        exact to 1e-16 of the squares of reading and signal over the sd.
+        """
+        sd, size = self.sd(signals), signals.shape[-1]
+        root = self.root(size)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            scale = root / sd[:, None, :]
+            offset = (scale @ self.mean(signals)[..., None])[..., 0]
+            first, second = np.triu_indices(size)
+            double = np.where(first == second, 0.5, 1.0)
+            form = (scale[:, :, first] * scale[:, :, second]).sum(axis=1) * double
+            constant = np.log(np.diag(root)).sum() - np.log(sd).sum(axis=1)
+            constant -= 0.5 * (size * np.log(2 * np.pi) + np.square(offset).sum(axis=1))
+            slope = (scale * offset[..., None]).sum(axis=1)
+        table = np.column_stack([constant, slope, -form])
+        table[~np.isfinite(table).all(axis=1)] = np.r_[-np.inf, np.zeros(table.shape[1] - 1)]
+        features = np.column_stack([reading, reading[:, first] * reading[:, second]])
+        return np.asarray(features @ table[:, 1:].T + table[:, 0])
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., S)."""
@@ -262,6 +284,8 @@ class GeneralisedWeber(Gaussian):
 
     def sd(self, signals: ArrayLike) -> Array:
         """√(floor² + (k·signal)²), (..., S)."""
+        if not np.any(self.weber_fraction):
+            return np.broadcast_to(self.floor, np.shape(signals)).astype(float)
         return np.hypot(self.floor, self.weber_fraction * self.mean(signals))
 
     def _mean_slope(self, signals: Array) -> Array:

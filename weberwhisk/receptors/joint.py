@@ -99,10 +99,15 @@ class Joint:
         low, high = (np.concatenate(side, axis=-1) for side in zip(*ends, strict=True))
         return low, high
 
+    def apart(
+        self, reading: ArrayLike, signals: ArrayLike
+    ) -> list[tuple[ReceptorNoise, Array, Array]]:
+        """Each model with its own readings, (..., R_i), and signals, (..., S_i)."""
+        return list(zip(self.noises, self._readings(reading), self._signals(signals), strict=True))
+
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln p(reading | signals), shape (...): the sum over the models."""
-        parts = zip(self.noises, self._readings(reading), self._signals(signals), strict=True)
-        first, *others = (noise.log_likelihood(y, s) for noise, y, s in parts)
+        first, *others = (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals))
         for value in others:
             first = first + value
         return first
