@@ -138,7 +138,7 @@ def build_model(
         raise ValueError(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
         )
-    cells, columns = gather(trials, tuple(effects))
+    cells, columns = gather(trials, tuple(effects), felt)
     refuse_unfelt(felt, np.concatenate([cells.stimulus_1, cells.stimulus_2, cells.standard]))
     both = unit_percepts(felt, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
