@@ -32,6 +32,7 @@ __all__ = [
     "Step",
     "check_effects",
     "effect_named",
+    "effect_valued",
 ]
 
 EFFECTS: dict[str, Effect] = {
@@ -90,3 +91,22 @@ def effect_named(text: str) -> Effect:
             half_life=float(_checks.positive("half_life", given, "write past-contraction=20, say"))
         )
     return EFFECTS[_checks.one_of("effect", text, (*EFFECTS, *WITH_NUMBER))]
+
+
+def effect_valued(text: str) -> tuple[Effect, float]:
+    """An effect by its name with the value of its parameter after a colon.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, and a value that is no number.
+
+    Examples
+    --------
+    >>> effect, value = effect_valued("past-contraction=20:0.3")
+    >>> effect.half_life, value
+    (20.0, 0.3)
+    """
+    name, _, value = text.rpartition(":")
+    hint = f"write {name or text}:0.3, say"
+    return effect_named(name or text), _checks.number("the value of an effect", value, hint)
