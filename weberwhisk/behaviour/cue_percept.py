@@ -120,6 +120,11 @@ class CuePercept:
             return np.log(np.abs(signals[..., 0]))
         return np.asarray(noise.mean(signals)[..., 0], dtype=float)
 
+    @property
+    def has_weber_fraction(self) -> bool:
+        """Whether any noise goes with a Weber fraction, so that choices can tell it."""
+        return bool(self._fractions.any())
+
     @cached_property
     def _fractions(self) -> Array:
         return fractions(self.observer.noise, len(self.observer.cue.signal_names))

@@ -13,10 +13,10 @@ import weberwhisk as ww
 
 from .._terminal import numbers
 from ..behaviour import CuePercept, FitStatus
-from ..behaviour.effects import EFFECTS, effect_named
+from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..runs import Run, atomic_write, to_json
 from .comparisons import compared
-from .distance import distance_percept
+from .distance import ReceptorsOption, distance_percept
 from .options import (
     AngleOption,
     BaseRadiusOption,
@@ -91,7 +91,7 @@ def fit(
         typer.Option(
             "--effect",
             metavar="NAME",
-            help=f"What else moves the answers: {', '.join(EFFECTS)}, step=<session>; may be "
+            help=f"What else moves the answers: {', '.join((*EFFECTS, *WITH_NUMBER))}; may be "
             "repeated.",
         ),
     ] = None,
@@ -127,6 +127,7 @@ def fit(
     youngs_modulus_gpa: ModulusOption = None,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
+    receptors: ReceptorsOption = None,
     seed: SeedOption = 1,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -139,7 +140,7 @@ def fit(
     """
     inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
+    percept, whisker = distance_percept(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, percept)
     trials = _selected(trials, subject, session, together)
     if percept is not None:
