@@ -92,11 +92,14 @@ def distance_percept(
 def _receptors(text: str, observer: ww.Observer, angle: float | None) -> ReceptorNoise:
     """The noise of forces that `--receptors` names."""
     name, _, given = text.partition("=")
-    names = [*PLAIN, *(f"{model}=<number>" for model in RECEPTORS)]
-    if text in PLAIN:
-        return PLAIN[text]
-    if name not in RECEPTORS or not given:
-        _checks.one_of("--receptors", text, names)
+    _checks.one_of("--receptors", name, (*PLAIN, *RECEPTORS))
+    if (name in PLAIN) == bool(given):
+        raise ValueError(
+            f"--receptors {name} takes {'no' if given else 'a'} number, got {text!r}; write "
+            f"{name if given else f'{name}=0.5'}, say."
+        )
+    if name in PLAIN:
+        return PLAIN[name]
     number = float(_checks.positive("--receptors", given, f"write {name}=0.5, say"))
     contact: list[Any] = [0.5 * observer.whisker.length]
     if "deflection_angle" in observer.unknowns:
