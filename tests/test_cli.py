@@ -669,6 +669,17 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "weber_fraction" in capsys.readouterr().out
 
 
+def test_fit_takes_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    course = ["--sessions", "3", "--trials-per-level", "18"]
+    answer(capsys, "simulate", *course, "--out", str(tmp_path / "s"))
+    file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
+    found = answer(capsys, "fit", file, "--by-session", "--out", str(out))
+    assert [row["session"] for row in found["sessions"]] == [1, 2, 3]  # type: ignore[attr-defined, union-attr]
+    assert len(pd.read_csv(out / "sessions.csv")) == 3
+    assert run_app(cli.app, ["fit", file, "--by-session"]) == 0
+    assert "session_spread" in capsys.readouterr().out
+
+
 def test_fit_by_emcee_agrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(cli.app, ["simulate", "--out", str(tmp_path)]) == 0
     capsys.readouterr()

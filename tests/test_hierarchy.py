@@ -381,6 +381,16 @@ def test_missing_labels_are_refused(column: str, sessions: bool) -> None:
         fit_population(lacking, sessions=sessions)
 
 
+def test_sessions_without_a_subject_are_one_animals() -> None:
+    trials = simulate_trials(sessions=3, trials_per_level=30, seed=4)
+    named = Trials(trials.frame.assign(subject="a"), trials.task)
+    one, other = (fit_population(t, sessions=True) for t in (trials, named))
+    assert one.status is PopulationStatus.ONE_ANIMAL
+    assert one.quantile("weber_fraction", 0.5) == other.quantile("weber_fraction", 0.5)
+    assert one.sessions is not None
+    assert one.sessions["session"].tolist() == [1, 2, 3]
+
+
 def test_reading_off_a_fit() -> None:
     trials, _ = animals(4)
     fit = fit_population(trials, sessions=False)
