@@ -382,13 +382,10 @@ def test_missing_labels_are_refused(column: str, sessions: bool) -> None:
 
 
 def test_sessions_without_a_subject_are_one_animals() -> None:
-    trials = simulate_trials(sessions=3, trials_per_level=30, seed=4)
-    named = Trials(trials.frame.assign(subject="a"), trials.task)
-    one, other = (fit_population(t, sessions=True) for t in (trials, named))
-    assert one.status is PopulationStatus.ONE_ANIMAL
-    assert one.quantile("weber_fraction", 0.5) == other.quantile("weber_fraction", 0.5)
-    assert one.sessions is not None
-    assert one.sessions["session"].tolist() == [1, 2, 3]
+    fit = fit_population(simulate_trials(sessions=2, trials_per_level=20, seed=4), sessions=True)
+    assert fit.status is PopulationStatus.ONE_ANIMAL
+    assert fit.sessions is not None
+    assert fit.sessions["session"].tolist() == [1, 2]
 
 
 def test_reading_off_a_fit() -> None:
