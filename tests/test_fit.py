@@ -827,7 +827,7 @@ def test_recovery_and_coverage() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("per_level", EXACT_RMSE)
 def test_recovery_and_coverage_in_full(per_level: int) -> None:
-    """Other k and lapse rates: `tests/benchmarks/bench_fit.py`, and `test_lapse_prior.py` for what
+    """Other k and lapse rates: `analyses/recovery.py`, and `test_lapse_prior.py` for what
     not knowing the lapses costs."""
     errors, covered = recover(500, 50_000, per_level)
     judge(errors, covered, per_level)
