@@ -120,6 +120,10 @@ def brute_force(trials: Trials, bias: str, n_k: int = 61, n_b: int = 61, n_l: in
 BRUTE = {
     "300 trials": (dict(trials_per_level=33, lapse_low=0.02, lapse_high=0.02, seed=3), "shared"),
     "45 trials": (dict(trials_per_level=5, weber_fraction=0.3, seed=4), "shared"),
+    "36 trials": (
+        dict(trials_per_level=4, lapse_low=0.1, lapse_high=0.05, bias=0.7, seed=11), "shared",
+    ),
+    "999 trials": (dict(trials_per_level=111, lapse_high=0.03, bias=-0.3, seed=12), "shared"),
     "high lapses": (dict(trials_per_level=20, lapse_low=0.2, lapse_high=0.1, seed=5), "shared"),
     "nearly perfect": (dict(trials_per_level=20, weber_fraction=0.02, seed=6), "shared"),
     "one side": (dict(offsets=[0.05, 0.1, 0.2, 0.4], trials_per_level=30, seed=7), "shared"),

@@ -28,9 +28,9 @@ def _data(fit: WeberFit) -> str:
     moved = f", moved by {', '.join(fit.effects)}" if fit.effects else ""
     missing = f", and {t.n_missing} without an answer" if t.n_missing else ""
     return (
-        f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; {cells.n.size} pairs of "
-        f"stimuli at {t.standards.size} standard{'s' if t.standards.size != 1 else ''}; task "
-        f"{t.task.name}. Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
+        f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; "
+        f"{cells.n.size} pair{'s' if cells.n.size != 1 else ''} of stimuli at {t.standards.size} "
+        f"standard{'s' if t.standards.size != 1 else ''}; task {t.task.name}. Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
     )
 
 
