@@ -30,7 +30,8 @@ def _data(fit: WeberFit) -> str:
     return (
         f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; "
         f"{cells.n.size} pair{'s' if cells.n.size != 1 else ''} of stimuli at {t.standards.size} "
-        f"standard{'s' if t.standards.size != 1 else ''}; task {t.task.name}. Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
+        f"standard{'s' if t.standards.size != 1 else ''}; task {t.task.name}. "
+        f"Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
     )
 
 
