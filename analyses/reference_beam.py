@@ -15,6 +15,8 @@ from scipy.integrate import solve_ivp
 Array = np.ndarray
 #: Most whiskers in one system: their steps are common.
 TOGETHER = 64
+#: Most evaluations of one system: one that winds up for ever is given up.
+PATIENCE = 100_000
 #: Small-angle contact angle, rad, past which no trial is followed: folds lie below 5.
 MOST = 12.0
 
@@ -54,8 +56,11 @@ class Beams:
         push = np.abs(force)
         force_x, force_y = -push * np.sin(self.friction), side * push * np.cos(self.friction)
         stiff = self.modulus * np.pi / 4
+        left = iter(range(PATIENCE))
 
         def rates(t: float, state: Array) -> Array:
+            if next(left, None) is None:
+                return np.full(3 * n, np.nan)  # which ends the integration
             angle, x, y = state.reshape(3, n)
             radius = at_contact * np.exp(growth * t)
             # ds/dt < 0: radius = base − slope·s, and where nothing tapers s = arc·(1 − t).
@@ -66,8 +71,8 @@ class Beams:
 
         tiny = np.concatenate([np.full(n, 1e-18), 1e-18 * self.length, 1e-18 * self.length])
         state = np.zeros(3 * n)
-        end = solve_ivp(rates, (0.0, 1.0), state, method="DOP853", rtol=rtol, atol=tiny).y[:, -1]
-        angle, x, y = end.reshape(3, n)
+        run = solve_ivp(rates, (0.0, 1.0), state, method="DOP853", rtol=rtol, atol=tiny)
+        angle, x, y = run.y[:, -1].reshape(3, n) if run.success else np.full((3, n), np.nan)
         # Turn the contact's frame into the base's.
         c, s = np.cos(angle), -np.sin(angle)
         along, across = -(c * x - s * y), -(s * x + c * y)
@@ -81,6 +86,45 @@ class Beams:
             "deflection_angle": np.arctan2(-y, -x) - angle,
             "contact_angle": -angle,
         }
+
+    def sideways(self, arc: Array, force: Array, poisson_ratio: float = 0.38) -> Array:
+        """How far a unit of force out of the plane moves the contact out of it, m/N.
+
+        Positive at rest; where it is no longer, the whisker leaves the plane by itself. By the
+        equations of a rod linearised about the planar one: rotations ω of its cross-sections about
+        axes in the plane and z out of it, ω' = (1 + ν) t(t·q)/EI + n(n·q)/EI, q = δm − ω × m.
+        """
+        parts = []
+        for start in range(0, arc.size, TOGETHER):
+            part = slice(start, start + TOGETHER)
+            parts.append(self.take(part)._sideways(arc[part], force[part], poisson_ratio))
+        return np.concatenate(parts)
+
+    def _sideways(self, arc: Array, force: Array, poisson_ratio: float) -> Array:
+        n = arc.size
+        push, side = np.abs(force), np.where(force < 0, -1.0, 1.0)
+        force_x, force_y = -push * np.sin(self.friction), side * push * np.cos(self.friction)
+        aside = np.cos(self.friction)
+
+        def rates(t: float, state: Array) -> Array:
+            angle, x, y, turn_x, turn_y, z = state.reshape(6, n)
+            slope = (self.base_radius - self.tip_radius) / self.length
+            stiff = self.modulus * np.pi / 4 * (self.base_radius - slope * arc * (1 - t)) ** 4
+            moment = -x * force_y + y * force_x
+            q_x = z * force_y - y * aside - turn_y * moment
+            q_y = x * aside - z * force_x + turn_x * moment
+            c, s = np.cos(angle), np.sin(angle)
+            twist, bend = (1 + poisson_ratio) * (q_x * c + q_y * s), q_y * c - q_x * s
+            rise = [
+                self.curvature + moment / stiff, c, s,
+                (twist * c - bend * s) / stiff, (twist * s + bend * c) / stiff,
+                turn_x * s - turn_y * c,
+            ]  # fmt: skip
+            return -np.concatenate(rise).reshape(6, n).ravel() * np.tile(arc, 6)
+
+        end = solve_ivp(rates, (0.0, 1.0), np.zeros(6 * n), method="DOP853", rtol=1e-9, atol=1e-14)
+        _, x, y, turn_x, turn_y, z = end.y[:, -1].reshape(6, n)
+        return -z + turn_x * y - turn_y * x
 
     # -- the contact given in space -----------------------------------------------------------
 
@@ -106,7 +150,8 @@ class Beams:
         h = 1e-5
         n = arc.size
         inside = np.where(arc * (1 + h) > self.length, -h, h)
-        more = h * np.minimum(unit, self._most(arc))
+        # Away from zero, where friction turns round.
+        more = h * np.minimum(unit, self._most(arc)) * np.where(force < 0, -1.0, 1.0)
         all_three = self.take(np.tile(np.arange(n), 3))
         found = all_three.follow(
             np.concatenate([arc, arc * (1 + inside), arc]),
@@ -202,7 +247,8 @@ class Beams:
             at = active
             some, u, d = self.take(at), unit[at], r[at]
             tiny = 1e-9 * u * side[at]
-            here, by_arc, by_force = some.slopes(arc[at], force[at] + tiny, u, 1e-9)
+            push = some._tamed(arc[at], force[at] + tiny)
+            here, by_arc, by_force = some.slopes(arc[at], push, u, 1e-9)
             tangent = np.stack([-by_force[3] * u, by_arc[3] * d])
             tangent /= np.hypot(*tangent)
             tangent *= np.where((tangent * way[:, at]).sum(axis=0) < 0, -1.0, 1.0)

@@ -8,13 +8,15 @@ the prior, as the status says.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 from hunting import Axis, Domain, Fate, Judged
 from reference_beam import Beams
 from scipy import stats
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri, xlogy
 
 import weberwhisk as ww
 from weberwhisk import Observer, Outcome, Whisker, cues, receptors
@@ -109,6 +111,10 @@ ENDS = np.array([0.025, 0.5, 0.975])
 FIT_ERROR = 0.03
 #: How well the grid must know its own answer to judge.
 UNKNOWN = 0.02
+#: Draws from the prior that count from which their weighing judges better than a grid.
+ENOUGH = 30_000
+#: Sum of both lapses near which a grid has steps, and the mass there that is too little to matter.
+ALL_LOST, LITTLE = 0.9, 0.01
 #: Likelihood ratio at 3 prior sds that a status calls open or not, and how near is undecided.
 OPEN, UNSURE = 0.1, 0.3
 FAR = 3.0
@@ -126,6 +132,30 @@ def table(case: Case, i: int) -> tuple[Array, int, Array]:
     # Answers vary with level in a way that the case repeats: a low-discrepancy sequence.
     u = (case["answers"][i] + 0.6180339887498949 * np.arange(count)) % 1
     return levels, n, stats.binom.ppf(np.clip(u, 1e-6, 1 - 1e-6), n, p)
+
+
+@cache
+def believed() -> tuple[Array, Array, Array, Array]:
+    """Scores of k, lapses and biases as believed beforehand: a low-discrepancy sequence."""
+    z, low, high, bias = ndtri(stats.qmc.Sobol(4, seed=1).random_base2(19)).T
+    lapses = stats.beta(0.3, 3)
+    return z, lapses.ppf(ndtr(low)), lapses.ppf(ndtr(0.7 * low + np.sqrt(0.51) * high)), bias
+
+
+def weighed_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float]:
+    """Quantiles of ln k by weighing what was believed; how many of these draws count."""
+    z, low, high, bias = believed()
+    log = np.where(low + high < 1, 0.0, -np.inf)
+    for drive, hits in zip((levels - 1) / np.hypot(levels, 1), answers, strict=True):
+        u = drive * np.exp(-np.log(3.0) * z) / 0.1 + bias
+        p = low * ndtr(-u) + (1 - high) * ndtr(u)
+        q = (1 - low) * ndtr(-u) + high * ndtr(u)
+        log += xlogy(hits, np.maximum(p, 1e-300)) + xlogy(n - hits, np.maximum(q, 1e-300))
+    weight = np.exp(log - log.max())
+    order = np.argsort(z)
+    rise = np.cumsum(weight[order])
+    ends = np.interp(ENDS, rise / rise[-1], z[order])
+    return ends * np.log(3.0) + np.log(0.1), float(rise[-1] ** 2 / (weight**2).sum())
 
 
 def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Array, float]:
@@ -174,7 +204,12 @@ def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Arra
         sd = float(np.sqrt(np.average((fine - np.average(fine, weights=density)) ** 2,
                                       weights=density))) * np.log(3.0)  # fmt: skip
     off = float(np.abs(found[0] - found[1]).max()) / sd
-    return found[0] + np.log(0.1), sd, ratio, off
+    # Lapses that leave no rise are cut off: where mass lies against that, the grid has steps.
+    cut = weight[:, (p_low + p_high)[..., 0] > ALL_LOST].sum() / weight.sum()
+    weighed, counted = weighed_fit(levels, n, answers)
+    if counted > ENOUGH:
+        return weighed, sd, ratio, 3 / np.sqrt(counted)
+    return found[0] + np.log(0.1), sd, ratio, off if cut < LITTLE else np.inf
 
 
 def judge_fit(case: Case, method: str = "quadrature") -> Judged:

@@ -25,6 +25,8 @@ ROUGH, HOPELESS = 0.01, 0.3
 #: Share of the last angle, and radians, about which a walk in steps does not know on which side
 #: of it it is: the angle is level at a fold, not so at the tip.
 UNDECIDED, LAST_STEP = 1e-5, 3e-4
+#: Contact's give out of the plane, in r per the force that turns it by a radian, that is not zero.
+SIDEWAYS = 1e-3
 SIGNALS = ("moment", "axial_force", "transverse_force")
 
 STRAIGHT = {
@@ -75,7 +77,7 @@ def judge(case: Case, rung: str) -> Judged:
     there = (walk["end"] == 0) | (held & (walk["end"] != 3))
     # From the walk's own end; where it ended in doubt, from the rung's contact.
     near = np.abs(walk["angle"] - theta) < np.maximum(UNDECIDED * np.abs(theta), LAST_STEP)
-    own_start = walk["end"] == 0
+    own_start, lost_way = walk["end"] == 0, walk["end"] == 4
     lost = ~np.isfinite(bent.arc_length)
     arc = np.where(own_start | lost, walk["arc"], bent.arc_length)
     force = np.where(own_start | lost, walk["force"], bent.force)
@@ -83,7 +85,9 @@ def judge(case: Case, rung: str) -> Judged:
     with np.errstate(all="ignore"):
         solved = (exact["left"] < 1e-7) & (exact["force"] * (theta - walk["rest"]) >= 0)
         solved &= exact["arc"] <= LENGTH * (1 + 1e-12)
-        exists = there & solved & (own_start | (near & (exact["det"] * beams.scale(r) > 0)))
+        # A walk that lost its way settles nothing: a stable contact found from the rung's will do.
+        stable = (near | lost_way) & (exact["det"] * beams.scale(r) > 0)
+        exists = there & solved & (own_start | stable)
         least = (
             1e-3 * np.abs(exact["force"]) * np.stack([r, np.minimum(np.abs(theta), 1), 1 + 0 * r])
         )
@@ -108,8 +112,18 @@ def judge(case: Case, rung: str) -> Judged:
     nothing = held & ~exists & ~doubt & ~at_tip
     fate[nothing] = np.where(hopeless[nothing], Fate.WARNED, Fate.SILENT)
     fate[held & ~exists & (doubt | at_tip)] = Fate.WARNED
+    fate[held & ~exists & (lost_way | ~np.isfinite(exact["moment"]))] = Fate.UNJUDGED
+    refused = ~held & exists & ~at_tip & ~near
+    if rung == "rod":
+        # In space a whisker may leave the plane where in it all is well: it is past the contact.
+        give = np.full(r.size, np.inf)
+        give[exists] = beams.take(exists).sideways(exact["arc"][exists], exact["force"][exists])
+        give = give * beams.scale(r) / r
+        gone, calm = give < -SIDEWAYS, give > SIDEWAYS
+        fate[held & exists & gone] = Fate.SILENT
+        refused &= calm
     # Refused where there is an equilibrium, by more than the last digits of its end.
-    fate[~held & exists & ~at_tip & ~near] = Fate.SILENT
+    fate[refused] = Fate.SILENT
     excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
     return Judged(
         fate,

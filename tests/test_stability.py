@@ -40,13 +40,18 @@ SIZES = {
 def test_a_hunt_finds_nothing_wrong_in_silence(name: str) -> None:
     """The seed is new each time; WEBERWHISK_HUNT_SEED replays one."""
     fresh = np.random.SeedSequence().generate_state(1)[0]
-    seed = int(os.environ.get("WEBERWHISK_HUNT_SEED", fresh))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the references, past the ends of what exists
-        cases = hunting.hunt(DOMAINS[name], *SIZES[name], seed)
-    wrong = hunting.silent(cases)
-    assert wrong.empty, f"WEBERWHISK_HUNT_SEED={seed} replays these of {name}:\n{wrong.to_string()}"
-    assert (cases["fate"] != hunting.Fate.UNJUDGED).any()
+    first = int(os.environ.get("WEBERWHISK_HUNT_SEED", fresh))
+    for seed in range(first, first + 20):  # a few cases may all be beyond the reference
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the references, past the ends of what exists
+            cases = hunting.hunt(DOMAINS[name], *SIZES[name], seed)
+        wrong = hunting.silent(cases)
+        assert wrong.empty, (
+            f"WEBERWHISK_HUNT_SEED={seed} replays these of {name}:\n{wrong.to_string()}"
+        )
+        if (cases["fate"] != hunting.Fate.UNJUDGED).any():
+            return
+    pytest.fail(f"Twenty hunts from seed {first} on had nothing that could be judged.")
 
 
 def test_the_hunt_can_find() -> None:
@@ -146,6 +151,61 @@ def test_a_cliff_in_the_posterior_of_a_fit_is_resolved() -> None:
     fit = fit_weber(read_trials(frame))
     found = fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
     np.testing.assert_allclose(found, [0.0078879, 0.0409360, 0.0814715], rtol=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("span", "levels", "n", "answers"),
+    [
+        (0.11309, 9, 1, [1] * 9),
+        (0.03253, 7, 4, [1, 3, 2, 1, 3, 2, 0]),
+    ],
+)
+def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
+    span: float, levels: int, n: int, answers: list[int]
+) -> None:
+    """Eighteen nodes gave the evidence to 1e-8, and the interval's lower end 2.2 % too high.
+
+    Held to half a million draws from the prior, weighed.
+    """
+    places = 1 + span * np.linspace(-1, 1, levels)
+    frame = pd.DataFrame({"standard": 1.0, "comparison": places, "n": n, "n_greater": answers})
+    fit = fit_weber(read_trials(frame))
+    exact, counted = load("stability_choices").weighed_fit(places, n, np.array(answers))
+    assert counted > 50_000
+    found = fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
+    np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)
+
+
+def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:
+    """The rod took 226°, past the fold, for −134°, where it found a contact on the other side."""
+    whisker = Whisker(50e-3, 100e-6, 100e-6, 3e9, 16.19846)
+    distance, angle, friction = 5e-5, 3.9464, -0.7
+    assert angle > ww.flick_past(whisker, distance, friction).deflection_angle
+    assert ww.press(whisker, distance, angle, friction, model="rod").outcome == Outcome.FLICKED_PAST
+
+
+def test_the_rod_flicks_past_sideways() -> None:
+    """Of a curved whisker bent back, with friction: in its plane it is held, in space it is not.
+
+    The rod refuses from where the contact gives way out of the plane by the linearised equations
+    of the referee, which shares no code with it: 2.433 rad of the 3.22 that hold in the plane.
+    """
+    curved = Whisker(50e-3, 100e-6, 97.18e-6, 3e9, -29.4)
+    distance, friction = 0.215422 * 50e-3, -0.621676
+    angle = np.linspace(1.5, 3.2, 60)
+    planar, rod = (ww.press(curved, distance, angle, friction, model=m) for m in ("profile", "rod"))
+    assert np.all(planar.outcome == Outcome.HELD)
+    same = np.ones(angle.size)
+    beams = load("reference_beam").Beams(
+        50e-3 * same, 100e-6 * same, 97.18e-6 * same, 3e9 * same, -29.4 * same, friction * same
+    )
+    give = beams.sideways(planar.arc_length, planar.force)
+    clear = np.abs(give) > 0.02
+    assert clear.sum() > 55
+    assert (give < 0).any()
+    found = np.where(rod.outcome == Outcome.HELD, 1.0, -1.0)
+    np.testing.assert_array_equal(found[clear], np.sign(give[clear]))
+    assert set(rod.outcome.tolist()) == {Outcome.HELD, Outcome.FLICKED_PAST}
 
 
 def test_a_point_out_of_reach_does_not_end_a_sweep_in_space() -> None:

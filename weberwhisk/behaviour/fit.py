@@ -13,7 +13,7 @@ from .likelihood import WeberModel, gather
 from .percepts import NOISES, Percept, chosen_percept, percept_for, refuse_unfelt, unit_percepts
 from .posteriors import GridPosterior, WeberPosterior
 from .priors import priors_for
-from .quadrature import integrate
+from .refinement import refined
 from .result import WeberFit
 from .trials import Trials, check_trials
 from .verdict import verdict
@@ -97,7 +97,7 @@ def fit_weber(
 
         posterior = sample(fewer, seed=rng)
     else:
-        posterior = GridPosterior(fewer, integrate(fewer), int(rng.integers(2**63)))
+        posterior = GridPosterior(fewer, refined(fewer), int(rng.integers(2**63)))
     status, notes = verdict(model, posterior)
     return WeberFit(
         trials, model, felt, noise, chosen, used, posterior, status, (*trials.notes, *notes)

@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from .likelihood import Draws, WeberModel
 from .mode import lead_values, log_lapses_possible, map_point, score_precision
 from .quadrature import Grid, evaluate, log_marginal
+from .refinement import density_of
 
 Array = NDArray[np.float64]
 
@@ -98,9 +99,7 @@ class GridPosterior:
         if name in self.model.lead:
             place = self.model.lead.index(name)
             axis = self.grid.axes[place]
-            fine = np.linspace(axis[0], axis[-1], 1601)
-            spline = CubicSpline(axis, np.maximum(log_marginal(self.grid, place), -80.0))
-            density = np.exp(spline(fine))
+            fine, density = density_of(axis, log_marginal(self.grid, place))
             values = self.model.at(name, fine)
         else:
             values, density = self._bias_density(self.model.group_names.index(name))

@@ -24,14 +24,9 @@ from .stretch import PLAIN
 Array = NDArray[np.float64]
 Axes = tuple[Array, ...]
 
-EDGE = 5e-4  # largest density at an edge, relative to the peak
 CHUNK = 40_000  # values at once: a few arrays of this size stay in the cache
 MOST = 2_000_000_000  # values in all, at which a posterior is given up
 FOLLOWED = 20  # what a value costs where bias nodes follow the lapses, in ordinary ones
-# Largest changes of the evidence when every other node is left out, on the whole and line by line,
-# where errors along a ridge cannot cancel. For a normal bump the error t falls to t⁴/8 at half the
-# step, so what is left is far smaller.
-COARSE, SLICED = 0.04, 0.1
 # Where the answers forbid all beyond a place the density ends in a cliff, not as a bump: no node
 # near the peak (in ln) may stand so far above its neighbour.
 NEAR, CLIFF = 4.0, 8.0
@@ -40,6 +35,21 @@ STEP, LAPSE_STEP = 2.0, 1.6  # of the first axes, in conditional sds; they are h
 FINER = 0.7  # of a step that was too coarse
 LAPSE_NODES = 23  # at least, over all that a lapse may be: its tails are unlike a bump's
 FAR_SCORE = 4.5  # of a lapse's prior, below which next to nothing lies
+
+
+@dataclass(frozen=True)
+class Care:
+    """How fine a grid must be.
+
+    `edge`: largest density at an edge, relative to the peak. `coarse`, `sliced`: largest changes of
+    the evidence when every other node is left out, on the whole and line by line, where errors
+    along a ridge cannot cancel. For a normal bump the error t falls to t⁴/8 at half the step, so
+    what is left is far smaller.
+    """
+
+    edge: float = 5e-4
+    coarse: float = 0.04
+    sliced: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -68,13 +78,13 @@ class Grid:
     bias_error: float
 
 
-def integrate(model: WeberModel) -> Grid:
+def integrate(model: WeberModel, care: Care = Care()) -> Grid:
     """The posterior on a grid that suits it."""
     axes, reference = _lay_axes(model)
     narrow = np.linspace(-6.25, 6.25, 11) if model.free_bias else np.zeros(1)
     sketch = evaluate(model, axes, narrow[::2], reference)
     axes = tuple(
-        _trim(sketch.joint, i, axis, LAPSE_NODES * name.startswith("lapse"))
+        _trim(sketch.joint, i, axis, LAPSE_NODES * name.startswith("lapse"), care.edge)
         for i, (axis, name) in enumerate(zip(axes, model.lead, strict=True))
     )
     offsets, follow, grid = narrow, False, sketch
@@ -85,10 +95,10 @@ def integrate(model: WeberModel) -> Grid:
             break
         grid = evaluate(model, axes, offsets, reference, follow)
         new_axes = tuple(
-            adapt(grid.joint, i, axis, stretch.ends)
+            adapt(grid.joint, i, axis, stretch.ends, care)
             for i, (axis, stretch) in enumerate(zip(axes, model.stretches, strict=True))
         )
-        new_offsets = _adapt_offsets(grid, offsets)
+        new_offsets = _adapt_offsets(grid, offsets, care)
         if new_offsets is offsets and all(a is b for a, b in zip(axes, new_axes, strict=True)):
             return grid
         if work > PLENTY and grid.error < GOOD and not _wider(axes, new_axes):
@@ -296,25 +306,27 @@ def _steepest(log_density: Array) -> float:
     return float(np.max(np.abs(np.diff(log_density)), where=high, initial=0.0))
 
 
-def adapt(joint: Array, index: int, axis: Array, ends: tuple[float, float]) -> Array:
+def adapt(
+    joint: Array, index: int, axis: Array, ends: tuple[float, float], care: Care = Care()
+) -> Array:
     """The axis itself where it serves; wider where mass hangs over, finer where nodes are few."""
     if axis.size == 1:
         return axis
     log_density = _marginal(joint, index)
     log_density = np.maximum(log_density - log_density.max(), -600.0)
     step = axis[1] - axis[0]
-    below, above = _missing(log_density[::-1]), _missing(log_density)
+    below, above = _missing(log_density[::-1], care.edge), _missing(log_density, care.edge)
     below = min(below, max(int((axis[0] - ends[0]) / step), 0))
     above = min(above, max(int((ends[1] - axis[-1]) / step), 0))
     shrink = min(
-        _shrink(_thinned(log_density), COARSE),
-        _shrink(_thinned_by_line(joint, index), SLICED),
+        _shrink(_thinned(log_density), care.coarse),
+        _shrink(_thinned_by_line(joint, index), care.sliced),
         # A lapse's axis ends where its prior does, steep or not.
         _shrink(_steepest(log_density), CLIFF if ends == PLAIN.ends else np.inf),
     )
     if shrink == 1 and below <= 0 and above <= 0:
         return axis
-    held = np.flatnonzero(log_density > np.log(1e-3 * EDGE))[[0, -1]]
+    held = np.flatnonzero(log_density > np.log(1e-3 * care.edge))[[0, -1]]
     low = axis[held[0]] - step * (1 + max(below, 0))
     high = axis[held[1]] + step * (1 + max(above, 0))
     return _even(low, high, shrink * step)
@@ -334,21 +346,21 @@ def _shrink(thinned: float, most: float) -> float:
     return 1.0 if thinned <= most else FINER
 
 
-def _missing(log_density: Array) -> int:
+def _missing(log_density: Array, edge: float) -> int:
     """Nodes wanting beyond the last, where the density still hangs over it."""
-    over = log_density[-1] - np.log(EDGE)
+    over = log_density[-1] - np.log(edge)
     if over <= 0:
         return 0
     fall = max(log_density[-2] - log_density[-1], 1e-3)
     return int(min(np.ceil(over / fall), log_density.size))
 
 
-def _trim(joint: Array, index: int, axis: Array, least: int) -> Array:
+def _trim(joint: Array, index: int, axis: Array, least: int, edge: float) -> Array:
     """Twice the nodes, and no fewer than `least`, over the range that holds the mass."""
     if axis.size == 1:
         return axis
     density = _marginal(joint, index)
-    held = np.flatnonzero(density > density.max() + np.log(1e-3 * EDGE))[[0, -1]]
+    held = np.flatnonzero(density > density.max() + np.log(1e-3 * edge))[[0, -1]]
     step = axis[1] - axis[0]
     low, high = axis[held[0]] - 0.5 * step, axis[held[1]] + 0.5 * step
     return _even(low, high, min(0.5 * step, (high - low) / max(least - 1, 1)))
@@ -358,7 +370,7 @@ def _even(low: float, high: float, step: float) -> Array:
     return np.asarray(low + step * np.arange(round((high - low) / step) + 1), dtype=float)
 
 
-def _adapt_offsets(grid: Grid, offsets: Array) -> Array:
+def _adapt_offsets(grid: Grid, offsets: Array, care: Care) -> Array:
     """The same for the biases, all groups at once."""
     if offsets.size == 1:
         return offsets
@@ -366,9 +378,9 @@ def _adapt_offsets(grid: Grid, offsets: Array) -> Array:
     with np.errstate(divide="ignore"):
         by_node = np.log(grid.bias_mass.sum(axis=(0, 1))).T  # (G, B)
     by_node = np.maximum(by_node - by_node.max(axis=1, keepdims=True), -600.0)
-    below = max(_missing(m[::-1]) for m in by_node)
-    above = max(_missing(m) for m in by_node)
+    below = max(_missing(m[::-1], care.edge) for m in by_node)
+    above = max(_missing(m, care.edge) for m in by_node)
     if below or above:
         return _even(offsets[0] - below * step, offsets[-1] + above * step, step)
-    shrink = _shrink(grid.bias_error, SLICED)
+    shrink = _shrink(grid.bias_error, care.sliced)
     return offsets if shrink == 1 else _even(offsets[0], offsets[-1], shrink * step)

@@ -262,8 +262,13 @@ class Scenes:
         off = off + np.linalg.norm(miss, axis=0)
         return np.asarray(np.linalg.norm(slopes, axis=2).T * off)
 
-    def press(self, distance: Array, target: Array) -> tuple[Array, NDArray[np.int8]]:
-        """Equilibria by continuation along the great circle from rest to the unit `target`."""
+    def press(
+        self, distance: Array, target: Array, round_back: NDArray[np.bool_]
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """Equilibria by continuation along the great circle from rest to the unit `target`.
+
+        Where `round_back`, by its longer arc.
+        """
         n = distance.size
         outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
         start, _ = zero_load(self.rows, distance)
@@ -277,6 +282,8 @@ class Scenes:
         size = np.sqrt((across**2).sum(axis=0))
         across = across / np.maximum(size, 1e-300)
         whole = np.arctan2(size, (rest * target).sum(axis=0))
+        across = np.where(round_back, -across, across)
+        whole = np.where(round_back, 2 * np.pi - whole, whole)
         done, stride, last = np.zeros(n), np.full(n, 0.2), np.zeros((3, n))
         sign = np.zeros(n)
         active = np.flatnonzero(good)

@@ -125,6 +125,9 @@ def press(
 ) -> Bending:
     """Press any whisker against a point at a given radial distance and deflection angle.
 
+    All motion is in the plane; whether the whisker would leave it, past the point, `rod.press`
+    says.
+
     Parameters
     ----------
     whisker : Whisker or Profile

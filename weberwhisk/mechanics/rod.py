@@ -151,11 +151,14 @@ def press(
     plane: ArrayLike = 0.0,
     poisson_ratio: float = POISSON_RATIO,
     tolerance: float = TOLERANCE,
+    round_back: ArrayLike = False,
 ) -> RodBending:
     """Press any whisker against a point in space.
 
     The point is moved on its sphere about the base, along the great circle from where the resting
-    whisker meets that sphere, and the equilibrium followed.
+    whisker meets that sphere, and the equilibrium followed for as long as it is stable, in all
+    directions: a whisker may leave its plane, sideways past the point, where a model of the plane
+    alone would have it held.
 
     Parameters
     ----------
@@ -164,6 +167,9 @@ def press(
         (x, y, z) in the base frame, m.
     friction_angle, plane, poisson_ratio, tolerance
         As for `bend`.
+    round_back : bool or array
+        Whether the point got there by the longer arc of that circle, having been pushed by more
+        than half a turn.
 
     Returns
     -------
@@ -192,12 +198,13 @@ def press(
     scenes = Scenes.of(whisker, (r,), friction_angle, plane, poisson_ratio)
     distance = scenes.flat(r) / scenes.length
     target = np.stack([scenes.flat(place[..., k]) / scenes.length for k in range(3)]) / distance
-    v, outcome = scenes.press(distance, target)
+    far = np.broadcast_to(np.asarray(round_back, dtype=bool), scenes.shape).reshape(-1)
+    v, outcome = scenes.press(distance, target, far)
     # Where no sliding contact gets, one without friction may hold: then friction holds it.
     ended = np.flatnonzero((outcome == Outcome.FLICKED_PAST) & (scenes.friction != 0))
     if ended.size:
         slick = replace(scenes.take(ended), friction=np.zeros(ended.size))
-        held = slick.press(distance[ended], target[:, ended])[1] == Outcome.HELD
+        held = slick.press(distance[ended], target[:, ended], far[ended])[1] == Outcome.HELD
         outcome[ended[held]] = Outcome.STUCK
     tolerance = 0.03 * tolerance  # towards the fold errors of the pass grow in the signals
     base = scenes.resolve(v, tolerance)

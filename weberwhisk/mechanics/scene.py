@@ -234,9 +234,19 @@ def _planar(scene: Scene, tolerance: float) -> Solved:
     return press_rows(rows, scene.distance, angle, scene.friction, tolerance)
 
 
+def _rod(scene: Scene) -> rod.RodBending:
+    # A point alone does not tell half a turn and more from what is left to a whole one.
+    back = np.abs(scene.push) > np.pi
+    place, roll = scene.point(), scene.roll
+    return rod.press(scene.profile(), place, scene.friction, plane=roll, round_back=back)
+
+
 def _spatial(scene: Scene) -> Solved:
-    b = rod.press(scene.profile(), scene.point(), scene.friction, plane=scene.roll)
+    b = _rod(scene)
     side = np.where(scene.push < 0, -1.0, 1.0)
+    # The tangent is within half a turn of the line to the contact, on whichever turn that is.
+    slant = np.arctan2(b.tangent[:, 1], b.tangent[:, 0]) - scene.angle
+    slant = (slant + np.pi) % (2 * np.pi) - np.pi
     numbers = np.stack(
         [
             b.moment[:, 2],
@@ -244,7 +254,7 @@ def _spatial(scene: Scene) -> Solved:
             b.force[:, 1],
             scene.distance,
             scene.angle,
-            np.arctan2(b.tangent[:, 1], b.tangent[:, 0]),
+            scene.angle + slant,
             b.arc_length,
             side * b.magnitude,
         ]
@@ -254,7 +264,7 @@ def _spatial(scene: Scene) -> Solved:
 
 def _spatial_slopes(scene: Scene) -> Array:
     """Derivatives (3, 2, n) of (M_z, −F_x, F_y) to (r, θ_d) where held, else NaN."""
-    found = rod.press(scene.profile(), scene.point(), scene.friction, plane=scene.roll)
+    found = _rod(scene)
     slopes = np.full((3, 2, scene.distance.size), np.nan)
     held = np.flatnonzero(found.outcome == Outcome.HELD)
     if held.size:
