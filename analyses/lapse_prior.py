@@ -45,11 +45,11 @@ def counts(k: float, sets: int, seed: int = 0) -> Array:
     return np.array([rng.binomial(PER_LEVEL, row, (sets, drive.size)) for row in p], dtype=float)
 
 
-def likelihood(k: float, count: Array) -> Array:
+def likelihood(k: float, count: Array, per_level: int = PER_LEVEL) -> Array:
     """Likelihood of answers (N, levels) over ln k and both lapses, (K, Lo·Hi, N); bias summed."""
     drive = offsets(k) / np.hypot(1, 1 + offsets(k))
     low, high = LAPSES[:, None, None, None], LAPSES[:, None, None]
-    both = np.hstack([count, PER_LEVEL - count]).T.astype(np.float32)
+    both = np.hstack([count, per_level - count]).T.astype(np.float32)
     prior = (-0.5 * BIAS**2).astype(np.float32)
     out = np.empty((LN_K.size, LAPSES.size**2, len(count)))
     for i, z in enumerate(drive / (k * np.exp(LN_K))[:, None, None] + BIAS[:, None]):
@@ -90,18 +90,21 @@ class Judged:
     covers: Array
 
 
+def answers(k: float, table: Array, weight: Array, spread: float = 3.0) -> list[Array]:
+    """2.5 %, median and 97.5 % of ln k from the true one, for each data set, under a prior."""
+    prior = norm.pdf(LN_K + np.log(k), np.log(0.1), np.log(spread))
+    fine = np.linspace(LN_K[0], LN_K[-1], 5201)
+    density = np.tensordot(table, weight, (1, 0)) * prior[:, None]
+    log_density = np.log(np.maximum(density / density.max(axis=0), 1e-13))
+    below = np.cumsum(np.exp(CubicSpline(LN_K, log_density)(fine)), axis=0)
+    return [fine[np.argmax(below >= p * below[-1], axis=0)] for p in (0.025, 0.5, 0.975)]
+
+
 def judge(k: float, table: Array, by_rate: list[Array], spread: float = 3.0) -> Judged:
     """Estimates of k under a prior of the lapses, one for each true rate, (rates,)."""
-    prior = norm.pdf(LN_K + np.log(k), np.log(0.1), np.log(spread))
-    fine = np.linspace(LN_K[0], LN_K[-1], 701)
     found = []
     for part, weight in zip(np.array_split(table, len(RATES), axis=2), by_rate, strict=True):
-        density = np.tensordot(part, weight, (1, 0)) * prior[:, None]
-        log_density = np.log(np.maximum(density / density.max(axis=0), 1e-13))
-        below = np.cumsum(np.exp(CubicSpline(LN_K, log_density)(fine)), axis=0)
-        low, middle, high = (
-            fine[np.argmax(below >= p * below[-1], axis=0)] for p in (0.025, 0.5, 0.975)
-        )
+        low, middle, high = answers(k, part, weight, spread)
         off = np.expm1(middle)
         inside = (low < 0) & (high > 0)
         found.append((100 * np.median(off), np.sqrt(np.mean(off**2)), 100 * inside.mean()))

@@ -22,12 +22,13 @@ from weberwhisk.behaviour import (
     WeberFit,
     checks,
     compare_drift,
+    fit_population,
     load_numerosity,
     load_rat_auditory,
     quantile_residuals,
     residuals_by,
 )
-from weberwhisk.behaviour.effects import Contraction, History
+from weberwhisk.behaviour.effects import Contraction, History, PastContraction
 
 BLOCK = 5  # sessions fitted together
 #: All steps of the rat's levels are alike, so that there are two proportions, one up and one down,
@@ -74,12 +75,13 @@ def by_block(trials: Trials) -> pd.DataFrame:
 
 
 def observers(trials: Trials) -> Comparison:
-    """What else moves the rat: contraction to the mean, its last answer."""
+    """What else moves the rat: contraction to the mean of all or past sounds, its last answer."""
     return compare(
         {
             "sounds alone": fit_weber(trials, priors=RAT),
             "a bias per standard": fit_weber(trials, bias="per standard", priors=RAT),
             "contraction": fit_weber(trials, effects=[Contraction()], priors=RAT),
+            "contraction to the past": fit_weber(trials, effects=[PastContraction()], priors=RAT),
             "history": fit_weber(trials, effects=[History()], priors=RAT),
         }
     )
@@ -96,6 +98,23 @@ def by_default(trials: Trials) -> str:
         f"standard (misfit p = {shared.misfit:.2g}). With a bias per standard the status is "
         f"{own.status.name}, at {own.weber_fraction:.3g} per unit ({low:.3g} to {high:.3g}, misfit "
         f"p = {own.misfit:.2g}): as the biases differ and the lapses do not, these are told apart."
+    )
+
+
+def by_session(trials: Trials) -> str:
+    """What the sessions learn from one another, their lapses above all."""
+    found = fit_population(trials, sessions=True)
+    at = {name: found.interval(parameter=name) for name in found.parameters}
+    middle = {name: float(found.quantile(name, 0.5)) for name in found.parameters}
+    return (
+        "Fitted together (`fit_population`, with a bias, two lapses and a Weber fraction of each "
+        "session and the default beliefs), the sessions learn their lapses from one another: on "
+        f"average {100 * middle['mean_lapse_low']:.0f} % of answers are lost at either end "
+        f"({100 * at['mean_lapse_low'][0]:.0f} to {100 * at['mean_lapse_low'][1]:.0f} %), the "
+        f"Weber fraction is {middle['weber_fraction']:.2g} per unit "
+        f"({at['weber_fraction'][0]:.2g} to {at['weber_fraction'][1]:.2g}) and varies between "
+        f"sessions by a factor of {np.exp(middle['session_spread']):.2f} as one sd "
+        f"({np.exp(at['session_spread'][0]):.2f} to {np.exp(at['session_spread'][1]):.2f})."
     )
 
 
@@ -123,6 +142,8 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         markdown(checks(whole)),
         "",
         by_default(trials),
+        "",
+        by_session(trials),
         "",
         f"The same in blocks of {BLOCK} sessions, where the animal changes less:",
         "",

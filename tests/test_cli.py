@@ -500,13 +500,54 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "did you mean 'ridge'?" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("cue", ["three-forces", "moment"])
-def test_choices_by_other_cues_of_forces(tmp_path: Path, cue: str) -> None:
-    scene = [*SOFT, "--cue", cue, "--deflection-angle-deg", "5"]
-    out = str(tmp_path / "out")
-    made = ["simulate", *scene, "--standard-mm", "20", "--weber-fraction", "0.1", "--out", out]
-    assert run_app(cli.app, made) == 0
-    assert run_app(cli.app, ["fit", f"{out}/trials.csv", *scene, "--out", f"{out}/fit"]) == 0
+@pytest.mark.parametrize(
+    "scene",
+    [
+        ["--cue", "three-forces", "--deflection-angle-deg", "5"],
+        ["--cue", "moment", "--deflection-angle-deg", "5"],
+        ["--cue", "fused"],
+        ["--receptors", "log-normal"],
+        ["--cue", "force-map", "--receptors", "near-miss=0.7"],
+        ["--receptors", "floor=0.05"],
+        ["--receptors", "saturating=2"],
+    ],
+)
+def test_choices_by_other_cues_and_receptors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: list[str]
+) -> None:
+    scene, out = [*SOFT, *scene], tmp_path / "out"
+    assert run_app(cli.app, ["simulate", *scene, "--standard-mm", "20", "--out", str(out)]) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    again = said.removeprefix("Fit them with: weberwhisk ").split()
+    assert run_app(cli.app, [*again, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["lower"] < 0.1 < found["upper"]
+
+
+def test_choices_by_angles_are_simulated_and_not_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = [*SOFT, "--cue", "two-whiskers"], tmp_path / "out"
+    assert run_app(cli.app, ["simulate", *scene, "--standard-mm", "20", "--out", str(out)]) == 0
+    assert "constant noise of the cue's own" in capsys.readouterr().out
+    assert json.loads((out / "truth.json").read_text())["weber_fraction"] is None
+    said = refused(capsys, "fit", str(out / "trials.csv"), *scene)
+    assert "there is no Weber fraction to find" in said
+
+
+def test_effects_are_simulated_and_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moved = ["--effect", "past-contraction=20:0.4", "--standard", "1,2", "--offset", "-0.2,0,0.2"]
+    moved += ["--seed", "2"]
+    assert run_app(cli.app, ["simulate", *moved, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.endswith(" --effect past-contraction=20")
+    assert json.loads((tmp_path / "truth.json").read_text())["effects"] == {"past_contraction": 0.4}
+    again = said.removeprefix("Fit them with: weberwhisk ").split()
+    assert run_app(cli.app, [*again, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["parameters"]["past_contraction"]
+    assert found["lower"] < 0.4 < found["upper"]
 
 
 @pytest.mark.parametrize("cue", sorted(SCENES))
@@ -632,6 +673,16 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "weber_fraction" in capsys.readouterr().out
 
 
+def test_fit_takes_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    course = ["--sessions", "2", "--trials-per-level", "12"]
+    answer(capsys, "simulate", *course, "--out", str(tmp_path / "s"))
+    file, out = str(tmp_path / "s" / "trials.csv"), tmp_path / "out"
+    assert run_app(cli.app, ["fit", file, "--by-session", "--out", str(out)]) == 0
+    assert "session_spread" in capsys.readouterr().out
+    assert json.loads((out / "fit.json").read_text())["status"] == "ONE_ANIMAL"
+    assert pd.read_csv(out / "sessions.csv")["session"].tolist() == [1, 2]
+
+
 def test_fit_by_emcee_agrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(cli.app, ["simulate", "--out", str(tmp_path)]) == 0
     capsys.readouterr()
@@ -735,7 +786,16 @@ C2 = ["--identity", "C2"]
             "no use for --weber-fraction",
         ),
         (["jnd", *C2, "--cue", "two-whisker"], "did you mean 'two-whiskers'?"),
-        (["simulate", *C2, "--cue", "two-whiskers"], "choose one of compliance, force-map"),
+        (["simulate", *C2, "--cue", "two-whisker"], "did you mean 'two-whiskers'?"),
+        (["simulate", *C2, "--cue", "vibrissa-length"], "reports events, all or none"),
+        (["next", *C2, "--cue", "two-whiskers"], "there is no Weber fraction to find"),
+        (["simulate", "--receptors", "weber"], "--receptors needs a whisker to feel with"),
+        (["simulate", *C2, "--cue", "fused", "--receptors", "weber"], "receptors of its own"),
+        (["simulate", *C2, "--receptors", "flor=1"], "did you mean 'floor'?"),
+        (["simulate", *C2, "--receptors", "floor"], "--receptors floor takes a number"),
+        (["simulate", *C2, "--receptors", "floor=x"], "--receptors must be a number, got 'x'"),
+        (["simulate", "--effect", "histry:0.5"], "did you mean 'history'?"),
+        (["simulate", "--effect", "history"], "the value of an effect must be a number"),
         (["simulate", "--weber-fraction", "-1"], "weber_fraction must be above zero"),
         (["simulate", "--weber-fraction", "x"], "'x' is not a number"),
         (["simulate", "--standard", "0"], "--standard must be above zero, got 0"),

@@ -13,6 +13,7 @@ from scipy.special import ndtr
 
 from weberwhisk.behaviour import (
     FitStatus,
+    IdentityPercept,
     Trials,
     fit_weber,
     read_trials,
@@ -29,6 +30,7 @@ from weberwhisk.behaviour.effects import (
     History,
     NearMiss,
     Overdispersion,
+    PastContraction,
     Step,
 )
 from weberwhisk.behaviour.likelihood import WeberModel
@@ -55,6 +57,18 @@ def design(seed: int, trials: int = 900) -> pd.DataFrame:
     )
 
 
+def past_of(f: pd.DataFrame, half_life: float = np.inf) -> Array:
+    """Mean of both stimuli of the trials before, trial by trial; NaN on the first of a session."""
+    middle = ((f["stimulus_1"] + f["stimulus_2"]) / 2).to_numpy()
+    session = f["session"].to_numpy()
+    out = np.full(len(f), np.nan)
+    for i in range(len(f)):
+        before = np.flatnonzero(session[:i] == session[i])
+        if before.size:
+            out[i] = np.average(middle[before], weights=0.5 ** ((i - before) / half_life))
+    return out
+
+
 def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = K) -> Array:
     """P(second greater) with an effect, written out; `before` is the last answer, −1, 0 or 1."""
     s1, s2 = f["stimulus_1"].to_numpy(), f["stimulus_2"].to_numpy()
@@ -71,6 +85,8 @@ def by_hand(name: str, value: float, f: pd.DataFrame, before: Array, k: float = 
             sd1, sd2 = (k * typical * (s / typical) ** value for s in (s1, s2))
         case "contraction":
             m1 = s1 + value * (np.mean([s1, s2]) - s1)
+        case "past_contraction":
+            m1 = s1 + value * np.nan_to_num(past_of(f) - s1)
         case "memory":
             sd1 = sd1 * np.exp(value)
         case "comparison_bias":
@@ -109,6 +125,7 @@ CASES: dict[str, tuple[Effect, float]] = {
     "floor": (Floor(), 0.3),
     "exponent": (NearMiss(), 0.7),
     "contraction": (Contraction(), 0.2),
+    "past_contraction": (PastContraction(), 0.2),
     "memory": (FirstIntervalNoise(), 0.8),
     "comparison_bias": (ComparisonBias(), 0.7),
     "history": (History(), 0.6),
@@ -135,7 +152,9 @@ def test_the_likelihood_is_the_observer_written_out(name: str) -> None:
     p = by_hand(name, value, f, before)
     exact = np.sum(choice * np.log(p) + (1 - choice) * np.log(1 - p))
     one = np.array([K]), np.array([LOW]), np.array([HIGH]), np.array([[BIAS]]), np.array([[value]])
-    assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=1e-7)
+    # The past is rounded to a hundredth of its spread: 0.004 sds a trial, in either direction.
+    accuracy = 0.1 if name == "past_contraction" else 1e-7
+    assert model_of(trials, effect).log_likelihood(*one)[0] == pytest.approx(exact, abs=accuracy)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -154,6 +173,8 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
     # Lapses known: one dimension less at a time is enough for a test that always runs.
     known = {"lapse_low": LOW, "lapse_high": HIGH}
     trials = answered(name, value, seed=13, trials=3000)
+    if name == "past_contraction":  # hardly two trials are alike, and draws take long
+        trials, known = answered(name, value, seed=13, trials=900), known | {"bias": BIAS}
     fit = fit_weber(trials, effects=[effect], priors=known)
     assert fit.status is FitStatus.DETERMINED
     low, high = fit.interval(0.99, parameter=name)
@@ -194,6 +215,60 @@ def test_units_do_not_matter(unit: float) -> None:
         assert b.interval(parameter=effect.name) == pytest.approx(
             (scale * low, scale * high), rel=1e-5, abs=1e-6 * scale
         )
+
+
+# -- the past -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("half_life", [None, 5.0])
+def test_the_past_is_that_of_the_session_and_fades(half_life: float | None) -> None:
+    trials = answered("none", 0.0, seed=16, trials=60)
+    # A trial without an answer was felt all the same.
+    silent = trials.table().assign(choice=trials.frame["count"].where(trials.frame.index != 4))
+    read = read_trials(silent)
+    f = read.frame
+    usual = f.loc[f["count"].notna(), ["stimulus_1", "stimulus_2"]].to_numpy().mean()
+    found = PastContraction(half_life=half_life).column(read, IdentityPercept()) + usual
+    exact = past_of(f, half_life or np.inf)
+    first = np.isnan(exact)
+    assert first.sum() == SESSIONS
+    spread = (f["stimulus_1"] + f["stimulus_2"]).std() / 2
+    np.testing.assert_allclose(found[~first], exact[~first], atol=0.00501 * spread)
+    # Drawn towards itself: not drawn.
+    np.testing.assert_array_equal(found[first], f["stimulus_1"].to_numpy()[first])
+
+
+def test_the_past_is_told_from_what_is_usual() -> None:
+    """Where the standards of a session are its own, the two contractions part."""
+    rng = np.random.default_rng(17)
+    session = np.repeat(np.arange(8), 150)
+    standard = np.array([1.0, 1.4, 2.0, 2.8])[(session % 4)] * rng.choice([0.9, 1.1], session.size)
+    f = pd.DataFrame({"session": session, "standard": standard, "stimulus_1": standard})
+    f["stimulus_2"] = np.round(standard * rng.choice([0.75, 0.9, 1.0, 1.1, 1.3], len(f)), 6)
+    p = by_hand("past_contraction", 0.5, f.assign(comparison=f["stimulus_2"]), np.zeros(len(f)))
+    trials = read_trials(f.assign(choice=(rng.random(len(f)) < p).astype(int)))
+    known = {"lapse_low": LOW, "lapse_high": HIGH}
+    past, usual = (
+        fit_weber(trials, effects=[effect], priors=known)
+        for effect in (PastContraction(), Contraction())
+    )
+    low, high = past.interval(0.99, parameter="past_contraction")
+    assert 0 < low < 0.5 < high
+    assert past.log_evidence > usual.log_evidence + 3  # type: ignore[operator]
+    assert usual.interval(parameter="contraction")[1] < 0.2
+
+
+def test_the_past_needs_trials_in_their_order() -> None:
+    counts = read_trials(
+        pd.DataFrame({"standard": 1.0, "comparison": [0.9, 1.1], "n": 20, "n_greater": [5, 15]})
+    )
+    with pytest.raises(ValueError, match="PastContraction needs a row a trial, got counts"):
+        fit_weber(counts, effects=[PastContraction()])
+    correct = simulate_trials(task="2AFC percent correct", offsets=[0.1, 0.3], seed=1)
+    with pytest.raises(ValueError, match="which interval held which stimulus"):
+        fit_weber(correct, effects=[PastContraction()])
+    with pytest.raises(ValueError, match="half_life must be above zero, got 0"):
+        PastContraction(half_life=0)
 
 
 # -- overdispersion -------------------------------------------------------------------------------

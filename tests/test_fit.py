@@ -17,9 +17,11 @@ from scipy.special import logsumexp
 from weberwhisk.behaviour import (
     FitStatus,
     LogPercept,
+    PopulationStatus,
     Priors,
     Trials,
     WeberFit,
+    fit_population,
     fit_weber,
     load_numerosity,
     load_rat_auditory,
@@ -118,6 +120,10 @@ def brute_force(trials: Trials, bias: str, n_k: int = 61, n_b: int = 61, n_l: in
 BRUTE = {
     "300 trials": (dict(trials_per_level=33, lapse_low=0.02, lapse_high=0.02, seed=3), "shared"),
     "45 trials": (dict(trials_per_level=5, weber_fraction=0.3, seed=4), "shared"),
+    "36 trials": (
+        dict(trials_per_level=4, lapse_low=0.1, lapse_high=0.05, bias=0.7, seed=11), "shared",
+    ),
+    "999 trials": (dict(trials_per_level=111, lapse_high=0.03, bias=-0.3, seed=12), "shared"),
     "high lapses": (dict(trials_per_level=20, lapse_low=0.2, lapse_high=0.1, seed=5), "shared"),
     "nearly perfect": (dict(trials_per_level=20, weber_fraction=0.02, seed=6), "shared"),
     "one side": (dict(offsets=[0.05, 0.1, 0.2, 0.4], trials_per_level=30, seed=7), "shared"),
@@ -825,7 +831,7 @@ def test_recovery_and_coverage() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("per_level", EXACT_RMSE)
 def test_recovery_and_coverage_in_full(per_level: int) -> None:
-    """Other k and lapse rates: `tests/benchmarks/bench_fit.py`, and `test_lapse_prior.py` for what
+    """Other k and lapse rates: `analyses/recovery.py`, and `test_lapse_prior.py` for what
     not knowing the lapses costs."""
     errors, covered = recover(500, 50_000, per_level)
     judge(errors, covered, per_level)
@@ -852,8 +858,25 @@ def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None
     shared, own = fit_weber(trials), fit_weber(trials, bias="per standard")
     assert shared.status is FitStatus.NOT_CONVERGED
     said = shared.report()
-    for part in ("of 2 kinds", "parameters are 4", 'Try bias="per standard"', "given up"):
-        assert part in said
+    for part in (
+        "of 2 kinds",
+        "parameters are 4",
+        'Try bias="per standard"',
+        "given up",
+        "believe lapses to be few",
+        'or fit bias="per standard"',
+        "fit_population(trials, sessions=True)",
+        "other method would give up as well",
+    ):
+        assert part in said  # fmt: skip
+    # What it says to do instead works.
+    few = {name: stats.beta(1, 20) for name in ("lapse_low", "lapse_high")}
+    assert fit_weber(trials, priors=few).status is FitStatus.DETERMINED
+    pooled = fit_population(load_rat_auditory(range(1, 41, 5)), sessions=True)
+    assert pooled.status is PopulationStatus.ONE_ANIMAL
+    assert pooled.population is not None
+    low, high = pooled.interval()
+    assert 0.1 < low < high < 3
     assert json.loads(shared.to_json())["error"] is None
     assert own.status is FitStatus.DETERMINED
     assert own.log_evidence > shared.log_evidence + 50  # type: ignore[operator]

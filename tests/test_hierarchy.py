@@ -381,6 +381,13 @@ def test_missing_labels_are_refused(column: str, sessions: bool) -> None:
         fit_population(lacking, sessions=sessions)
 
 
+def test_sessions_without_a_subject_are_one_animals() -> None:
+    fit = fit_population(simulate_trials(sessions=2, trials_per_level=20, seed=4), sessions=True)
+    assert fit.status is PopulationStatus.ONE_ANIMAL
+    assert fit.sessions is not None
+    assert fit.sessions["session"].tolist() == [1, 2]
+
+
 def test_reading_off_a_fit() -> None:
     trials, _ = animals(4)
     fit = fit_population(trials, sessions=False)

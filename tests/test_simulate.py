@@ -9,7 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from weberwhisk.behaviour import LogPercept, simulate_population, simulate_trials
+from weberwhisk.behaviour import (
+    LogPercept,
+    effects,
+    fit_weber,
+    simulate_population,
+    simulate_trials,
+)
 from weberwhisk.behaviour.datapackage import data_package, describe_table
 from weberwhisk.behaviour.population import joined
 
@@ -206,3 +212,56 @@ def test_a_data_package_names_every_column() -> None:
     assert fields["stimulus_1_mm"]["unit"] == "mm"
     assert fields["correct"]["type"] == "integer"
     assert fields["subject"]["type"] == "string"
+
+
+# -- effects -------------------------------------------------------------------------------------
+
+MOVED: dict[str, tuple[effects.Effect, float]] = {
+    "floor": (effects.Floor(), 0.3),
+    "exponent": (effects.NearMiss(), 0.7),
+    "contraction": (effects.Contraction(), 0.3),
+    "past_contraction": (effects.PastContraction(half_life=20), 0.3),
+    "comparison_bias": (effects.ComparisonBias(), 0.6),
+    "history": (effects.History(), 0.6),
+    "drift": (effects.Drift(), -1.0),
+    "step[3]": (effects.Step(at=3), -0.7),
+    "overdispersion": (effects.Overdispersion(), 0.1),
+}
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_what_moves_the_simulated_animal_is_found(name: str) -> None:
+    effect, value = MOVED[name]
+    trials = simulate_trials(
+        standards=[1.0, 2.0, 4.0], offsets=[-0.3, -0.1, 0.1, 0.3], trials_per_level=250, sessions=5,
+        weber_fraction=0.12, effects=[(effect, value)], missing=0.02, seed=41,
+    )  # fmt: skip
+    known = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+    fit = fit_weber(trials, effects=[effect], priors=known)
+    low, high = fit.interval(0.99, parameter=name)
+    assert low < value < high
+    assert not low < effect.neutral < high
+    low, high = fit.interval(0.99)
+    assert low < 0.12 < high
+
+
+def test_effects_at_nothing_leave_the_answers_alone() -> None:
+    design = {"standards": [1.0, 2.0], "sessions": 3, "missing": 0.05, "drift": -0.4, "bias": 0.2}
+    plain = simulate_trials(**design, seed=7)  # type: ignore[arg-type]
+    none = [(effect, effect.neutral) for name, (effect, _) in MOVED.items() if name[0] != "o"]
+    moved = simulate_trials(**design, effects=none, seed=7)  # type: ignore[arg-type]
+    pd.testing.assert_frame_equal(plain.frame, moved.frame)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ([effects.History()], "pairs of an effect and its value"),
+        ([("history", 0.5)], r"write History\(\)"),
+        ([(effects.History(), "much")], "the value of history must be a number"),
+        ([(effects.Overdispersion(), 1.5)], "overdispersion must lie between 0 and 1"),
+    ],
+)
+def test_effects_without_a_value_are_refused(given: list[object], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        simulate_trials(effects=given, seed=1)  # type: ignore[arg-type]

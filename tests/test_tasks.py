@@ -13,12 +13,15 @@ from weberwhisk.behaviour import (
     IdentityPercept,
     LogAxisPercept,
     LogPercept,
+    fit_weber,
+    noise_parts,
     response_probability,
     simulate_trials,
     task_named,
     threshold,
 )
 from weberwhisk.behaviour.percepts import refuse_unfelt, unit_percepts
+from weberwhisk.commands.options import SCENES
 
 TWO = task_named("2AFC")
 MAGNITUDE = IdentityPercept()
@@ -226,6 +229,76 @@ def test_a_cylinders_map_cannot_be_judged_by() -> None:
     percept = CuePercept(ww.Observer(CYLINDER, ww.cues.ForceMap()), deflection_angle=0.1)
     with pytest.raises(ValueError, match="these signals cannot tell distance"):
         refuse_unfelt(percept, [0.02, 0.03])
+
+
+R = np.array([0.02, 0.025])
+WHISKER = ww.Whisker(0.05, 1e-4, 5e-6)
+
+
+def chance_by(noise: ww.receptors.ReceptorNoise, k: float = 0.2) -> tuple[float, np.ndarray]:
+    """Chance of "second greater" by the compliance cue, and both its signals."""
+    observer = ww.Observer(WHISKER, ww.cues.Compliance(), noise)
+    p = response_probability(TWO, CuePercept(observer), *R, weber_fraction=k)
+    return float(p[0]), observer.signals(R[:, None])[0][:, 0]
+
+
+def test_receptors_of_every_kind_in_the_likelihood() -> None:
+    """Each written out: d' of two readings of one signal, which falls with distance."""
+    k = 0.2
+    _, (m1, m2) = chance_by(ww.receptors.Weber(1.0))
+    middle, floor = np.sqrt(m1 * m2), 0.1 * m1
+    near = k * middle * (np.array([m1, m2]) / middle) ** 0.7
+    response = np.array([m1, m2]) / (1 + np.array([m1, m2]) / m1)
+    exact = {
+        ww.receptors.Weber(0.3): (m1 - m2) / (k * np.hypot(m1, m2)),
+        ww.receptors.LogNormal(0.3): np.log(m1 / m2) / (k * np.sqrt(2)),
+        ww.receptors.NearMiss(0.3, exponent=0.7, reference=middle): (m1 - m2) / np.hypot(*near),
+        ww.receptors.GeneralisedWeber(0.3, floor=floor): (m1 - m2)
+        / np.sqrt(k**2 * (m1**2 + m2**2) + 2 * floor**2),
+        ww.receptors.Saturating(0.3, ceiling=m1, floor=floor): (response[0] - response[1])
+        / np.sqrt(k**2 * (response**2).sum() + 2 * floor**2),
+        ww.receptors.GeneralisedWeber(0.0, floor=floor): (m1 - m2) / (np.sqrt(2) * floor),
+    }
+    for noise, d in exact.items():
+        assert chance_by(noise)[0] == pytest.approx(stats.norm.cdf(d), abs=1e-12), noise
+
+
+def test_a_hard_ceiling_gives_no_percept_and_a_soft_one_does() -> None:
+    _, (m1, m2) = chance_by(ww.receptors.Weber(1.0))
+    hard = ww.receptors.GeneralisedWeber(0.1, floor=0.0, ceiling=(m1 + m2) / 2)
+    observer = ww.Observer(WHISKER, ww.cues.Compliance(), hard)
+    with pytest.raises(ValueError, match=r"1 of 2 stimuli.*0\.02 \(the receptors are saturated"):
+        refuse_unfelt(CuePercept(observer), R)
+    soft = ww.receptors.Saturating(0.1, ceiling=(m1 + m2) / 2)
+    refuse_unfelt(CuePercept(ww.Observer(WHISKER, ww.cues.Compliance(), soft)), R)
+
+
+@pytest.mark.parametrize("cue", sorted(SCENES))
+def test_every_cue_is_a_percept_of_distance_with_its_own_jnd(cue: str) -> None:
+    observer = ww.Observer(WHISKER, SCENES[cue](WHISKER))
+    angle = 0.1 if "deflection_angle" in observer.unknowns else None
+    if cue in ("vibrissa-length", "comparative-length"):
+        with pytest.raises(ValueError, match="reports events, all or none"):
+            CuePercept(observer, angle)
+        return
+    percept = CuePercept(observer, angle)
+    assert percept.direction == 1  # distance itself, or the balance angle, which grows with it
+    contact = R[:, None] if angle is None else np.stack([R, [angle, angle]], axis=-1)
+    jnd = ww.jnd.weber_propagation(observer, observer.at_middle(contact))
+    if cue == "balance-of-moments":  # one signal: the angle is the percept
+        jnd = observer.noise.sd(observer.signals(contact)[0])[:, 0]
+    # At the receptors' own Weber fraction, 0.1, the noise is their own.
+    first = noise_parts.fractions(observer.noise, len(observer.cue.signal_names))
+    k = first[first > 0][0] if percept.has_weber_fraction else 0.123
+    found = np.hypot(k * percept.unit_sd(R), percept.floor_sd(R))
+    np.testing.assert_allclose(found, jnd, rtol=1e-6)
+
+
+def test_choices_by_angles_have_no_weber_fraction_to_fit() -> None:
+    observer = ww.Observer(WHISKER, ww.cues.TwoWhiskers())
+    trials = simulate_trials(standards=R, observer=observer, seed=3)
+    with pytest.raises(ValueError, match="no noise of these signals goes with a Weber fraction"):
+        fit_weber(trials, observer=observer)
 
 
 def test_millimetres_are_metres() -> None:

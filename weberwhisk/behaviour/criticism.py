@@ -212,7 +212,7 @@ class _Rows:
         by_row = [frame[name].to_numpy(float) for name in names]
         by_cell = [getattr(cells, name) for name in names]
         for effect, column in zip(model.effects, model.columns, strict=True):
-            own = effect.column(fit.trials)
+            own = effect.column(fit.trials, fit.percept)
             by_row.append(np.zeros(len(frame)) if own is None else own)
             by_cell.append(column)
         keys = np.column_stack([np.concatenate(pair) for pair in zip(by_cell, by_row, strict=True)])

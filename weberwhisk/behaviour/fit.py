@@ -138,9 +138,14 @@ def build_model(
         raise ValueError(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
         )
-    cells, columns = gather(trials, tuple(effects))
+    cells, columns = gather(trials, tuple(effects), felt)
     refuse_unfelt(felt, np.concatenate([cells.stimulus_1, cells.stimulus_2, cells.standard]))
     both = unit_percepts(felt, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
+    if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
+        raise ValueError(
+            "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
+            "of angles is a constant; give receptors whose noise grows, receptors.Weber(0.1), say."
+        )
     bound = tuple(effect.bound(both, cells.n) for effect in effects)
     by_name = {effect.name: effect.prior for effect in bound}
     if len(by_name) < len(bound):

@@ -123,13 +123,13 @@ FINER = {1: 24, 2: 8, 3: 5}  # by how many axes are interpolated at once
 
 def _zoomed(values: Array, factor: Sequence[int]) -> Array:
     """Cubic interpolation, the ends kept; mirrored at the ends, as a density is about no spread."""
-    out: Array = zoom(
-        values,
-        [(n * f - f + 1) / n for n, f in zip(values.shape, factor, strict=True)],
-        order=3,
-        mode="mirror",
-    )
-    return out
+    shape = [n * f - f + 1 for n, f in zip(values.shape, factor, strict=True)]
+    # Every axis costs a factor of four, one of a single node too.
+    size = [(m, n) for m, n in zip(shape, values.shape, strict=True) if n > 1]
+    if not size:
+        return values
+    out = zoom(np.squeeze(values), [m / n for m, n in size], order=3, mode="mirror")
+    return np.asarray(out.reshape(shape), dtype=float)
 
 
 def _end_weights(shape: Sequence[int]) -> Array:

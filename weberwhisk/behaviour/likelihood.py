@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
 from .effects import Effect, Overdispersion
-from .percepts import Signals, UnitPercepts
+from .percepts import Percept, Signals, UnitPercepts
 from .priors import TINY, Priors
 from .stretch import PLAIN, Stretch, stretch_for
 from .tasks import Task
@@ -335,9 +335,9 @@ class WeberModel:
             yield float(standard), self.subset(float(standard))
 
 
-def gather(trials: Trials, effects: tuple[Effect, ...]) -> tuple[Cells, Array]:
+def gather(trials: Trials, effects: tuple[Effect, ...], percept: Percept) -> tuple[Cells, Array]:
     """Trials in cells, those apart that differ in what an effect goes with; columns (E, C)."""
-    named = [e.column(trials) for e in effects]
+    named = [e.column(trials, percept) for e in effects]
     if all(c is None for c in named):
         cells = trials.cells()
         return cells, np.zeros((len(effects), cells.n.size))

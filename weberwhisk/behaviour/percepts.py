@@ -6,19 +6,14 @@ A percept is the only thing a fit knows about a stimulus. Anything with the four
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from ..jnd import weber_propagation
-from ..mechanics.contact import Outcome
-from ..observer import Observer
-from ..receptors import Weber
+from .cue_percept import CuePercept
 
 Array = NDArray[np.float64]
 
@@ -128,124 +123,6 @@ class LogAxisPercept:
 
     def unit_sd(self, stimulus: ArrayLike) -> Array:
         return np.ones_like(np.asarray(stimulus, dtype=float))
-
-
-@dataclass(frozen=True)
-class CuePercept:
-    """A radial distance felt through a whisker and a cue.
-
-    One signal (the compliance cue): the two noisy signals are the decision variables, exactly.
-    Several signals (the moment–axial-force map): noise is carried to the distance to first order,
-    so the percept is the distance, with the propagated JND as its sd.
-
-    Parameters
-    ----------
-    observer : Observer
-        Its whisker, cue and receptors. The Weber fraction that is fitted is that of the first
-        signal, those of others keep their ratio to it; a floor of the receptors is taken as known
-        (exactly where the noise of several signals is uncorrelated), and a signal above their
-        ceiling gives no percept.
-    deflection_angle : float, optional
-        rad; of every contact, where the cue does not know it.
-    unit : float
-        Metres in one unit of the stimulus: 1e-3 where trials are in millimetres.
-
-    Raises
-    ------
-    ValueError
-        For a unit that is not positive, and where the cue needs a deflection angle.
-
-    Examples
-    --------
-    >>> from weberwhisk import Observer, Whisker, cues
-    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> CuePercept(observer, unit=1e-3).direction
-    -1
-    """
-
-    observer: Observer
-    deflection_angle: float | None = None
-    unit: float = 1.0
-
-    def __post_init__(self) -> None:
-        hint = "write Observer(whisker, cues.Compliance()), say"
-        _checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
-        _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
-        if self.deflection_angle is not None:
-            _checks.number("deflection_angle", self.deflection_angle, "give radians, such as 0.2")
-        if "deflection_angle" in self.observer.unknowns and self.deflection_angle is None:
-            raise ValueError(
-                f"{self.observer.cue!r} needs the deflection angle of the contacts, got none; "
-                "write deflection_angle=np.radians(10), say."
-            )
-
-    @property
-    def domain(self) -> tuple[float, float]:
-        return (0.0, float(self.observer.whisker.length) / self.unit)
-
-    @property
-    def direction(self) -> int:
-        return -1 if self._one_signal else 1
-
-    @property
-    def _one_signal(self) -> bool:
-        return len(self.observer.cue.signal_names) == 1
-
-    def _contact(self, stimulus: ArrayLike) -> Array:
-        r = np.asarray(stimulus, dtype=float) * self.unit
-        columns = [r, np.full_like(r, self.deflection_angle or 0.0)]
-        return np.stack(columns[: len(self.observer.unknowns)], axis=-1)
-
-    def mean(self, stimulus: ArrayLike) -> Array:
-        signals, outcome = self.observer.signals(self._contact(stimulus))
-        lost = self._saturated(signals)
-        if self._one_signal:
-            return np.where(lost, np.nan, signals[..., 0])
-        held = (outcome == Outcome.HELD) & ~lost
-        return np.where(held, np.asarray(stimulus, dtype=float), np.nan)
-
-    def _saturated(self, signals: Array) -> NDArray[np.bool_]:
-        saturated = getattr(self.observer.noise, "saturated", None)
-        if saturated is None:
-            return np.zeros(signals.shape[:-1], dtype=bool)
-        return np.any(saturated(signals), axis=-1)
-
-    @cached_property
-    def _weber_only(self) -> tuple[Observer, float]:
-        """The same observer with receptors that have no floor, and their first Weber fraction."""
-        noise = self.observer.noise
-        k = getattr(noise, "weber_fraction", 1.0)
-        bare = copy(self.observer)
-        if hasattr(noise, "floor"):
-            bare.noise = Weber(k, correlation=getattr(noise, "correlation", 0.0))
-        return bare, float(np.ravel(k)[0])
-
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
-        if self._one_signal:
-            return np.abs(self.mean(stimulus))
-        bare, first = self._weber_only
-        jnd = weber_propagation(bare, self._contact(stimulus)) / (first * self.unit)
-        # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.
-        return np.where(np.isfinite(jnd), jnd, np.nan)
-
-    def floor_sd(self, stimulus: ArrayLike) -> Array:
-        """Sd of the receptors' floor, carried to the percept."""
-        floor = getattr(self.observer.noise, "floor", 0.0)
-        if self._one_signal or not np.any(floor):
-            return np.full(np.shape(stimulus), float(np.ravel(floor)[0]))
-        whole = weber_propagation(self.observer, self._contact(stimulus)) / self.unit
-        weber = self._weber_only[1] * self.unit_sd(stimulus)
-        return np.sqrt(np.maximum(whole**2 - weber**2, 0.0))
-
-    def outcome(self, stimulus: float) -> str:
-        """What becomes of the contact at one distance, in words."""
-        signals, reached = self.observer.signals(self._contact(stimulus))
-        outcome = Outcome(int(reached))
-        if outcome == Outcome.HELD and self._saturated(signals):
-            return "the receptors are saturated there"
-        if outcome == Outcome.HELD:
-            return "these signals cannot tell distance on this whisker"
-        return outcome.message
 
 
 def chosen_percept(percept: Percept | None, observer: Any) -> Percept | None:

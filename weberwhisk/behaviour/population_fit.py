@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -204,7 +204,8 @@ def fit_population(
     Parameters
     ----------
     trials : Trials
-        With a column `subject`, and `session` if these are told apart.
+        With a column `subject`, and `session` if these are told apart. Sessions without a
+        subject are one animal's.
     sessions : bool
         Let the Weber fraction of an animal vary between sessions.
     percept, observer, bias, noise, priors
@@ -239,6 +240,8 @@ def fit_population(
         hint = "write PopulationPriors(spread=scipy.stats.halfnorm(scale=0.5)), say"
         _checks.kind("population", population, "PopulationPriors", "lapse_spread", hint)
     _checks.generator(seed)
+    if sessions and "subject" not in trials.frame:
+        trials = replace(trials, frame=trials.frame.assign(subject="the animal"))
     for column, wanted in (("subject", True), ("session", sessions)):
         if wanted and column not in trials.frame:
             raise ValueError(

@@ -8,6 +8,7 @@ import numpy as np
 
 from . import criticism
 from .status import FitStatus
+from .verdict import too_few_kinds
 
 if TYPE_CHECKING:
     from .result import WeberFit
@@ -24,11 +25,13 @@ def report(fit: WeberFit) -> str:
 def _data(fit: WeberFit) -> str:
     t = fit.trials
     cells = fit.model.cells
+    moved = f", moved by {', '.join(fit.effects)}" if fit.effects else ""
     missing = f", and {t.n_missing} without an answer" if t.n_missing else ""
     return (
-        f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; {cells.n.size} pairs of "
-        f"stimuli at {t.standards.size} standard{'s' if t.standards.size != 1 else ''}; task "
-        f"{t.task.name}. Observer: {fit.noise} noise, bias {fit.bias}, {fit.method}."
+        f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; "
+        f"{cells.n.size} pair{'s' if cells.n.size != 1 else ''} of stimuli at {t.standards.size} "
+        f"standard{'s' if t.standards.size != 1 else ''}; task {t.task.name}. "
+        f"Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
     )
 
 
@@ -127,8 +130,7 @@ def _next(fit: WeberFit) -> str:
         FitStatus.NO_TRIALS: "Trials with an answer.",
         FitStatus.REVERSED: "Nothing yet: first check choice_labels and the order of the stimuli.",
         FitStatus.ONE_SIDED: "Answers of both kinds: first find out why the animal gave only one.",
-        FitStatus.NOT_CONVERGED: "Nothing yet: first fit by the other method, or state more "
-        "beforehand (priors=).",
+        FitStatus.NOT_CONVERGED: f"Nothing yet: first {_instead(fit)}.",
         FitStatus.UNINFORMED: "Comparisons at several distances from the standard, on both sides, "
         "some easy enough that the animal is nearly always right.",
         FitStatus.UPPER_BOUND: "Harder comparisons: closer to the standard than any so far.",
@@ -150,6 +152,24 @@ def _next(fit: WeberFit) -> str:
         "interval within ±20 %; those answered right 75 to 95 % of the time tell most, and a few "
         "very easy ones tell the lapses."
     )
+
+
+def _instead(fit: WeberFit) -> str:
+    """What to do where a posterior was given up."""
+    if not too_few_kinds(fit.model):
+        return "fit by the other method, or state more beforehand (priors=)"
+    ways = [
+        "believe lapses to be few, priors={'lapse_low': scipy.stats.beta(1, 20), "
+        "'lapse_high': scipy.stats.beta(1, 20)}"
+    ]
+    if fit.model.task.has_bias and fit.bias == "shared" and fit.trials.standards.size > 1:
+        ways.append('fit bias="per standard"')
+    if len(fit.trials.sessions) > 1:
+        ways.append(
+            "let the sessions learn their lapses from one another, "
+            "fit_population(trials, sessions=True)"
+        )
+    return f"{'; or '.join(ways)}; the other method would give up as well"
 
 
 def _sentence(message: str) -> str:

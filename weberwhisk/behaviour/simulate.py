@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .effects import Effect
+from .moved import check_moved, moved_answers
 from .percepts import (
     IdentityPercept,
     LogAxisPercept,
@@ -42,6 +46,7 @@ def simulate_trials(
     percept: Percept | None = None,
     observer: Any = None,
     noise: str = "weber",
+    effects: Sequence[tuple[Effect, float]] = (),
     sessions: int = 1,
     subject: str | None = None,
     missing: float = 0.0,
@@ -75,6 +80,9 @@ def simulate_trials(
     observer : Observer, optional
         A whisker and a cue: short for `percept=CuePercept(observer)`.
     noise : {"weber", "equal-variance"}
+    effects : sequence of (Effect, float)
+        What else moves the answers, with the value of its parameter: `[(History(), 0.5)]`; see
+        `weberwhisk.behaviour.effects`.
     sessions : int
         The trials are dealt out evenly over this many sessions.
     subject : str, optional
@@ -102,6 +110,7 @@ def simulate_trials(
     (720, array([1., 2.]))
     """
     asked = task_named(task)
+    check_moved(effects)
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
         if not 0 <= _checks.number(name, value, "write for example 0.02") < 1:
             raise ValueError(
@@ -157,10 +166,11 @@ def simulate_trials(
     order = np.argsort(rng.random(pair.size), kind="stable")
     session = np.empty(pair.size, dtype=np.int64)
     session[order] = np.sort(np.arange(pair.size) % sessions)
-    answer = (rng.random(pair.size) < p[session % len(p), pair]).astype(float)
+    uniform = rng.random(pair.size)
+    answer = (uniform < p[session % len(p), pair]).astype(float)
     answer[rng.random(pair.size) < missing] = np.nan
     s1, s2 = np.repeat(base, levels.shape[1])[pair], levels.ravel()[pair]
-    session = session[order] + 1
+    course, session = session[order], session[order] + 1
     first = np.searchsorted(session, session)
     columns: dict[str, Any] = {} if subject is None else {"subject": np.full(s1.size, subject)}
     frame = pd.DataFrame(
@@ -178,7 +188,24 @@ def simulate_trials(
     lost = int(np.isnan(answer).sum())
     notes = (f"{lost} trials have no answer and stay out of the likelihood.",) if lost else ()
     unit = felt.log_unit if isinstance(felt, (LogPercept, LogAxisPercept)) else None
-    return Trials(frame, asked, "log" if is_log else "linear", unit, "simulated trials", notes)
+    scale = "log" if is_log else "linear"
+    trials = Trials(frame, asked, scale, unit, "simulated trials", notes)
+    if not effects:
+        return trials
+    moved = moved_answers(
+        trials,
+        felt,
+        weber_fraction=fraction[course % len(fraction)],
+        lapse_low=lapse_low,
+        lapse_high=lapse_high,
+        bias=np.repeat(shift, levels.shape[1])[pair][order] + wander[course % len(wander)],
+        noise=noise,
+        effects=effects,
+        uniform=uniform[order],
+        rng=rng,
+    )
+    count = np.where(np.isnan(frame["count"]), np.nan, moved)
+    return replace(trials, frame=frame.assign(count=count))
 
 
 def _course(

@@ -57,7 +57,7 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
         notes.append(
             "There is one pair of stimuli: bias, lapses and Weber fraction cannot be told apart."
         )
-    elif cells.n.size and _kinds(model) < _dimensions(model):
+    elif too_few_kinds(model):
         notes.append(
             f"The pairs of stimuli are of {_kinds(model)} kinds, as far apart as noise makes them, "
             f"and the parameters are {_dimensions(model)}: the answers do not tell them apart, and "
@@ -77,6 +77,11 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     ):
         notes.append("Every level is answered all one way: only harder comparisons can tell more.")
     return tuple(notes)
+
+
+def too_few_kinds(model: WeberModel) -> bool:
+    """Whether the proportions that the observer could give are fewer than its parameters."""
+    return bool(model.cells.n.size) and _kinds(model) < _dimensions(model)
 
 
 def _kinds(model: WeberModel) -> int:

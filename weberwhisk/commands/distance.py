@@ -2,31 +2,112 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
 import weberwhisk as ww
 
+from .. import _checks
 from ..behaviour import CuePercept
-from .options import the_cue, the_whisker
+from ..behaviour.noise_parts import all_or_none
+from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
+from .options import SCENES, the_scene, the_whisker
+
+ReceptorsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--receptors",
+        metavar="NAME",
+        help="Noise of forces: weber, log-normal, near-miss=<exponent>, floor=<sd>, "
+        "ceiling=<signal> (hard) or saturating=<response>, in units of the signals at half the "
+        "length.  [default: weber]",
+    ),
+]
+
+_Model = Callable[[float, NDArray[np.float64]], ReceptorNoise]
+#: Receptors of a number and the signals at half the length. Their own Weber fraction, 0.1, is the
+#: scale of the one that is fitted.
+RECEPTORS: dict[str, _Model] = {
+    "near-miss": lambda number, typical: NearMiss(0.1, exponent=number, reference=typical),
+    "floor": lambda number, typical: GeneralisedWeber(0.1, floor=number * typical),
+    "ceiling": lambda number, typical: GeneralisedWeber(0.1, floor=0.0, ceiling=number * typical),
+    "saturating": lambda number, typical: Saturating(0.1, ceiling=number * typical),
+}
+PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(1.0), "log-normal": LogNormal(0.1)}
 
 
 def distance_percept(
     shape: tuple[str | None, float | None, float | None, float | None, float | None],
     cue: str | None,
     angles_deg: list[str] | None,
+    receptors: str | None = None,
+    *,
+    fitted: bool = True,
 ) -> tuple[CuePercept | None, ww.Whisker | None]:
-    """The percept and the whisker that the options describe; None where they name no whisker."""
+    """The percept and the whisker that the options describe; None where they name no whisker.
+
+    With `fitted` the answers must tell of a Weber fraction.
+    """
     if all(value is None for value in shape):
-        if cue is not None or angles_deg:
-            given = "--cue" if cue is not None else "--deflection-angle-deg"
-            raise ValueError(
-                f"{given} needs a whisker to feel with, got none; write --identity C2, say."
-            )
+        options = (("--cue", cue), ("--deflection-angle-deg", angles_deg))
+        for name, given in (*options, ("--receptors", receptors)):
+            if given:
+                raise ValueError(
+                    f"{name} needs a whisker to feel with, got none; write --identity C2, say."
+                )
         return None, None
     whisker = the_whisker(*shape, None)
-    felt, angles = the_cue(cue, angles_deg)
+    observer, angles = the_scene(cue, angles_deg, None, whisker)
+    if all_or_none(observer.noise):
+        raise ValueError(
+            f"The cue {cue} reports events, all or none, which leave no two noisy signals to "
+            "compare; write --cue compliance, say."
+        )
     if angles.size > 1:
         raise ValueError(
             f"Choices are made at one deflection angle, got {angles.size} values of "
             "--deflection-angle-deg; give one."
         )
-    observer = ww.Observer(whisker, felt, ww.receptors.Weber(1.0))
-    return CuePercept(observer, angles[0] if angles.size else None, unit=1e-3), whisker
+    angle = float(angles[0]) if angles.size else None
+    if cue not in SCENES:
+        observer.noise = _receptors(receptors or "weber", observer, angle)
+    elif receptors:
+        raise ValueError(
+            f"The cue {cue} has receptors of its own, got --receptors {receptors}; leave it out, "
+            "or write --cue force-map."
+        )
+    percept = CuePercept(observer, angle, unit=1e-3)
+    if fitted and not percept.has_weber_fraction:
+        raise ValueError(
+            f"The noise of the cue {cue} is that of angles, a constant: there is no Weber fraction "
+            "to find; write --cue compliance, say."
+        )
+    return percept, whisker
+
+
+def _receptors(text: str, observer: ww.Observer, angle: float | None) -> ReceptorNoise:
+    """The noise of forces that `--receptors` names."""
+    name, _, given = text.partition("=")
+    _checks.one_of("--receptors", name, (*PLAIN, *RECEPTORS))
+    if (name in PLAIN) == bool(given):
+        raise ValueError(
+            f"--receptors {name} takes {'no' if given else 'a'} number, got {text!r}; write "
+            f"{name if given else f'{name}=0.5'}, say."
+        )
+    if name in PLAIN:
+        return PLAIN[name]
+    number = float(_checks.positive("--receptors", given, f"write {name}=0.5, say"))
+    contact: list[Any] = [0.5 * observer.whisker.length]
+    if "deflection_angle" in observer.unknowns:
+        contact.append(angle)
+    typical = np.abs(observer.signals(contact)[0])
+    if not np.isfinite(typical).all():
+        raise ValueError(
+            "--receptors are told in units of the signals at half the length, and there the "
+            "contact is not held; give a smaller --deflection-angle-deg."
+        )
+    return RECEPTORS[name](number, typical)

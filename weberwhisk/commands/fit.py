@@ -13,10 +13,10 @@ import weberwhisk as ww
 
 from .._terminal import numbers
 from ..behaviour import CuePercept, FitStatus
-from ..behaviour.effects import EFFECTS, effect_named
+from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..runs import Run, atomic_write, to_json
 from .comparisons import compared
-from .distance import distance_percept
+from .distance import ReceptorsOption, distance_percept
 from .options import (
     AngleOption,
     BaseRadiusOption,
@@ -91,7 +91,7 @@ def fit(
         typer.Option(
             "--effect",
             metavar="NAME",
-            help=f"What else moves the answers: {', '.join(EFFECTS)}, step=<session>; may be "
+            help=f"What else moves the answers: {', '.join((*EFFECTS, *WITH_NUMBER))}; may be "
             "repeated.",
         ),
     ] = None,
@@ -116,6 +116,12 @@ def fit(
         bool,
         typer.Option("--together", help="Fit all subjects at once, each learning from the others."),
     ] = False,
+    by_session: Annotated[
+        bool,
+        typer.Option(
+            "--by-session", help="As --together, and every session has its own Weber fraction."
+        ),
+    ] = False,
     method: Annotated[
         str | None,
         typer.Option("--method", help="quadrature or emcee.  [default: by the parameters]"),
@@ -127,6 +133,7 @@ def fit(
     youngs_modulus_gpa: ModulusOption = None,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
+    receptors: ReceptorsOption = None,
     seed: SeedOption = 1,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -139,8 +146,9 @@ def fit(
     """
     inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
+    percept, whisker = distance_percept(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, percept)
+    together = together or by_session
     trials = _selected(trials, subject, session, together)
     if percept is not None:
         _refuse_metres(trials, percept)
@@ -151,7 +159,13 @@ def fit(
                 "--together fits the plain observer, by quadrature; leave --effect, --compare and "
                 "--method out."
             )
-        options = {"percept": percept, "bias": bias, "noise": noise, "priors": priors}
+        options = {
+            "sessions": by_session,
+            "percept": percept,
+            "bias": bias,
+            "noise": noise,
+            "priors": priors,
+        }
         _fit_together(trials, options, inputs, seed, out, as_json)
         return
     effects = [effect_named(name) for name in effect or ()]
@@ -271,6 +285,8 @@ def _fit_together(
     with Run(out, "fit", inputs, seed) as run:
         found = ww.fit_population(trials, seed=seed, **options)
         run.table("subjects", found.subjects)
+        if found.sessions is not None:
+            run.table("sessions", found.sessions)
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
             if found.population is not None:
@@ -283,6 +299,8 @@ def _fit_together(
     print(f"{found.status.value[0].upper()}{found.status.value[1:]}.")
     if found.population is not None:
         print(f"\n{found.summary().to_string(float_format='{:.3g}'.format)}")
+    if found.sessions is not None:
+        print(f"\n{found.sessions.to_string(index=False, float_format='{:.3g}'.format)}")
     print(f"\n{found.subjects.to_string(index=False, float_format='{:.3g}'.format)}")
     for note in found.notes:
         print(note)

@@ -76,11 +76,12 @@ CueOption = Annotated[
     str | None,
     typer.Option(
         "--cue",
-        help="What tells of distance: compliance, force-map, three-forces (transverse force too) "
-        "or moment (at a known angle); in jnd also vibrissa-length, comparative-length, "
-        "angle-side-angle, two-whiskers, contact-and-detachment, vibration, lateral-slip, "
-        "space-map, balance-of-moments, felt-effort, unknown-stiffness or fused (tap and force "
-        "map).  [default: compliance]",
+        help="What tells of distance: compliance, force-map, three-forces (transverse force too), "
+        "moment (at a known angle), vibration, lateral-slip, space-map, balance-of-moments, "
+        "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
+        "two-whiskers, contact-and-detachment, vibrissa-length or comparative-length. Choices "
+        "cannot be fitted by the last two, of events, nor by those of angles alone.  "
+        "[default: compliance]",
     ),
 ]
 AngleOption = Annotated[

@@ -11,9 +11,10 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import numbers
 from ..behaviour.datapackage import data_package, describe_table
+from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..runs import Run, atomic_write, to_json
-from .distance import distance_percept
+from .distance import ReceptorsOption, distance_percept
 from .options import (
     AngleOption,
     BaseRadiusOption,
@@ -41,6 +42,7 @@ def simulate(
     youngs_modulus_gpa: ModulusOption = None,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
+    receptors: ReceptorsOption = None,
     standard: Annotated[
         list[str] | None,
         typer.Option("--standard", metavar="LIST", help="Magnitudes compared with.  [default: 1]"),
@@ -67,6 +69,15 @@ def simulate(
         float,
         number_option("--bias-drift", "Change of the bias from the first session to the last."),
     ] = 0.0,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            metavar="NAME:VALUE",
+            help="What else moves the answers, as in fit, with its parameter: history:0.5, "
+            "past-contraction=20:0.3; may be repeated.",
+        ),
+    ] = None,
     missing: Annotated[
         float, number_option("--missing", "Share of trials without an answer.")
     ] = 0.0,
@@ -94,7 +105,8 @@ def simulate(
     """
     inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
+    percept, whisker = distance_percept(shape, cue, deflection_angle_deg, receptors, fitted=False)
+    fittable = percept is None or percept.has_weber_fraction
     if percept is None and standard_mm:
         raise ValueError(
             "--standard-mm needs a whisker to feel with, got none; write --identity C2, or "
@@ -108,6 +120,7 @@ def simulate(
     base = numbers("--standard-mm" if percept else "--standard", standard_mm or standard or ["1"])
     _checks.positive("--standard-mm" if percept else "--standard", base, "write 20, say")
     levels = numbers("--offset", offset) if offset else None
+    effects = [effect_valued(text) for text in effect or ()]
     truth: dict[str, Any] = {
         "weber_fraction": weber_fraction,
         "lapse_low": lapse_low,
@@ -124,6 +137,7 @@ def simulate(
             "sessions": sessions,
             "drift": drift,
             "bias_drift": bias_drift,
+            "effects": effects,
             "missing": missing,
             "task": task,
             "seed": seed,
@@ -139,10 +153,12 @@ def simulate(
         run.table("trials", table)
         known = {
             **truth,
+            **({} if fittable else {"weber_fraction": None}),
             **({"drift": drift, "bias_drift": bias_drift} if drift or bias_drift else {}),
             **(
                 {} if animals is None else {"spread": spread, "animals": animals.to_dict("records")}
             ),
+            **({"effects": {e.name: value for e, value in effects}} if effects else {}),
             "standards": base,
             "offsets": SIGNED_OFFSETS if levels is None else levels,
             "task": trials.task.name,
@@ -160,13 +176,17 @@ def simulate(
             )
             package = data_package("weberwhisk-simulated", "Simulated choices", [entry])
             atomic_write(run.path("datapackage.json"), to_json(package) + "\n")
-        if run.out_dir is not None and animals is None:
+        if run.out_dir is not None and animals is None and fittable:
             from .. import figures
 
             free = {name: truth[name] for name in trials.task.lapses}
             free |= {"bias": bias} if trials.task.has_bias else {}
+            free |= {e.name: value for e, value in effects}
             exact = ww.fit_weber(
-                trials, percept=percept, priors={"weber_fraction": weber_fraction, **free}
+                trials,
+                percept=percept,
+                effects=[e for e, _ in effects],
+                priors={"weber_fraction": weber_fraction, **free},
             )
             unit = "mm" if percept else ""
             drawn = figures.psychometrics(exact, unit=unit)
@@ -176,17 +196,19 @@ def simulate(
         return
     if whisker is not None:
         print(whisker_line(whisker))
+    noise = f"Weber fraction {weber_fraction:g}" if fittable else "constant noise of the cue's own"
     many = "" if animals is None else f" of {subjects} animals"
     print(
         f"{len(table)} trials{many} of {trials.task.name}, {trials.n_missing} without an answer; "
-        f"{base.size} standard{'s' if base.size > 1 else ''}, Weber fraction {weber_fraction:g}, "
+        f"{base.size} standard{'s' if base.size > 1 else ''}, {noise}, "
         f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
     )
     if run.out_dir is None:
         print(table.to_csv(index=False, lineterminator="\n"), end="")
     else:
         wrote(run)
-        print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
+        if fittable:
+            print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
 
 
 def _again(inputs: dict[str, Any]) -> str:
@@ -200,6 +222,7 @@ def _again(inputs: dict[str, Any]) -> str:
         "youngs_modulus_gpa",
         "cue",
         "deflection_angle_deg",
+        "receptors",
     ):
         value = inputs[name]
         if value:
@@ -209,4 +232,5 @@ def _again(inputs: dict[str, Any]) -> str:
         words.append(" --subject s1")
     if inputs["task"] not in ("2AFC", "2AFC percent correct"):
         words.append(f" --task '{inputs['task']}'")
+    words += [f" --effect {text.rpartition(':')[0]}" for text in inputs["effect"] or ()]
     return "".join(words)

@@ -1,0 +1,180 @@
+"""The whisker as a percept: a radial distance felt through a cue, with its receptors' noise."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _checks
+from ..jnd import weber_propagation
+from ..mechanics.contact import Outcome
+from ..observer import Observer
+from ..receptors import LogNormal, ReceptorNoise
+from ..receptors.gaussian import Gaussian
+from .noise_parts import all_or_none, fractions, saturated, varied
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CuePercept:
+    """A radial distance felt through a whisker and a cue, with any receptor noise.
+
+    One signal (the compliance cue): the two noisy signals are the decision variables, exactly; of
+    log-normal noise their logarithms, and of receptors that level off their responses. Several
+    signals (the moment–axial-force map): noise is carried to the distance to first order, so the
+    percept is the distance, with the propagated JND as its sd.
+
+    Parameters
+    ----------
+    observer : Observer
+        Its whisker, cue and receptors. The Weber fraction that is fitted is that of the first
+        signal that has one, those of others keep their ratio to it (of one signal with log-normal
+        noise it is σ, the sd of the logarithm). Whatever noise does not go with a Weber fraction
+        is taken as known: a floor, that of an angle, what a prior leaves open of a further
+        unknown; exactly where the noise of as many signals as unknowns is uncorrelated. A signal
+        above a hard ceiling gives no percept.
+    deflection_angle : float, optional
+        rad; of every contact, where the cue does not know it. Any further unknown has its prior's
+        median.
+    unit : float
+        Metres in one unit of the stimulus: 1e-3 where trials are in millimetres.
+
+    Raises
+    ------
+    ValueError
+        For a unit that is not positive, a cue that reports events alone, and where the cue needs a
+        deflection angle.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues
+    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> CuePercept(observer, unit=1e-3).direction
+    -1
+    """
+
+    observer: Observer
+    deflection_angle: float | None = None
+    unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        hint = "write Observer(whisker, cues.Compliance()), say"
+        _checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
+        _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
+        cue = self.observer.cue
+        if all_or_none(self.observer.noise):
+            raise ValueError(
+                f"{cue!r} reports events, all or none, which leave no two noisy signals to "
+                "compare; write cues.Compliance(), say."
+            )
+        if self.deflection_angle is not None:
+            _checks.number("deflection_angle", self.deflection_angle, "give radians, such as 0.2")
+        if "deflection_angle" in self.observer.unknowns and self.deflection_angle is None:
+            raise ValueError(
+                f"{cue!r} needs the deflection angle of the contacts, got none; "
+                "write deflection_angle=np.radians(10), say."
+            )
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        return (0.0, float(self.observer.whisker.length) / self.unit)
+
+    @cached_property
+    def direction(self) -> int:
+        if not self._one_signal:
+            return 1
+        felt = self.mean(np.linspace(0.02, 0.98, 49) * self.domain[1])
+        felt = felt[np.isfinite(felt)]
+        return 1 if felt.size > 1 and felt[-1] > felt[0] else -1
+
+    @property
+    def _one_signal(self) -> bool:
+        one = len(self.observer.cue.signal_names) == 1
+        return one and isinstance(self.observer.noise, Gaussian | LogNormal)
+
+    def _contact(self, stimulus: ArrayLike) -> Array:
+        r = np.asarray(stimulus, dtype=float) * self.unit
+        known = [r]
+        if "deflection_angle" in self.observer.unknowns:
+            known.append(np.full_like(r, self.deflection_angle or 0.0))
+        return self.observer.at_middle(np.stack(known, axis=-1))
+
+    def _signals(self, stimulus: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+        signals, outcome = self.observer.signals(self._contact(stimulus))
+        return np.where(
+            saturated(self.observer.noise, signals)[..., None], np.nan, signals
+        ), outcome
+
+    def mean(self, stimulus: ArrayLike) -> Array:
+        signals, outcome = self._signals(stimulus)
+        if not self._one_signal:
+            held = (outcome == Outcome.HELD) & np.isfinite(signals).all(axis=-1)
+            return np.where(held, np.asarray(stimulus, dtype=float), np.nan)
+        noise = self.observer.noise
+        if isinstance(noise, LogNormal):
+            return np.log(np.abs(signals[..., 0]))
+        return np.asarray(noise.mean(signals)[..., 0], dtype=float)
+
+    @property
+    def has_weber_fraction(self) -> bool:
+        """Whether any noise goes with a Weber fraction, so that choices can tell it."""
+        return bool(self._fractions.any())
+
+    @cached_property
+    def _fractions(self) -> Array:
+        return fractions(self.observer.noise, len(self.observer.cue.signal_names))
+
+    def unit_sd(self, stimulus: ArrayLike) -> Array:
+        noise, k = self.observer.noise, self._fractions
+        felt = self.mean(stimulus)
+        if not k.any():
+            return np.where(np.isfinite(felt), 0.0, np.nan)
+        first = float(k[k > 0][0])
+        if self._one_signal:
+            signals, _ = self._signals(stimulus)
+            if isinstance(noise, LogNormal):
+                return np.where(np.isfinite(felt), 1.0, np.nan)
+            return np.asarray(varied(noise, 1.0, floor=False).sd(signals)[..., 0] / first)
+        own = self.observer.bounded == len(self.observer.unknowns)
+        if k.all() and own:
+            jnd = self._jnd(stimulus, varied(noise, 1.0, floor=False))
+        else:  # some is not Weber's, or of a prior: what is added as the Weber fractions double
+            more, less = (self._jnd(stimulus, varied(noise, f, floor=True)) for f in (2.0, 1.0))
+            jnd = np.sqrt(np.maximum(more**2 - less**2, 0.0) / 3)
+        return jnd / first
+
+    def _jnd(self, stimulus: ArrayLike, noise: ReceptorNoise) -> Array:
+        """Noise carried to distance, in the stimulus's unit; NaN where it cannot be told."""
+        observer = copy(self.observer)
+        observer.noise = noise
+        jnd = weber_propagation(observer, self._contact(stimulus)) / self.unit
+        # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.
+        return np.where(np.isfinite(jnd), jnd, np.nan)
+
+    def floor_sd(self, stimulus: ArrayLike) -> Array:
+        """Sd of the noise that does not go with the Weber fraction, carried to the percept."""
+        noise, k = self.observer.noise, self._fractions
+        if self._one_signal:
+            floor = np.ravel(getattr(noise, "floor", 0.0))[0]
+            return np.full(np.shape(stimulus), float(floor))
+        whole = self._jnd(stimulus, noise)
+        if not k.any():
+            return whole
+        weber = float(k[k > 0][0]) * self.unit_sd(stimulus)
+        floor = np.sqrt(np.maximum(whole**2 - weber**2, 0.0))
+        return np.where(floor > 1e-7 * whole, floor, 0.0)
+
+    def outcome(self, stimulus: float) -> str:
+        """What becomes of the contact at one distance, in words."""
+        signals, reached = self.observer.signals(self._contact(stimulus))
+        outcome = Outcome(int(reached))
+        if outcome == Outcome.HELD and saturated(self.observer.noise, signals):
+            return "the receptors are saturated there"
+        if outcome == Outcome.HELD:
+            return "these signals cannot tell distance on this whisker"
+        return outcome.message
