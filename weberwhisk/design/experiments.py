@@ -25,13 +25,14 @@ from .coding import decode
 from .goals import Animals
 from .hypotheses import Hypothesis
 from .scheme import Scheme
-from .tables import Weights, integrate
+from .tables import marginal
 
 Array = NDArray[np.float64]
 
 QUANTILES = (0.025, 0.5, 0.975)
 FINER = 8  # nodes between those of k, for quantiles
 SPREADS = 10  # Gauss–Legendre nodes of the spread between animals
+BATCH = 2048  # data sets at once
 BEYOND = 1.5  # how far past all animals' ln k the population's median is looked for
 
 
@@ -132,15 +133,16 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     True
     """
     model = hypothesis.model(scheme)
-    evidence = np.empty(len(counts))
-    quantiles = np.empty((len(counts), len(QUANTILES)))
-    for rows, weights in integrate(model, counts):
-        if counts.shape[1] == 1:
-            evidence[rows], quantiles[rows] = _single(hypothesis.priors, weights)
+    single = counts.shape[1] == 1
+    size = max(1, BATCH // counts.shape[1])
+    found = []
+    for some in (counts[i : i + size] for i in range(0, len(counts), size)):
+        flat = some.reshape(-1, some.shape[-1])
+        if single:
+            found.append(_single(hypothesis.priors, *marginal(model, flat)))
         else:
-            evidence[rows], quantiles[rows] = _population(
-                hypothesis.priors, weights, counts.shape[1]
-            )
+            found.append(_population(hypothesis.priors, *marginal(model, flat), counts.shape[1]))
+    evidence, quantiles = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Fitted(evidence, quantiles)
 
 
@@ -192,12 +194,11 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
     )
 
 
-def _single(priors: Priors, weights: Weights) -> tuple[Array, Array]:
-    scores = weights.scores
+def _single(priors: Priors, scores: Array, log_likelihood: Array) -> tuple[Array, Array]:
     if scores.size == 1:  # k is known
-        k = np.full((len(weights.log_likelihood), 3), float(priors.value("weber_fraction", 0.0)))
-        return weights.log_likelihood[:, 0], k
-    log_post = weights.log_likelihood + score_prior(scores)
+        k = np.full((len(log_likelihood), 3), float(priors.value("weber_fraction", 0.0)))
+        return log_likelihood[:, 0], k
+    log_post = log_likelihood + score_prior(scores)
     evidence, z = _integrated(scores, log_post)
     return evidence, priors.value("weber_fraction", z)
 
@@ -206,10 +207,11 @@ def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
     """ln of the integral (D,) on even nodes, and the quantiles (D, 3) of densities (D, X)."""
     top = log_density.max(axis=1, keepdims=True)
     relative = np.maximum(log_density - top, -60.0)
-    evidence = np.log(np.exp(relative).sum(axis=1) * (x[1] - x[0])) + top[:, 0]
     fine = np.linspace(x[0], x[-1], FINER * (x.size - 1) + 1)
+    # Of a normal density the logarithm is interpolated without error, however far the nodes.
     density = np.exp(CubicSpline(x, relative.T)(fine).T)
     step = fine[1] - fine[0]
+    evidence = np.log(density.sum(axis=1) * step) + top[:, 0]
     mass = np.cumsum(0.5 * step * (density[:, 1:] + density[:, :-1]), axis=1)
     mass /= mass[:, -1:]
     out = np.empty((len(mass), len(QUANTILES)))
@@ -223,19 +225,20 @@ def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
     return evidence, out
 
 
-def _population(priors: Priors, weights: Weights, animals: int) -> tuple[Array, Array]:
+def _population(
+    priors: Priors, scores: Array, log_likelihood: Array, animals: int
+) -> tuple[Array, Array]:
     """The population's median Weber fraction, each animal's own integrated out.
 
     ln k is normal between animals, with the spread that `PopulationPriors` believes in. Lapses have
     the prior of a single fit, not one learnt from each other.
     """
-    scores = weights.scores
     if scores.size == 1:
-        single = weights.log_likelihood.reshape(-1, animals).sum(axis=1)
+        single = log_likelihood.reshape(-1, animals).sum(axis=1)
         return single, np.full((single.size, 3), float(priors.value("weber_fraction", 0.0)))
     log_k = np.log(priors.value("weber_fraction", scores))
-    top = weights.log_likelihood.max(axis=1, keepdims=True)
-    curve = CubicSpline(log_k, np.maximum(weights.log_likelihood - top, -60.0).T)
+    top = log_likelihood.max(axis=1, keepdims=True)
+    curve = CubicSpline(log_k, np.maximum(log_likelihood - top, -60.0).T)
     x = np.linspace(log_k[0], log_k[-1], 3 * (scores.size - 1) + 1)
     like = np.exp(curve(x).T)  # (D·A, X)
     h = x[1] - x[0]
