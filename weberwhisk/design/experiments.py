@@ -165,13 +165,14 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
     Parameters
     ----------
     chunk : dict
-        As `power.chunk_of` writes it.
+        As `power` writes it.
     seed : SeedSequence
 
     Returns
     -------
     DataFrame
-        `log_bayes_factor`, `half_width` and `covers`, with what the chunk says of the design.
+        The true `weber_fraction` and its `estimate`, `log_bayes_factor`, `half_width` and `covers`,
+        with what the chunk says of the design.
     """
     hypotheses = decode(chunk["hypotheses"])
     scheme, animals = decode(chunk["scheme"]), decode(chunk["animals"])
@@ -181,12 +182,13 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
         assurance=chunk["assurance"],
     )  # fmt: skip
     log_factor, fitted = compare(hypotheses, truth.name, scheme, counts)
-    low, _, high = fitted.quantiles.T
+    low, middle, high = fitted.quantiles.T
     return pd.DataFrame(
         {
             **chunk["label"],
             "truth": truth.name,
             "weber_fraction": k,
+            "estimate": middle,
             "log_bayes_factor": log_factor,
             "half_width": fitted.half_width,
             "covers": (low < k) & (k < high),

@@ -61,7 +61,9 @@ class Grid:
         )  # fmt: skip
         self.prior_bias = [np.exp(score_prior(b)) * step_of(b) for b in axes.bias]
         shape = axes.k.size, axes.bias[0].size, self.low.size
-        self._logs = [np.zeros(shape, dtype=np.float32) for _ in axes.bias]
+        self._logs: list[NDArray[np.float32]] = [
+            np.zeros(shape, dtype=np.float32) for _ in axes.bias
+        ]
         self.up: list[Array] = []
         self.values: list[Array] = []
         self.by_group: list[Array] = []
