@@ -115,7 +115,13 @@ def everything(model: WeberModel, count: int) -> Boxes:
     return Boxes(np.zeros(1), (np.full(count, -far), np.full(count, far)), low, high)
 
 
-def held(before: Boxes, scores: Array, profiles: list[tuple[Array, Any]], fine: float) -> Boxes:
+def held(
+    before: Boxes,
+    scores: Array,
+    profiles: list[tuple[Array, Any]],
+    fine: float,
+    cut: float,
+) -> Boxes:
     """Boxes of the nodes that matter.
 
     Parameters
@@ -125,18 +131,20 @@ def held(before: Boxes, scores: Array, profiles: list[tuple[Array, Any]], fine: 
         Highest log posterior density with each node of k and of an axis.
     fine : float
         The final step of k.
+    cut : float
+        Nats under the best node, where one counts as empty.
     """
     gap = scores[1] - scores[0] if scores.size > 1 else 0.0
     wide = before.scores.size == 1 or gap > 1.5 * ZOOMED[0] * fine
     between = min(0.5 * (0.5 * gap * STEP_K / fine) ** 2 + 3.0, BETWEEN) if wide else 0.0
     top = profiles[0][1].max(axis=1)  # (K, R)
-    least = top.max(axis=0) - CUT - between
+    least = top.max(axis=0) - cut - between
     kept = top > least
     ends = _ends(scores[None], top[None], kept[None], least[None], 1.0 if wide else None, BEYOND_K)
     start, end = (side[0] for side in ends)
     below = np.broadcast_to(least, top.shape)
     if wide:  # where k is far from its peak the rest is not yet where it will be
-        below = np.minimum(least, top - CUT)
+        below = np.minimum(least, top - cut)
     low, high = (np.full((len(profiles), *top.shape), s) for s in (np.inf, -np.inf))
     for i, (nodes, values) in enumerate(profiles):
         full = values > below[:, None]

@@ -2,7 +2,7 @@
 
 Each is drawn, weighed under every hypothesis with the priors of the fit (`tables`), and left with
 two results: the Bayes factor of the truth, and the interval of the Weber fraction. One animal is
-fitted by itself; several share a population, ln k of each being normal about its median.
+fitted by itself; several share a population, as `fit_population` has it (`populations`).
 """
 
 from __future__ import annotations
@@ -15,25 +15,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
-from ..behaviour.hierarchy import PopulationPriors
 from ..behaviour.priors import Priors
 from ..behaviour.quadrature import score_prior
 from .coding import decode
 from .goals import Animals
 from .hypotheses import Hypothesis
+from .populations import HELD, LAPSE_STEP, populations
 from .scheme import Scheme
-from .tables import marginal
+from .tables import likelihood, marginal
 
 Array = NDArray[np.float64]
 
 QUANTILES = (0.025, 0.5, 0.975)
 FINER = 8  # nodes between those of k, for quantiles
-SPREADS = 10  # Gauss–Legendre nodes of the spread between animals
 BATCH = 2048  # data sets at once
-BEYOND = 1.5  # how far past all animals' ln k the population's median is looked for
 
 
 @dataclass(frozen=True)
@@ -133,15 +131,17 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     True
     """
     model = hypothesis.model(scheme)
-    single = counts.shape[1] == 1
     size = max(1, BATCH // counts.shape[1])
     found = []
     for some in (counts[i : i + size] for i in range(0, len(counts), size)):
         flat = some.reshape(-1, some.shape[-1])
-        if single:
-            found.append(_single(hypothesis.priors, *marginal(model, flat)))
+        if counts.shape[1] == 1 or not model.free[0]:
+            evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
+            found.append((evidence.reshape(len(some), -1).sum(axis=1), quantiles[: len(some)]))
         else:
-            found.append(_population(hypothesis.priors, *marginal(model, flat), counts.shape[1]))
+            table = likelihood(model, flat, LAPSE_STEP, HELD)
+            mu, by_median, evidence = populations(model, table, counts.shape[1])
+            found.append((evidence, np.exp(_integrated(mu, by_median)[1])))
     evidence, quantiles = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Fitted(evidence, quantiles)
 
@@ -225,40 +225,3 @@ def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
         )
         out[:, i] = fine[at] + step * (q - before) / (after - before)
     return evidence, out
-
-
-def _population(
-    priors: Priors, scores: Array, log_likelihood: Array, animals: int
-) -> tuple[Array, Array]:
-    """The population's median Weber fraction, each animal's own integrated out.
-
-    ln k is normal between animals, with the spread that `PopulationPriors` believes in. Lapses have
-    the prior of a single fit, not one learnt from each other.
-    """
-    if scores.size == 1:
-        single = log_likelihood.reshape(-1, animals).sum(axis=1)
-        return single, np.full((single.size, 3), float(priors.value("weber_fraction", 0.0)))
-    log_k = np.log(priors.value("weber_fraction", scores))
-    top = log_likelihood.max(axis=1, keepdims=True)
-    curve = CubicSpline(log_k, np.maximum(log_likelihood - top, -60.0).T)
-    x = np.linspace(log_k[0], log_k[-1], 3 * (scores.size - 1) + 1)
-    like = np.exp(curve(x).T)  # (D·A, X)
-    h = x[1] - x[0]
-    # Nodes of k are 1.7 of the least sd apart, so 2.3 h is 1.3 of an animal's.
-    mu = np.arange(log_k[0] - BEYOND, log_k[-1] + BEYOND, 2.3 * h / np.sqrt(animals))
-    spread = PopulationPriors().spread
-    node, weight = np.polynomial.legendre.leggauss(SPREADS)
-    widest = float(spread.ppf(1 - 1e-4))
-    tau = 0.5 * widest * (node + 1)
-    weight = 0.5 * widest * weight * spread.pdf(tau)
-    # A cell's probability, which also holds where the spread is smaller than the cell.
-    edges = (x[:, None, None] - mu[:, None]) / tau
-    kernel = ndtr(edges + 0.5 * h / tau) - ndtr(edges - 0.5 * h / tau)  # (X, U, T)
-    seen = like @ kernel.reshape(x.size, -1) + 1e-300
-    log_seen = (np.log(seen) + top).reshape(-1, animals, mu.size, tau.size).sum(axis=1)
-    best = log_seen.max(axis=(1, 2), keepdims=True)
-    by_median = np.log(np.exp(log_seen - best) @ weight + 1e-300) + best[..., 0]
-    k = np.exp(mu)
-    by_median += priors.log_density("weber_fraction", k) + mu
-    evidence, quantiles = _integrated(mu, by_median)
-    return evidence, np.exp(quantiles)

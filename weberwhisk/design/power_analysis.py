@@ -114,10 +114,10 @@ def power(
     """Simulate experiments of several sizes, fit each, compare, and count what they reach.
 
     Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
-    of its fit; see `weberwhisk.design.tables`. With several animals each has lapses of its own
-    here, which `fit_population` learns from one another: Bayes factors come out lower than there
-    (a median ln of 38 for some 64, with 16 animals of 96 trials), and k is read low, which
-    `coverage` shows and the report says. `rehearse` fits as the data will be fitted.
+    of its fit; see `weberwhisk.design.tables`. Several animals share a population, of their k and
+    of their lapses, as in `fit_population` (`weberwhisk.design.populations`). Where levels are few
+    and narrow, lapses cannot be told from a large k, and the intervals of many animals miss it, in
+    the fit as here: `coverage` shows it and the report says it.
 
     Parameters
     ----------

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.quadrature import score_prior
 from .boxes import (
+    CUT,
     LAPSE_STEP,
     WIDE_BIAS,
     Boxes,
@@ -53,12 +54,12 @@ class Likelihood:
     values: Single
 
 
-def boxes_of(model: WeberModel, counts: Array, steps: list[Steps]) -> Boxes:
+def boxes_of(model: WeberModel, counts: Array, steps: list[Steps], cut: float = CUT) -> Boxes:
     """Where the posterior of every data set lies, from all passes but the last."""
     answers = _answers(model, counts)
     boxes = everything(model, len(counts))
     for coarse in steps[:-1]:
-        boxes = _zoomed(model, boxes, coarse, answers, steps[-1].k)
+        boxes = _zoomed(model, boxes, coarse, answers, (steps[-1].k, cut))
     return boxes
 
 
@@ -80,13 +81,15 @@ def marginal(model: WeberModel, counts: Array) -> tuple[Array, Array]:
     for block in _blocks(model, axes, boxes, steps[-1], _answers(model, counts)):
         joint = block.joint + weights[block.low, block.high, None]
         out[block.rows, block.k] = log_sum(joint.reshape(-1, block.rows.size), 0)
-    return axes[0], _carried_on(out)
+    return axes[0], carried_on(out)
 
 
-def likelihood(model: WeberModel, counts: Array, lapse_step: float = LAPSE_STEP) -> Likelihood:
-    """The same before the lapses are integrated."""
+def likelihood(
+    model: WeberModel, counts: Array, lapse_step: float = LAPSE_STEP, cut: float = CUT
+) -> Likelihood:
+    """The same before the lapses are integrated, wherever it is above the best less `cut`."""
     steps = passes(model, lapse_step)
-    boxes = boxes_of(model, counts, steps)
+    boxes = boxes_of(model, counts, steps, cut)
     axes = boxes.nodes(steps[-1].k), *boxes.lapses(steps[-1].lapse)
     values = np.full((*(a.size for a in axes), len(counts)), NOTHING, dtype=np.float32)
     for block in _blocks(model, axes, boxes, steps[-1], _answers(model, counts)):
@@ -106,7 +109,7 @@ def _answers(model: WeberModel, counts: Array) -> list[Single]:
 
 
 def _zoomed(
-    model: WeberModel, boxes: Boxes, steps: Steps, answers: list[Single], fine: float
+    model: WeberModel, boxes: Boxes, steps: Steps, answers: list[Single], fine: tuple[float, float]
 ) -> Boxes:
     """Smaller boxes, by the highest log posterior with each node of k and of every other axis."""
     count = answers[0].shape[1]
@@ -129,7 +132,7 @@ def _zoomed(
         for a, p in zip(axes[1:], (low, high), strict=True)
     ]
     profiles += [_stacked(known, axes[0].size, count) for known in biases]
-    return held(boxes, axes[0], profiles, fine)
+    return held(boxes, axes[0], profiles, *fine)
 
 
 def _stacked(known: dict[int, tuple[Array, Single]], size: int, count: int) -> tuple[Array, Single]:
@@ -266,7 +269,7 @@ class _Tables:
         return table
 
 
-def _carried_on(values: Array) -> Array:
+def carried_on(values: Array) -> Array:
     """Beyond its box every row (R, K) goes on as it ended there, and falls."""
     count, size = values.shape
     if size == 1:
