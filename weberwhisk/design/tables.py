@@ -76,11 +76,12 @@ def marginal(model: WeberModel, counts: Array) -> tuple[Array, Array]:
     steps = passes(model)
     boxes = boxes_of(model, counts, steps)
     axes = boxes.nodes(steps[-1].k), *boxes.lapses(steps[-1].lapse)
-    weights = lapse_weights(model, *axes[1:]).astype(np.float32)
+    weights = np.maximum(lapse_weights(model, *axes[1:]), NOTHING).astype(np.float32)
     out = np.full((len(counts), axes[0].size), -np.inf)
     for block in _blocks(model, axes, boxes, steps[-1], _answers(model, counts)):
         joint = block.joint + weights[block.low, block.high, None]
-        out[block.rows, block.k] = log_sum(joint.reshape(-1, block.rows.size), 0)
+        total = log_sum(joint.reshape(-1, block.rows.size), 0)
+        out[block.rows, block.k] = np.where(total > 0.5 * NOTHING, total, -np.inf)
     return axes[0], carried_on(out)
 
 
