@@ -15,7 +15,6 @@ within ±40 %, and until the Bayes factor is above 10 in 80 % of runs.
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -213,13 +212,13 @@ if __name__ == "__main__":
     default = Path(__file__).parent.parent / "results" / "adaptive"
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--short", action="store_true", help="one animal, few trials")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--workers", type=int, help="processes; by default one a core")
     parser.add_argument("--scheduler", help="of a dask.distributed cluster")
     given = parser.parse_args()
     made = adaptive.make(
         given.folder,
         short=given.short,
-        workers=1 if given.scheduler else given.workers,
+        workers=campaign.all_cores(given.workers, given.scheduler),
         scheduler=given.scheduler,
     )
     print(made["trials"].to_string(index=False, float_format="{:.3g}".format))

@@ -1,6 +1,6 @@
 """Simulation-based calibration of every cue's posterior, of the engines and of the fits.
 
-    python analyses/calibration.py [--short] [folder]
+    python analyses/calibration.py [--short] [folder] [--workers 2] [--scheduler tcp://...]
 
 Truths are drawn from the observer's own prior, readings from `observer.read` (trials from
 `simulate_trials`), and the rank of each truth among draws from its posterior must be uniform
@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import Observer, Status, Whisker, figures
+from weberwhisk import Observer, Status, Whisker, campaign, figures
 from weberwhisk.behaviour import Priors, fit_weber, simulate_trials
 from weberwhisk.cues import (
     AngleSideAngle,
@@ -355,13 +355,31 @@ class Row:
         return {**told, "n": self.ranks.size, "p": uniform_p(self.ranks), **covered}
 
 
-def run_all(sizes: tuple[int, ...], seed: int = SEED) -> list[Row]:
-    """Ranks of everything."""
-    rows = []
-    for group, name, engine, run in jobs(sizes, seed):
-        ranks, flagged = run()
-        rows += [Row(group, name, engine, k, v, flagged) for k, v in ranks.items() if v.size]
-    return rows
+def one_job(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
+    """The ranks of one job, as a sweep does it: a row each. Its seed is the chunk's own."""
+    for number, (group, name, engine, work) in enumerate(
+        jobs(tuple(chunk["sizes"]), chunk["seed"])
+    ):
+        if number == chunk["job"]:
+            ranks, flagged = work()
+            rows = [(k, float(u)) for k, v in ranks.items() for u in v]
+            frame = pd.DataFrame(rows, columns=["quantity", "rank"]).astype({"rank": float})
+            return frame.assign(group=group, name=name, engine=engine, flagged=flagged)
+    raise ValueError(f"there is no job {chunk['job']}; give a lower number.")
+
+
+def run_all(sizes: tuple[int, ...], seed: int = SEED, **how: Any) -> list[Row]:
+    """Ranks of everything; `how` is for `campaign.run`."""
+    chunks = [
+        {"job": i, "name": job[1], "sizes": list(sizes), "seed": seed}
+        for i, job in enumerate(jobs(sizes, seed))
+    ]
+    table = campaign.run(one_job, chunks, seed=seed, **({"title": "calibration"} | how))
+    key = ["group", "name", "engine", "quantity", "flagged"]
+    return [
+        Row(*map(str, labels[:4]), own["rank"].to_numpy(), float(labels[4]))
+        for labels, own in table.groupby(key, sort=False)
+    ]
 
 
 def verdict(table: pd.DataFrame) -> str:
@@ -437,9 +455,9 @@ def draw(rows: list[Row]) -> Figure:
     return figure
 
 
-def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
-    """Table and figure into `folder`."""
-    rows = run_all(SHORT if short else FULL)
+def make(folder: Path, *, short: bool = False, **how: Any) -> pd.DataFrame:
+    """Table and figure into `folder`; `how` is for `campaign.run`."""
+    rows = run_all(SHORT if short else FULL, **how)
     table = pd.DataFrame([r.numbers() for r in rows])
     with Run(folder, "calibration", {"short": short}, SEED) as run:
         run.table("calibration", table)
@@ -448,12 +466,20 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
+    # By its own name, which workers can import.
+    import calibration
+
     parser = argparse.ArgumentParser(description=__doc__)
     default = HERE.parent / "results" / "calibration"
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--short", action="store_true", help="few draws")
+    parser.add_argument("--workers", type=int, help="processes; by default one a core")
+    parser.add_argument("--scheduler", help="of a dask.distributed cluster")
     given = parser.parse_args()
-    made = make(given.folder, short=given.short)
+    workers = campaign.all_cores(given.workers, given.scheduler)
+    made = calibration.make(
+        given.folder, short=given.short, workers=workers, scheduler=given.scheduler
+    )
     print(made.to_string(index=False, float_format="{:.3g}".format))
     print(verdict(made))
     print(f"Written to {given.folder}.")

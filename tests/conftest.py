@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import hypothesis
 import numpy as np
 import pytest
+
+HERE = Path(__file__).parent
 
 # No window may open, and no terminal setting may change what the command line prints.
 os.environ["MPLBACKEND"] = "agg"
@@ -57,3 +64,39 @@ def _global_random_state_is_left_alone() -> Iterator[None]:
     after = np.random.get_state(legacy=False)  # noqa: NPY002
     assert before["state"]["pos"] == after["state"]["pos"], "NumPy's global generator was used"
     np.testing.assert_array_equal(before["state"]["key"], after["state"]["key"])
+
+
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler, and two worker processes that are replaced when they die."""
+    pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("cluster")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(
+            [str(HERE), *(str(HERE.parent / f) for f in ("", "analyses")), *sys.path]
+        ),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+    }
+    file = folder / "scheduler.json"
+    where = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
+    commands = [
+        ["scheduler", "--port", "0", *where],
+        ["worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
+         "--scheduler-file", str(file), "--local-directory", str(folder)],
+    ]  # fmt: skip
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", "dask", *c], env=environment, cwd=folder,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )
+        for c in commands
+    ]  # fmt: skip
+    try:
+        while not file.exists():
+            assert processes[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait()

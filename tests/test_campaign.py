@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -335,40 +334,6 @@ def test_chunks_are_handed_out_alone_where_they_must() -> None:
 
 
 # -- a cluster -----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A scheduler, and two worker processes that are replaced when they die."""
-    pytest.importorskip("distributed")
-    folder = tmp_path_factory.mktemp("cluster")
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent), *sys.path]),
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
-    }
-    file = folder / "scheduler.json"
-    where = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
-    commands = [
-        ["scheduler", "--port", "0", *where],
-        ["worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
-         "--scheduler-file", str(file), "--local-directory", str(folder)],
-    ]  # fmt: skip
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", "dask", *c], env=environment, cwd=folder,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )
-        for c in commands
-    ]  # fmt: skip
-    try:
-        while not file.exists():
-            assert processes[0].poll() is None
-            time.sleep(0.05)
-        yield json.loads(file.read_text())["address"]
-    finally:
-        for process in reversed(processes):
-            process.terminate()
-            process.wait()
 
 
 def test_a_cluster_gives_the_same_bits(cluster: str) -> None:

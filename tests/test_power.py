@@ -191,18 +191,22 @@ def test_a_known_weber_fraction_has_no_interval():
 
 
 def test_animals_share_a_population_as_fit_population_has_it():
-    scheme = design((0.3, 0.9), 20).with_animals(3)
-    counts, _ = simulate(TAPERED, scheme, Animals(), 8, np.random.default_rng(3))
-    fitted = fit(TAPERED, scheme, counts)
-    for i in range(1):
-        frames = [trials_of(scheme, counts[i, a], subject=f"s{a}").frame for a in range(3)]
-        pooled = Trials(pd.concat(frames, ignore_index=True), task_named("2AFC"))
-        own = fit_population(pooled, percept=TAPERED.percept, bias="per standard")
+    """Evidence and intervals, also of animals that tell little, whose lapses the others tell."""
+    scheme = design((0.3, 0.9), 8).with_animals(4)
+    counts, _ = simulate(TAPERED, scheme, Animals(), 4, np.random.default_rng(3))
+    frames = [trials_of(scheme, counts[0, a], subject=f"s{a}").frame for a in range(4)]
+    pooled = Trials(pd.concat(frames, ignore_index=True), task_named("2AFC"))
+    factors = []
+    for hypothesis in (TAPERED, CYLINDRICAL):
+        fitted = fit(hypothesis, scheme, counts)
+        own = fit_population(pooled, percept=hypothesis.percept, bias="per standard")
         low, high = own.interval(0.95)
-        # There the animals also learn their lapses from each other: near, not the same.
-        assert np.log(fitted.quantiles[i]) == pytest.approx(
-            np.log([low, own.weber_fraction, high]), abs=0.15
+        assert fitted.log_evidence[0] == pytest.approx(own.log_evidence, abs=0.3)
+        assert np.log(fitted.quantiles[0]) == pytest.approx(
+            np.log([low, own.weber_fraction, high]), abs=0.05 * np.log(high / low)
         )
+        factors.append(fitted.log_evidence[0] - own.log_evidence)
+    assert abs(factors[0] - factors[1]) < 0.3
 
 
 def test_more_animals_narrow_the_interval_but_not_below_their_spread():

@@ -6,6 +6,6 @@ the same to the bit whatever does it and in what order.
 """
 
 from .record import read
-from .runner import CampaignError, run
+from .runner import CampaignError, all_cores, run
 
-__all__ = ["CampaignError", "read", "run"]
+__all__ = ["CampaignError", "all_cores", "read", "run"]

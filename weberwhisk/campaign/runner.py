@@ -114,6 +114,21 @@ def run(
         return record.table()
 
 
+def all_cores(workers: int | None, scheduler: str | None) -> int:
+    """As many workers as asked for; by default one a core, or those of the cluster.
+
+    Examples
+    --------
+    >>> all_cores(3, None), all_cores(None, "tcp://node1:8786")
+    (3, 1)
+    """
+    if workers is not None:
+        return workers
+    if scheduler is not None:
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
     if isinstance(seed, np.random.SeedSequence):
         return seed

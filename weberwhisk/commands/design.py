@@ -12,6 +12,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
+from ..campaign import all_cores
 from ..design import Animals, Constraints, Goal, Plan
 from ..design.experiment import WIDE
 from ..design.exports import in_millimetres
@@ -26,8 +27,10 @@ from .options import (
     JsonOption,
     LengthOption,
     ModulusOption,
+    SchedulerOption,
     SeedOption,
     TipRadiusOption,
+    WorkersOption,
     describe,
     number_option,
     the_cue,
@@ -35,6 +38,9 @@ from .options import (
     whisker_line,
     wrote,
 )
+
+#: Options that change nothing in the answer.
+NOT_ASKED = "out", "as_json", "seed", "workers", "scheduler"
 
 
 def design(
@@ -120,6 +126,8 @@ def design(
     runs: Annotated[
         int, typer.Option("--runs", help="Experiments simulated at each size, for the power.")
     ] = 512,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     title: Annotated[
         str, typer.Option("--title", help="Of the page.")
     ] = "Discrimination of radial distance",
@@ -135,7 +143,7 @@ def design(
     Writes trial lists for PsychoPy and Bpod, a page to print with expected curves and a text for a
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
-    inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
+    inputs = {k: v for k, v in locals().items() if k not in NOT_ASKED}
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
     if all(value is None for value in shape):
         shape = ("C2", *shape[1:])
@@ -158,6 +166,8 @@ def design(
             title=title,
             runs=runs,
             seed=seed,
+            workers=all_cores(workers, scheduler),
+            scheduler=scheduler,
             progress=_quiet if as_json else None,
             **_felt(cue, deflection_angle_deg),
         )

@@ -72,6 +72,13 @@ SeedOption = Annotated[
         help="Makes the draws repeatable.",
     ),
 ]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", help="Processes.  [default: one a core]")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="A dask.distributed scheduler, tcp://… (extra: cluster)."),
+]
 CueOption = Annotated[
     str | None,
     typer.Option(

@@ -10,9 +10,17 @@ import typer
 
 import weberwhisk as ww
 
+from ..campaign import all_cores
 from ..design import plan_json, read_plan
 from ..runs import Run, atomic_write, to_json
-from .options import JsonOption, OutOption, SeedOption, wrote
+from .options import (
+    JsonOption,
+    OutOption,
+    SchedulerOption,
+    SeedOption,
+    WorkersOption,
+    wrote,
+)
 
 
 def rehearse(
@@ -22,13 +30,8 @@ def rehearse(
     runs: Annotated[
         int, typer.Option("--runs", help="Experiments simulated under each hypothesis.")
     ] = 100,
-    workers: Annotated[
-        int | None, typer.Option("--workers", help="Processes.  [default: one a core]")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", help="A dask.distributed scheduler, tcp://… (extra: cluster)."),
-    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     seed: SeedOption = 1,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -49,7 +52,7 @@ def rehearse(
             plan,
             runs,
             seed=seed,
-            workers=_workers(workers, scheduler),
+            workers=all_cores(workers, scheduler),
             scheduler=scheduler,
             out=stream,
             progress=(lambda done: None) if as_json else None,
@@ -69,16 +72,6 @@ def rehearse(
         return
     print(found.report(), end="")
     wrote(run)
-
-
-def _workers(workers: int | None, scheduler: str | None) -> int:
-    if scheduler is not None:
-        return 1 if workers is None else workers
-    if workers is not None:
-        return workers
-    import os
-
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:

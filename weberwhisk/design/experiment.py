@@ -53,6 +53,8 @@ def plan_experiment(
     title: str = "Discrimination of radial distance",
     runs: int = 512,
     seed: int = 1,
+    workers: int = 1,
+    scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Plan:
     """Plan an experiment on the discrimination of radial distance.
@@ -98,8 +100,8 @@ def plan_experiment(
         found.
     seed : int
         Of the trial lists and of these simulations.
-    progress : callable, optional
-        As for `campaign.run`.
+    workers, scheduler, progress
+        Of these simulations, as for `campaign.run`: the plan is the same to the bit.
 
     Returns
     -------
@@ -146,7 +148,10 @@ def plan_experiment(
     Plan(
         scheme, **own, together=bool(together)
     )  # refuses what cannot be shown before anything is computed
-    options = {"goal": aim, "expected": likely, "runs": runs, "progress": progress}
+    options = {
+        "goal": aim, "expected": likely, "runs": runs, "workers": workers, "scheduler": scheduler,
+        "progress": progress,
+    }  # fmt: skip
     found: pd.DataFrame | None = None
     if wanted != "nothing":
         scheme, found = _smallest(scheme, given, wanted, seed, options)

@@ -2,7 +2,7 @@
 
 Each is drawn, weighed under every hypothesis with the priors of the fit (`tables`), and left with
 two results: the Bayes factor of the truth, and the interval of the Weber fraction. One animal is
-fitted by itself; several share a population, ln k of each being normal about its median.
+fitted by itself; several share a population, as `fit_population` has it (`populations`).
 """
 
 from __future__ import annotations
@@ -15,24 +15,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
-from ..behaviour.hierarchy import PopulationPriors
 from ..behaviour.priors import Priors
 from ..behaviour.quadrature import score_prior
 from .coding import decode
 from .goals import Animals
 from .hypotheses import Hypothesis
+from .populations import HELD, LAPSE_STEP, populations
 from .scheme import Scheme
-from .tables import Weights, integrate
+from .tables import likelihood, marginal
 
 Array = NDArray[np.float64]
 
 QUANTILES = (0.025, 0.5, 0.975)
 FINER = 8  # nodes between those of k, for quantiles
-SPREADS = 10  # Gauss–Legendre nodes of the spread between animals
-BEYOND = 1.5  # how far past all animals' ln k the population's median is looked for
+BATCH = 2048  # data sets at once
 
 
 @dataclass(frozen=True)
@@ -132,15 +131,18 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     True
     """
     model = hypothesis.model(scheme)
-    evidence = np.empty(len(counts))
-    quantiles = np.empty((len(counts), len(QUANTILES)))
-    for rows, weights in integrate(model, counts):
-        if counts.shape[1] == 1:
-            evidence[rows], quantiles[rows] = _single(hypothesis.priors, weights)
+    size = max(1, BATCH // counts.shape[1])
+    found = []
+    for some in (counts[i : i + size] for i in range(0, len(counts), size)):
+        flat = some.reshape(-1, some.shape[-1])
+        if counts.shape[1] == 1 or not model.free[0]:
+            evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
+            found.append((evidence.reshape(len(some), -1).sum(axis=1), quantiles[: len(some)]))
         else:
-            evidence[rows], quantiles[rows] = _population(
-                hypothesis.priors, weights, counts.shape[1]
-            )
+            table = likelihood(model, flat, LAPSE_STEP, HELD)
+            mu, by_median, evidence = populations(model, table, counts.shape[1])
+            found.append((evidence, np.exp(_integrated(mu, by_median)[1])))
+    evidence, quantiles = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Fitted(evidence, quantiles)
 
 
@@ -163,13 +165,14 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
     Parameters
     ----------
     chunk : dict
-        As `power.chunk_of` writes it.
+        As `power` writes it.
     seed : SeedSequence
 
     Returns
     -------
     DataFrame
-        `log_bayes_factor`, `half_width` and `covers`, with what the chunk says of the design.
+        The true `weber_fraction` and its `estimate`, `log_bayes_factor`, `half_width` and `covers`,
+        with what the chunk says of the design.
     """
     hypotheses = decode(chunk["hypotheses"])
     scheme, animals = decode(chunk["scheme"]), decode(chunk["animals"])
@@ -179,12 +182,13 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
         assurance=chunk["assurance"],
     )  # fmt: skip
     log_factor, fitted = compare(hypotheses, truth.name, scheme, counts)
-    low, _, high = fitted.quantiles.T
+    low, middle, high = fitted.quantiles.T
     return pd.DataFrame(
         {
             **chunk["label"],
             "truth": truth.name,
             "weber_fraction": k,
+            "estimate": middle,
             "log_bayes_factor": log_factor,
             "half_width": fitted.half_width,
             "covers": (low < k) & (k < high),
@@ -192,12 +196,11 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
     )
 
 
-def _single(priors: Priors, weights: Weights) -> tuple[Array, Array]:
-    scores = weights.scores
+def _single(priors: Priors, scores: Array, log_likelihood: Array) -> tuple[Array, Array]:
     if scores.size == 1:  # k is known
-        k = np.full((len(weights.log_likelihood), 3), float(priors.value("weber_fraction", 0.0)))
-        return weights.log_likelihood[:, 0], k
-    log_post = weights.log_likelihood + score_prior(scores)
+        k = np.full((len(log_likelihood), 3), float(priors.value("weber_fraction", 0.0)))
+        return log_likelihood[:, 0], k
+    log_post = log_likelihood + score_prior(scores)
     evidence, z = _integrated(scores, log_post)
     return evidence, priors.value("weber_fraction", z)
 
@@ -206,10 +209,11 @@ def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
     """ln of the integral (D,) on even nodes, and the quantiles (D, 3) of densities (D, X)."""
     top = log_density.max(axis=1, keepdims=True)
     relative = np.maximum(log_density - top, -60.0)
-    evidence = np.log(np.exp(relative).sum(axis=1) * (x[1] - x[0])) + top[:, 0]
     fine = np.linspace(x[0], x[-1], FINER * (x.size - 1) + 1)
+    # Of a normal density the logarithm is interpolated without error, however far the nodes.
     density = np.exp(CubicSpline(x, relative.T)(fine).T)
     step = fine[1] - fine[0]
+    evidence = np.log(density.sum(axis=1) * step) + top[:, 0]
     mass = np.cumsum(0.5 * step * (density[:, 1:] + density[:, :-1]), axis=1)
     mass /= mass[:, -1:]
     out = np.empty((len(mass), len(QUANTILES)))
@@ -221,39 +225,3 @@ def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
         )
         out[:, i] = fine[at] + step * (q - before) / (after - before)
     return evidence, out
-
-
-def _population(priors: Priors, weights: Weights, animals: int) -> tuple[Array, Array]:
-    """The population's median Weber fraction, each animal's own integrated out.
-
-    ln k is normal between animals, with the spread that `PopulationPriors` believes in. Lapses have
-    the prior of a single fit, not one learnt from each other.
-    """
-    scores = weights.scores
-    if scores.size == 1:
-        single = weights.log_likelihood.reshape(-1, animals).sum(axis=1)
-        return single, np.full((single.size, 3), float(priors.value("weber_fraction", 0.0)))
-    log_k = np.log(priors.value("weber_fraction", scores))
-    top = weights.log_likelihood.max(axis=1, keepdims=True)
-    curve = CubicSpline(log_k, np.maximum(weights.log_likelihood - top, -60.0).T)
-    x = np.linspace(log_k[0], log_k[-1], 3 * (scores.size - 1) + 1)
-    like = np.exp(curve(x).T)  # (D·A, X)
-    h = x[1] - x[0]
-    # Nodes of k are 1.7 of the least sd apart, so 2.3 h is 1.3 of an animal's.
-    mu = np.arange(log_k[0] - BEYOND, log_k[-1] + BEYOND, 2.3 * h / np.sqrt(animals))
-    spread = PopulationPriors().spread
-    node, weight = np.polynomial.legendre.leggauss(SPREADS)
-    widest = float(spread.ppf(1 - 1e-4))
-    tau = 0.5 * widest * (node + 1)
-    weight = 0.5 * widest * weight * spread.pdf(tau)
-    # A cell's probability, which also holds where the spread is smaller than the cell.
-    edges = (x[:, None, None] - mu[:, None]) / tau
-    kernel = ndtr(edges + 0.5 * h / tau) - ndtr(edges - 0.5 * h / tau)  # (X, U, T)
-    seen = like @ kernel.reshape(x.size, -1) + 1e-300
-    log_seen = (np.log(seen) + top).reshape(-1, animals, mu.size, tau.size).sum(axis=1)
-    best = log_seen.max(axis=(1, 2), keepdims=True)
-    by_median = np.log(np.exp(log_seen - best) @ weight + 1e-300) + best[..., 0]
-    k = np.exp(mu)
-    by_median += priors.log_density("weber_fraction", k) + mu
-    evidence, quantiles = _integrated(mu, by_median)
-    return evidence, np.exp(quantiles)

@@ -20,11 +20,11 @@ from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts, unit_percepts
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
+from .boxes import passes
 from .goals import Animals
 from .hypotheses import Hypothesis, told_apart
-from .nodes import coarseness, emptiness, refined, widest
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
-from .tables import Table
+from .tables import boxes_of
 
 Array = NDArray[np.float64]
 
@@ -289,12 +289,9 @@ def _range(
     model: WeberModel, counts: Array
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """Where the posterior lies: ends of the axes of k and the lapses, and of each bias."""
-    lattice, fine, first = widest(model), False, True
-    while not fine:
-        table = Table(model, lattice)
-        answers = table.answers(counts[None])
-        held = table.held(answers, *table.profile(answers), emptiness(coarseness(model, lattice)))
-        lattice, fine = refined(model, lattice, held, with_neighbours=first)
-        first = False
-    ends = [(float(a[0]), float(a[-1])) for a in lattice.axes]
-    return ends[:3], ends[3:]
+    steps = passes(model)
+    boxes = boxes_of(model, counts[None], [*steps, steps[-1]])
+    low, high = boxes.low[:, :, 0].min(axis=1), boxes.high[:, :, 0].max(axis=1)
+    rest = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
+    of_k = float(boxes.ends[0][0]), float(boxes.ends[1][0])
+    return [of_k, *rest[:2]], rest[2:]

@@ -1,221 +1,292 @@
 """Posteriors of thousands of experiments at once: tables of log P, and matrix products.
 
 All data sets of one design share their stimuli, so the log-probability of every answer at every
-node of a lattice is tabulated once, and the log-likelihood of all of them is counts @ table. Biases
-are integrated group by group, as they are independent given the rest; then the lapses.
+node is tabulated once, and the log-likelihood of all of them is counts @ table. Nodes are shared,
+and every data set meets those of its own box alone (`boxes`). Biases are integrated group by
+group, as they are independent given the rest; then the lapses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.quadrature import score_prior
-from .nodes import (
-    CLOSE,
-    Indices,
-    Lattice,
-    Mask,
-    coarseness,
-    emptiness,
+from .boxes import (
+    CUT,
+    LAPSE_STEP,
+    WIDE_BIAS,
+    Boxes,
+    Steps,
+    bias_steps,
+    even,
+    everything,
+    held,
     lapse_weights,
-    refined,
-    widest,
+    passes,
 )
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+Indices = NDArray[np.intp]
 
-BATCHES = 512, 512, 128  # data sets weighed on one lattice, pass by pass
-BLOCK = 400_000  # values at once: what stays in the cache
-ROUNDED = 4  # biases of a triple, to a multiple
+TOGETHER = 48  # data sets that meet the same nodes
 LEAST = np.float32(1e-30)  # of a probability
+NOTHING = -1e5  # log of what cannot be
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Likelihoods (R, K) of R data sets at even scores of k (K,), all else integrated."""
+class Likelihood:
+    """Log-likelihoods of R data sets on even nodes, biases integrated.
+
+    `scores` (K,) of k; `low` and `high`, coordinates of the lapses; `values` (K, Lo, Hi, R), of
+    which nothing but what lies in the boxes was computed.
+    """
 
     scores: Array
-    log_likelihood: Array
+    low: Array
+    high: Array
+    values: Single
 
 
-def integrate(model: WeberModel, counts: Array) -> Iterator[tuple[Indices, Weights]]:
-    """Weigh data sets, those of similar Weber fraction together, on nodes that suit them.
+def boxes_of(model: WeberModel, counts: Array, steps: list[Steps], cut: float = CUT) -> Boxes:
+    """Where the posterior of every data set lies, from all passes but the last."""
+    answers = _answers(model, counts)
+    boxes = everything(model, len(counts))
+    for coarse in steps[:-1]:
+        boxes = _zoomed(model, boxes, coarse, answers, (steps[-1].k, cut))
+    return boxes
+
+
+def marginal(model: WeberModel, counts: Array) -> tuple[Array, Array]:
+    """Scores of k (K,), and the log-likelihoods (R, K) there, biases and lapses integrated.
 
     Parameters
     ----------
     model : WeberModel
         Without effects; its cells say how many trials there are.
-    counts : ndarray, shape (D, A, C)
-        Answers counted, of the trials of every cell; they need not be whole. The A of one data set
-        stay together.
-
-    Yields
-    ------
-    rows : ndarray of int
-        Which data sets.
-    Weights
-        Theirs, with D·A rows.
+    counts : ndarray, shape (R, C)
+        Answers counted, of the trials of every cell; they need not be whole.
     """
-    start = Table(model, widest(model))
-    everything = np.arange(len(counts))
-    for i in range(0, len(counts), BATCHES[0]):
-        yield from _zoom(model, start, counts, everything[i : i + BATCHES[0]], 1)
+    steps = passes(model)
+    boxes = boxes_of(model, counts, steps)
+    axes = boxes.nodes(steps[-1].k), *boxes.lapses(steps[-1].lapse)
+    weights = np.maximum(lapse_weights(model, *axes[1:]), NOTHING).astype(np.float32)
+    out = np.full((len(counts), axes[0].size), -np.inf)
+    for block in _blocks(model, axes, boxes, steps[-1], _answers(model, counts)):
+        joint = block.joint + weights[block.low, block.high, None]
+        total = log_sum(joint.reshape(-1, block.rows.size), 0)
+        out[block.rows, block.k] = np.where(total > 0.5 * NOTHING, total, -np.inf)
+    return axes[0], carried_on(out)
 
 
-def _zoom(
-    model: WeberModel, table: Table, counts: Array, rows: Indices, depth: int
-) -> Iterator[tuple[Indices, Weights]]:
-    """Some data sets on finer and finer lattices, in batches that are more and more alike."""
-    animals = counts.shape[1]
-    coarse = coarseness(model, table.lattice)
-    answers = table.answers(counts[rows].reshape(-1, counts.shape[-1]))
-    best, joint = table.profile(answers)
-    place = table.k_of[joint.argmax(axis=0)].reshape(rows.size, animals)
-    order = np.lexsort((place.max(axis=1), place.min(axis=1)))
-    size = max(1, BATCHES[min(depth, len(BATCHES) - 1)] // animals)
-    for own in (order[i : i + size] for i in range(0, order.size, size)):
-        inside = (own[:, None] * animals + np.arange(animals)).ravel()
-        part = [a[:, inside] for a in answers]
-        held = table.held(part, best[..., inside], joint[:, inside], emptiness(coarse))
-        lattice, fine = refined(model, table.lattice, held, with_neighbours=coarse > 1.5 * CLOSE)
-        finer = Table(model, lattice)
-        if fine:
-            yield rows[own], finer.integrated(part)
-        else:
-            yield from _zoom(model, finer, counts, rows[own], depth + 1)
+def likelihood(
+    model: WeberModel, counts: Array, lapse_step: float = LAPSE_STEP, cut: float = CUT
+) -> Likelihood:
+    """The same before the lapses are integrated, wherever it is above the best less `cut`."""
+    steps = passes(model, lapse_step)
+    boxes = boxes_of(model, counts, steps, cut)
+    axes = boxes.nodes(steps[-1].k), *boxes.lapses(steps[-1].lapse)
+    values = np.full((*(a.size for a in axes), len(counts)), NOTHING, dtype=np.float32)
+    for block in _blocks(model, axes, boxes, steps[-1], _answers(model, counts)):
+        values[block.k, block.low, block.high][..., block.rows] = block.joint
+    return Likelihood(*axes, values)
+
+
+def _answers(model: WeberModel, counts: Array) -> list[Single]:
+    """What meets the tables, (2C + 1, R) for each group."""
+    n, ones = model.cells.n, np.ones((len(counts), 1))
+    parts = []
+    for group in range(model.n_groups):
+        c = np.flatnonzero(model.group == group)
+        part = np.hstack([counts[:, c], n[c] - counts[:, c], ones])
+        parts.append(part.T.astype(np.float32, order="C"))
+    return parts
+
+
+def _zoomed(
+    model: WeberModel, boxes: Boxes, steps: Steps, answers: list[Single], fine: tuple[float, float]
+) -> Boxes:
+    """Smaller boxes, by the highest log posterior with each node of k and of every other axis."""
+    count = answers[0].shape[1]
+    axes = boxes.nodes(steps.k), *boxes.lapses(steps.lapse)
+    prior, weights = score_prior(axes[0]), lapse_weights(model, *axes[1:])
+    low, high = (np.full((axes[0].size, a.size, count), -np.inf, np.float32) for a in axes[1:])
+    biases: list[dict[int, tuple[Array, Single]]] = [{} for _ in range(model.n_groups)]
+    for block in _blocks(model, axes, boxes, steps, answers, keep=True):
+        rows, own = block.rows, prior[block.k] + weights[block.low, block.high, None]
+        joint = block.joint + own.astype(np.float32)
+        low[block.k][block.low, rows] = joint.max(axis=1)
+        high[block.k][block.high, rows] = joint.max(axis=0)
+        for known, (nodes, places, relative) in zip(biases, block.parts, strict=True):
+            if block.k not in known:
+                known[block.k] = nodes, np.full((nodes.size, count), -np.inf, np.float32)
+            relative += joint
+            known[block.k][1][places, rows] = relative.max(axis=(1, 2))
+    profiles: list[tuple[Array, Any]] = [
+        (np.broadcast_to(a, (axes[0].size, a.size)), p)
+        for a, p in zip(axes[1:], (low, high), strict=True)
+    ]
+    profiles += [_stacked(known, axes[0].size, count) for known in biases]
+    return held(boxes, axes[0], profiles, *fine)
+
+
+def _stacked(known: dict[int, tuple[Array, Single]], size: int, count: int) -> tuple[Array, Single]:
+    """Nodes (K, B) that differ from k to k, and what is there (K, B, R), in one array."""
+    most = max(nodes.size for nodes, _ in known.values())
+    nodes = np.zeros((size, most))
+    values = np.full((size, most, count), -np.inf, np.float32)
+    for k, (own, value) in known.items():
+        step = own[1] - own[0] if own.size > 1 else 1.0
+        nodes[k] = own[0] + step * np.arange(most)
+        values[k, : own.size] = value
+    return nodes, values
 
 
 @dataclass(frozen=True)
-class _Piece:
-    """Nodes of one group that form a rectangle: W neighbouring biases of each of some triples.
+class _Block:
+    """Some data sets at one node of k, that have about the same lapses.
 
-    `triples` (T,) and `bias` (W, T) are indices; `table` (2C + 1, W, T) holds the log-probabilities
-    of both answers of every cell, and the log weight of the bias. Data sets come last everywhere:
-    sums over biases then run along memory.
+    `low` and `high` are nodes of the lapses, `joint` (Lo, Hi, r) log-likelihoods, biases
+    integrated; `parts`, for each group, all nodes of its bias at this k, which ones, and the
+    log-density there (B, Lo, Hi, r) relative to the highest.
     """
 
-    group: int
-    triples: Indices
-    bias: Indices
-    table: NDArray[np.float32]
-
-    def values(self, answers: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Log-likelihood of the group's answers, (W, T, R)."""
-        flat = self.table.reshape(len(self.table), -1).T @ answers[self.group]
-        return flat.reshape(*self.bias.shape, -1)
+    k: int
+    rows: Indices
+    low: slice
+    high: slice
+    joint: Single
+    parts: list[tuple[Array, slice, Single]]
 
 
-class Table:
-    """The answers' log-probabilities on a lattice, in pieces that stay in the cache."""
+def _blocks(
+    model: WeberModel,
+    axes: tuple[Array, Array, Array],
+    boxes: Boxes,
+    steps: Steps,
+    answers: list[Single],
+    keep: bool = False,
+) -> Iterator[_Block]:
+    """Log-likelihoods of the data sets, node of k by node.
 
-    def __init__(self, model: WeberModel, lattice: Lattice) -> None:
-        self.model, self.lattice = model, lattice
-        triples = lattice.triples
-        self.at = np.nonzero(triples)
-        self.k_of = self.at[0]
-        log_prior = score_prior(lattice.axes[0])[:, None, None] + lapse_weights(model, lattice)
-        self.log_prior = log_prior[self.at].astype(np.float32)
-        self.groups = [np.flatnonzero(model.group == g) for g in range(model.n_groups)]
-        self.pieces = [piece for group in range(model.n_groups) for piece in self._cut(group)]
-
-    def _cut(self, group: int) -> Iterator[_Piece]:
-        """The pieces of one group: triples with about as many biases each."""
-        model, axes = self.model, self.lattice.axes
-        cells, bias = self.groups[group], axes[3 + group]
-        d, weight = model.task.decide(model.felt(model.value("weber_fraction", axes[0])))
-        weight = np.broadcast_to(weight, d.shape)[:, cells]
-        both = model.task.chance(d[:, None, cells], weight[:, None] * bias[:, None])  # (K, B, C)
-        up, down = (np.moveaxis(a, -1, 0).astype(np.float32) for a in both)
-        low, high = (model.at(n, a) for n, a in zip(model.lead[-2:], axes[1:3], strict=True))
-        ends = model.lapses(low[self.at[1]], high[self.at[2]])
-        lost = [a.astype(np.float32) for a in ends]
-        step = bias[1] - bias[0] if bias.size > 1 else 1.0
-        log_weight = model.log_bias_prior(bias) + np.log(step)
-        used = self.lattice.masks[group][self.at]  # (T, B)
-        first = used.argmax(axis=1)
-        width = used.shape[1] - used[:, ::-1].argmax(axis=1) - first
-        width = np.minimum(-(-width // ROUNDED) * ROUNDED, bias.size)
-        for size in np.unique(width):
-            some = np.flatnonzero(width == size)
-            most = max(1, BLOCK // (BATCHES[-1] * int(size)))
-            for own in (some[i : i + most] for i in range(0, some.size, most)):
-                b = np.minimum(first[own], bias.size - size) + np.arange(size)[:, None]
-                table = np.empty((2 * cells.size + 1, *b.shape), dtype=np.float32)
-                yes, no = (a[:, self.k_of[own], b] for a in (up, down))
-                lo, hi = (a[own] for a in lost)
-                np.log(np.maximum(lo * no + (1 - hi) * yes, LEAST), out=table[: cells.size])
-                np.log(np.maximum((1 - lo) * no + hi * yes, LEAST), out=table[cells.size : -1])
-                table[-1] = log_weight[b]
-                yield _Piece(group, own, b, table)
-
-    def answers(self, counts: Array) -> list[NDArray[np.float32]]:
-        """What meets the tables, (2C + 1, R) for each group."""
-        n = self.model.cells.n
-        ones = np.ones((len(counts), 1))
-        return [
-            np.hstack([counts[:, c], n[c] - counts[:, c], ones]).T.astype(np.float32, order="C")
-            for c in self.groups
+    With `keep`, the highest over the biases in place of their integral, and the parts.
+    """
+    tables = _Tables(model, axes, boxes, steps)
+    for i, score in enumerate(axes[0]):
+        inside, low, high = boxes.at(score)
+        rows = np.flatnonzero(inside)
+        if not rows.size:
+            continue
+        nodes = [
+            *axes[1:],
+            *tables.biases(i, low[2:, rows].min(axis=1), high[2:, rows].max(axis=1)),
         ]
-
-    def profile(
-        self, answers: list[NDArray[np.float32]]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Each group at its best bias, (G, T, R), and all with the prior, (T, R)."""
-        shape = len(self.groups), self.k_of.size, answers[0].shape[1]
-        best = np.empty(shape, dtype=np.float32)
-        for piece in self.pieces:
-            best[piece.group, piece.triples] = piece.values(answers).max(axis=0)
-        return best, best.sum(axis=0) + self.log_prior[:, None]
-
-    def held(
-        self,
-        answers: list[NDArray[np.float32]],
-        best: NDArray[np.float32],
-        joint: NDArray[np.float32],
-        cut: float,
-    ) -> list[Mask]:
-        """Nodes within `cut` of the best in some data set, like the lattice's masks."""
-        joint = joint - joint.max(axis=0)
-        full = np.any(joint > -cut, axis=1)
-        least = best - (joint + cut)  # what a node must surpass
-        masks = [np.zeros(mask.shape, dtype=bool) for mask in self.lattice.masks]
-        for piece in self.pieces:
-            some = np.flatnonzero(full[piece.triples])
-            if some.size:
-                triples, bias = piece.triples[some], piece.bias[:, some]
-                part = _Piece(piece.group, triples, bias, piece.table[:, :, some])
-                own = (part.values(answers) > least[piece.group, triples]).any(axis=2)
-                where = tuple(np.broadcast_to(a[triples], own.shape)[own] for a in self.at)
-                masks[piece.group][(*where, bias[own])] = True
-        return masks
-
-    def integrated(self, answers: list[NDArray[np.float32]]) -> Weights:
-        """The likelihood of k, lapses and biases integrated."""
-        count = answers[0].shape[1]
-        joint = np.repeat(self.log_prior[:, None], count, axis=1).astype(float)
-        for piece in self.pieces:
-            values = piece.values(answers)
-            top = values.max(axis=0)
-            values -= top
-            np.exp(values, out=values)
-            joint[piece.triples] += np.log(values.sum(axis=0)) + top
-        top = joint.max(axis=0)
-        joint -= top
-        starts = np.flatnonzero(np.diff(self.k_of, prepend=-1))
-        kept = self.k_of[starts]
-        scores = self.lattice.axes[0]
-        total = np.zeros((scores.size, count))
-        total[kept] = np.add.reduceat(np.exp(joint, out=joint), starts, axis=0)
-        log_mass = np.log(np.maximum(total, 1e-300)) + top
-        return Weights(scores, (log_mass - score_prior(scores)[:, None]).T)
+        first = np.array([_first(a, x) for a, x in zip(nodes, low[:, rows], strict=True)])
+        last = np.array([_last(a, x) for a, x in zip(nodes, high[:, rows], strict=True)])
+        order = np.lexsort((first[1], first[0]))
+        rows, first, last = rows[order], first[:, order], last[:, order]
+        whole = _spans(first, last)
+        of_groups = [
+            tables.at(i, g, nodes[2 + g][whole[2 + g]], whole) for g in range(model.n_groups)
+        ]
+        for some in (slice(j, j + TOGETHER) for j in range(0, rows.size, TOGETHER)):
+            spans, own = _spans(first[:, some], last[:, some]), rows[some]
+            joint: Any = np.float32(0.0)
+            parts = []
+            for g, table in enumerate(of_groups):
+                at = 2 + g, 0, 1
+                part = table[:, *(_within(spans[j], whole[j]) for j in at)]
+                values = part.reshape(len(part), -1).T @ answers[g][:, own]
+                values = values.reshape(*part.shape[1:], own.size)
+                top = values.max(axis=0)
+                values -= top
+                if keep:
+                    parts.append((nodes[2 + g], spans[2 + g], values))
+                else:
+                    top += np.log(np.exp(values, out=values).sum(axis=0))
+                joint = joint + top
+            yield _Block(i, own, spans[0], spans[1], joint, parts)
 
 
-def log_sum(values: Array, axis: int) -> Array:
+def _first(axis: Array, low: Array) -> Indices:
+    return np.clip(np.searchsorted(axis, low - 1e-9), 0, axis.size - 1)
+
+
+def _last(axis: Array, high: Array) -> Indices:
+    return np.clip(np.searchsorted(axis, high + 1e-9), 0, axis.size - 1)
+
+
+def _spans(first: Indices, last: Indices) -> list[slice]:
+    """Nodes of every axis that some of the data sets hold."""
+    start, stop = first.min(axis=1), last.max(axis=1) + 1
+    return [slice(a, b) for a, b in zip(start.tolist(), stop.tolist(), strict=True)]
+
+
+def _within(span: slice, whole: slice) -> slice:
+    return slice(span.start - whole.start, span.stop - whole.start)
+
+
+class _Tables:
+    """Log-probabilities of both answers of every cell, and the log weight of the bias."""
+
+    def __init__(
+        self, model: WeberModel, axes: tuple[Array, Array, Array], boxes: Boxes, steps: Steps
+    ) -> None:
+        self.model = model
+        d, weight = model.task.decide(model.felt(model.value("weber_fraction", axes[0])))
+        self.d, self.weight = d, np.broadcast_to(weight, d.shape)  # (K, C)
+        low, high = (model.at(n, a) for n, a in zip(model.lead[-2:], axes[1:], strict=True))
+        shape, ends = (low.size, high.size), model.lapses(low[:, None], high[None])
+        self.low, self.high = (np.broadcast_to(a, shape).astype(np.float32) for a in ends)
+        self.cells = [np.flatnonzero(model.group == g) for g in range(model.n_groups)]
+        self.step = np.full((len(d), model.n_groups), WIDE_BIAS)
+        if np.isfinite(steps.biases):
+            span = np.arange(boxes.low[2:].min(), boxes.high[2:].max() + 0.1, 0.1)
+            self.step = steps.biases * bias_steps(model, self.d, self.weight, span)
+
+    def biases(self, i: int, low: Array, high: Array) -> list[Array]:
+        """Nodes of every group's bias at one node of k."""
+        return [even(*ends) for ends in zip(low, high, self.step[i], strict=True)]
+
+    def at(self, i: int, group: int, bias: Array, spans: list[slice]) -> Single:
+        """At one node of k, (2C + 1, B, Lo, Hi)."""
+        cells, model = self.cells[group], self.model
+        d, weight = self.d[i, cells, None], self.weight[i, cells, None]
+        yes, no = (
+            a.astype(np.float32)[..., None, None] for a in model.task.chance(d, weight * bias)
+        )
+        low, high = self.low[spans[0], spans[1]], self.high[spans[0], spans[1]]
+        table = np.empty((2 * cells.size + 1, bias.size, *low.shape), dtype=np.float32)
+        np.log(np.maximum(low * no + (1 - high) * yes, LEAST), out=table[: cells.size])
+        np.log(np.maximum((1 - low) * no + high * yes, LEAST), out=table[cells.size : -1])
+        step = np.log(self.step[i, group]) if model.free_bias else 0.0
+        table[-1] = np.maximum(model.log_bias_prior(bias) + step, NOTHING)[:, None, None]
+        return table
+
+
+def carried_on(values: Array) -> Array:
+    """Beyond its box every row (R, K) goes on as it ended there, and falls."""
+    count, size = values.shape
+    if size == 1:
+        return values
+    known = np.isfinite(values)
+    first, last = known.argmax(axis=1), size - 1 - known[:, ::-1].argmax(axis=1)
+    row, at = np.arange(count), np.arange(size)
+    out = np.where(known, values, values.max(axis=1, keepdims=True) - 60.0)  # a gap is empty
+    for edge, inner in ((first, first + 1), (last, last - 1)):
+        fall = np.maximum(values[row, inner] - values[row, edge], 1.0)
+        away = (edge[:, None] - at) * (1 if edge is first else -1)
+        out = np.where(away > 0, values[row, edge][:, None] - fall[:, None] * away, out)
+    return out
+
+
+def log_sum(values: NDArray[np.floating], axis: int) -> Array:
     """ln Σ exp of finite values; SciPy's costs several times as much."""
     top = values.max(axis=axis, keepdims=True)
     return np.log(np.exp(values - top).sum(axis=axis)) + np.squeeze(top, axis)

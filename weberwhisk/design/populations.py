@@ -1,0 +1,179 @@
+"""Several animals of one population, experiment by experiment: each one's own integrated out.
+
+The model is that of `fit_population`: ln k of the animals is normal about the population's median,
+the normal scores of their lapses are normal with one mean and spread for both ends, and biases are
+each animal's own. All animals of all experiments share their nodes (`tables`), so a population is a
+set of weights of these nodes, tabulated once, and integrals are matrix products.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import ndtr
+
+from ..behaviour.likelihood import WeberModel
+from ..behaviour.priors import PopulationPriors
+from .boxes import with_tail
+from .tables import Likelihood, carried_on, log_sum
+
+Array = NDArray[np.float64]
+
+LAPSE_STEP = 0.6  # of the nodes of the lapses, between which likelihoods are linear
+HELD = 10.0  # nats under an animal's best, to which its likelihood is tabulated
+FINER_LAPSE, FINER_K = 4, 3  # nodes between those of a lapse, and of k
+SPREADS = 10  # Gauss–Legendre nodes of the spread of ln k between animals
+LAPSE_SPREADS = 6  # the same of the lapses' spread, in its logarithm
+LAPSE_MEANS = -3.5, 3.5  # of the lapses' mean, in scores, and
+LAPSE_SPREAD = 0.15, 2.0  # of their spread: where a population is looked for
+BEYOND = 1.0  # how far past all animals' ln k the population's median is looked for
+LEAST = 1e-30  # of a likelihood
+FLOOR = -60.0  # nats under the best, where nothing is left
+CUT = 14.0  # nats under the best, where populations are left out
+
+
+@dataclass(frozen=True)
+class _Lapses:
+    """Populations of lapses: `weights` (L, J) of the nodes, and `log_prior` (J,)."""
+
+    weights: NDArray[np.float32]
+    log_prior: Array
+
+
+@dataclass(frozen=True)
+class _Fractions:
+    """Populations of ln k: medians `mu` (U,), and for each and every spread the prior and weights.
+
+    `kernel` (X, U·T), of the nodes of ln k; `log_prior` (U, T).
+    """
+
+    mu: Array
+    kernel: Array
+    log_prior: Array
+
+
+def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Array, Array, Array]:
+    """Medians mu of ln k (U,), even; their log posterior density (D, U), and the log evidence (D,).
+
+    Parameters
+    ----------
+    model : WeberModel
+    found : Likelihood
+        Of D·A animals, those of an experiment together.
+    animals : int
+        A.
+    """
+    log_k = np.log(model.value("weber_fraction", found.scores))
+    lapses = _lapses(model, found, animals)
+    x = np.linspace(log_k[0], log_k[-1], FINER_K * (log_k.size - 1) + 1)
+    fractions = _fractions(model, x, animals)
+    experiments = found.values.shape[-1] // animals
+    out = np.empty((experiments, fractions.mu.size))
+    for i in range(experiments):
+        own = found.values[..., i * animals : (i + 1) * animals]
+        out[i] = _of_one(own, log_k, x, lapses, fractions)
+    step = fractions.mu[1] - fractions.mu[0]
+    return fractions.mu, out, log_sum(out, 1) + np.log(step)
+
+
+def _of_one(
+    values: NDArray[np.float32], log_k: Array, x: Array, lapses: _Lapses, fractions: _Fractions
+) -> Array:
+    """Log posterior density of the median in one experiment, (U,)."""
+    animals = values.shape[-1]
+    flat = values.reshape(log_k.size, -1, animals).transpose(2, 0, 1)  # (A, K, L)
+    top = flat.max(axis=(1, 2), keepdims=True)
+    like = np.maximum(np.exp(flat - top) @ lapses.weights, LEAST)  # (A, K, J)
+    # What lapses there are, whatever k: then the rest for these populations alone.
+    told = np.log(like.sum(axis=1)).sum(axis=0) + lapses.log_prior
+    kept = np.flatnonzero(told > told.max() - CUT)
+    best = int(np.flatnonzero(kept == told.argmax())[0])
+    some = like[..., kept].astype(float)
+    log_like = np.log(some, out=np.full(some.shape, -np.inf), where=some > 1e3 * LEAST)
+    rows = carried_on(np.swapaxes(log_like, 1, 2).reshape(-1, log_k.size))
+    high = rows.max(axis=1, keepdims=True)
+    fine = np.exp(CubicSpline(log_k, np.maximum(rows - high, FLOOR), axis=1)(x))
+    fine = fine.reshape(animals, kept.size, x.size)  # (A, J, X)
+    prior = fractions.log_prior.ravel()
+    first = np.log(fine[:, best] @ fractions.kernel + 1e-300).sum(axis=0) + prior
+    likely = np.flatnonzero(first > first.max() - 1.5 * CUT)
+    total = np.log(fine @ fractions.kernel[:, likely] + 1e-300).sum(axis=0) + prior[likely]
+    total += (high.reshape(animals, -1).sum(axis=0) + lapses.log_prior[kept])[:, None]
+    joint = np.full(prior.size, -np.inf)
+    joint[likely] = log_sum(total, 0)
+    by_median = joint.reshape(fractions.log_prior.shape)
+    peak = by_median.max()
+    mass = np.exp(by_median - peak).sum(axis=1)
+    return np.asarray(np.log(np.maximum(mass, np.exp(FLOOR))) + peak + float(top.sum()))
+
+
+def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
+    """Every population of lapses, as weights of nodes between which likelihoods are linear."""
+    names = model.lead[-2:]
+    parts = [
+        _between(model, name, axis)
+        for name, axis in zip(names, (found.low, found.high), strict=True)
+    ]
+    if found.low.size == found.high.size == 1:
+        return _Lapses(np.ones((1, 1), dtype=np.float32), np.zeros(1))
+    priors = PopulationPriors()
+    step = min(0.75 / np.sqrt(animals), 0.35)
+    mean = np.arange(LAPSE_MEANS[0], LAPSE_MEANS[1] + step, step)
+    ends = np.log(LAPSE_SPREAD)
+    node, weight = np.polynomial.legendre.leggauss(LAPSE_SPREADS)
+    log_spread = ends[0] + 0.5 * (node + 1) * (ends[1] - ends[0])
+    prior = priors.lapse_mean.logpdf(mean)[:, None] + np.log(step)
+    prior = prior + priors.lapse_spread.logpdf(np.exp(log_spread)) + log_spread
+    prior += np.log(0.5 * weight * (ends[1] - ends[0]))
+    free = [axis.size > 1 for axis in (found.low, found.high)]
+    rho = model.priors.lapse_correlation if all(free) else 0.0
+    columns = []
+    for spread in np.exp(log_spread):
+        u, v = (
+            (score[:, None] - mean) / spread if is_free else np.zeros((1, mean.size))
+            for (score, _, _), is_free in zip(parts, free, strict=True)
+        )
+        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
+        density = np.exp(-0.5 * square / (1 - rho**2)) / np.sqrt(1 - rho**2)
+        scale = (spread * np.sqrt(2 * np.pi)) ** sum(free)
+        density *= parts[0][1][:, None, None] * parts[1][1][:, None] / scale
+        columns.append(
+            np.einsum("li,hj,lhm->ijm", parts[0][2], parts[1][2], density, optimize=True)
+        )
+    weights = np.stack(columns, axis=-1).reshape(found.low.size * found.high.size, -1)
+    lo, hi = (model.at(n, a) for n, a in zip(names, (found.low, found.high), strict=True))
+    lost = np.add(*model.lapses(lo[:, None], hi[None]))
+    weights[np.broadcast_to(lost >= 1, (lo.size, hi.size)).ravel()] = 0.0
+    return _Lapses(weights.astype(np.float32), prior.ravel())
+
+
+def _between(model: WeberModel, name: str, axis: Array) -> tuple[Array, Array, Array]:
+    """Fine scores (F,), their width, and what each takes of every node, (F, N)."""
+    if axis.size == 1:
+        return np.zeros(1), np.ones(1), np.ones((1, 1))
+    stretch = model.stretches[model.lead.index(name)]
+    below = with_tail(model, name, axis)
+    step = (axis[1] - axis[0]) / FINER_LAPSE
+    fine = np.arange(below[0], axis[-1] + 0.5 * step, step)
+    # Below the first node, where there is none, the likelihood is that of none.
+    share = np.stack([np.interp(fine, axis, one) for one in np.eye(axis.size)], axis=1)
+    return stretch.score(fine), stretch.slope(fine) * step, share
+
+
+def _fractions(model: WeberModel, x: Array, animals: int) -> _Fractions:
+    h = x[1] - x[0]
+    # Nodes of k are 2.8 of the least sd apart, so 2 h is 1.9 of an animal's.
+    mu = np.arange(x[0] - BEYOND, x[-1] + BEYOND, 2.0 * h / np.sqrt(animals))
+    spread = PopulationPriors().spread
+    node, weight = np.polynomial.legendre.leggauss(SPREADS)
+    widest = float(spread.ppf(1 - 1e-4))
+    tau = 0.5 * widest * (node + 1)
+    log_weight = np.log(0.5 * widest * weight) + spread.logpdf(tau)
+    # A cell's probability, which also holds where the spread is smaller than the cell.
+    edges = (x[:, None, None] - mu[:, None]) / tau
+    kernel = ndtr(edges + 0.5 * h / tau) - ndtr(edges - 0.5 * h / tau)  # (X, U, T)
+    log_prior = (model.priors.log_density("weber_fraction", np.exp(mu)) + mu)[:, None] + log_weight
+    return _Fractions(mu, kernel.reshape(x.size, -1), log_prior)
