@@ -47,7 +47,7 @@ def test_jnds(cluster: str) -> None:
 
 def test_calibration(cluster: str) -> None:
     calibration = load("calibration")
-    chunks = [{"job": i, "sizes": [4, 1, 1, 1, 1, 0], "seed": 1} for i in (0, 5)]
+    chunks = [{"job": i, "sizes": [4, 1, 1, 1, 1, 0, 2], "seed": 1} for i in (0, 5)]
     alone, there = (
         campaign.run(calibration.one_job, chunks, seed=1, **how)
         for how in ({}, {"scheduler": cluster})
