@@ -80,6 +80,9 @@ def judge_jnd(case: Case) -> Judged:
     solved = (walk["end"] == 0) & (exact["left"] < 1e-7) & np.isfinite(found)
     with np.errstate(all="ignore"):
         error = np.abs(jnd / found - 1)
+        # Next to an apex, of whose distance the differences' steps are a part.
+        room = 1 - (1 - case["tip"]) * inside / LENGTH
+        known += 3 * (1e-5 / room) ** 2
         allowed = JND_ERROR + known + 1e-8 / np.maximum(1 - case["push"], 1e-12)
         excess = np.log(np.maximum(error, 1e-300) / allowed)
     fate = np.full(n, Fate.REFUSED)

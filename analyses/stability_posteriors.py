@@ -240,8 +240,9 @@ def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float
         found.append((mean, np.sqrt(p @ (x - mean) ** 2)))
     (mean, sd), *halves = found
     off = max(max(abs(m - mean), abs(s - sd)) for m, s in halves) / sd
-    # Of a smooth density halving the step squares the error, at the least; not at a kink.
-    return high_r - mean, sd, (off if one else off**1.5) + (weight @ half / weight.sum()) ** 2
+    # A smooth sum has next to no error: what half the nodes change says that there is a kink, or
+    # that some rows, narrow ones, were missed, and then more may have been.
+    return high_r - mean, sd, 3 * off + (weight @ half / weight.sum()) ** 2
 
 
 # -- the judge ------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -21,6 +22,10 @@ os.environ["MPLBACKEND"] = "agg"
 for variable in ("COLUMNS", "FORCE_COLOR", "TTY_COMPATIBLE"):
     os.environ.pop(variable, None)
 os.environ["NO_COLOR"] = "1"
+
+# Run in the background of a script, interrupts are ignored, by all processes that tests start too.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A property test judges an answer, never the time it took. The cases are the same in every run, so
 # that a failure is of what was changed; `pytest -m slow` tries twenty times as many, new ones each

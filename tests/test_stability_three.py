@@ -46,3 +46,16 @@ def test_the_sum_knows_its_error_and_agrees_with_quadrature() -> None:
     assert known < 1e-3
     p = ww.posterior(observer, reading)
     np.testing.assert_allclose([p.mean, p.sd], [mean, sd], rtol=5e-3)
+
+
+def test_a_reading_far_from_its_contact_is_summed_whole() -> None:
+    """At k = 0.03 the rule for the stiffness left out a fifth of the sd and claimed 0.4 %."""
+    observer = posteriors.observer("map, stiffness unknown", 0.03)
+    contact = np.array([4.0418e-3, 0.52105, 0.915753])
+    signals, _ = observer.signals(contact)
+    reading = signals + np.array([-0.21404752, 3.05672107]) * observer.noise.sd(signals)
+    mean, sd, known = three.brute(observer, reading, float(logit(contact[0] / observer.reach[1])))
+    assert known < 1e-3
+    p = ww.posterior(observer, reading)
+    assert p.status == ww.Status.CONVERGED
+    np.testing.assert_allclose([p.mean, p.sd], [mean, sd], rtol=5e-3)
