@@ -2,13 +2,15 @@
 
 The sums of `quadrature` judge themselves by the evidence, of which half-grids agree to far better
 than 1 % long before the tails of k do where these are no bump's: a shelf where lapses explain all,
-a kink where answers forbid every smaller k. Such posteriors take more nodes than a bump. They are
-summed again on finer grids until the 95 % interval and the median stay where they are.
+a kink where answers forbid every smaller k. Such posteriors take more nodes of lapses and biases
+than a bump, or half the nodes of k tell another interval. They are summed again on finer grids
+until the 95 % interval and the median stay where they are.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +21,20 @@ from .quadrature import Care, Grid, integrate, log_marginal
 
 Array = NDArray[np.float64]
 
-BUMP = (21, 25, 11)  # most nodes of k, of a lapse and of a bias that a bump takes
+BUMP = (40, 15)  # most nodes of a lapse and of a bias that a bump takes
+HALVED = 0.08  # shift of a quantile, in sds of the score of k, by which half its nodes may be off
 FINER = Care(5e-5, 0.005, 0.03), Care(5e-6, 0.001, 0.01), Care(5e-7, 0.0003, 0.003)
 STEADY = 0.03  # shift of a quantile, in sds of the score of k, that ends it
 LEFT = 1 / 3  # of the last shift, what may still be wrong: steps at least halve the error
 ENDS = np.array([0.025, 0.5, 0.975])
 FINE = 1601
+
+
+class _Quantiles(NamedTuple):
+    """Of the score of k: the ends and the middle of its interval, and its sd."""
+
+    ends: Array
+    sd: float
 
 
 def refined(model: WeberModel) -> Grid:
@@ -36,7 +46,7 @@ def refined(model: WeberModel) -> Grid:
         finer = integrate(model, care)
         if not np.isfinite(finer.error):
             return grid  # finer than this is more than can be summed
-        shift = _shift(grid, finer)
+        shift = _shift(*(_quantiles(g.axes[0], log_marginal(g, 0)) for g in (grid, finer)))
         grid = replace(finer, error=max(finer.error, LEFT * shift))
         if shift < STEADY:
             break
@@ -50,20 +60,23 @@ def density_of(axis: Array, log_density: Array) -> tuple[Array, Array]:
 
 
 def _bump(grid: Grid) -> bool:
-    k, low, high = (axis.size for axis in grid.axes)
-    most_k, most_lapse, most_bias = BUMP
-    return k <= most_k and max(low, high) <= most_lapse and grid.offsets.size <= most_bias
+    k, low, high = grid.axes
+    most_lapse, most_bias = BUMP
+    if max(low.size, high.size) > most_lapse or grid.offsets.size > most_bias:
+        return False
+    log_density = log_marginal(grid, 0)
+    halves = [_quantiles(k[i::2], log_density[i::2]) for i in (0, 1)]
+    return all(_shift(half, _quantiles(k, log_density)) < HALVED for half in halves)
 
 
-def _shift(one: Grid, other: Grid) -> float:
-    """The farthest that a quantile of k moved, in sds."""
-    (old, _), (new, sd) = _quantiles(one), _quantiles(other)
-    return float(np.max(np.abs(new - old)) / sd)
+def _shift(old: _Quantiles, new: _Quantiles) -> float:
+    """The farthest that a quantile moved, in sds."""
+    return float(np.max(np.abs(new.ends - old.ends)) / new.sd)
 
 
-def _quantiles(grid: Grid) -> tuple[Array, float]:
-    fine, density = density_of(grid.axes[0], log_marginal(grid, 0))
+def _quantiles(axis: Array, log_density: Array) -> _Quantiles:
+    fine, density = density_of(axis, log_density)
     rise = np.cumsum(density)
     middle = float(fine @ density / rise[-1])
     sd = float(np.sqrt((fine - middle) ** 2 @ density / rise[-1]))
-    return np.interp(ENDS, rise / rise[-1], fine), sd
+    return _Quantiles(np.interp(ENDS, rise / rise[-1], fine), sd)
