@@ -67,8 +67,8 @@ def drift(name: str, sweep_of: Sweep, found: list[tuple[Track, Track]]) -> pd.Da
             "radial_distance": r,
             "update_rms": np.sqrt((off**2).sum(axis=0) / np.maximum((~lost).sum(axis=0), 1)),
             "update_lost": lost.mean(axis=0),
-            "filter_rms": np.sqrt(((filtered - r) ** 2).mean(axis=0)),
-            "filter_sd": np.sqrt(np.mean([pair[1].distance_sd ** 2 for pair in found], axis=0)),
+            "filter_rms": np.sqrt(np.nanmean((filtered - r) ** 2, axis=0)),
+            "filter_sd": np.sqrt(np.nanmean([p[1].distance_sd ** 2 for p in found], axis=0)),
         }
     )
 

@@ -6,7 +6,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome, sweeping
-from weberwhisk.mechanics import elastica
+from weberwhisk.mechanics import elastica, slip
 from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
 from weberwhisk.sweeping import SweepFilter, follow
@@ -108,29 +108,74 @@ def test_the_filter_finds_the_contact_within_its_own_uncertainty(sweeps, name):
     assert track.distance_sd[10] < track.distance_sd[0]
 
 
-def test_walls_that_the_tip_meets_are_among_the_objects(monkeypatch):
-    """Contacts there run inwards at 1.6 lengths per rad: objects met by the flank alone miss it."""
-    body = wall(0.0, -10e-3, 0.0)
-    first = sweep(W, body, np.radians([-1.0, 60.0])).first_contact
+def swept_wall(depth):
+    """Push angles, distances and moments of a wall at this distance from the base."""
+    body = wall(0.0, -depth, 0.0)
+    first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
     full = sweep(W, body, np.concatenate([[first - 0.01], first + PUSH]))
     held = full.bending.held
-    r, push = full.bending.radial_distance[held], PUSH[held[1:]]
-    readings = [
-        Weber(0.1).sample(full.bending.moment[held][:, None], 100 + s)[:, 0] for s in range(4)
-    ]
+    return PUSH[held[1:]], full.bending.radial_distance[held], full.bending.moment[held]
 
-    def square(share):
-        monkeypatch.setattr(sweeping, "TIP_SHARE", share)
-        off = []
-        for s, felt in enumerate(readings):
-            track = SweepFilter(W, Weber(0.1))(push, felt, seed=s)
-            assert np.all(track.outcome == Outcome.HELD)
-            off.append((track.radial_distance - r) / track.distance_sd)
-        return np.square(off)
 
-    with_walls, without = square(0.2), square(0.0)
-    assert np.sqrt(with_walls.mean()) < 1.6 < np.sqrt(without.mean())
-    assert np.sqrt(with_walls.max()) < 5 < np.sqrt(without.max())
+@pytest.mark.parametrize("depth", [2.5e-3, 5e-3, 10e-3])
+def test_walls_that_the_tip_meets_are_followed(depth):
+    """Their contacts run inwards at 0.3 L/depth per rad at first, and ever slower."""
+    push, r, moment = swept_wall(depth)
+    off = []
+    for s in range(2):
+        felt = Weber(0.1).sample(moment[:, None], 100 + s)[:, 0]
+        track = SweepFilter(W, Weber(0.1))(push, felt, seed=s)
+        off.append((track.radial_distance - r) / track.distance_sd)
+        # But at the first steps, at which the tip itself touches.
+        assert np.isin(track.outcome[:3], [Outcome.HELD, Outcome.AT_LIMIT]).all()
+        assert np.all(track.outcome[3:] == Outcome.HELD)
+    assert np.sqrt(np.nanmean(np.square(off))) < 1.3
+    assert np.nanmax(np.abs(off)) < 4
+
+
+def test_objects_met_by_the_flank_alone_miss_walls(monkeypatch):
+    push, r, moment = swept_wall(2.5e-3)
+    monkeypatch.setattr(sweeping, "TIP_SHARE", 0.0)
+    felt = Weber(0.1).sample(moment[:, None], 101)[:, 0]
+    track = SweepFilter(W, Weber(0.1))(push, felt, seed=1)
+    assert np.sqrt(np.nanmean(np.square((track.radial_distance - r) / track.distance_sd))) > 5
+
+
+def test_a_deep_wall_holds_the_whisker_at_its_limit():
+    """There an r off by a few hundredths of a millimetre is several sd: nothing is claimed."""
+    push, _, moment = swept_wall(39e-3)
+    track = SweepFilter(W, Weber(0.1))(push, Weber(0.1).sample(moment[:, None], 7)[:, 0], seed=1)
+    assert np.all(track.outcome == Outcome.AT_LIMIT)
+    assert np.isnan(track.radial_distance).all()
+
+
+@pytest.mark.parametrize("depth", [5e-3, 30e-3])
+def test_the_rate_of_slip_on_a_wall_is_that_of_its_sweep(depth):
+    body = wall(0.0, -depth, 0.0)
+    first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
+    at = np.radians(np.arange(6.0, 30.0, 6.0))
+    step = np.array([-1e-4, 0.0, 1e-4])
+    full = sweep(W, body, np.r_[first - 0.01, first + (at[:, None] + step).ravel()])
+    assert not full.tip[1:].any()
+    r, theta = (
+        np.reshape(x[1:], (-1, 3))
+        for x in (full.bending.radial_distance, full.bending.deflection_angle)
+    )
+    rate = (r[:, 2] - r[:, 0]) / 2e-4
+    assert slip.rate_on_wall(W, r[:, 1], theta[:, 1]) == pytest.approx(rate, rel=2e-3)
+
+
+def test_the_flank_takes_over_from_the_tip():
+    depth = 20e-3
+    body = wall(0.0, -depth, 0.0)
+    first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
+    full = sweep(W, body, first + np.r_[-0.01, np.linspace(1e-3, 0.06, 60)])
+    last = full.bending.held & full.tip
+    r, theta, beta = slip.tip_contacts(W)
+    place = np.interp(full.bending.deflection_angle[last], theta, r)
+    assert place == pytest.approx(full.bending.radial_distance[last], rel=1e-3)
+    release = np.interp(np.arcsin(depth / W.length), beta, theta)
+    assert full.bending.deflection_angle[last][-1] == pytest.approx(release, rel=0.05)
 
 
 def test_on_a_peg_the_filter_is_the_product_of_the_likelihoods():
@@ -171,8 +216,11 @@ def test_the_filter_is_calibrated_on_objects_of_its_own_making():
         track = made(push, Weber(0.1).sample(moments[row][:, None], rng)[:, 0], rng)
         square.append(((track.radial_distance - places[row]) / track.distance_sd) ** 2)
     square = np.array(square)
-    error = square.std(axis=0, ddof=1) / np.sqrt(len(kept))
-    assert np.all(np.abs(square.mean(axis=0) - 1) < 4 * error)
+    # Not where the filter says that it does not know: that depends on the readings alone.
+    count = np.isfinite(square).sum(axis=0)
+    assert np.all(count > 40)
+    error = np.nanstd(square, axis=0, ddof=1) / np.sqrt(count)
+    assert np.all(np.abs(np.nanmean(square, axis=0) - 1) < 4 * error)
 
 
 def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
@@ -180,7 +228,7 @@ def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
     r, _, moment, _, _ = sweeps["cylinder"]
     rng = np.random.default_rng(6)
     errors = []
-    for _ in range(8):
+    for _ in range(16):
         readings = Weber(0.02).sample(moment[:, None], rng)[:, 0]
         followed = follow(W, PUSH[4::5], readings[4::5])
         filtered = SweepFilter(W, Weber(0.02), particles=1000)(PUSH, readings, rng)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, ForceMap, UnknownStiffness
+from weberwhisk.cues import Compliance, ForceMap, SpaceMap, UnknownStiffness
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import Weber
 
@@ -48,6 +48,25 @@ def test_a_third_unknown_that_is_known_changes_nothing(method):
     error = 6 * np.hypot(p.mean_error, q.mean_error) + 1e-6 * p.sd
     assert q.mean == pytest.approx(p.mean, abs=error)
     assert q.sd == pytest.approx(p.sd, rel=0.15 if method == "emcee" else 1e-3)
+
+
+@pytest.mark.parametrize("cue", [UnknownStiffness(ForceMap()), SpaceMap()], ids=repr)
+def test_emcee_knows_how_three_unknowns_go_together(cue):
+    """Means, sds, correlations and the third unknown's quantiles are those of quadrature."""
+    observer = ww.Observer(W, cue, None if isinstance(cue, SpaceMap) else Weber(0.1))
+    reading = observer.read([25e-3, 0.3, 1.0], seed=4)
+    p, q = (ww.posterior(observer, reading, method=m, seed=5) for m in ("emcee", "quadrature"))
+    assert p.status == q.status == 0
+    ours, theirs = (x.draws_of(1000, 6).reshape(-1, 3) for x in (p, q))
+    for name, found in p.estimates.items():
+        exact = q.estimates[name]
+        assert np.all(np.abs(found.mean - exact.mean) < 5 * found.mean_error)
+        assert found.sd == pytest.approx(exact.sd, rel=0.15)
+    # Of some 2000 draws that are independent.
+    assert np.corrcoef(ours.T) == pytest.approx(np.corrcoef(theirs.T), abs=0.1)
+    probability = np.linspace(0.05, 0.95, 19)
+    below = np.mean(ours[:, 2, None] < q.quantile(probability, of=cue.unknowns[2]).ravel(), axis=0)
+    assert below == pytest.approx(probability, abs=1.63 / np.sqrt(2000))  # 1 % of Kolmogorov's
 
 
 def test_a_wider_prior_of_the_stiffness_widens_the_jnd():

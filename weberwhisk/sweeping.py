@@ -27,15 +27,17 @@ from .cues import ForceMap
 from .cues.protocol import straight
 from .mechanics import elastica
 from .mechanics.contact import Outcome
+from .mechanics.slip import rate_on_wall, slid, tip_contacts
+from .mechanics.surface import surface_of
 from .observer import Observer
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
-#: Share of objects that the tip meets first, as a wall's; how near to the tip (in lengths) their
-#: contacts start, and the sd of the rate at which they run inwards, in lengths per rad.
-TIP_SHARE, TIP_ZONE, TIP_RATE = 0.2, 0.02, 2.0
+#: Share of objects that the tip meets first, as a wall's; where in question with more than this
+#: probability, and beyond this share of the largest θ_d, they are `AT_LIMIT`.
+TIP_SHARE, MOST_AT_LIMIT, NEAR_LIMIT = 0.2, 0.25, 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,9 @@ class Track:
         points against the push, and the sd of either coordinate: the recovered contour.
     outcome : array (n,) of int
         `FLICKED_PAST` from the angle on that no contact left in question holds, `OUT_OF_REACH`
-        where the moment is not that of any contact on the whisker.
+        where the moment is not that of any contact on the whisker. `AT_LIMIT`, of a filter, where
+        an object that the tip met may bend the whisker almost to its limit, as a wall does while
+        the tip still touches it, and one at more than some 40° from the whisker from then on.
     """
 
     push_angle: Array
@@ -157,7 +161,7 @@ def _first(whisker: Whisker, r: float, theta: float, push: float, place: Array) 
 def _next(whisker: Whisker, r: float, theta: float, push: float, place: Array) -> Array:
     """θ_d at the distances `place` that a push from (r, θ_d) may have led to."""
     start = np.full_like(place, r), np.full_like(place, theta)
-    return _slid(whisker, *start, place - r, push)[1]
+    return slid(whisker, *start, place - r, push)[1]
 
 
 def _where_felt(
@@ -184,25 +188,6 @@ def _where_felt(
     return float(middle[0]), float(place(middle)[0])
 
 
-def _slid(
-    whisker: Whisker, r: Array, theta: Array, slip: Array, push: float
-) -> tuple[Array, Array]:
-    """r and θ_d after a slip dr and a push dρ: (slip), by the trapezoid rule."""
-    start = _slope(whisker, r, theta)
-    there = r + slip
-    # A contact that is not held has no slope of its own: it is lost, whatever is written here.
-    end = _slope(whisker, there, theta + push + start * slip)
-    mean = np.where(np.isfinite(end), (start + end) / 2, start)
-    return there, theta + push + mean * slip
-
-
-def _slope(whisker: Whisker, r: Array, theta: Array) -> Array:
-    """tan β/r."""
-    inside = np.clip(r, 1e-6 * whisker.length, whisker.length)
-    bent = elastica.press(whisker, inside, theta)
-    return np.asarray(np.tan(bent.contact_angle - theta) / inside)
-
-
 def _world(r: Array, theta: Array, push: Any) -> Array:
     """Contact (..., 2) in the world, from the base frame."""
     angle = theta - push
@@ -215,7 +200,8 @@ class SweepFilter:
     The state is r, θ_d and the rate of slip dr/dρ, which wanders: the object's shape is unknown,
     and smooth. A bootstrap particle filter (Gordon, Salmond & Smith 1993, IEE Proc. F 140, 107)
     with systematic resampling; the likelihood of each moment is that of an `Observer`. A share of
-    the objects is met by the tip, as walls are, and runs inwards from there.
+    the objects is met by the tip: walls at any distance from the base, whose contacts stay at the
+    tip at first and then run inwards as `mechanics.slip` says, but for a rate that wanders too.
 
     Parameters
     ----------
@@ -264,12 +250,17 @@ class SweepFilter:
         hint = "give whisker lengths per rad, 0 for a peg"
         self.slip_rate = float(non_negative("slip_rate", slip_rate, hint))
         self.slip_change = float(non_negative("slip_change", slip_change, hint))
+        self._tip = tip_contacts(self.observer.whisker)
         self.particles = int(particles)
         if self.particles < 100:
             raise ValueError(f"A filter needs 100 particles or more, got {particles}; write 4000.")
 
     def start(self, seed: Seed = None) -> Array:
-        """States (particles, 3) at first contact: r, θ_d = 0 and dr/dρ, from the prior."""
+        """States (particles, 4) at first contact, from the prior.
+
+        r, θ_d = 0, dr/dρ and, of walls, the θ_d from which the flank touches, else 0. A wall's
+        dr/dρ is what it differs by from that of a straight one.
+        """
         rng = np.random.default_rng(seed)
         low, high = self.observer.reach
         u = (np.arange(self.particles) + rng.random(self.particles)) / self.particles
@@ -280,21 +271,38 @@ class SweepFilter:
             r = prior.ppf(ends[0] + u * (ends[1] - ends[0]))
         length = float(self.observer.whisker.length)
         rate = self.slip_rate * length * rng.standard_normal(u.size)
+        release = np.zeros(u.size)
         if self.slip_rate > 0 and "radial_distance" not in self.observer.prior:
-            # What the tip meets first runs inwards from there, and faster: (slip) knows no tip.
-            tip = rng.permutation(u.size) < TIP_SHARE * u.size
-            r[tip] = length * (1 - TIP_ZONE * u[tip])
-            rate[tip] = -TIP_RATE * length * np.abs(rng.standard_normal(int(tip.sum())))
-        return np.stack([r, np.zeros_like(r), rate], axis=-1)
+            # What the tip meets first, at any distance from the base.
+            tip = np.flatnonzero(rng.permutation(u.size) < TIP_SHARE * u.size)
+            r[tip] = length
+            angle = np.arcsin(rng.random(tip.size))
+            release[tip] = np.interp(angle, self._tip[2], self._tip[1], right=np.inf)
+        return np.stack([r, np.zeros_like(r), rate, release], axis=-1)
 
     def move(self, state: Array, push: float, seed: Seed = None) -> Array:
         """States after a push dρ: what the filter believes of objects."""
         rng = np.random.default_rng(seed)
         whisker = self.observer.whisker
-        r, theta = _slid(whisker, state[:, 0], state[:, 1], state[:, 2] * push, push)
+        r, theta, rate, release = state.T
+        # While the tip touches there is no slip.
+        running = np.clip(theta + push - release, 0.0, push)
+        theta = theta + (push - running)
+        r = np.where(running < push, np.interp(theta, self._tip[1], self._tip[0]), r)
+        flat = np.flatnonzero((release > 0) & (running > 0))
+        slip = rate * running
+        slip[flat] += self._slip_on_wall(r[flat], theta[flat], running[flat])
+        r, theta = slid(whisker, r, theta, slip, running)
         wander = self.slip_change * np.sqrt(push) * whisker.length
-        rate = state[:, 2] + wander * rng.standard_normal(len(state))
-        return np.stack([r, theta, rate], axis=-1)
+        rate = rate + wander * rng.standard_normal(len(state))
+        return np.stack([r, theta, rate, release], axis=-1)
+
+    def _slip_on_wall(self, r: Array, theta: Array, push: Array) -> Array:
+        """dr (n,) along walls, by the midpoint rule."""
+        whisker = self.observer.whisker
+        start = rate_on_wall(whisker, r, theta)
+        middle = slid(whisker, r, theta, start * push / 2, push / 2)
+        return rate_on_wall(whisker, *middle) * push
 
     def __call__(self, push_angle: ArrayLike, moment: ArrayLike, seed: Seed = None) -> Track:
         """Follow the contact of one sweep.
@@ -331,14 +339,23 @@ class SweepFilter:
             weight = np.exp(log_weight - top)
             weight /= weight.sum()
             outcome[k] = Outcome.HELD
-            for name, column in _summary(state, weight, push[k]).items():
-                columns[name][k] = column
+            if weight @ self._at_limit(state) > MOST_AT_LIMIT:
+                outcome[k] = Outcome.AT_LIMIT
+            else:
+                for name, column in _summary(state, weight, push[k]).items():
+                    columns[name][k] = column
             if 1 / np.square(weight).sum() < 0.5 * len(state):
                 state = state[_resampled(weight, rng)]
                 log_weight = np.zeros(len(state))
             else:
                 log_weight = log_weight - top
         return Track(push, **columns, outcome=outcome)
+
+    def _at_limit(self, state: Array) -> NDArray[np.bool_]:
+        """States of walls at which the tip still touches, or that are about to flick past."""
+        r, theta, _, release = state.T
+        limit = surface_of(self.observer.whisker).limit(r)
+        return (release > 0) & ~(theta < NEAR_LIMIT * limit)
 
     def _weigh(self, state: Array, felt: float) -> tuple[Array, NDArray[np.int8]]:
         """ln p(moment | state), −∞ where not held, and the outcome of every state."""

@@ -30,6 +30,7 @@ class Outcome(IntEnum):
     END_OF_WHISKING = 11
     CONTRADICTORY = 12
     ONE_SIDED = 13
+    AT_LIMIT = 14
 
     @property
     def message(self) -> str:
@@ -54,6 +55,8 @@ _MESSAGES = {
     Outcome.CONTRADICTORY: "contradictory: no distance lets just these whiskers touch",
     Outcome.ONE_SIDED: "one-sided: at some bearing that is possible, the contact is out of reach "
     "from one end of the side",
+    Outcome.AT_LIMIT: "at the limit: an object that the tip met bends the whisker almost as far as "
+    "it can be held, where slips are not known well enough",
     Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
 }
 

@@ -184,17 +184,20 @@ class StackedGrid(StackedMove):
         self.shape = np.array([grid.shape for grid in nodes])
         self.stride = np.cumprod(self.shape[:, ::-1], axis=1)[:, ::-1] // self.shape
         self.density = share / np.repeat(np.abs(np.linalg.det(self.edges)), sizes)
-        moment = np.add.reduceat(weights[:, None] * self.points, self.first)
-        self.centre = moment / sums[:, None]
-        off = self.points - np.repeat(self.centre, sizes, axis=0)
-        covariance = np.add.reduceat(
-            weights[:, None, None] * off[:, :, None] * off[:, None, :], self.first
+        share, points = share[self.drawn], self.points[self.drawn]
+        starts = np.searchsorted(block, np.arange(len(nodes)))
+        self.centre = np.add.reduceat(share[:, None] * points, starts)
+        off = points - self.centre[block]
+        dim = points.shape[1]
+        covariance = np.stack(
+            [np.add.reduceat(share[:, None] * off[:, [i]] * off, starts) for i in range(dim)],
+            axis=1,
         )
         # No narrower than a cell, should a single node hold all of the mass.
-        covariance = covariance / sums[:, None, None] + self.edges @ self.edges.swapaxes(1, 2) / 12
+        covariance += self.edges @ self.edges.swapaxes(1, 2) / 12
         self.root = 1.3 * np.linalg.cholesky(covariance)
         self.inverse = np.linalg.inv(self.root)
-        dim, half = self.points.shape[1], (freedom + self.points.shape[1]) / 2
+        half = (freedom + dim) / 2
         self.height = np.abs(np.linalg.det(self.inverse)) * np.exp(
             gammaln(half) - gammaln(freedom / 2) - dim / 2 * np.log(freedom * np.pi)
         )

@@ -11,13 +11,20 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Events, Seed
 from .densities import Density
-from .ensemble import MoveMaker, default_moves, recommended_walkers, sample_stacked
+from .ensemble import (
+    MoveMaker,
+    StackedSample,
+    default_moves,
+    recommended_walkers,
+    sample_stacked,
+)
 from .grid import integrate
 from .mode import Mode
 from .moves import StackedGrid
 from .peaks import find_highest, is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
+from .threads import on_threads
 
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for: one unknown, and more.
 PRECISION = (0.02, 0.03)
@@ -46,35 +53,38 @@ def sample(
     seeds = np.random.SeedSequence(int(np.random.default_rng(seed).integers(2**63))).spawn(
         len(pieces)
     )
-    samples, modes = [], []
-    for i, start in enumerate(pieces):
-        rows = reading[start : start + STACKED]
+
+    def piece(i: int) -> tuple[StackedSample, Array]:
+        rows = reading[pieces[i] : pieces[i] + STACKED]
         rng = np.random.default_rng(seeds[i])
         mode = find_highest(observer, rows)
 
-        def density(x: Array, index: NDArray[np.intp], rows: Array = rows) -> Array:
+        def density(x: Array, index: NDArray[np.intp]) -> Array:
             return observer.log_density(x, rows[index, None])
 
         def contact(x: Array) -> Array:
             return observer.contact(x)[0]
 
-        samples.append(
-            sample_stacked(
-                density,
-                _start(observer, rows, mode, rng),
-                seed=rng,
-                moves=_moves(density, mode),
-                functions=contact,
-                precision=precision,
-                # Twice as many draws as it takes when they are independent.
-                keep=max(int(0.25 / precision**2), 128),
-                max_steps=MOST_STEPS[many],
-                indexed=True,
-            )
+        found = sample_stacked(
+            density,
+            _start(observer, rows, mode, rng),
+            seed=rng,
+            moves=_moves(density, mode),
+            functions=contact,
+            precision=precision,
+            # Twice as many draws as it takes when they are independent.
+            keep=max(int(0.25 / precision**2), 128),
+            max_steps=MOST_STEPS[many],
+            indexed=True,
         )
-        modes.append(mode.x)
+        return found, mode.x
+
+    samples, modes = [], []
+    for found, peaks in on_threads(piece, range(len(pieces))):
+        samples.append(found)
+        modes.append(peaks)
         if progress:
-            progress(min(start + STACKED, len(reading)), len(reading))
+            progress(min(len(samples) * STACKED, len(reading)), len(reading))
     joined = {
         name: np.concatenate([getattr(s, name) for s in samples])
         for name in ("mean", "sd", "mcse_mean", "mcse_sd", "shortfall")
