@@ -48,12 +48,12 @@ def test_jnds(cluster: str) -> None:
 
 def test_calibration(cluster: str) -> None:
     calibration = load("calibration")
-    chunks = [{"job": i, "sizes": [4, 1, 1, 1, 1, 0, 2], "seed": 1} for i in (0, 5)]
+    chunks = [{"job": 5, "sizes": [4, 1, 1, 1, 1, 0, 2], "seed": 1}]
     alone, there = (
         campaign.run(calibration.one_job, chunks, seed=1, **how)
         for how in ({}, {"scheduler": cluster})
     )
-    assert alone["name"].nunique() == 2
+    assert alone["rank"].between(0, 1).all()
     pd.testing.assert_frame_equal(there, alone)
 
 
