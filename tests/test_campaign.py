@@ -132,7 +132,7 @@ def test_goes_on_where_it_was(tmp_path: Path) -> None:
 def test_killed_outright_and_resumed(tmp_path: Path) -> None:
     """kill -9 of the process with its two workers: no chunk in the file is computed again."""
     out, log = tmp_path / "s", tmp_path / "log"
-    chunks = logged(tmp_path, 40, seconds=0.05)
+    chunks = logged(tmp_path, 24, seconds=0.03)
     code = (
         "import json, sys; sys.path.insert(0, sys.argv[1])\n"
         "import campaign_work\n"
@@ -146,19 +146,19 @@ def test_killed_outright_and_resumed(tmp_path: Path) -> None:
         [sys.executable, str(script), str(HERE), str(out), json.dumps(chunks)],
         stderr=subprocess.PIPE,
     )
-    while len(done(log)) < 12:
+    while len(done(log)) < 8:
         assert process.poll() is None, process.stderr.read() if process.stderr else ""
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.communicate()  # its workers hold the other end: they have ended too
     kept = {json.loads(line)["chunk"] for line in out.read_bytes().split(b"\n")[1:-1]}
-    assert 5 <= len(kept) < 40
+    assert 3 <= len(kept) < 24
     before = done(log)
     whole = run(campaign_work.draw, chunks, seed=7, out=out)
-    same(whole, run(campaign_work.draw, [{"i": i} for i in range(40)], seed=7))
+    same(whole, run(campaign_work.draw, [{"i": i} for i in range(24)], seed=7))
     again = done(log) - before
     assert not kept & set(again)
-    assert set(again) == set(range(40)) - kept
+    assert set(again) == set(range(24)) - kept
 
 
 def test_a_worker_that_dies_is_replaced_and_nothing_is_lost(tmp_path: Path) -> None:
@@ -310,10 +310,8 @@ def test_workers_that_cannot_start_say_why(tmp_path: Path) -> None:
     """A script without the guard that fresh interpreters need."""
     script = tmp_path / "unguarded.py"
     script.write_text(
-        f"import sys; sys.path.insert(0, {str(HERE)!r})\n"
-        "import campaign_work\n"
         "from weberwhisk.campaign import run\n"
-        "run(campaign_work.draw, [{'i': 0}, {'i': 1}], seed=1, workers=2)\n"
+        "run(print, [{'i': 0}, {'i': 1}], seed=1, workers=2)\n"  # nobody comes to it
     )
     ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
     assert ended.returncode == 1

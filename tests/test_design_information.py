@@ -23,12 +23,16 @@ from weberwhisk.design import (
     best_scheme,
     information,
     noises,
+    smallest,
     taper,
     with_priors,
 )
 from weberwhisk.design.best import _Search, _sites
+from weberwhisk.design.experiment import WIDE
 from weberwhisk.design.experiments import compare, fit
 from weberwhisk.design.information import expected_counts
+from weberwhisk.design.precision import SEED as PRECISION_SEED
+from weberwhisk.design.precision import Precision
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -237,16 +241,37 @@ def test_the_best_scheme_beats_a_plain_one_in_simulation():
     assert found[0] > found[1] + 0.15
 
 
-def test_the_best_scheme_for_k_narrows_its_interval():
-    best = best_scheme(
-        [TAPERED], standards=1, pairs=2, trials=200, constraints=Constraints(farthest=45e-3)
-    ).scheme
-    plain = Scheme(best.standards, [-2e-4, -1e-4, 1e-4, 2e-4], 50)
-    width = [
-        fit(TAPERED, s, expected_counts(TAPERED, s, Animals())).half_width[0]
-        for s in (best, plain)
-    ]  # fmt: skip
-    assert width[0] < 0.6 * width[1]
+def test_the_best_scheme_for_k_needs_no_more_trials_than_a_plain_one():
+    """And far fewer than one of narrow offsets, which leaves lapses and k mixed up."""
+    goal, limits = Goal(half_width=0.3), Constraints(farthest=46e-3)
+    best = best_scheme([TAPERED], goal=goal, trials=540, constraints=limits).scheme
+    places = [15e-3, 30e-3, 45e-3]
+    plain, narrow = (
+        Scheme.spaced(TAPERED.percept, places, trials=30, levels=levels)
+        for levels in (WIDE, (0.3, 0.6, 0.9))
+    )
+    found = [smallest(s, [TAPERED], goal=goal, runs=64, seed=1) for s in (best, plain)]
+    error = np.hypot(found[0].size_error, found[1].size_error)
+    assert found[0].size < found[1].size + 2 * error
+    two = [ww.power(s, [TAPERED], goal=goal, trials=[30], runs=64) for s in (best, narrow)]
+    assert two[0].table["power"][0] > two[1].table["power"][0] + 0.3
+
+
+def test_expected_intervals_are_those_of_fits():
+    """Of the answers expected of every animal, where there are enough for a normal posterior."""
+    scheme = Scheme.spaced(TAPERED.percept, [15e-3, 40e-3], trials=200, levels=WIDE)
+    cells, animals = scheme.cells(), Animals()
+    precision = Precision(TAPERED, cells.standard, cells.stimulus_2, animals)
+    told = precision.half_widths(np.arange(cells.n.size), 200)
+    drawn = animals.draw(told.size, PRECISION_SEED)
+    model = TAPERED.model(scheme)
+    bias = np.repeat(drawn["bias"].to_numpy()[:, None], model.n_groups, axis=1)
+    k, low, high = drawn[["weber_fraction", "lapse_low", "lapse_high"]].to_numpy().T
+    p, _ = model.probability(k, low, high, bias)
+    exact = fit(TAPERED, scheme, (200 * p)[:, None]).half_width
+    off = np.abs(told / exact - 1)
+    assert np.quantile(off, 0.5) < 0.05
+    assert np.quantile(off, 0.9) < 0.1  # an animal that lapses much has a skewed posterior
 
 
 @pytest.mark.parametrize(

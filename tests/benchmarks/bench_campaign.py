@@ -2,9 +2,9 @@
 
     OMP_NUM_THREADS=1 python tests/benchmarks/bench_campaign.py [--cluster]
 
-The work burns CPU time of its own process, so on a busy machine wall times say little and CPU times
-all: the overhead is the CPU that was spent beside the work, by this process and its children. Needs
-weberwhisk[cluster] for the last lines.
+The work sleeps, so that all CPU time is overhead, but for that of a plain loop over the same work,
+which is subtracted; wall times say little on a busy machine. A cluster spends some in just being
+there. Needs weberwhisk[cluster] for the last lines.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import pandas as pd
 
 from weberwhisk.campaign import run
 
+SIZES = 0.001, 0.005, 0.02, 0.1  # seconds of a chunk
+SPAN = 4.0  # seconds of work altogether
 
-def burn(chunk: dict[str, float], seed: np.random.SeedSequence) -> pd.DataFrame:
-    """So many seconds of CPU, and a row."""
-    end = time.process_time() + chunk["seconds"]
-    rng, total = np.random.default_rng(seed), 0.0
-    while time.process_time() < end:
-        total += rng.random()
-    return pd.DataFrame({"total": [total]})
+
+def rest(chunk: dict[str, float], seed: np.random.SeedSequence) -> pd.DataFrame:
+    """So many seconds, and a row."""
+    time.sleep(chunk["seconds"])
+    return pd.DataFrame({"total": [np.random.default_rng(seed).random()]})
 
 
 def spent() -> float:
@@ -37,27 +37,39 @@ def spent() -> float:
     return t.user + t.system + t.children_user + t.children_system
 
 
-def measure(name: str, seconds: float, count: int, start: float, **how: object) -> None:
-    """One line: CPU beside the work, in per cent; what it costs to begin is told apart."""
+def plain(seconds: float, count: int) -> float:
+    """CPU of the same work without a sweep: a loop, and the tables under one another."""
+    before = spent()
+    seeds = np.random.SeedSequence(1).spawn(count)
+    pd.concat([rest({"seconds": seconds}, s) for s in seeds], ignore_index=True)
+    return spent() - before
+
+
+def measure(name: str, seconds: float, start: float, **how: object) -> None:
+    """One line: CPU beside that of a plain loop; what it costs to begin is told apart."""
+    count = round(SPAN / seconds)
+    alone = plain(seconds, count)
     with tempfile.TemporaryDirectory() as folder:
         chunks = [{"seconds": seconds}] * count
         before, clock = spent(), time.perf_counter()
-        run(burn, chunks, seed=1, out=Path(folder) / "sweep", **how)  # type: ignore[arg-type]
+        run(rest, chunks, seed=1, out=Path(folder) / "sweep", **how)  # type: ignore[arg-type]
         cpu, wall = spent() - before, time.perf_counter() - clock
-    beside = cpu - start - seconds * count
+    beside = cpu - start - (0.0 if "scheduler" in how else alone)
     print(
         f"{name:12s} {1e3 * seconds:5.0f} ms x {count:5d}: wall {wall:6.2f} s, "
-        f"beside the work {1e3 * beside / count:6.2f} ms a chunk "
-        f"({100 * beside / (seconds * count):5.1f} %)",
+        f"beside the work {1e3 * beside / count:6.2f} ms a chunk ({100 * beside / (seconds * count):5.1f} %)",
         flush=True,
     )
 
 
 def starting(**how: object) -> float:
-    """CPU seconds to begin and to end, from a sweep of next to no work."""
-    before = spent()
-    run(burn, [{"seconds": 0.0}] * 2, seed=1, **how)  # type: ignore[arg-type]
-    return spent() - before
+    """CPU seconds to begin and to end, from sweeps of next to no work."""
+    found = []
+    for _ in range(3):
+        before = spent()
+        run(rest, [{"seconds": 0.0}] * 2, seed=1, **how)  # type: ignore[arg-type]
+        found.append(spent() - before)
+    return float(np.median(found))
 
 
 def main() -> None:
@@ -65,22 +77,38 @@ def main() -> None:
     for workers in (1, 2):
         start = starting(workers=workers)
         print(f"{workers} worker(s): {start:.2f} s of CPU to begin")
-        for seconds, count in ((0.001, 2000), (0.005, 800), (0.02, 300), (0.1, 60)):
-            measure(f"{workers} worker(s)", seconds, count, start, workers=workers)
+        for seconds in SIZES:
+            measure(f"{workers} worker(s)", seconds, start, workers=workers)
     if "--cluster" in sys.argv:
         cluster()
 
 
 def cluster() -> None:
-    """Tasks of chunks: the CPU of the scheduler and workers is not ours, so walls are compared."""
+    """A real scheduler with two workers; CPU of all its processes is counted when they end."""
+    for seconds in SIZES:
+        count = round(SPAN / seconds)
+        idle, busy = (_on_cluster(seconds, n) for n in (2, count))
+        alone = plain(seconds, count - 2)
+        beside = busy - idle - alone
+        print(
+            f"cluster of 2 {1e3 * seconds:5.0f} ms x {count:5d}: beside the work "
+            f"{1e3 * beside / count:6.2f} ms a chunk ({100 * beside / (seconds * count):5.1f} %)",
+            flush=True,
+        )
+
+
+def _on_cluster(seconds: float, count: int) -> float:
+    """CPU seconds of a cluster that does so many chunks, from its start to its end, and ours."""
+    before = spent()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scheduler.json"
         paths = [str(Path(__file__).parent), *sys.path]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
         where = ["--no-dashboard", "--scheduler-file", str(file)]
+        # Workers without nannies: their CPU is counted with that of the child that started them.
         commands = (
             ["scheduler", "--port", "0", "--host", "127.0.0.1", *where],
-            ["worker", "--nworkers", "2", "--nthreads", "1", *where],
+            *(["worker", "--no-nanny", "--nthreads", "1", *where],) * 2,
         )
         processes = [
             subprocess.Popen(
@@ -92,13 +120,13 @@ def cluster() -> None:
         while not file.exists():
             time.sleep(0.1)
         address = f"tcp://{_address(file)}"
-        start = starting(scheduler=address)
-        for seconds, count in ((0.005, 800), (0.02, 300)):
-            measure("cluster of 2", seconds, count, start + seconds * count, scheduler=address)
-            print("    (here: CPU of the client alone, beside nothing)")
+        run(rest, [{"seconds": 0.0}] * 20, seed=1, scheduler=address)  # what it takes to import
+        chunks = [{"seconds": seconds}] * count
+        run(rest, chunks, seed=1, out=Path(folder) / "sweep", scheduler=address)
         for process in reversed(processes):
             process.terminate()
             process.wait()
+    return spent() - before
 
 
 def _address(file: Path) -> str:

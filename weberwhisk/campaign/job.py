@@ -148,12 +148,18 @@ def _plain(name: str, column: pd.Series) -> list[Any]:
         if column.dtype.kind == "f":
             values = [v if isfinite(v) else str(v) for v in values]
         return [column.dtype.name, values]
-    texts = [None if missing else v for v, missing in zip(column, column.isna(), strict=True)]
+    texts = [v if isinstance(v, str) or not _missing(v) else None for v in column.to_list()]
     if not all(v is None or isinstance(v, str) for v in texts):
         raise ValueError(
             f"work must return numbers, booleans or text, got a column {name!r} of {column.dtype}."
         )
     return ["text", texts]
+
+
+def _missing(value: Any) -> bool:
+    import pandas as pd
+
+    return value is None or value is pd.NA or value is pd.NaT or value != value
 
 
 def decode(lines: dict[int, str]) -> pd.DataFrame:

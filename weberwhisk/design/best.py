@@ -1,10 +1,12 @@
 """The best standards and offsets that rig and animal allow.
 
-A scheme is judged by what it is expected to find: the log Bayes factor, or the interval of k, of
-the *expected* answers of an animal, n·P of every level (Cowan et al. 2011, Eur. Phys. J. C 71:1554,
-§3.2), integrated as data are. Log-probabilities of every position are tabulated once, so that
-thousands of schemes can be tried: one position is exchanged at a time, for the best there is, until
-no exchange helps (Meyer & Nachtsheim 1995, Technometrics 37:60), from a few starts.
+A scheme is judged by what it is expected to find: the log Bayes factor of the *expected* answers of
+an animal, n·P of every level (Cowan et al. 2011, Eur. Phys. J. C 71:1554, §3.2), integrated as data
+are; or the interval of k that the goal's share of animals will have (`precision`). Every position
+is tabulated once, so that thousands of schemes can be tried: one position is exchanged at a time,
+for the best there is, until no exchange helps (Meyer & Nachtsheim 1995, Technometrics 37:60), from
+a few starts. For k the last word is that of simulated experiments, as posteriors are not quite
+normal: those found, and a plain scheme of even standards and offsets of all sizes.
 """
 
 from __future__ import annotations
@@ -19,9 +21,11 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
+from .experiments import fit, simulate
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis
 from .power_analysis import asked
+from .precision import Precision
 from .scheme import Constraints, Scheme, difference_sd, easy_share
 from .tables import log_sum
 
@@ -31,15 +35,18 @@ NODES = 41, 5, 21  # of k, either lapse and the bias
 PLACES = 19  # standards to choose from
 LEVELS = np.arange(0.3, 4.01, 0.3)  # sizes of offsets to choose from, in sds of the difference
 STARTS = 3
+SPREAD = 0.2, 0.9  # of the widest offset: the narrowest and widest of plain ones
+SCATTER = 4.0  # fewer expected animals may miss the goal than real ones, whose answers scatter
+RUNS = 512  # simulated, of each scheme that may be the best for k
 
 
 @dataclass(frozen=True)
 class Best:
     """The best scheme found, and how it was.
 
-    `table` has a row for every start: `value`, the expected log Bayes factor in nats of the truth
-    that is hardest to tell, or minus the expected half-width of the interval of k; the schemes'
-    `standards` and `offsets`.
+    `table` has a row for every scheme that may be the best: `value`, the expected log Bayes factor
+    in nats of the truth that is hardest to tell, or minus the half-width below which the interval
+    of k stays in the goal's share of simulated experiments; its `standards` and `offsets`.
     """
 
     scheme: Scheme
@@ -115,6 +122,12 @@ def best_scheme(
     search = _Search(given, sites, likely, aim, limits, pairs, each)
     rng = np.random.default_rng(seed)
     found = [search.climb(search.start(standards, rng if i else None)) for i in range(STARTS)]
+    if aim.half_width is not None:
+        spread = search.spread(standards)
+        choices = {
+            choice for _, choice in (*found, (0, spread)) if np.isfinite(search.value(choice))
+        }
+        found = [(-search.simulated(choice, given[0], seed), choice) for choice in sorted(choices)]
     value, choice = max(found, key=lambda pair: pair[0])
     schemes = [search.scheme(c, animals) for _, c in found]
     table = pd.DataFrame(
@@ -136,6 +149,13 @@ class _Site:
     easy: NDArray[np.bool_]
 
 
+def _positions(sites: list[_Site]) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Standards and comparisons of all sites, nearer ones first, and where each site begins."""
+    s1 = np.concatenate([np.full(2 * s.sizes.size, s.standard) for s in sites])
+    s2 = s1 + np.concatenate([np.concatenate([-s.sizes, s.sizes]) for s in sites])
+    return s1, s2, np.cumsum([0, *(2 * s.sizes.size for s in sites)])
+
+
 Choice = tuple[tuple[int, tuple[int, ...]], ...]  # sites, and the sizes chosen at each
 
 
@@ -151,8 +171,13 @@ class _Search:
         each: int,
     ) -> None:
         self.sites, self.goal, self.limits = sites, goal, limits
-        self.pairs, self.each = pairs, each
-        self.models = [_Sketch(h, sites, animals) for h in hypotheses]
+        self.pairs, self.each, self.animals = pairs, each, animals
+        s1, s2, self.first = _positions(sites)
+        self.models: list[_Sketch] = []
+        if goal.bayes_factor is None:
+            self.precision = Precision(hypotheses[0], s1, s2, animals)
+        else:
+            self.models = [_Sketch(h, sites, animals) for h in hypotheses]
         self.values: dict[Choice, float] = {}
 
     def start(self, standards: int, rng: np.random.Generator | None) -> Choice:
@@ -166,6 +191,21 @@ class _Search:
             size = self.sites[i].sizes.size
             choice.append((int(i), tuple(range(size - self.pairs, size))))
         return tuple(choice)
+
+    def spread(self, standards: int) -> Choice:
+        """Evenly spread standards, with offsets of all sizes."""
+        choice = []
+        for i, widest in self.start(standards, None):
+            last = self.sites[i].sizes.size - 1
+            sizes = np.unique(np.round(np.geomspace(*SPREAD, self.pairs) * last).astype(int))
+            choice.append((i, tuple(sizes.tolist()) if sizes.size == self.pairs else widest))
+        return tuple(choice)
+
+    def simulated(self, choice: Choice, truth: Hypothesis, seed: int) -> float:
+        """The half-width that the goal's share of simulated experiments keep below."""
+        scheme = self.scheme(choice, 1)
+        counts, _ = simulate(truth, scheme, self.animals, RUNS, np.random.default_rng(seed))
+        return float(np.quantile(fit(truth, scheme, counts).half_width, self.goal.share))
 
     def climb(self, choice: Choice) -> tuple[float, Choice]:
         """Exchange one thing at a time for the best there is, until nothing helps."""
@@ -208,7 +248,14 @@ class _Search:
 
     def _expected(self, choice: Choice) -> float:
         if self.goal.bayes_factor is None:
-            return -self.models[0].half_width(self.models[0], choice, self.each)
+            at = [
+                self.first[site] + place
+                for site, sizes in choice
+                for s in sizes
+                for place in (s, self.sites[site].sizes.size + s)
+            ]
+            widths = self.precision.half_widths(at, self.each)
+            return -float(np.quantile(widths, 1 - (1 - self.goal.share) / SCATTER))
         worst = np.inf
         for truth in self.models:
             own = truth.log_evidence(truth, choice, self.each)
@@ -230,9 +277,7 @@ class _Sketch:
     """One hypothesis on a fixed grid: log-probabilities of all positions, tabulated once."""
 
     def __init__(self, hypothesis: Hypothesis, sites: list[_Site], animals: Animals) -> None:
-        s1 = np.concatenate([np.full(2 * s.sizes.size, s.standard) for s in sites])
-        s2 = s1 + np.concatenate([np.concatenate([-s.sizes, s.sizes]) for s in sites])
-        self.first = np.concatenate([[0], np.cumsum([2 * s.sizes.size for s in sites])])
+        s1, s2, self.first = _positions(sites)
         self.count = [s.sizes.size for s in sites]
         model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
         self.scores = np.linspace(-3.3, 3.3, NODES[0]) if model.free[0] else np.zeros(1)
@@ -273,14 +318,6 @@ class _Sketch:
 
     def log_evidence(self, truth: _Sketch, choice: Choice, each: int) -> float:
         return float(log_sum(self._posterior(truth, choice, each).reshape(1, -1), 1)[0])
-
-    def half_width(self, truth: _Sketch, choice: Choice, each: int) -> float:
-        """1.96 sds of ln k."""
-        log_post = log_sum(self._posterior(truth, choice, each), 1)
-        mass = np.exp(log_post - log_post.max())
-        mass /= mass.sum()
-        x = np.log(self.k)
-        return float(1.96 * np.sqrt(max(mass @ x**2 - (mass @ x) ** 2, 0.0)))
 
 
 def _sites(

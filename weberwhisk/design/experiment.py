@@ -79,7 +79,7 @@ def plan_experiment(
         `Scheme.spaced`). By default ±0.75, 1.5 and 3.5: the widest tell of lapses, which else are
         taken for a large k, and with them 162 trials do what 288 do at ±0.6, 1.2 and 2.
     best : bool
-        Choose standards and offsets by `best_scheme` instead. It is best for the expected animal,
+        Choose standards and offsets by `best_scheme` instead. It is best for the expected animals,
         and wants the range that real ones reach among the constraints.
     trials : int, optional
         Of every comparison, for each animal; by default as few as reach the goal, an even number.
@@ -129,10 +129,18 @@ def plan_experiment(
     if best:
         if scheme is not None or standards is not None:
             raise ValueError("best=True chooses the standards; leave scheme and standards out.")
-        scheme = best_scheme(
-            given, goal=aim, constraints=limits, expected=likely, animals=animals, seed=seed
-        ).scheme
-        scheme = scheme if trials is None else scheme.with_trials(trials)
+        options: dict[str, Any] = {
+            "goal": aim, "constraints": limits, "expected": likely, "animals": animals,
+            "seed": seed,
+        }  # fmt: skip
+        chosen = best_scheme(given, **options)
+        if trials is None and aim.half_width is not None:
+            # Few trials want others than as many as the goal needs: intervals go as 1/√n.
+            needed = chosen.scheme.n_trials * (chosen.value / aim.half_width) ** 2
+            chosen = best_scheme(
+                given, **options, trials=max(round(needed), chosen.scheme.n_trials // 2)
+            )
+        scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
     if scheme is None:
         percept = given[0].percept
         at = np.asarray(PLACES) * percept.domain[1] if standards is None else standards
