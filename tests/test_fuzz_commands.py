@@ -208,16 +208,20 @@ def test_quickstart_and_chart_refuse_what_they_do_not_know(
 # -- killed and at once ---------------------------------------------------------------------------
 
 SLOWLY = """
-import json, sys, time
-import pandas as pd
+import sys, time
+from functools import partial
 from weberwhisk import charts, cli
 from weberwhisk._terminal import run_app
 
-def slow(full):
+sys.path.insert(0, sys.argv.pop(1))
+from test_charts import made_up
+tables = made_up()
+
+def slow(name, full):
     time.sleep(0.05)
-    return pd.DataFrame({"part": ["growth"], "method": ["n"], "count": [1], "seconds": [1.0],
-                         "bytes": [10], "slope_seconds": [0.5], "slope_bytes": [0.5]})
-charts.PARTS = {"growth": slow}
+    return tables[name]
+
+charts.PARTS = {name: partial(slow, name) for name in tables}
 print("begun", flush=True)
 sys.exit(run_app(cli.app, ["chart", "--out", "chart", "--json"]))
 """
@@ -241,7 +245,8 @@ def test_a_killed_chart_leaves_nothing_or_the_whole(tmp_path: Path) -> None:
         made = {path.name for path in folder.iterdir()} if folder.exists() else set()
         if made or wait is None:
             assert made == {
-                "growth.csv", "chart.run.json", "speed_accuracy.png", "speed_accuracy.svg",
+                "beams.csv", "posteriors.csv", "fits.csv", "growth.csv", "chart.run.json",
+                "speed_accuracy.png", "speed_accuracy.svg",
                 "fits_and_growth.png", "fits_and_growth.svg",
             }  # fmt: skip
             json.loads((folder / "chart.run.json").read_text("utf-8"))

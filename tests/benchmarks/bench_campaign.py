@@ -57,7 +57,8 @@ def measure(name: str, seconds: float, start: float, **how: object) -> None:
     beside = cpu - start - (0.0 if "scheduler" in how else alone)
     print(
         f"{name:12s} {1e3 * seconds:5.0f} ms x {count:5d}: wall {wall:6.2f} s, "
-        f"beside the work {1e3 * beside / count:6.2f} ms a chunk ({100 * beside / (seconds * count):5.1f} %)",
+        f"beside the work {1e3 * beside / count:6.2f} ms a chunk "
+        f"({100 * beside / (seconds * count):5.1f} %)",
         flush=True,
     )
 
