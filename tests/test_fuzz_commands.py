@@ -232,7 +232,9 @@ def test_a_killed_chart_leaves_nothing_or_the_whole(tmp_path: Path) -> None:
     folder = tmp_path / "chart"
     for wait in (0.01, 0.5, None):
         with subprocess.Popen(
-            [sys.executable, "-c", SLOWLY], cwd=tmp_path, stdout=subprocess.PIPE
+            [sys.executable, "-c", SLOWLY, str(Path(__file__).parent)],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
         ) as process:
             assert process.stdout is not None
             process.stdout.readline()
