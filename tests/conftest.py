@@ -48,9 +48,45 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("slow" if slow else "quick")
 
 
+#: Files of long arithmetic in which ArviZ has no part: CI runs them on one Python alone.
+ONCE = set(
+    [
+        "test_calibration",
+        "test_campaign",
+        "test_charts",
+        "test_coverage",
+        "test_cue_sweep",
+        "test_fuzz",
+        "test_fuzz_commands",
+        "test_jnd_sweep",
+        "test_ladder",
+        "test_lapse_prior",
+        "test_limits",
+        "test_memory",
+        "test_objects",
+        "test_placement",
+        "test_power",
+        "test_properties",
+        "test_properties_choices",
+        "test_properties_design",
+        "test_properties_inference",
+        "test_properties_scenes",
+        "test_referees",
+        "test_rehearse",
+        "test_scale_out",
+        "test_scene_costs",
+        "test_stability",
+        "test_stability_three",
+    ]
+)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave the full-length tests to ``pytest -m slow``."""
+    """Leave the full-length tests to ``pytest -m slow``; say which a second Python may leave."""
+    for item in items:
+        if item.path.stem in ONCE:
+            item.add_marker("once")
     if "slow" in config.getoption("markexpr"):
         for item in items:
             if hypothesis.is_hypothesis_test(getattr(item, "obj", None)):

@@ -64,7 +64,7 @@ def test_engines(name: str, method: str, n: int) -> None:
 
 @pytest.mark.parametrize("name", ["2AFC, 5 trials a level", "percent correct"])
 def test_fits(name: str) -> None:
-    ranks, flagged = calibration.fit_ranks(calibration.FITS[name], 60, seed=13)
+    ranks, flagged = calibration.fit_ranks(calibration.FITS[name], 40, seed=13)
     assert flagged < 0.05
     assert min(map(calibration.uniform_p, ranks.values())) > RARE
 

@@ -21,7 +21,8 @@ from .quadrature import Care, Grid, integrate, log_marginal
 
 Array = NDArray[np.float64]
 
-BUMP = (40, 15)  # most nodes of a lapse and of a bias that a bump takes
+LAPSE_NODES = 40  # most that a bump takes of a lapse
+BIAS_NODES, K_NODES = 15, 20  # and of a bias, but where k has more than this many
 HALVED = 0.08  # shift of a quantile, in sds of the score of k, by which half its nodes may be off
 FINER = Care(5e-5, 0.005, 0.03), Care(5e-6, 0.001, 0.01), Care(5e-7, 0.0003, 0.003)
 STEADY = 0.03  # shift of a quantile, in sds of the score of k, that ends it
@@ -61,8 +62,8 @@ def density_of(axis: Array, log_density: Array) -> tuple[Array, Array]:
 
 def _bump(grid: Grid) -> bool:
     k, low, high = grid.axes
-    most_lapse, most_bias = BUMP
-    if max(low.size, high.size) > most_lapse or grid.offsets.size > most_bias:
+    many_biases = grid.offsets.size > BIAS_NODES and k.size <= K_NODES
+    if many_biases or max(low.size, high.size) > LAPSE_NODES:
         return False
     log_density = log_marginal(grid, 0)
     halves = [_quantiles(k[i::2], log_density[i::2]) for i in (0, 1)]
