@@ -80,6 +80,7 @@ def judge(case: Case, rung: str) -> Judged:
     there = (walk["end"] == 0) | (held & (walk["end"] != 3))
     # From the walk's own end; where it ended in doubt, from the rung's contact.
     near = np.abs(walk["angle"] - theta) < np.maximum(UNDECIDED * np.abs(theta), LAST_STEP)
+    near |= np.abs(np.abs(case["push"]) - 1) < UNDECIDED  # at the very end that `flick_past` names
     own_start, lost_way = walk["end"] == 0, walk["end"] == 4
     lost = ~np.isfinite(bent.arc_length)
     arc = np.where(own_start | lost, walk["arc"], bent.arc_length)
@@ -100,7 +101,7 @@ def judge(case: Case, rung: str) -> Judged:
         allowed = np.maximum(SAID * bent.error, TOLERANCE) + 3 * own
         excess = np.log(np.maximum(error, 1e-300) / allowed)
     # An angle nearer to the branch's end than the walk resolves settles nothing by itself.
-    doubt = near & ~solved
+    doubt = near & ~exists
     at_tip = np.abs(np.where(lost, walk["arc"], bent.arc_length) / LENGTH - 1) < 1e-7
     fate = np.full(r.size, Fate.REFUSED)
     claimed = np.nan_to_num(bent.error, nan=np.inf)
