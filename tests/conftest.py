@@ -50,16 +50,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 #: Files of long arithmetic in which ArviZ has no part: CI runs them on one Python alone.
 ONCE = {
-    "test_calibration", "test_campaign", "test_charts", "test_cli_design", "test_coverage",
+    "test_adaptive", "test_all_cues", "test_calibration", "test_campaign", "test_charts",
+    "test_cli_design", "test_coverage", "test_cue_angle_side_angle",
     "test_cue_balance_of_moments", "test_cue_compliance", "test_cue_force_map", "test_cue_fused",
-    "test_cue_space_map", "test_cue_sweep", "test_design_information", "test_effects",
-    "test_elastica", "test_fuzz", "test_fuzz_commands", "test_jnd_sweep", "test_ladder",
-    "test_lapse_prior", "test_limits", "test_memory", "test_muscle", "test_objects",
-    "test_paper_figures", "test_placement", "test_plan", "test_power", "test_profile",
-    "test_properties", "test_properties_choices", "test_properties_design",
-    "test_properties_inference", "test_properties_scenes", "test_referees", "test_rehearse",
-    "test_rod", "test_scale_out", "test_scene_costs", "test_second_peak", "test_stability",
-    "test_stability_three",
+    "test_cue_space_map", "test_cue_sweep", "test_cue_vibration", "test_cue_vibrissa_length",
+    "test_design_information", "test_effects", "test_elastica", "test_ensemble", "test_fuzz",
+    "test_fuzz_commands", "test_grid", "test_jnd", "test_jnd_sweep", "test_ladder",
+    "test_lapse_prior", "test_lattice", "test_limits", "test_memory", "test_modes",
+    "test_muscle", "test_nuisance", "test_objects", "test_paper_figures", "test_placement",
+    "test_plan", "test_power", "test_profile", "test_properties", "test_properties_choices",
+    "test_properties_design", "test_properties_inference", "test_properties_scenes",
+    "test_receptors", "test_referees", "test_rehearse", "test_rod", "test_scale_out",
+    "test_scene_costs", "test_second_peak", "test_session", "test_spike_count", "test_stability",
+    "test_stability_three", "test_surface", "test_tasks", "test_weber_2d",
 }  # fmt: skip
 
 
