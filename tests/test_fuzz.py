@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import faulthandler
 import json
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
@@ -54,20 +53,21 @@ def run(arguments: list[str]) -> tuple[int, str, str]:
     return status, out.buffer.getvalue().decode("utf-8"), err.getvalue()  # type: ignore[attr-defined]
 
 
+def refused(err: str) -> None:
+    """One line, of this program."""
+    assert err.startswith("weberwhisk: ")
+    assert err.count("\n") == 1
+
+
 def check(arguments: list[str], folder: Path) -> None:
     """An answer, whole, or a refusal in one line that leaves nothing behind."""
     before = {path.name for path in folder.iterdir()}
-    here = os.getcwd()
-    os.chdir(folder)  # quickstart writes where it stands
-    try:
+    with chdir(folder):  # quickstart writes where it stands
         status, out, err = run(arguments)
-    finally:
-        os.chdir(here)
     assert status in (0, 2), (status, err)
     if status == 2:
         assert out == ""
-        assert err.startswith("weberwhisk: ")
-        assert err.count("\n") == 1
+        refused(err)
         assert len(err) < 2000
         assert {path.name for path in folder.iterdir()} == before
         return

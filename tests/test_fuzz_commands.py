@@ -7,11 +7,11 @@ command that was writing leaves the old files, the new ones, or a log that can b
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
+from contextlib import chdir
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -22,7 +22,7 @@ import pandas as pd
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from test_fuzz import NUMBERS, WHISKERS, WORDS, check, deadline, refused_by_us, run
+from test_fuzz import NUMBERS, WHISKERS, WORDS, check, deadline, refused, refused_by_us, run
 
 import weberwhisk as ww
 from weberwhisk import charts
@@ -95,17 +95,11 @@ def conversations(draw: st.DrawFn) -> tuple[list[str], str]:
 @example((["next", "--standard", "20"], "[" * 5000))
 def test_any_conversation_goes_on_or_is_refused(talk: tuple[list[str], str]) -> None:
     arguments, said = talk
-    with TemporaryDirectory() as folder, mock.patch("sys.stdin", StringIO(said)):
-        here = os.getcwd()
-        os.chdir(folder)
-        try:
-            status, out, err = run(arguments)
-        finally:
-            os.chdir(here)
+    with TemporaryDirectory() as folder, chdir(folder), mock.patch("sys.stdin", StringIO(said)):
+        status, out, err = run(arguments)
     assert status in (0, 2), (status, err)
     if status == 2:
-        assert err.startswith("weberwhisk: ")
-        assert err.count("\n") == 1
+        refused(err)
         return
     assert err == ""
     for line in out.splitlines():
@@ -274,8 +268,7 @@ def test_two_conversations_do_not_write_one_log(tmp_path: Path) -> None:
             command, cwd=tmp_path, input="1\n", capture_output=True, text=True, check=False
         )
         assert second.returncode == 2
-        assert second.stderr.startswith("weberwhisk: ")
-        assert second.stderr.count("\n") == 1
+        refused(second.stderr)
         first.stdin.write("1\n")
         first.stdin.flush()
         assert json.loads(first.stdout.readline())["trial"] == 2
@@ -284,12 +277,7 @@ def test_two_conversations_do_not_write_one_log(tmp_path: Path) -> None:
         first.wait()
         first.stdin.close()
         first.stdout.close()
-    with mock.patch("sys.stdin", StringIO("0\n")):
-        here = os.getcwd()
-        os.chdir(tmp_path)
-        try:
-            status, out, err = run(arguments)
-        finally:
-            os.chdir(here)
+    with chdir(tmp_path), mock.patch("sys.stdin", StringIO("0\n")):
+        status, out, err = run(arguments)
     assert (status, err) == (0, "")
     assert [json.loads(line)["trial"] for line in out.splitlines()] == [2, 3]

@@ -66,8 +66,9 @@ def _bump(grid: Grid) -> bool:
     if many_biases or max(low.size, high.size) > LAPSE_NODES:
         return False
     log_density = log_marginal(grid, 0)
-    halves = [_quantiles(k[i::2], log_density[i::2]) for i in (0, 1)]
-    return all(_shift(half, _quantiles(k, log_density)) < HALVED for half in halves)
+    whole = _quantiles(k, log_density)
+    halves = (_quantiles(k[i::2], log_density[i::2]) for i in (0, 1))
+    return all(_shift(half, whole) < HALVED for half in halves)
 
 
 def _shift(old: _Quantiles, new: _Quantiles) -> float:

@@ -60,14 +60,7 @@ class LatticeMoments(NamedTuple):
 
     def of(self, rows: NDArray[np.bool_]) -> LatticeMoments:
         """The same of some of the posteriors."""
-        return LatticeMoments(
-            self.mean[rows],
-            self.sd[rows],
-            self.mean_error[rows],
-            self.sd_error[rows],
-            self.log_evidence[rows],
-            self.converged[rows],
-        )
+        return LatticeMoments._make(column[rows] for column in self)
 
 
 def integrate_on_lattice(

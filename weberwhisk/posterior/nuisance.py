@@ -10,7 +10,6 @@ know no stiffness, are worked out once for all of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,12 +18,12 @@ from numpy.polynomial.hermite_e import hermegauss
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .densities import taken_apart
-from .grid import GridPosterior, integrate
-from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled, integrate_on_lattice
+from .grid import GridPosterior
+from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled
 from .mode import Mode
 from .scale import has_scale, without_scale
 from .solution import mode_root
+from .tiles import Engine
 
 #: Nodes of the rule, from the tolerance on that stands before them.
 RULES = ((3e-3, 5), (3e-4, 9), (0.0, 15))
@@ -137,25 +136,17 @@ class Conditional:
         return density
 
 
-class LastUnknown:
-    """The moments of all unknowns (B, U) for readings (B, R), the last integrated out first.
+class LastUnknown(Engine):
+    """The moments over all coordinates but the last, of three and more unknowns."""
 
-    Parameters
-    ----------
-    observer : Observer
-        Of three unknowns and more.
-    reading : array, shape (B, R)
-    mode : Mode
-        Of these readings.
-    tolerance : float
-    """
+    nested = True
 
     def __init__(self, observer: Observer, reading: Array, mode: Mode, tolerance: float) -> None:
-        self.observer, self.reading, self.mode = observer, reading, mode
-        self.tolerance = tolerance
-        self.rest = Mode(mode.x[:, :-1], mode.log_density, mode.covariance[:, :-1, :-1])
+        super().__init__(observer, reading, mode, tolerance)
+        self.peak = Mode(mode.x[:, :-1], mode.log_density, mode.covariance[:, :-1, :-1])
         self.count = next(count for least, count in RULES if tolerance >= least)
         self.conditional = Conditional(observer, reading, mode, self.count)
+        self._tiled = self.tiled()
 
     def tiled(self, finer: int = 1) -> Tiled:
         """The density and its functions on tiles, by a rule of so many times the nodes."""
@@ -164,40 +155,9 @@ class LastUnknown:
             return without_scale(self.observer, self.reading, top, count)
         return partial(self.conditional.on_tiles, finer=finer)
 
-    def on_lattice(self) -> LatticeMoments:
-        """By `lattice`, of three unknowns."""
-        root = mode_root(self.rest)
-        covariance = root @ root.swapaxes(1, 2)
-        found = integrate_on_lattice(
-            self.tiled(),
-            self.rest.x,
-            covariance,
-            self.mode.log_density,
-            tolerance=self.tolerance,
-            nested=True,
-        )
-        return found._replace(**self.completed(found))
-
-    def on_grid(self, *, max_points: int, keep_points: bool = False) -> GridPosterior:
-        """By `grid`, as `integrate` gives them."""
-        tiled = self.tiled()
-
-        def both(x: Array, index: Index) -> tuple[Array, Array]:
-            log, values = tiled(x)(index, np.arange(len(x)))
-            return log, np.moveaxis(values, 1, -1)
-
-        density, functions = taken_apart(both)
-        found = integrate(
-            density,
-            self.rest.x,
-            mode_root(self.rest),
-            functions=functions,
-            only_functions=True,
-            tolerance=self.tolerance,
-            max_points=max_points,
-            keep_points=keep_points,
-        )
-        return replace(found, **self.completed(found))
+    def at(self, x: Array, index: Index) -> tuple[Array, Array]:
+        log, values = self._tiled(x)(index, np.arange(len(x)))
+        return log, np.moveaxis(values, 1, -1)
 
     def completed(self, found: GridPosterior | LatticeMoments) -> dict[str, Any]:
         """Mean, sd and their errors of all unknowns, from the functions'."""
@@ -221,9 +181,9 @@ class LastUnknown:
 
         The rule with three times as many nodes tells, at one sd to either side along each axis.
         """
-        width = np.linalg.norm(mode_root(self.rest), axis=2)
+        width = np.linalg.norm(mode_root(self.peak), axis=2)
         steps = np.concatenate([s * np.eye(width.shape[1]) for s in (-1.0, 0.0, 1.0)])
-        places = self.rest.x[:, None] + steps * width[:, None]
+        places = self.peak.x[:, None] + steps * width[:, None]
         rows = np.arange(len(places))
         fine, plain = (self.tiled(finer)(places)(rows, rows)[0] for finer in (3, 1))
         with np.errstate(invalid="ignore"):

@@ -18,7 +18,7 @@ from .panels import panels_of
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified
 from .threads import on_threads
-from .tiles import AllUnknowns
+from .tiles import AllUnknowns, Engine
 
 #: Error of mean and sd, over the sd, above which a quadrature is called imprecise: one unknown,
 #: and more.
@@ -159,7 +159,7 @@ def _moments(
 
 def _engine(
     observer: Observer, reading: Array, mode: Mode, tolerance: float, *, of_all: bool = False
-) -> AllUnknowns | LastUnknown:
+) -> Engine:
     """All unknowns at once, or of three and more the last one first."""
     at_once = of_all or len(observer.unknowns) == 2
     return (AllUnknowns if at_once else LastUnknown)(observer, reading, mode, tolerance)

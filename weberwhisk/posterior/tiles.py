@@ -1,6 +1,10 @@
-"""Moments of two unknowns on a lattice, or of more on a grid for each posterior."""
+"""Moments of some of a posterior's coordinates, on shared lattices or on a grid for each."""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -8,14 +12,14 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .densities import taken_apart
 from .grid import GridPosterior, integrate
-from .lattice import Array, Index, LatticeMoments, OnTiles, integrate_on_lattice
+from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled, integrate_on_lattice
 from .mode import Mode
 from .panels import prepared
 from .solution import mode_root
 
 
-class AllUnknowns:
-    """The moments of all unknowns (B, U) for readings (B, R), over all of their coordinates.
+class Engine(ABC):
+    """The moments of all unknowns (B, U) for readings (B, R), over the coordinates of some.
 
     Parameters
     ----------
@@ -25,14 +29,70 @@ class AllUnknowns:
     mode : Mode
         Of these readings.
     tolerance : float
+
+    Attributes
+    ----------
+    peak : Mode
+        That of the coordinates that are summed over.
+    nested : bool
+        As `lattice` has it.
     """
+
+    nested = False
 
     def __init__(self, observer: Observer, reading: Array, mode: Mode, tolerance: float) -> None:
         self.observer, self.reading, self.mode = observer, reading, mode
-        self.tolerance = tolerance
+        self.tolerance, self.peak = tolerance, mode
 
-    def tiled(self, points: Array) -> OnTiles:
-        """The densities on tiles, and the unknowns there."""
+    @abstractmethod
+    def tiled(self) -> Tiled:
+        """The densities on tiles, and the functions there."""
+
+    @abstractmethod
+    def at(self, x: Array, index: Index) -> tuple[Array, Array]:
+        """The same at nodes of each posterior's own, (b, N, D): (b, N) and (b, N, C)."""
+
+    def completed(self, found: GridPosterior | LatticeMoments) -> dict[str, Any]:
+        """What is not yet that of the unknowns in the functions' moments."""
+        return {}
+
+    def on_lattice(self) -> LatticeMoments:
+        """By `lattice`, over two coordinates."""
+        root = mode_root(self.peak)
+        found = integrate_on_lattice(
+            self.tiled(),
+            self.peak.x,
+            root @ root.swapaxes(1, 2),
+            self.mode.log_density,
+            tolerance=self.tolerance,
+            nested=self.nested,
+        )
+        return found._replace(**self.completed(found))
+
+    def on_grid(self, *, max_points: int, keep_points: bool = False) -> GridPosterior:
+        """By `grid`, as `integrate` gives them."""
+        density, functions = taken_apart(self.at)
+        found = integrate(
+            density,
+            self.peak.x,
+            mode_root(self.peak),
+            functions=functions,
+            only_functions=True,
+            tolerance=self.tolerance,
+            max_points=max_points,
+            keep_points=keep_points,
+        )
+        return replace(found, **self.completed(found))
+
+
+class AllUnknowns(Engine):
+    """The moments over all coordinates: the functions are the unknowns themselves."""
+
+    def tiled(self) -> Tiled:
+        return self.on_tiles
+
+    def on_tiles(self, points: Array) -> OnTiles:
+        """The densities of pairs of a reading and a tile of nodes (T, N, 2), and the unknowns."""
         contact, log_prior = self.observer.contact(points)
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
@@ -45,29 +105,5 @@ class AllUnknowns:
 
         return density
 
-    def on_lattice(self) -> LatticeMoments:
-        """By `lattice`, of two unknowns."""
-        root = mode_root(self.mode)
-        return integrate_on_lattice(
-            self.tiled,
-            self.mode.x,
-            root @ root.swapaxes(1, 2),
-            self.mode.log_density,
-            tolerance=self.tolerance,
-        )
-
-    def on_grid(self, *, max_points: int, keep_points: bool = False) -> GridPosterior:
-        """By `grid`."""
-        density, functions = taken_apart(
-            lambda x, index: self.observer.log_density_and_contact(x, self.reading[index, None])
-        )
-        return integrate(
-            density,
-            self.mode.x,
-            mode_root(self.mode),
-            functions=functions,
-            only_functions=True,
-            tolerance=self.tolerance,
-            max_points=max_points,
-            keep_points=keep_points,
-        )
+    def at(self, x: Array, index: Index) -> tuple[Array, Array]:
+        return self.observer.log_density_and_contact(x, self.reading[index, None])
