@@ -130,6 +130,22 @@ def test_laplace_is_judged_by_the_narrower_sd() -> None:
     assert ww.posterior(observer, reading, "laplace").status == Status.NOT_GAUSSIAN
 
 
+def test_laplace_counts_what_lies_beyond_its_grid() -> None:
+    """Next to the tip the axial force leaves a tail beyond 4.5 sd: a third of an sd off, 0.18 said.
+
+    Wider grids see little more of it, so that the mass at the edge must tell.
+    """
+    observer = Observer(W, cues.ForceMap(), receptors.Weber([0.003, 0.03]))
+    r = 0.998996 * W.length
+    push = 0.499681 * ww.flick_past(W, r).deflection_angle
+    signals, _ = observer.signals([r, push])
+    reading = signals + np.array([0.694296, -0.933758]) * observer.noise.sd(signals)
+    rough, exact = (ww.posterior(observer, reading, m) for m in ("laplace", "quadrature"))
+    assert exact.status == Status.CONVERGED
+    assert abs(rough.mean - exact.mean) > 0.25 * exact.sd
+    assert rough.status == Status.NOT_GAUSSIAN
+
+
 def test_a_posterior_beyond_the_last_panel_is_imprecise() -> None:
     """A log-normal reading from 1e-9 of the reach: quadrature ends at 1e-8, and said nothing."""
     observer = Observer(W, cues.Compliance(), receptors.LogNormal(0.5))
