@@ -146,6 +146,24 @@ def test_laplace_counts_what_lies_beyond_its_grid() -> None:
     assert rough.status == Status.NOT_GAUSSIAN
 
 
+@pytest.mark.parametrize(
+    "reading", [[0.36982541, 0.73142405], [0.4567118, 4.7206108], [1.2473908, -0.36668984]]
+)
+def test_an_odd_reading_has_its_posterior_where_it_is_least_odd(reading: list[float]) -> None:
+    """Where some panel was within 10 sd in each signal, the rest of the whisker was not looked at.
+
+    Together these signals lie farther off, so that means were 7 to 100 sd off the mark, and as the
+    reading was improbable the claimed error (up to one sd) was not told.
+    """
+    cue = cues.Vibration(3, phase=True)
+    observer = Observer(W, cue, cue.noise(0.03, 0.015))
+    mean, sd = moments_by_midpoints(observer, np.array(reading), 400_001)
+    p = ww.posterior(observer, reading)
+    assert p.status in (Status.IMPROBABLE_READING, Status.IMPRECISE)
+    assert abs(p.mean - mean) < 1e-4 * sd
+    assert abs(p.sd - sd) < 1e-4 * sd
+
+
 def test_a_posterior_beyond_the_last_panel_is_imprecise() -> None:
     """A log-normal reading from 1e-9 of the reach: quadrature ends at 1e-8, and said nothing."""
     observer = Observer(W, cues.Compliance(), receptors.LogNormal(0.5))

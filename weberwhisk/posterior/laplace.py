@@ -12,7 +12,7 @@ from ..receptors import Seed
 from .mode import Mode
 from .peaks import find_highest, is_divided
 from .result import Estimate, Status
-from .solution import Array, Solution, contact_slope, is_unidentified
+from .solution import Array, Solution, contact_slope, is_improbable, is_unidentified
 
 #: Error of mean or sd, over the sd, up to which Laplace's approximation passes.
 LAPLACE_MISFIT = 0.25
@@ -28,9 +28,9 @@ def laplace(
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     mean_error, sd_error, summed = _beside_the_density(observer, reading, mode, sd)
     worst = (np.maximum(mean_error, sd_error) / np.minimum(sd, summed)).max(axis=1)
-    status = np.where(
-        ~(worst <= (tolerance or LAPLACE_MISFIT)), Status.NOT_GAUSSIAN, Status.CONVERGED
-    )
+    improbable = is_improbable(observer, reading, contact)
+    status = np.where(improbable, Status.IMPROBABLE_READING, Status.CONVERGED)
+    status = np.where(~(worst <= (tolerance or LAPLACE_MISFIT)), Status.NOT_GAUSSIAN, status)
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(is_unidentified(observer, contact), Status.UNIDENTIFIED, status)
     estimates = [
