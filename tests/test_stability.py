@@ -213,6 +213,21 @@ def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
     np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)
 
 
+def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are() -> None:
+    """Five animals of five trials: nodes of ln k were as coarse as one animal alone is vague.
+
+    What is known of all was smeared by that: animals were 0.4 to 1 sd of their posterior off.
+    """
+    populations = load("stability_populations")
+    case = {
+        "weber_fraction": 0.789403, "spread": 0.221883, "lapse": 0.001747, "bias": 0.5688905,
+        "animals": 5.0, "trials": 1.0, "span": 0.626083, "answers": 0.065299,
+    }  # fmt: skip
+    judged = populations.judge({name: np.array([value]) for name, value in case.items()})
+    assert judged.seen["count"][0] > 5000
+    assert judged.seen["error"][0] < 0.15
+
+
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:
     """The rod took 226°, past the fold, for −134°, where it found a contact on the other side."""
     whisker = Whisker(50e-3, 100e-6, 100e-6, 3e9, 16.19846)
