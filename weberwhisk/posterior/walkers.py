@@ -38,7 +38,7 @@ MOST_STEPS = (20_000, 6_000)
 #: Most nodes of such a grid.
 MOST_NODES = 20_000
 #: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
-STACKED = 1024
+STACKED = 256
 
 
 def sample(
