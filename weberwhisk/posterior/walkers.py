@@ -21,6 +21,8 @@ from .ensemble import (
 from .grid import integrate
 from .mode import Mode
 from .moves import StackedGrid
+from .nodes import Nodes
+from .nuisance import LastUnknown
 from .peaks import find_highest, is_divided
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
@@ -33,8 +35,10 @@ ENSEMBLES = 4
 GRID_TOLERANCE = (0.03, 0.2)
 #: Steps after which a posterior that has not converged is called so: one unknown, and more.
 MOST_STEPS = (20_000, 6_000)
+#: Most nodes of such a grid.
+MOST_NODES = 20_000
 #: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
-STACKED = 1024
+STACKED = 256
 
 
 def sample(
@@ -69,7 +73,7 @@ def sample(
             density,
             _start(observer, rows, mode, rng),
             seed=rng,
-            moves=_moves(density, mode),
+            moves=_moves(observer, rows, density, mode),
             functions=contact,
             precision=precision,
             # Twice as many draws as it takes when they are independent.
@@ -110,27 +114,48 @@ def sample(
     return Solution(estimates, status.astype(np.int8), evidence, quantile_of, draws_of)
 
 
-def _moves(density: Density, mode: Mode) -> list[tuple[MoveMaker, float]]:
+def _moves(
+    observer: Observer, reading: Array, density: Density, mode: Mode
+) -> list[tuple[MoveMaker, float]]:
     """Most steps are drawn anew from a coarse grid over the posterior.
 
     It takes 50 evaluations with one unknown and a thousand with two, and then a step is nearly an
     independent draw, where differential evolution needs five to nine or, on a bent ridge, hundreds.
     A finer grid is hardly a better proposal: with two unknowns 85 % are accepted at a tolerance
-    of 0.1, 83 % at 0.2. A coarser one misses tails, in which walkers then linger.
+    of 0.1, 83 % at 0.2. A coarser one misses tails, in which walkers then linger. With three
+    unknowns and more the grid is over all but the last, which is nearly normal at every node.
     """
     dim = mode.x.shape[1]
     others = default_moves(dim)
-    grid = integrate(
-        density,
-        mode.x,
-        mode_root(mode),
-        tolerance=GRID_TOLERANCE[int(dim > 1)],
-        max_points=20_000,
-        keep_points=True,
-    )
+    tolerance = GRID_TOLERANCE[int(dim > 1)]
+    if dim > 2:
+        engine = LastUnknown(observer, reading, mode, tolerance)
+        grid = engine.on_grid(max_points=MOST_NODES, keep_points=True)
+    else:
+        grid = integrate(
+            density,
+            mode.x,
+            mode_root(mode),
+            tolerance=tolerance,
+            max_points=MOST_NODES,
+            keep_points=True,
+        )
     assert grid.nodes is not None
-    guess = partial(StackedGrid, nodes=grid.nodes)
+    last = [_last(observer, nodes) for nodes in grid.nodes] if dim > 2 else None
+    guess = partial(StackedGrid, nodes=grid.nodes, last=last)
     return [(guess, 9 * sum(weight for _, weight in others)), *others]
+
+
+def _last(observer: Observer, nodes: Nodes) -> Array:
+    """Mean and sd (N, 2) of the last coordinate at nodes, from those of the last unknown."""
+    assert nodes.values is not None
+    mean, variance = nodes.values[:, -2:].T
+    z = np.linspace(-8.0, 8.0, 4001)
+    value = observer.last_unknown(z)
+    low, middle, high = (np.interp(mean + s * np.sqrt(variance), value, z) for s in (-1, 0, 1))
+    # What is not known at nodes that hold nothing does not matter.
+    sd = np.where(high > low, (high - low) / 2, 1.0)
+    return np.stack([middle, sd], axis=-1)
 
 
 def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:
