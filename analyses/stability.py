@@ -82,7 +82,7 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
         effort = 1 if "emcee" in d.name or "population" in d.name else 2
         found.append((d, "fits of choices", "weber_fraction", "trials", effort))
     for d in stability_walkers.DOMAINS:
-        panel = "plain emcee" if d.name.startswith("plain") else "emcee, started badly or near tip"
+        panel = "plain emcee" if d.name.startswith("plain") else "emcee, started badly"
         found.append((d, panel, "distance", "k", 2))
     for method in ("quadrature", "laplace", "emcee"):
         for name in SAMPLED if method == "emcee" else stability_posteriors.OBSERVERS:
@@ -132,7 +132,7 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
             label=fate.words,
         )
     ax.set(xlabel="distance / reach", ylabel="push / last angle")
-    ax.set_title(title, fontsize=6.5)
+    ax.set_title(title, fontsize=5.5)
     if "unknown" in title or "emcee" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("fit"):
@@ -145,6 +145,8 @@ def draw(cases: pd.DataFrame) -> Figure:
     figure = figures.new_figure(figures.DOUBLE, 5.4)
     axes = figure.subplots(3, 5).ravel()
     panels = list(cases["panel"].unique())
+    for ax in axes[len(panels) :]:
+        ax.axis("off")
     for ax, panel in zip(axes, panels, strict=False):
         _map(ax, cases[cases["panel"] == panel], panel)
     handles, labels = axes[0].get_legend_handles_labels()

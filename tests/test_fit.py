@@ -226,6 +226,17 @@ def test_emcee_starts_where_the_mode_is_at_an_edge() -> None:
         assert sampled.posterior.mean(name) == pytest.approx(mean, abs=0.15 * sd)
 
 
+def test_emcee_tells_an_open_end_without_draws_there() -> None:
+    """One draw in a thousand is at an end of the prior: with none the end was called excluded."""
+    levels = 1 + 0.1893339 * np.linspace(-1, 1, 9)
+    answers = [0, 1, 0, 0, 1, 1, 2, 2, 1]
+    trials = read_trials(
+        pd.DataFrame({"standard": 1.0, "comparison": levels, "n": 2, "n_greater": answers})
+    )
+    found = {fit_weber(trials, method="emcee", seed=seed).status for seed in (1, 2)}
+    assert found == {fit_weber(trials).status} == {FitStatus.UPPER_BOUND}
+
+
 def test_emcee_is_repeatable() -> None:
     trials = simulate_trials(trials_per_level=5, seed=14)
     one, two, three = (fit_weber(trials, method="emcee", seed=s) for s in (1, 1, 2))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
+from scipy.special import logsumexp
 
 from ..posterior.ensemble import sample_stacked
 from .likelihood import Draws, WeberModel
@@ -14,6 +14,9 @@ from .mode import find_mode, lead_values, map_point, score_precision
 from .priors import REACH
 
 Array = NDArray[np.float64]
+
+#: Draws whose conditional densities of k are averaged.
+CONDITIONAL = 400
 
 
 @dataclass(frozen=True)
@@ -38,12 +41,25 @@ class SampledPosterior:
         return np.asarray(np.quantile(self._column(name), at), dtype=float)
 
     def score_curve(self) -> tuple[Array, Array]:
+        """ln of the posterior density of k's score: its own given the rest, averaged over draws.
+
+        Counts of draws would say nothing of ends where there is one in a thousand of them.
+        """
         axis = np.linspace(-REACH, REACH, 73)
-        prior = self.model.priors.of("weber_fraction")
-        score = ndtri(np.clip(prior.cdf(self.sample.weber_fraction), 1e-18, 1 - 1e-16))
-        edges = np.append(axis, axis[-1] + 0.25) - 0.125
-        counts = np.histogram(score, edges)[0]
-        return axis, np.log(np.maximum(counts, 1e-9))
+        every = self.sample.weber_fraction.size // CONDITIONAL + 1
+        low, high, bias, effects = (
+            np.repeat(values[::every, None], axis.size, axis=1)
+            for values in (
+                self.sample.lapse_low,
+                self.sample.lapse_high,
+                self.sample.bias,
+                self.sample.effects,
+            )
+        )
+        k = np.broadcast_to(self.model.value("weber_fraction", axis), low.shape)
+        log = self.model.log_likelihood(k, low, high, bias, effects) - 0.5 * axis**2
+        log -= logsumexp(log, axis=1, keepdims=True)
+        return axis, logsumexp(log, axis=0)
 
     def mode(self) -> dict[str, float]:
         return map_point(self.model, np.zeros(len(self.model.lead)))
