@@ -48,8 +48,8 @@ def run(
         ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, with the same columns
         always; a function at the top level of a module. `chunk` is a dict, `seed` a SeedSequence.
     chunks : iterable of dict
-        What may be written as JSON. Each costs 0.3 to 1 ms beside the work, so let them take 20 ms
-        or more; shorter ones are handed out many at a time.
+        What may be written as JSON. Each costs 0.1 to 1 ms beside the work, least on a quiet
+        machine, so let them take 20 ms or more; shorter ones are handed out many at a time.
     seed : int or SeedSequence
     workers : int
         1: this process. More: so many processes; a script that starts them needs
