@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import _checks
+from ..cores import core_count
 from .cluster import Cluster, ClusterLost
 from .crews import MOST_DEATHS, Crew, Processes, Serial, WorkersDieAtBirth
 from .job import Chunk, Job, Report, Work, check_chunks, check_work
@@ -126,7 +127,7 @@ def all_cores(workers: int | None, scheduler: str | None) -> int:
         return workers
     if scheduler is not None:
         return 1
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return core_count()
 
 
 def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
