@@ -275,15 +275,6 @@ BROKEN_FITS: dict[str, dict[str, Any]] = {
     "lapses ignored": {"priors": {"lapse_low": 0.0, "lapse_high": 0.0}},
     "noise taken for that of the standard": {"noise": "equal-variance"},
 }
-#: Cues that emcee is tried on: one unknown, two, three; several peaks.
-SAMPLED = (
-    "compliance (e)",
-    "vibration with phase (d)",
-    "compliance, velocity felt (e)",
-    "force map (f)",
-    "balance of moments (h)",
-    "the same, side unknown (c)",
-)
 #: Posteriors of one unknown, of two, of three, by emcee, fits by quadrature and by emcee, and how
 #: many readings a broken model of posteriors has at the least: with 60 the map's went unnoticed,
 #: with 200 the likelihood's ranks give them away.
@@ -304,8 +295,7 @@ def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
     for group, some in (("cues", CUES), ("receptors", RECEPTORS)):
         for name, o in some.items():
             yield group, name, "quadrature", lambda o=o: posterior_ranks(o, of(o), seed=seed)
-    for name in SAMPLED:
-        o = CUES[name]
+    for name, o in CUES.items():
         yield (
             "emcee",
             name,
@@ -314,9 +304,8 @@ def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
         )
     for name, design in FITS.items():
         yield "fits", name, "quadrature", lambda d=design: fit_ranks(d, fitted, seed=seed)
-    if fits_sampled:
-        name = "2AFC, 40 trials a level"
-        yield "fits", name, "emcee", lambda: fit_ranks(FITS[name], fits_sampled, "emcee", seed=seed)
+    for name, design in FITS.items() if fits_sampled else ():
+        yield "fits", name, "emcee", lambda d=design: fit_ranks(d, fits_sampled, "emcee", seed=seed)
     for name, (truth, assumed) in BROKEN.items():
         yield (
             "broken",

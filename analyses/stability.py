@@ -22,8 +22,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import stability_choices
+import stability_populations
 import stability_posteriors
 import stability_rungs
+import stability_walkers
 from hunting import Domain, Fate, hunt, silent
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -57,7 +59,10 @@ SAMPLED = (
     "cylinder's ridge",
     "velocity felt",
     "angle-side-angle",
+    "map, stiffness unknown",
 )
+#: Cues of which also readings are tried that no contact explains.
+ODD = ("compliance", "vibration", "vibration, phase", "two taps fused", "force map")
 COLOURS = {
     Fate.RIGHT: "#0072B2",
     Fate.WARNED: "#E69F00",
@@ -73,7 +78,12 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
         (d, d.name, "distance", "push", 6)
         for d in (*stability_rungs.DOMAINS, stability_choices.DOMAINS[0])
     ]
-    found.append((stability_choices.DOMAINS[1], "fit of choices", "weber_fraction", "trials", 2))
+    for d in (*stability_choices.DOMAINS[1:], *stability_populations.DOMAINS):
+        effort = 1 if "emcee" in d.name or "population" in d.name else 2
+        found.append((d, "fits of choices", "weber_fraction", "trials", effort))
+    for d in stability_walkers.DOMAINS:
+        panel = "plain emcee" if d.name.startswith("plain") else "emcee, started badly or near tip"
+        found.append((d, panel, "distance", "k", 2))
     for method in ("quadrature", "laplace", "emcee"):
         for name in SAMPLED if method == "emcee" else stability_posteriors.OBSERVERS:
             two = name in TWO
@@ -81,6 +91,9 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
             panel = f"{method}, {'several unknowns' if two else 'one unknown'}"
             d = stability_posteriors.domain(name, method)
             found.append((d, panel, "distance", "k", effort))
+            if name in ODD and method != "laplace":
+                d = stability_posteriors.domain(name, method, odd=True)
+                found.append((d, panel, "distance", "k", 1))
     return found
 
 
@@ -120,7 +133,7 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
         )
     ax.set(xlabel="distance / reach", ylabel="push / last angle")
     ax.set_title(title, fontsize=6.5)
-    if "unknown" in title:
+    if "unknown" in title or "emcee" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("fit"):
         ax.set(xscale="log", yscale="log", xlabel="Weber fraction", ylabel="trials a level")
@@ -130,7 +143,7 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
 def draw(cases: pd.DataFrame) -> Figure:
     """A map for each rung and engine."""
     figure = figures.new_figure(figures.DOUBLE, 5.4)
-    axes = figure.subplots(3, 4).ravel()
+    axes = figure.subplots(3, 5).ravel()
     panels = list(cases["panel"].unique())
     for ax, panel in zip(axes, panels, strict=False):
         _map(ax, cases[cases["panel"] == panel], panel)

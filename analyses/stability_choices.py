@@ -252,7 +252,23 @@ def judge_fit(case: Case, method: str = "quadrature") -> Judged:
     return Judged(fate, excess, {**seen, "status": status})
 
 
+def _by_emcee(case: Case) -> Judged:
+    return judge_fit(case, "emcee")
+
+
+AT_CHANCE = FIT_AXES | {"weber_fraction": Axis(3.0, 100.0, log=True), "lapse": Axis(0.0, 0.5)}
+PERFECT = FIT_AXES | {
+    "weber_fraction": Axis(1e-6, 0.01, log=True),
+    "lapse": Axis(0.0, 1e-3, special=(0.0,)),
+}
+FEW = FIT_AXES | {"trials": Axis(1.0, 3.0), "levels": Axis(1.0, 4.0)}
+
 DOMAINS = [
     Domain("JND by propagation", JND_AXES, judge_jnd),
     Domain("fit of choices", FIT_AXES, judge_fit),
+    Domain("fit of choices at chance", AT_CHANCE, judge_fit),
+    Domain("fit of perfect choices", PERFECT, judge_fit),
+    Domain("fit of few choices", FEW, judge_fit),
+    Domain("fit of choices by emcee", FIT_AXES, _by_emcee),
+    Domain("fit of few choices by emcee", FEW, _by_emcee),
 ]

@@ -298,7 +298,7 @@ def judge(case: Case, name: str, method: str) -> Judged:
         for j, row in enumerate(rows):
             status = Status(int(p.status[j]))
             seen["status"][row], seen["mean"][row], seen["sd"][row] = status, p.mean[j], p.sd[j]
-            if status != Status.CONVERGED:
+            if status not in (Status.CONVERGED, Status.IMPROBABLE_READING):
                 fate[row] = Fate.WARNED
                 continue
             sums = stability_three.brute if len(o.unknowns) > 2 else brute
@@ -310,7 +310,9 @@ def judge(case: Case, name: str, method: str) -> Judged:
             error = max(abs(p.mean[j] - mean), abs(p.sd[j] - sd)) / sd
             claimed = max(p.mean_error[j], p.sd_error[j]) / p.sd[j]
             allowed = max(TIMES[method] * claimed, promised) + known
-            fate[row] = Fate.SILENT if error > allowed else Fate.RIGHT
+            # An odd reading is a warning, and its numbers must be right all the same.
+            well = Fate.RIGHT if status == Status.CONVERGED else Fate.WARNED
+            fate[row] = Fate.SILENT if error > allowed else well
             excess[row] = np.log(max(error, 1e-300) / allowed)
     return Judged(fate, excess, seen)
 
@@ -325,6 +327,18 @@ AXES = {
 }
 
 
-def domain(name: str, method: str) -> Domain:
+#: Readings that no contact explains.
+ODD = AXES | {
+    "k": Axis(0.03, 1.0, log=True),
+    "off_1": Axis(-30.0, 30.0, special=(0.0,)),
+    "off_2": Axis(-30.0, 30.0, special=(0.0,)),
+}
+
+
+def domain(name: str, method: str, *, odd: bool = False) -> Domain:
     """The domain of an observer and an engine."""
-    return Domain(f"{method}, {name}", AXES, lambda case: judge(case, name, method))
+    return Domain(
+        f"{method}, {name}{', odd readings' * odd}",
+        ODD if odd else AXES,
+        lambda case: judge(case, name, method),
+    )

@@ -206,6 +206,26 @@ def test_emcee_agrees(options: dict, bias: str) -> None:
     assert sampled.log_evidence is None
 
 
+def test_emcee_starts_where_the_mode_is_at_an_edge() -> None:
+    """Of answers at chance lapses may take all, and the mode lies where they leave no rise.
+
+    All walkers were drawn in to that one point, outside the support, and refused.
+    """
+    frame = pd.DataFrame(
+        {
+            "standard": 1.0,
+            "comparison": np.linspace(0.7, 1.3, 9),
+            "n": 5,
+            "n_greater": [5, 5, 5, 3, 5, 3, 5, 4, 4],
+        }
+    )
+    exact, sampled = (fit_weber(read_trials(frame), method=m, seed=1) for m in (None, "emcee"))
+    assert not sampled.posterior.trouble
+    for name in ("weber_fraction", "bias"):
+        mean, sd = exact.posterior.mean(name), exact.posterior.sd(name)
+        assert sampled.posterior.mean(name) == pytest.approx(mean, abs=0.15 * sd)
+
+
 def test_emcee_is_repeatable() -> None:
     trials = simulate_trials(trials_per_level=5, seed=14)
     one, two, three = (fit_weber(trials, method="emcee", seed=s) for s in (1, 1, 2))

@@ -130,6 +130,40 @@ def test_laplace_is_judged_by_the_narrower_sd() -> None:
     assert ww.posterior(observer, reading, "laplace").status == Status.NOT_GAUSSIAN
 
 
+def test_laplace_counts_what_lies_beyond_its_grid() -> None:
+    """Next to the tip the axial force leaves a tail beyond 4.5 sd: a third of an sd off, 0.18 said.
+
+    Wider grids see little more of it, so that the mass at the edge must tell.
+    """
+    observer = Observer(W, cues.ForceMap(), receptors.Weber([0.003, 0.03]))
+    r = 0.998996 * W.length
+    push = 0.499681 * ww.flick_past(W, r).deflection_angle
+    signals, _ = observer.signals([r, push])
+    reading = signals + np.array([0.694296, -0.933758]) * observer.noise.sd(signals)
+    rough, exact = (ww.posterior(observer, reading, m) for m in ("laplace", "quadrature"))
+    assert exact.status == Status.CONVERGED
+    assert abs(rough.mean - exact.mean) > 0.25 * exact.sd
+    assert rough.status == Status.NOT_GAUSSIAN
+
+
+@pytest.mark.parametrize(
+    "reading", [[0.36982541, 0.73142405], [0.4567118, 4.7206108], [1.2473908, -0.36668984]]
+)
+def test_an_odd_reading_has_its_posterior_where_it_is_least_odd(reading: list[float]) -> None:
+    """Where some panel was within 10 sd in each signal, the rest of the whisker was not looked at.
+
+    Together these signals lie farther off, so that means were 7 to 100 sd off the mark, and as the
+    reading was improbable the claimed error (up to one sd) was not told.
+    """
+    cue = cues.Vibration(3, phase=True)
+    observer = Observer(W, cue, cue.noise(0.03, 0.015))
+    mean, sd = moments_by_midpoints(observer, np.array(reading), 400_001)
+    p = ww.posterior(observer, reading)
+    assert p.status in (Status.IMPROBABLE_READING, Status.IMPRECISE)
+    assert abs(p.mean - mean) < 1e-4 * sd
+    assert abs(p.sd - sd) < 1e-4 * sd
+
+
 def test_a_posterior_beyond_the_last_panel_is_imprecise() -> None:
     """A log-normal reading from 1e-9 of the reach: quadrature ends at 1e-8, and said nothing."""
     observer = Observer(W, cues.Compliance(), receptors.LogNormal(0.5))
@@ -177,6 +211,21 @@ def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
     assert counted > 50_000
     found = fit.posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
     np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)
+
+
+def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are() -> None:
+    """Five animals of five trials: nodes of ln k were as coarse as one animal alone is vague.
+
+    What is known of all was smeared by that: animals were 0.4 to 1 sd of their posterior off.
+    """
+    populations = load("stability_populations")
+    case = {
+        "weber_fraction": 0.789403, "spread": 0.221883, "lapse": 0.001747, "bias": 0.5688905,
+        "animals": 5.0, "trials": 1.0, "span": 0.626083, "answers": 0.065299,
+    }  # fmt: skip
+    judged = populations.judge({name: np.array([value]) for name, value in case.items()})
+    assert judged.seen["count"][0] > 5000
+    assert judged.seen["error"][0] < 0.15
 
 
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:

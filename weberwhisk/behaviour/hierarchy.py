@@ -24,6 +24,7 @@ from .tabulated import Table
 Array = NDArray[np.float64]
 
 NODES_PER_SD = 4.0  # of ln k, for the sharpest member
+COARSEST = 0.15  # nodes of ln k, however little members tell: spreads are told apart from 0.1 on
 NAMES = ("log_weber_fraction", "spread", "session_spread", "lapse_mean", "lapse_spread")
 COARSE = (13, 13, 7, 7, 4)
 FINE = (23, 27, 11, 21, 9)
@@ -149,7 +150,7 @@ class Work:
     def __init__(self, members: Members) -> None:
         self.members = members
         self.mean, self.sd = np.array([_moments(t) for t in members.tables]).T
-        self.x = members.axis(self.sd.min() / NODES_PER_SD)
+        self.x = members.axis(min(self.sd.min() / NODES_PER_SD, COARSEST))
         self.step = self.x[1] - self.x[0]
 
     def middle(self, spread: Array, session_spread: float) -> tuple[Array, Array]:

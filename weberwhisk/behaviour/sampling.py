@@ -123,7 +123,13 @@ def sample(
     walkers = max(64, 4 * dim)
     at = [s.coordinate(z) for s, z in zip(stretches, scores[free], strict=True)]
     centre = np.r_[at, bias if n_bias else ()]
+    # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
+    for _ in range(60):
+        if np.isfinite(log_density(centre)):
+            break
+        centre[: free.size] *= 0.9
     per_score = np.ones(dim)
+    at = centre[: free.size]
     per_score[: free.size] = [1 / s.slope(t) for s, t in zip(stretches, at, strict=True)]
     start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
     # A start outside the support is pulled towards the mode until it is inside.

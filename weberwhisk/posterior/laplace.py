@@ -12,7 +12,7 @@ from ..receptors import Seed
 from .mode import Mode
 from .peaks import find_highest, is_divided
 from .result import Estimate, Status
-from .solution import Array, Solution, contact_slope, is_unidentified
+from .solution import Array, Solution, contact_slope, is_improbable, is_unidentified
 
 #: Error of mean or sd, over the sd, up to which Laplace's approximation passes.
 LAPLACE_MISFIT = 0.25
@@ -28,9 +28,9 @@ def laplace(
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     mean_error, sd_error, summed = _beside_the_density(observer, reading, mode, sd)
     worst = (np.maximum(mean_error, sd_error) / np.minimum(sd, summed)).max(axis=1)
-    status = np.where(
-        ~(worst <= (tolerance or LAPLACE_MISFIT)), Status.NOT_GAUSSIAN, Status.CONVERGED
-    )
+    improbable = is_improbable(observer, reading, contact)
+    status = np.where(improbable, Status.IMPROBABLE_READING, Status.CONVERGED)
+    status = np.where(~(worst <= (tolerance or LAPLACE_MISFIT)), Status.NOT_GAUSSIAN, status)
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(is_unidentified(observer, contact), Status.UNIDENTIFIED, status)
     estimates = [
@@ -63,15 +63,19 @@ def _beside_the_density(
     """How far mean and sd of the contact are from the Gaussian's, and what the sd is, (B, U) each.
 
     The density itself is summed over a coarse grid along the axes of the Gaussian. Along each axis
-    alone it would miss what bends across them.
+    alone it would miss what bends across them. A Gaussian leaves next to nothing at the grid's
+    edge; of what there is as much again is taken to lie beyond, at the least as far off.
     """
     at_mode = observer.contact(mode.x)[0]
     dim = mode.x.shape[1]
-    t = np.linspace(-1, 1, _NODES.get(dim, 7)) * (6.0 if dim == 1 else 4.5)
+    reach = 6.0 if dim == 1 else 4.5
+    t = np.linspace(-reach, reach, _NODES.get(dim, 7))
     z = np.stack([a.ravel() for a in np.meshgrid(*[t] * dim, indexing="ij")], axis=-1)
+    edge = (np.abs(z) == reach).any(axis=1)
     values, vectors = np.linalg.eigh(mode.covariance)
     root = vectors * np.sqrt(values)[:, None]
     mean, variance = np.empty((2, *at_mode.shape))
+    beyond = np.empty((len(reading), 1))
     rows = max(1, _TOGETHER // len(z))
     for start in range(0, len(reading), rows):
         some = slice(start, start + rows)
@@ -84,8 +88,13 @@ def _beside_the_density(
         mean[some] = np.einsum("bt,btu->bu", weight, contact)
         off = contact - mean[some, None]
         variance[some] = np.einsum("bt,btu->bu", weight, off * off)
+        beyond[some, 0] = weight[:, edge].sum(axis=1)
     summed = np.sqrt(variance)
-    return np.abs(mean - at_mode), np.abs(summed - sd), summed
+    return (
+        np.abs(mean - at_mode) + reach * beyond * summed,
+        np.abs(summed - sd) + reach**2 / 2 * beyond * summed,
+        summed,
+    )
 
 
 #: Nodes along each axis, by the number of unknowns, and nodes that are worked on together.

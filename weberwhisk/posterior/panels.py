@@ -82,6 +82,9 @@ SHORTEST = 1e-6
 WINDOW = 10.0
 #: … and its middle is not this far (in ln) below the highest.
 NEGLIGIBLE = 32.0
+#: ln of a reading's chance over the usual from which it is so far from all panels within the window
+#: that others, correlated or in other signals, may be as near.
+ASTRAY = NEGLIGIBLE - WINDOW**2 / 2
 
 
 class _Window:
@@ -159,12 +162,16 @@ class Panels:
         signals = np.where(held[:, None], signals, 1.0).reshape(*x.shape, -1)
         log_prior = np.where(held, log_prior, -np.inf).reshape(x.shape)
         self.log_weight = log_prior + np.log(self.half[:, None] * KRONROD)
+        #: ln p of a reading as good as the mean, about: what a middle's own is held against.
+        spread = _spread(observer.noise, signals[:, 7])[1]
+        self._usual = -np.log(np.maximum(spread, 1e-300) * np.sqrt(2 * np.pi)).sum(axis=-1)
         #: ln p(reading | each node) and ln p(reading | each middle), for readings and panels.
         self._at_nodes = prepared(observer.noise, signals)
         self._at_middle = prepared(observer.noise, signals[:, 7])
-        self._plausible, self._probable = (
-            _Window(*observer.noise.interval(signals, width)) for width in (WINDOW, IMPROBABLE)
-        )
+        self._plausible = _Window(*observer.noise.interval(signals, WINDOW))
+        low, high = observer.noise.interval(signals, IMPROBABLE)
+        #: What readings each panel makes probable, (panels, R).
+        self._lowest, self._highest = low.min(axis=1), high.max(axis=1)
 
     @property
     def middles(self) -> Array:
@@ -216,7 +223,14 @@ class Panels:
         first, last = np.where(nothing, 0, first), np.where(nothing, count, last)
         # Of these, keep what has mass: the middles of the panels tell.
         starts, row, panel = _pairs(first, last)
-        log = self.log_weight[panel, 7] + self._at_middle(reading[row], panel)
+        at_middle = self._at_middle(reading[row], panel)
+        # Where nothing here is near the reading, what is beyond the window may be nearer.
+        astray = np.maximum.reduceat(at_middle - self._usual[panel], starts) < ASTRAY
+        if (astray & ~nothing).any():
+            first, last = np.where(astray, 0, first), np.where(astray, count, last)
+            starts, row, panel = _pairs(first, last)
+            at_middle = self._at_middle(reading[row], panel)
+        log = self.log_weight[panel, 7] + at_middle
         top = np.maximum.reduceat(log, starts)
         refuse_impossible(reading, top)
         slight = log < top[row] - NEGLIGIBLE
@@ -273,8 +287,10 @@ class Panels:
         ]
         beyond = self._beyond(row, panel, weight, len(reading)) / mass[0]
         errors = [np.maximum(error, beyond * sd) for error in errors]
-        low, high = self._probable(reading)
-        return mean, sd, *errors, np.log(mass[0]) + top, low >= high
+        y = reading[row]
+        probable = ((self._lowest[panel] <= y) & (y <= self._highest[panel])).all(axis=1)
+        improbable = ~np.logical_or.reduceat(probable, starts)
+        return mean, sd, *errors, np.log(mass[0]) + top, improbable
 
     def _beyond(self, row: Index, panel: Index, weight: Array, count: int) -> Array:
         """The mass beyond the ends of the axis, were the density of r to stay what it is there."""

@@ -35,8 +35,11 @@ def quadrature(
     panels = panels_of(observer)
     m = panels.moments(reading)
     error = np.maximum(m.mean_error, m.sd_error) / m.sd
-    status = np.where(error > (tolerance or TOLERANCE[0]), Status.IMPRECISE, Status.CONVERGED)
-    status = np.where(m.improbable, Status.IMPROBABLE_READING, status)
+    wanted = tolerance or TOLERANCE[0]
+    status = np.where(error <= wanted, Status.CONVERGED, Status.IMPRECISE)
+    # Of an odd reading digits are of no interest, but numbers that may be anything are.
+    odd = m.improbable & (error <= max(wanted, TOLERANCE[1]))
+    status = np.where(odd, Status.IMPROBABLE_READING, status)
 
     def quantile_of(p: Array, unknown: int) -> Array:
         return panels.quantiles(reading, p)
@@ -128,7 +131,8 @@ def _part(observer: Observer, reading: Array, tolerance: float) -> _Part:
     # Along a ridge a few per cent are of no interest; numbers that may be anything are.
     precise = (np.maximum(found.mean_error, found.sd_error) < LOST).all(axis=1)
     status[unidentified & ((status != Status.IMPRECISE) | precise)] = Status.UNIDENTIFIED
-    status[is_improbable(observer, reading, contact)] = Status.IMPROBABLE_READING
+    right = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED))
+    status[right & is_improbable(observer, reading, contact)] = Status.IMPROBABLE_READING
     return _Part(mode, found, status, unidentified)
 
 
