@@ -84,7 +84,7 @@ def test_the_maps_are_drawn() -> None:
         warnings.simplefilter("ignore")
         cases = hunting.hunt(DOMAINS["quadrature, log-normal"], 6, 0, 1)
     cases = cases.assign(panel="quadrature, one unknown", x=cases["distance"], y=cases["k"])
-    assert len(stability.draw(cases).axes) == 12
+    assert len(stability.draw(cases).axes) == 15
     counts = stability.summary(cases)
     assert counts[["right", "warned", "refused", "silent", "unjudged"]].to_numpy().sum() == 12
 
