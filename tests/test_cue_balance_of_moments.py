@@ -49,6 +49,24 @@ def test_angle_and_outcome_are_those_of_the_step_by_step_search(whisker, impact,
     assert np.allclose(angle[:, 0], expected.balance_angle, rtol=1e-7, equal_nan=True)
 
 
+@pytest.mark.parametrize("cue", [KNOWN, LATE], ids=repr)
+@pytest.mark.parametrize("model", [None, "closed_form"])
+def test_the_balance_is_one_from_the_base_to_the_last(cue, model):
+    """Three Newton steps from a table, or brackets: either way the effort is the known one."""
+    last = _last(cue, model)
+    share = np.concatenate([np.geomspace(1e-9, 0.1, 50), 1 - np.geomspace(1e-9, 0.9, 200)])
+    r = share * last
+    angle, outcome = cue.signals(W, r[:, None], model=model)
+    assert (outcome == Outcome.HELD).all()
+    assert np.allclose(cue._effort(W, r, angle[:, 0], model), cue.effort, rtol=1e-11, atol=0)
+
+
+def _last(cue, model):
+    r = np.linspace(0.01, 1, 5000) * W.length
+    held = cue.signals(W, r[:, None], model=model)[1] == Outcome.HELD
+    return r[held].max()
+
+
 def test_figure_3s_whisker_holds_as_far_as_the_paper_says():
     """§2h: "flick past the object when contact occurred at around 70 per cent"."""
     assert KNOWN.farthest(W) / W.length == pytest.approx(0.685, abs=1e-3)

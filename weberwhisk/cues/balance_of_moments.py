@@ -19,6 +19,9 @@ from ..whisker import Whisker
 from .angle_side_angle import ANGLE_SD
 from .protocol import Array, straight
 
+#: Steps of Newton's method, with slopes read off a table; relative size of the last that ends it.
+STEPS, ENDED = 3, 1e-10
+
 
 class BalanceOfMoments:
     """Radial distance from the angle θ_b at which muscle and bent whisker balance (§2h).
@@ -141,16 +144,43 @@ class BalanceOfMoments:
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Rotation at which the known effort is reached, and whether it ever is, (n,) each."""
         assert self.effort is not None
+        top, balanced = self._ends(whisker, r, model)
+        angle, slope = _guesses(self, whisker, model)(r)
+        near = np.flatnonzero(balanced & (angle > 0))
+        at, end, step = r[near], top[near], np.full(near.shape, np.inf)
+        for _ in range(STEPS):
+            step = (self.effort - self._effort(whisker, at, angle[near], model)) / slope[near]
+            angle[near] = np.clip(angle[near] + step, 0.0, end)
+        # Next to the last balance, within brackets.
+        ended = np.zeros(r.shape, dtype=bool)
+        ended[near] = np.abs(step) <= ENDED * angle[near]
+        left = balanced & ~ended
+        angle[left] = self._bracketed(whisker, r[left], top[left], model)
+        return angle, balanced
+
+    def _ends(
+        self, whisker: Whisker, r: Array, model: str | None
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """The largest rotation, and whether the known effort is reached by then, (n,) each."""
+        assert self.effort is not None
         top = np.full(r.shape, self.room)
         if model != "closed_form":
             top = np.nan_to_num(self.largest_angle(whisker, r)) * (1 - 1e-12)
-        left, right = np.zeros(r.shape), top
-        balanced = self._effort(whisker, r, top, model) >= self.effort
-        for _ in range(54):
-            middle = (left + right) / 2
-            under = self._effort(whisker, r, middle, model) < self.effort
-            left, right = np.where(under, middle, left), np.where(under, right, middle)
-        return left, balanced
+        return top, np.asarray(self._effort(whisker, r, top, model) >= self.effort)
+
+    def _bracketed(self, whisker: Whisker, r: Array, top: Array, model: str | None) -> Array:
+        """The rotations (n,) below `top` at which the known effort is reached there, or before."""
+        from scipy.optimize.elementwise import find_root
+
+        known = self.effort
+        assert known is not None
+
+        def excess(theta: Array, *r: Any) -> Array:
+            return self._effort(whisker, r[0], theta, model) - known
+
+        ends = (np.zeros(r.shape), top)
+        found = find_root(excess, ends, args=(r,), tolerances={"fatol": 0.0})
+        return np.asarray(found.x)
 
     def signals(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
@@ -265,6 +295,32 @@ def _peaks(cue: BalanceOfMoments, whisker: Whisker) -> Callable[[Array], Array]:
         np.concatenate([[0.0], share, [1.0]]), ends
     )
     return interpolant
+
+
+@lru_cache(maxsize=64)
+def _guesses(
+    cue: BalanceOfMoments, whisker: Whisker, model: str | None
+) -> Callable[[Array], tuple[Array, Array]]:
+    """Nearly the rotation at a balance, and d effort/dθ there, as functions of r (n,), m.
+
+    Near the base the one goes with r, the other with 1/r; NaN past the last balance.
+    """
+    from scipy.interpolate import CubicSpline
+
+    r = whisker.length * (1 - np.cos(np.linspace(0, np.pi, 258)[1:-1])) / 2
+    top, balanced = cue._ends(whisker, r, model)
+    r = r[balanced]
+    if r.size < 2:
+        return lambda r: (np.full(r.shape, np.nan), np.full(r.shape, np.nan))
+    angle = cue._bracketed(whisker, r, top[balanced], model)
+    slope = cue._slopes(whisker, r, angle, model)[1]
+    table = CubicSpline(r, np.stack([angle / r, slope * r], axis=-1), extrapolate=False)
+
+    def guess(at: Array) -> tuple[Array, Array]:
+        ratio, product = table(np.maximum(at, r[0])).T
+        return ratio * at, product / at
+
+    return guess
 
 
 @lru_cache(maxsize=64)

@@ -35,7 +35,8 @@ class SpaceMap:
 
     signal_names: tuple[str, ...] = (*SIGNALS, "moment_direction", "force_direction")
     unknowns: tuple[str, ...] = ("radial_distance", "deflection_angle", "azimuth")
-    _plane = ForceMap(SIGNALS)
+    #: The cue without the azimuth, which the directions alone tell of and which tells of no more.
+    all_but_last = ForceMap(SIGNALS)
 
     def __repr__(self) -> str:
         return "SpaceMap()"
@@ -45,7 +46,7 @@ class SpaceMap:
     ) -> tuple[Array, NDArray[np.int8]]:
         """Moment, axial and transverse force, and the two directions, (..., 5); outcome."""
         contact = np.asarray(contact, dtype=float)
-        sizes, outcome = self._plane.signals(whisker, contact[..., :2], model=model)
+        sizes, outcome = self.all_but_last.signals(whisker, contact[..., :2], model=model)
         turn = np.where(outcome == Outcome.HELD, contact[..., 2], np.nan)[..., None]
         return np.concatenate([sizes, turn, turn], axis=-1), outcome
 
@@ -53,7 +54,7 @@ class SpaceMap:
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
         """The signals as a function of the azimuth (...), the rest of the contact given."""
-        sizes, outcome = self._plane.signals(whisker, contact, model=model)
+        sizes, outcome = self.all_but_last.signals(whisker, contact, model=model)
         signals = np.empty((*outcome.shape, 5))
         signals[..., :3] = sizes
         lost = outcome != Outcome.HELD
@@ -70,7 +71,7 @@ class SpaceMap:
         """Derivatives (..., 5, 3) of the signals with respect to r, θ_d and ω."""
         contact = np.asarray(contact, dtype=float)
         out = np.zeros((*contact.shape[:-1], 5, 3))
-        out[..., :3, :2] = self._plane.jacobian(whisker, contact[..., :2], model=model)
+        out[..., :3, :2] = self.all_but_last.jacobian(whisker, contact[..., :2], model=model)
         out[..., 3:, 2] = 1.0
         return out
 

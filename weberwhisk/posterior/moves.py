@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 #: Share of a posterior's mass below which a cell is not drawn from.
 LEAST_SHARE = 1e-5
+#: How much wider than at the middle of its cell the last coordinate's proposals are.
+WIDER = 1.2
 #: Proposals worked out together, unless one step takes more, and the most steps that they are for.
 AHEAD, MOST_AHEAD = 24_000, 32
 
@@ -138,6 +140,9 @@ class StackedGrid(StackedMove):
     missed something, walkers linger there, which the other moves of a mixture help and the run's
     diagnostics see.
 
+    The last coordinate need not be on the grid: given its mean and sd at every node, it is drawn
+    from a normal distribution, somewhat wider.
+
     As no proposal depends on a walker, all move at once, and where few posteriors are left the
     proposals of many steps are drawn and their densities worked out together.
 
@@ -145,6 +150,8 @@ class StackedGrid(StackedMove):
     ----------
     nodes : sequence of Nodes
         The weighted grid of every posterior.
+    last : sequence of array, shape (N, 2), optional
+        Mean and sd of the last coordinate at the nodes of each.
     wide : float
         Share of the proposals that are Student's t.
     freedom : float
@@ -157,6 +164,7 @@ class StackedGrid(StackedMove):
         rng: np.random.Generator,
         *,
         nodes: Sequence[Nodes],
+        last: Sequence[Array] | None = None,
         wide: float = 0.05,
         freedom: float = 5.0,
     ) -> None:
@@ -185,6 +193,10 @@ class StackedGrid(StackedMove):
         self.stride = np.cumprod(self.shape[:, ::-1], axis=1)[:, ::-1] // self.shape
         self.density = share / np.repeat(np.abs(np.linalg.det(self.edges)), sizes)
         share, points = share[self.drawn], self.points[self.drawn]
+        self.last = None
+        if last is not None:
+            self.last = np.concatenate(last) * [1.0, WIDER]
+            points = np.column_stack([points, self.last[self.drawn, 0]])
         starts = np.searchsorted(block, np.arange(len(nodes)))
         self.centre = np.add.reduceat(share[:, None] * points, starts)
         off = points - self.centre[block]
@@ -194,7 +206,11 @@ class StackedGrid(StackedMove):
             axis=1,
         )
         # No narrower than a cell, should a single node hold all of the mass.
-        covariance += self.edges @ self.edges.swapaxes(1, 2) / 12
+        inside = self.edges @ self.edges.swapaxes(1, 2) / 12
+        covariance[:, : inside.shape[1], : inside.shape[1]] += inside
+        if self.last is not None:
+            square = np.square(self.last[self.drawn, 1])
+            covariance[:, -1, -1] += np.add.reduceat(share * square, starts)
         self.root = 1.3 * np.linalg.cholesky(covariance)
         self.inverse = np.linalg.inv(self.root)
         half = (freedom + dim) / 2
@@ -206,7 +222,7 @@ class StackedGrid(StackedMove):
         self.alive = np.arange(posteriors)
         # Of the proposals ahead, (b, steps, rows, ...): places, log-densities, ln of their own.
         self.ahead: list[Array] = []
-        self.seen = np.full((posteriors, rows, self.points.shape[1]), np.nan)
+        self.seen = np.full((posteriors, rows, self.centre.shape[1]), np.nan)
         self.proposed = np.empty((posteriors, rows))  # ln of the proposals' density at `seen`
 
     def leave(self, stay: NDArray[np.bool_]) -> None:
@@ -254,6 +270,11 @@ class StackedGrid(StackedMove):
         inside = self.rng.random((*size, self.points.shape[1])) - 0.5
         x = self.points[node] + inside @ self.edges[self.alive].swapaxes(1, 2)
         within = self.density[node]
+        if self.last is not None:
+            z = self.rng.standard_normal(size)
+            mean, sd = np.moveaxis(self.last[node], -1, 0)
+            x = np.concatenate([x, (mean + sd * z)[..., None]], axis=-1)
+            within = within * _normal(z) / sd
         far = np.nonzero(self.rng.random(size) < self.wide)
         block = self.alive[far[0]]
         z = self.rng.standard_normal((len(block), x.shape[-1]))
@@ -268,12 +289,17 @@ class StackedGrid(StackedMove):
 
     def within(self, x: Array, index: NDArray[np.intp]) -> Array:
         """The density of the cells at x; 0 outside the grid."""
-        steps = (x - self.origin[index][:, None]) @ self.into_cells[index].swapaxes(1, 2)
+        on_grid = x[..., : self.points.shape[1]]
+        steps = (on_grid - self.origin[index][:, None]) @ self.into_cells[index].swapaxes(1, 2)
         top = self.shape[index][:, None] - 1
         cell = np.clip(np.rint(steps), 0, top).astype(np.intp)
         node = self.first[index][:, None] + (cell * self.stride[index][:, None]).sum(axis=-1)
         held = (np.abs(steps - cell) <= 0.5 + 1e-9).all(axis=-1)
-        return np.where(held, self.density[node], 0.0)
+        density = np.where(held, self.density[node], 0.0)
+        if self.last is None:
+            return density
+        mean, sd = np.moveaxis(self.last[node], -1, 0)
+        return np.asarray(density * _normal((x[..., -1] - mean) / sd) / sd)
 
     def mixture(self, x: Array, within: Array, index: NDArray[np.intp]) -> Array:
         """ln of the cells' density `within` at x and of Student's t, each with its share."""
@@ -282,3 +308,8 @@ class StackedGrid(StackedMove):
         fall = np.exp(power * np.log(1 + np.square(z).sum(axis=-1) / self.freedom))
         tails = self.height[index][:, None] * fall
         return np.asarray(np.log((1 - self.wide) * within + self.wide * tails))
+
+
+def _normal(z: Array) -> Array:
+    """The standard normal density."""
+    return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi))

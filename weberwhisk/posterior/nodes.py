@@ -24,12 +24,15 @@ class Nodes:
         Nodes along each axis of the grid; their product is N, the last axis runs fastest.
     edges : array, shape (D, D)
         Column k is the step between neighbours along axis k.
+    values : array, shape (N, Q), optional
+        Functions of the points.
     """
 
     points: Array
     weights: Array
     shape: tuple[int, ...]
     edges: Array
+    values: Array | None = None
 
     def quantile(self, values: ArrayLike, probability: ArrayLike) -> Array:
         """Quantiles of a quantity given at the nodes.

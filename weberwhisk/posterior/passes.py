@@ -34,6 +34,7 @@ class Pass:
     axis_error: Array  # (b, D): what the spacing along one axis does
     points: Array
     weights: Array
+    values: Array  # (b, N, Q): the functions
     edges: Array
     shape: tuple[int, ...]
 
@@ -49,7 +50,8 @@ class Pass:
     def nodes(self, i: int) -> Nodes:
         """The nodes of one posterior."""
         weights = self.weights[i] / max(self.weights[i].sum(), np.finfo(float).tiny)
-        return Nodes(self.points[i].copy(), weights, self.shape, self.edges[i])
+        points, values = self.points[i].copy(), self.values[i].copy()
+        return Nodes(points, weights, self.shape, self.edges[i], values)
 
 
 def evaluate(
@@ -124,6 +126,7 @@ def evaluate(
         axis_error=np.stack(alone, axis=-1),
         points=points,
         weights=weights,
+        values=values[..., work.dim - first :],
         edges=work.root[index] * spacing[:, None],
         shape=tuple(int(n) for n in counts),
     )

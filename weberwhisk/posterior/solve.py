@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .._checks import one_of
 from ..observer import Observer
 from ..receptors import Seed
+from .apart import factors_of, solve_apart
 from .result import Estimate, Posterior, Status
 from .solution import Array, Solution
 
@@ -54,7 +55,8 @@ def posterior(
     method : {"quadrature", "emcee", "laplace"}
         Quadrature is the reference: exact to about 1e-10 in one dimension, to `tolerance` in two.
         emcee samples thousands of posteriors stacked in one run. Laplace is the Gaussian at the
-        mode, and says where that will not do.
+        mode, and says where that will not do. An unknown that shares no signal with the others
+        (`SpaceMap`'s azimuth) is integrated by itself, whatever the method.
     seed : int, SeedSequence or Generator
         Of emcee's walkers; NumPy's global state is neither read nor changed.
     tolerance : float, optional
@@ -91,7 +93,15 @@ def posterior(
     rows = y.reshape(-1, y.shape[-1])
     solve = getattr(import_module(f".{module}", __package__), function)
     _keep_memory()
-    solution: Solution = solve(observer, rows, seed, tolerance, progress)
+
+    def solved(observer: Observer, rows: Array) -> Solution:
+        found: Solution = solve(observer, rows, seed, tolerance, progress)
+        return found
+
+    factors = factors_of(observer)
+    solution = (
+        solved(observer, rows) if factors is None else solve_apart(solved, observer, factors, rows)
+    )
 
     def shaped(values: Array) -> Any:
         return values[0] if single else values

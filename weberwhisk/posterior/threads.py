@@ -8,7 +8,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
+from functools import cache
 from typing import TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 from ..cores import core_count
 
@@ -28,6 +31,12 @@ def thread_count() -> int:
         return 1
     asked = os.environ.get("OMP_NUM_THREADS", "")
     return min(core_count(), max(int(asked), 1)) if asked.isdecimal() else core_count()
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries of linear algebra, whose own threads spin while they wait for work."""
+    return ThreadpoolController()
 
 
 def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
@@ -51,7 +60,7 @@ def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Ite
         return function(task)
 
     # NumPy's error state belongs to the context, and a thread starts with a fresh one.
-    with ThreadPoolExecutor(count) as pool:
+    with _libraries().limit(limits=1, user_api="blas"), ThreadPoolExecutor(count) as pool:
         ahead: deque[Future[Result]] = deque()
         try:
             for task in waiting:

@@ -1,0 +1,95 @@
+"""An unknown that shares no signal with the others is integrated by itself."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm, truncnorm
+
+import weberwhisk as ww
+from weberwhisk import Status
+from weberwhisk.cues import ForceMap, SpaceMap
+from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.posterior.apart import factors_of
+from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+FLOOR = 0.05
+
+
+def noise_of(sizes):
+    models = {1: Weber(0.1), 2: GeneralisedWeber(0, floor=FLOOR), 3: Weber(0.1)}
+    return Joint([models[n] for n in sizes], sizes=sizes)
+
+
+def readings(observer, count):
+    rng = np.random.default_rng(5)
+    r, angle, turn = rng.uniform([0.2, 0.05, -3.1], [0.8, 0.3, 3.1], (count, 3)).T
+    return observer.read(np.stack([r * W.length, angle, turn], axis=-1), seed=6)
+
+
+@pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
+def test_each_factor_is_what_it_is_alone(method):
+    """The azimuth is exactly a normal distribution, cut off at ±π; the rest is `ForceMap`'s."""
+    observer = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
+    y = readings(observer, 24)
+    y[0, 3:] = np.pi + 0.04  # past the end of the range
+    y[1, 3:] = [-3.0, -3.1]
+    p = ww.posterior(observer, y, method, seed=1)
+    middle, sd = y[:, 3:].mean(axis=1), FLOOR / np.sqrt(2)
+    exact = truncnorm((-np.pi - middle) / sd, (np.pi - middle) / sd, middle, sd)
+    azimuth = p.estimates["azimuth"]
+    assert np.abs(azimuth.mean - exact.mean()).max() < 1e-5 * sd
+    assert np.abs(azimuth.sd / exact.std() - 1).max() < 1e-5
+    assert np.abs(p.quantile(0.1, of="azimuth") - exact.ppf(0.1)).max() < 0.02 * sd
+
+    alone = ww.posterior(ww.Observer(W, ForceMap(SIGNALS), Weber(0.1)), y[:, :3], method, seed=1)
+    assert np.array_equal(p.sd, alone.sd)
+    assert np.array_equal(p.status, alone.status)
+    assert np.array_equal(p.quantile([0.1, 0.9]), alone.quantile([0.1, 0.9]))
+    if method == "quadrature":
+        apart = (y[:, 3] - y[:, 4]) / np.sqrt(2)
+        inside = norm.cdf(exact.b) - norm.cdf(exact.a)
+        # Of two readings, N(ȳ; ω, s²/2) N(d; 0, s²) and the Jacobian 1/√2 of (ȳ, d).
+        factor = norm.logpdf(apart, scale=FLOOR) + np.log(inside / (2 * np.pi) / np.sqrt(2))
+        assert np.allclose(p.log_evidence, alone.log_evidence + factor, rtol=0, atol=1e-5)
+
+
+def test_draws_of_the_factors_stand_side_by_side():
+    observer = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
+    p = ww.posterior(observer, readings(observer, 3))
+    draws = p.draws_of(500, 1)
+    assert draws.shape == (3, 4, 500, 3)
+    for i, name in enumerate(observer.unknowns):
+        error = draws[..., i].mean(axis=(1, 2)) - p.estimates[name].mean
+        assert np.abs(error / p.estimates[name].sd).max() < 4 / np.sqrt(2000)
+    lone = draws[0, ..., 2].ravel()
+    assert abs(np.corrcoef(lone[:-1], lone[1:])[0, 1]) < 4 / np.sqrt(2000)
+
+
+def test_directions_that_contradict_each_other_are_improbable():
+    observer = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
+    y = readings(observer, 2)
+    y[1, 3:] = [0.0, 1.0]
+    assert ww.posterior(observer, y).status.tolist() == [0, Status.IMPROBABLE_READING]
+
+
+@pytest.mark.parametrize(("sizes", "apart"), [([3, 2], 2), ([3, 1, 1], 2), ([2, 3], None)])
+def test_noise_of_either_kind_of_signal_must_be_apart_too(sizes, apart):
+    found = factors_of(ww.Observer(W, SpaceMap(), noise_of(sizes)))
+    assert (found and found.signals) == apart
+
+
+def test_what_does_not_come_apart_is_integrated_whole():
+    assert factors_of(ww.Observer(W, ForceMap())) is None
+    whole = ww.Observer(
+        W, SpaceMap(), GeneralisedWeber([0.1] * 3 + [0] * 2, floor=[0] * 3 + [FLOOR] * 2)
+    )
+    split = ww.Observer(W, SpaceMap(), noise_of([3, 2]))
+    assert factors_of(whole) is None
+    y = readings(split, 12)
+    y = y[np.abs(y[:, 3]) < 2.8]
+    a, b = ww.posterior(whole, y), ww.posterior(split, y)
+    for name in split.unknowns:
+        off = np.abs(a.estimates[name].mean - b.estimates[name].mean)
+        assert np.all(off < 0.01 * b.estimates[name].sd)
+        assert np.allclose(a.estimates[name].sd, b.estimates[name].sd, rtol=0.01)
+    assert np.allclose(a.log_evidence, b.log_evidence, rtol=0, atol=0.02)
