@@ -109,7 +109,7 @@ def _where(
 def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:
     """Rung 2's signals and slopes one Newton step from a contact (arc, force), and its vouching.
 
-    And by how much of itself the step moved the moment.
+    And how large the step was: of the moment, of the contact and of the whisker that is left.
     """
     rows, angle = scene.planar()
     sign = np.where(scene.push < 0, -1.0, 1.0)
@@ -134,8 +134,10 @@ def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np
     numbers = numbers_of(beta, lever, along, s + ds, f + df, scene.friction, sign)
     with np.errstate(all="ignore"):
         moved = np.maximum(np.abs(numbers[0] / start[0] - 1), size)
+        # Next to the tip stiffness changes over what is left of the whisker.
+        size = np.maximum(moved, np.abs(ds) / (1 - s))
     good &= moved < LARGEST_STEP
-    return numbers[:3], slopes, good, np.where(good, moved, 0.0)
+    return numbers[:3], slopes, good, np.where(good, size, 0.0)
 
 
 def _spatial_step(scene: Scene, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
