@@ -40,7 +40,7 @@ STEPS_BEYOND = 512
 #: Most nodes of such a grid.
 MOST_NODES = 20_000
 #: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
-STACKED = 256
+STACKED = 1024
 
 
 def sample(
