@@ -154,15 +154,16 @@ def _moves(
 
 
 def _last(observer: Observer, nodes: Nodes) -> Array:
-    """Mean and sd (N, 2) of the last coordinate at nodes, from those of the last unknown."""
+    """Sd, mean and the mean's slopes (N, 1 + D) of the last coordinate, from the unknown's own."""
     assert nodes.values is not None
     mean, variance = nodes.values[:, -2:].T
     z = np.linspace(-8.0, 8.0, 4001)
     value = observer.last_unknown(z)
     low, middle, high = (np.interp(mean + s * np.sqrt(variance), value, z) for s in (-1, 0, 1))
-    # What is not known at nodes that hold nothing does not matter.
-    sd = np.where(high > low, (high - low) / 2, 1.0)
-    return np.stack([middle, sd], axis=-1)
+    known = high > low  # elsewhere are nodes that hold nothing
+    table = np.where(known, middle, np.nan).reshape(nodes.shape)
+    slopes = [np.nan_to_num(np.gradient(table, axis=k)).ravel() for k in range(table.ndim)]
+    return np.stack([np.where(known, (high - low) / 2, 1.0), middle, *slopes], axis=-1)
 
 
 def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:
