@@ -164,10 +164,11 @@ def weighed_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float]:
 def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Array, float]:
     """Quantiles of ln k, its sd, ln likelihood ratios at ±3 prior sds, and how well known."""
     drive = (levels - 1) / np.hypot(levels, 1)
-    windows = [(-5.5, 5.5)] * 4  # scores of k and of both lapses, the bias
+    # Scores of k (a perfect observer's far below what is believed) and of both lapses, the bias.
+    windows = [(-9.0, 5.5), *[(-5.5, 5.5)] * 3]
     pair = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]])
     lapses = stats.beta(0.3, 3)
-    for sizes in ((45, 15, 15, 41), (61, 15, 15, 41), (121, 19, 19, 41)):
+    for sizes in ((59, 15, 15, 41), (61, 15, 15, 41), (121, 19, 19, 41)):
         k, low, high, b = (np.linspace(*w, m) for w, m in zip(windows, sizes, strict=True))
         p_low, p_high = (lapses.ppf(ndtr(z))[:, None] for z in (low, high))
         p_low, p_high = p_low[:, None, :], p_high[None, :, :]

@@ -15,7 +15,7 @@ from weberwhisk import Observer
 
 Array = np.ndarray
 #: ln below the highest density at which a window ends; looks at it; nodes of each look.
-DEPTH, LOOKS, COARSE, FINE = 30.0, 7, (60, 41), (360, 41)
+DEPTH, LOOKS, COARSE, FINE = 60.0, 8, (80, 41), (360, 41)
 
 
 def _log_density(o: Observer, reading: Array, w: Array, v: Array, inner: int) -> Array:
@@ -47,7 +47,7 @@ def _log_density(o: Observer, reading: Array, w: Array, v: Array, inner: int) ->
 
 def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float]:
     """Mean and sd of the distance, and how well they are known (in sds)."""
-    windows = [(-14.0, 14.0), (-16.0, 16.0)]
+    windows = [(-14.0, 14.0), (-34.0, 16.0)]  # down to pushes of 1e-14 of the last
     for look in range(LOOKS):
         last = look == LOOKS - 1
         n, inner = FINE if last else COARSE

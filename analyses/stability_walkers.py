@@ -4,6 +4,10 @@ A user cannot place walkers: here the engine's own start is replaced by one ball
 far off as the hunt likes, for all ensembles, so that they agree with each other. Plain emcee is the
 engine without the proposals from a grid, by stretch and differential evolution alone. Whatever they
 say they have converged on is held against the same sums as any posterior.
+
+Of several peaks plain emcee knows the one in whose reach all its ensembles start, and nothing it
+can measure says that there is a higher one: that is what the engine's grid is for, with which it is
+tried, and plain emcee is not.
 """
 
 from __future__ import annotations
@@ -51,7 +55,7 @@ def changed(start: Array | None, width: float, *, plain: bool) -> Iterator[None]
         if start is not None:
             walkers._start = ball
         if plain:
-            walkers._moves = lambda density, mode: default_moves(mode.x.shape[1])
+            walkers._moves = lambda *given: default_moves(given[-1].x.shape[1])
             walkers.MOST_STEPS = PLAIN_STEPS
         yield
     finally:
@@ -93,5 +97,6 @@ DOMAINS = [
         )
         for plain in (False, True)
         for name in ("compliance", "vibration, phase", "force map")
+        if not plain or name != "vibration, phase"
     ),
 ]

@@ -79,8 +79,8 @@ def test_a_broken_likelihood_is_caught(name: str) -> None:
 
 
 def test_ignored_lapses_are_caught() -> None:
-    assumed = calibration.BROKEN_FITS["lapses ignored"]
-    ranks, _ = calibration.fit_ranks({"trials_per_level": 40}, 60, assumed=assumed, seed=15)
+    design, assumed = calibration.BROKEN_FITS["lapses ignored"]
+    ranks, _ = calibration.fit_ranks(design, 60, assumed=assumed, seed=15)
     assert calibration.uniform_p(ranks["weber_fraction"]) < RARE * 20
 
 

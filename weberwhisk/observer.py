@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 #: Values of each unknown that has a prior alone in `Observer.spread`.
 OTHERS = 7
+#: x₁ at the ends of the reach, as far as numbers go: the fraction 1e-32 and its mirror image.
+FARTHEST = 5.0
 
 
 class Observer:
@@ -411,7 +413,7 @@ def _to_normal(distribution: Any, value: Array) -> Array:
 
 def _place(y: Array) -> tuple[Array, Array]:
     """f = logistic(sinh y) and the ln of its slope."""
-    z = np.sinh(np.clip(y, -5.0, 5.0))  # the fraction 1e-32 and its mirror image
+    z = np.sinh(np.clip(y, -FARTHEST, FARTHEST))
     distance = np.abs(z)
     tail = np.exp(-distance)
     upper = 1 / (1 + tail)

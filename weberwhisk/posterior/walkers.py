@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..observer import Observer
+from ..observer import FARTHEST, Observer
 from ..receptors import Events, Seed
 from .densities import Density
 from .ensemble import (
@@ -67,7 +67,9 @@ def sample(
         apart, beyond = over_all_peaks(observer, rows)
 
         def density(x: Array, index: NDArray[np.intp]) -> Array:
-            return observer.log_density(x, rows[index, None])
+            value = observer.log_density(x, rows[index, None])
+            # Beyond, where contacts stay at an end, a density that stays too would let walkers go.
+            return np.where(np.abs(x[..., 0]) < FARTHEST, value, -np.inf)
 
         def contact(x: Array) -> Array:
             return observer.contact(x)[0]
