@@ -12,8 +12,8 @@ from weberwhisk import Outcome, Status
 from weberwhisk.cues import Compliance, ForceMap, Vibration, VibrissaLength
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.mechanics import modes
-from weberwhisk.posterior.peaks import count_peaks
-from weberwhisk.receptors import GeneralisedWeber
+from weberwhisk.posterior.peaks import count_peaks, is_divided, over_all_peaks
+from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 R = np.array([[10e-3], [25e-3], [42e-3]])
@@ -171,18 +171,43 @@ def test_amplitudes_leave_several_places_and_their_phases_one():
         assert np.all(np.diff(Vibration(2, phase=True).signals(whisker, r)[0][:, 0]) < 0)
 
 
-@pytest.mark.parametrize("method", ["emcee", "laplace"])
-def test_methods_that_climb_one_peak_say_that_there_are_more(method):
+@pytest.fixture(scope="module")
+def divided():
+    """An observer of six modes without phase, and readings with mass in several places."""
     observer = ww.Observer(W, Vibration(6))
     readings = observer.read(np.linspace(5e-3, 48e-3, 8)[:, None], seed=1)
+    apart = is_divided(observer, readings)
+    assert 2 <= apart.sum() < len(apart)
+    return observer, readings, apart
+
+
+def test_laplace_says_that_there_are_more_peaks_than_its_own(divided):
+    observer, readings, apart = divided
     exact = ww.posterior(observer, readings)
-    p = ww.posterior(observer, readings, method, seed=2)
+    p = ww.posterior(observer, readings, "laplace")
     wrong = np.abs(p.sd / exact.sd - 1) > 0.5
     assert wrong.sum() >= 2
     assert np.all(p.status[wrong] != Status.CONVERGED)
-    divided = count_peaks(observer, readings, 1 - 1e-6) > 1
-    assert np.all(np.isin(p.status[divided], [Status.SEVERAL_PEAKS, Status.NOT_CONVERGED]))
-    assert not np.any(p.status[~divided] == Status.SEVERAL_PEAKS)
+    assert np.all(p.status[apart] == Status.SEVERAL_PEAKS)
+    assert not np.any(p.status[~apart] == Status.SEVERAL_PEAKS)
+
+
+def test_walkers_jump_from_peak_to_peak_or_say_why_not():
+    """Converged, they are right; what a sample may well not see is said to be there."""
+    for count, k in ((2, 0.1), (6, 0.1), (3, 0.01)):
+        observer = ww.Observer(W, Vibration(count), Weber(k))
+        r = np.random.default_rng(1).uniform(5e-3, 48e-3, (40, 1))
+        readings = observer.read(r, seed=2)
+        exact = ww.posterior(observer, readings)
+        p = ww.posterior(observer, readings, "emcee", seed=3)
+        good = p.status == Status.CONVERGED
+        assert np.all(np.abs(p.mean - exact.mean)[good] < 5 * p.mean_error[good])
+        assert np.all(np.abs(p.sd - exact.sd)[good] < 5 * p.sd_error[good])
+        beyond = over_all_peaks(observer, readings)[1]
+        assert np.all(p.status[beyond] != Status.CONVERGED)
+        if count == 2:
+            assert is_divided(observer, readings).all()
+            assert good.mean() > 0.8
 
 
 def test_a_flat_top_is_one_peak():

@@ -228,10 +228,16 @@ def test_the_sketch_judges_as_the_fit_does():
 
 def test_the_best_scheme_beats_a_plain_one_in_simulation():
     limits = Constraints(nearest=8e-3, farthest=46e-3, step=0.1e-3, easy_share=0.15)
-    best = best_scheme(
+    chosen = best_scheme(
         (TAPERED, CYLINDRICAL), constraints=limits, standards=2, pairs=2, trials=180
-    ).scheme
+    )
+    best = chosen.scheme
     limits.check(best, TAPERED.percept)
+    # The value is what four in five experiments reach, by simulation.
+    assert chosen.value == chosen.table["value"].max()
+    other = ww.power(best, (TAPERED, CYLINDRICAL), runs=512, seed=9).runs
+    reached = other.groupby("truth")["log_bayes_factor"].quantile(0.2).min()
+    assert abs(chosen.value - reached) < 0.6
     plain = Scheme.spaced(TAPERED.percept, [15e-3, 25e-3, 35e-3], trials=10)
     assert best.n_trials <= plain.n_trials == 180
     found = [

@@ -23,6 +23,7 @@ from weberwhisk.posterior.moves import (
     StackedGrid,
     StackedStretch,
 )
+from weberwhisk.posterior.nodes import Nodes
 from weberwhisk.posterior.run import Shortfall
 
 Array = NDArray[np.float64]
@@ -490,20 +491,53 @@ def test_grid_proposals_leave_a_density_as_it_is(tolerance: float) -> None:
     assert np.all(np.abs(fit.sd[:, 1] - 1) < 4 * fit.mcse_sd[:, 1])
 
 
-def test_grid_proposals_are_drawn_from_the_density_they_claim() -> None:
+@pytest.mark.parametrize("beside", [False, True], ids=["whole", "last beside the grid"])
+def test_grid_proposals_are_drawn_from_the_density_they_claim(beside: bool) -> None:
     grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=0.5, keep_points=True)
     assert grid.nodes is not None
-    move = StackedGrid(800, np.random.default_rng(2), nodes=grid.nodes, wide=0.3)
+    last = [last_beside(nodes) for nodes in grid.nodes] if beside else None
+    move = StackedGrid(800, np.random.default_rng(2), nodes=grid.nodes, last=last, wide=0.3)
     move.begin(2, 800)
-    # E[1/q(x)] over draws of q that land in a box is the area of the box.
-    index = np.arange(2)
+    # E[1/q(x)] over draws of q that land in a box is the volume of the box.
+    index, half = np.arange(2), np.array([0.7, 1.5, 0.5])[: 2 + beside]
+    centre = np.column_stack([CENTRE, np.full(2, 0.1)])[:, : 2 + beside]
     inverse = []
     for _ in range(200):
         x, claimed = move.draw(400)
-        np.testing.assert_allclose(claimed, move.log_density(x, index), rtol=1e-12)
-        inside = (np.abs(x - CENTRE[:, None]) < [0.7, 1.5]).all(axis=-1)
+        np.testing.assert_allclose(claimed, move.log_density(x, index), rtol=1e-10)
+        inside = (np.abs(x - centre[:, None]) < half).all(axis=-1)
         inverse.append(np.where(inside, np.exp(-move.log_density(x, index)), 0.0))
     values = np.concatenate(inverse, axis=1)
     error = values.std(axis=1) / np.sqrt(values.shape[1])
-    assert np.all(error < 0.05)
-    assert np.all(np.abs(values.mean(axis=1) - 4 * 0.7 * 1.5) < 4 * error)
+    volume = np.prod(2 * half)
+    assert np.all(error < 0.03 * volume)
+    assert np.all(np.abs(values.mean(axis=1) - volume) < 4 * error)
+
+
+def last_beside(nodes: Nodes) -> Array:
+    """Sd, mean and its slopes of a last coordinate that goes with the first two, at the nodes."""
+    mean = (0.5 * nodes.points[:, 0] - 0.2 * nodes.points[:, 1] ** 2).reshape(nodes.shape)
+    slopes = [np.gradient(mean, axis=k).ravel() for k in range(2)]
+    return np.stack([np.full(mean.size, 0.4), mean.ravel(), *slopes], axis=-1)
+
+
+def test_a_last_coordinate_beside_the_grid_is_sampled_with_the_others() -> None:
+    """Its mean bends as the grid's second coordinate does; the moments are exact."""
+
+    def logs(x: Array, index: NDArray[np.intp]) -> Array:
+        mean = 0.5 * x[..., 0] - 0.2 * x[..., 1] ** 2
+        return gamma_logs(x[..., :2], index) - 0.5 * ((x[..., 2] - mean) / 0.4) ** 2
+
+    grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=0.2, keep_points=True)
+    assert grid.nodes is not None
+    guess = partial(StackedGrid, nodes=grid.nodes, last=list(map(last_beside, grid.nodes)))
+    centre = np.column_stack([CENTRE, np.zeros(2)])
+    start = centre[:, None, None] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 8, 3))
+    fit = sample_stacked(logs, start, seed=5, moves=[(guess, 1.0)], indexed=True)
+    assert fit.converged.all()
+    assert fit.acceptance.min() > 0.75
+    assert fit.tau.max() < 3
+    mean = 0.5 * special.digamma(GAMMA) - 0.2
+    sd = np.sqrt(0.25 * special.polygamma(1, GAMMA) + 0.2**2 * 2 + 0.4**2)
+    assert np.all(np.abs(fit.mean[:, 2] - mean) < 4 * fit.mcse_mean[:, 2])
+    assert np.all(np.abs(fit.sd[:, 2] - sd) < 4 * fit.mcse_sd[:, 2])

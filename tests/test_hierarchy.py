@@ -347,6 +347,17 @@ def test_a_reversed_animal_and_one_without_answers_stay_out() -> None:
     json.loads(fit.to_json())  # strict: what is not known is null
 
 
+@pytest.mark.parametrize(("spread", "told"), [(0.2, True), (1.0, False)])
+def test_biases_that_spread_otherwise_than_believed_are_told(spread: float, told: bool) -> None:
+    trials, _ = simulate_population(
+        8, trials_per_level=15, standards=[1.0, 2.0], offsets=[-0.3, -0.1, 0.1, 0.3],
+        bias_spread=spread, seed=2,
+    )  # fmt: skip
+    notes = " ".join(fit_population(trials, bias="per standard").notes)
+    assert ("many animals together pull k down" in notes) == told
+    assert bool(notes) == told
+
+
 def test_no_animal_at_all_is_an_outcome() -> None:
     trials, _ = animals(2)
     empty = Trials(trials.frame.assign(count=np.nan), trials.task)

@@ -12,6 +12,7 @@ from scipy.stats import beta, lognorm, norm
 import weberwhisk as ww
 from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
 from weberwhisk.behaviour.percepts import IdentityPercept
+from weberwhisk.behaviour.priors import PopulationPriors
 from weberwhisk.design import Animals, Goal, Hypothesis, Scheme, cues, noises, taper, with_priors
 from weberwhisk.design.experiments import Fitted, compare, fit, simulate
 from weberwhisk.design.power_analysis import _probit, reaches, sized, smallest
@@ -234,6 +235,57 @@ def test_intervals_cover_what_the_prior_draws():
     assert abs(np.mean(middle < k) - 0.5) < 4 * np.sqrt(0.25 / 600)
 
 
+def drawn_from_the_priors(hypothesis, scheme, runs, rng):
+    """Experiments on animals whose population is itself drawn from its priors, and its median k."""
+    model, prior, believed = hypothesis.model(scheme), PopulationPriors(), hypothesis.priors
+    shape = runs, scheme.animals
+    middle = believed.value("weber_fraction", rng.standard_normal(runs))
+    spread = prior.spread.rvs(runs, random_state=rng)[:, None]
+    k = middle[:, None] * np.exp(spread * rng.standard_normal(shape))
+    rho = believed.lapse_correlation
+    first, second = rng.standard_normal((2, *shape))
+    mean = prior.lapse_mean.rvs(runs, random_state=rng)[:, None]
+    width = prior.lapse_spread.rvs(runs, random_state=rng)[:, None]
+    low, high = (
+        believed.value(name, mean + width * z)
+        for name, z in (
+            ("lapse_low", first),
+            ("lapse_high", rho * first + np.sqrt(1 - rho**2) * second),
+        )
+    )
+    possible = (low + high < 1).all(axis=1)
+    low, high, k = (a[possible] for a in (low, high, k))
+    bias = rng.standard_normal((*k.shape, model.n_groups))
+    p, _ = model.probability(k, low, high, bias)
+    counts = rng.binomial(model.cells.n.astype(int), np.clip(p, 0, 1)).astype(float)
+    return counts, middle[possible]
+
+
+def covered(hypothesis, scheme, counts, k):
+    low, _, high = fit(hypothesis, scheme, counts).quantiles.T
+    return np.mean((low < k) & (k < high))
+
+
+@pytest.mark.parametrize(
+    ("animals", "runs"), [(4, 120), pytest.param(32, 300, marks=pytest.mark.slow)]
+)
+def test_intervals_cover_populations_that_the_priors_draw(animals, runs):
+    scheme = design((0.3, 0.9), 8).with_animals(animals)
+    counts, k = drawn_from_the_priors(TAPERED, scheme, runs, np.random.default_rng(1))
+    assert abs(covered(TAPERED, scheme, counts, k) - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(k))
+
+
+def test_a_prior_of_the_bias_as_wide_as_biases_are_covers_many_animals():
+    """Biases count in sds, which grow with k: PSEs closer than the prior has them lower k."""
+    scheme, runs = design((0.3, 0.9), 8).with_animals(16), 60
+    counts, k = simulate(TAPERED, scheme, Animals(), runs, np.random.default_rng(1))
+    (narrow,) = with_priors([TAPERED], bias=norm(0, 0.25))
+    assert covered(TAPERED, scheme, counts, k) < 0.5
+    assert covered(narrow, scheme, counts, k) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / runs)
+    wide, k = simulate(TAPERED, scheme, Animals(bias_spread=1.0), runs, np.random.default_rng(1))
+    assert covered(TAPERED, scheme, wide, k) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / runs)
+
+
 # -- power, assurance, and the smallest design ---------------------------------------------------
 
 
@@ -328,7 +380,7 @@ def test_goals_are_counted_as_they_are_said():
 
 
 def test_the_report_says_where_intervals_of_k_miss():
-    # Of many animals with few trials each, whose lapses only their own priors tell apart.
+    # Of many animals with few trials each, and biases far narrower than their prior.
     scheme = design((0.3, 0.9), 8).with_animals(32)
     found = ww.power(scheme, (TAPERED, CYLINDRICAL), truths=[TAPERED.name], runs=32, seed=1)
     assert found.table["coverage"][0] < 0.7

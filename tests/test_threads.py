@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
+from weberwhisk.campaign import all_cores
 from weberwhisk.posterior import threads, walkers
 
 
@@ -38,7 +39,7 @@ def test_nor_does_it_change_one_of_emcee(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_cores_and_who_may_use_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    assert threads.thread_count() == 8
+    assert threads.thread_count() == all_cores(None, None) == 8
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     assert threads.thread_count() == 3
     monkeypatch.setattr(multiprocessing, "parent_process", lambda: object())

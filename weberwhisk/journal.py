@@ -102,9 +102,9 @@ class Journal:
         self.sync()
         self._file.close()
 
-    def append(self, line: str) -> None:
-        """Add one line; it is in the system's hands, safe from this process being killed."""
-        self._file.write(line.encode("ascii") + b"\n")
+    def append(self, *lines: str) -> None:
+        """Add lines; they are in the system's hands, safe from this process being killed."""
+        self._file.write("".join(f"{line}\n" for line in lines).encode("ascii"))
         self._file.flush()
 
     def sync(self) -> None:

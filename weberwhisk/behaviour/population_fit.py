@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..posterior.arviz_io import to_arviz
+from .bias_spread import spread_note
 from .fit import fit_weber
 from .hierarchy import NAMES, Members, Population, integrate_population
 from .priors import PopulationPriors, Priors, priors_for
@@ -198,8 +199,12 @@ def fit_population(
 
     ln k of the animals is normal about the population's, and where sessions are told apart, those
     of a session about its animal's. So are the normal scores of the lapses, one mean and spread for
-    both ends; each session, or animal, has lapses of its own. Biases are not pooled. Everything is
-    integrated, nothing sampled.
+    both ends; each session, or animal, has lapses of its own. Everything is integrated, nothing
+    sampled.
+
+    Biases are not pooled: each has the prior of a single fit, and where many animals' are far
+    narrower or wider, k is pulled (by a third, where 32 animals of 96 trials have biases with an sd
+    of 0.2 and the prior has 1). `notes` say so, and which prior to give.
 
     Parameters
     ----------
@@ -277,6 +282,8 @@ def fit_population(
     kept = own[~left_out]
     animals = kept["subject"].unique()
     chosen = [fit for fit, out in zip(fits.values(), left_out, strict=True) if fit and not out]
+    spread = spread_note(chosen) if len(chosen) > 1 else None
+    notes = (*notes, spread) if spread else notes
     members = Members(
         tuple(tabulate(fit.model.merged(), fit.posterior.draws()) for fit in chosen),
         pd.factorize(kept["subject"])[0],

@@ -24,7 +24,9 @@ class ClusterLost(Exception):
 class Cluster:
     """The workers of a scheduler, whoever they are at the time.
 
-    The scheduler gives the task of a worker that dies to another one.
+    The scheduler gives the task of a worker that dies to another one. After some deaths it gives
+    up the tasks that were waiting there too, so a chunk is said to kill only when it has had the
+    whole cluster to itself.
 
     Parameters
     ----------
@@ -57,6 +59,7 @@ class Cluster:
         self._held: dict[Any, list[int]] = {}
         self._done: queues.Queue[Any] = queues.Queue()
         self._each = SECONDS
+        self._sole = False  # whether what is held is one chunk that may kill
         self._slots, self._counted = 1, -COUNT_EVERY
         self._wanted = versions()
 
@@ -68,10 +71,13 @@ class Cluster:
         if queue and time.monotonic() - self._counted > COUNT_EVERY:
             self._slots = 2 * max(sum(self._client.nthreads().values()), 1)
             self._counted = time.monotonic()
-        while queue and len(self._held) < self._slots:
+        while queue and len(self._held) < self._slots and not self._sole:
+            if queue[0] in alone and self._held:
+                return
             share = -(-len(queue) // (2 * self._slots))
             most = max(1, min(int(SECONDS / max(self._each, 1e-6)), share, MOST))
             numbers = portion(queue, alone, most)
+            self._sole = numbers[0] in alone
             future = self._client.submit(
                 _some, self._job.only(numbers), self._wanted, pure=False, retries=0
             )
@@ -82,12 +88,11 @@ class Cluster:
         from distributed import KilledWorker
 
         future = self._next()
-        numbers = self._held.pop(future)
+        numbers, sole, self._sole = self._held.pop(future), self._sole, False
         try:
             report, seconds = future.result()
         except KilledWorker:
-            # The scheduler has tried it on several workers already.
-            if len(numbers) == 1:
+            if sole:  # the scheduler has tried it on several workers already
                 return Report(deadly=numbers[0])
             return Report(suspects=numbers)
         except _Mismatch as error:

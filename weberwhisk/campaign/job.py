@@ -136,7 +136,7 @@ def encode(number: int, frame: pd.DataFrame) -> str:
         raise ValueError(
             f"work must return columns with different names, got {list(frame.columns)}."
         )
-    columns = {name: _plain(name, frame[name]) for name in frame.columns}
+    columns = {str(name): _plain(str(name), column) for name, column in frame.items()}
     record = {"chunk": number, "rows": len(frame), "columns": columns}
     return json.dumps(record, allow_nan=False)
 

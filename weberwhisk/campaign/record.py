@@ -75,9 +75,8 @@ class Record:
     def add(self, lines: dict[int, str]) -> int:
         """Keep what was done, once; returns how many were new."""
         new = {number: line for number, line in lines.items() if number not in self.lines}
-        for line in new.values():
-            if self._journal is not None:
-                self._journal.append(line)
+        if self._journal is not None:
+            self._journal.append(*new.values())
         self.lines |= new
         return len(new)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import _checks
+from ..cores import core_count
 from .cluster import Cluster, ClusterLost
 from .crews import MOST_DEATHS, Crew, Processes, Serial, WorkersDieAtBirth
 from .job import Chunk, Job, Report, Work, check_chunks, check_work
@@ -48,8 +49,8 @@ def run(
         ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, with the same columns
         always; a function at the top level of a module. `chunk` is a dict, `seed` a SeedSequence.
     chunks : iterable of dict
-        What may be written as JSON. Each costs 0.3 to 1 ms beside the work, so let them take 20 ms
-        or more; shorter ones are handed out many at a time.
+        What may be written as JSON. Each costs 0.1 to 1 ms beside the work, least on a quiet
+        machine, so let them take 20 ms or more; shorter ones are handed out many at a time.
     seed : int or SeedSequence
     workers : int
         1: this process. More: so many processes; a script that starts them needs
@@ -126,7 +127,7 @@ def all_cores(workers: int | None, scheduler: str | None) -> int:
         return workers
     if scheduler is not None:
         return 1
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return core_count()
 
 
 def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:

@@ -155,7 +155,8 @@ class BalanceOfMoments:
         ended = np.zeros(r.shape, dtype=bool)
         ended[near] = np.abs(step) <= ENDED * angle[near]
         left = balanced & ~ended
-        angle[left] = self._bracketed(whisker, r[left], top[left], model)
+        if left.any():
+            angle[left] = self._bracketed(whisker, r[left], top[left], model)
         return angle, balanced
 
     def _ends(
@@ -307,17 +308,24 @@ def _guesses(
     """
     from scipy.interpolate import CubicSpline
 
-    r = whisker.length * (1 - np.cos(np.linspace(0, np.pi, 258)[1:-1])) / 2
+    # Next to the last balance the rotation changes as a root does: evenly in phi.
+    phi = np.linspace(0, np.pi, 258)[1:-1]
+    low, high = 0.0, float(whisker.length)
+    for _ in range(50):
+        middle = (low + high) / 2
+        held = cue._ends(whisker, np.array([middle]), model)[1][0]
+        low, high = (middle, high) if held else (low, middle)
+    r = low * (1 - np.cos(phi)) / 2
     top, balanced = cue._ends(whisker, r, model)
-    r = r[balanced]
-    if r.size < 2:
+    if not balanced.all():  # none, or not in one stretch: all by brackets
         return lambda r: (np.full(r.shape, np.nan), np.full(r.shape, np.nan))
-    angle = cue._bracketed(whisker, r, top[balanced], model)
+    angle = cue._bracketed(whisker, r, top, model)
     slope = cue._slopes(whisker, r, angle, model)[1]
-    table = CubicSpline(r, np.stack([angle / r, slope * r], axis=-1), extrapolate=False)
+    table = CubicSpline(phi, np.stack([angle / r, slope * r], axis=-1))
 
     def guess(at: Array) -> tuple[Array, Array]:
-        ratio, product = table(np.maximum(at, r[0])).T
+        place = np.arccos(np.clip(1 - 2 * at / low, -1.0, 1.0))
+        ratio, product = table(np.maximum(place, phi[0])).T
         return ratio * at, product / at
 
     return guess

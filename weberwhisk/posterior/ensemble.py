@@ -121,7 +121,7 @@ def sample_stacked(
     moves: Sequence[tuple[MoveMaker, float]] | None = None,
     functions: Callable[[Array], ArrayLike] | None = None,
     precision: float = 0.02,
-    max_steps: int = 20_000,
+    max_steps: int | NDArray[np.int64] = 20_000,
     keep: int = 1024,
     indexed: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -159,7 +159,7 @@ def sample_stacked(
         runs that happened to see little of a heavy tail look surer than they should. With it none
         of 8000 posteriors with kurtosis 5 to 75 passed with an sd wrong by more than 10 %
         (`pytest -m slow`); without it 2 of 2500 did.
-    max_steps : int
+    max_steps : int or array of int, shape (B,)
         Steps after which posteriors that are not good enough are given up.
     keep : int
         Draws of each ensemble kept in the result, to a multiple of W.
@@ -193,11 +193,12 @@ def sample_stacked(
     places = _checked_start(start)
     if not 0 < precision < 1:
         raise ValueError(f"precision must lie between 0 and 1, got {precision}; 0.02 is usual.")
-    if max_steps < FEWEST_STEPS:
-        raise ValueError(
-            f"max_steps must be at least {FEWEST_STEPS}, got {max_steps}; 20000 is usual."
-        )
     posteriors, _, walkers, dim = places.shape
+    most = np.broadcast_to(max_steps, posteriors)
+    if most.min() < FEWEST_STEPS:
+        raise ValueError(
+            f"max_steps must be at least {FEWEST_STEPS}, got {most.min()}; 20000 is usual."
+        )
     rng = np.random.default_rng(seed)
     chosen = [(make(walkers, rng), weight) for make, weight in moves or default_moves(dim)]
     run = Run(log_density, places, chosen, rng, functions, indexed, max(keep // walkers, 8))
@@ -205,9 +206,10 @@ def sample_stacked(
     done = np.zeros(posteriors, dtype=bool)
     check = max(FIRST_CHECK, 2 * run.selected)
     while not done.all():
-        run.advance(min(check, max_steps))
-        last = run.steps >= max_steps
-        verdict = run.judge(precision, every=last)
+        waiting = ~done[run.alive]
+        run.advance(min(check, most[run.alive[waiting]].min()))
+        last = run.steps >= most[run.alive]
+        verdict = run.judge(precision, every=bool(last.any()))
         needed = verdict.pop("needed")
         fresh = ((verdict["shortfall"] == 0) | last) & ~done[run.alive]
         for name, value in verdict.items():

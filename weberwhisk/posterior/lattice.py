@@ -10,6 +10,7 @@ straight one, and a lattice that proves too wide is changed for a finer one.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from itertools import product
 from typing import NamedTuple
 
@@ -208,7 +209,9 @@ class _Flood:
         with np.errstate(invalid="ignore", over="ignore"):
             pull = np.where(unit > 0, about / np.where(unit > 0, unit, 1.0) ** 2, 0.0)
             pull = pull[:, :-1] if self.nested else pull
-            outer, inner = np.split((own[:, 0] + pull.max(axis=1)) / mass[row, None], 2, axis=1)
+            # Far quicker than a maximum along an axis this short.
+            most = own[:, 0] + reduce(np.maximum, np.moveaxis(pull, 1, 0))
+            outer, inner = np.split(most / mass[row, None], 2, axis=1)
             fall = np.minimum(outer / np.where(inner > 0, inner, 1.0), SLOWEST)
         fall = np.where(inner > 0, fall, SLOWEST)
         return np.asarray(2 * outer * fall / (1 - fall))

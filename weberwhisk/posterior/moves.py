@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 #: Share of a posterior's mass below which a cell is not drawn from.
 LEAST_SHARE = 1e-5
 #: How much wider than at the middle of its cell the last coordinate's proposals are.
-WIDER = 1.2
+WIDER = 1.1
 #: Proposals worked out together, unless one step takes more, and the most steps that they are for.
 AHEAD, MOST_AHEAD = 24_000, 32
 
@@ -140,8 +140,8 @@ class StackedGrid(StackedMove):
     missed something, walkers linger there, which the other moves of a mixture help and the run's
     diagnostics see.
 
-    The last coordinate need not be on the grid: given its mean and sd at every node, it is drawn
-    from a normal distribution, somewhat wider.
+    The last coordinate need not be on the grid: given its mean and sd at every node, and how the
+    mean changes from node to node, it is drawn from a normal distribution, somewhat wider.
 
     As no proposal depends on a walker, all move at once, and where few posteriors are left the
     proposals of many steps are drawn and their densities worked out together.
@@ -150,8 +150,9 @@ class StackedGrid(StackedMove):
     ----------
     nodes : sequence of Nodes
         The weighted grid of every posterior.
-    last : sequence of array, shape (N, 2), optional
-        Mean and sd of the last coordinate at the nodes of each.
+    last : sequence of array, shape (N, 1 + D), optional
+        Sd and mean of the last coordinate at the nodes of each, and the slopes of the mean, a step
+        along each of the grid's D - 1 axes.
     wide : float
         Share of the proposals that are Student's t.
     freedom : float
@@ -195,8 +196,9 @@ class StackedGrid(StackedMove):
         share, points = share[self.drawn], self.points[self.drawn]
         self.last = None
         if last is not None:
-            self.last = np.concatenate(last) * [1.0, WIDER]
-            points = np.column_stack([points, self.last[self.drawn, 0]])
+            self.last = np.concatenate(last)
+            self.last[:, 0] *= WIDER
+            points = np.column_stack([points, self.last[self.drawn, 1]])
         starts = np.searchsorted(block, np.arange(len(nodes)))
         self.centre = np.add.reduceat(share[:, None] * points, starts)
         off = points - self.centre[block]
@@ -209,7 +211,7 @@ class StackedGrid(StackedMove):
         inside = self.edges @ self.edges.swapaxes(1, 2) / 12
         covariance[:, : inside.shape[1], : inside.shape[1]] += inside
         if self.last is not None:
-            square = np.square(self.last[self.drawn, 1])
+            square = np.square(self.last[self.drawn, 0])
             covariance[:, -1, -1] += np.add.reduceat(share * square, starts)
         self.root = 1.3 * np.linalg.cholesky(covariance)
         self.inverse = np.linalg.inv(self.root)
@@ -272,7 +274,7 @@ class StackedGrid(StackedMove):
         within = self.density[node]
         if self.last is not None:
             z = self.rng.standard_normal(size)
-            mean, sd = np.moveaxis(self.last[node], -1, 0)
+            mean, sd = self.of_last(self.last, node, inside)
             x = np.concatenate([x, (mean + sd * z)[..., None]], axis=-1)
             within = within * _normal(z) / sd
         far = np.nonzero(self.rng.random(size) < self.wide)
@@ -298,8 +300,16 @@ class StackedGrid(StackedMove):
         density = np.where(held, self.density[node], 0.0)
         if self.last is None:
             return density
-        mean, sd = np.moveaxis(self.last[node], -1, 0)
+        mean, sd = self.of_last(self.last, node, steps - cell)
         return np.asarray(density * _normal((x[..., -1] - mean) / sd) / sd)
+
+    @staticmethod
+    def of_last(last: Array, node: NDArray[np.intp], inside: Array) -> tuple[Array, Array]:
+        """Mean and sd of the last coordinate, at places inside cells, in steps from the nodes."""
+        sd, mean, *slopes = (column[node] for column in last.T)
+        for k, slope in enumerate(slopes):
+            mean = mean + slope * inside[..., k]
+        return mean, sd
 
     def mixture(self, x: Array, within: Array, index: NDArray[np.intp]) -> Array:
         """ln of the cells' density `within` at x and of Student's t, each with its share."""

@@ -238,6 +238,11 @@ class Panels:
         last = np.maximum.reduceat(np.where(slight, -1, panel), starts) + 1
         return np.maximum(first - 1, 0), np.minimum(last + 1, count)
 
+    def ends(self, reading: Array) -> tuple[Array, Array]:
+        """Between which x (B,) readings (B, S) have mass."""
+        first, last = self._window(reading)
+        return self.left[first], self.left[last - 1] + 2 * self.half[last - 1]
+
     def moments(self, reading: Array, *, rows: int = 128) -> PanelMoments:
         """Moments of r for readings (B, S)."""
         if isinstance(self.observer.noise, Events) and len(reading) > 1:

@@ -10,8 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite
 from ..observer import Observer
 from .mode import Mode, find_mode, starting_points
+from .nodes import Nodes
 from .panels import panels_of
 from .solution import Array
+
+#: Nodes over all peaks of one posterior; the difference, in sds, of what either half gives; and
+#: the kurtosis from which some thousand draws may not have seen what makes the sd.
+CELLS, RESOLVED, HEAVIEST = 1024, 0.1, 8.0
 
 
 def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> Any:
@@ -77,11 +82,49 @@ def find_highest(observer: Observer, reading: Array) -> Mode:
 def is_divided(observer: Observer, reading: Array) -> NDArray[np.bool_]:
     """Posteriors (B,) of one unknown whose mass lies apart: methods that climb miss some of it.
 
-    A millionth of the mass, as far off as the base is from the tip, still widens a narrow peak.
+    A billionth of the mass, as far off as the base is from the tip, still widens a narrow peak.
     """
     if len(observer.unknowns) > 1:
         return np.zeros(len(reading), dtype=bool)
-    return np.asarray(count_peaks(observer, reading, 1 - 1e-6) > 1)
+    return np.asarray(count_peaks(observer, reading, 1 - 1e-9) > 1)
+
+
+def over_all_peaks(
+    observer: Observer, reading: Array
+) -> tuple[dict[int, Nodes], NDArray[np.bool_]]:
+    """Evenly spaced nodes over all the mass of those posteriors of which it lies apart.
+
+    By their rows; and of which of the posteriors (B,) draws of these would not tell enough: half
+    of the nodes give other moments than the other half, or so little mass lies so far off that a
+    sample may well do without.
+    """
+    rows = np.flatnonzero(is_divided(observer, reading))
+    nodes: dict[int, Nodes] = {}
+    beyond = np.zeros(len(reading), dtype=bool)
+    if not rows.size:
+        return nodes, beyond
+    for row, low, high in zip(rows, *panels_of(observer).ends(reading[rows]), strict=True):
+        step = (high - low) / CELLS
+        x = low + step * (np.arange(CELLS) + 0.5)
+        log, contact = observer.log_density_and_contact(x[:, None], reading[row])
+        weight = np.exp(log - log.max())
+        halves = [_moments(contact[k::2, 0], weight[k::2]) for k in (0, 1)]
+        (mean, sd, kurtosis), (other, width, tails) = halves
+        change = max(abs(mean - other), abs(sd - width)) / max(sd, width, 1e-300)
+        beyond[row] = not (change < RESOLVED and max(kurtosis, tails) < HEAVIEST)
+        nodes[int(row)] = Nodes(x[:, None], weight / weight.sum(), (CELLS,), np.array([[step]]))
+    return nodes, beyond
+
+
+def _moments(r: Array, weight: Array) -> tuple[float, float, float]:
+    """Mean, sd and kurtosis."""
+    share = weight / np.maximum(weight.sum(), np.finfo(float).tiny)
+    mean = float(share @ r)
+    square = np.square(r - mean)
+    variance = float(share @ square)
+    # All on a single node, or on none, is not resolved.
+    kurtosis = float(share @ square**2) / variance**2 if variance > 0 else np.inf
+    return mean, variance**0.5, kurtosis
 
 
 def _count(density: Array, weight: Array, mass: float) -> int:

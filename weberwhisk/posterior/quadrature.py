@@ -24,7 +24,7 @@ from .tiles import AllUnknowns, Engine
 #: and more.
 TOLERANCE = (1e-6, 1e-2)
 #: Posteriors that are worked on together, by one thread.
-TOGETHER = 1024
+TOGETHER = 2048
 
 
 def quadrature(

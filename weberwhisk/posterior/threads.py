@@ -13,6 +13,8 @@ from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+from ..cores import core_count
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -27,10 +29,8 @@ def thread_count() -> int:
     """
     if multiprocessing.parent_process() is not None:
         return 1
-    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
-    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     asked = os.environ.get("OMP_NUM_THREADS", "")
-    return min(cores, max(int(asked), 1)) if asked.isdecimal() else cores
+    return min(core_count(), max(int(asked), 1)) if asked.isdecimal() else core_count()
 
 
 @cache

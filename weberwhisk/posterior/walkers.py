@@ -23,7 +23,7 @@ from .mode import Mode
 from .moves import StackedGrid
 from .nodes import Nodes
 from .nuisance import LastUnknown
-from .peaks import find_highest, is_divided
+from .peaks import find_highest, over_all_peaks
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
 from .threads import on_threads
@@ -35,10 +35,12 @@ ENSEMBLES = 4
 GRID_TOLERANCE = (0.03, 0.2)
 #: Steps after which a posterior that has not converged is called so: one unknown, and more.
 MOST_STEPS = (20_000, 6_000)
+#: The same where a sample will not do anyway.
+STEPS_BEYOND = 512
 #: Most nodes of such a grid.
 MOST_NODES = 20_000
 #: Posteriors in one emcee run: enough to share its bookkeeping, few enough for the memory.
-STACKED = 256
+STACKED = 1024
 
 
 def sample(
@@ -58,10 +60,11 @@ def sample(
         len(pieces)
     )
 
-    def piece(i: int) -> tuple[StackedSample, Array]:
+    def piece(i: int) -> tuple[StackedSample, Array, NDArray[np.bool_]]:
         rows = reading[pieces[i] : pieces[i] + STACKED]
         rng = np.random.default_rng(seeds[i])
         mode = find_highest(observer, rows)
+        apart, beyond = over_all_peaks(observer, rows)
 
         def density(x: Array, index: NDArray[np.intp]) -> Array:
             value = observer.log_density(x, rows[index, None])
@@ -75,20 +78,21 @@ def sample(
             density,
             _start(observer, rows, mode, rng),
             seed=rng,
-            moves=_moves(observer, rows, density, mode),
+            moves=_moves(observer, rows, density, mode, apart),
             functions=contact,
             precision=precision,
             # Twice as many draws as it takes when they are independent.
             keep=max(int(0.25 / precision**2), 128),
-            max_steps=MOST_STEPS[many],
+            max_steps=np.where(beyond, STEPS_BEYOND, MOST_STEPS[many]),
             indexed=True,
         )
-        return found, mode.x
+        return found, mode.x, beyond
 
-    samples, modes = [], []
-    for found, peaks in on_threads(piece, range(len(pieces))):
+    samples, modes, several = [], [], []
+    for found, at_mode, beyond in on_threads(piece, range(len(pieces))):
         samples.append(found)
-        modes.append(peaks)
+        modes.append(at_mode)
+        several.append(beyond)
         if progress:
             progress(min(len(samples) * STACKED, len(reading)), len(reading))
     joined = {
@@ -100,11 +104,13 @@ def sample(
         Estimate(*(joined[key][:, i] for key in ("mean", "sd", "mcse_mean", "mcse_sd")))
         for i in range(dim)
     ]
-    at_mode = observer.contact(np.concatenate(modes))[0]
-    status = np.where(is_unidentified(observer, at_mode), Status.UNIDENTIFIED, 0)
-    status = np.where(is_improbable(observer, reading, at_mode), Status.IMPROBABLE_READING, status)
-    status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
+    highest = observer.contact(np.concatenate(modes))[0]
+    # Of one unknown the prior is as good as any reading; of several one may be known by a ridge.
+    unidentified = is_unidentified(observer, highest) if many else False
+    status = np.where(np.full(len(reading), unidentified), Status.UNIDENTIFIED, Status.CONVERGED)
+    status[is_improbable(observer, reading, highest)] = Status.IMPROBABLE_READING
     status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
+    status[np.concatenate(several)] = Status.SEVERAL_PEAKS
 
     def quantile_of(p: Array, unknown: int) -> Array:
         return np.stack([np.quantile(v[..., unknown], p) for v in values])
@@ -117,9 +123,9 @@ def sample(
 
 
 def _moves(
-    observer: Observer, reading: Array, density: Density, mode: Mode
+    observer: Observer, reading: Array, density: Density, mode: Mode, apart: dict[int, Nodes]
 ) -> list[tuple[MoveMaker, float]]:
-    """Most steps are drawn anew from a coarse grid over the posterior.
+    """Most steps are drawn anew from a coarse grid over the posterior, or from one `apart`.
 
     It takes 50 evaluations with one unknown and a thousand with two, and then a step is nearly an
     independent draw, where differential evolution needs five to nine or, on a bent ridge, hundreds.
@@ -143,21 +149,23 @@ def _moves(
             keep_points=True,
         )
     assert grid.nodes is not None
-    last = [_last(observer, nodes) for nodes in grid.nodes] if dim > 2 else None
-    guess = partial(StackedGrid, nodes=grid.nodes, last=last)
+    nodes = [apart.get(row, of_one) for row, of_one in enumerate(grid.nodes)]
+    last = [_last(observer, of_one) for of_one in nodes] if dim > 2 else None
+    guess = partial(StackedGrid, nodes=nodes, last=last)
     return [(guess, 9 * sum(weight for _, weight in others)), *others]
 
 
 def _last(observer: Observer, nodes: Nodes) -> Array:
-    """Mean and sd (N, 2) of the last coordinate at nodes, from those of the last unknown."""
+    """Sd, mean and the mean's slopes (N, 1 + D) of the last coordinate, from the unknown's own."""
     assert nodes.values is not None
     mean, variance = nodes.values[:, -2:].T
     z = np.linspace(-8.0, 8.0, 4001)
     value = observer.last_unknown(z)
     low, middle, high = (np.interp(mean + s * np.sqrt(variance), value, z) for s in (-1, 0, 1))
-    # What is not known at nodes that hold nothing does not matter.
-    sd = np.where(high > low, (high - low) / 2, 1.0)
-    return np.stack([middle, sd], axis=-1)
+    known = high > low  # elsewhere are nodes that hold nothing
+    table = np.where(known, middle, np.nan).reshape(nodes.shape)
+    slopes = [np.nan_to_num(np.gradient(table, axis=k)).ravel() for k in range(table.ndim)]
+    return np.stack([np.where(known, (high - low) / 2, 1.0), middle, *slopes], axis=-1)
 
 
 def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:
