@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import special
 
+from weberwhisk.observer import FARTHEST
 from weberwhisk.posterior.ensemble import (
     MoveMaker,
     StackedSample,
@@ -18,6 +19,7 @@ from weberwhisk.posterior.ensemble import (
     sample_stacked,
 )
 from weberwhisk.posterior.grid import integrate
+from weberwhisk.posterior.mode import Mode
 from weberwhisk.posterior.moves import (
     StackedDifferentialEvolution,
     StackedGrid,
@@ -25,6 +27,7 @@ from weberwhisk.posterior.moves import (
 )
 from weberwhisk.posterior.nodes import Nodes
 from weberwhisk.posterior.run import Shortfall
+from weberwhisk.posterior.walkers import _start
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
@@ -541,3 +544,15 @@ def test_a_last_coordinate_beside_the_grid_is_sampled_with_the_others() -> None:
     sd = np.sqrt(0.25 * special.polygamma(1, GAMMA) + 0.2**2 * 2 + 0.4**2)
     assert np.all(np.abs(fit.mean[:, 2] - mean) < 4 * fit.mcse_mean[:, 2])
     assert np.all(np.abs(fit.sd[:, 2] - sd) < 4 * fit.mcse_sd[:, 2])
+
+
+@pytest.mark.parametrize("centre", [4.9, 5.3], ids=["next to the end", "past it"])
+def test_walkers_start_inside_where_the_mode_is_at_the_end_of_the_reach(centre: float) -> None:
+    """Contacts end at x₁ = ±FARTHEST, and a ridge's walkers start as far as 3 from its mode."""
+
+    def density(x: Array, index: NDArray[np.intp]) -> Array:
+        return np.where(np.abs(x[..., 0]) < FARTHEST, -0.5 * x[..., 1] ** 2, -np.inf)
+
+    mode = Mode(np.array([[centre, 0.0]]), np.zeros(1), 4 * np.eye(2)[None])
+    start = _start(density, mode, np.random.default_rng(1))
+    assert np.isfinite(density(start.reshape(1, -1, 2), np.arange(1))).all()

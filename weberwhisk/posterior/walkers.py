@@ -76,7 +76,7 @@ def sample(
 
         found = sample_stacked(
             density,
-            _start(observer, rows, mode, rng),
+            _start(density, mode, rng),
             seed=rng,
             moves=_moves(observer, rows, density, mode, apart),
             functions=contact,
@@ -168,18 +168,19 @@ def _last(observer: Observer, nodes: Nodes) -> Array:
     return np.stack([np.where(known, (high - low) / 2, 1.0), middle, *slopes], axis=-1)
 
 
-def _start(observer: Observer, reading: Array, mode: Mode, rng: np.random.Generator) -> Array:
+def _start(density: Density, mode: Mode, rng: np.random.Generator) -> Array:
     """Walkers (B, E, W, U) about the modes, wider than the posterior, all inside its support."""
-    dim = mode.x.shape[1]
-    shape = (len(reading), ENSEMBLES, recommended_walkers(dim), dim)
+    count, dim = mode.x.shape
+    shape = (count, ENSEMBLES, recommended_walkers(dim), dim)
     root = mode_root(mode, widen=1.5)
+    middle = mode.x.copy()
+    middle[:, 0] = np.clip(middle[:, 0], -0.99 * FARTHEST, 0.99 * FARTHEST)
     z = rng.standard_normal(shape)
-    x = mode.x[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
     for _ in range(30):  # draw in towards the mode what has fallen outside
-        value = observer.log_density(x.reshape(len(reading), -1, dim), reading[:, None])
+        x = middle[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
+        value = np.asarray(density(x.reshape(count, -1, dim), np.arange(count)))
         bad = ~np.isfinite(value).reshape(shape[:3])
         if not bad.any():
             break
         z = np.where(bad[..., None], 0.5 * z, z)
-        x = mode.x[:, None, None] + np.einsum("bde,bnwe->bnwd", root, z)
     return x
