@@ -20,7 +20,7 @@ from .angle_side_angle import ANGLE_SD
 from .protocol import Array, straight
 
 #: Steps of Newton's method, with slopes read off a table; relative size of the last that ends it.
-STEPS, ENDED = 3, 1e-10
+STEPS, ENDED = 2, 1e-8
 
 
 class BalanceOfMoments:
