@@ -46,16 +46,16 @@ def changed(start: Array | None, width: float, *, plain: bool) -> Iterator[None]
     """The engine with another start, and without its grid where it is plain."""
     own = walkers._start, walkers._moves, walkers.MOST_STEPS
 
-    def ball(observer, reading, mode, rng):
-        dim = mode.x.shape[1]
-        shape = (len(reading), walkers.ENSEMBLES, recommended_walkers(dim), dim)
+    def ball(density, mode, rng):
+        count, dim = mode.x.shape
+        shape = (count, walkers.ENSEMBLES, recommended_walkers(dim), dim)
         return start[:dim] + width * rng.standard_normal(shape)
 
     try:
         if start is not None:
             walkers._start = ball
         if plain:
-            walkers._moves = lambda *given: default_moves(given[-1].x.shape[1])
+            walkers._moves = lambda o, *given: default_moves(len(o.unknowns))
             walkers.MOST_STEPS = PLAIN_STEPS
         yield
     finally:
