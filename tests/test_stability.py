@@ -37,7 +37,6 @@ SIZES = {
     "laplace, velocity felt": (3, 1),
     "emcee, compliance": (3, 1),
     "quadrature, vibration, phase, odd readings": (12, 1),
-    "fit of choices at chance": (1, 0),
 }
 
 
