@@ -500,6 +500,7 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "did you mean 'ridge'?" in capsys.readouterr().err
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "scene",
     [

@@ -347,6 +347,7 @@ def test_a_reversed_animal_and_one_without_answers_stay_out() -> None:
     json.loads(fit.to_json())  # strict: what is not known is null
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("spread", "told"), [(0.2, True), (1.0, False)])
 def test_biases_that_spread_otherwise_than_believed_are_told(spread: float, told: bool) -> None:
     trials, _ = simulate_population(
