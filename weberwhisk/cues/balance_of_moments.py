@@ -247,7 +247,13 @@ class BalanceOfMoments:
         """As far as a balance is reached, m; the tip where the effort is felt."""
         length = float(whisker.length)
         if self.effort is not None:
-            return _last_balance(self, whisker)
+            last = _last_balance(self, whisker, None)
+            if last == 0:
+                raise ValueError(
+                    f"No contact balances an effort of {self.effort:g} after an impact at "
+                    f"{self.impact_angle:.3g} rad; write a smaller effort or an earlier impact."
+                )
+            return last
         return length
 
     def radial_distance(
@@ -310,12 +316,8 @@ def _guesses(
 
     # Next to the last balance the rotation changes as a root does: evenly in phi.
     phi = np.linspace(0, np.pi, 258)[1:-1]
-    low, high = 0.0, float(whisker.length)
-    for _ in range(50):
-        middle = (low + high) / 2
-        held = cue._ends(whisker, np.array([middle]), model)[1][0]
-        low, high = (middle, high) if held else (low, middle)
-    r = low * (1 - np.cos(phi)) / 2
+    last = _last_balance(cue, whisker, model)
+    r = last * (1 - np.cos(phi)) / 2
     top, balanced = cue._ends(whisker, r, model)
     if not balanced.all():  # none, or not in one stretch: all by brackets
         return lambda r: (np.full(r.shape, np.nan), np.full(r.shape, np.nan))
@@ -324,7 +326,7 @@ def _guesses(
     table = CubicSpline(phi, np.stack([angle / r, slope * r], axis=-1))
 
     def guess(at: Array) -> tuple[Array, Array]:
-        place = np.arccos(np.clip(1 - 2 * at / low, -1.0, 1.0))
+        place = np.arccos(np.clip(1 - 2 * at / last, -1.0, 1.0))
         ratio, product = table(np.maximum(place, phi[0])).T
         return ratio * at, product / at
 
@@ -332,21 +334,18 @@ def _guesses(
 
 
 @lru_cache(maxsize=64)
-def _last_balance(cue: BalanceOfMoments, whisker: Whisker) -> float:
-    """The first distance from the base at which there is no balance, m."""
+def _last_balance(cue: BalanceOfMoments, whisker: Whisker, model: str | None) -> float:
+    """The first distance from the base at which there is no balance, m; 0 where there is none."""
 
     def balances(r: Array) -> NDArray[np.bool_]:
-        return np.asarray(cue.signals(whisker, r[:, None])[1] == Outcome.HELD)
+        return cue._ends(whisker, r, model)[1]
 
     r = np.linspace(0.005, 1 - 1e-9, 400) * whisker.length
     held = balances(r)
     if held.all():
         return float(whisker.length)
     if not held[0]:
-        raise ValueError(
-            f"No contact balances an effort of {cue.effort:g} after an impact at "
-            f"{cue.impact_angle:.3g} rad; write a smaller effort or an earlier impact."
-        )
+        return 0.0
     for _ in range(9):  # to the last digits
         first = held.argmin()
         r = np.linspace(r[first - 1], r[first], 64)

@@ -17,7 +17,7 @@ from ..observer import Observer
 from ..receptors import Joint, ReceptorNoise, Seed
 from .grid import GridPosterior, integrate
 from .result import Estimate, Status
-from .solution import IMPROBABLE, Array, Solution
+from .solution import Array, Solution, is_outside
 
 Solve = Callable[[Observer, Array], Solution]
 
@@ -76,9 +76,7 @@ def solve_apart(solve: Solve, observer: Observer, factors: Factors, reading: Arr
         log = factors.noise.log_likelihood(own[index, None], signals(z))
         return np.asarray(log - 0.5 * (z**2 + np.log(2 * np.pi)))
 
-    def value(x: Array) -> Array:
-        return observer.last_unknown(x)
-
+    value = observer.last_unknown
     mode, width = _modes(density, len(own))
     found: GridPosterior = integrate(
         density,
@@ -92,9 +90,7 @@ def solve_apart(solve: Solve, observer: Observer, factors: Factors, reading: Arr
     nodes = found.nodes
     assert nodes is not None
     status = np.where(found.converged, Status.CONVERGED, Status.IMPRECISE)
-    low, high = factors.noise.interval(signals(mode), IMPROBABLE)
-    improbable = np.any((own < low) | (own > high), axis=-1)
-    status = np.where(improbable, Status.IMPROBABLE_READING, status)
+    status[is_outside(factors.noise, own, signals(mode))] = Status.IMPROBABLE_READING
     moments = (found.mean[:, 0], found.sd[:, 0])
     errors = (error[:, 0] * moments[1] for error in (found.mean_error, found.sd_error))
     last = len(observer.unknowns) - 1

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
-from ..receptors import Seed
+from ..receptors import ReceptorNoise, Seed
 from .mode import Mode
 from .result import Estimate
 
@@ -54,7 +54,12 @@ def mode_root(mode: Mode, *, widen: float = 1.0) -> Array:
 
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:
     """Readings with a number more than 5 sd from what their own most probable contact gives."""
-    low, high = observer.noise.interval(observer.signals(contact)[0], IMPROBABLE)
+    return is_outside(observer.noise, reading, observer.signals(contact)[0])
+
+
+def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> NDArray[np.bool_]:
+    """Readings (B, R) with a number more than 5 sd from their signals (B, S)."""
+    low, high = noise.interval(signals, IMPROBABLE)
     return np.any((reading < low) | (reading > high), axis=-1)
 
 

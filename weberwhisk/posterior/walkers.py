@@ -106,10 +106,11 @@ def sample(
     ]
     highest = observer.contact(np.concatenate(modes))[0]
     # Of one unknown the prior is as good as any reading; of several one may be known by a ridge.
-    unidentified = is_unidentified(observer, highest) if many else False
-    status = np.where(np.full(len(reading), unidentified), Status.UNIDENTIFIED, Status.CONVERGED)
+    status = np.full(len(reading), Status.CONVERGED)
+    if many:
+        status[is_unidentified(observer, highest)] = Status.UNIDENTIFIED
     status[is_improbable(observer, reading, highest)] = Status.IMPROBABLE_READING
-    status = np.where(joined["shortfall"] == 0, status, Status.NOT_CONVERGED)
+    status[joined["shortfall"] != 0] = Status.NOT_CONVERGED
     status[np.concatenate(several)] = Status.SEVERAL_PEAKS
 
     def quantile_of(p: Array, unknown: int) -> Array:
