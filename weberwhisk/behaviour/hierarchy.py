@@ -1,10 +1,10 @@
 """Many animals at once: each one's Weber fraction and lapses drawn from a population.
 
 ln k of an animal is normal about the population's, with a spread between animals, and if wanted
-between the sessions of one animal; the normal scores of its lapses are normal too. Each animal's
-own parameters are integrated out, so that five numbers describe the population: that many can be
-integrated as well. No sampler takes part; the cost grows with the number of animals, not with a
-power of it.
+between the sessions of one animal; the normal scores of its lapses are normal too, and biases are
+those of their prior, all times one factor. Each animal's own parameters are integrated out, so that
+six numbers describe the population: that many can be integrated as well. No sampler takes part; the
+cost grows with the number of animals, not with a power of it.
 """
 
 from __future__ import annotations
@@ -18,41 +18,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, zoom
 from scipy.special import logsumexp
 
+from .members import Members, Work
 from .priors import PopulationPriors
-from .tabulated import Table
 
 Array = NDArray[np.float64]
 
-NODES_PER_SD = 4.0  # of ln k, for the sharpest member
-COARSEST = 0.15  # nodes of ln k, however little members tell: spreads are told apart from 0.1 on
-NAMES = ("log_weber_fraction", "spread", "session_spread", "lapse_mean", "lapse_spread")
-COARSE = (13, 13, 7, 7, 4)
-FINE = (23, 27, 11, 21, 9)
+NAMES = (
+    "log_weber_fraction", "spread", "session_spread", "bias_scale", "lapse_mean", "lapse_spread",
+)  # fmt: skip
+COARSE = (13, 13, 7, 7, 7, 4)
+FINE = (23, 27, 11, 11, 21, 9)
+ALL = range(len(NAMES))
+CUT_OFF = 1e-3  # of the peak: density at the last scale of biases, at which more should be known
 KEPT = 1e-6  # of the peak: what a marginal density may fall to within the axes
-
-
-@dataclass(frozen=True)
-class Members:
-    """The tables of a population: one for each animal, or for each session of each animal.
-
-    `animal` (U,) rises and says whose each table is.
-    """
-
-    tables: tuple[Table, ...]
-    animal: NDArray[np.intp]
-    sessions: bool
-    lapse_correlation: float
-
-    @property
-    def first(self) -> NDArray[np.intp]:
-        """The first table of each animal."""
-        return np.flatnonzero(np.r_[True, np.diff(self.animal) > 0])
-
-    def axis(self, finest: float) -> Array:
-        """Nodes of ln k on which all members are compared."""
-        low = min(t.log_k[0] for t in self.tables) - 0.5
-        high = max(t.log_k[-1] for t in self.tables) + 0.5
-        return np.arange(low, high + finest, finest)
 
 
 @dataclass(frozen=True)
@@ -80,8 +58,8 @@ class Population:
         to a value make a quantile.
         """
         needed = sorted({j for name in names for j in _AXES_OF[name]})
-        mass = self.mass.sum(axis=tuple(j for j in range(5) if j not in needed), keepdims=True)
-        factor = [FINER[len(needed)] if j in needed and mass.shape[j] > 1 else 1 for j in range(5)]
+        mass = self.mass.sum(axis=tuple(j for j in ALL if j not in needed), keepdims=True)
+        factor = [FINER[len(needed)] if j in needed and mass.shape[j] > 1 else 1 for j in ALL]
         ends = _end_weights(mass.shape)
         fine = np.exp(_zoomed(np.log(np.maximum(mass / ends, 1e-300)), factor))
         fine *= _end_weights(fine.shape)
@@ -112,14 +90,8 @@ class Population:
         return out
 
 
-_AXES_OF = {
-    "log_weber_fraction": (0, 1, 2),
-    "spread": (1,),
-    "session_spread": (2,),
-    "lapse_mean": (3,),
-    "lapse_spread": (4,),
-}
-FINER = {1: 24, 2: 8, 3: 5}  # by how many axes are interpolated at once
+_AXES_OF = {name: (j,) for j, name in enumerate(NAMES)} | {NAMES[0]: (0, 1, 2, 3)}
+FINER = {1: 24, 2: 8, 3: 5, 4: 3}  # by how many axes are interpolated at once
 
 
 def _zoomed(values: Array, factor: Sequence[int]) -> Array:
@@ -144,72 +116,6 @@ def _end_weights(shape: Sequence[int]) -> Array:
     return out
 
 
-class Work:
-    """The likelihood of a population's parameters, given its members' tables."""
-
-    def __init__(self, members: Members) -> None:
-        self.members = members
-        self.mean, self.sd = np.array([_moments(t) for t in members.tables]).T
-        self.x = members.axis(min(self.sd.min() / NODES_PER_SD, COARSEST))
-        self.step = self.x[1] - self.x[0]
-
-    def middle(self, spread: Array, session_spread: float) -> tuple[Array, Array]:
-        """Where ln k of the population lies given its spreads, and how surely, both (T,).
-
-        As if every member's likelihood were normal: only the place of nodes depends on it.
-        """
-        precision = 1 / (self.sd**2 + session_spread**2)
-        first = self.members.first
-        total = np.add.reduceat(precision, first)
-        mean = np.add.reduceat(precision * self.mean, first) / total
-        weight = 1 / (1 / total + spread[:, None] ** 2)
-        return weight @ mean / weight.sum(axis=1), 1 / np.sqrt(weight.sum(axis=1))
-
-    def kernel(self, centre: Array, spread: Array) -> Array:
-        """Probability of each node of ln k under normals, (X, ...)."""
-        # A normal narrower than the nodes is as wide as they are: a fifth of what any member tells.
-        width = np.maximum(spread, 0.8 * self.step)
-        z = (self.x.reshape(-1, *[1] * np.ndim(centre)) - centre) / width
-        return np.exp(-0.5 * z**2) * (self.step / (width * np.sqrt(2 * np.pi)))
-
-    def given_lapses(self, mean: Array, spread: Array) -> Array:
-        """Log-likelihood of ln k of every member, (J, U, X), for J populations of lapses."""
-        out = [
-            table.given_lapses(
-                table.lapse_weights(mean, spread, self.members.lapse_correlation), self.x
-            )
-            for table in self.members.tables
-        ]
-        return np.moveaxis(np.array(out), -1, 0)
-
-    def by_animal(self, log_like: Array, session_spread: float) -> tuple[Array, Array]:
-        """Log-likelihood of each animal's middle ln k, (A, X), and of each member's (U, X)."""
-        if not self.members.sessions:
-            return log_like, log_like
-        top = log_like.max(axis=1, keepdims=True)
-        between = self.kernel(self.x, np.full(self.x.shape, session_spread))
-        own = np.log(np.maximum(np.exp(log_like - top) @ between, 1e-300)) + top
-        return np.add.reduceat(own, self.members.first, axis=0), own
-
-    def log_likelihood(
-        self, log_like: Array, session_spread: float, between: Array
-    ) -> tuple[Array, Array]:
-        """Of the population, (MT,), by animal (A, MT); `between` is the kernel (X, MT)."""
-        animal, _ = self.by_animal(log_like, session_spread)
-        top = animal.max(axis=1, keepdims=True)
-        by_animal = np.log(np.maximum(np.exp(animal - top) @ between, 1e-300)) + top
-        return by_animal.sum(axis=0), by_animal
-
-
-def _moments(table: Table) -> tuple[float, float]:
-    """Mean and sd of ln k in the likelihood of a member alone, with the prior's lapses."""
-    weights = table.lapse_weights(np.zeros(1), np.ones(1), 0.0)
-    log_like = table.given_lapses(weights, table.log_k)[:, 0]
-    mass = np.exp(log_like - log_like.max())
-    mean = mass @ table.log_k / mass.sum()
-    return float(mean), float(np.sqrt(mass @ (table.log_k - mean) ** 2 / mass.sum()))
-
-
 def integrate_population(
     members: Members, priors: PopulationPriors, log_weber_fraction: Callable[[Array], Array]
 ) -> Population:
@@ -227,7 +133,7 @@ def integrate_population(
     for counts in (COARSE, COARSE, COARSE, FINE):
         grid.lay(ranges, counts)
         log_mass = grid.log_mass()
-        ranges = [_narrowed(log_mass, j, grid.axes[j], grid.bounds[j]) for j in range(5)]
+        ranges = [_narrowed(log_mass, j, grid.axes[j], grid.bounds[j]) for j in ALL]
     grid.lay(ranges, FINE)
     log_mass = grid.log_mass()
     log_evidence = float(logsumexp(log_mass))
@@ -235,8 +141,8 @@ def integrate_population(
     of_members, of_animals = grid.shrunken(mass)
     # What half the nodes miss, squared: sums over whole bumps converge exponentially. The last
     # axis is cut off at its ends, and converges by a quarter each time.
-    missed = [_thinned(mass, j) for j in range(5)]
-    error = max(max(missed[:4]) ** 2, missed[4] / 3)
+    missed = [_thinned(mass, j) for j in ALL]
+    error = np.inf if grid.cut_off(mass) else max(max(missed[:-1]) ** 2, missed[-1] / 3)
     return Population(
         tuple(grid.axes),
         grid.values(),
@@ -253,7 +159,7 @@ class _Grid:
     """Nodes of the population's parameters, and what is integrated over them.
 
     The first axis places ln k in its conditional sds from its conditional middle, given the
-    spreads; the last is the log of the lapses' spread.
+    spreads; the biases' scale goes by asinh, the lapses' spread by its log.
     """
 
     def __init__(
@@ -262,11 +168,15 @@ class _Grid:
         self.work, self.priors, self.log_weber_fraction = work, priors, log_weber_fraction
         tables = work.members.tables
         no_lapses = all(t.low.size == t.high.size == 1 for t in tables)
-        self.fixed = [False, False, not work.members.sessions, no_lapses, no_lapses]
+        scales, self.unit = work.members.scales.nodes, work.members.scales.unit
+        self.fixed = [
+            False, False, not work.members.sessions, scales.size == 1, no_lapses, no_lapses,
+        ]  # fmt: skip
         self.bounds: list[tuple[float, float]] = [
             (-12.0, 12.0),
             (0.0, float(priors.spread.ppf(1 - 1e-6))),
             (0.0, float(priors.session_spread.ppf(1 - 1e-6))),
+            (float(np.arcsinh(scales[0] / self.unit)), float(np.arcsinh(scales[-1] / self.unit))),
             (-3.5, 3.5),
             (float(np.log(0.15)), float(np.log(2.0))),
         ]
@@ -279,75 +189,86 @@ class _Grid:
             for r, n, f in zip(ranges, counts, self.fixed, strict=True)
         ]
 
+    def cut_off(self, mass: Array) -> bool:
+        """Whether scales of the biases that were not tabulated are likely too."""
+        by_scale, ends = mass.sum(axis=(0, 1, 2, 4, 5)), self.work.members.scales.nodes[[0, -1]]
+        at_end = np.isclose(self.on_axes()[0][3][[0, -1]], ends) & (ends != 0) & (not self.fixed[3])
+        return bool(np.any(at_end & (2 * by_scale[[0, -1]] > CUT_OFF * by_scale.max())))
+
+    def on_axes(self) -> tuple[list[Array], list[Array]]:
+        """The parameters on their axes (the first is a place yet), and the logs of their slopes."""
+        values, slopes = list(self.axes), [np.zeros(axis.size) for axis in self.axes]
+        values[3], slopes[3] = (self.unit * f(self.axes[3]) for f in (np.sinh, np.cosh))
+        slopes[3] = np.log(slopes[3])
+        values[5], slopes[5] = np.exp(self.axes[5]), self.axes[5]
+        return values, slopes
+
     def values(self) -> dict[str, Array]:
         """The parameters at the nodes; they broadcast."""
-        place, tau, sigma, mean, spread = self.axes
-        middle, sd = np.stack([self.work.middle(tau, s) for s in sigma], axis=-1)  # (T, S)
-        log_k = middle + sd * place[:, None, None]
-        rest = np.meshgrid(tau, sigma, mean, np.exp(spread), indexing="ij", sparse=True)
+        place, *spreads, mean, spread = self.on_axes()[0]
+        middle, sd = self.work.middle(*spreads)  # (T, Z, B)
+        log_k = middle + sd * place[:, None, None, None]
+        rest = np.meshgrid(*spreads, mean, spread, indexing="ij", sparse=True)
         return dict(zip(NAMES, (log_k[..., None, None], *(a[None] for a in rest)), strict=True))
 
     def log_mass(self) -> Array:
         """Log posterior mass of every node, not normalised."""
         out = np.empty([a.size for a in self.axes])
-        for at, log_like, session_spread, between in self._slices():
-            total, _ = self.work.log_likelihood(log_like, session_spread, between)
-            out[at] = total.reshape(out.shape[:2])
-        values, priors = self.values(), self.priors
-        scale = np.stack([self.work.middle(self.axes[1], s)[1] for s in self.axes[2]], axis=-1)
-        out += self.log_weber_fraction(values[NAMES[0]]) + np.log(scale)[..., None, None]
+        for at, log_like, within, between in self._slices():
+            total, _ = self.work.log_likelihood(log_like, within, between)
+            out[at] = total.T.reshape(out[at].shape)
+        on_axes, slopes = self.on_axes()
+        _, scale = self.work.middle(*on_axes[1:4])
+        out += self.log_weber_fraction(self.values()[NAMES[0]]) + np.log(scale)[..., None, None]
         for j, name in enumerate(NAMES):
             if self.fixed[j]:
                 continue
             axis = self.axes[j]
-            weight = np.full(axis.size, np.log(axis[1] - axis[0]))
+            weight = np.log(axis[1] - axis[0]) + slopes[j]
             # Half a cell at the ends. At a spread of zero that is exact: all is even about it.
             weight[[0, -1]] -= np.log(2.0)
-            if j:
-                weight += getattr(priors, name).logpdf(np.exp(axis) if j == 4 else axis)
-            weight += axis if j == 4 else 0.0
-            out += weight.reshape([-1 if i == j else 1 for i in range(5)])
+            weight += getattr(self.priors, name).logpdf(on_axes[j]) if j else 0.0
+            out += weight.reshape([-1 if i == j else 1 for i in ALL])
         return out
 
-    def _slices(self) -> Iterator[tuple[Any, Array, float, Array]]:
-        """Each population of lapses and session spread: where it goes, the members' likelihood,
-        the spread, and the kernel (X, MT) of all populations of ln k."""
-        _, tau, sigma, mean, spread = self.axes
+    def _slices(self) -> Iterator[tuple[Any, Array, Array | None, Array]]:
+        """Populations that differ in ln k, its spread and the lapses' spread alone: where they go,
+        the members' likelihood (J, U, X), and the kernels of sessions and of animals (X, MT)."""
+        _, tau, sigma, scale, mean, spread = self.on_axes()[0]
         log_k = self.values()[NAMES[0]][..., 0, 0]
         tiled = np.broadcast_to(tau, log_k.shape[:2]).ravel()
-        kernels = [self.work.kernel(log_k[..., s].ravel(), tiled) for s in range(sigma.size)]
         for i, m in enumerate(mean):  # a row of lapse populations at a time: they take room
-            for j, log_like in enumerate(
-                self.work.given_lapses(np.full(spread.size, m), np.exp(spread))
-            ):
-                for s, session_spread in enumerate(sigma):
-                    yield (slice(None), slice(None), s, i, j), log_like, session_spread, kernels[s]
+            log_like = self.work.given_lapses(np.full(spread.size, m), spread, scale)
+            for s, session_spread in enumerate(sigma):
+                within = self.work.within(session_spread)
+                for b in range(scale.size):
+                    between = self.work.kernel(log_k[..., s, b].ravel(), tiled)
+                    yield (slice(None), slice(None), s, b, i), log_like[b], within, between
 
     def shrunken(self, mass: Array) -> tuple[Array, Array]:
         """Posterior probabilities of ln k of each member (U, X) and each animal (A, X)."""
         work = self.work
         size = work.members.first.size, work.x.size
         members, animals = np.zeros((len(work.members.tables), size[1])), np.zeros(size)
-        for at, log_like, session_spread, between in self._slices():
-            weight = mass[at].ravel()
-            if weight.sum() < 1e-9:
-                continue
-            _, by_animal = work.log_likelihood(log_like, session_spread, between)
-            animal, own = work.by_animal(log_like, session_spread)
-            # What the others say of an animal: every population by how it fares without it.
-            low = by_animal.min(
-                axis=1, keepdims=True, where=weight > 1e-12 * weight.max(), initial=np.inf
-            )
-            believed = (weight * np.exp(np.minimum(low - by_animal, 0.0))) @ between.T
-            log_post = animal - low + np.log(np.maximum(believed, 1e-300))
-            animals += np.exp(log_post)
-            if not work.members.sessions:
-                continue
-            within = work.kernel(work.x, np.full(work.x.shape, session_spread))
-            rest = log_post[work.members.animal] - own  # without this session
-            high = rest.max(axis=1, keepdims=True)
-            prior = np.log(np.maximum(np.exp(rest - high) @ within.T, 1e-300)) + high
-            members += np.exp(prior + log_like)
+        for at, every, within, between in self._slices():
+            for weight, log_like in zip(mass[at].reshape(-1, len(every)).T, every, strict=True):
+                if weight.sum() < 1e-9:
+                    continue
+                _, by_animal = work.log_likelihood(log_like, within, between)
+                animal, own = work.by_animal(log_like, within)
+                # What the others say of an animal: every population by how it fares without it.
+                low = by_animal.min(
+                    axis=1, keepdims=True, where=weight > 1e-12 * weight.max(), initial=np.inf
+                )
+                believed = (weight * np.exp(np.minimum(low - by_animal, 0.0))) @ between.T
+                log_post = animal - low + np.log(np.maximum(believed, 1e-300))
+                animals += np.exp(log_post)
+                if within is None:
+                    continue
+                rest = log_post[work.members.animal] - own  # without this session
+                high = rest.max(axis=1, keepdims=True)
+                prior = np.log(np.maximum(np.exp(rest - high) @ within.T, 1e-300)) + high
+                members += np.exp(prior + log_like)
         animals /= animals.sum(axis=1, keepdims=True)
         if not work.members.sessions:
             return animals, animals
@@ -372,5 +293,5 @@ def _thinned(mass: Array, index: int) -> float:
     """How far the total moves when every other node is left out."""
     if mass.shape[index] == 1:
         return 0.0
-    marginal = mass.sum(axis=tuple(i for i in range(5) if i != index))
+    marginal = mass.sum(axis=tuple(i for i in ALL if i != index))
     return float(abs(np.log(2 * marginal[::2].sum())))

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..posterior.arviz_io import to_arviz
-from .bias_spread import spread_note
+from .bias_scale import likely_scales
 from .fit import fit_weber
-from .hierarchy import NAMES, Members, Population, integrate_population
+from .hierarchy import NAMES, Population, integrate_population
+from .members import Members
 from .priors import PopulationPriors, Priors, priors_for
 from .result import WeberFit
 from .status import FitStatus
@@ -63,7 +64,7 @@ class PopulationFit:
     >>> from weberwhisk.behaviour import simulate_population
     >>> fit = fit_population(simulate_population(3, trials_per_level=10, seed=1)[0])
     >>> fit.parameters
-    ('weber_fraction', 'spread', 'mean_lapse_low', 'mean_lapse_high')
+    ('weber_fraction', 'spread', 'bias_scale', 'mean_lapse_low', 'mean_lapse_high')
     >>> fit.subjects["subject"].tolist(), fit.sessions is None
     (['s1', 's2', 's3'], True)
     """
@@ -88,10 +89,16 @@ class PopulationFit:
         """Names of the population's parameters.
 
         `weber_fraction` is its median, `spread` and `session_spread` are standard deviations of
-        ln k, `mean_lapse_low` and `mean_lapse_high` averages over the animals.
+        ln k, `bias_scale` the factor by which biases are wider than their prior in a single fit,
+        `mean_lapse_low` and `mean_lapse_high` averages over the animals.
         """
-        sessions = ("session_spread",) if self.sessions is not None else ()
-        return ("weber_fraction", "spread", *sessions, *(f"mean_{name}" for name in self.lapses))
+        spreads = ("spread",) if self.sessions is None else ("spread", "session_spread")
+        biases = ("bias_scale",) if self._has_biases else ()
+        return ("weber_fraction", *spreads, *biases, *(f"mean_{name}" for name in self.lapses))
+
+    @property
+    def _has_biases(self) -> bool:
+        return self.population is not None and self.population.values["bias_scale"].size > 1
 
     def quantile(self, parameter: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter of the population."""
@@ -177,6 +184,8 @@ class PopulationFit:
         sample["weber_fraction"] = np.exp(sample.pop(NAMES[0]))
         if self.sessions is None:
             del sample["session_spread"]
+        if not self._has_biases:
+            del sample["bias_scale"]
         return to_arviz(
             {name: values.reshape(4, draws) for name, values in sample.items()},
             attrs={"status": self.status.value},
@@ -202,9 +211,9 @@ def fit_population(
     both ends; each session, or animal, has lapses of its own. Everything is integrated, nothing
     sampled.
 
-    Biases are not pooled: each has the prior of a single fit, and where many animals' are far
-    narrower or wider, k is pulled (by a third, where 32 animals of 96 trials have biases with an sd
-    of 0.2 and the prior has 1). `notes` say so, and which prior to give.
+    Biases are drawn from the prior of a single fit, all times one factor, the `bias_scale`: their
+    sd, where that prior is a standard normal. Without it k would be pulled wherever biases are
+    narrower or wider than believed (see `weberwhisk.behaviour.bias_scale`).
 
     Parameters
     ----------
@@ -282,13 +291,14 @@ def fit_population(
     kept = own[~left_out]
     animals = kept["subject"].unique()
     chosen = [fit for fit, out in zip(fits.values(), left_out, strict=True) if fit and not out]
-    spread = spread_note(chosen) if len(chosen) > 1 else None
-    notes = (*notes, spread) if spread else notes
+    draws, models = [f.posterior.draws() for f in chosen], [f.model.merged() for f in chosen]
+    scales = likely_scales(models, draws, prior.bias_scale)
     members = Members(
-        tuple(tabulate(fit.model.merged(), fit.posterior.draws()) for fit in chosen),
+        tuple(tabulate(m, d, scales.nodes) for m, d in zip(models, draws, strict=True)),
         pd.factorize(kept["subject"])[0],
         sessions,
         believed.lapse_correlation,
+        scales,
     )
     weber = believed.weber_fraction
     found = integrate_population(members, prior, lambda x: weber.logpdf(np.exp(x)) + x)

@@ -187,6 +187,9 @@ class PopulationPriors:
     - `lapse_mean`, `lapse_spread`: mean and standard deviation over the animals of the normal
       scores of their lapses, where (0, 1) is the prior of a single fit. Standard normal, and
       log-normal with median 0.7 and a factor of 1.6 either way.
+    - `bias_scale`: factor by which the biases of the animals (and of their sessions and standards)
+      are wider than in the prior of a single fit, half-normal of 1. With that prior's default, a
+      standard normal, it is the sd of the biases.
 
     The prior of the population's median Weber fraction is that of a single fit.
 
@@ -201,9 +204,10 @@ class PopulationPriors:
     session_spread: Any = field(default_factory=lambda: stats.halfnorm(scale=0.3))
     lapse_mean: Any = field(default_factory=lambda: stats.norm(0.0, 1.0))
     lapse_spread: Any = field(default_factory=lambda: stats.lognorm(0.5, scale=0.7))
+    bias_scale: Any = field(default_factory=lambda: stats.halfnorm(scale=1.0))
 
     def __post_init__(self) -> None:
-        for name in ("spread", "session_spread", "lapse_mean", "lapse_spread"):
+        for name in ("spread", "session_spread", "lapse_mean", "lapse_spread", "bias_scale"):
             check_distribution(name, getattr(self, name))
             low = float(getattr(self, name).support()[0])
             if low < 0 and name != "lapse_mean":

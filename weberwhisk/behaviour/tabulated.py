@@ -1,40 +1,48 @@
 """One animal's (or session's) likelihood on nodes, its biases integrated: tabulated once.
 
 What a population needs of each of its members is its likelihood over the parameters that are
-pooled: ln k and the lapses. Everything after that is re-weighting.
+pooled: ln k, the lapses, and the scale of the biases. Everything after that is re-weighting.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import logsumexp, ndtri
+from scipy.special import ndtri
+from scipy.stats import norm
 
+from .bias_scale import scaled_prior
 from .likelihood import Draws, WeberModel
 
 Array = NDArray[np.float64]
 
 LAPSE_STEP = 0.3  # scores between lapse nodes, at most
 NO_LAPSE = 0.02  # trials lost, below which a lapse is none
+NARROW_REACH, WIDE_REACH = 8.0, 4.0  # of bias nodes, in sds: with the prior, and the widest scale
+FARTHEST = 32.0  # the same at most: answers that say nothing of a bias say it of all
+FINER = 4  # bias nodes between those where the likelihood is computed
+LEAST = 1e-35  # of a likelihood, over the highest
 VALUES = 400_000  # computed at once
 
 
 @dataclass(frozen=True)
 class Table:
-    """Log-likelihood of the answers of one member.
+    """Likelihood of the answers of one member.
 
     `log_k` (K,) are nodes of ln k; `low` (Lo,) and `high` (Hi,) nodes of the lapses' normal scores,
-    a single zero where the task has no such lapse; `log_likelihood` is (K, Lo·Hi). Below the first
-    lapse nodes the lapses are none, and the likelihood is that of the first.
+    a single zero where the task has no such lapse. For S scales of the biases, `top` (S, K) is the
+    highest log-likelihood over the lapses, and `relative` (S, K, Lo·Hi) the likelihood over it.
+    Below the first lapse nodes the lapses are none, and the likelihood is that of the first.
     """
 
     log_k: Array
     low: Array
     high: Array
-    log_likelihood: Array
+    top: Array
+    relative: NDArray[np.float32]
 
     def lapse_weights(self, mean: Array, spread: Array, correlation: float) -> Array:
         """Probability of the lapse nodes for a population, (Lo·Hi, J) for J means and spreads.
@@ -59,22 +67,22 @@ class Table:
         density = np.add.reduceat(density, np.r_[0, first_high + 1 : high.size], axis=1)
         return density.reshape(-1, mean.size)
 
-    def given_lapses(self, weights: Array, log_k: Array) -> Array:
-        """Log-likelihood of ln k alone, (X, J): lapses weighted, interpolated onto other nodes."""
-        top = self.log_likelihood.max(axis=1)
-        like = np.exp(self.log_likelihood - top[:, None]) @ weights
-        value = np.log(np.maximum(like, 1e-300)) + top[:, None]
-        curve = CubicSpline(self.log_k, value)
+    def given_lapses(self, weights: Array, log_k: Array, onto: Array) -> Array:
+        """Log-likelihood of ln k alone, (B, X, J): lapses weighted, interpolated onto other nodes.
+
+        `onto` (B, S) are the shares of the tabulated scales in B others.
+        """
+        like = (self.relative @ weights.astype(np.float32)).astype(float)
+        value = np.log(np.maximum(like, LEAST)) + self.top[..., None]
+        curve = CubicSpline(self.log_k, np.tensordot(onto, value, 1), axis=1)
         first, last = self.log_k[[0, -1]]
         slope = curve(self.log_k[[0, -1]], 1)
         # Beyond the nodes the likelihood goes on as it was: flat, or falling.
         below, above = np.minimum(log_k - first, 0), np.maximum(log_k - last, 0)
         inside: Array = curve(np.clip(log_k, first, last))
-        return (
-            inside
-            + below[:, None] * np.maximum(slope[0], 0.0)
-            + above[:, None] * np.minimum(slope[1], 0.0)
-        )
+        inside += below[:, None] * np.maximum(slope[:, :1], 0.0)
+        inside += above[:, None] * np.minimum(slope[:, 1:], 0.0)
+        return inside
 
 
 def _with_tail(axis: Array, reach: float = 9.0) -> tuple[Array, int]:
@@ -86,8 +94,11 @@ def _with_tail(axis: Array, reach: float = 9.0) -> tuple[Array, int]:
     return axis[0] + step * np.arange(-more, axis.size), more
 
 
-def tabulate(model: WeberModel, draws: Draws) -> Table:
-    """The table of a model without effects, on nodes laid around draws from its posterior."""
+def tabulate(model: WeberModel, draws: Draws, scales: Array) -> Table:
+    """The table of a model without effects, on nodes laid around draws from its posterior.
+
+    Its biases have their prior times each of the scales (S,).
+    """
     log_k = np.log(draws.weber_fraction)
     if model.free[0]:
         step = _node_step(log_k)
@@ -101,34 +112,52 @@ def tabulate(model: WeberModel, draws: Draws) -> Table:
     lapses = model.value("lapse_low", low), model.value("lapse_high", high)
     lo, hi = (a.ravel() for a in np.meshgrid(*lapses, indexing="ij"))
     k = np.exp(log_k)
-    bias, log_prior = _bias_nodes(model, k, draws)
-    rows = max(1, VALUES // (lo.size * bias.shape[1] * max(model.cells.n.size, 1)))
+    bias, finer, prior = _bias_nodes(model, k, draws, scales)
+    rows = max(1, VALUES // (lo.size * len(finer) * max(model.cells.n.size, model.n_groups)))
     parts = []
     for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
         cells = model.cell_log_likelihood(
             k[i, None, None], lo[:, None], hi[:, None], bias[i, None]
         )  # (k, Lo·Hi, B, C)
-        by_group = logsumexp(cells @ model.membership + log_prior[i, None], axis=2)
-        parts.append(by_group.sum(axis=-1))
-    possible = sum(model.lapses(lo, hi)) < 1
-    return Table(log_k, low, high, np.where(possible, np.concatenate(parts), -np.inf))
+        curve = np.moveaxis(cells @ model.membership, -1, 1) @ finer.T  # (k, G, Lo·Hi, F)
+        top = curve.max(axis=-1, keepdims=True)
+        by_group = np.log(np.maximum(np.exp(curve - top) @ prior[i], LEAST)) + top
+        parts.append(by_group.sum(axis=1))
+    found = np.moveaxis(np.concatenate(parts), -1, 0)  # (S, K, Lo·Hi)
+    found[..., sum(model.lapses(lo, hi)) >= 1] = -np.inf
+    best = found.max(axis=-1)
+    return Table(log_k, low, high, best, np.exp(found - best[..., None]).astype(np.float32))
 
 
-def _bias_nodes(model: WeberModel, k: Array, draws: Draws) -> tuple[Array, Array]:
-    """Nodes of every bias for each k, (K, B, G), and the log of their prior probabilities."""
+def _bias_nodes(
+    model: WeberModel, k: Array, draws: Draws, scales: Array
+) -> tuple[Array, Array, Array]:
+    """Nodes of every bias for each k, (K, B, G); and nodes between them, as narrow a prior needs:
+    their shares of the former (F, B), and their prior probabilities (K, G, F, S)."""
     if not model.free_bias:
         bias = np.full((k.size, 1, model.n_groups), model.fixed_bias())
-        return bias, np.zeros(bias.shape)
+        return bias, np.ones((1, 1)), np.ones((k.size, model.n_groups, 1, scales.size))
     felt = model.task.decide(model.felt(k))
-    ends = []
-    for p in (0.5, 0.002, 0.998):  # the nodes must also serve other lapses than the likeliest
-        at = (np.full(1, np.quantile(v, p)) for v in (draws.lapse_low, draws.lapse_high))
-        ends.append(model.bias_mode(felt, *at))
-    centre, spread = ends[0]
-    far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in ends[1:])
-    offsets = np.arange(-8.0 - np.ceil(far), 9.0 + np.ceil(far))
+    at = [np.quantile(v, [0.5, 0.002, 0.998]) for v in (draws.lapse_low, draws.lapse_high)]
+    (centre, spread), *others = (model.bias_mode(felt, lo, hi) for lo, hi in zip(*at, strict=True))
+    # The nodes must also serve other lapses than the likeliest, and wider biases than believed.
+    far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in others) + NARROW_REACH
+    if scales[-1] > 1:
+        c, wide = _widened(model, scales[-1]).bias_mode(felt, at[0][0], at[1][0])
+        reach = float(np.max((np.abs(c - centre) + WIDE_REACH * wide) / spread))
+        far = max(far, min(reach, FARTHEST))
+    offsets = np.arange(-np.ceil(far), np.ceil(far) + 1)
+    fine = np.linspace(offsets[0], offsets[-1], FINER * (offsets.size - 1) + 1)
+    between = centre[..., None] + spread[..., None] * fine  # (K, G, F)
+    prior = scaled_prior(model.priors, between, spread / FINER, scales)
     bias = centre[:, None, :] + spread[:, None, :] * offsets[:, None]
-    return bias, model.log_bias_prior(bias) + np.log(spread)[:, None, :]
+    return bias, CubicSpline(offsets, np.eye(offsets.size))(fine), np.exp(prior)
+
+
+def _widened(model: WeberModel, scale: float) -> WeberModel:
+    """The same observer, with a normal prior of the bias so many times as wide."""
+    mean, sd = model.priors.moments("bias")
+    return replace(model, priors=replace(model.priors, bias=norm(scale * mean, scale * sd)))
 
 
 def _lapse_axis(model: WeberModel, name: str, values: Array) -> Array:
