@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 QUANTILES = (0.025, 0.5, 0.975)
 FINER = 8  # nodes between those of k, for quantiles
-BATCH = 2048  # data sets at once
+BATCH, POOLED = 2048, 512  # data sets at once, alone and in populations, whose tables are larger
 
 
 @dataclass(frozen=True)
@@ -131,11 +131,12 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     True
     """
     model = hypothesis.model(scheme)
-    size = max(1, BATCH // counts.shape[1])
+    apart = counts.shape[1] == 1 or not model.free[0]
+    size = max(1, (BATCH if apart else POOLED) // counts.shape[1])
     found = []
     for some in (counts[i : i + size] for i in range(0, len(counts), size)):
         flat = some.reshape(-1, some.shape[-1])
-        if counts.shape[1] == 1 or not model.free[0]:
+        if apart:
             evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
             found.append((evidence.reshape(len(some), -1).sum(axis=1), quantiles[: len(some)]))
         else:

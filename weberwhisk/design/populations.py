@@ -2,8 +2,9 @@
 
 The model is that of `fit_population`: ln k of the animals is normal about the population's median,
 the normal scores of their lapses are normal with one mean and spread for both ends, and biases are
-each animal's own. All animals of all experiments share their nodes (`tables`), so a population is a
-set of weights of these nodes, tabulated once, and integrals are matrix products.
+those of their prior times one factor. All animals of all experiments share their nodes (`tables`),
+so a population is a set of weights of these nodes, tabulated once, and integrals are matrix
+products.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
+from ..behaviour.bias_scale import BiasScales
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors
 from .boxes import with_tail
@@ -26,6 +28,7 @@ LAPSE_STEP = 0.6  # of the nodes of the lapses, between which likelihoods are li
 HELD = 10.0  # nats under an animal's best, to which its likelihood is tabulated
 FINER_LAPSE, FINER_K = 4, 3  # nodes between those of a lapse, and of k
 SPREADS = 10  # Gauss–Legendre nodes of the spread of ln k between animals
+BIAS_SCALES = 7  # even nodes of the factor of the biases, over where it may be
 LAPSE_SPREADS = 6  # the same of the lapses' spread, in its logarithm
 LAPSE_MEANS = -3.5, 3.5  # of the lapses' mean, in scores, and
 LAPSE_SPREAD = 0.15, 2.0  # of their spread: where a population is looked for
@@ -74,9 +77,51 @@ def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Arr
     out = np.empty((experiments, fractions.mu.size))
     for i in range(experiments):
         own = found.values[..., i * animals : (i + 1) * animals]
-        out[i] = _of_one(own, log_k, x, lapses, fractions)
+        out[i] = log_sum(
+            np.array(
+                [
+                    log_weight + _of_one(np.tensordot(shares, own, 1), log_k, x, lapses, fractions)
+                    for shares, log_weight in _bias_scales(found.scales, own, lapses)
+                ]
+            ),
+            0,
+        )
     step = fractions.mu[1] - fractions.mu[0]
     return fractions.mu, out, log_sum(out, 1) + np.log(step)
+
+
+def _bias_scales(
+    scales: BiasScales, values: NDArray[np.float32], lapses: _Lapses
+) -> list[tuple[NDArray[np.float32], float]]:
+    """Likely scales of the biases of one experiment: the shares (S,) of the tabulated ones in each,
+    and the log of its prior probability."""
+    if scales.nodes.size == 1:
+        return [(np.ones(1, dtype=np.float32), 0.0)]
+    size, animals = len(values), values.shape[-1]
+    # With likely lapses, and every animal's k its own.
+    usual = lapses.weights[:, int(np.argmax(lapses.log_prior))]
+    flat = values.reshape(size, values.shape[1], -1, animals)
+    top = flat.max(axis=(0, 1, 2))
+    told = np.log(np.tensordot(usual, np.exp(flat - top).sum(axis=1), (0, 1)) + LEAST)  # (S, A)
+    prior = PopulationPriors().bias_scale
+
+    def log_density(at: Array) -> Array:
+        """Prior density of asinh(scale / unit)."""
+        return np.asarray(
+            prior.logpdf(scales.unit * np.sinh(at)) + np.log(scales.unit * np.cosh(at))
+        )
+
+    last = float(np.arcsinh(scales.nodes[-1] / scales.unit))
+    at = np.linspace(0.0, last, 128)
+    total = scales.onto(scales.unit * np.sinh(at)) @ told.sum(axis=1) + log_density(at)
+    likely = at[total > total.max() - CUT]
+    nodes = np.linspace(
+        max(likely[0] - 2 * at[1], 0.0), min(likely[-1] + 2 * at[1], last), BIAS_SCALES
+    )
+    log_weight = log_density(nodes) + np.log(nodes[1] - nodes[0])
+    log_weight[[0, -1]] -= np.log(2.0)  # of a scale of zero that is exact: all is even about it
+    shares = scales.onto(scales.unit * np.sinh(nodes)).astype(np.float32)
+    return list(zip(shares, log_weight.tolist(), strict=True))
 
 
 def _of_one(

@@ -62,8 +62,8 @@ class Power:
             if binomtest(missed, int(row["runs"])).proportion_ci(0.95, "wilson").low > TOLERATED:
                 lines.append(
                     f"  Caution: these 95 % intervals of k hold the truth in {row['coverage']:.0%} "
-                    "of runs: the animals are not as the priors have them. Give a prior of the "
-                    "bias as wide as theirs, with_priors(hypotheses, bias=...), or wider levels."
+                    "of runs: the animals are not as the priors have them. Give priors that hold "
+                    "them, with_priors(hypotheses, lapse_low=...), or wider levels."
                 )
         return "\n".join(lines)
 
@@ -115,12 +115,10 @@ def power(
     """Simulate experiments of several sizes, fit each, compare, and count what they reach.
 
     Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
-    of its fit; see `weberwhisk.design.tables`. Several animals share a population, of their k and
-    of their lapses, as in `fit_population` (`weberwhisk.design.populations`). Animals that are as
-    the priors have them are covered as they should be. Biases are not pooled: with a prior far
-    wider than theirs (1 by default, where `Animals` has 0.2) many animals pull k down, in the fit
-    as here. `coverage` shows it and the report says it; ``with_priors(hypotheses,
-    bias=scipy.stats.norm(0, 0.25))`` mends it, in both.
+    of its fit; see `weberwhisk.design.tables`. Several animals share a population, of their k, of
+    their lapses and of how widely their biases spread, as in `fit_population`
+    (`weberwhisk.design.populations`). `coverage` says how often intervals of k hold the truth, and
+    the report where that is too seldom: then the animals are not as the priors have them.
 
     Parameters
     ----------

@@ -158,7 +158,8 @@ def _size(plan: Plan) -> str:
 def _analysis(plan: Plan) -> str:
     h = plan.hypotheses[0]
     fitted = (
-        "All animals are fitted together (weberwhisk.fit_population)"
+        "All animals are fitted together (weberwhisk.fit_population, which learns how their Weber "
+        "fractions, lapses and biases spread)"
         if plan.together
         else "Each animal is fitted by itself (weberwhisk.fit_weber, by quadrature)"
     )

@@ -9,17 +9,20 @@ group, as they are independent given the rest; then the lapses.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..behaviour.bias_scale import AS_BELIEVED, BiasScales, scaled_prior
 from ..behaviour.likelihood import WeberModel
+from ..behaviour.priors import PopulationPriors
 from ..behaviour.quadrature import score_prior
 from .boxes import (
     CUT,
     LAPSE_STEP,
+    STEP_BIAS,
     WIDE_BIAS,
     Boxes,
     Steps,
@@ -36,6 +39,9 @@ Single = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
 TOGETHER = 64  # data sets that meet the same nodes
+FINE_BIAS = 0.5  # steps of the biases, in final steps, where their prior may be narrow
+SCALE_STEP = 0.5  # of the biases' scale, in asinh
+FAR_SCALE = 1e-6  # of its prior, beyond which it is not looked for
 LEAST = np.float32(1e-30)  # of a probability
 NOTHING = -1e5  # log of what cannot be
 
@@ -44,10 +50,11 @@ NOTHING = -1e5  # log of what cannot be
 class Likelihood:
     """Log-likelihoods of R data sets on even nodes, biases integrated.
 
-    `scores` (K,) of k; `low` and `high`, coordinates of the lapses; `values` (K, Lo, Hi, R), of
-    which nothing but what lies in the boxes was computed.
+    `scales` of the biases, S of them; `scores` (K,) of k; `low` and `high`, coordinates of the
+    lapses; `values` (S, K, Lo, Hi, R), of which nothing but what lies in the boxes was computed.
     """
 
+    scales: BiasScales
     scores: Array
     low: Array
     high: Array
@@ -88,14 +95,32 @@ def marginal(model: WeberModel, counts: Array) -> tuple[Array, Array]:
 def likelihood(
     model: WeberModel, counts: Array, lapse_step: float = LAPSE_STEP, cut: float = CUT
 ) -> Likelihood:
-    """The same before the lapses are integrated, wherever it is above the best less `cut`."""
+    """The same before the lapses are integrated, wherever it is above the best less `cut`, and for
+    biases that are as wide as the prior has them, narrower and wider."""
     steps = passes(model, lapse_step)
     boxes = boxes_of(model, counts, steps, cut)
     axes = boxes.nodes(steps[-1].k), *boxes.lapses(steps[-1].lapse)
-    values = np.full((*(a.size for a in axes), len(counts)), NOTHING, dtype=np.float32)
-    for block in _blocks(model, axes, boxes, steps[-1], _answers(model, counts)):
-        values[block.k, block.low, block.high][..., block.rows] = block.joint
-    return Likelihood(*axes, values)
+    scales = _scales(model)
+    fine = replace(steps[-1], biases=FINE_BIAS)
+    values = np.full(
+        (scales.nodes.size, *(a.size for a in axes), len(counts)), NOTHING, dtype=np.float32
+    )
+    answers = _answers(model, counts)
+    for block in _blocks(model, axes, boxes, fine, answers, scales=scales.nodes):
+        values[:, block.k, block.low, block.high][..., block.rows] = block.joint
+    return Likelihood(scales, *axes, values)
+
+
+def _scales(model: WeberModel) -> BiasScales:
+    """Scales of the biases at which likelihoods are tabulated."""
+    if not model.free_bias:
+        return AS_BELIEVED
+    k = model.value("weber_fraction", np.linspace(-2.0, 2.0, 9))
+    d, weight = np.broadcast_arrays(*model.task.decide(model.felt(k)))
+    mean, sd = model.priors.moments("bias")
+    told = bias_steps(model, d, weight, np.linspace(mean - 2 * sd, mean + 2 * sd, 9)).min()
+    last = float(PopulationPriors().bias_scale.isf(FAR_SCALE))
+    return BiasScales.between(0.0, last, float(told) / (STEP_BIAS * sd), SCALE_STEP)
 
 
 def _answers(model: WeberModel, counts: Array) -> list[Single]:
@@ -172,10 +197,12 @@ def _blocks(
     steps: Steps,
     answers: list[Single],
     keep: bool = False,
+    scales: Array | None = None,
 ) -> Iterator[_Block]:
     """Log-likelihoods of the data sets, node of k by node.
 
-    With `keep`, the highest over the biases in place of their integral, and the parts.
+    With `keep`, the highest over the biases in place of their integral, and the parts. With
+    `scales` (S,) the integral for each of them, (S, Lo, Hi, r).
     """
     tables = _Tables(model, axes, boxes, steps)
     for i, score in enumerate(axes[0]):
@@ -207,11 +234,46 @@ def _blocks(
                 top = values.max(axis=0)
                 if keep:
                     parts.append((nodes[2 + g], spans[2 + g], values, top))
+                elif scales is not None:
+                    top = _by_scale(
+                        model, values - part[-1][..., None], nodes[2 + g][spans[2 + g]], scales
+                    )
                 else:
                     values -= top
                     top = top + np.log(np.exp(values, out=values).sum(axis=0))
                 joint = joint + top
             yield _Block(i, own, spans[0], spans[1], joint, parts)
+
+
+def _by_scale(model: WeberModel, log_like: Single, bias: Array, scales: Array) -> Single:
+    """Biases (B,) integrated, for each scale of their prior, (S, Lo, Hi, r)."""
+    if not model.free_bias:
+        return np.asarray(log_like.max(axis=0, keepdims=True))
+    log_like, bias = _with_middles(log_like), _with_middles(bias)
+    step = bias[1] - bias[0] if bias.size > 1 else WIDE_BIAS
+    weights = np.exp(scaled_prior(model.priors, bias, np.array(step), scales)).astype(np.float32)
+    top = log_like.max(axis=0)
+    log_like -= top
+    like = np.exp(log_like, out=log_like).reshape(bias.size, -1)
+    total = np.log(np.maximum(weights.T @ like, LEAST))
+    return np.asarray(total.reshape(-1, *top.shape) + top)
+
+
+def _with_middles(values: Any) -> Any:
+    """Rows (B, ...) with others between them: cubic interpolation, quadratic at the ends."""
+    count = len(values)
+    if count == 1:
+        return values
+    out = np.empty((2 * count - 1, *values.shape[1:]), dtype=values.dtype)
+    out[::2] = values
+    out[1::2] = 0.5 * (values[1:] + values[:-1])
+    if count > 2:
+        bend = values[2:] - 2 * values[1:-1] + values[:-2]  # second differences
+        out[3::2] -= bend / 16
+        out[1:-2:2] -= bend / 16
+        out[1] -= bend[0] / 16
+        out[-2] -= bend[-1] / 16
+    return out
 
 
 def _highest(values: Single) -> Single:
