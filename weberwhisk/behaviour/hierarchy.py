@@ -28,6 +28,8 @@ NAMES = (
 )  # fmt: skip
 COARSE = (13, 13, 7, 7, 7, 4)
 FINE = (23, 27, 11, 11, 21, 9)
+FINER_BIASES = (23, 27, 11, 27, 21, 9)  # where their scale has a peak and a long tail
+PLENTY = 0.1  # what half the nodes may miss
 ALL = range(len(NAMES))
 CUT_OFF = 1e-3  # of the peak: density at the last scale of biases, at which more should be known
 KEPT = 1e-6  # of the peak: what a marginal density may fall to within the axes
@@ -134,14 +136,17 @@ def integrate_population(
         grid.lay(ranges, counts)
         log_mass = grid.log_mass()
         ranges = [_narrowed(log_mass, j, grid.axes[j], grid.bounds[j]) for j in ALL]
-    grid.lay(ranges, FINE)
-    log_mass = grid.log_mass()
-    log_evidence = float(logsumexp(log_mass))
-    mass = np.exp(log_mass - log_evidence)
+    for counts in (FINE, FINER_BIASES):
+        grid.lay(ranges, counts)
+        log_mass = grid.log_mass()
+        log_evidence = float(logsumexp(log_mass))
+        mass = np.exp(log_mass - log_evidence)
+        missed = [_thinned(mass, j) for j in ALL]
+        if missed[3] < PLENTY:
+            break
     of_members, of_animals = grid.shrunken(mass)
     # What half the nodes miss, squared: sums over whole bumps converge exponentially. The last
     # axis is cut off at its ends, and converges by a quarter each time.
-    missed = [_thinned(mass, j) for j in ALL]
     error = np.inf if grid.cut_off(mass) else max(max(missed[:-1]) ** 2, missed[-1] / 3)
     return Population(
         tuple(grid.axes),
