@@ -21,6 +21,8 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
+from weberwhisk.behaviour.bias_scale import BiasScales
+from weberwhisk.behaviour.hierarchy import integrate_population
 from weberwhisk.behaviour.members import Members, Work
 from weberwhisk.behaviour.population import joined
 from weberwhisk.behaviour.tabulated import tabulate
@@ -286,6 +288,37 @@ def test_what_fails_emcee_on_all_animals_at_once() -> None:
     many_run = sample_stacked(joint, many, seed=1, precision=0.05, max_steps=1500)
     assert few_run.converged[0]
     assert not many_run.converged[0]
+
+
+def test_scales_of_biases_that_were_not_tabulated_are_missed() -> None:
+    # A posterior that runs into the end of what was tabulated is no answer, and says so.
+    trials, _ = animals(4, bias_spread=0.2)
+    fits = [fit_weber(trials.select(subject=s)) for s in trials.subjects]
+    weber = Priors().weber_fraction
+    errors = []
+    for scales in (BiasScales.between(0.0, 5.0, 0.1), BiasScales.between(1.5, 3.0, 0.1)):
+        tables = [tabulate(f.model.merged(), f.posterior.draws(), scales.nodes) for f in fits]
+        members = Members(tuple(tables), np.arange(4), False, 0.7, scales)
+        found = integrate_population(
+            members, PopulationPriors(), lambda x: weber.logpdf(np.exp(x)) + x
+        )
+        errors.append(found.error)
+    assert errors[0] < 0.02
+    assert np.isinf(errors[1])
+
+
+def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
+    # Twelve animals without any bias: with the scale of a single fit k is 0.0927, and 0.0979 with
+    # one that is learnt.
+    trials, _ = animals(12, spread=0.1, trials_per_level=12)
+    known = {"lapse_low": 0.02, "lapse_high": 0.02}
+    learnt = fit_population(trials, bias="per standard", priors=known)
+    believed = PopulationPriors(bias_scale=stats.lognorm(0.01, scale=1.0))
+    fixed = fit_population(trials, bias="per standard", priors=known, population=believed)
+    assert fixed.weber_fraction < 0.97 * learnt.weber_fraction
+    low, high = learnt.interval(0.95)
+    assert low < 0.1 < high
+    assert learnt.interval(0.95, "bias_scale")[1] < 0.3
 
 
 # -- what pooling does ----------------------------------------------------------------------------
