@@ -2,9 +2,10 @@
 
 A stiffness or a side is known by its prior and by what the rest of a reading leaves of it. At a
 given contact its density is close to a Gaussian, whose middle and width change from contact to
-contact: a Newton step or two from the mode's own regression line find both. Gauss–Hermite's rule
-about them needs five nodes where a grid of three dimensions has a dozen; and the mechanics, which
-know no stiffness, are worked out once for all of them.
+contact: a Newton step or two find both, from the mode's own regression line at the corners of a
+tile, and between these by interpolation. Gauss–Hermite's rule about them needs five nodes where a
+grid of three dimensions has a dozen; and the mechanics, which know no stiffness, are worked out
+once for all of them.
 """
 
 from __future__ import annotations
@@ -28,11 +29,15 @@ from .tiles import Engine
 
 #: Nodes of the rule, from the tolerance on that stands before them.
 RULES = ((3e-3, 5), (3e-4, 9), (0.0, 15))
+#: Most nodes, where the rule that the tolerance asks for proves too coarse.
+MOST = 45
 #: Widest and narrowest a conditional density may be, over the mode's.
 WIDEST = 4.0
 #: Most steps towards the conditional mode, in widths the last of them, and the density (in ln,
 #: below the highest) at nodes that are not waited for.
 STEPS, NEAR, NEGLIGIBLE = 8, 1.0, 30.0
+#: Sums about better and better middles, where a climb has missed.
+ROUNDS = 6
 #: Variance about a middle, over what the width there says, from which the rule is not believed.
 UNLIKE = 4.0
 #: Corners of a tile, and what each counts at every node between them.
@@ -42,8 +47,9 @@ BETWEEN = np.kron(_ALONG, _ALONG)
 
 
 class Nodes(NamedTuple):
-    """Nodes (n,) of posteriors: their readings, contacts, prior, and the highest there is."""
+    """Nodes (n,): whose they are, readings, contacts, ln of prior and of the highest density."""
 
+    row: Index
     reading: Array
     contact: Array
     log_prior: Array
@@ -62,21 +68,15 @@ class Conditional:
         precision = np.linalg.inv(mode.covariance)
         self.width = precision[:, -1, -1] ** -0.5
         self.slope = -precision[:, -1, :-1] / precision[:, -1, -1, None]
+        #: Infinite for posteriors of whose conditional peaks one has been missed, 0 for the others.
+        self.astray = np.zeros(len(reading))
 
     def __call__(self, x: Array, index: Index, *, finer: int = 1) -> tuple[Array, Array]:
         """ln of the density at x (b, N, U − 1), (b, N); and columns (b, N, U + 1).
 
         The columns are the contact, and of the last unknown the mean and variance at each node.
         """
-        nodes = self.nodes(x, index)
-        middle, width, waited = self.climbed(nodes, *self.start(x, index))
-        log, columns = np.full(len(middle), -np.inf), np.zeros((len(middle), x.shape[-1] + 2))
-        # Without the nodes that hold nothing; far from its peak no node tells.
-        live = np.flatnonzero(waited)
-        if live.size:
-            log[live], columns[live], _ = self.summed(
-                nodes.of(live), middle[live], width[live], finer
-            )
+        log, columns = self.climbed_and_summed(self.nodes(x, index), *self.start(x, index), finer)
         return log.reshape(x.shape[:2]), columns.reshape(*x.shape[:2], -1)
 
     def on_tiles(self, points: Array, *, finer: int = 1) -> OnTiles:
@@ -96,15 +96,11 @@ class Conditional:
             nodes = self.nodes(x, row)
             between = [(a.reshape(-1, 4) @ BETWEEN).ravel() for a in (middle, np.log(width))]
             middle, width = between[0], np.exp(between[1])
-            log, columns, missed = self.summed(nodes, middle, width, finer)
+            log, columns, middle, width, missed = self.summed(nodes, middle, width, finer)
             again = np.flatnonzero(missed)
             if again.size:
-                nodes = nodes.of(again)
-                middle, width, waited = self.climbed(nodes, middle[again], width[again])
-                live = np.flatnonzero(waited)
-                again = again[live]
-                log[again], columns[again], _ = self.summed(
-                    nodes.of(live), middle[live], width[live], finer
+                log[again], columns[again] = self.climbed_and_summed(
+                    nodes.of(again), middle[again], width[again], finer
                 )
             columns = columns.reshape(*x.shape[:2], -1)
             return log.reshape(x.shape[:2]), np.moveaxis(columns, -1, 1)
@@ -122,17 +118,38 @@ class Conditional:
         contact, log_prior = self.observer.contact(x)
         rows = np.repeat(index, x.shape[1])
         return Nodes(
+            rows,
             self.reading[rows],
             contact.reshape(len(rows), -1),
             log_prior.ravel(),
             self.mode.log_density[rows],
         )
 
+    def climbed_and_summed(
+        self, nodes: Nodes, middle: Array, width: Array, finer: int
+    ) -> tuple[Array, Array]:
+        """ln of the density (n,) and the columns, by climbs from middles (n,)."""
+        middle, width, waited = self.climbed(nodes, middle, width)
+        log = np.full(len(middle), -np.inf)
+        columns = np.zeros((len(middle), nodes.contact.shape[1] + 2))
+        live = np.flatnonzero(waited)  # the others hold nothing
+        middle, width = middle[live], width[live]
+        for _ in range(ROUNDS):
+            if not live.size:
+                break
+            found = self.summed(nodes.of(live), middle, width, finer)
+            log[live], columns[live], middle, width, missed = found
+            missed &= log[live] > nodes.top[live] - NEGLIGIBLE / 2
+            live, middle, width = live[missed], middle[missed], width[missed]
+        self.astray[nodes.row[live]] = np.inf
+        return log, columns
+
     def climbed(
         self, nodes: Nodes, middle: Array, width: Array
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """The conditional peaks, their widths, and whether they are worth summing, (n,) each."""
-        peak, step, narrower = self.climb(self.log_density(nodes), middle, width)
+        reach = np.full(middle.shape, WIDEST)
+        peak, step, narrower = self.climb(self.log_density(nodes), middle, width, reach)
         middle = middle + step * width
         above = peak + nodes.log_prior - nodes.top
         far = np.abs(step) > WIDEST / 2
@@ -142,8 +159,11 @@ class Conditional:
             left = np.flatnonzero(waited)
             if not left.size:
                 break
+            # Longer strides where they go on, as along the side of a ridge far from the mode.
+            reach[left] = np.where(np.abs(step[left]) < reach[left], WIDEST, 2 * reach[left])
             density = self.log_density(nodes.of(left))
-            peak[left], step[left], narrower[left] = self.climb(density, middle[left], width[left])
+            found = self.climb(density, middle[left], width[left], reach[left])
+            peak[left], step[left], narrower[left] = found
             middle[left] += step[left] * width[left]
             above[left] = peak[left] + nodes.log_prior[left] - nodes.top[left]
             far[left] = np.abs(step[left]) > WIDEST / 2
@@ -151,10 +171,10 @@ class Conditional:
 
     def summed(
         self, nodes: Nodes, middle: Array, width: Array, finer: int
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_]]:
         """ln of the density (n,) and the columns (n, U + 1), by the rule about these middles.
 
-        And whether that lies beside the peak, or is far from as wide.
+        And better middles and widths, and whether these were beside the peak or far from as wide.
         """
         t, weight = hermegauss(finer * self.count)
         rule = np.log(weight) + t**2 / 2
@@ -177,7 +197,8 @@ class Conditional:
             log = np.log(total * width) + safe + nodes.log_prior - 0.5 * np.log(2 * np.pi)
         columns = np.concatenate([nodes.contact, mean[:, None], variance[:, None]], axis=-1)
         columns[~found] = 0.0
-        return log, columns, missed
+        better = middle + off * width
+        return log, columns, better, width * np.clip(spread, WIDEST**-2, WIDEST) ** 0.5, missed
 
     def log_density(self, nodes: Nodes) -> Callable[[Array], tuple[Array, Array]]:
         """ln of the density of the last unknown, and its value, at its coordinate (n,)."""
@@ -199,7 +220,7 @@ class Conditional:
 
     @staticmethod
     def climb(
-        density: Callable[[Array], tuple[Array, Array]], middle: Array, width: Array
+        density: Callable[[Array], tuple[Array, Array]], middle: Array, width: Array, reach: Array
     ) -> tuple[Array, Array, Array]:
         """A Newton step in widths, with the height it ends at and the factor of the width."""
         below, here, above = (density(middle + s * width)[0] for s in (-1.0, 0.0, 1.0))
@@ -207,23 +228,37 @@ class Conditional:
             rise, bend = (above - below) / 2, 2 * here - below - above
             # Uphill all the way where there is no peak to aim at.
             step = np.where(bend > 0, rise / bend, np.inf * np.sign(rise))
-            step = np.nan_to_num(np.clip(step, -WIDEST, WIDEST))
+            step = np.nan_to_num(np.clip(step, -reach, reach))
             bend = np.clip(np.nan_to_num(bend, nan=1.0), WIDEST**-2, WIDEST**2)
             height = np.fmax(np.fmax(below, above), here + np.nan_to_num(step * rise) / 2)
         return height, step, bend**-0.5
 
 
 class LastUnknown(Engine):
-    """The moments over all coordinates but the last, of three and more unknowns."""
+    """The moments over all coordinates but the last, of three and more unknowns.
+
+    Attributes
+    ----------
+    coarse : array of bool, shape (B,)
+        Where the rule for the last unknown takes more than half of the tolerance.
+    """
 
     nested = True
 
-    def __init__(self, observer: Observer, reading: Array, mode: Mode, tolerance: float) -> None:
+    def __init__(
+        self,
+        observer: Observer,
+        reading: Array,
+        mode: Mode,
+        tolerance: float,
+        count: int | None = None,
+    ) -> None:
         super().__init__(observer, reading, mode, tolerance)
         self.peak = Mode(mode.x[:, :-1], mode.log_density, mode.covariance[:, :-1, :-1])
-        self.count = next(count for least, count in RULES if tolerance >= least)
+        self.count = count or next(count for least, count in RULES if tolerance >= least)
         self.conditional = Conditional(observer, reading, mode, self.count)
         self._tiled = self.tiled()
+        self.coarse, self._off, self._last_off = self.errors()
 
     def tiled(self, finer: int = 1) -> Tiled:
         """The density and its functions on tiles, by a rule of so many times the nodes."""
@@ -238,6 +273,9 @@ class LastUnknown(Engine):
         log, values = self._tiled(x)(index, np.arange(len(x)))
         return log, np.moveaxis(values, 1, -1)
 
+    def sound(self) -> NDArray[np.bool_]:
+        return np.asarray(self._off + self.conditional.astray < self.tolerance)
+
     def completed(self, found: GridPosterior | LatticeMoments) -> dict[str, Any]:
         """Mean, sd and their errors of all unknowns, from the functions'."""
         mean, sd, mean_error, sd_error = found.mean, found.sd, found.mean_error, found.sd_error
@@ -246,25 +284,33 @@ class LastUnknown(Engine):
         whole = np.sqrt(sd[:, dim] ** 2 + mean[:, dim + 1])
         share = sd[:, dim] / whole
         spread = sd[:, dim + 1] * mean_error[:, dim + 1] / (2 * whole**2)
-        last_mean_error, last_sd_error = share * mean_error[:, dim], share**2 * sd_error[:, dim]
-        off = self.error()[:, None]
+        of_mean, of_variance = (off / whole**n for n, off in enumerate(self._last_off, 1))
+        last_mean_error = share * mean_error[:, dim] + of_mean
+        last_sd_error = share**2 * sd_error[:, dim] + spread + of_mean + of_variance / 2
+        off = (self._off + self.conditional.astray)[:, None]
         return {
             "mean": mean[:, : dim + 1],
             "sd": np.column_stack([sd[:, :dim], whole]),
             "mean_error": np.column_stack([mean_error[:, :dim], last_mean_error]) + off,
-            "sd_error": np.column_stack([sd_error[:, :dim], last_sd_error + spread]) + off,
+            "sd_error": np.column_stack([sd_error[:, :dim], last_sd_error]) + off,
         }
 
-    def error(self) -> Array:
-        """How far ln of the density is off, across the middle of each posterior (B,).
+    def errors(self) -> tuple[NDArray[np.bool_], Array, tuple[Array, Array]]:
+        """What `coarse` says, and how far ln of the density is off across each posterior (B,).
 
-        The rule with three times as many nodes tells, at one sd to either side along each axis.
+        And the last unknown's mean and variance at a contact. The rule with three times as many
+        nodes tells, at one sd to either side along each axis.
         """
         width = np.linalg.norm(mode_root(self.peak), axis=2)
         steps = np.concatenate([s * np.eye(width.shape[1]) for s in (-1.0, 0.0, 1.0)])
         places = self.peak.x[:, None] + steps * width[:, None]
         rows = np.arange(len(places))
-        fine, plain = (self.tiled(finer)(places)(rows, rows)[0] for finer in (3, 1))
+        fine, plain = (self.tiled(finer)(places)(rows, rows) for finer in (3, 1))
         with np.errstate(invalid="ignore"):
-            change = np.nan_to_num(fine - plain, nan=1.0, posinf=1.0, neginf=-1.0)
-        return np.asarray(np.ptp(change, axis=1))
+            change = np.nan_to_num(fine[0] - plain[0], nan=0.0, posinf=1.0, neginf=-1.0)
+        off = np.ptp(change, axis=1)
+        mean, variance = np.moveaxis(np.abs(fine[1] - plain[1])[:, -2:], 1, 0)
+        own = np.maximum(fine[1][:, -1], np.finfo(float).tiny)
+        worst = np.maximum(mean / np.sqrt(own), variance / (2 * own)).max(axis=1)
+        coarse = np.maximum(off, worst) > self.tolerance / 2
+        return coarse, off, (mean.max(axis=1), variance.max(axis=1))
