@@ -5,9 +5,19 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, ForceMap, SpaceMap, UnknownStiffness
+from weberwhisk.cues import (
+    AngleSideAngle,
+    Compliance,
+    ForceMap,
+    SpaceMap,
+    TwoWhiskers,
+    UnknownStiffness,
+)
 from weberwhisk.jnd import fisher_jnd, weber_propagation
-from weberwhisk.receptors import Weber
+from weberwhisk.posterior import quadrature
+from weberwhisk.posterior.mode import find_mode
+from weberwhisk.posterior.tiles import AllUnknowns
+from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 
@@ -96,3 +106,77 @@ def test_a_taps_jnd_adds_the_variances_of_noise_and_stiffness():
     table = ww.jnd_curve(observer, r, draws=4, seed=1)
     assert table["propagation"][0] == pytest.approx(expected, rel=1e-9)
     assert table["stiffness"][0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("noise", "spread", "contact", "off"),
+    [
+        (LogNormal(0.034374), 0.954101, [37.972e-3, 0.33771, 0.22775], [-0.25682, 0.17446]),
+        (
+            GeneralisedWeber(0.013195, floor=[1e-9, 1e-7]),
+            0.159135,
+            [5.5023e-3, 0.63515, 1.21273],
+            [2.94878, -0.60280],
+        ),
+        (
+            GeneralisedWeber(0.36712, floor=[1e-9, 1e-7]),
+            0.526036,
+            [29.872e-3, 0.25749, 0.44616],
+            [-0.23246, -0.76139],
+        ),
+    ],
+    ids=["ridge tens of widths off", "ridge bent", "wide noise"],
+)
+def test_ridges_of_stiffness_are_followed_wherever_they_go(noise, spread, contact, off):
+    """0.1, 0.09 and 0.02 sd off, with 0.004, 0.001 and 0.006 claimed.
+
+    Climbs to the conditional peak gave up eight strides from the mode's regression line; and five
+    nodes were taken to do for wide noise too.
+    """
+    observer = ww.Observer(W, UnknownStiffness(ForceMap(), spread), noise)
+    signals, _ = observer.signals(np.array([contact]))
+    reading = noise.mean(signals) + np.array(off) * noise.sd(signals)
+    assert_as_all_at_once(observer, reading)
+
+
+def test_the_last_unknown_apart_is_as_all_at_once():
+    """Distances, angles and last unknowns, of cues and noise drawn at random; the seed is new."""
+    seed = np.random.SeedSequence().entropy
+    rng = np.random.default_rng(seed)
+    judged = 0
+    for _ in range(12):
+        k, spread = 10 ** rng.uniform([-2.5, -1.5], [-0.3, 0.0])
+        soft, side = UnknownStiffness(ForceMap(), spread), 10 ** rng.uniform(-5, -2.61)
+        floor = GeneralisedWeber(0.0, floor=0.2 * k)
+        observer = [
+            ww.Observer(W, AngleSideAngle(side_sd=side), floor),
+            ww.Observer(W, TwoWhiskers(side_sd=0.3 * side), floor),
+            ww.Observer(W, soft, LogNormal(k)),
+            ww.Observer(W, soft, GeneralisedWeber(k, floor=[1e-9, 1e-7])),
+            ww.Observer(W, soft, Weber(k)),
+        ][rng.integers(5)]
+        contact, _ = observer.contact(rng.standard_normal((1, 3)) * [1.2, 1.2, 1.0])
+        signals, outcome = observer.signals(contact)
+        if outcome[0] != ww.Outcome.HELD:
+            continue
+        reading = observer.noise.sample(signals, rng)
+        if isinstance(observer.noise, LogNormal) and np.any(reading * signals <= 0):
+            continue
+        judged += assert_as_all_at_once(observer, reading, f"seed {seed}")
+    assert judged
+
+
+def assert_as_all_at_once(observer, reading, hint=""):
+    """The last unknown integrated at every contact, against a grid that turns with all three.
+
+    Where the grid itself does not get there nothing is said, and False returned.
+    """
+    mode = find_mode(observer, reading)
+    grid = AllUnknowns(observer, reading, mode, 1e-3).on_grid(max_points=4_000_000)
+    found = quadrature._part(observer, reading, 1e-2)
+    if not grid.converged[0] or found.status[0] == ww.Status.IMPRECISE:
+        return False
+    off = np.abs(np.stack([found.moments.mean - grid.mean, found.moments.sd - grid.sd])) / grid.sd
+    claimed = np.stack([found.moments.mean_error, found.moments.sd_error])
+    assert np.all(off < np.maximum(0.01, 2 * claimed)), (hint, observer, reading, off, claimed)
+    return True

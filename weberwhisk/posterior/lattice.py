@@ -165,38 +165,39 @@ class _Flood:
         self.sums = np.zeros((count, 1 + 2 * columns, len(_SUBSETS)))
         self.lost = lost.copy()
         self.tiles = np.zeros(count, dtype=np.int64)
-        self.keys = np.empty(0, dtype=np.int64)
-        self.faces = np.empty((0, 1 + 2 * columns, 8))
-        self.spread(np.arange(count), np.floor(centre / (SIDE * self.spacing)).astype(np.int64))
+        tile = np.floor(centre / (SIDE * self.spacing)).astype(np.int64)
+        self.keys, self.faces = self.spread(np.arange(count), tile)
 
-    def spread(self, row: Index, tile: NDArray[np.int64]) -> None:
-        """From first tiles (n, 2) of posteriors (n,) to all that hold mass."""
+    def spread(self, row: Index, tile: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+        """From first tiles (n, 2) of posteriors (n,) to all that hold mass: keys, in order, and
+        sides (n, 1 + 2C, 8)."""
+        keys, faces, seen = [], [], np.empty(0, dtype=np.int64)
         while row.size:
             terms = self.weigh(row, tile)
             starts = np.flatnonzero(np.diff(row, prepend=-1))
             self.sums[row[starts]] += np.add.reduceat(terms[..., :-8], starts)
             self.tiles += np.bincount(row, minlength=len(self.tiles))
             self.lost |= self.tiles > TILES
-            keys = np.concatenate([self.keys, _key(row, tile)])
-            self.faces = np.concatenate([self.faces, terms[..., -8:]])
-            order = np.argsort(keys)
-            self.keys, self.faces = keys[order], self.faces[order]
-            row, tile = self.beyond()
+            keys.append(_key(row, tile))
+            faces.append(terms[..., -8:].copy())
+            seen = np.sort(np.concatenate([seen, keys[-1]]))
+            row, tile = self.beyond(keys[-1], faces[-1], seen)
+            if not row.size:  # means have moved since the others were looked at
+                row, tile = self.beyond(np.concatenate(keys), np.concatenate(faces), seen)
+        order = np.argsort(np.concatenate(keys))
+        return np.concatenate(keys)[order], np.concatenate(faces)[order]
 
-    def beyond(self) -> tuple[Index, NDArray[np.int64]]:
+    def beyond(
+        self, keys: NDArray[np.int64], faces: Array, seen: NDArray[np.int64]
+    ) -> tuple[Index, NDArray[np.int64]]:
         """The neighbours, not yet seen, of sides that hold mass."""
-        row, tile = _unkey(self.keys)
-        pair, side = np.nonzero(self.shares(row) > EDGE * self.tolerance)
+        row, tile = _unkey(keys)
+        pair, side = np.nonzero(self.shares(row, faces) > EDGE * self.tolerance)
         pair, side = pair[~self.lost[row[pair]]], side[~self.lost[row[pair]]]
         keys = np.unique(_key(row[pair], tile[pair] + _NEIGHBOURS[side]))
-        return _unkey(keys[~self.seen(keys)])
+        return _unkey(keys[~_among(keys, seen)])
 
-    def seen(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which tiles have been weighed."""
-        place = np.searchsorted(self.keys, keys)
-        return np.asarray(self.keys[np.minimum(place, len(self.keys) - 1)] == keys)
-
-    def shares(self, row: Index) -> Array:
+    def shares(self, row: Index, faces: Array) -> Array:
         """What lies beyond each side of each tile, as shares of mass and variances (n, 4).
 
         If layers go on falling as the last two do from the two before; and twice that.
@@ -204,7 +205,7 @@ class _Flood:
         columns = self.origin.shape[1]
         mass, mean, _, unit = self.all_moments()
         mean, unit = mean[row, :, None], unit[row, :, None]
-        own, first, second = np.split(self.faces, [1, 1 + columns], axis=1)
+        own, first, second = np.split(faces, [1, 1 + columns], axis=1)
         about = second - 2 * mean * first + mean**2 * own
         with np.errstate(invalid="ignore", over="ignore"):
             pull = np.where(unit > 0, about / np.where(unit > 0, unit, 1.0) ** 2, 0.0)
@@ -252,7 +253,8 @@ class _Flood:
             terms[:, 0] = weight
             np.multiply(weight[:, None], off, out=first)
             np.multiply(first, off, out=second)
-            out[pairs] = terms @ _MASKS
+            sums = terms.reshape(-1, SIDE**2) @ _MASKS  # one product: far quicker than a stack
+            out[pairs] = sums.reshape(len(pairs), -1, _MASKS.shape[1])
 
         list(on_threads(part, range(0, len(row), size)))
         return out
@@ -261,9 +263,9 @@ class _Flood:
         """What was found, and how much finer (b, 2) a lattice should be."""
         mass, mean, sd, unit = self.all_moments()
         row, tile = _unkey(self.keys)
-        shares = self.shares(row)
+        shares = self.shares(row, self.faces)
         for side, step in enumerate(_NEIGHBOURS):
-            shares[:, side] *= ~self.seen(_key(row, tile + step))
+            shares[:, side] *= ~_among(_key(row, tile + step), self.keys)
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         edge = np.add.reduceat(shares.sum(axis=1), starts)[:, None]
         changes = [self.change(k, mass, mean, sd, unit) for k in range(1, len(_SUBSETS))]
@@ -330,6 +332,12 @@ def _unkey(key: NDArray[np.int64]) -> tuple[Index, NDArray[np.int64]]:
     rest, second = np.divmod(key, 2 * _HALF)
     row, first = np.divmod(rest, 2 * _HALF)
     return row, np.stack([first, second], axis=-1) - _HALF
+
+
+def _among(keys: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which keys are among known ones, which are in order."""
+    place = np.searchsorted(known, keys)
+    return np.asarray(known[np.minimum(place, len(known) - 1)] == keys)
 
 
 #: Every how manieth node counts along each axis, after what share that is: all nodes; of every

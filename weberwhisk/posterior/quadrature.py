@@ -13,7 +13,7 @@ from ..receptors import Seed
 from .lattice import LatticeMoments
 from .mode import Mode, find_mode, find_other, starting_points
 from .nodes import Nodes
-from .nuisance import LastUnknown
+from .nuisance import MOST, LastUnknown
 from .panels import panels_of
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified
@@ -144,8 +144,17 @@ def _moments(
     tolerance: float,
 ) -> LatticeMoments:
     """By lattices, and on a grid of its own where a posterior asks too much of them."""
+    engine = _engine(observer, reading, mode, tolerance)
+    if engine.coarse.any() and not engine.coarse.all():
+        parts = [
+            (rows, _moments(observer, reading[rows], mode.of(rows), unidentified[rows], tolerance))
+            for rows in (np.flatnonzero(engine.coarse), np.flatnonzero(~engine.coarse))
+        ]
+        order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+        columns = zip(*(part for _, part in parts), strict=True)
+        return LatticeMoments._make(np.concatenate(column)[order] for column in columns)
     if len(observer.unknowns) < 4:
-        found = _engine(observer, reading, mode, tolerance).on_lattice()
+        found = engine.on_lattice()
     else:
         mean, sd, mean_error, sd_error = np.full((4, *mode.x.shape), np.nan)
         none = np.zeros(len(reading), dtype=bool)
@@ -164,9 +173,16 @@ def _moments(
 def _engine(
     observer: Observer, reading: Array, mode: Mode, tolerance: float, *, of_all: bool = False
 ) -> Engine:
-    """All unknowns at once, or of three and more the last one first."""
-    at_once = of_all or len(observer.unknowns) == 2
-    return (AllUnknowns if at_once else LastUnknown)(observer, reading, mode, tolerance)
+    """All unknowns at once, or of three and more the last one first, by a rule that is fine enough.
+
+    Where it is not for all alike, the engine says for which.
+    """
+    if of_all or len(observer.unknowns) == 2:
+        return AllUnknowns(observer, reading, mode, tolerance)
+    engine = LastUnknown(observer, reading, mode, tolerance)
+    while engine.coarse.all() and engine.count < MOST:
+        engine = LastUnknown(observer, reading, mode, tolerance, 3 * engine.count)
+    return engine
 
 
 def _most(ridge: bool) -> int:

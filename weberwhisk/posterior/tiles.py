@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -15,6 +16,7 @@ from .grid import GridPosterior, integrate
 from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled, integrate_on_lattice
 from .mode import Mode
 from .panels import prepared
+from .result import Status
 from .solution import mode_root
 
 
@@ -36,6 +38,8 @@ class Engine(ABC):
         That of the coordinates that are summed over.
     nested : bool
         As `lattice` has it.
+    coarse : array of bool, shape (B,)
+        Where what stands for a coordinate that is not summed over is not fine enough.
     """
 
     nested = False
@@ -43,6 +47,7 @@ class Engine(ABC):
     def __init__(self, observer: Observer, reading: Array, mode: Mode, tolerance: float) -> None:
         self.observer, self.reading, self.mode = observer, reading, mode
         self.tolerance, self.peak = tolerance, mode
+        self.coarse = np.zeros(len(reading), dtype=bool)
 
     @abstractmethod
     def tiled(self) -> Tiled:
@@ -56,6 +61,10 @@ class Engine(ABC):
         """What is not yet that of the unknowns in the functions' moments."""
         return {}
 
+    def sound(self) -> NDArray[np.bool_]:
+        """Of which posteriors (B,) the densities that were asked for are to be believed."""
+        return np.ones(len(self.reading), dtype=bool)
+
     def on_lattice(self) -> LatticeMoments:
         """By `lattice`, over two coordinates."""
         root = mode_root(self.peak)
@@ -67,7 +76,7 @@ class Engine(ABC):
             tolerance=self.tolerance,
             nested=self.nested,
         )
-        return found._replace(**self.completed(found))
+        return found._replace(converged=found.converged & self.sound(), **self.completed(found))
 
     def on_grid(self, *, max_points: int, keep_points: bool = False) -> GridPosterior:
         """By `grid`, as `integrate` gives them."""
@@ -82,7 +91,9 @@ class Engine(ABC):
             max_points=max_points,
             keep_points=keep_points,
         )
-        return replace(found, **self.completed(found))
+        doubted = found.converged & ~self.sound()
+        status = np.where(doubted, Status.IMPRECISE, found.status)
+        return replace(found, status=status, **self.completed(found))
 
 
 class AllUnknowns(Engine):
