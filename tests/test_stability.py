@@ -269,6 +269,25 @@ def test_a_point_out_of_reach_does_not_end_a_sweep_in_space() -> None:
     assert np.isfinite(bent.moment).tolist() == [True, False]
 
 
+def test_the_referee_does_not_step_over_to_another_contact() -> None:
+    """A whisker that bends back over its own curve: three contacts at one distance, near in force.
+
+    The referee's first step corrected itself to the third, past the fold, and found none from
+    there: a good answer was called wrong.
+    """
+    whisker = Whisker(50e-3, 100e-6, 1e-6, 3e9, curvature=19.366302)
+    distance, angle, friction = 0.8980587 * 50e-3, 0.5214454, -0.6602385
+    one = np.ones(1)
+    beams = load("reference_beam").Beams(
+        50e-3 * one, 100e-6 * one, 1e-6 * one, 3e9 * one, 19.366302 * one, friction * one
+    )
+    walk = beams.walk(distance * one, angle * one)
+    assert walk["end"] == 0
+    contact = beams.polish(distance * one, angle * one, walk["arc"], walk["force"])
+    bent = ww.press(whisker, distance, angle, friction, model="profile")
+    np.testing.assert_allclose(contact["moment"], bent.moment, rtol=1e-9)
+
+
 # -- what hunts have found that is not cured -------------------------------------------------------
 
 
