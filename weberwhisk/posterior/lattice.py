@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .gaps import water_in
 from .passes import LOST, claimed_error, fitting
 from .threads import on_threads
 
@@ -40,6 +41,10 @@ COARSER = 2
 EDGE = 1 / 20
 #: Slowest fall from two layers of nodes to the next that is believed.
 SLOWEST = 0.95
+#: Water in a marginal's gaps, over the tolerance, from which a finer lattice is asked; the change
+#: of the moments, over the tolerance, and of the water, over itself, up to which it finds the same;
+#: and the tiles that it may take.
+GAPS, SAME, ALIKE, MORE_TILES = 5.0, 0.2, 0.2, 1024
 #: Largest ratio of a coordinate's sd to its conditional sd: thinner ridges, at an angle to the
 #: axes, are for grids that turn with them.
 THINNEST = 25.0
@@ -49,7 +54,8 @@ _HALF = 1 << 17  # tiles to either side of the origin
 class LatticeMoments(NamedTuple):
     """Of B posteriors: mean, sd and, over the sd, their errors, (B, C); ln Z; whether all is well.
 
-    What has not converged is not to be used.
+    What has not converged is not to be used, but where gaps were left that no lattice filled:
+    there other grids fail in silence.
     """
 
     mean: Array
@@ -58,10 +64,46 @@ class LatticeMoments(NamedTuple):
     sd_error: Array
     log_evidence: Array
     converged: NDArray[np.bool_]
+    gaping: NDArray[np.bool_]
 
     def of(self, rows: NDArray[np.bool_]) -> LatticeMoments:
         """The same of some of the posteriors."""
         return LatticeMoments._make(column[rows] for column in self)
+
+    def ended(
+        self, converged: NDArray[np.bool_], gaping: NDArray[np.bool_], missing: Array
+    ) -> LatticeMoments:
+        """These at the last, with what else is missing (B, 1) added to their errors."""
+        mean_error, sd_error = self.mean_error + missing, self.sd_error + missing
+        return self._replace(
+            mean_error=mean_error, sd_error=sd_error, converged=converged, gaping=gaping
+        )
+
+    def where(self, rows: NDArray[np.bool_], other: LatticeMoments) -> LatticeMoments:
+        """These in some of the posteriors, others' in the rest."""
+        return LatticeMoments._make(
+            np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, two)
+            for one, two in zip(self, other, strict=True)
+        )
+
+
+class _Look(NamedTuple):
+    """What one lattice found of b posteriors, the water in its gaps (b, 2), whether for that it is
+    doubted (b,)."""
+
+    found: LatticeMoments
+    water: Array
+    doubted: NDArray[np.bool_]
+
+    def agrees(
+        self, found: LatticeMoments, water: Array, which: slice, tolerance: float
+    ) -> NDArray[np.bool_]:
+        """Whether what was doubted is found once more, with the same water in the same gaps."""
+        sd = np.where(found.sd > 0, found.sd, np.inf)
+        off = np.abs(np.stack([found.mean - self.found.mean, found.sd - self.found.sd])) / sd
+        near = off.max(axis=0)[:, which].max(axis=1) < SAME * tolerance
+        alike = np.abs(water - self.water) < ALIKE * np.maximum(water, GAPS * tolerance)
+        return self.doubted & near & alike.all(axis=1)
 
 
 def integrate_on_lattice(
@@ -72,6 +114,7 @@ def integrate_on_lattice(
     *,
     tolerance: float,
     nested: bool = False,
+    ridge: NDArray[np.bool_] | None = None,
 ) -> LatticeMoments:
     """Moments of functions of two coordinates under B densities.
 
@@ -90,19 +133,39 @@ def integrate_on_lattice(
     nested : bool
         Whether the last two functions are the mean and the variance of one more unknown at each
         node, of which the mean is held to that unknown's whole sd, and the variance to nothing.
+    ridge : array of bool, shape (B,), optional
+        Those whose gaps are of no interest.
     """
     level = _levels(covariance, fitting(tolerance, 2))
     own, given = (np.diagonal(c, axis1=1, axis2=2) for c in (covariance, np.linalg.inv(covariance)))
     thin = np.asarray((own * given > THINNEST**2).any(axis=1))
-    left, parts = np.arange(len(centre)), []
+    ridge = np.zeros(len(centre), dtype=bool) if ridge is None else ridge
+    left, parts, most = np.arange(len(centre)), [], np.full(len(centre), TILES)
+    before: _Look | None = None
     for attempt in range(TRIES):
         flood = _Flood(
-            tiled, centre[left], level[left], top[left], left, thin[left], tolerance, nested
-        )
+            tiled, centre[left], level[left], most[left], top[left], left, thin[left], tolerance,
+            nested,
+        )  # fmt: skip
         found, rough = flood.moments()
-        done = found.converged | flood.lost | np.full(len(left), attempt == TRIES - 1)
-        parts.append((left[done], found.of(done)))
+        water = np.where(ridge[left, None], 0.0, flood.water())
+        gaps = water > GAPS * tolerance
+        same = np.zeros(len(left), dtype=bool)
+        if before is not None:
+            # Gaps that are the posterior's own, between two peaks, are there on any lattice.
+            same = before.agrees(found, water, slice(-2 if nested else None), tolerance)
+            found = found.where(~flood.lost & (found.converged | ~same), before.found)
+            water = np.where(flood.lost[:, None], before.water, water)
+        doubted = found.converged & gaps.any(axis=1) & ~same
+        rough = np.where(doubted[:, None], 2 * gaps[:, ::-1], rough)
+        most[left[doubted]] = MORE_TILES
+        well = found.converged & ~doubted
+        done = well | flood.lost | np.full(len(left), attempt == TRIES - 1)
+        gaping = ~well & (most[left] > TILES)
+        missing = np.where(gaping, water.max(axis=1), 0.0)[:, None]
+        parts.append((left[done], found.ended(well, gaping, missing).of(done)))
         level[left] += rough
+        before = _Look(found.of(~done), water[~done], doubted[~done])
         left = left[~done]
         if not left.size:
             break
@@ -149,6 +212,7 @@ class _Flood:
         tiled: Tiled,
         centre: Array,
         level: NDArray[np.int64],
+        most: NDArray[np.int64],
         top: Array,
         index: Index,
         lost: NDArray[np.bool_],
@@ -156,7 +220,7 @@ class _Flood:
         nested: bool,
     ) -> None:
         self.tiled, self.level, self.top, self.index = tiled, level, top, index
-        self.tolerance, self.nested = tolerance, nested
+        self.tolerance, self.nested, self.most = tolerance, nested, most
         self.spacing = 2.0 ** (-level / 2)
         # Sums lose no digits about a place inside.
         _, origin = tiled(centre[:, None])(index, np.arange(len(index)))
@@ -167,20 +231,22 @@ class _Flood:
         self.tiles = np.zeros(count, dtype=np.int64)
         self.keys = np.empty(0, dtype=np.int64)
         self.faces = np.empty((0, 1 + 2 * columns, 8))
+        self.lines = np.empty((0, 2, SIDE))
         self.spread(np.arange(count), np.floor(centre / (SIDE * self.spacing)).astype(np.int64))
 
     def spread(self, row: Index, tile: NDArray[np.int64]) -> None:
         """From first tiles (n, 2) of posteriors (n,) to all that hold mass."""
         while row.size:
-            terms = self.weigh(row, tile)
+            terms, lines = self.weigh(row, tile)
             starts = np.flatnonzero(np.diff(row, prepend=-1))
             self.sums[row[starts]] += np.add.reduceat(terms[..., :-8], starts)
             self.tiles += np.bincount(row, minlength=len(self.tiles))
-            self.lost |= self.tiles > TILES
+            self.lost |= self.tiles > self.most
             keys = np.concatenate([self.keys, _key(row, tile)])
             self.faces = np.concatenate([self.faces, terms[..., -8:]])
+            self.lines = np.concatenate([self.lines, lines])
             order = np.argsort(keys)
-            self.keys, self.faces = keys[order], self.faces[order]
+            self.keys, self.faces, self.lines = keys[order], self.faces[order], self.lines[order]
             row, tile = self.beyond()
 
     def beyond(self) -> tuple[Index, NDArray[np.int64]]:
@@ -228,9 +294,26 @@ class _Flood:
             unit[:, -2] = np.sqrt(sd[:, -2] ** 2 + np.maximum(self.origin + mean, 0.0)[:, -1])
         return mass, mean, sd, unit
 
-    def weigh(self, row: Index, tile: NDArray[np.int64]) -> Array:
-        """Sums (n, 1 + 2C, subsets and sides) over tiles: mass, first and second moments."""
+    def water(self) -> Array:
+        """Water in the gaps of the marginals along either axis (b, 2)."""
+        row, tile = _unkey(self.keys)
+        found = []
+        for axis in (0, 1):
+            own, member = np.unique(_key(row, tile * (axis == _AXES)), return_inverse=True)
+            order = np.argsort(member, kind="stable")
+            starts = np.searchsorted(member[order], np.arange(own.size))
+            line = np.add.reduceat(self.lines[order, axis], starts)
+            whose, place = _unkey(own)
+            found.append(water_in(whose, place[:, axis], line, len(self.tiles)))
+        return np.stack(found, axis=1)
+
+    def weigh(self, row: Index, tile: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Sums (n, 1 + 2C, subsets and sides) over tiles: mass, first and second moments.
+
+        And the mass of the lines of nodes across either axis (n, 2, SIDE).
+        """
         out = np.empty((len(row), self.sums.shape[1], _MASKS.shape[1]))
+        lines = np.empty((len(row), 2, SIDE))
         level = self.level[row]
         order = np.lexsort((tile[:, 1], tile[:, 0], level[:, 1], level[:, 0]))
         size = BATCH // SIDE**2
@@ -253,9 +336,10 @@ class _Flood:
             np.multiply(weight[:, None], off, out=first)
             np.multiply(first, off, out=second)
             out[pairs] = terms @ _MASKS
+            lines[pairs] = (weight @ _LINES).reshape(-1, 2, SIDE)
 
         list(on_threads(part, range(0, len(row), size)))
-        return out
+        return out, lines
 
     def moments(self) -> tuple[LatticeMoments, NDArray[np.int64]]:
         """What was found, and how much finer (b, 2) a lattice should be."""
@@ -297,6 +381,7 @@ class _Flood:
             sd_error * own,
             np.log(mass) + self.top + spacing,
             (worst <= self.tolerance) & ~self.lost,
+            np.zeros(len(mass), dtype=bool),
         )
         return found, rough * np.where(alone > 0.2, 2, 1)
 
@@ -342,6 +427,8 @@ _NEIGHBOURS = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
 #: The two layers of nodes at either side, and the two next to them.
 _PAIRS = ((0, SIDE // 2 - 1), (1, SIDE // 2 - 2))
 _NODES = np.indices((SIDE, SIDE)).reshape(2, -1).T
+_AXES = np.arange(2)
+_LINES = np.concatenate([_NODES[:, k, None] == np.arange(SIDE) for k in _AXES], axis=1) * 1.0
 _MASKS = np.stack(
     [(_NODES[:, 0] % a == 0) & (_NODES[:, 1] % b == 0) for _, a, b in _SUBSETS]
     + [_NODES[:, k] // 2 == pair for pairs in _PAIRS for k in (0, 1) for pair in pairs],

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -56,8 +57,8 @@ class Engine(ABC):
         """What is not yet that of the unknowns in the functions' moments."""
         return {}
 
-    def on_lattice(self) -> LatticeMoments:
-        """By `lattice`, over two coordinates."""
+    def on_lattice(self, ridge: NDArray[np.bool_] | None = None) -> LatticeMoments:
+        """By `lattice`, over two coordinates, of ridges (B,) with less care."""
         root = mode_root(self.peak)
         found = integrate_on_lattice(
             self.tiled(),
@@ -66,6 +67,7 @@ class Engine(ABC):
             self.mode.log_density,
             tolerance=self.tolerance,
             nested=self.nested,
+            ridge=ridge,
         )
         return found._replace(**self.completed(found))
 
