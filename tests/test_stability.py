@@ -288,24 +288,29 @@ def test_the_referee_does_not_step_over_to_another_contact() -> None:
     np.testing.assert_allclose(contact["moment"], bent.moment, rtol=1e-9)
 
 
-# -- what hunts have found that is not cured -------------------------------------------------------
-
-
-@pytest.mark.xfail(strict=True, reason="tails beyond the lattice at the tip and the fold")
 @pytest.mark.parametrize(
     ("name", "distance", "push", "off"),
     [
-        ("three forces", 0.999999, 1.0, [4.0, 3.712238]),
+        ("three forces", 0.9999992300926, 1.0, [4.0, 3.712238]),
+        ("three forces", 0.9999992300926, 1.0, [-4.0, 2.698209]),
         ("correlated map", 0.999998, 0.500176, [-4.0, -4.0]),
+        ("balance of moments", 0.949997, 1.0, [-4.0, 0.000019]),
     ],
 )
-def test_two_unknowns_at_the_very_tip(
+def test_a_ridge_that_grows_thinner_does_not_pass_between_nodes(
     name: str, distance: float, push: float, off: list[float]
 ) -> None:
-    """At k = 0.003 and 4 sd off the mean is 0.05 to 0.09 sd off the sums, with 0.004 claimed."""
+    """At k = 0.003 and 4 sd off means were 0.02 to 0.09 sd off, with 0.005 claimed.
+
+    A ridge that bends is a tenth as thick at its end as at the peak, from which the lattice has its
+    spacing: its last lines of nodes hit or missed it, and the flood of tiles ended in a gap.
+    """
     case = {"distance": distance, "push": push, "k": 0.003, "off_1": off[0], "off_2": off[1]}
     judged = DOMAINS[f"quadrature, {name}"].judge({k: np.array([v]) for k, v in case.items()})
-    assert judged.fate[0] != hunting.Fate.SILENT
+    assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
+
+
+# -- what hunts have found that is not cured -------------------------------------------------------
 
 
 @pytest.mark.xfail(strict=True, reason="nodes of a fit of four trials miss a little at one end")

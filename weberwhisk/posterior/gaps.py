@@ -8,10 +8,38 @@ but the gaps are. Rain that fell on the marginal would stay in them: the water t
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from .lattice import LatticeMoments
+
 Array = NDArray[np.float64]
+#: Water in the gaps of a marginal, over the tolerance, from which a finer lattice is asked; the
+#: change of the moments, over the tolerance, and of the water, over itself, up to which that finds
+#: the same; and the tiles that it may take.
+GAPS, SAME, ALIKE, MORE_TILES = 5.0, 0.2, 0.2, 1024
+
+
+class Look(NamedTuple):
+    """What one lattice found of b posteriors, the water in its gaps (b, 2), whether for that it is
+    doubted (b,)."""
+
+    found: LatticeMoments
+    water: Array
+    doubted: NDArray[np.bool_]
+
+    def agrees(
+        self, found: LatticeMoments, water: Array, which: slice, tolerance: float
+    ) -> NDArray[np.bool_]:
+        """Whether what was doubted is found once more, with the same water in the same gaps."""
+        sd = np.where(found.sd > 0, found.sd, np.inf)
+        off = np.abs(np.stack([found.mean - self.found.mean, found.sd - self.found.sd])) / sd
+        near = off.max(axis=0)[:, which].max(axis=1) < SAME * tolerance
+        alike = np.abs(water - self.water) < ALIKE * np.maximum(water, GAPS * tolerance)
+        return np.asarray(self.doubted & near & alike.all(axis=1))
 
 
 def water_in(row: NDArray[np.intp], place: NDArray[np.int64], mass: Array, count: int) -> Array:
@@ -37,7 +65,7 @@ def water_in(row: NDArray[np.intp], place: NDArray[np.int64], mass: Array, count
     --------
     >>> hill, pit = [1.0, 2.0, 4.0, 2.0], [2.0, 4.0, 1.0, 3.0]
     >>> row, place = np.array([0, 1]), np.array([0, 0])
-    >>> water_in(row, place, np.array([hill, pit]), 2).tolist()
+    >>> water_in(row, place, np.array([hill, pit]), 2).round(12).tolist()
     [0.0, 0.2]
     """
     starts = np.searchsorted(row, np.arange(count))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .gaps import water_in
+from .gaps import GAPS, MORE_TILES, Look, water_in
 from .passes import LOST, claimed_error, fitting
 from .threads import on_threads
 
@@ -41,10 +41,6 @@ COARSER = 2
 EDGE = 1 / 20
 #: Slowest fall from two layers of nodes to the next that is believed.
 SLOWEST = 0.95
-#: Water in a marginal's gaps, over the tolerance, from which a finer lattice is asked; the change
-#: of the moments, over the tolerance, and of the water, over itself, up to which it finds the same;
-#: and the tiles that it may take.
-GAPS, SAME, ALIKE, MORE_TILES = 5.0, 0.2, 0.2, 1024
 #: Largest ratio of a coordinate's sd to its conditional sd: thinner ridges, at an angle to the
 #: axes, are for grids that turn with them.
 THINNEST = 25.0
@@ -70,40 +66,12 @@ class LatticeMoments(NamedTuple):
         """The same of some of the posteriors."""
         return LatticeMoments._make(column[rows] for column in self)
 
-    def ended(
-        self, converged: NDArray[np.bool_], gaping: NDArray[np.bool_], missing: Array
-    ) -> LatticeMoments:
-        """These at the last, with what else is missing (B, 1) added to their errors."""
-        mean_error, sd_error = self.mean_error + missing, self.sd_error + missing
-        return self._replace(
-            mean_error=mean_error, sd_error=sd_error, converged=converged, gaping=gaping
-        )
-
     def where(self, rows: NDArray[np.bool_], other: LatticeMoments) -> LatticeMoments:
         """These in some of the posteriors, others' in the rest."""
         return LatticeMoments._make(
             np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, two)
             for one, two in zip(self, other, strict=True)
         )
-
-
-class _Look(NamedTuple):
-    """What one lattice found of b posteriors, the water in its gaps (b, 2), whether for that it is
-    doubted (b,)."""
-
-    found: LatticeMoments
-    water: Array
-    doubted: NDArray[np.bool_]
-
-    def agrees(
-        self, found: LatticeMoments, water: Array, which: slice, tolerance: float
-    ) -> NDArray[np.bool_]:
-        """Whether what was doubted is found once more, with the same water in the same gaps."""
-        sd = np.where(found.sd > 0, found.sd, np.inf)
-        off = np.abs(np.stack([found.mean - self.found.mean, found.sd - self.found.sd])) / sd
-        near = off.max(axis=0)[:, which].max(axis=1) < SAME * tolerance
-        alike = np.abs(water - self.water) < ALIKE * np.maximum(water, GAPS * tolerance)
-        return self.doubted & near & alike.all(axis=1)
 
 
 def integrate_on_lattice(
@@ -141,7 +109,7 @@ def integrate_on_lattice(
     thin = np.asarray((own * given > THINNEST**2).any(axis=1))
     ridge = np.zeros(len(centre), dtype=bool) if ridge is None else ridge
     left, parts, most = np.arange(len(centre)), [], np.full(len(centre), TILES)
-    before: _Look | None = None
+    before: Look | None = None
     for attempt in range(TRIES):
         flood = _Flood(
             tiled, centre[left], level[left], most[left], top[left], left, thin[left], tolerance,
@@ -163,9 +131,15 @@ def integrate_on_lattice(
         done = well | flood.lost | np.full(len(left), attempt == TRIES - 1)
         gaping = ~well & (most[left] > TILES)
         missing = np.where(gaping, water.max(axis=1), 0.0)[:, None]
-        parts.append((left[done], found.ended(well, gaping, missing).of(done)))
+        ended = found._replace(
+            mean_error=found.mean_error + missing,
+            sd_error=found.sd_error + missing,
+            converged=well,
+            gaping=gaping,
+        )
+        parts.append((left[done], ended.of(done)))
         level[left] += rough
-        before = _Look(found.of(~done), water[~done], doubted[~done])
+        before = Look(found.of(~done), water[~done], doubted[~done])
         left = left[~done]
         if not left.size:
             break
@@ -229,40 +203,41 @@ class _Flood:
         self.sums = np.zeros((count, 1 + 2 * columns, len(_SUBSETS)))
         self.lost = lost.copy()
         self.tiles = np.zeros(count, dtype=np.int64)
-        self.keys = np.empty(0, dtype=np.int64)
-        self.faces = np.empty((0, 1 + 2 * columns, 8))
-        self.lines = np.empty((0, 2, SIDE))
-        self.spread(np.arange(count), np.floor(centre / (SIDE * self.spacing)).astype(np.int64))
+        tile = np.floor(centre / (SIDE * self.spacing)).astype(np.int64)
+        self.keys, self.faces, self.lines = self.spread(np.arange(count), tile)
 
-    def spread(self, row: Index, tile: NDArray[np.int64]) -> None:
-        """From first tiles (n, 2) of posteriors (n,) to all that hold mass."""
+    def spread(self, row: Index, tile: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array, Array]:
+        """From first tiles (n, 2) of posteriors (n,) to all that hold mass: keys, in order, sides
+        (n, 1 + 2C, 8), and the mass of the lines of nodes across either axis (n, 2, SIDE)."""
+        keys, faces, lines, seen = [], [], [], np.empty(0, dtype=np.int64)
         while row.size:
-            terms, lines = self.weigh(row, tile)
+            terms, crossing = self.weigh(row, tile)
             starts = np.flatnonzero(np.diff(row, prepend=-1))
             self.sums[row[starts]] += np.add.reduceat(terms[..., :-8], starts)
             self.tiles += np.bincount(row, minlength=len(self.tiles))
             self.lost |= self.tiles > self.most
-            keys = np.concatenate([self.keys, _key(row, tile)])
-            self.faces = np.concatenate([self.faces, terms[..., -8:]])
-            self.lines = np.concatenate([self.lines, lines])
-            order = np.argsort(keys)
-            self.keys, self.faces, self.lines = keys[order], self.faces[order], self.lines[order]
-            row, tile = self.beyond()
+            keys.append(_key(row, tile))
+            faces.append(terms[..., -8:].copy())
+            lines.append(crossing)
+            seen = np.sort(np.concatenate([seen, keys[-1]]))
+            row, tile = self.beyond(keys[-1], faces[-1], seen)
+            if not row.size:  # means have moved since the others were looked at
+                row, tile = self.beyond(np.concatenate(keys), np.concatenate(faces), seen)
+        order = np.argsort(np.concatenate(keys))
+        sides, crossed = (np.concatenate(part)[order] for part in (faces, lines))
+        return np.concatenate(keys)[order], sides, crossed
 
-    def beyond(self) -> tuple[Index, NDArray[np.int64]]:
+    def beyond(
+        self, keys: NDArray[np.int64], faces: Array, seen: NDArray[np.int64]
+    ) -> tuple[Index, NDArray[np.int64]]:
         """The neighbours, not yet seen, of sides that hold mass."""
-        row, tile = _unkey(self.keys)
-        pair, side = np.nonzero(self.shares(row) > EDGE * self.tolerance)
+        row, tile = _unkey(keys)
+        pair, side = np.nonzero(self.shares(row, faces) > EDGE * self.tolerance)
         pair, side = pair[~self.lost[row[pair]]], side[~self.lost[row[pair]]]
         keys = np.unique(_key(row[pair], tile[pair] + _NEIGHBOURS[side]))
-        return _unkey(keys[~self.seen(keys)])
+        return _unkey(keys[~_among(keys, seen)])
 
-    def seen(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which tiles have been weighed."""
-        place = np.searchsorted(self.keys, keys)
-        return np.asarray(self.keys[np.minimum(place, len(self.keys) - 1)] == keys)
-
-    def shares(self, row: Index) -> Array:
+    def shares(self, row: Index, faces: Array) -> Array:
         """What lies beyond each side of each tile, as shares of mass and variances (n, 4).
 
         If layers go on falling as the last two do from the two before; and twice that.
@@ -270,7 +245,7 @@ class _Flood:
         columns = self.origin.shape[1]
         mass, mean, _, unit = self.all_moments()
         mean, unit = mean[row, :, None], unit[row, :, None]
-        own, first, second = np.split(self.faces, [1, 1 + columns], axis=1)
+        own, first, second = np.split(faces, [1, 1 + columns], axis=1)
         about = second - 2 * mean * first + mean**2 * own
         with np.errstate(invalid="ignore", over="ignore"):
             pull = np.where(unit > 0, about / np.where(unit > 0, unit, 1.0) ** 2, 0.0)
@@ -335,7 +310,8 @@ class _Flood:
             terms[:, 0] = weight
             np.multiply(weight[:, None], off, out=first)
             np.multiply(first, off, out=second)
-            out[pairs] = terms @ _MASKS
+            sums = terms.reshape(-1, SIDE**2) @ _MASKS  # one product: far quicker than a stack
+            out[pairs] = sums.reshape(len(pairs), -1, _MASKS.shape[1])
             lines[pairs] = (weight @ _LINES).reshape(-1, 2, SIDE)
 
         list(on_threads(part, range(0, len(row), size)))
@@ -345,9 +321,9 @@ class _Flood:
         """What was found, and how much finer (b, 2) a lattice should be."""
         mass, mean, sd, unit = self.all_moments()
         row, tile = _unkey(self.keys)
-        shares = self.shares(row)
+        shares = self.shares(row, self.faces)
         for side, step in enumerate(_NEIGHBOURS):
-            shares[:, side] *= ~self.seen(_key(row, tile + step))
+            shares[:, side] *= ~_among(_key(row, tile + step), self.keys)
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         edge = np.add.reduceat(shares.sum(axis=1), starts)[:, None]
         changes = [self.change(k, mass, mean, sd, unit) for k in range(1, len(_SUBSETS))]
@@ -415,6 +391,12 @@ def _unkey(key: NDArray[np.int64]) -> tuple[Index, NDArray[np.int64]]:
     rest, second = np.divmod(key, 2 * _HALF)
     row, first = np.divmod(rest, 2 * _HALF)
     return row, np.stack([first, second], axis=-1) - _HALF
+
+
+def _among(keys: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which keys are among known ones, which are in order."""
+    place = np.searchsorted(known, keys)
+    return np.asarray(known[np.minimum(place, len(known) - 1)] == keys)
 
 
 #: Every how manieth node counts along each axis, after what share that is: all nodes; of every

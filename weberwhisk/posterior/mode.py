@@ -94,21 +94,17 @@ def find_other(
     """
     left = np.abs(mode.x - starts.best).max(axis=1) > LEFT
     # What the known peak's own Gaussian says of a place is no other peak.
-    off = starts.second - mode.x
-    square = np.einsum("bd,bde,be->b", off, np.linalg.inv(mode.covariance), off)
+    square = _square(starts.second - mode.x, mode.covariance)
     unexplained = starts.height > mode.log_density - square / 2 + UNEXPLAINED
     rows = np.flatnonzero(unexplained | left)
     if not rows.size:
         return rows, mode.of(rows)
     start = np.where(left[:, None], starts.best, starts.second)[rows]
-    other = _climb(observer, reading[rows], start, 60, radius=0.1)
-    apart = other.x - mode.x[rows]
-    nearness = [
-        np.einsum("bd,bde,be->b", apart, np.linalg.inv(c), apart)
-        for c in (other.covariance, mode.covariance[rows])
-    ]
-    volume = [0.5 * np.linalg.slogdet(c)[1] for c in (other.covariance, mode.covariance[rows])]
-    mass = other.log_density - mode.log_density[rows] + volume[0] - volume[1]
+    known = mode.of(rows)
+    other = _climb(observer, reading[rows], start, 60, radius=0.1, known=known)
+    nearness = [_square(other.x - known.x, m.covariance) for m in (other, known)]
+    volume = [0.5 * np.linalg.slogdet(m.covariance)[1] for m in (other, known)]
+    mass = other.log_density - known.log_density + volume[0] - volume[1]
     counts = (np.min(nearness, axis=0) > 4.0) & (mass > LEAST_SHARE)
     return rows[counts], other.of(np.flatnonzero(counts))
 
@@ -123,17 +119,16 @@ def starting_points(observer: Observer, reading: Array, places: Array | None = N
     contact, log_prior = observer.contact(grid)
     signals, outcome = observer.signals(contact)
     held = np.asarray(outcome == 0)
-    signals, log_prior = signals[held], log_prior[held]
+    signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
     best, second = np.zeros((2, len(reading)), dtype=np.intp)
     height = np.full(len(reading), -np.inf)
 
     def part(start: int) -> None:
         rows = slice(start, start + 256)
-        value = _log_likelihoods(observer.noise, reading[rows], signals) + log_prior
-        refuse_impossible(reading[rows], value.max(axis=1))
-        table = np.full((len(value), len(grid)), -np.inf)
-        table[:, held] = value
+        table = _log_likelihoods(observer.noise, reading[rows], signals)
+        table += log_prior
         best[rows] = table.argmax(axis=1)
+        refuse_impossible(reading[rows], table.max(axis=1))
         if dim > 1:
             second[rows], height[rows] = _second(table, best[rows], shape)
 
@@ -180,10 +175,24 @@ def _second(
     return place * full.shape[-1] + last, height
 
 
+def _square(off: Array, covariance: Array) -> Array:
+    """Squares (B,) of distances (B, U) in sds."""
+    return np.asarray(np.einsum("bd,bde,be->b", off, np.linalg.inv(covariance), off))
+
+
 def _climb(
-    observer: Observer, reading: Array, start: Array, steps: int, *, radius: float = 0.5
+    observer: Observer,
+    reading: Array,
+    start: Array,
+    steps: int,
+    *,
+    radius: float = 0.5,
+    known: Mode | None = None,
 ) -> Mode:
-    """The peaks above starting points (B, U), with first steps no longer than the radius."""
+    """The peaks above starting points (B, U), with first steps no longer than the radius.
+
+    What has come within an sd of a known peak is left there.
+    """
     dim = start.shape[1]
     x = start.copy()
     reach = np.full(len(x), radius)
@@ -209,6 +218,9 @@ def _climb(
         # Converged to a fraction of the posterior's own width, or to rounding.
         gain = np.abs(np.einsum("bd,bd->b", step, gradient[moving]))
         moving = moving[(gain > 1e-9) & (reach[moving] > 1e-9)]
+        if known is not None:
+            there = known.of(moving)
+            moving = moving[_square(centre[moving] - there.x, there.covariance) > 1]
         if not moving.size:
             break
     values, vectors = np.linalg.eigh(hessian)
@@ -222,19 +234,19 @@ def _stencil(dim: int) -> tuple[Array, Array, Array]:
     unit = np.eye(dim)
     pairs = [(i, j) for i in range(dim) for j in range(i)]
     offsets = [np.zeros(dim), *(sign * unit[i] for i in range(dim) for sign in (1, -1))]
-    offsets += [
-        s * unit[i] + t * unit[j] for i, j in pairs for s, t in ((1, 1), (-1, -1), (1, -1), (-1, 1))
-    ]
+    offsets += [sign * (unit[i] + unit[j]) for i, j in pairs for sign in (1, -1)]
     gradient = np.zeros((dim, len(offsets)))
     hessian = np.zeros((dim, dim, len(offsets)))
     for i in range(dim):
         gradient[i, 1 + 2 * i : 3 + 2 * i] = [0.5, -0.5]
         hessian[i, i, [0, 1 + 2 * i, 2 + 2 * i]] = [-2, 1, 1]
+    # What the diagonals bend, less what the axes do.
     for k, (i, j) in enumerate(pairs):
-        first = 1 + 2 * dim + 4 * k
-        hessian[i, j, first : first + 4] = hessian[j, i, first : first + 4] = [
-            0.25, 0.25, -0.25, -0.25,
-        ]  # fmt: skip
+        own = hessian[i, i] + hessian[j, j]
+        first = 1 + 2 * dim + 2 * k
+        hessian[i, j, [0, first, first + 1]] = [-1, 0.5, 0.5]
+        hessian[i, j] -= own / 2
+        hessian[j, i] = hessian[i, j]
     return np.array(offsets), gradient, hessian
 
 

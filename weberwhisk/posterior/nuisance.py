@@ -11,15 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
+from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .grid import GridPosterior
-from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled
+from .lattice import SIDE, Array, Index, LatticeMoments, OnTiles, Tiled
 from .mode import Mode
 from .scale import has_scale, without_scale
 from .solution import mode_root
@@ -32,6 +33,25 @@ WIDEST = 4.0
 #: Most steps towards the conditional mode, in widths the last of them, and the density (in ln,
 #: below the highest) at nodes that are not waited for.
 STEPS, NEAR, NEGLIGIBLE = 8, 1.0, 30.0
+#: Variance about a middle, over what the width there says, from which the rule is not believed.
+UNLIKE = 4.0
+#: Corners of a tile, and what each counts at every node between them.
+CORNERS = [0, SIDE - 1, SIDE * (SIDE - 1), SIDE**2 - 1]
+_ALONG = np.stack([np.linspace(1, 0, SIDE), np.linspace(0, 1, SIDE)])
+BETWEEN = np.kron(_ALONG, _ALONG)
+
+
+class Nodes(NamedTuple):
+    """Nodes (n,) of posteriors: their readings, contacts, prior, and the highest there is."""
+
+    reading: Array
+    contact: Array
+    log_prior: Array
+    top: Array
+
+    def of(self, rows: Index) -> Nodes:
+        """Some of them."""
+        return Nodes._make(column[rows] for column in self)
 
 
 class Conditional:
@@ -48,65 +68,131 @@ class Conditional:
 
         The columns are the contact, and of the last unknown the mean and variance at each node.
         """
-        contact, log_prior = self.observer.contact(x)
+        nodes = self.nodes(x, index)
+        middle, width, waited = self.climbed(nodes, *self.start(x, index))
+        log, columns = np.full(len(middle), -np.inf), np.zeros((len(middle), x.shape[-1] + 2))
+        # Without the nodes that hold nothing; far from its peak no node tells.
+        live = np.flatnonzero(waited)
+        if live.size:
+            log[live], columns[live], _ = self.summed(
+                nodes.of(live), middle[live], width[live], finer
+            )
+        return log.reshape(x.shape[:2]), columns.reshape(*x.shape[:2], -1)
+
+    def on_tiles(self, points: Array, *, finer: int = 1) -> OnTiles:
+        """The same for pairs of a reading and a tile of nodes (T, N, U − 1), as `lattice` asks.
+
+        Peaks are climbed to at the corners of a tile, and again where what lies between them
+        misses.
+        """
+
+        def density(row: Index, tile: Index) -> tuple[Array, Array]:
+            x = points[tile]
+            if x.shape[1] != SIDE**2:  # a few places, not a tile
+                log, columns = self(x, row, finer=finer)
+                return log, np.moveaxis(columns, -1, 1)
+            start = self.start(x[:, CORNERS], row)
+            middle, width, _ = self.climbed(self.nodes(x[:, CORNERS], row), *start)
+            nodes = self.nodes(x, row)
+            between = [(a.reshape(-1, 4) @ BETWEEN).ravel() for a in (middle, np.log(width))]
+            middle, width = between[0], np.exp(between[1])
+            log, columns, missed = self.summed(nodes, middle, width, finer)
+            again = np.flatnonzero(missed)
+            if again.size:
+                nodes = nodes.of(again)
+                middle, width, waited = self.climbed(nodes, middle[again], width[again])
+                live = np.flatnonzero(waited)
+                again = again[live]
+                log[again], columns[again], _ = self.summed(
+                    nodes.of(live), middle[live], width[live], finer
+                )
+            columns = columns.reshape(*x.shape[:2], -1)
+            return log.reshape(x.shape[:2]), np.moveaxis(columns, -1, 1)
+
+        return density
+
+    def start(self, x: Array, index: Index) -> tuple[Array, Array]:
+        """The mode's regression line at x (b, N, U − 1), and the width about it, (b N,) each."""
         off = x - self.mode.x[index, None, :-1]
         middle = self.mode.x[index, None, -1] + (off @ self.slope[index, :, None])[..., 0]
-        width = np.broadcast_to(self.width[index, None], middle.shape)
-        reading, at = self.reading[index, None], contact
-        peak, step, narrower = self.climb(self.log_density(reading, at), middle, width)
+        return middle.ravel(), np.repeat(self.width[index], x.shape[1])
+
+    def nodes(self, x: Array, index: Index) -> Nodes:
+        """All there is to know of the nodes x (b, N, U − 1) of readings (b,), in one row."""
+        contact, log_prior = self.observer.contact(x)
+        rows = np.repeat(index, x.shape[1])
+        return Nodes(
+            self.reading[rows],
+            contact.reshape(len(rows), -1),
+            log_prior.ravel(),
+            self.mode.log_density[rows],
+        )
+
+    def climbed(
+        self, nodes: Nodes, middle: Array, width: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """The conditional peaks, their widths, and whether they are worth summing, (n,) each."""
+        peak, step, narrower = self.climb(self.log_density(nodes), middle, width)
         middle = middle + step * width
-        # From here on without the nodes that hold nothing; far from its peak no node tells.
-        live = peak + log_prior > self.mode.log_density[index, None] - NEGLIGIBLE
-        live |= (np.abs(step) > WIDEST / 2) & np.isfinite(peak)
-        log, columns = np.full(live.shape, -np.inf), np.zeros((*live.shape, x.shape[-1] + 2))
-        if not live.any():
-            return log, columns
-        rows = np.nonzero(live)[0]
-        reading, at, prior = self.reading[index[rows]], contact[live], log_prior[live]
-        middle, width, step, peak = middle[live], width[live], step[live], peak[live]
-        narrower = narrower[live]
-        least = self.mode.log_density[index[rows]] - NEGLIGIBLE / 2 - prior
+        above = peak + nodes.log_prior - nodes.top
+        far = np.abs(step) > WIDEST / 2
+        live = (above > -NEGLIGIBLE) | (far & np.isfinite(peak))
         for _ in range(STEPS):
-            waited = (peak > least) | (np.abs(step) > WIDEST / 2)
-            far = np.flatnonzero(waited & (np.abs(step) >= NEAR))
-            if not far.size:
+            waited = live & ((above > -NEGLIGIBLE / 2) | far) & (np.abs(step) >= NEAR)
+            left = np.flatnonzero(waited)
+            if not left.size:
                 break
-            density = self.log_density(reading[far], at[far])
-            peak[far], step[far], narrower[far] = self.climb(density, middle[far], width[far])
-            middle[far] += step[far] * width[far]
-        width = width * narrower
-        density = self.log_density(reading, at)
+            density = self.log_density(nodes.of(left))
+            peak[left], step[left], narrower[left] = self.climb(density, middle[left], width[left])
+            middle[left] += step[left] * width[left]
+            above[left] = peak[left] + nodes.log_prior[left] - nodes.top[left]
+            far[left] = np.abs(step[left]) > WIDEST / 2
+        return middle, width * narrower, live
+
+    def summed(
+        self, nodes: Nodes, middle: Array, width: Array, finer: int
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """ln of the density (n,) and the columns (n, U + 1), by the rule about these middles.
+
+        And whether that lies beside the peak, or is far from as wide.
+        """
         t, weight = hermegauss(finer * self.count)
         rule = np.log(weight) + t**2 / 2
+        density = self.log_density(nodes)
         each = [density(middle + node * width) for node in t]
-        value = np.stack([v + w for (v, _), w in zip(each, rule, strict=True)])
-        top = value.max(axis=0)
+        share = np.stack([v + w for (v, _), w in zip(each, rule, strict=True)])
+        top = share.max(axis=0)
         safe = np.where(np.isfinite(top), top, 0.0)
-        share = np.exp(value - safe)
+        share = np.exp(np.subtract(share, safe, out=share), out=share)
         total = share.sum(axis=0)
+        found = total > 0
+        share /= np.where(found, total, 1.0)
         values = np.stack([v for _, v in each])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mean = (share * values).sum(axis=0) / total
-            variance = (share * np.square(values - mean)).sum(axis=0) / total
-            marginal = np.log(total * width) + safe + prior - 0.5 * np.log(2 * np.pi)
-        found = np.isfinite(marginal)
-        log[live] = marginal
-        part = np.concatenate([at, mean[:, None], variance[:, None]], axis=-1)
-        columns[live] = np.where(found[:, None], part, 0.0)
-        return log, columns
+        mean = (share * values).sum(axis=0)
+        variance = (share * np.square(values - mean)).sum(axis=0)
+        off = t @ share
+        spread = t**2 @ share - off**2
+        missed = (np.abs(off) > NEAR) | (spread > UNLIKE) | (spread < 1 / UNLIKE)
+        with np.errstate(divide="ignore"):
+            log = np.log(total * width) + safe + nodes.log_prior - 0.5 * np.log(2 * np.pi)
+        columns = np.concatenate([nodes.contact, mean[:, None], variance[:, None]], axis=-1)
+        columns[~found] = 0.0
+        return log, columns, missed
 
-    def log_density(self, reading: Array, contact: Array) -> Callable[[Array], tuple[Array, Array]]:
-        """ln of the density of the last unknown, and its value, at its coordinate (...)."""
-        felt = self.observer.given(contact)
+    def log_density(self, nodes: Nodes) -> Callable[[Array], tuple[Array, Array]]:
+        """ln of the density of the last unknown, and its value, at its coordinate (n,)."""
+        felt = self.observer.given(nodes.contact)
 
         def log_density(z: Array) -> tuple[Array, Array]:
             value = self.observer.last_unknown(z)
             signals, outcome = felt(value)
             held = outcome == Outcome.HELD
             if held.all():
-                return self.observer.noise.log_likelihood(reading, signals) - 0.5 * z**2, value
+                return self.observer.noise.log_likelihood(
+                    nodes.reading, signals
+                ) - 0.5 * z**2, value
             signals = np.where(held[..., None], signals, 1.0)
-            log = self.observer.noise.log_likelihood(reading, signals) - 0.5 * z**2
+            log = self.observer.noise.log_likelihood(nodes.reading, signals) - 0.5 * z**2
             return np.where(held, log, -np.inf), value
 
         return log_density
@@ -125,15 +211,6 @@ class Conditional:
             bend = np.clip(np.nan_to_num(bend, nan=1.0), WIDEST**-2, WIDEST**2)
             height = np.fmax(np.fmax(below, above), here + np.nan_to_num(step * rise) / 2)
         return height, step, bend**-0.5
-
-    def on_tiles(self, points: Array, *, finer: int = 1) -> OnTiles:
-        """The same for pairs of a reading and a tile of nodes (T, N, U − 1), as `lattice` asks."""
-
-        def density(row: Index, tile: Index) -> tuple[Array, Array]:
-            log, columns = self(points[tile], row, finer=finer)
-            return log, np.moveaxis(columns, -1, 1)
-
-        return density
 
 
 class LastUnknown(Engine):
@@ -156,6 +233,8 @@ class LastUnknown(Engine):
         return partial(self.conditional.on_tiles, finer=finer)
 
     def at(self, x: Array, index: Index) -> tuple[Array, Array]:
+        if not has_scale(self.observer):
+            return self.conditional(x, index)
         log, values = self._tiled(x)(index, np.arange(len(x)))
         return log, np.moveaxis(values, 1, -1)
 
