@@ -111,6 +111,21 @@ def test_a_ridge_thinner_at_its_end_than_at_its_peak():
     assert fit.converged[0] == (off < 1e-2)
 
 
+def test_a_narrow_peak_far_from_the_origin():
+    """Tiles farther out than there were numbers for were taken for the next posterior's."""
+
+    def peak(x, row):
+        return -0.5 * (((x - np.array([40.0, -35.0])) / 1e-6) ** 2).sum(axis=-1)
+
+    centre = np.array([[40.0, -35.0]] * 2)
+    fit = integrate_on_lattice(
+        tiles_of(peak), centre, np.array([np.eye(2) * 1e-12] * 2), np.zeros(2), tolerance=1e-2
+    )
+    assert fit.converged.all()
+    np.testing.assert_allclose(fit.mean, centre, atol=1e-8)
+    np.testing.assert_allclose(fit.sd, 1e-6, rtol=1e-2)
+
+
 def test_a_gap_between_two_peaks_is_no_fault_of_a_lattice():
     def pair(x, row):
         return np.logaddexp(*(stats.norm.logpdf(x[..., 0], at) for at in (-2.2, 2.2))) - 0.5 * (

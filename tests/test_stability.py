@@ -311,6 +311,26 @@ def test_a_ridge_that_grows_thinner_does_not_pass_between_nodes(
 
 
 @pytest.mark.parametrize(
+    ("distance", "push", "k", "off"),
+    [
+        (0.587090, 0.541461, 0.03, [-0.91996, -3.590671]),
+        (0.484802, 0.665457, 0.3, [-1.527, 1.0751]),
+    ],
+)
+def test_the_sum_that_judges_two_unknowns_knows_which_rows_it_lost(
+    distance: float, push: float, k: float, off: list[float]
+) -> None:
+    """Two rows of its 400 closed in upon nothing, or on one of two ridges: 0.024 and 0.035 sd off.
+
+    It claimed 0.003 and 0.007, and quadrature, right to 1e-4 at any tolerance, was called wrong.
+    """
+    case = {"distance": distance, "push": push, "k": k, "off_1": off[0], "off_2": off[1]}
+    domain = DOMAINS["quadrature, axial force dominates"]
+    judged = domain.judge({name: np.array([value]) for name, value in case.items()})
+    assert judged.fate[0] in (hunting.Fate.UNJUDGED, hunting.Fate.RIGHT)
+
+
+@pytest.mark.parametrize(
     ("span", "n", "answers"), [(0.17373466, 2, [2, 1]), (0.042984, 46, [19, 17])]
 )
 def test_lapses_that_leave_no_rise_are_cut_off_smoothly(

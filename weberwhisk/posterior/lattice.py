@@ -44,7 +44,7 @@ SLOWEST = 0.95
 #: Largest ratio of a coordinate's sd to its conditional sd: thinner ridges, at an angle to the
 #: axes, are for grids that turn with them.
 THINNEST = 25.0
-_HALF = 1 << 17  # tiles to either side of the origin
+_HALF = 1 << 23  # tiles to either side of the origin; some thousand posteriors fit
 
 
 class LatticeMoments(NamedTuple):
