@@ -19,6 +19,9 @@ TOGETHER = 64
 PATIENCE = 100_000
 #: Small-angle contact angle, rad, past which no trial is followed: folds lie below 5.
 MOST = 12.0
+#: Share of a step that its correction may be, as a curved whisker has three contacts at one
+#: distance and angle, and a longer correction may lead to another; and a step that is short enough.
+STRAYED, SHORTEST = 0.2, 1e-4
 
 
 @dataclass(frozen=True)
@@ -240,7 +243,7 @@ class Beams:
         active = np.flatnonzero((end == 4) & (np.abs(theta - rest) > 0))
         end[(end == 4) & (theta == rest)] = 0
         force_last, arc_last = force.copy(), arc.copy()
-        steps = np.full(n, step)
+        steps, trust = np.full(n, step), np.full(n, np.inf)
         for _ in range(most):
             if not active.size:
                 break
@@ -257,6 +260,7 @@ class Beams:
             # No farther than the angle asked for, and never past a radian.
             want = np.abs(theta[at] - angle[at])
             size = np.minimum(steps[at], np.maximum(1.05 * want / np.maximum(rise, 1e-3), 1e-9))
+            size = np.minimum(size, trust[at])
             a, f = arc[at] / d + size * tangent[0], force[at] / u + size * tangent[1]
             p = np.stack([a, f])
             for _ in range(3):
@@ -270,16 +274,18 @@ class Beams:
                 det = j_a * tangent[1] - j_f * tangent[0]
                 a = a + (miss * tangent[1] - off * j_f) / det
                 f = f + (off * j_a - miss * tangent[0]) / det
-            tip = a * d > some.length * (1 + 1e-12)
+            strayed = (np.hypot(*(np.stack([a, f]) - p)) > STRAYED * size) & (size > SHORTEST)
+            trust[at] = np.where(strayed, size / 3, 1.5 * trust[at])
+            tip = (a * d > some.length * (1 + 1e-12)) & ~strayed
             new = here[4]
-            reached = ((new - theta[at]) * side[at] >= 0) & ~tip
-            fold = ((new - angle[at]) * side[at] <= 0) & ~reached & ~tip
+            reached = ((new - theta[at]) * side[at] >= 0) & ~tip & ~strayed
+            fold = ((new - angle[at]) * side[at] <= 0) & ~reached & ~tip & ~strayed
             arc_last[at], force_last[at] = np.minimum(a * d, some.length), f * u
             # An end is come up to in ever smaller steps, which leave 1e-8 of the angle and less.
-            again = (fold | tip) & (steps[at] > 1e-4)
+            again = (fold | tip) & (steps[at] > SHORTEST)
             steps[at[again]] /= 5
             fold, tip = fold & ~again, tip & ~again
-            moved = ~(fold | tip | again)
+            moved = ~(fold | tip | again | strayed)
             arc[at[moved]], force[at[moved]], angle[at[moved]] = (
                 (a * d)[moved], (f * u)[moved], new[moved],
             )  # fmt: skip

@@ -31,6 +31,8 @@ UNIT = float(W.compliance_constant / W.length)
 FRACTIONS = (0.003, 0.03, 0.1, 0.3, 0.5, 1.0)
 #: ln below the highest density at which a window ends.
 DEPTH = 40.0
+#: Rows to either side that tell of a lost one.
+NEAR = 4
 
 Make = Callable[[float], Observer]
 OBSERVERS: dict[str, Make] = {
@@ -242,7 +244,17 @@ def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float
     off = max(max(abs(m - mean), abs(s - sd)) for m, s in halves) / sd
     # A smooth sum has next to no error: what half the nodes change says that there is a kink, or
     # that some rows, narrow ones, were missed, and then more may have been.
-    return high_r - mean, sd, 3 * off + (weight @ half / weight.sum()) ** 2
+    share = weight / weight.sum()
+    pull = np.maximum(1.0, ((left - mean) / sd) ** 2)
+    lost = np.maximum(_between(share) - share, 0.0) + share * half**2
+    return high_r - mean, sd, 3 * off + float(lost @ pull)
+
+
+def _between(share: Array) -> Array:
+    """The lower of the highest of a few rows before and after each: no row of a smooth sum, but
+    one whose peak was lost, is far below that."""
+    padded = np.lib.stride_tricks.sliding_window_view(np.pad(share, NEAR), NEAR).max(axis=1)
+    return np.asarray(np.minimum(padded[: share.size], padded[NEAR + 1 :]))
 
 
 # -- the judge ------------------------------------------------------------------------------------

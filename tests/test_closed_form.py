@@ -100,6 +100,19 @@ def test_contact_at_the_very_base_and_tip():
     assert closed_form.bend(CONE, CONE.length, 1e-9).outcome is ww.Outcome.OUT_OF_REACH
 
 
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_a_push_that_slides_off_the_tip_is_not_vouched_for(ratio):
+    """Next to the tip a whisker slips off at an angle so small that 0.2 % had been claimed."""
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / ratio)
+    r = (1 - np.geomspace(1e-3, 1e-7, 30)) * w.length
+    last = ww.flick_past(w, r).deflection_angle
+    low = np.where(closed_form.press(w, r, last).contact_angle < 0.2)
+    assert low[0].size > 10
+    for push, gone in ((0.97, False), (1 + 1e-12, True), (1.3, True)):
+        error = closed_form.press(w, r[low], push * last[low]).error
+        assert np.all((error == 1) == gone)
+
+
 def test_zero_load_is_a_touch():
     for bent in (closed_form.bend(W, 30e-3, 0.0), closed_form.press(W, 30e-3, 0.0)):
         assert bent.outcome is ww.Outcome.HELD

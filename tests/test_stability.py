@@ -269,32 +269,81 @@ def test_a_point_out_of_reach_does_not_end_a_sweep_in_space() -> None:
     assert np.isfinite(bent.moment).tolist() == [True, False]
 
 
-# -- what hunts have found that is not cured -------------------------------------------------------
+def test_the_referee_does_not_step_over_to_another_contact() -> None:
+    """A whisker that bends back over its own curve: three contacts at one distance, near in force.
+
+    The referee's first step corrected itself to the third, past the fold, and found none from
+    there: a good answer was called wrong.
+    """
+    whisker = Whisker(50e-3, 100e-6, 1e-6, 3e9, curvature=19.366302)
+    distance, angle, friction = 0.8980587 * 50e-3, 0.5214454, -0.6602385
+    one = np.ones(1)
+    beams = load("reference_beam").Beams(
+        50e-3 * one, 100e-6 * one, 1e-6 * one, 3e9 * one, 19.366302 * one, friction * one
+    )
+    walk = beams.walk(distance * one, angle * one)
+    assert walk["end"] == 0
+    contact = beams.polish(distance * one, angle * one, walk["arc"], walk["force"])
+    bent = ww.press(whisker, distance, angle, friction, model="profile")
+    np.testing.assert_allclose(contact["moment"], bent.moment, rtol=1e-9)
 
 
-@pytest.mark.xfail(strict=True, reason="tails beyond the lattice at the tip and the fold")
 @pytest.mark.parametrize(
     ("name", "distance", "push", "off"),
     [
-        ("three forces", 0.999999, 1.0, [4.0, 3.712238]),
+        ("three forces", 0.9999992300926, 1.0, [4.0, 3.712238]),
+        ("three forces", 0.9999992300926, 1.0, [-4.0, 2.698209]),
         ("correlated map", 0.999998, 0.500176, [-4.0, -4.0]),
+        ("balance of moments", 0.949997, 1.0, [-4.0, 0.000019]),
     ],
 )
-def test_two_unknowns_at_the_very_tip(
+def test_a_ridge_that_grows_thinner_does_not_pass_between_nodes(
     name: str, distance: float, push: float, off: list[float]
 ) -> None:
-    """At k = 0.003 and 4 sd off the mean is 0.05 to 0.09 sd off the sums, with 0.004 claimed."""
+    """At k = 0.003 and 4 sd off means were 0.02 to 0.09 sd off, with 0.005 claimed.
+
+    A ridge that bends is a tenth as thick at its end as at the peak, from which the lattice has its
+    spacing: its last lines of nodes hit or missed it, and the flood of tiles ended in a gap.
+    """
     case = {"distance": distance, "push": push, "k": 0.003, "off_1": off[0], "off_2": off[1]}
     judged = DOMAINS[f"quadrature, {name}"].judge({k: np.array([v]) for k, v in case.items()})
-    assert judged.fate[0] != hunting.Fate.SILENT
+    assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
 
 
-@pytest.mark.xfail(strict=True, reason="nodes of a fit of four trials miss a little at one end")
-def test_the_lower_end_of_an_interval_of_four_trials() -> None:
-    """It is 4 % of k too high (0.044 sd of ln k), with 4e-7 claimed."""
-    levels, answers = np.array([0.82626534, 1.17373466]), np.array([2, 1])
-    frame = pd.DataFrame({"standard": 1.0, "comparison": levels, "n": 2, "n_greater": answers})
-    exact, counted = load("stability_choices").weighed_fit(levels, 2, answers)
-    assert counted > 50_000
-    found = fit_weber(read_trials(frame)).posterior.quantile("weber_fraction", 0.025)
-    assert found == pytest.approx(np.exp(exact[0]), rel=0.03)
+@pytest.mark.parametrize(
+    ("distance", "push", "k", "off"),
+    [
+        (0.587090, 0.541461, 0.03, [-0.91996, -3.590671]),
+        (0.484802, 0.665457, 0.3, [-1.527, 1.0751]),
+    ],
+)
+def test_the_sum_that_judges_two_unknowns_knows_which_rows_it_lost(
+    distance: float, push: float, k: float, off: list[float]
+) -> None:
+    """Two rows of its 400 closed in upon nothing, or on one of two ridges: 0.024 and 0.035 sd off.
+
+    It claimed 0.003 and 0.007, and quadrature, right to 1e-4 at any tolerance, was called wrong.
+    """
+    case = {"distance": distance, "push": push, "k": k, "off_1": off[0], "off_2": off[1]}
+    domain = DOMAINS["quadrature, axial force dominates"]
+    judged = domain.judge({name: np.array([value]) for name, value in case.items()})
+    assert judged.fate[0] in (hunting.Fate.UNJUDGED, hunting.Fate.RIGHT)
+
+
+@pytest.mark.parametrize(
+    ("span", "n", "answers"), [(0.17373466, 2, [2, 1]), (0.042984, 46, [19, 17])]
+)
+def test_lapses_that_leave_no_rise_are_cut_off_smoothly(
+    span: float, n: int, answers: list[int]
+) -> None:
+    """The lower end of an interval was 4 and 3 % of k off, with 4e-7 claimed.
+
+    A node of the lapses was all in or all out, and where few trials, or chance, leave mass at that
+    edge the sum went by steps.
+    """
+    levels = np.array([1 - span, 1 + span])
+    frame = pd.DataFrame({"standard": 1.0, "comparison": levels, "n": n, "n_greater": answers})
+    exact, counted = load("stability_choices").weighed_fit(levels, n, np.array(answers))
+    assert counted > 30_000
+    found = fit_weber(read_trials(frame)).posterior.quantile("weber_fraction", [0.025, 0.5, 0.975])
+    np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)

@@ -174,7 +174,10 @@ def evaluate(
     centred = d[:, None], weight[:, None]
     centre, spread = model.bias_mode(centred, *reference)  # (R, 1, G)
     lo, hi = model.lapses(low[:, None], high[None, :])
-    lo, hi = (np.broadcast_to(a, (low.size, high.size)).reshape(-1, 1, 1) for a in (lo, hi))
+    all_lost = np.maximum(lo + hi, 1.0)  # nodes past the edge stand for places just before it
+    lo, hi = (
+        np.broadcast_to(a / all_lost, (low.size, high.size)).reshape(-1, 1, 1) for a in (lo, hi)
+    )
     if follow:
         pairs = np.repeat(low, high.size), np.tile(high, low.size)
         centre, spread = model.bias_mode(centred, *pairs, start=centre)  # (R, Lo·Hi, G)
@@ -256,8 +259,12 @@ def score_prior(axis: Array) -> Array:
 
 
 def lapse_prior(model: WeberModel, low: Array, high: Array) -> Array:
-    """Log prior density of the lapses on their coordinates, (Lo, Hi); lapses that leave no rise are
-    impossible."""
+    """Log prior density of the lapses on their coordinates, (Lo, Hi).
+
+    Lapses that leave no rise are impossible. A node that stands for some of either kind has the
+    share of the possible ones: where few trials leave mass at that edge, sums over nodes that are
+    all in or all out went by steps.
+    """
     stretches = model.stretches[-2:]
     z = [s.score(t) for s, t in zip(stretches, (low, high), strict=True)]
     slope = [np.log(s.slope(t)) * (t.size > 1) for s, t in zip(stretches, (low, high), strict=True)]
@@ -266,7 +273,12 @@ def lapse_prior(model: WeberModel, low: Array, high: Array) -> Array:
     )
     density = log_score_prior(z[0][:, None], z[1][None, :], model.priors.lapse_correlation)
     density += slope[0][:, None] + slope[1] - log_lapses_possible(model.task, model.priors)
-    return np.where(lo + hi < 1, density, -np.inf)
+    lost = np.broadcast_to(lo + hi, density.shape)
+    free = [axis for axis in (0, 1) if lost.shape[axis] > 1]
+    across = np.sum([np.abs(np.gradient(lost, axis=axis)) for axis in free], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(across > 0, np.clip((1 - lost) / across + 0.5, 0.0, 1.0), lost < 1)
+        return np.asarray(density + np.log(share))
 
 
 def log_marginal(grid: Grid, axis: int) -> Array:

@@ -62,6 +62,8 @@ def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayL
     Returns
     -------
     Bending
+        Outcome `HELD` wherever the contact is on the whisker, as for `bend`. Where a push next to
+        the tip slides it off, the `error` is 1: there is nothing to be relied on.
     """
     return by_rows(_press, Rung.CLOSED_FORM, whisker, radial_distance, deflection_angle)
 
@@ -71,7 +73,13 @@ def _press(
 ) -> tuple[Array, NDArray[np.int8], Array]:
     u, lost = _place(length, taper, r)
     contact_angle = theta * (3 - 2 * u) / (2 * (1 - u))
-    return _result(r, theta, contact_angle, 3 * stiffness * theta * (1 - u) / r**2, lost)
+    force = 3 * stiffness * theta * (1 - u) / r**2
+    numbers, outcome, error = _result(r, theta, contact_angle, force, lost)
+    # The arc is longer than the chord by r θ²/(10(1 − u)), half the integral of the squared angle
+    # between them, and what comes after that in θ is less than the error says.
+    with np.errstate(over="ignore"):
+        slid_off = r * (1 + theta**2 / (10 * (1 - u)) * (1 + error)) > length
+    return numbers, outcome, np.where(slid_off & ~lost, 1.0, error)
 
 
 def _place(length: Array, taper: Array, r: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .gaps import GAPS, MORE_TILES, Look, water_in
 from .passes import LOST, claimed_error, fitting
 from .threads import on_threads
 
@@ -43,13 +44,14 @@ SLOWEST = 0.95
 #: Largest ratio of a coordinate's sd to its conditional sd: thinner ridges, at an angle to the
 #: axes, are for grids that turn with them.
 THINNEST = 25.0
-_HALF = 1 << 17  # tiles to either side of the origin
+_HALF = 1 << 23  # tiles to either side of the origin; some thousand posteriors fit
 
 
 class LatticeMoments(NamedTuple):
     """Of B posteriors: mean, sd and, over the sd, their errors, (B, C); ln Z; whether all is well.
 
-    What has not converged is not to be used.
+    What has not converged is not to be used, but where gaps were left that no lattice filled:
+    there other grids fail in silence.
     """
 
     mean: Array
@@ -58,10 +60,18 @@ class LatticeMoments(NamedTuple):
     sd_error: Array
     log_evidence: Array
     converged: NDArray[np.bool_]
+    gaping: NDArray[np.bool_]
 
     def of(self, rows: NDArray[np.bool_]) -> LatticeMoments:
         """The same of some of the posteriors."""
         return LatticeMoments._make(column[rows] for column in self)
+
+    def where(self, rows: NDArray[np.bool_], other: LatticeMoments) -> LatticeMoments:
+        """These in some of the posteriors, others' in the rest."""
+        return LatticeMoments._make(
+            np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, two)
+            for one, two in zip(self, other, strict=True)
+        )
 
 
 def integrate_on_lattice(
@@ -72,6 +82,7 @@ def integrate_on_lattice(
     *,
     tolerance: float,
     nested: bool = False,
+    ridge: NDArray[np.bool_] | None = None,
 ) -> LatticeMoments:
     """Moments of functions of two coordinates under B densities.
 
@@ -90,19 +101,45 @@ def integrate_on_lattice(
     nested : bool
         Whether the last two functions are the mean and the variance of one more unknown at each
         node, of which the mean is held to that unknown's whole sd, and the variance to nothing.
+    ridge : array of bool, shape (B,), optional
+        Those whose gaps are of no interest.
     """
     level = _levels(covariance, fitting(tolerance, 2))
     own, given = (np.diagonal(c, axis1=1, axis2=2) for c in (covariance, np.linalg.inv(covariance)))
     thin = np.asarray((own * given > THINNEST**2).any(axis=1))
-    left, parts = np.arange(len(centre)), []
+    ridge = np.zeros(len(centre), dtype=bool) if ridge is None else ridge
+    left, parts, most = np.arange(len(centre)), [], np.full(len(centre), TILES)
+    before: Look | None = None
     for attempt in range(TRIES):
         flood = _Flood(
-            tiled, centre[left], level[left], top[left], left, thin[left], tolerance, nested
-        )
+            tiled, centre[left], level[left], most[left], top[left], left, thin[left], tolerance,
+            nested,
+        )  # fmt: skip
         found, rough = flood.moments()
-        done = found.converged | flood.lost | np.full(len(left), attempt == TRIES - 1)
-        parts.append((left[done], found.of(done)))
+        water = np.where(ridge[left, None], 0.0, flood.water())
+        gaps = water > GAPS * tolerance
+        same = np.zeros(len(left), dtype=bool)
+        if before is not None:
+            # Gaps that are the posterior's own, between two peaks, are there on any lattice.
+            same = before.agrees(found, water, slice(-2 if nested else None), tolerance)
+            found = found.where(~flood.lost & (found.converged | ~same), before.found)
+            water = np.where(flood.lost[:, None], before.water, water)
+        doubted = found.converged & gaps.any(axis=1) & ~same
+        rough = np.where(doubted[:, None], 2 * gaps[:, ::-1], rough)
+        most[left[doubted]] = MORE_TILES
+        well = found.converged & ~doubted
+        done = well | flood.lost | np.full(len(left), attempt == TRIES - 1)
+        gaping = ~well & (most[left] > TILES)
+        missing = np.where(gaping, water.max(axis=1), 0.0)[:, None]
+        ended = found._replace(
+            mean_error=found.mean_error + missing,
+            sd_error=found.sd_error + missing,
+            converged=well,
+            gaping=gaping,
+        )
+        parts.append((left[done], ended.of(done)))
         level[left] += rough
+        before = Look(found.of(~done), water[~done], doubted[~done])
         left = left[~done]
         if not left.size:
             break
@@ -149,6 +186,7 @@ class _Flood:
         tiled: Tiled,
         centre: Array,
         level: NDArray[np.int64],
+        most: NDArray[np.int64],
         top: Array,
         index: Index,
         lost: NDArray[np.bool_],
@@ -156,7 +194,7 @@ class _Flood:
         nested: bool,
     ) -> None:
         self.tiled, self.level, self.top, self.index = tiled, level, top, index
-        self.tolerance, self.nested = tolerance, nested
+        self.tolerance, self.nested, self.most = tolerance, nested, most
         self.spacing = 2.0 ** (-level / 2)
         # Sums lose no digits about a place inside.
         _, origin = tiled(centre[:, None])(index, np.arange(len(index)))
@@ -166,26 +204,28 @@ class _Flood:
         self.lost = lost.copy()
         self.tiles = np.zeros(count, dtype=np.int64)
         tile = np.floor(centre / (SIDE * self.spacing)).astype(np.int64)
-        self.keys, self.faces = self.spread(np.arange(count), tile)
+        self.keys, self.faces, self.lines = self.spread(np.arange(count), tile)
 
-    def spread(self, row: Index, tile: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """From first tiles (n, 2) of posteriors (n,) to all that hold mass: keys, in order, and
-        sides (n, 1 + 2C, 8)."""
-        keys, faces, seen = [], [], np.empty(0, dtype=np.int64)
+    def spread(self, row: Index, tile: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array, Array]:
+        """From first tiles (n, 2) of posteriors (n,) to all that hold mass: keys, in order, sides
+        (n, 1 + 2C, 8), and the mass of the lines of nodes across either axis (n, 2, SIDE)."""
+        keys, faces, lines, seen = [], [], [], np.empty(0, dtype=np.int64)
         while row.size:
-            terms = self.weigh(row, tile)
+            terms, crossing = self.weigh(row, tile)
             starts = np.flatnonzero(np.diff(row, prepend=-1))
             self.sums[row[starts]] += np.add.reduceat(terms[..., :-8], starts)
             self.tiles += np.bincount(row, minlength=len(self.tiles))
-            self.lost |= self.tiles > TILES
+            self.lost |= self.tiles > self.most
             keys.append(_key(row, tile))
             faces.append(terms[..., -8:].copy())
+            lines.append(crossing)
             seen = np.sort(np.concatenate([seen, keys[-1]]))
             row, tile = self.beyond(keys[-1], faces[-1], seen)
             if not row.size:  # means have moved since the others were looked at
                 row, tile = self.beyond(np.concatenate(keys), np.concatenate(faces), seen)
         order = np.argsort(np.concatenate(keys))
-        return np.concatenate(keys)[order], np.concatenate(faces)[order]
+        sides, crossed = (np.concatenate(part)[order] for part in (faces, lines))
+        return np.concatenate(keys)[order], sides, crossed
 
     def beyond(
         self, keys: NDArray[np.int64], faces: Array, seen: NDArray[np.int64]
@@ -229,9 +269,26 @@ class _Flood:
             unit[:, -2] = np.sqrt(sd[:, -2] ** 2 + np.maximum(self.origin + mean, 0.0)[:, -1])
         return mass, mean, sd, unit
 
-    def weigh(self, row: Index, tile: NDArray[np.int64]) -> Array:
-        """Sums (n, 1 + 2C, subsets and sides) over tiles: mass, first and second moments."""
+    def water(self) -> Array:
+        """Water in the gaps of the marginals along either axis (b, 2)."""
+        row, tile = _unkey(self.keys)
+        found = []
+        for axis in (0, 1):
+            own, member = np.unique(_key(row, tile * (axis == _AXES)), return_inverse=True)
+            order = np.argsort(member, kind="stable")
+            starts = np.searchsorted(member[order], np.arange(own.size))
+            line = np.add.reduceat(self.lines[order, axis], starts)
+            whose, place = _unkey(own)
+            found.append(water_in(whose, place[:, axis], line, len(self.tiles)))
+        return np.stack(found, axis=1)
+
+    def weigh(self, row: Index, tile: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Sums (n, 1 + 2C, subsets and sides) over tiles: mass, first and second moments.
+
+        And the mass of the lines of nodes across either axis (n, 2, SIDE).
+        """
         out = np.empty((len(row), self.sums.shape[1], _MASKS.shape[1]))
+        lines = np.empty((len(row), 2, SIDE))
         level = self.level[row]
         order = np.lexsort((tile[:, 1], tile[:, 0], level[:, 1], level[:, 0]))
         size = BATCH // SIDE**2
@@ -255,9 +312,10 @@ class _Flood:
             np.multiply(first, off, out=second)
             sums = terms.reshape(-1, SIDE**2) @ _MASKS  # one product: far quicker than a stack
             out[pairs] = sums.reshape(len(pairs), -1, _MASKS.shape[1])
+            lines[pairs] = (weight @ _LINES).reshape(-1, 2, SIDE)
 
         list(on_threads(part, range(0, len(row), size)))
-        return out
+        return out, lines
 
     def moments(self) -> tuple[LatticeMoments, NDArray[np.int64]]:
         """What was found, and how much finer (b, 2) a lattice should be."""
@@ -299,6 +357,7 @@ class _Flood:
             sd_error * own,
             np.log(mass) + self.top + spacing,
             (worst <= self.tolerance) & ~self.lost,
+            np.zeros(len(mass), dtype=bool),
         )
         return found, rough * np.where(alone > 0.2, 2, 1)
 
@@ -350,6 +409,8 @@ _NEIGHBOURS = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
 #: The two layers of nodes at either side, and the two next to them.
 _PAIRS = ((0, SIDE // 2 - 1), (1, SIDE // 2 - 2))
 _NODES = np.indices((SIDE, SIDE)).reshape(2, -1).T
+_AXES = np.arange(2)
+_LINES = np.concatenate([_NODES[:, k, None] == np.arange(SIDE) for k in _AXES], axis=1) * 1.0
 _MASKS = np.stack(
     [(_NODES[:, 0] % a == 0) & (_NODES[:, 1] % b == 0) for _, a, b in _SUBSETS]
     + [_NODES[:, k] // 2 == pair for pairs in _PAIRS for k in (0, 1) for pair in pairs],

@@ -63,7 +63,7 @@ def _several(
         if progress:
             progress(min(len(parts) * TOGETHER, len(reading)), len(reading))
     mode = Mode(*(np.concatenate([getattr(p.mode, f.name) for p in parts]) for f in fields(Mode)))
-    mean, sd, mean_error, sd_error, log_evidence, _ = map(
+    mean, sd, mean_error, sd_error, log_evidence, *_ = map(
         np.concatenate, zip(*(part.moments for part in parts), strict=True)
     )
     status, unidentified = (
@@ -154,19 +154,19 @@ def _moments(
         columns = zip(*(part for _, part in parts), strict=True)
         return LatticeMoments._make(np.concatenate(column)[order] for column in columns)
     if len(observer.unknowns) < 4:
-        found = engine.on_lattice()
+        found = engine.on_lattice(unidentified)
     else:
         mean, sd, mean_error, sd_error = np.full((4, *mode.x.shape), np.nan)
-        none = np.zeros(len(reading), dtype=bool)
-        found = LatticeMoments(mean, sd, mean_error, sd_error, mode.log_density.copy(), none)
+        none = np.zeros((2, len(reading)), dtype=bool)
+        found = LatticeMoments(mean, sd, mean_error, sd_error, mode.log_density.copy(), *none)
     # Ridges go apart from the rest, so that no posterior depends on its neighbours.
     for ridge in (False, True):
-        left = np.flatnonzero(~found.converged & (unidentified == ridge))
+        left = np.flatnonzero(~found.converged & ~found.gaping & (unidentified == ridge))
         if left.size:
             engine = _engine(observer, reading[left], mode.of(left), tolerance)
             again = engine.on_grid(max_points=_most(ridge))
-            for name, column in found._asdict().items():
-                column[left] = getattr(again, name)
+            for name in set(found._fields) - {"gaping"}:
+                getattr(found, name)[left] = getattr(again, name)
     return found
 
 

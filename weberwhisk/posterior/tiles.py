@@ -65,8 +65,8 @@ class Engine(ABC):
         """Of which posteriors (B,) the densities that were asked for are to be believed."""
         return np.ones(len(self.reading), dtype=bool)
 
-    def on_lattice(self) -> LatticeMoments:
-        """By `lattice`, over two coordinates."""
+    def on_lattice(self, ridge: NDArray[np.bool_] | None = None) -> LatticeMoments:
+        """By `lattice`, over two coordinates, of ridges (B,) with less care."""
         root = mode_root(self.peak)
         found = integrate_on_lattice(
             self.tiled(),
@@ -75,6 +75,7 @@ class Engine(ABC):
             self.mode.log_density,
             tolerance=self.tolerance,
             nested=self.nested,
+            ridge=ridge,
         )
         return found._replace(converged=found.converged & self.sound(), **self.completed(found))
 
