@@ -264,9 +264,10 @@ def _codes(labels: NDArray[Any]) -> NDArray[np.intp]:
 
 def _summed(values: Array, group: NDArray[np.intp]) -> Array:
     """Sums by group along the last axis, (D, G)."""
-    order = np.argsort(group, kind="stable")
-    starts = np.searchsorted(group[order], np.arange(group.max() + 1))
-    return np.asarray(np.add.reduceat(values[:, order], starts, axis=1))
+    shape = len(values), int(group.max()) + 1
+    place = np.arange(shape[0])[:, None] * shape[1] + group
+    sums = np.bincount(place.ravel(), values.ravel(), minlength=shape[0] * shape[1])
+    return np.asarray(sums.reshape(shape), dtype=float)
 
 
 def _squares(group: NDArray[np.intp]) -> Any:
