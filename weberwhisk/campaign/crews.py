@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-import time
 from collections import Counter, deque
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
@@ -19,8 +18,8 @@ from typing import Protocol
 from .job import Job, Report
 
 MOST_DEATHS = 3  # of workers, before their chunk is given up
-AHEAD = 0.2  # seconds of work that a worker holds, so that it need not wait for more
-EVERY = 0.02  # seconds between two messages of a worker whose chunks are short
+AHEAD = 0.3  # seconds of work that a worker holds, so that it need not wait for more
+EVERY = 0.1  # seconds between two reports, where chunks are short
 MOST = 1000  # chunks that a worker may hold
 
 
@@ -51,6 +50,11 @@ def portion(queue: deque[int], alone: set[int], most: int) -> list[int]:
     return taken
 
 
+def window(each: float, seconds: float) -> int:
+    """How many chunks take so long, at so many seconds each."""
+    return max(1, min(int(seconds / max(each, 1e-6)), MOST))
+
+
 def one_thread() -> None:
     """Leave linear algebra one thread: others would add in another order, and fight for cores."""
     import scipy.linalg  # noqa: F401  # its library must be there to be told
@@ -60,7 +64,7 @@ def one_thread() -> None:
 
 
 class Serial:
-    """This process, a chunk at a time."""
+    """This process, some chunks at a time."""
 
     def __init__(self, job: Job) -> None:
         import scipy.linalg  # noqa: F401
@@ -68,6 +72,7 @@ class Serial:
 
         self._job = job
         self._held: list[int] = []
+        self._window = 1
         self._threads = threadpool_limits(1)
 
     @property
@@ -75,11 +80,14 @@ class Serial:
         return bool(self._held)
 
     def give(self, queue: deque[int], alone: set[int]) -> None:
-        if queue and not self._held:
-            self._held.append(queue.popleft())
+        if not self._held:
+            self._held = portion(queue, alone, self._window)
 
     def take(self) -> Report:
-        return self._job.do(self._held.pop())
+        numbers, self._held = self._held, []
+        report = self._job.do(numbers, EVERY)
+        self._window = window(report.each, EVERY)
+        return report
 
     def close(self) -> None:
         self._threads.restore_original_limits()
@@ -162,14 +170,12 @@ class _Hand:
             self.connection.send(numbers)
 
     def hear(self) -> Report:
-        report, seconds = self.connection.recv()
+        report: Report = self.connection.recv()
         self.ready = True
-        done = [*report.lines, *([report.failure[0]] if report.failure else [])]
-        for number in done:
+        for number in (*report.ended, *report.back):
             del self.held[number]
-        if done:
-            each = seconds / len(done)
-            self.window = max(1, int(min(AHEAD / max(each, 1e-6), MOST)))
+        if report.ended:
+            self.window = window(report.each, AHEAD)
         return report
 
     def end(self) -> None:
@@ -183,13 +189,12 @@ def _serve(connection: Connection, job: Job) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked decides what an interrupt means
     one_thread()
     with suppress(EOFError, OSError):
-        connection.send((Report(), 0.0))
+        connection.send(Report())
         while True:
             numbers = connection.recv()
-            report, since = Report(), time.monotonic()
-            for number in numbers:
-                report.add(job.do(number))
-                now = time.monotonic()
-                if now - since > EVERY or report.failure or number == numbers[-1]:
-                    connection.send((report, now - since))
-                    report, since = Report(), now
+            while numbers:
+                report = job.do(numbers, EVERY)
+                numbers = []
+                if not report.failure:
+                    numbers, report.back = report.back, numbers
+                connection.send(report)
