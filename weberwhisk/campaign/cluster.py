@@ -8,10 +8,10 @@ from collections import deque
 from typing import Any
 
 from ..journal import versions
-from .crews import one_thread, portion, window
+from .crews import UNKNOWN, fair, one_thread, portion
 from .job import Job, Report
 
-SECONDS = 0.5  # of work in one task: the cluster's own cost is some milliseconds a task
+SECONDS = 1.5  # of work in one task: the cluster's own cost is some ten milliseconds a task
 PATIENCE = 300.0  # seconds without any worker, before the sweep is given up
 COUNT_EVERY = 2.0  # seconds between two looks at how many workers there are
 CONNECT = 15.0  # seconds to reach the scheduler
@@ -58,7 +58,7 @@ class Cluster:
         self._job = job
         self._held: dict[Any, list[int]] = {}
         self._done: queues.Queue[Any] = queues.Queue()
-        self._each = SECONDS
+        self._each = UNKNOWN
         self._sole = False  # whether what is held is one chunk that may kill
         self._slots, self._counted = 1, -COUNT_EVERY
         self._wanted = versions()
@@ -74,8 +74,8 @@ class Cluster:
         while queue and len(self._held) < self._slots and not self._sole:
             if queue[0] in alone and self._held:
                 return
-            share = -(-len(queue) // (2 * self._slots))
-            numbers = portion(queue, alone, min(window(self._each, SECONDS), share))
+            most = fair(len(queue), self._slots, SECONDS, self._each)
+            numbers = portion(queue, alone, most)
             self._sole = numbers[0] in alone
             future = self._client.submit(
                 _some, self._job.only(numbers), self._wanted, pure=False, retries=0

@@ -18,9 +18,11 @@ from typing import Protocol
 from .job import Job, Report
 
 MOST_DEATHS = 3  # of workers, before their chunk is given up
-AHEAD = 0.3  # seconds of work that a worker holds, so that it need not wait for more
-EVERY = 0.1  # seconds between two reports, where chunks are short
+AHEAD = 0.75  # seconds of work that a worker holds, so that it need not wait for more
+EVERY = 0.25  # seconds between two reports, where chunks are short
+LEAST = 0.1  # seconds of work that are not shared out any further at the end
 MOST = 1000  # chunks that a worker may hold
+UNKNOWN = float("inf")  # seconds that a chunk takes, before one is done
 
 
 class Crew(Protocol):
@@ -50,9 +52,15 @@ def portion(queue: deque[int], alone: set[int], most: int) -> list[int]:
     return taken
 
 
-def window(each: float, seconds: float) -> int:
-    """How many chunks take so long, at so many seconds each."""
+def within(seconds: float, each: float) -> int:
+    """How many chunks take so long, at so many seconds each; one at least."""
     return max(1, min(int(seconds / max(each, 1e-6)), MOST))
+
+
+def fair(waiting: int, takers: int, seconds: float, each: float) -> int:
+    """How many of the chunks that wait one of several should take: so long, and less at the end."""
+    share = -(-waiting // (2 * takers))
+    return min(within(seconds, each), max(share, within(LEAST, each)))
 
 
 def one_thread() -> None:
@@ -72,7 +80,7 @@ class Serial:
 
         self._job = job
         self._held: list[int] = []
-        self._window = 1
+        self._each = UNKNOWN
         self._threads = threadpool_limits(1)
 
     @property
@@ -81,12 +89,12 @@ class Serial:
 
     def give(self, queue: deque[int], alone: set[int]) -> None:
         if not self._held:
-            self._held = portion(queue, alone, self._window)
+            self._held = portion(queue, alone, within(EVERY, self._each))
 
     def take(self) -> Report:
         numbers, self._held = self._held, []
         report = self._job.do(numbers, EVERY)
-        self._window = window(report.each, EVERY)
+        self._each = report.each
         return report
 
     def close(self) -> None:
@@ -112,9 +120,8 @@ class Processes:
                 return
             if not hand.ready or (hand.held and alone & {*hand.held, queue[0]}):
                 continue
-            share = -(-len(queue) // (2 * len(self._hands)))
-            room = max(1, min(hand.window, share)) - len(hand.held)
-            hand.give(portion(queue, alone, room))
+            most = fair(len(queue), len(self._hands), AHEAD, hand.each)
+            hand.give(portion(queue, alone, most - len(hand.held)))
 
     def take(self) -> Report:
         """News of one worker; an empty report where it has just begun."""
@@ -160,7 +167,7 @@ class _Hand:
         theirs.close()  # so that its end is the end of the connection
         self.ready = False
         self.held: dict[int, None] = {}
-        self.window = 1
+        self.each = UNKNOWN
 
     def give(self, numbers: list[int]) -> None:
         if not numbers:
@@ -175,7 +182,7 @@ class _Hand:
         for number in (*report.ended, *report.back):
             del self.held[number]
         if report.ended:
-            self.window = window(report.each, AHEAD)
+            self.each = report.each
         return report
 
     def end(self) -> None:
@@ -190,11 +197,15 @@ def _serve(connection: Connection, job: Job) -> None:
     one_thread()
     with suppress(EOFError, OSError):
         connection.send(Report())
+        numbers: list[int] = []
+        each = UNKNOWN
         while True:
-            numbers = connection.recv()
-            while numbers:
-                report = job.do(numbers, EVERY)
-                numbers = []
-                if not report.failure:
-                    numbers, report.back = report.back, numbers
-                connection.send(report)
+            while not numbers or connection.poll():
+                numbers += connection.recv()
+            most = within(EVERY, each)
+            report = job.do(numbers[:most], EVERY)
+            numbers, report.back = report.back + numbers[most:], []
+            if report.failure:
+                numbers, report.back = [], numbers
+            each = report.each
+            connection.send(report)
