@@ -19,8 +19,8 @@ import pandas as pd
 import pytest
 
 from weberwhisk.campaign import CampaignError, read, run
-from weberwhisk.campaign.crews import portion
-from weberwhisk.campaign.job import decode, encode
+from weberwhisk.campaign.crews import UNKNOWN, fair, portion, within
+from weberwhisk.campaign.job import Job, decode, encode
 
 HERE = Path(__file__).parent
 CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]
@@ -146,7 +146,7 @@ def test_killed_outright_and_resumed(tmp_path: Path) -> None:
         [sys.executable, str(script), str(HERE), str(out), json.dumps(chunks)],
         stderr=subprocess.PIPE,
     )
-    while len(done(log)) < 8:
+    while not out.exists() or out.read_bytes().count(b"\n") < 1 + 3:
         assert process.poll() is None, process.stderr.read() if process.stderr else ""
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
@@ -318,6 +318,29 @@ def test_workers_that_cannot_start_say_why(tmp_path: Path) -> None:
     last = ended.stderr.strip().splitlines()[-1]
     assert "workers end as soon as they start (exit status 1)" in last
     assert 'if __name__ == "__main__":' in last
+
+
+def test_a_run_of_chunks_stops_in_time_and_at_a_failure(tmp_path: Path) -> None:
+    def job(work: Any, **more: Any) -> Job:
+        return Job(work, dict(enumerate(logged(tmp_path, 9, **more))), 7)
+
+    slow = job(campaign_work.draw, seconds=0.02).do([3, 1, 2], 0.0)
+    assert (list(slow.lines), slow.back, slow.failure) == ([3], [1, 2], None)
+    assert slow.each >= 0.02
+    fast = job(campaign_work.draw).do([3, 1, 2], 60.0)
+    assert (list(fast.lines), fast.back) == ([3, 1, 2], [])
+    assert fast.lines[3] == slow.lines[3]
+    failed = job(campaign_work.stumble, mended=str(tmp_path / "no")).do([3, 4, 5], 60.0)
+    assert (failed.ended, failed.back) == ([3, 4], [5])
+
+
+def test_short_chunks_are_handed_out_in_runs() -> None:
+    assert within(0.25, UNKNOWN) == 1
+    assert within(0.25, 0.005) == 50
+    assert within(0.25, 3.0) == 1
+    assert fair(10_000, 2, 0.75, 0.005) == 150
+    assert fair(100, 2, 0.75, 0.005) == 25  # near the end, so that all end together
+    assert fair(8, 2, 0.75, 0.005) == 20  # a tenth of a second is not worth sharing
 
 
 def test_chunks_are_handed_out_alone_where_they_must() -> None:

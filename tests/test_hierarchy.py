@@ -220,7 +220,8 @@ def test_population_and_animals_by_brute_force(count: int) -> None:
         assert found[name][1] == pytest.approx(sd, rel=0.01), name
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.once
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_population_with_biases_by_brute_force(count: int) -> None:
     trials, _ = animals(count, bias_spread=0.3)
     fit = fit_population(trials, priors={"lapse_low": 0.02, "lapse_high": 0.02})
@@ -292,13 +293,14 @@ def test_what_fails_emcee_on_all_animals_at_once() -> None:
 
 def test_scales_of_biases_that_were_not_tabulated_are_missed() -> None:
     # A posterior that runs into the end of what was tabulated is no answer, and says so.
-    trials, _ = animals(4, bias_spread=0.2)
-    fits = [fit_weber(trials.select(subject=s)) for s in trials.subjects]
+    trials, _ = animals(3, bias_spread=0.2)
+    known = {"lapse_low": 0.02, "lapse_high": 0.02}
+    fits = [fit_weber(trials.select(subject=s), priors=known) for s in trials.subjects]
     weber = Priors().weber_fraction
     errors = []
     for scales in (BiasScales.between(0.0, 5.0, 0.1), BiasScales.between(1.5, 3.0, 0.1)):
         tables = [tabulate(f.model.merged(), f.posterior.draws(), scales.nodes) for f in fits]
-        members = Members(tuple(tables), np.arange(4), False, 0.7, scales)
+        members = Members(tuple(tables), np.arange(3), False, 0.7, scales)
         found = integrate_population(
             members, PopulationPriors(), lambda x: weber.logpdf(np.exp(x)) + x
         )
@@ -307,6 +309,7 @@ def test_scales_of_biases_that_were_not_tabulated_are_missed() -> None:
     assert np.isinf(errors[1])
 
 
+@pytest.mark.once
 def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
     # Twelve animals without any bias: with the scale of a single fit k is 0.0927, and 0.0979 with
     # one that is learnt.
@@ -324,6 +327,7 @@ def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
 # -- what pooling does ----------------------------------------------------------------------------
 
 
+@pytest.mark.once
 def test_pooling_draws_animals_together_and_errs_less() -> None:
     trials, truth = animals(8, spread=0.2, trials_per_level=14, bias_spread=0.2)
     fit = fit_population(trials)
@@ -442,8 +446,9 @@ def test_no_animal_at_all_is_an_outcome() -> None:
         fit.to_arviz()
 
 
+@pytest.mark.once
 def test_perfect_and_hopeless_animals_are_carried_by_the_others() -> None:
-    trials, _ = animals(5, spread=0.1, trials_per_level=30)
+    trials, _ = animals(3, spread=0.1, trials_per_level=30)
     frame = trials.frame.copy()
     first, second = (frame["subject"] == s for s in ("s1", "s2"))
     right = (frame["stimulus_2"] > frame["stimulus_1"]).astype(float)
@@ -465,7 +470,8 @@ def test_missing_labels_are_refused(column: str, sessions: bool) -> None:
 
 
 def test_sessions_without_a_subject_are_one_animals() -> None:
-    fit = fit_population(simulate_trials(sessions=2, trials_per_level=20, seed=4), sessions=True)
+    trials = simulate_trials(sessions=2, trials_per_level=20, seed=4)
+    fit = fit_population(trials, sessions=True, priors=KNOWN)
     assert fit.status is PopulationStatus.ONE_ANIMAL
     assert fit.sessions is not None
     assert fit.sessions["session"].tolist() == [1, 2]

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, zoom
-from scipy.special import logsumexp
 
 from .members import Members, Work
 from .priors import PopulationPriors
@@ -32,6 +31,7 @@ FINER_BIASES = (23, 27, 11, 27, 21, 9)  # where their scale has a peak and a lon
 PLENTY = 0.1  # what half the nodes may miss
 ALL = range(len(NAMES))
 CUT_OFF = 1e-3  # of the peak: density at the last scale of biases, at which more should be known
+ROOM = 10_000_000  # numbers of kernels that are kept for other lapses
 KEPT = 1e-6  # of the peak: what a marginal density may fall to within the axes
 
 
@@ -135,12 +135,15 @@ def integrate_population(
     for counts in (COARSE, COARSE, COARSE, FINE):
         grid.lay(ranges, counts)
         log_mass = grid.log_mass()
-        ranges = [_narrowed(log_mass, j, grid.axes[j], grid.bounds[j]) for j in ALL]
+        mass = np.exp(log_mass - log_mass.max())
+        ranges = [_narrowed(mass, j, grid.axes[j], grid.bounds[j]) for j in ALL]
     for counts in (FINE, FINER_BIASES):
         grid.lay(ranges, counts)
         log_mass = grid.log_mass()
-        log_evidence = float(logsumexp(log_mass))
-        mass = np.exp(log_mass - log_evidence)
+        top = log_mass.max()
+        mass = np.exp(log_mass - top)
+        total = mass.sum()
+        mass /= total
         missed = [_thinned(mass, j) for j in ALL]
         if missed[3] < PLENTY:
             break
@@ -155,7 +158,7 @@ def integrate_population(
         grid.work.x,
         of_members,
         of_animals,
-        log_evidence,
+        float(top + np.log(total)),
         error,
     )
 
@@ -242,12 +245,17 @@ class _Grid:
         _, tau, sigma, scale, mean, spread = self.on_axes()[0]
         log_k = self.values()[NAMES[0]][..., 0, 0]
         tiled = np.broadcast_to(tau, log_k.shape[:2]).ravel()
+        known: dict[tuple[int, int], Array] = {}
         for i, m in enumerate(mean):  # a row of lapse populations at a time: they take room
             log_like = self.work.given_lapses(np.full(spread.size, m), spread, scale)
             for s, session_spread in enumerate(sigma):
                 within = self.work.within(session_spread)
                 for b in range(scale.size):
-                    between = self.work.kernel(log_k[..., s, b].ravel(), tiled)
+                    between = known.get((s, b))
+                    if between is None:
+                        between = self.work.kernel(log_k[..., s, b].ravel(), tiled)
+                        if (len(known) + 1) * between.size <= ROOM:
+                            known[s, b] = between
                     yield (slice(None), slice(None), s, b, i), log_like[b], within, between
 
     def shrunken(self, mass: Array) -> tuple[Array, Array]:
@@ -281,15 +289,14 @@ class _Grid:
 
 
 def _narrowed(
-    log_mass: Array, index: int, axis: Array, bounds: tuple[float, float]
+    mass: Array, index: int, axis: Array, bounds: tuple[float, float]
 ) -> tuple[float, float]:
     """The part of an axis that holds the mass, a step more on either side."""
     if axis.size == 1:
         return bounds
-    others = tuple(i for i in range(log_mass.ndim) if i != index)
-    marginal = logsumexp(log_mass, axis=others)
-    marginal[[0, -1]] += np.log(2.0)
-    held = axis[marginal > marginal.max() + np.log(KEPT)]
+    marginal = mass.sum(axis=tuple(i for i in ALL if i != index))
+    marginal[[0, -1]] *= 2.0
+    held = axis[marginal > KEPT * marginal.max()]
     step = axis[1] - axis[0]
     return max(held[0] - step, bounds[0]), min(held[-1] + step, bounds[1])
 

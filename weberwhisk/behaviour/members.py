@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ class Members:
     lapse_correlation: float
     scales: BiasScales = AS_BELIEVED
 
-    @property
+    @cached_property
     def first(self) -> NDArray[np.intp]:
         """The first table of each animal."""
         return np.flatnonzero(np.r_[True, np.diff(self.animal) > 0])

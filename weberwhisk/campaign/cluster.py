@@ -8,10 +8,10 @@ from collections import deque
 from typing import Any
 
 from ..journal import versions
-from .crews import MOST, one_thread, portion
+from .crews import UNKNOWN, fair, one_thread, portion
 from .job import Job, Report
 
-SECONDS = 0.5  # of work in one task: the cluster's own cost is some milliseconds a task
+SECONDS = 1.5  # of work in one task: the cluster's own cost is some ten milliseconds a task
 PATIENCE = 300.0  # seconds without any worker, before the sweep is given up
 COUNT_EVERY = 2.0  # seconds between two looks at how many workers there are
 CONNECT = 15.0  # seconds to reach the scheduler
@@ -58,7 +58,7 @@ class Cluster:
         self._job = job
         self._held: dict[Any, list[int]] = {}
         self._done: queues.Queue[Any] = queues.Queue()
-        self._each = SECONDS
+        self._each = UNKNOWN
         self._sole = False  # whether what is held is one chunk that may kill
         self._slots, self._counted = 1, -COUNT_EVERY
         self._wanted = versions()
@@ -74,8 +74,7 @@ class Cluster:
         while queue and len(self._held) < self._slots and not self._sole:
             if queue[0] in alone and self._held:
                 return
-            share = -(-len(queue) // (2 * self._slots))
-            most = max(1, min(int(SECONDS / max(self._each, 1e-6)), share, MOST))
+            most = fair(len(queue), self._slots, SECONDS, self._each)
             numbers = portion(queue, alone, most)
             self._sole = numbers[0] in alone
             future = self._client.submit(
@@ -90,7 +89,7 @@ class Cluster:
         future = self._next()
         numbers, sole, self._sole = self._held.pop(future), self._sole, False
         try:
-            report, seconds = future.result()
+            report: Report = future.result()
         except KilledWorker:
             if sole:  # the scheduler has tried it on several workers already
                 return Report(deadly=numbers[0])
@@ -99,8 +98,7 @@ class Cluster:
             raise ClusterLost(str(error)) from None
         except Exception as error:
             raise ClusterLost(f"a task ended with {type(error).__name__}: {error}") from error
-        done = len(numbers) - len(report.back)
-        self._each = seconds / max(done, 1)
+        self._each = report.each
         return report
 
     def _next(self) -> Any:
@@ -127,16 +125,9 @@ class _Mismatch(Exception):
     """A worker with other versions than this process."""
 
 
-def _some(job: Job, wanted: dict[str, str]) -> tuple[Report, float]:
-    """A worker's share: chunks one by one, until they are done or have taken long enough."""
+def _some(job: Job, wanted: dict[str, str]) -> Report:
+    """A worker's share: its chunks, until they are done or have taken long enough."""
     if versions() != wanted:
         raise _Mismatch(f"a worker has {versions()}, not {wanted}")
     one_thread()
-    report, since = Report(), time.monotonic()
-    numbers = list(job.chunks)
-    for place, number in enumerate(numbers):
-        report.add(job.do(number))
-        if report.failure or time.monotonic() - since > 2 * SECONDS:
-            report.back = numbers[place + 1 :]
-            break
-    return report, time.monotonic() - since
+    return job.do(list(job.chunks), 2 * SECONDS)

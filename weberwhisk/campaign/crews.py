@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-import time
 from collections import Counter, deque
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
@@ -19,9 +18,11 @@ from typing import Protocol
 from .job import Job, Report
 
 MOST_DEATHS = 3  # of workers, before their chunk is given up
-AHEAD = 0.2  # seconds of work that a worker holds, so that it need not wait for more
-EVERY = 0.02  # seconds between two messages of a worker whose chunks are short
+AHEAD = 0.75  # seconds of work that a worker holds, so that it need not wait for more
+EVERY = 0.25  # seconds between two reports, where chunks are short
+LEAST = 0.1  # seconds of work that are not shared out any further at the end
 MOST = 1000  # chunks that a worker may hold
+UNKNOWN = float("inf")  # seconds that a chunk takes, before one is done
 
 
 class Crew(Protocol):
@@ -51,6 +52,17 @@ def portion(queue: deque[int], alone: set[int], most: int) -> list[int]:
     return taken
 
 
+def within(seconds: float, each: float) -> int:
+    """How many chunks take so long, at so many seconds each; one at least."""
+    return max(1, min(int(seconds / max(each, 1e-6)), MOST))
+
+
+def fair(waiting: int, takers: int, seconds: float, each: float) -> int:
+    """How many of the chunks that wait one of several should take: so long, and less at the end."""
+    share = -(-waiting // (2 * takers))
+    return min(within(seconds, each), max(share, within(LEAST, each)))
+
+
 def one_thread() -> None:
     """Leave linear algebra one thread: others would add in another order, and fight for cores."""
     import scipy.linalg  # noqa: F401  # its library must be there to be told
@@ -60,7 +72,7 @@ def one_thread() -> None:
 
 
 class Serial:
-    """This process, a chunk at a time."""
+    """This process, some chunks at a time."""
 
     def __init__(self, job: Job) -> None:
         import scipy.linalg  # noqa: F401
@@ -68,6 +80,7 @@ class Serial:
 
         self._job = job
         self._held: list[int] = []
+        self._each = UNKNOWN
         self._threads = threadpool_limits(1)
 
     @property
@@ -75,11 +88,14 @@ class Serial:
         return bool(self._held)
 
     def give(self, queue: deque[int], alone: set[int]) -> None:
-        if queue and not self._held:
-            self._held.append(queue.popleft())
+        if not self._held:
+            self._held = portion(queue, alone, within(EVERY, self._each))
 
     def take(self) -> Report:
-        return self._job.do(self._held.pop())
+        numbers, self._held = self._held, []
+        report = self._job.do(numbers, EVERY)
+        self._each = report.each
+        return report
 
     def close(self) -> None:
         self._threads.restore_original_limits()
@@ -104,9 +120,8 @@ class Processes:
                 return
             if not hand.ready or (hand.held and alone & {*hand.held, queue[0]}):
                 continue
-            share = -(-len(queue) // (2 * len(self._hands)))
-            room = max(1, min(hand.window, share)) - len(hand.held)
-            hand.give(portion(queue, alone, room))
+            most = fair(len(queue), len(self._hands), AHEAD, hand.each)
+            hand.give(portion(queue, alone, most - len(hand.held)))
 
     def take(self) -> Report:
         """News of one worker; an empty report where it has just begun."""
@@ -152,7 +167,7 @@ class _Hand:
         theirs.close()  # so that its end is the end of the connection
         self.ready = False
         self.held: dict[int, None] = {}
-        self.window = 1
+        self.each = UNKNOWN
 
     def give(self, numbers: list[int]) -> None:
         if not numbers:
@@ -162,14 +177,12 @@ class _Hand:
             self.connection.send(numbers)
 
     def hear(self) -> Report:
-        report, seconds = self.connection.recv()
+        report: Report = self.connection.recv()
         self.ready = True
-        done = [*report.lines, *([report.failure[0]] if report.failure else [])]
-        for number in done:
+        for number in (*report.ended, *report.back):
             del self.held[number]
-        if done:
-            each = seconds / len(done)
-            self.window = max(1, int(min(AHEAD / max(each, 1e-6), MOST)))
+        if report.ended:
+            self.each = report.each
         return report
 
     def end(self) -> None:
@@ -183,13 +196,16 @@ def _serve(connection: Connection, job: Job) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked decides what an interrupt means
     one_thread()
     with suppress(EOFError, OSError):
-        connection.send((Report(), 0.0))
+        connection.send(Report())
+        numbers: list[int] = []
+        each = UNKNOWN
         while True:
-            numbers = connection.recv()
-            report, since = Report(), time.monotonic()
-            for number in numbers:
-                report.add(job.do(number))
-                now = time.monotonic()
-                if now - since > EVERY or report.failure or number == numbers[-1]:
-                    connection.send((report, now - since))
-                    report, since = Report(), now
+            while not numbers or connection.poll():
+                numbers += connection.recv()
+            most = within(EVERY, each)
+            report = job.do(numbers[:most], EVERY)
+            numbers, report.back = report.back + numbers[most:], []
+            if report.failure:
+                numbers, report.back = [], numbers
+            each = report.each
+            connection.send(report)

@@ -47,10 +47,11 @@ def run(
     ----------
     work : callable
         ``work(chunk, seed) -> DataFrame`` of numbers, booleans and text, with the same columns
-        always; a function at the top level of a module. `chunk` is a dict, `seed` a SeedSequence.
+        always and a new one each time; a function at the top level of a module. `chunk` is a dict,
+        `seed` a SeedSequence.
     chunks : iterable of dict
-        What may be written as JSON. Each costs 0.1 to 1 ms beside the work, least on a quiet
-        machine, so let them take 20 ms or more; shorter ones are handed out many at a time.
+        What may be written as JSON. Each costs 0.1 to 0.3 ms beside the work, so let them take 5 ms
+        or more; short ones are handed out, and their tables written, many at a time.
     seed : int or SeedSequence
     workers : int
         1: this process. More: so many processes; a script that starts them needs
@@ -61,7 +62,8 @@ def run(
     out : path, optional
         A file to stream into, JSON lines. Where it holds part of the same sweep, the rest is done:
         same name of the work, chunks, seed and versions (not its source: a work that was mended may
-        go on). `read` reads it at any time.
+        go on). `read` reads it at any time. What is in it is not computed again; of short chunks
+        up to a quarter of a second's, on a cluster up to a few seconds', are on their way to it.
     title : str
         Shown beside the progress bar.
     progress : callable, optional

@@ -8,6 +8,7 @@ grid each.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from ..behaviour.quadrature import lapse_prior, score_prior
 Array = NDArray[np.float64]
 
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies
-LEAST = np.float32(1e-30)  # of a probability
+LEAST = 1e-30  # of a probability
 SMALL = 1e-60  # where a grid is brought back to 1
 
 
@@ -52,6 +53,9 @@ class Grid:
         )
         self.low, self.high = (np.ravel(a) for a in model.lapses(low, high))
         self.slope = np.maximum(1 - self.low - self.high, 0.0)
+        # Of the other answer, and of the one that is counted.
+        self._ends = [np.stack([self.slope, lapse]) for lapse in (self.high, self.low)]
+        self._least_ends = [np.add(e, [[0.0], [LEAST]]).astype(np.float32) for e in self._ends]
         self.lapse_moments = np.stack([np.ones_like(self.low), self.low, self.slope])
         self.lapse_ends = [s.coordinate([-FAR, FAR]) for s in model.stretches[-2:]]
         lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
@@ -81,14 +85,14 @@ class Grid:
                 for _ in range(times):
                     self.multiply(percepts, group, answer)
             return
-        sides = [a.astype(np.float32) for a in self._sides(percepts, group)]
-        slope = self.slope.astype(np.float32)
-        for side, lapse, times in zip(sides[::-1], (self.high, self.low), counts, strict=True):
+        sides = self._sides(percepts, group)[::-1]
+        for side, ends, times in zip(sides, self._least_ends, counts, strict=True):
             if times:
-                chance = side * slope
-                chance += lapse.astype(np.float32)
-                np.log(np.maximum(chance, LEAST, out=chance), out=chance)
-                self._logs[group] += chance if times == 1 else np.float32(times) * chance
+                chance = _with_lapses(side.astype(np.float32), ends)
+                np.log(chance, out=chance)
+                if times > 1:
+                    chance *= times
+                self._logs[group] += chance
 
     def close(self) -> None:
         """Exponentiate the next group."""
@@ -101,11 +105,8 @@ class Grid:
 
     def multiply(self, percepts: UnitPercepts, group: int, answer: int) -> None:
         """Learn from one answer."""
-        up, down = self._sides(percepts, group)
-        side, lapse = (up, self.low) if answer else (down, self.high)
-        chance = side * self.slope
-        chance += lapse
-        self.values[group] *= chance
+        side = self._sides(percepts, group)[1 - answer]
+        self.values[group] *= _with_lapses(side, self._ends[answer])
         self.by_group[group] = self._over_bias(group)
         top = float(self.by_group[group].max())
         if top < SMALL:
@@ -122,6 +123,13 @@ class Grid:
     def _over_bias(self, group: int) -> Array:
         """One group with its bias integrated, (K, L)."""
         return np.asarray(np.matmul(self.prior_bias[group], self.values[group]))
+
+
+def _with_lapses(side: Any, ends: Any) -> Any:
+    """Chance of an answer (K, B, L), from that without lapses (K, B, 1): one product of matrices,
+    as every pass over a grid takes its time."""
+    factors = np.concatenate([side, np.ones_like(side)], axis=-1)
+    return (factors.reshape(-1, 2) @ ends).reshape(*side.shape[:2], -1)
 
 
 def step_of(axis: Array) -> float:
