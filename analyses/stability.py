@@ -48,6 +48,8 @@ TWO = (
     "lateral slip",
     "tap and map fused",
     "map, stiffness unknown",
+    "log-normal map, stiffness unknown",
+    "angle-side-angle, side unknown",
 )
 SAMPLED = (
     "compliance",
@@ -60,6 +62,8 @@ SAMPLED = (
     "velocity felt",
     "angle-side-angle",
     "map, stiffness unknown",
+    "log-normal map, stiffness unknown",
+    "angle-side-angle, side unknown",
 )
 #: Cues of which also readings are tried that no contact explains.
 ODD = ("compliance", "vibration", "vibration, phase", "two taps fused", "force map")

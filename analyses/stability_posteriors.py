@@ -95,6 +95,12 @@ OBSERVERS: dict[str, Make] = {
     "map, stiffness unknown": lambda k: Observer(
         W, cues.UnknownStiffness(cues.ForceMap()), receptors.Weber(max(k, 0.03))
     ),
+    "log-normal map, stiffness unknown": lambda k: Observer(
+        W, cues.UnknownStiffness(cues.ForceMap()), receptors.LogNormal(max(k, 0.03))
+    ),
+    "angle-side-angle, side unknown": lambda k: Observer(
+        W, cues.AngleSideAngle(side_sd=2e-3), receptors.GeneralisedWeber(0.0, floor=0.3 * k)
+    ),
 }
 
 

@@ -33,6 +33,8 @@ SIZES = {
     "quadrature, two taps fused": (6, 1),
     "quadrature, tap and map fused": (2, 1),
     "quadrature, map, stiffness unknown": (1, 1),
+    "quadrature, log-normal map, stiffness unknown": (2, 1),
+    "quadrature, angle-side-angle, side unknown": (1, 1),
     "laplace, vibration": (12, 1),
     "laplace, velocity felt": (3, 1),
     "emcee, compliance": (3, 1),
@@ -227,6 +229,20 @@ def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are() ->
     judged = populations.judge({name: np.array([value]) for name, value in case.items()})
     assert judged.seen["count"][0] > 5000
     assert judged.seen["error"][0] < 0.15
+
+
+def test_the_referee_of_populations_knows_how_widely_biases_spread() -> None:
+    """It drew biases as wide as in a single fit, and called fits that learn their spread wrong.
+
+    Two animals with biases of 1.1 and 1.5: theirs were half an sd off what it said.
+    """
+    populations = load("stability_populations")
+    case = {
+        "weber_fraction": 0.100006, "spread": 0.298386, "lapse": 0.000136, "bias": 1.5,
+        "animals": 2.0, "trials": 10.466767, "span": 0.23543, "answers": 0.575198,
+    }  # fmt: skip
+    judged = populations.judge({name: np.array([value]) for name, value in case.items()})
+    assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
 
 
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:

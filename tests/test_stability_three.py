@@ -1,10 +1,11 @@
-"""The sum over three unknowns that judges maps of unknown stiffness is right itself."""
+"""The sums that judge posteriors of three unknowns are right themselves."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from analysis_scripts import load
-from scipy.special import expit, logit
+from scipy.special import expit, logit, ndtr
 
 import weberwhisk as ww
 
@@ -12,28 +13,40 @@ posteriors = load("stability_posteriors")
 three = load("stability_three")
 
 
-def test_the_sum_over_three_unknowns_is_of_the_package_s_model() -> None:
-    """Its density is the observer's, up to a constant, integrated over the stiffness by SciPy."""
-    observer = posteriors.observer("map, stiffness unknown", 0.1)
-    signals, _ = observer.signals(np.array([25e-3, 0.2, 1.2]))
-    reading = signals * [1.05, 0.9]
+@pytest.mark.parametrize(
+    ("name", "contact", "factors"),
+    [
+        ("map, stiffness unknown", [25e-3, 0.2, 1.2], [1.05, 0.9]),
+        ("log-normal map, stiffness unknown", [25e-3, 0.2, 1.2], [1.05, 0.9]),
+        ("angle-side-angle, side unknown", [25e-3, 1.3, 12e-3], [1.02, 1.03]),
+    ],
+)
+def test_the_sum_over_three_unknowns_is_of_the_package_s_model(
+    name: str, contact: list[float], factors: list[float]
+) -> None:
+    """Its density is the observer's, up to a constant, integrated over the last unknown."""
+    observer = posteriors.observer(name, 0.1)
+    signals, _ = observer.signals(np.array(contact))
+    reading = signals * factors
     w, v = np.linspace(-2.0, 2.0, 5), np.linspace(-3.0, 3.0, 7)
     found = three._log_density(observer, reading, w, v, 200)
     low, high = observer.reach
-    stiffness = np.exp(np.linspace(-3.0, 3.0, 4001))
+    prior = observer.prior[observer.unknowns[-1]]
+    third = prior.ppf(ndtr(np.linspace(-7.5, 7.5, 8001)))
     off = []
     for i, x in enumerate(w):
         r = low + expit(x) * (high - low)
-        limit = float(ww.flick_past(observer.whisker, r).deflection_angle)
+        begin, width = 0.0, float(ww.flick_past(observer.whisker, r).deflection_angle)
+        if "side" in observer.unknowns:
+            begin, width = observer.cue.bearings[0], np.ptp(observer.cue.bearings)
         for j, y in enumerate(v):
             if found[i, j] < found.max() - 15:  # where there is no mass windows may end too soon
                 continue
-            contact = np.stack(np.broadcast_arrays(r, limit * expit(y), stiffness), axis=-1)
-            density = np.exp(observer.log_likelihood(reading, contact))
-            density = density * observer.prior["stiffness"].pdf(stiffness)
-            slope = limit * expit(x) * expit(-x) * expit(y) * expit(-y)
-            off.append(found[i, j] - np.log(slope * np.trapezoid(density, stiffness)))
-    assert len(off) > 5
+            contact = np.stack(np.broadcast_arrays(r, begin + width * expit(y), third), axis=-1)
+            density = np.exp(observer.log_likelihood(reading, contact)) * prior.pdf(third)
+            slope = width * expit(x) * expit(-x) * expit(y) * expit(-y)
+            off.append(found[i, j] - np.log(slope * np.trapezoid(density, third)))
+    assert len(off) > 2
     np.testing.assert_allclose(off, off[0], atol=2e-3)
 
 
