@@ -196,13 +196,16 @@ def evaluate(
         if model.free_bias:
             by_bias += model.log_bias_prior(bias) + np.log(h * spread[i])[:, :, None, :]
         top = by_bias.max(axis=2, keepdims=True)
-        share = np.exp(by_bias - top)
-        total = share.sum(axis=2, keepdims=True)
+        # Answers that no bias explains have no mass, and no logarithm of it to take away.
+        share = np.exp(by_bias - np.where(np.isneginf(top), 0.0, top))
+        total = np.where(np.isneginf(top), 1.0, share.sum(axis=2, keepdims=True))
         by_group = (top + np.log(total))[:, :, 0, :]
         here = by_group.sum(axis=-1).reshape(-1, *sheet) + prior_of_lapses
         joint[i] = here
         share /= total
-        weight_here = np.exp(here - here.max(axis=(1, 2), keepdims=True)).reshape(len(here), -1)
+        best = here.max(axis=(1, 2), keepdims=True)
+        best = np.where(np.isneginf(best), 0.0, best)
+        weight_here = np.exp(here - best).reshape(len(here), -1)
         if model.free_bias:
             lost = np.abs(2 * share[:, :, ::2].sum(axis=2) - 1).max(axis=-1)
             thinned[i] = (weight_here * lost).sum(axis=1)
