@@ -139,6 +139,18 @@ def test_ridges_of_stiffness_are_followed_wherever_they_go(noise, spread, contac
     assert_as_all_at_once(observer, reading)
 
 
+@pytest.mark.parametrize(
+    "reading", [[1.01138994, 1.22171746], [1.53724756, 1.75161441]], ids=["edge", "far start"]
+)
+def test_climbs_get_there_from_hundreds_of_sds_away(reading):
+    """Newton's method ran along the side's axis to where the second whisker reaches no more.
+
+    There the finite differences were of nothing, and LAPACK gave up.
+    """
+    cue, noise = TwoWhiskers(side_sd=0.000171472), GeneralisedWeber(0.0, floor=0.00121046)
+    assert assert_as_all_at_once(ww.Observer(W, cue, noise), np.array([reading]))
+
+
 def test_the_last_unknown_apart_is_as_all_at_once():
     """Distances, angles and last unknowns, of cues and noise drawn at random; the seed is new."""
     seed = np.random.SeedSequence().entropy
@@ -169,7 +181,8 @@ def test_the_last_unknown_apart_is_as_all_at_once():
 def assert_as_all_at_once(observer, reading, hint=""):
     """The last unknown integrated at every contact, against a grid that turns with all three.
 
-    Where the grid itself does not get there nothing is said, and False returned.
+    Within the hundredth asked for or, as in the atlas, three times the error claimed; and the
+    grid's own thousandth. Where the grid does not get there nothing is said, and False returned.
     """
     mode = find_mode(observer, reading)
     grid = AllUnknowns(observer, reading, mode, 1e-3).on_grid(max_points=4_000_000)
@@ -178,5 +191,5 @@ def assert_as_all_at_once(observer, reading, hint=""):
         return False
     off = np.abs(np.stack([found.moments.mean - grid.mean, found.moments.sd - grid.sd])) / grid.sd
     claimed = np.stack([found.moments.mean_error, found.moments.sd_error])
-    assert np.all(off < np.maximum(0.01, 2 * claimed)), (hint, observer, reading, off, claimed)
+    assert np.all(off < np.maximum(0.01, 3 * claimed) + 1e-3), (hint, observer, reading, off, claimed)
     return True

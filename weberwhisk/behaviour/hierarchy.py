@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, zoom
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
 
 from .members import Members, Work
 from .priors import PopulationPriors
@@ -61,7 +62,8 @@ class Population:
         """
         needed = sorted({j for name in names for j in _AXES_OF[name]})
         mass = self.mass.sum(axis=tuple(j for j in ALL if j not in needed), keepdims=True)
-        factor = [FINER[len(needed)] if j in needed and mass.shape[j] > 1 else 1 for j in ALL]
+        many = [j for j in needed if mass.shape[j] > 1]
+        factor = [FINER[len(many)] if j in many else 1 for j in ALL]
         ends = _end_weights(mass.shape)
         fine = np.exp(_zoomed(np.log(np.maximum(mass / ends, 1e-300)), factor))
         fine *= _end_weights(fine.shape)
@@ -93,18 +95,17 @@ class Population:
 
 
 _AXES_OF = {name: (j,) for j, name in enumerate(NAMES)} | {NAMES[0]: (0, 1, 2, 3)}
-FINER = {1: 24, 2: 8, 3: 5, 4: 3}  # by how many axes are interpolated at once
+FINER = {0: 1, 1: 24, 2: 8, 3: 5, 4: 3}  # by how many axes are interpolated at once
 
 
 def _zoomed(values: Array, factor: Sequence[int]) -> Array:
-    """Cubic interpolation, the ends kept; mirrored at the ends, as a density is about no spread."""
-    shape = [n * f - f + 1 for n, f in zip(values.shape, factor, strict=True)]
-    # Every axis costs a factor of four, one of a single node too.
-    size = [(m, n) for m, n in zip(shape, values.shape, strict=True) if n > 1]
-    if not size:
-        return values
-    out = zoom(np.squeeze(values), [m / n for m, n in size], order=3, mode="mirror")
-    return np.asarray(out.reshape(shape), dtype=float)
+    """Cubic interpolation, the ends kept; level at the ends, as a density is about no spread."""
+    for axis, f in enumerate(factor):
+        if f > 1:
+            n = values.shape[axis]
+            spline = CubicSpline(np.arange(n), values, axis=axis, bc_type="clamped")
+            values = spline(np.linspace(0, n - 1, n * f - f + 1))
+    return values
 
 
 def _end_weights(shape: Sequence[int]) -> Array:

@@ -102,33 +102,27 @@ class PopulationFit:
 
     def quantile(self, parameter: str, probability: ArrayLike) -> Array:
         """Posterior quantiles of a parameter of the population."""
-        values, mass = self._nodes(parameter)
-        order = np.argsort(values)
-        below = np.cumsum(mass[order]) - 0.5 * mass[order]
-        return np.interp(np.asarray(probability, dtype=float), below, values[order])
+        return _quantile(*self._nodes(parameter), probability)
 
     def interval(
         self, mass: float = 0.95, parameter: str = "weber_fraction"
     ) -> tuple[float, float]:
         """Equal-tailed posterior interval."""
-        tail = 0.5 * (1 - float(_checks.positive("mass", mass, "write for example 0.95")))
-        if tail <= 0:
-            raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
-        low, high = self.quantile(parameter, [tail, 1 - tail])
+        low, high = self.quantile(parameter, _ends(mass))
         return float(low), float(high)
 
     def summary(self, mass: float = 0.95) -> pd.DataFrame:
         """One row a parameter of the population: mean, sd, median, interval."""
-        rows = []
+        rows, (first, last) = [], _ends(mass)
         for name in self.parameters:
             values, weight = self._nodes(name)
             mean = weight @ values
-            low, high = self.interval(mass, name)
+            low, median, high = _quantile(values, weight, [first, 0.5, last])
             rows.append(
                 {
                     "mean": mean,
                     "sd": np.sqrt(weight @ (values - mean) ** 2),
-                    "median": float(self.quantile(name, 0.5)),
+                    "median": median,
                     "lower": low,
                     "upper": high,
                     "mass": mass,
@@ -190,6 +184,21 @@ class PopulationFit:
             {name: values.reshape(4, draws) for name, values in sample.items()},
             attrs={"status": self.status.value},
         )
+
+
+def _quantile(values: Array, mass: Array, probability: ArrayLike) -> Array:
+    """Quantiles of values (n,) of which each has a probability."""
+    order = np.argsort(values)
+    below = np.cumsum(mass[order]) - 0.5 * mass[order]
+    return np.interp(np.asarray(probability, dtype=float), below, values[order])
+
+
+def _ends(mass: float) -> list[float]:
+    """Probabilities below the ends of an equal-tailed interval."""
+    tail = 0.5 * (1 - float(_checks.positive("mass", mass, "write for example 0.95")))
+    if tail <= 0:
+        raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
+    return [tail, 1 - tail]
 
 
 def fit_population(

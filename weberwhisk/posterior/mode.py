@@ -29,6 +29,8 @@ SECOND, LEAST_SHARE = 30.0, float(np.log(1e-3))
 UNEXPLAINED = 5.0
 #: How far, in x, a climb may go before its start is tried again: the coarse grid's own spacing.
 LEFT = 0.4
+#: The most, in ln, that a peak has left to gain, and the least curvature, 1/x², that makes it one.
+_SETTLED, _CURVED = 1e-6, 1e-2
 _STEP = 1e-4  # of the finite differences, in x: posteriors there are 0.005 wide and wider
 
 
@@ -51,6 +53,11 @@ class Mode:
     def of(self, rows: NDArray[np.intp]) -> Mode:
         """Those of some of the posteriors."""
         return Mode(self.x[rows], self.log_density[rows], self.covariance[rows])
+
+    def put(self, rows: NDArray[np.intp], other: Mode) -> None:
+        """Those of another in place of some."""
+        self.x[rows], self.log_density[rows] = other.x, other.log_density
+        self.covariance[rows] = other.covariance
 
 
 class Starts(NamedTuple):
@@ -80,7 +87,19 @@ def find_mode(
         Most iterations; few posteriors need more than ten.
     """
     starts = starting_points(observer, reading) if starts is None else starts
-    return _climb(observer, reading, starts.best, steps)
+    mode, peaked = _climb(observer, reading, starts.best, steps)
+    rows = np.flatnonzero(~peaked)
+    if not rows.size:
+        return mode
+    # Where noise is far narrower than the coarse grid, a climb may end at the edge of what is
+    # held or on a plateau. A reading that counts for little at first leads around them.
+    start = starts.best[rows]
+    for weight in (1e-3, 1e-2, 1e-1, 1.0):
+        again, _ = _climb(observer, reading[rows], start, steps, weight=weight)
+        start = again.x
+    better = np.flatnonzero(again.log_density > mode.log_density[rows])
+    mode.put(rows[better], again.of(better))
+    return mode
 
 
 def find_other(
@@ -101,7 +120,7 @@ def find_other(
         return rows, mode.of(rows)
     start = np.where(left[:, None], starts.best, starts.second)[rows]
     known = mode.of(rows)
-    other = _climb(observer, reading[rows], start, 60, radius=0.1, known=known)
+    other, _ = _climb(observer, reading[rows], start, 60, radius=0.1, known=known)
     nearness = [_square(other.x - known.x, m.covariance) for m in (other, known)]
     volume = [0.5 * np.linalg.slogdet(m.covariance)[1] for m in (other, known)]
     mass = other.log_density - known.log_density + volume[0] - volume[1]
@@ -188,10 +207,12 @@ def _climb(
     *,
     radius: float = 0.5,
     known: Mode | None = None,
-) -> Mode:
+    weight: float = 1.0,
+) -> tuple[Mode, NDArray[np.bool_]]:
     """The peaks above starting points (B, U), with first steps no longer than the radius.
 
-    What has come within an sd of a known peak is left there.
+    What has come within an sd of a known peak is left there. The likelihood counts to the power of
+    the weight. Said of each (B,) too: whether it is a peak that the climb has come to.
     """
     dim = start.shape[1]
     x = start.copy()
@@ -204,11 +225,13 @@ def _climb(
     for _ in range(steps):
         points = x[moving, None] + _STEP * stencil
         values = observer.log_density(points, reading[moving, None])
+        if weight < 1:
+            values = weight * values + (1 - weight) * observer.contact(points)[1]
         now = values[:, 0]
         better = now >= top[moving]
         accepted, rejected = moving[better], moving[~better]
         centre[accepted], top[accepted] = x[accepted], now[better]
-        relative = values[better] - now[better, None]
+        relative = _mirrored(values[better] - now[better, None])
         gradient[accepted] = relative @ weights_gradient.T / _STEP
         hessian[accepted] = np.einsum("dek,bk->bde", weights_hessian, relative) / _STEP**2
         reach[rejected] /= 4
@@ -226,7 +249,8 @@ def _climb(
     values, vectors = np.linalg.eigh(hessian)
     scale = 1 / np.maximum(np.abs(values), 1e-6)
     covariance = np.einsum("bde,be,bfe->bdf", vectors, scale, vectors)
-    return Mode(centre, top, covariance)
+    gain = np.einsum("bd,bde,be->b", gradient, covariance, gradient)
+    return Mode(centre, top, covariance), (gain < _SETTLED) & (values[:, -1] < -_CURVED)
 
 
 def _stencil(dim: int) -> tuple[Array, Array, Array]:
@@ -248,6 +272,19 @@ def _stencil(dim: int) -> tuple[Array, Array, Array]:
         hessian[i, j] -= own / 2
         hessian[j, i] = hessian[i, j]
     return np.array(offsets), gradient, hessian
+
+
+def _mirrored(relative: Array) -> Array:
+    """Values (B, n) on the stencil over that in its midst, with points outside the support filled.
+
+    By what makes a straight line of the point across, or by none where that is outside as well.
+    """
+    lost = ~np.isfinite(relative)
+    if lost.any():
+        across = relative.copy()
+        across[:, 1::2], across[:, 2::2] = -relative[:, 2::2], -relative[:, 1::2]
+        relative = np.where(lost, np.where(np.isfinite(across), across, 0.0), relative)
+    return relative
 
 
 def _newton(gradient: Array, hessian: Array, radius: Array) -> Array:
