@@ -100,13 +100,16 @@ class Conditional:
             log, columns, middle, width, missed = self.summed(nodes, middle, width, finer)
             again = np.flatnonzero(missed)
             if again.size:
-                left, own = nodes.of(again), (middle[again], width[again])
-                line = [part[again] for part in self.start(x, row)]
                 # Between corners of which one has gone astray the mode's own line is nearer.
-                density = self.log_density(left)
-                nearer = density(line[0])[0] > density(own[0])[0]
-                start = [np.where(nearer, one, two) for one, two in zip(line, own, strict=True)]
-                log[again], columns[again] = self.climbed_and_summed(left, *start, finer)
+                density = self.log_density(nodes.of(again))
+                line, wide = (part[again] for part in self.start(x, row))
+                nearer = density(line)[0] > density(middle[again])[0]
+                log[again], columns[again] = self.climbed_and_summed(
+                    nodes.of(again),
+                    np.where(nearer, line, middle[again]),
+                    np.where(nearer, wide, width[again]),
+                    finer,
+                )
             columns = columns.reshape(*x.shape[:2], -1)
             return log.reshape(x.shape[:2]), np.moveaxis(columns, -1, 1)
 
