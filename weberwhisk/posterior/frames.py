@@ -13,6 +13,7 @@ from .passes import Pass, fitting
 
 COARSE_PASSES, LONG_TRIED = 15, 4
 RESOLVED = 0.3  # error of the spacing up to which a coarse pass is believed
+DOUBT = 0.1  # share of the tolerance below which it is all that is needed
 NEARLY, FINER = 4.0, 0.75  # up to so many tolerances a spacing is cut by this instead of halved
 BATCH = 40_000  # nodes evaluated in one call: the arrays of one pass stay in the cache
 
@@ -106,9 +107,10 @@ class Frames:
         empty = ~np.isfinite(out.found["log_evidence"])
         self.end(index[empty], Status.EMPTY)
         fine = self.fine[index]
-        # A coarse pass is often good enough already.
+        # A coarse pass is often good enough already; of ridges that bend it knows its error badly.
         errors = np.maximum(out.found["mean_error"], out.found["sd_error"])
-        enough = ~fine & ~empty & (errors.max(axis=1) <= self.tolerance) & (not self.quantiles)
+        enough = ~fine & ~empty & (not self.quantiles)
+        enough &= errors.max(axis=1) <= DOUBT * self.tolerance
         self.end(index[enough], Status.CONVERGED)
         empty |= enough
         for rows, step in ((~fine & ~empty, self.reframe), (fine & ~empty, self.refine)):
