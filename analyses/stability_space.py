@@ -1,0 +1,149 @@
+"""The rod out of its plane: part of `stability.py`, judged by `reference_rod.py`.
+
+A case is a whisker whose plane of curvature is rolled, against a point that is pushed from where
+the whisker rests, along a great circle about the base, in any direction: ``bearing`` off that
+plane, by a share of what holds in it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from hunting import Axis, Domain, Fate, Judged
+from reference_beam import Beams
+from reference_rod import LOST, NEVER, REACHED, Rods
+from stability_rungs import (
+    BASE,
+    CURVED,
+    HOPELESS,
+    LAST_STEP,
+    LENGTH,
+    MODULUS,
+    ROUGH,
+    SAID,
+    TOLERANCE,
+    UNDECIDED,
+    Case,
+)
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.mechanics import rod
+
+Array = np.ndarray
+
+AXES = {
+    **CURVED,
+    "push": Axis(1e-4, 1.3, special=(1.0,)),
+    "bearing": Axis(0.0, np.pi, special=(np.pi / 2,)),
+    "roll": Axis(0.0, np.pi, special=(np.pi / 2,)),
+}
+#: Longest push, rad: short of a whole turn, past which a point does not tell how it got there.
+MOST = 6.2
+#: About half a turn no arc of a great circle is the shorter: rad.
+HALF_TURN = 1e-6
+#: Least determinant, over that at rest, that is not zero; own error past which nothing is known.
+LEVEL, VAGUE = 1e-3, 0.01
+
+
+def scene(case: Case) -> tuple[ww.Whisker, Rods, Array]:
+    """Whisker, the same for the reference on its way, and the angle of the push, rad."""
+    zero = np.zeros(case["distance"].size)
+    tip, curvature = BASE * case["tip"], case["curvature"] / LENGTH
+    whisker = ww.Whisker(LENGTH, BASE, tip, MODULUS, curvature)
+    beams = Beams(zero + LENGTH, zero + BASE, tip, zero + MODULUS, curvature, case["friction"])
+    r = case["distance"] * LENGTH
+    rods = Rods.pushed(beams, r, case["roll"], case["bearing"])
+    rest = np.nan_to_num(beams.at_rest(r)[1])
+    # The last angles in the plane place a case, and settle nothing.
+    ends = [
+        side * (ww.flick_past(whisker, r, case["friction"], side=side).deflection_angle - rest)
+        for side in (1.0, -1.0)
+    ]
+    up, down = (np.where(np.isfinite(end), np.abs(end), 1.0) for end in ends)
+    share = (1 + np.cos(case["bearing"])) / 2
+    return whisker, rods, np.minimum(case["push"] * (up * share + down * (1 - share)), MOST)
+
+
+def _press(whisker: ww.Whisker, rods: Rods, angle: Array) -> rod.RodBending:
+    point, far = np.nan_to_num(rods.point(angle).T, nan=LENGTH), angle > np.pi
+    return rod.press(whisker, point, rods.beams.friction, plane=rods.roll, round_back=far)
+
+
+def _parts(force: Array, moment: Array) -> Array:
+    """Sizes of axial and transverse force, torsion and bending."""
+    return np.abs(
+        [force[0], np.hypot(force[1], force[2]), moment[0], np.hypot(moment[1], moment[2])]
+    )
+
+
+def _differ(off_force: Array, off_moment: Array, force: Array, moment: Array) -> Array:
+    """Relative size of errors of force and moment, as the rod claims it."""
+    whole = np.repeat([np.linalg.norm(force, axis=0), np.linalg.norm(moment, axis=0)], 2, axis=0)
+    least = np.maximum(_parts(force, moment), 1e-3 * whole)
+    return np.max(_parts(off_force, off_moment) / least, axis=0)
+
+
+def judge(case: Case) -> Judged:
+    """Each case pressed by the rod, beside the reference."""
+    whisker, rods, angle = scene(case)
+    bent = _press(whisker, rods, angle)
+    outcome, claimed = np.asarray(bent.outcome), np.nan_to_num(bent.error, nan=np.inf)
+    held = outcome == Outcome.HELD
+    walk, point = rods.walk(angle), rods.point(angle)
+    end = walk["end"]
+    near = np.abs(walk["angle"] - angle) < np.maximum(UNDECIDED * angle, LAST_STEP)
+    lost = (end == LOST) | (np.abs(angle - np.pi) < HALF_TURN)
+    # From the walk's own end; where it ended in doubt, from the rod's contact.
+    own_start = end == REACHED
+    # Where nothing is, shooting along a thin tip is slow, and settles nothing.
+    sought = np.flatnonzero(own_start | (held & (near | lost)))
+    found = rods.take(sought).polish(
+        angle[sought],
+        np.where(own_start, walk["force"], bent.force.T)[:, sought],
+        np.minimum(np.where(own_start, walk["arc"], bent.arc_length), LENGTH)[sought],
+    )
+    exact = {k: np.full((*v.shape[:-1], angle.size), np.nan) for k, v in found.items()}
+    for k, v in found.items():
+        exact[k][..., sought] = v
+    with np.errstate(all="ignore"):
+        solved = (exact["left"] < 1e-7) & (exact["arc"] <= LENGTH * (1 + 1e-12))
+        exists = solved & (end != NEVER) & (exact["det"] * walk["sign"] > 0)
+        moment = np.cross(point, exact["force"], axis=0)
+        doubt = exact["own"] / np.sqrt(3) * np.ones((3, 1))
+        own = _differ(doubt, doubt * rods.distance, exact["force"], moment)
+        error = _differ(
+            bent.force.T - exact["force"], bent.moment.T - moment, exact["force"], moment
+        )
+        allowed = np.maximum(SAID * bent.error, TOLERANCE) + 3 * own
+        excess = np.log(np.maximum(error, 1e-300) / allowed)
+    at_tip = np.abs(np.where(held, bent.arc_length, walk["arc"]) / LENGTH - 1) < 1e-7
+    hopeless = claimed > HOPELESS
+    fate = np.full(angle.size, Fate.REFUSED)
+    right = held & exists & (error <= allowed)
+    fate[right] = np.where(claimed[right] > ROUGH, Fate.WARNED, Fate.RIGHT)
+    fate[held & exists & (error > allowed)] = Fate.SILENT
+    fate[held & exists & hopeless] = Fate.WARNED
+    excess = np.where(hopeless, np.minimum(excess, 0.0), excess)
+    nothing = held & ~exists
+    fate[nothing] = np.where(hopeless[nothing] | near[nothing] | at_tip[nothing], Fate.WARNED,
+                             Fate.SILENT)  # fmt: skip
+    fate[nothing & (lost | own_start)] = Fate.UNJUDGED
+    # Refused where the walk arrives, with room to spare all along.
+    refused = ~held & own_start & exists & ~at_tip
+    fate[refused] = np.where(walk["least"][refused] > LEVEL, Fate.SILENT, Fate.UNJUDGED)
+    fate[~held & (lost | (own_start & ~exists))] = Fate.UNJUDGED
+    fate[held & exists & (own > VAGUE) & ~hopeless] = Fate.UNJUDGED
+    excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
+    return Judged(
+        fate,
+        excess,
+        {
+            "outcome": outcome,
+            "error": np.where(held & exists, error, np.nan),
+            "claimed": bent.error,
+            "reference": end,
+        },
+    )
+
+
+DOMAINS = [Domain("rod, out of the plane", AXES, judge)]
