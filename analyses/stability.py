@@ -3,8 +3,8 @@
     python analyses/stability.py [--short] [--seed N] [folder]
 
 A search hunts for answers that are wrong in silence (`hunting.py`), each judged by a reference that
-shares nothing with what is judged: SciPy's DOP853 in raw SI (`reference_beam.py`) for rungs and
-JNDs, sums over plain grids for posteriors and fits. Writes stability (CSV: a row for each domain,
+shares nothing with what is judged: SciPy's DOP853 in raw SI (`reference_beam.py`, `reference_rod.py`)
+for rungs and JNDs, sums over plain grids for posteriors and fits. Writes stability (CSV: a row for each domain,
 with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV: all cases,
 which replay what is found).
 """
@@ -25,6 +25,7 @@ import stability_choices
 import stability_populations
 import stability_posteriors
 import stability_rungs
+import stability_space
 import stability_walkers
 from hunting import Domain, Fate, hunt, silent
 from matplotlib.axes import Axes
@@ -98,6 +99,8 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
             if name in ODD and method != "laplace":
                 d = stability_posteriors.domain(name, method, odd=True)
                 found.append((d, panel, "distance", "k", 1))
+    # Last, though a rung: a domain's seed goes by its place, and kept ones stay what they were.
+    found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
     return found
 
 

@@ -2,7 +2,7 @@
 
 A case is a whisker whose plane of curvature is rolled, against a point that is pushed from where
 the whisker rests, along a great circle about the base, in any direction: ``bearing`` off that
-plane, by a share of what holds in it.
+plane, by a share of the last angle that holds there.
 """
 
 from __future__ import annotations
@@ -53,15 +53,10 @@ def scene(case: Case) -> tuple[ww.Whisker, Rods, Array]:
     beams = Beams(zero + LENGTH, zero + BASE, tip, zero + MODULUS, curvature, case["friction"])
     r = case["distance"] * LENGTH
     rods = Rods.pushed(beams, r, case["roll"], case["bearing"])
-    rest = np.nan_to_num(beams.at_rest(r)[1])
-    # The last angles in the plane place a case, and settle nothing.
-    ends = [
-        side * (ww.flick_past(whisker, r, case["friction"], side=side).deflection_angle - rest)
-        for side in (1.0, -1.0)
-    ]
-    up, down = (np.where(np.isfinite(end), np.abs(end), 1.0) for end in ends)
-    share = (1 + np.cos(case["bearing"])) / 2
-    return whisker, rods, np.minimum(case["push"] * (up * share + down * (1 - share)), MOST)
+    # Shares of what the reference finds to hold, in which nothing is taken from the package.
+    last = rods.walk(np.full(zero.size, MOST))
+    reach = np.where(last["end"] == NEVER, 1.0, last["angle"])
+    return whisker, rods, np.minimum(case["push"] * reach, MOST)
 
 
 def _press(whisker: ww.Whisker, rods: Rods, angle: Array) -> rod.RodBending:
@@ -91,7 +86,8 @@ def judge(case: Case) -> Judged:
     held = outcome == Outcome.HELD
     walk, point = rods.walk(angle), rods.point(angle)
     end = walk["end"]
-    near = np.abs(walk["angle"] - angle) < np.maximum(UNDECIDED * angle, LAST_STEP)
+    margin = np.maximum(UNDECIDED * angle, LAST_STEP)
+    near = np.abs(walk["angle"] - angle) < margin
     lost = (end == LOST) | (np.abs(angle - np.pi) < HALF_TURN)
     # From the walk's own end; where it ended in doubt, from the rod's contact.
     own_start = end == REACHED
@@ -128,9 +124,13 @@ def judge(case: Case) -> Judged:
     fate[nothing] = np.where(hopeless[nothing] | near[nothing] | at_tip[nothing], Fate.WARNED,
                              Fate.SILENT)  # fmt: skip
     fate[nothing & (lost | own_start)] = Fate.UNJUDGED
-    # Refused where the walk arrives, with room to spare all along.
-    refused = ~held & own_start & exists & ~at_tip
-    fate[refused] = np.where(walk["least"][refused] > LEVEL, Fate.SILENT, Fate.UNJUDGED)
+    # Refused where the walk arrives: with room to spare all along, and farther too?
+    refused = np.flatnonzero(~held & own_start & exists & ~at_tip)
+    if refused.size:
+        more = angle[refused] + margin[refused]
+        clear = rods.take(refused).walk(more)["end"] == REACHED
+        clear &= walk["least"][refused] > LEVEL
+        fate[refused] = np.where(clear, Fate.SILENT, Fate.UNJUDGED)
     fate[~held & (lost | (own_start & ~exists))] = Fate.UNJUDGED
     fate[held & exists & (own > VAGUE) & ~hopeless] = Fate.UNJUDGED
     excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
