@@ -157,7 +157,7 @@ class Rods:
         self, force: Array, arc: Array, angle: Array, rtol: float
     ) -> tuple[Array, Array]:
         n, r, unit = arc.size, self.distance, self.unit
-        arc, angle = np.nan_to_num(arc, nan=1e-3), np.nan_to_num(angle)
+        arc, angle = np.maximum(np.nan_to_num(arc), 1e-3 * r), np.nan_to_num(angle)
         size = np.sqrt((force**2).sum(axis=0))
         force = np.nan_to_num(force * np.minimum(1, self.beams._most(arc) / size))
         forces = np.tile(force[:, None], (1, 5, 1))

@@ -3,10 +3,10 @@
     python analyses/stability.py [--short] [--seed N] [folder]
 
 A search hunts for answers that are wrong in silence (`hunting.py`), each judged by a reference that
-shares nothing with what is judged: SciPy's DOP853 in raw SI (`reference_beam.py`, `reference_rod.py`)
-for rungs and JNDs, sums over plain grids for posteriors and fits. Writes stability (CSV: a row for each domain,
-with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV: all cases,
-which replay what is found).
+shares nothing with what is judged: SciPy's DOP853 in raw SI for rungs and JNDs (`reference_beam`,
+`reference_rod`), sums over plain grids for posteriors and fits. Writes stability (CSV: a row for
+each domain, with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV:
+all cases, which replay what is found).
 """
 
 from __future__ import annotations

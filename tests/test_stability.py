@@ -25,7 +25,7 @@ SIZES = {
     "elastica": (8, 1),
     "profile": (8, 1),
     "rod, in the plane": (4, 1),
-    "rod, out of the plane": (8, 1),
+    "rod, out of the plane": (8, 0),
     "JND by propagation": (6, 1),
     "fit of choices": (1, 1),
     "quadrature, vibration, phase": (12, 1),
