@@ -159,7 +159,7 @@ class Rods:
         n, r, unit = arc.size, self.distance, self.unit
         arc, angle = np.maximum(np.nan_to_num(arc), 1e-3 * r), np.nan_to_num(angle)
         size = np.sqrt((force**2).sum(axis=0))
-        force = np.nan_to_num(force * np.minimum(1, self.beams._most(arc) / size))
+        force = np.nan_to_num(force * np.minimum(1, self.beams._most(arc) / (size + 1e-300)))
         forces = np.tile(force[:, None], (1, 5, 1))
         forces[range(3), range(1, 4)] += NUDGE * unit
         angles = np.stack([angle, angle, angle, angle, angle + NUDGE])
@@ -237,8 +237,9 @@ class Rods:
     def walk(self, angle: Array, most: int = 250) -> dict[str, Array]:
         """Follow each contact from rest to its angle, or to where its branch ends.
 
-        Pseudo-arclength continuation in force, arc and angle. Returns force and arc reached, the
-        last angle, the least determinant met over that at rest, its sign at rest, and ``end``.
+        Pseudo-arclength continuation in force, arc and angle. Returns the last angle, how it ended,
+        the determinant's sign at rest, and the trail: at each step force, arc, angle, in their
+        units, and the least determinant met so far over that at rest, (steps, 6, n).
         """
         n, length = angle.size, self.beams.length
         end = np.where(np.isnan(self.start), NEVER, LOST)
@@ -256,6 +257,7 @@ class Rods:
             way[:, active], jump[active] = to / size, size
             active = active[np.isfinite(size)]
         began = np.zeros(n, dtype=bool)
+        trail = [np.concatenate([u, least[None]])]
         for _ in range(most):
             if not active.size:
                 break
@@ -297,6 +299,7 @@ class Rods:
             rest_det[fresh] = det[moved][~began[at]]
             began[at] = True
             least[at] = np.minimum(least[at], det[moved] / rest_det[at])
+            trail.append(np.concatenate([u, least[None]]))
             grow = np.where((correction < 0.02 * h) & (bent > 0.98), 2.0, 1.2)
             jump[at] = np.minimum(np.maximum(h, jump[active])[moved] * grow[moved], LONGEST)
             jump[active[again]] = h[again] / 5
@@ -307,11 +310,15 @@ class Rods:
                 end[active[which]] = what
                 stop |= which
             active = active[~stop]
-        return {
-            "force": u[:3] * self.unit,
-            "arc": np.minimum(u[3] * self.distance, length),
-            "angle": u[4],
-            "least": least,
-            "sign": sign,
-            "end": end,
-        }
+        return {"angle": u[4], "end": end, "sign": sign, "trail": np.stack(trail)}
+
+    def at(self, trail: Array, angle: Array) -> tuple[Array, Array, Array]:
+        """Force, arc and the least determinant where a walk came by an angle; its last beyond."""
+        after = np.minimum((trail[:, 4] <= angle).sum(axis=0), len(trail) - 1)
+        before, every = np.maximum(after - 1, 0), np.arange(angle.size)
+        one, other = trail[before, :, every].T, trail[after, :, every].T
+        share = np.clip(
+            (angle - one[4]) / np.where(other[4] > one[4], other[4] - one[4], np.inf), 0, 1
+        )
+        u = one + share * (other - one)
+        return u[:3] * self.unit, np.minimum(u[3] * self.distance, self.beams.length), other[5]

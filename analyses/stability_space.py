@@ -45,8 +45,8 @@ HALF_TURN = 1e-6
 LEVEL, VAGUE = 1e-3, 0.01
 
 
-def scene(case: Case) -> tuple[ww.Whisker, Rods, Array]:
-    """Whisker, the same for the reference on its way, and the angle of the push, rad."""
+def scene(case: Case) -> tuple[ww.Whisker, Rods, dict[str, Array], Array]:
+    """Whisker, the same for the reference, its walk to the end, and the angle of the push, rad."""
     zero = np.zeros(case["distance"].size)
     tip, curvature = BASE * case["tip"], case["curvature"] / LENGTH
     whisker = ww.Whisker(LENGTH, BASE, tip, MODULUS, curvature)
@@ -54,9 +54,9 @@ def scene(case: Case) -> tuple[ww.Whisker, Rods, Array]:
     r = case["distance"] * LENGTH
     rods = Rods.pushed(beams, r, case["roll"], case["bearing"])
     # Shares of what the reference finds to hold, in which nothing is taken from the package.
-    last = rods.walk(np.full(zero.size, MOST))
-    reach = np.where(last["end"] == NEVER, 1.0, last["angle"])
-    return whisker, rods, np.minimum(case["push"] * reach, MOST)
+    walk = rods.walk(np.full(zero.size, MOST))
+    reach = np.where((walk["end"] == NEVER) | (walk["angle"] <= 0), 1.0, walk["angle"])
+    return whisker, rods, walk, np.minimum(case["push"] * reach, MOST)
 
 
 def _press(whisker: ww.Whisker, rods: Rods, angle: Array) -> rod.RodBending:
@@ -80,23 +80,23 @@ def _differ(off_force: Array, off_moment: Array, force: Array, moment: Array) ->
 
 def judge(case: Case) -> Judged:
     """Each case pressed by the rod, beside the reference."""
-    whisker, rods, angle = scene(case)
+    whisker, rods, walk, angle = scene(case)
     bent = _press(whisker, rods, angle)
     outcome, claimed = np.asarray(bent.outcome), np.nan_to_num(bent.error, nan=np.inf)
     held = outcome == Outcome.HELD
-    walk, point = rods.walk(angle), rods.point(angle)
-    end = walk["end"]
+    end, point = walk["end"], rods.point(angle)
+    force, arc, least = rods.at(walk["trail"], angle)
     margin = np.maximum(UNDECIDED * angle, LAST_STEP)
     near = np.abs(walk["angle"] - angle) < margin
-    lost = (end == LOST) | (np.abs(angle - np.pi) < HALF_TURN)
-    # From the walk's own end; where it ended in doubt, from the rod's contact.
-    own_start = end == REACHED
+    # From where the walk came by; where it ended in doubt, from the rod's contact.
+    own_start = (end != NEVER) & (angle <= walk["angle"])
+    lost = ((end == LOST) & ~own_start) | (np.abs(angle - np.pi) < HALF_TURN)
     # Where nothing is, shooting along a thin tip is slow, and settles nothing.
     sought = np.flatnonzero(own_start | (held & (near | lost)))
     found = rods.take(sought).polish(
         angle[sought],
-        np.where(own_start, walk["force"], bent.force.T)[:, sought],
-        np.minimum(np.where(own_start, walk["arc"], bent.arc_length), LENGTH)[sought],
+        np.where(own_start, force, bent.force.T)[:, sought],
+        np.minimum(np.where(own_start, arc, bent.arc_length), LENGTH)[sought],
     )
     exact = {k: np.full((*v.shape[:-1], angle.size), np.nan) for k, v in found.items()}
     for k, v in found.items():
@@ -112,7 +112,7 @@ def judge(case: Case) -> Judged:
         )
         allowed = np.maximum(SAID * bent.error, TOLERANCE) + 3 * own
         excess = np.log(np.maximum(error, 1e-300) / allowed)
-    at_tip = np.abs(np.where(held, bent.arc_length, walk["arc"]) / LENGTH - 1) < 1e-7
+    at_tip = np.abs(np.where(held, bent.arc_length, arc) / LENGTH - 1) < 1e-7
     hopeless = claimed > HOPELESS
     fate = np.full(angle.size, Fate.REFUSED)
     right = held & exists & (error <= allowed)
@@ -124,13 +124,10 @@ def judge(case: Case) -> Judged:
     fate[nothing] = np.where(hopeless[nothing] | near[nothing] | at_tip[nothing], Fate.WARNED,
                              Fate.SILENT)  # fmt: skip
     fate[nothing & (lost | own_start)] = Fate.UNJUDGED
-    # Refused where the walk arrives: with room to spare all along, and farther too?
-    refused = np.flatnonzero(~held & own_start & exists & ~at_tip)
-    if refused.size:
-        more = angle[refused] + margin[refused]
-        clear = rods.take(refused).walk(more)["end"] == REACHED
-        clear &= walk["least"][refused] > LEVEL
-        fate[refused] = np.where(clear, Fate.SILENT, Fate.UNJUDGED)
+    # Refused where the walk came by: with room to spare there, and all along?
+    clear = ~near & ~at_tip & (least > LEVEL)
+    fate[~held & own_start & exists] = Fate.UNJUDGED
+    fate[~held & own_start & exists & clear] = Fate.SILENT
     fate[~held & (lost | (own_start & ~exists))] = Fate.UNJUDGED
     fate[held & exists & (own > VAGUE) & ~hopeless] = Fate.UNJUDGED
     excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
@@ -141,7 +138,7 @@ def judge(case: Case) -> Judged:
             "outcome": outcome,
             "error": np.where(held & exists, error, np.nan),
             "claimed": bent.error,
-            "reference": end,
+            "reference": np.where(own_start, REACHED, end),
         },
     )
 

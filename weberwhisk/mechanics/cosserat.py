@@ -233,7 +233,11 @@ class Scenes:
         The slopes are difference quotients, (n, 3, 3) and (n, 6, 3).
         """
         n = v.shape[1]
-        h = nudge * self.scale(np.sqrt((target**2).sum(axis=0)))
+        scale = self.scale(np.sqrt((target**2).sum(axis=0)))
+        h = nudge * scale
+        # The size of friction has a cusp at no force: well within what is there.
+        small = np.clip(1e-2 * np.hypot(v[1], v[2]) / scale[1], 1e-11, abs(nudge))
+        h[1:] *= np.where(self.friction != 0, small / abs(nudge), 1.0)
         four = self.take(np.tile(np.arange(n), 4))
         probes = np.concatenate([v, *(v - h * np.eye(3)[:, [k]] for k in range(3))], axis=1)
         with np.errstate(all="ignore"):
@@ -241,6 +245,23 @@ class Scenes:
             both = np.concatenate([base.seen(base.lever), base.signals()]).reshape(9, 4, n)
             slopes = np.nan_to_num((both[:, :1] - both[:, 1:]) / h).transpose(2, 0, 1)
         return target - both[:3, 0], slopes[:, :3], slopes[:, 3:]
+
+    def onset(self, v: Array, distance: Array, pace: Array) -> Array:
+        """How v grows from rest with friction as the point is moved at `pace`, (3, n).
+
+        Force across the whisker moves the contact in proportion, its friction by the size of that:
+        slopes · v + cusp · |f| = pace, a quadratic in |f|. Zero where nothing slides.
+        """
+        there = distance * np.eye(3)[:, [0]]  # how far off it is makes no difference to slopes
+        ahead, behind = (self._slopes(v, there, 2 * pilot(self.rows), h)[1] for h in (-1e-6, 1e-6))
+        slopes, cusp = (ahead + behind) / 2, (ahead - behind)[:, :, 1].T / 2
+        with np.errstate(all="ignore"):
+            inverse = np.linalg.pinv(slopes)
+            smooth, leaning = (np.einsum("nij,jn->in", inverse, w) for w in (pace, -cusp))
+            a = 1 - (leaning[1:] ** 2).sum(axis=0)
+            b = (smooth[1:] * leaning[1:]).sum(axis=0)
+            size = (b + np.sqrt(b * b + a * (smooth[1:] ** 2).sum(axis=0))) / a
+            return np.where(a > 0, np.nan_to_num(smooth + size * leaning), 0.0)
 
     def central_slopes(self, v: Array, target: Array) -> tuple[Array, Array]:
         """Slopes of the contact's place and of the signals to v, to 1e-9 or so: of both sides."""
@@ -285,6 +306,10 @@ class Scenes:
         across = np.where(round_back, -across, across)
         whole = np.where(round_back, 2 * np.pi - whole, whole)
         done, stride, last = np.zeros(n), np.full(n, 0.2), np.zeros((3, n))
+        rubbed = np.flatnonzero(good & (self.friction != 0))
+        if rubbed.size:
+            pace = distance[rubbed] * across[:, rubbed]
+            last[:, rubbed] = self.take(rubbed).onset(v[:, rubbed], distance[rubbed], pace)
         sign = np.zeros(n)
         active = np.flatnonzero(good)
         for _ in range(500):
