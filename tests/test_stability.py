@@ -91,7 +91,8 @@ def test_the_hunt_can_find_out_of_the_plane() -> None:
     case = {
         "distance": [0.4, 0.7, 0.5, 0.7], "push": [0.8, 0.5, 0.6, 0.5],
         "tip": [0.05, 0.05, 1.0, 0.05], "curvature": [0.8, -1.2, 1.0, -1.2],
-        "friction": [0.0, 0.3, -0.3, 0.3], "bearing": [1.2, 0.7, 2.0, 0.0], "roll": [0.3, 0.0, 2.5, 0.0],
+        "friction": [0.0, 0.3, -0.3, 0.3], "bearing": [1.2, 0.7, 2.0, 0.0],
+        "roll": [0.3, 0.0, 2.5, 0.0],
     }  # fmt: skip
     given = {name: np.array(values) for name, values in case.items()}
     assert set(space.judge(given).fate.tolist()) == {hunting.Fate.RIGHT}
