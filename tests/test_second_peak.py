@@ -1,10 +1,12 @@
 """Posteriors of several unknowns with a second peak: looked for, and said."""
 
 import numpy as np
+import pytest
 from cue_checks import brute_force
 
 import weberwhisk as ww
-from weberwhisk.cues import ForceMap, Fused, Vibration
+from weberwhisk.cues import ForceMap, Fused, SpaceMap, Vibration
+from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.fusion import prior_draws
 from weberwhisk.posterior import Status
 from weberwhisk.receptors import Weber
@@ -33,3 +35,21 @@ def test_one_peak_is_not_taken_for_two():
     observer = ww.Observer(W, ForceMap())
     p = ww.posterior(observer, observer.read(prior_draws(observer, 60, seed=3), seed=4))
     assert not np.any(p.status == Status.SEVERAL_PEAKS)
+
+
+@pytest.mark.parametrize(
+    ("cue", "contact"),
+    [
+        (ForceMap(SIGNALS), [0.03198637, 0.50927061]),
+        (SpaceMap(), [0.03202618, 0.50819100, 2.40874708]),
+    ],
+)
+def test_an_ordinary_reading_is_not_called_improbable(cue, contact):
+    """Of many signals at k = 0.003 the coarse grid's best point may lie in another valley.
+
+    One reading in a hundred was said to be none that such a contact gives.
+    """
+    observer = ww.Observer(W, cue, Weber(0.003))
+    p = ww.posterior(observer, observer.signals(np.array([contact]))[0])
+    assert p.status[0] == Status.CONVERGED
+    assert abs(p.mean[0] - contact[0]) < 2 * p.sd[0]

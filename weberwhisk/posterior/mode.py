@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from functools import reduce
 from itertools import product
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from ..observer import OTHERS, Observer
 from ..receptors import Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
+from .solution import is_improbable
 from .threads import on_threads
 
 Array = NDArray[np.float64]
@@ -88,18 +90,40 @@ def find_mode(
     """
     starts = starting_points(observer, reading) if starts is None else starts
     mode, peaked = _climb(observer, reading, starts.best, steps)
-    rows = np.flatnonzero(~peaked)
-    if not rows.size:
-        return mode
     # Where noise is far narrower than the coarse grid, a climb may end at the edge of what is
-    # held or on a plateau. A reading that counts for little at first leads around them.
-    start = starts.best[rows]
-    for weight in (1e-3, 1e-2, 1e-1, 1.0):
-        again, _ = _climb(observer, reading[rows], start, steps, weight=weight)
-        start = again.x
-    better = np.flatnonzero(again.log_density > mode.log_density[rows])
-    mode.put(rows[better], again.of(better))
+    # held, on a plateau, or in another valley's end, from where readings are improbable.
+    odd = ~peaked | is_improbable(observer, reading, observer.contact(mode.x)[0])
+    for climb in (_gently, _from_everywhere) if len(observer.unknowns) > 1 else (_gently,):
+        rows = np.flatnonzero(odd)
+        if not rows.size:
+            break
+        again = climb(observer, reading[rows], starts.best[rows], steps)
+        better = np.flatnonzero(again.log_density > mode.log_density[rows])
+        mode.put(rows[better], again.of(better))
+        contact = observer.contact(mode.x[rows])[0]
+        odd[rows] = is_improbable(observer, reading[rows], contact)
     return mode
+
+
+def _gently(observer: Observer, reading: Array, start: Array, steps: int) -> Mode:
+    """Peaks come to by readings that count for little at first."""
+    for weight in (1e-3, 1e-2, 1e-1, 1.0):
+        mode, _ = _climb(observer, reading, start, steps, weight=weight)
+        start = mode.x
+    return mode
+
+
+def _from_everywhere(observer: Observer, reading: Array, start: Array, steps: int) -> Mode:
+    """The highest peaks above the coarse grid's best points for any value of the second unknown."""
+    grid, density, shape = _coarse(observer)
+    line = np.moveaxis(np.arange(len(grid)).reshape(shape), 1, 0).reshape(shape[1], -1)
+    found = []
+    for one in reading:
+        best = density(one[None])[0][line].argmax(axis=1)
+        point = grid[line[np.arange(len(line)), best]]
+        mode, _ = _climb(observer, np.repeat(one[None], len(point), axis=0), point, steps)
+        found.append(mode.of(np.array([mode.log_density.argmax()])))
+    return Mode(*(np.concatenate([getattr(m, f.name) for m in found]) for f in fields(Mode)))
 
 
 def find_other(
@@ -130,29 +154,41 @@ def find_other(
 
 def starting_points(observer: Observer, reading: Array, places: Array | None = None) -> Starts:
     """The best points of a coarse grid, or of places (n, 1) of one unknown, for readings (B, R)."""
-    dim = len(observer.unknowns)
-    fractions = _COARSE[min(dim, 2)]
-    grid = observer.spread(fractions) if places is None else places
-    shape = (fractions.size,) * observer.bounded
-    shape += (OTHERS,) * (dim - observer.bounded)
-    contact, log_prior = observer.contact(grid)
-    signals, outcome = observer.signals(contact)
-    held = np.asarray(outcome == 0)
-    signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
+    grid, density, shape = _coarse(observer, places)
     best, second = np.zeros((2, len(reading)), dtype=np.intp)
     height = np.full(len(reading), -np.inf)
 
     def part(start: int) -> None:
         rows = slice(start, start + 256)
-        table = _log_likelihoods(observer.noise, reading[rows], signals)
-        table += log_prior
+        table = density(reading[rows])
         best[rows] = table.argmax(axis=1)
         refuse_impossible(reading[rows], table.max(axis=1))
-        if dim > 1:
+        if len(observer.unknowns) > 1:
             second[rows], height[rows] = _second(table, best[rows], shape)
 
     list(on_threads(part, range(0, len(reading), 256)))
     return Starts(grid[best], grid[second], height)
+
+
+def _coarse(
+    observer: Observer, places: Array | None = None
+) -> tuple[Array, Callable[[Array], Array], tuple[int, ...]]:
+    """The coarse grid (n, U), or places; ln of readings' densities (B, n) there; its shape."""
+    dim = len(observer.unknowns)
+    fractions = _COARSE[min(dim, 2)]
+    grid = observer.spread(fractions) if places is None else places
+    shape = (fractions.size,) * observer.bounded + (OTHERS,) * (dim - observer.bounded)
+    contact, log_prior = observer.contact(grid)
+    signals, outcome = observer.signals(contact)
+    held = np.asarray(outcome == 0)
+    signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
+
+    def density(reading: Array) -> Array:
+        table = _log_likelihoods(observer.noise, reading, signals)
+        table += log_prior
+        return table
+
+    return grid, density, shape
 
 
 def _log_likelihoods(noise: ReceptorNoise, reading: Array, signals: Array) -> Array:
@@ -228,7 +264,7 @@ def _climb(
         if weight < 1:
             values = weight * values + (1 - weight) * observer.contact(points)[1]
         now = values[:, 0]
-        better = now >= top[moving]
+        better = (now >= top[moving]) & np.isfinite(now)
         accepted, rejected = moving[better], moving[~better]
         centre[accepted], top[accepted] = x[accepted], now[better]
         relative = _mirrored(values[better] - now[better, None])

@@ -17,6 +17,7 @@ RHAT_LIMIT = 1.01  # Vehtari et al. (2021)
 TIMES = 160.0  # autocorrelation times in all ensembles together; emcee advises 50 for one
 LEAST_ACCEPTANCE = 0.05
 HEAVY = 4.0  # kurtosis above which the precision asked for is tightened by √2
+FAR = 1e4  # sds from where squares are summed about, above which digits are lost
 DRIFT = 3.0  # standard errors between early and late steps that still count as burnt in
 PIECE, STORED = 32, 1024  # steps in one call of emcee; steps on record before they are halved
 
@@ -158,6 +159,7 @@ class Run:
         What takes the draws (kurtosis, R-hat) is worked out where nothing else is wrong, or for
         `every` posterior.
         """
+        self.recentre()
         burn = self.burn_in()
         parts = [np.flatnonzero(burn == cut) for cut in np.unique(burn)]
         joined = [self.statistics(rows, int(burn[rows[0]])) for rows in parts]
@@ -186,6 +188,21 @@ class Run:
         kept = np.full((len(burn), *values.shape[1:]), np.nan)
         kept[asked] = values
         return out | {"shortfall": fault, "rhat": rhat, "values": kept}
+
+    def recentre(self) -> None:
+        """Sum about the draws themselves where walkers started thousands of sds away.
+
+        The steps on record stand for all of them, where these are averaged in batches.
+        """
+        late = self.series[..., self.series.shape[-1] // 2 :]
+        first, second = late.mean(axis=(-2, -1))
+        least = np.maximum(second - first**2, (np.finfo(float).eps * self.origin) ** 2)
+        rows = np.flatnonzero((first**2 > FAR**2 * least).any(axis=1))
+        if rows.size:
+            self.origin[rows] += first[rows]
+            values = self.columns(self.coords[:, rows]) - self.origin[rows, None, None]
+            both = [v.mean(axis=3) for v in (values, np.square(values))]
+            self.series[:, rows] = np.stack(both).transpose(0, 2, 4, 3, 1)
 
     def burn_in(self) -> NDArray[np.intp]:
         """The shortest of n/8, n/4 and n/2 batches after which no drift is left."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
-from .mode import Mode
 from .result import Estimate
+
+if TYPE_CHECKING:
+    from .mode import Mode
 
 Array = NDArray[np.float64]
 
