@@ -139,7 +139,7 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
             label=fate.words,
         )
     ax.set(xlabel="distance / reach", ylabel="push / last angle")
-    ax.set_title(title, fontsize=5)
+    ax.set_title(title.replace(", ", ",\n", 1), fontsize=5)
     if "unknown" in title or "emcee" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("fit"):
