@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from .likelihood import Draws, WeberModel
 from .mode import lead_values, log_lapses_possible, map_point, score_precision
-from .quadrature import Grid, evaluate, log_marginal
+from .quadrature import CHUNK, Grid, evaluate, log_marginal
 from .refinement import density_of
 
 Array = NDArray[np.float64]
@@ -232,10 +232,13 @@ class GridPosterior:
         centre, spread = m.bias_mode((felt[0], felt[1]), low, high)
         bias = centre[:, None, :] + spread[:, None, :] * t[:, None]
         step = spread * (t[1] - t[0] if t.size > 1 else 1.0)
-        cells = m.cell_log_likelihood(
-            k[:, None], low[:, None], high[:, None], bias, effects[:, None]
-        )
-        log_mass = cells @ m.membership
+        log_mass = np.empty(bias.shape)
+        rows = max(1, CHUNK // (t.size * max(m.cells.n.size, 1)))
+        for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
+            cells = m.cell_log_likelihood(
+                k[i, None], low[i, None], high[i, None], bias[i], effects[i, None]
+            )
+            log_mass[i] = cells @ m.membership
         if m.free_bias:
             log_mass = log_mass + m.log_bias_prior(bias) + np.log(step)[:, None, :]
         return log_mass, bias, step

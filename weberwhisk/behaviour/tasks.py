@@ -78,7 +78,9 @@ class _Compared:
 
     def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
         z = d + bias
-        return ndtr(z), ndtr(-z)
+        less = ndtr(-np.abs(z))  # the tail; the rest is known from it to the last digit
+        more, upward = 1 - less, z > 0
+        return np.where(upward, more, less), np.where(upward, less, more)
 
     def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
         return lapse_low, lapse_high
