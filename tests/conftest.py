@@ -102,6 +102,9 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             [str(HERE), *(str(HERE.parent / f) for f in ("", "analyses")), *sys.path]
         ),
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+        # It stands idle until the last test has run, at a third of what watching itself costs.
+        "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
+        "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
     }
     file = folder / "scheduler.json"
     where = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]

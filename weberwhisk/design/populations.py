@@ -36,6 +36,7 @@ BEYOND = 1.0  # how far past all animals' ln k the population's median is looked
 LEAST = 1e-30  # of a likelihood
 FLOOR = -60.0  # nats under the best, where nothing is left
 CUT = 14.0  # nats under the best, where populations are left out
+PRIORS = PopulationPriors()  # made once: that costs a hundred times what is asked of it
 
 
 @dataclass(frozen=True)
@@ -75,35 +76,31 @@ def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Arr
     fractions = _fractions(model, x, animals)
     experiments = found.values.shape[-1] // animals
     out = np.empty((experiments, fractions.mu.size))
+    scales = len(found.values)
+    nodes = animals, log_k.size, found.low.size * found.high.size
     for i in range(experiments):
         own = found.values[..., i * animals : (i + 1) * animals]
-        out[i] = log_sum(
-            np.array(
-                [
-                    log_weight + _of_one(np.tensordot(shares, own, 1), log_k, x, lapses, fractions)
-                    for shares, log_weight in _bias_scales(found.scales, own, lapses)
-                ]
-            ),
-            0,
-        )
+        own = np.moveaxis(own, -1, 1).reshape(scales, *nodes)  # (S, A, K, L), in one piece
+        shares, log_weight = _bias_scales(found.scales, own, lapses)
+        by_scale = (shares @ own.reshape(scales, -1)).reshape(-1, *nodes)
+        given = np.array([_of_one(values, log_k, x, lapses, fractions) for values in by_scale])
+        out[i] = log_sum(log_weight[:, None] + given, 0)
     step = fractions.mu[1] - fractions.mu[0]
     return fractions.mu, out, log_sum(out, 1) + np.log(step)
 
 
 def _bias_scales(
     scales: BiasScales, values: NDArray[np.float32], lapses: _Lapses
-) -> list[tuple[NDArray[np.float32], float]]:
-    """Likely scales of the biases of one experiment: the shares (S,) of the tabulated ones in each,
-    and the log of its prior probability."""
+) -> tuple[NDArray[np.float32], Array]:
+    """Likely scales Z of the biases of one experiment: the shares (Z, S) of the tabulated ones in
+    each, and the log of its prior probability (Z,)."""
     if scales.nodes.size == 1:
-        return [(np.ones(1, dtype=np.float32), 0.0)]
-    size, animals = len(values), values.shape[-1]
+        return np.ones((1, 1), dtype=np.float32), np.zeros(1)
     # With likely lapses, and every animal's k its own.
     usual = lapses.weights[:, int(np.argmax(lapses.log_prior))]
-    flat = values.reshape(size, values.shape[1], -1, animals)
-    top = flat.max(axis=(0, 1, 2))
-    told = np.log(np.tensordot(usual, np.exp(flat - top).sum(axis=1), (0, 1)) + LEAST)  # (S, A)
-    prior = PopulationPriors().bias_scale
+    top = values.max(axis=(0, 2, 3), keepdims=True)
+    told = np.log(np.exp(values - top).sum(axis=2) @ usual + LEAST)  # (S, A)
+    prior = PRIORS.bias_scale
 
     def log_density(at: Array) -> Array:
         """Prior density of asinh(scale / unit)."""
@@ -121,17 +118,16 @@ def _bias_scales(
     log_weight = log_density(nodes) + np.log(nodes[1] - nodes[0])
     log_weight[[0, -1]] -= np.log(2.0)  # of a scale of zero that is exact: all is even about it
     shares = scales.onto(scales.unit * np.sinh(nodes)).astype(np.float32)
-    return list(zip(shares, log_weight.tolist(), strict=True))
+    return shares, log_weight
 
 
 def _of_one(
     values: NDArray[np.float32], log_k: Array, x: Array, lapses: _Lapses, fractions: _Fractions
 ) -> Array:
     """Log posterior density of the median in one experiment, (U,)."""
-    animals = values.shape[-1]
-    flat = values.reshape(log_k.size, -1, animals).transpose(2, 0, 1)  # (A, K, L)
-    top = flat.max(axis=(1, 2), keepdims=True)
-    like = np.maximum(np.exp(flat - top) @ lapses.weights, LEAST)  # (A, K, J)
+    animals = len(values)  # (A, K, L)
+    top = values.max(axis=(1, 2), keepdims=True)
+    like = np.maximum(np.exp(values - top) @ lapses.weights, LEAST)  # (A, K, J)
     # What lapses there are, whatever k: then the rest for these populations alone.
     told = np.log(like.sum(axis=1)).sum(axis=0) + lapses.log_prior
     kept = np.flatnonzero(told > told.max() - CUT)
@@ -164,7 +160,7 @@ def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
     ]
     if found.low.size == found.high.size == 1:
         return _Lapses(np.ones((1, 1), dtype=np.float32), np.zeros(1))
-    priors = PopulationPriors()
+    priors = PRIORS
     step = min(0.75 / np.sqrt(animals), 0.35)
     mean = np.arange(LAPSE_MEANS[0], LAPSE_MEANS[1] + step, step)
     ends = np.log(LAPSE_SPREAD)
@@ -212,7 +208,7 @@ def _fractions(model: WeberModel, x: Array, animals: int) -> _Fractions:
     h = x[1] - x[0]
     # Nodes of k are 2.8 of the least sd apart, so 2 h is 1.9 of an animal's.
     mu = np.arange(x[0] - BEYOND, x[-1] + BEYOND, 2.0 * h / np.sqrt(animals))
-    spread = PopulationPriors().spread
+    spread = PRIORS.spread
     node, weight = np.polynomial.legendre.leggauss(SPREADS)
     widest = float(spread.ppf(1 - 1e-4))
     tau = 0.5 * widest * (node + 1)
