@@ -24,13 +24,13 @@ SHARE = 0.1  # of the logit's own sd between table entries: errors of 3e-4 a pai
 
 
 class DispersedAnswers:
-    """Log-likelihood of overdispersed answers by group, for lapses on a sheet of nodes (S, 1, 1).
+    """Log-likelihood of overdispersed answers by group, for lapses on a sheet of nodes (S,).
 
     Parameters
     ----------
     model : WeberModel
         With the effect `Overdispersion`.
-    low, high : ndarray, shape (S, 1, 1)
+    low, high : ndarray, shape (S,)
         Lapses as the task sees them.
     """
 
@@ -46,12 +46,12 @@ class DispersedAnswers:
         answers = max(float(np.bincount(self.pair, model.cells.n).max(initial=1.0)), 1.0)
         count = int(np.ceil(2 * FAR * max(np.sqrt(answers) / SHARE / 2, 50.0)))
         self.fine = np.linspace(-FAR, FAR, count + 1)
-        self.start = np.arange(self.first.size) * self.fine.size
+        self.start = np.arange(self.first.size)[:, None] * self.fine.size
         self.tables: dict[float, Array] = {}
 
     def __call__(self, d: Array, pushed: Array, effects: Array) -> Array:
-        """Shape (r, S, B, G) from decision variables (r, 1, 1, C) and biases (r, X, B, C)."""
-        up, down = self.model.task.chance(d[..., self.first], pushed[..., self.first])
+        """Shape (r, B, G, S) from decision variables (r, 1, C, 1) and biases (r, B, C, X)."""
+        up, down = self.model.task.chance(d[:, :, self.first], pushed[:, :, self.first])
         # log P − log(1 − P), neither of them by subtraction.
         place = np.log((self.slope * up + self.low) / (self.slope * down + self.high))
         place = (np.clip(place, -FAR, FAR) + FAR) * ((self.fine.size - 1) / (2 * FAR))
@@ -63,7 +63,7 @@ class DispersedAnswers:
             table = self._table(float(rho))
             below = np.take(table, left[row])
             out[row] = below + place[row] * (np.take(table, left[row] + 1) - below)
-        return np.asarray(out @ self.model.membership[self.first])
+        return np.asarray(self.model.membership[self.first].T @ out)
 
     def _table(self, rho: float) -> Array:
         """Log-likelihood of every pair's answers over the logits, one pair after another."""

@@ -175,9 +175,7 @@ def evaluate(
     centre, spread = model.bias_mode(centred, *reference)  # (R, 1, G)
     lo, hi = model.lapses(low[:, None], high[None, :])
     all_lost = np.maximum(lo + hi, 1.0)  # nodes past the edge stand for places just before it
-    lo, hi = (
-        np.broadcast_to(a / all_lost, (low.size, high.size)).reshape(-1, 1, 1) for a in (lo, hi)
-    )
+    lo, hi = (np.broadcast_to(a / all_lost, (low.size, high.size)).reshape(-1) for a in (lo, hi))
     if follow:
         pairs = np.repeat(low, high.size), np.tile(high, low.size)
         centre, spread = model.bias_mode(centred, *pairs, start=centre)  # (R, Lo·Hi, G)
@@ -189,28 +187,31 @@ def evaluate(
     thinned = np.zeros(k.size)
     answers = (_Answers if model.dispersed is None else DispersedAnswers)(model, lo, hi)
     rows = max(1, CHUNK // (lo.size * offsets.size * max(model.cells.n.size, 1)))
+    # The lapses come last of all axes: they are the longest, and NumPy's loops run along the last.
+    middles, spreads = (np.swapaxes(a, 1, 2) for a in (centre, spread))  # (R, G, X)
     for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
-        bias = centre[i, :, None, :] + spread[i, :, None, :] * offsets[:, None]  # (r, X, B, G)
-        pushed = weight[i, None, None, :] * bias[..., model.group]
-        by_bias = answers(d[i, None, None, :], pushed, effects[i])  # (r, Lo·Hi, B, G)
+        bias = middles[i, None] + spreads[i, None] * offsets[:, None, None]  # (r, B, G, X)
+        pushed = weight[i, None, :, None] * bias[:, :, model.group]
+        by_bias = answers(d[i, None, :, None], pushed, effects[i])  # (r, B, G, Lo·Hi)
         if model.free_bias:
-            by_bias += model.log_bias_prior(bias) + np.log(h * spread[i])[:, :, None, :]
-        top = by_bias.max(axis=2, keepdims=True)
+            by_bias += model.log_bias_prior(bias) + np.log(h * spreads[i])[:, None]
+        top = by_bias.max(axis=1, keepdims=True)
         # Answers that no bias explains have no mass, and no logarithm of it to take away.
         share = np.exp(by_bias - np.where(np.isneginf(top), 0.0, top))
-        total = np.where(np.isneginf(top), 1.0, share.sum(axis=2, keepdims=True))
-        by_group = (top + np.log(total))[:, :, 0, :]
-        here = by_group.sum(axis=-1).reshape(-1, *sheet) + prior_of_lapses
+        total = np.where(np.isneginf(top), 1.0, share.sum(axis=1, keepdims=True))
+        by_group = (top + np.log(total))[:, 0]
+        here = by_group.sum(axis=1).reshape(-1, *sheet) + prior_of_lapses
         joint[i] = here
         share /= total
         best = here.max(axis=(1, 2), keepdims=True)
         best = np.where(np.isneginf(best), 0.0, best)
         weight_here = np.exp(here - best).reshape(len(here), -1)
         if model.free_bias:
-            lost = np.abs(2 * share[:, :, ::2].sum(axis=2) - 1).max(axis=-1)
+            lost = np.abs(2 * share[:, ::2].sum(axis=1) - 1).max(axis=1)
             thinned[i] = (weight_here * lost).sum(axis=1)
-        share *= weight_here[..., None, None]
-        mass[i] = share if follow else share.sum(axis=1, keepdims=True)
+        share *= weight_here[:, None, None]
+        by_lapses = share if follow else share.sum(axis=-1, keepdims=True)
+        mass[i] = by_lapses.transpose(0, 3, 1, 2)
     joint = joint.reshape(*(a.size for a in axes[:-2]), *sheet)
     for place, axis in enumerate(axes[:-2]):
         prior = score_prior(axis)
@@ -229,7 +230,7 @@ def evaluate(
 
 
 class _Answers:
-    """Log-likelihood of the answers by group, for lapses on a sheet of nodes (S, 1, 1)."""
+    """Log-likelihood of the answers by group, for lapses on a sheet of nodes (S,)."""
 
     def __init__(self, model: WeberModel, low: Array, high: Array) -> None:
         self.model = model
@@ -239,20 +240,19 @@ class _Answers:
         self.sides = []
         for count in (cells.count, cells.n - cells.count):
             some = np.flatnonzero(count > 0)  # a level answered all one way has one logarithm
-            self.sides.append((some, model.membership[some] * count[some, None]))
+            self.sides.append((some, (model.membership[some] * count[some, None]).T))
 
     def __call__(self, d: Array, pushed: Array, effects: Array) -> Array:
-        """Shape (r, S, B, G) from decision variables (r, 1, 1, C) and biases (r, X, B, C)."""
+        """Shape (r, B, G, S) from decision variables (r, 1, C, 1) and biases (r, B, C, X)."""
         both = self.model.task.chance(d, pushed)
         total: Array | float = 0.0
         for side, lapse, (some, weight) in zip(
             both, (self.low, self.high), self.sides, strict=True
         ):
-            p = self.slope * np.take(side, some, axis=-1)
+            p = self.slope * np.take(side, some, axis=2)
             p += lapse
             np.log(p, out=p)
-            flat = p.reshape(int(np.prod(p.shape[:-1])), some.size)
-            total = total + (flat @ weight).reshape(*p.shape[:-1], weight.shape[1])
+            total = total + weight @ p
         return np.asarray(total)
 
 
