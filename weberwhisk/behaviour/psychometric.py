@@ -187,13 +187,19 @@ def threshold(
         sign = np.where(upward_at, 1.0, -1.0)[..., None]
     up, down = _ladder(percept, standard, +1), _ladder(percept, standard, -1)
     rungs = np.where(upward_at[..., None], up, down)
-    passed = np.where(upward_at[..., None], sign * above(up), sign * above(down))
+    # The side that nobody is on is not looked at: the ladders are most of the work.
+    seen = [above(side) if some else 0.0 for side, some in (
+        (up, upward_at.any()), (down, not upward_at.all())
+    )]  # fmt: skip
+    passed = sign * np.where(upward_at[..., None], *seen)
     beyond = passed >= 0
     first = np.maximum(np.argmax(beyond, axis=-1), 1)[..., None]
     inner = np.take_along_axis(rungs, first - 1, -1)
     outer = np.take_along_axis(rungs, first, -1)
     for _ in range(60):
         middle = 0.5 * (inner + outer)
+        if np.all((middle == inner) | (middle == outer)):
+            break
         far = sign * above(middle) >= 0
         inner, outer = np.where(far, inner, middle), np.where(far, middle, outer)
     answer = 0.5 * (inner + outer)[..., 0]

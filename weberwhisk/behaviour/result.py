@@ -196,10 +196,10 @@ class WeberFit:
                 sample = self._point(float(s), proportion, d.weber_fraction, bias, d, upward)
                 ends = _quantiles(sample, at)
             else:  # a monotone function of k alone
-                ks = self.posterior.quantile("weber_fraction", at)
-                ends = np.sort(self._point(float(s), proportion, ks, 0.0, None, upward))
-                ks = self.posterior.quantile("weber_fraction", (np.arange(200) + 0.5) / 200)
-                sample = self._point(float(s), proportion, ks, 0.0, None, upward)
+                even = (np.arange(200) + 0.5) / 200
+                ks = self.posterior.quantile("weber_fraction", np.concatenate([at, even]))
+                points = self._point(float(s), proportion, ks, 0.0, None, upward)
+                ends, sample = np.sort(points[: at.size]), points[at.size :]
             edge = self.percept.domain[0]
             rows.append(
                 {
