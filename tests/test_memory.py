@@ -68,12 +68,12 @@ def check(what: str, n: int) -> None:
 @pytest.mark.parametrize("what", ["press", "flick past", "posterior"])
 def test_many_scenes(what: str) -> None:
     """Flick-past angles took 1.1 kB a scene."""
-    check(what, 200_000)
+    check(what, 100_000)
 
 
 def test_many_trials() -> None:
     """The checks of a report took 16 kB a trial."""
-    check("trials", 30_000)
+    check("trials", 20_000)
 
 
 @pytest.mark.slow

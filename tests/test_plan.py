@@ -500,7 +500,7 @@ def test_the_best_places_stay_in_reach() -> None:
 def test_more_animals_are_found_for_trials_that_are_given() -> None:
     plan = plan_experiment(
         "C2", standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], trials=8, animals=2, find="animals",
-        goal=Goal(bayes_factor=10, share=0.5), runs=32,
+        goal=Goal(bayes_factor=10, share=0.5), runs=16,
     )  # fmt: skip
     assert plan.power is not None
     assert {n for row in plan.scheme.trials for n in row} == {8}

@@ -20,27 +20,27 @@ hunting = load("hunting")
 stability = load("stability")
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 DOMAINS = {d.name: d for d, *_ in stability.domains()}
-#: Cases of each kind and generations: seconds each on a quiet core.
+#: Cases of each kind and generations: a second or so each on a quiet core. New ones every time.
 SIZES = {
-    "closed form": (8, 1),
-    "elastica": (8, 1),
-    "profile": (8, 1),
-    "rod, in the plane": (4, 1),
-    "rod, out of the plane": (8, 0),
-    "JND by propagation": (6, 1),
+    "closed form": (4, 1),
+    "elastica": (4, 1),
+    "profile": (3, 1),
+    "rod, in the plane": (2, 1),
+    "rod, out of the plane": (4, 0),
+    "JND by propagation": (3, 1),
     "fit of choices": (1, 1),
-    "quadrature, vibration, phase": (12, 1),
-    "quadrature, floor and ceiling": (12, 1),
-    "quadrature, force map": (2, 1),
-    "quadrature, two taps fused": (6, 1),
-    "quadrature, tap and map fused": (2, 1),
+    "quadrature, vibration, phase": (6, 1),
+    "quadrature, floor and ceiling": (6, 1),
+    "quadrature, force map": (1, 1),
+    "quadrature, two taps fused": (3, 1),
+    "quadrature, tap and map fused": (1, 1),
     "quadrature, map, stiffness unknown": (1, 1),
-    "quadrature, log-normal map, stiffness unknown": (2, 1),
+    "quadrature, log-normal map, stiffness unknown": (1, 1),
     "quadrature, angle-side-angle, side unknown": (1, 1),
-    "laplace, vibration": (12, 1),
+    "laplace, vibration": (6, 1),
     "laplace, velocity felt": (3, 1),
     "emcee, compliance": (3, 1),
-    "quadrature, vibration, phase, odd readings": (12, 1),
+    "quadrature, vibration, phase, odd readings": (6, 1),
 }
 
 
@@ -260,18 +260,23 @@ def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
     np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)
 
 
-def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are() -> None:
+def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Five animals of five trials: nodes of ln k were as coarse as one animal alone is vague.
 
     What is known of all was smeared by that: animals were 0.4 to 1 sd of their posterior off.
     """
     populations = load("stability_populations")
+    # Half the weighed draws: ends of intervals err by 0.05 sds.
+    drawn, *each = populations.ANIMALS
+    monkeypatch.setattr(populations, "ANIMALS", (drawn // 2, *each))
     case = {
         "weber_fraction": 0.789403, "spread": 0.221883, "lapse": 0.001747, "bias": 0.5688905,
         "animals": 5.0, "trials": 1.0, "span": 0.626083, "answers": 0.065299,
     }  # fmt: skip
     judged = populations.judge({name: np.array([value]) for name, value in case.items()})
-    assert judged.seen["count"][0] > 5000
+    assert judged.seen["count"][0] > 2500
     assert judged.seen["error"][0] < 0.15
 
 
