@@ -536,6 +536,7 @@ def test_choices_by_angles_are_simulated_and_not_fitted(
     assert "there is no Weber fraction to find" in said
 
 
+@pytest.mark.once
 def test_effects_are_simulated_and_fitted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -568,6 +569,7 @@ def test_jnd_of_every_other_cue(
     assert (tmp_path / "out" / "jnd.png").stat().st_size > 0
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "scene",
     [
@@ -674,6 +676,7 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "weber_fraction" in capsys.readouterr().out
 
 
+@pytest.mark.once
 def test_fit_takes_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     course = ["--sessions", "2", "--trials-per-level", "12"]
     answer(capsys, "simulate", *course, "--out", str(tmp_path / "s"))

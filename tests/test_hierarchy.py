@@ -209,6 +209,7 @@ def moments_of(fit: PopulationFit) -> dict[str, Array]:
     return out
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("count", [2, 5])
 def test_population_and_animals_by_brute_force(count: int) -> None:
     trials, _ = animals(count)
@@ -378,6 +379,7 @@ def test_the_unit_does_not_matter(unit: float) -> None:
     )
 
 
+@pytest.mark.once
 def test_ten_animals_of_a_percent_correct_task() -> None:
     trials, truth = animals(
         10, task="3AFC percent correct", offsets=[0.1, 0.2, 0.4, 0.8], trials_per_level=20

@@ -291,7 +291,7 @@ def plan() -> Plan:
         longest_run=4,
         title="A plan, “tried”",
         together=False,
-        runs=16,
+        runs=8,
         seed=7,
     )
 

@@ -165,6 +165,7 @@ class Run:
         """Keep a Matplotlib figure as ``<name>.png`` and ``<name>.svg``."""
         if self.out_dir is not None:
             figure.savefig(self.path(f"{name}.png"))
+            figure.set_layout_engine("none")  # found: a fourth of the time, and once is enough
             # The record has the date: two figures differ only where they look different.
             figure.savefig(self.path(f"{name}.svg"), metadata={"Date": None})
 
