@@ -61,6 +61,8 @@ class Figure(Protocol):
 
     def savefig(self, path: Path, /, **options: Any) -> Any: ...
 
+    def set_layout_engine(self, layout: Any, /) -> Any: ...
+
 
 class Run:
     """One run of a command and the files it makes, as a context manager.
