@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import reduce
 from itertools import product
 from typing import NamedTuple
@@ -114,16 +114,20 @@ def _gently(observer: Observer, reading: Array, start: Array, steps: int) -> Mod
 
 
 def _from_everywhere(observer: Observer, reading: Array, start: Array, steps: int) -> Mode:
-    """The highest peaks above the coarse grid's best points for any value of the second unknown."""
+    """The highest peaks above the coarse grid's best points for values of the second unknown.
+
+    Of neighbouring values' points the best: each valley has one.
+    """
     grid, density, shape = _coarse(observer)
     line = np.moveaxis(np.arange(len(grid)).reshape(shape), 1, 0).reshape(shape[1], -1)
-    found = []
-    for one in reading:
-        best = density(one[None])[0][line].argmax(axis=1)
-        point = grid[line[np.arange(len(line)), best]]
-        mode, _ = _climb(observer, np.repeat(one[None], len(point), axis=0), point, steps)
-        found.append(mode.of(np.array([mode.log_density.argmax()])))
-    return Mode(*(np.concatenate([getattr(m, f.name) for m in found]) for f in fields(Mode)))
+    table = density(reading)[:, line]
+    height = np.pad(table.max(axis=2), ((0, 0), (1, 1)), constant_values=-np.inf)
+    high = (height[:, 1:-1] >= height[:, :-2]) & (height[:, 1:-1] >= height[:, 2:])
+    row, value = np.nonzero(high & np.isfinite(height[:, 1:-1]))
+    point = grid[line[value, table[row, value].argmax(axis=1)]]
+    mode, _ = _climb(observer, reading[row], point, steps)
+    order = np.lexsort((mode.log_density, row))
+    return mode.of(order[np.flatnonzero(np.diff(row[order], append=len(reading)))])
 
 
 def find_other(
