@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -260,6 +261,13 @@ def test_intervals_of_few_trials_are_where_weighed_draws_have_them(
     np.testing.assert_allclose(found, np.exp(exact), rtol=0.01)
 
 
+def judged_population(*numbers: float) -> Any:
+    """What becomes of one case: the numbers of the axes, in order."""
+    populations = load("stability_populations")
+    case = zip(populations.AXES, numbers, strict=True)
+    return populations.judge({name: np.array([value]) for name, value in case})
+
+
 def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -271,11 +279,9 @@ def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are(
     # Half the weighed draws: ends of intervals err by 0.05 sds.
     drawn, *each = populations.ANIMALS
     monkeypatch.setattr(populations, "ANIMALS", (drawn // 2, *each))
-    case = {
-        "weber_fraction": 0.789403, "spread": 0.221883, "lapse": 0.001747, "bias": 0.5688905,
-        "animals": 5.0, "trials": 1.0, "span": 0.626083, "answers": 0.065299,
-    }  # fmt: skip
-    judged = populations.judge({name: np.array([value]) for name, value in case.items()})
+    judged = judged_population(
+        0.789403, 0.221883, 0.001747, 0.5688905, 5.0, 1.0, 0.626083, 0.065299
+    )
     assert judged.seen["count"][0] > 2500
     assert judged.seen["error"][0] < 0.15
 
@@ -285,12 +291,7 @@ def test_the_referee_of_populations_knows_how_widely_biases_spread() -> None:
 
     Two animals with biases of 1.1 and 1.5: theirs were half an sd off what it said.
     """
-    populations = load("stability_populations")
-    case = {
-        "weber_fraction": 0.100006, "spread": 0.298386, "lapse": 0.000136, "bias": 1.5,
-        "animals": 2.0, "trials": 10.466767, "span": 0.23543, "answers": 0.575198,
-    }  # fmt: skip
-    judged = populations.judge({name: np.array([value]) for name, value in case.items()})
+    judged = judged_population(0.100006, 0.298386, 0.000136, 1.5, 2.0, 10.466767, 0.23543, 0.575198)
     assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
 
 
