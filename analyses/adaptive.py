@@ -41,7 +41,7 @@ WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLACES = (0.3, 0.6, 0.9)
 ESTIMATORS = ("information", "QUEST+", "1-up/2-down", "1-up/3-down", "constant")
 DISCRIMINATORS = ("information", "constant")
-ANIMALS = {"estimation": 40, "discrimination": 12}
+ANIMALS = {"estimation": 40, "discrimination": 48}
 MARKS_SHORT = (10, 20)
 MARKS = {"estimation": (30, 60, 90, 120, 180, 240, 300),
          "discrimination": (30, 60, 90, 120, 180)}  # fmt: skip
