@@ -13,6 +13,7 @@ from reference_beam import Beams
 
 import weberwhisk as ww
 from weberwhisk import Outcome
+from weberwhisk.mechanics.rod import RodBending
 
 Array = np.ndarray
 Case = dict[str, Array]
@@ -68,14 +69,50 @@ def _press(whisker: ww.Whisker, rung: str, r: Array, theta: Array, friction: Arr
     return ww.press(whisker, r, theta, friction, model=rung)
 
 
+def answered(
+    bent: ww.Bending | RodBending, exists: Array, error: Array, own: Array
+) -> tuple[Array, Array, Array]:
+    """Fates of what is held where something is, ln of true over admitted error, what is hopeless.
+
+    `own` is the reference's error. What is not held is refused, so far.
+    """
+    held, claimed = np.asarray(bent.outcome) == Outcome.HELD, np.nan_to_num(bent.error, nan=np.inf)
+    with np.errstate(all="ignore"):
+        allowed = np.maximum(SAID * bent.error, TOLERANCE) + 3 * own
+        excess = np.log(np.maximum(error, 1e-300) / allowed)
+    fate = np.full(held.size, Fate.REFUSED)
+    right = held & exists & (error <= allowed)
+    fate[right] = np.where(claimed[right] > ROUGH, Fate.WARNED, Fate.RIGHT)
+    # A claimed error of a third and more says that no digit is to be relied on.
+    hopeless = claimed > HOPELESS
+    fate[held & exists & (error > allowed)] = Fate.SILENT
+    fate[held & exists & hopeless] = Fate.WARNED
+    return fate, np.where(hopeless, np.minimum(excess, 0.0), excess), hopeless
+
+
+def told(
+    fate: Array,
+    excess: Array,
+    bent: ww.Bending | RodBending,
+    exists: Array,
+    error: Array,
+    reference: Array,
+) -> Judged:
+    """The judgement, with what was seen."""
+    outcome = np.asarray(bent.outcome)
+    compared = (outcome == Outcome.HELD) & exists
+    excess = np.where(compared, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
+    seen = {"outcome": outcome, "error": np.where(compared, error, np.nan), "claimed": bent.error}
+    return Judged(fate, excess, {**seen, "reference": reference})
+
+
 def judge(case: Case, rung: str) -> Judged:
     """Each case pressed by a rung, beside the reference."""
     whisker, beams, r, theta, friction = _scene(case)
     if rung in ("closed_form", "elastica"):
         whisker = ww.Whisker(LENGTH, BASE, BASE * case["tip"], MODULUS)
     bent = _press(whisker, rung, r, theta, friction)
-    outcome = np.asarray(bent.outcome)
-    held = outcome == Outcome.HELD
+    held = np.asarray(bent.outcome) == Outcome.HELD
     walk = beams.walk(r, theta)
     there = (walk["end"] == 0) | (held & (walk["end"] != 3))
     # From the walk's own end; where it ended in doubt, from the rung's contact.
@@ -98,20 +135,10 @@ def judge(case: Case, rung: str) -> Judged:
         size = np.maximum(np.abs([exact[k] for k in SIGNALS]), least)
         error = np.max(np.abs([getattr(bent, k) - exact[k] for k in SIGNALS]) / size, axis=0)
         own = np.max(exact["own"] / size, axis=0)
-        allowed = np.maximum(SAID * bent.error, TOLERANCE) + 3 * own
-        excess = np.log(np.maximum(error, 1e-300) / allowed)
     # An angle nearer to the branch's end than the walk resolves settles nothing by itself.
     doubt = near & ~exists
     at_tip = np.abs(np.where(lost, walk["arc"], bent.arc_length) / LENGTH - 1) < 1e-7
-    fate = np.full(r.size, Fate.REFUSED)
-    claimed = np.nan_to_num(bent.error, nan=np.inf)
-    right = held & exists & (error <= allowed)
-    fate[right] = np.where(claimed[right] > ROUGH, Fate.WARNED, Fate.RIGHT)
-    # A claimed error of a third and more says that no digit is to be relied on.
-    hopeless = claimed > HOPELESS
-    fate[held & exists & (error > allowed)] = Fate.SILENT
-    fate[held & exists & hopeless] = Fate.WARNED
-    excess = np.where(hopeless, np.minimum(excess, 0.0), excess)
+    fate, excess, hopeless = answered(bent, exists, error, own)
     # Held where nothing is: a warning if the claimed error says that anything may be.
     nothing = held & ~exists & ~doubt & ~at_tip
     fate[nothing] = np.where(hopeless[nothing], Fate.WARNED, Fate.SILENT)
@@ -128,17 +155,7 @@ def judge(case: Case, rung: str) -> Judged:
         refused &= calm
     # Refused where there is an equilibrium, by more than the last digits of its end.
     fate[refused] = Fate.SILENT
-    excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
-    return Judged(
-        fate,
-        excess,
-        {
-            "outcome": outcome,
-            "error": np.where(held & exists, error, np.nan),
-            "claimed": bent.error,
-            "reference": walk["end"],
-        },
-    )
+    return told(fate, excess, bent, exists, error, walk["end"])
 
 
 DOMAINS = [

@@ -14,15 +14,13 @@ from reference_rod import LOST, NEVER, REACHED, Rods
 from stability_rungs import (
     BASE,
     CURVED,
-    HOPELESS,
     LAST_STEP,
     LENGTH,
     MODULUS,
-    ROUGH,
-    SAID,
-    TOLERANCE,
     UNDECIDED,
     Case,
+    answered,
+    told,
 )
 
 import weberwhisk as ww
@@ -82,8 +80,7 @@ def judge(case: Case) -> Judged:
     """Each case pressed by the rod, beside the reference."""
     whisker, rods, walk, angle = scene(case)
     bent = _press(whisker, rods, angle)
-    outcome, claimed = np.asarray(bent.outcome), np.nan_to_num(bent.error, nan=np.inf)
-    held = outcome == Outcome.HELD
+    held = np.asarray(bent.outcome) == Outcome.HELD
     end, point = walk["end"], rods.point(angle)
     force, arc, least = rods.at(walk["trail"], angle)
     margin = np.maximum(UNDECIDED * angle, LAST_STEP)
@@ -110,16 +107,8 @@ def judge(case: Case) -> Judged:
         error = _differ(
             bent.force.T - exact["force"], bent.moment.T - moment, exact["force"], moment
         )
-        allowed = np.maximum(SAID * bent.error, TOLERANCE) + 3 * own
-        excess = np.log(np.maximum(error, 1e-300) / allowed)
     at_tip = np.abs(np.where(held, bent.arc_length, arc) / LENGTH - 1) < 1e-7
-    hopeless = claimed > HOPELESS
-    fate = np.full(angle.size, Fate.REFUSED)
-    right = held & exists & (error <= allowed)
-    fate[right] = np.where(claimed[right] > ROUGH, Fate.WARNED, Fate.RIGHT)
-    fate[held & exists & (error > allowed)] = Fate.SILENT
-    fate[held & exists & hopeless] = Fate.WARNED
-    excess = np.where(hopeless, np.minimum(excess, 0.0), excess)
+    fate, excess, hopeless = answered(bent, exists, error, own)
     nothing = held & ~exists
     fate[nothing] = np.where(hopeless[nothing] | near[nothing] | at_tip[nothing], Fate.WARNED,
                              Fate.SILENT)  # fmt: skip
@@ -130,17 +119,7 @@ def judge(case: Case) -> Judged:
     fate[~held & own_start & exists & clear] = Fate.SILENT
     fate[~held & (lost | (own_start & ~exists))] = Fate.UNJUDGED
     fate[held & exists & (own > VAGUE) & ~hopeless] = Fate.UNJUDGED
-    excess = np.where(held & exists, excess, np.where(fate == Fate.SILENT, 50.0, -np.inf))
-    return Judged(
-        fate,
-        excess,
-        {
-            "outcome": outcome,
-            "error": np.where(held & exists, error, np.nan),
-            "claimed": bent.error,
-            "reference": np.where(own_start, REACHED, end),
-        },
-    )
+    return told(fate, excess, bent, exists, error, np.where(own_start, REACHED, end))
 
 
 DOMAINS = [Domain("rod, out of the plane", AXES, judge)]
