@@ -14,12 +14,12 @@ within ±40 %, and until the Bayes factor is above 10 in 80 % of runs.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from command import options
 
 import weberwhisk as ww
 from weberwhisk import campaign, figures
@@ -208,13 +208,7 @@ if __name__ == "__main__":
     # By its own name, which workers can import.
     import adaptive
 
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "adaptive"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="one animal, few trials")
-    parser.add_argument("--workers", type=int, help="processes; by default one a core")
-    parser.add_argument("--scheduler", help="of a dask.distributed cluster")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="one animal, few trials", workers=True)
     made = adaptive.make(
         given.folder,
         short=given.short,

@@ -13,10 +13,10 @@ and SVG, and their tables as CSV.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import pandas as pd
+from command import options
 
 from weberwhisk.commands import figure
 from weberwhisk.runs import Run
@@ -45,11 +45,7 @@ def make(folder: Path, *, short: bool = False) -> dict[str, pd.DataFrame]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "all_cues"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few posteriors, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few posteriors, seconds")
     tables = make(given.folder, short=given.short)
     print(tables["bits"].to_string(index=False, float_format="{:.2f}".format))
     print(tables["best"]["best"].value_counts(normalize=True).to_string())

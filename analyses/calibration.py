@@ -13,7 +13,6 @@ Computing 32, 32). The broken models at the end must be caught by the same test.
 
 from __future__ import annotations
 
-import argparse
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from command import options
 from matplotlib.figure import Figure
 from scipy import stats
 
@@ -465,13 +465,7 @@ if __name__ == "__main__":
     # By its own name, which workers can import.
     import calibration
 
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = HERE.parent / "results" / "calibration"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few draws")
-    parser.add_argument("--workers", type=int, help="processes; by default one a core")
-    parser.add_argument("--scheduler", help="of a dask.distributed cluster")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few draws", workers=True)
     workers = campaign.all_cores(given.workers, given.scheduler)
     made = calibration.make(
         given.folder, short=given.short, workers=workers, scheduler=given.scheduler

@@ -10,11 +10,11 @@ with their tables as CSV.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import options
 from matplotlib.figure import Figure
 
 import weberwhisk as ww
@@ -95,11 +95,7 @@ def make(folder: Path, *, short: bool = False) -> dict[str, pd.DataFrame]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "design"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few runs, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few runs, seconds")
     made = make(given.folder, short=given.short)
     print(made["power"][["truth", "trials", "power", "lower", "upper", "half_width"]].to_string())
     print(f"Written to {given.folder}.")

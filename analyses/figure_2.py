@@ -10,11 +10,11 @@ fixed in space could no longer hold (outcome PAST_FOLD), and the map is one-to-o
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import options
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -291,9 +291,6 @@ def make(folder: Path) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "figure_2"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    given = parser.parse_args()
+    given = options(__file__, __doc__)
     print(make(given.folder).to_string(index=False, float_format="{:.3g}".format))
     print(f"Written to {given.folder}.")

@@ -8,11 +8,11 @@ against values that were derived apart from this package; it ends with status 1 
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import options
 
 from weberwhisk.commands import figure
 from weberwhisk.commands.quickstart import moment_dominated
@@ -81,11 +81,7 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "figure_4"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few posteriors, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few posteriors, seconds")
     result = make(given.folder, short=given.short)
     print(result.round(4).to_string(index=False))
     print(f"Written to {given.folder}.")

@@ -1,6 +1,6 @@
 """What any belief about lapses can do: bias and coverage of k from 297 trials, prior by prior.
 
-    python analyses/lapse_prior.py [folder]
+    python analyses/lapse_prior.py [--short] [folder]
 
 Writes `lapse_prior.md` into this folder, or the one named. The posterior is summed on a plain grid
 (k, both lapses, bias), so that a prior on the lapses is a table of weights and costs nothing to
@@ -9,11 +9,10 @@ change. `--short` takes fewer data sets.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from command import ANALYSES, options
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr, ndtri
@@ -246,12 +245,10 @@ little.
 
 
 def main() -> None:
-    arguments = [a for a in sys.argv[1:] if a != "--short"]
-    short = len(arguments) < len(sys.argv) - 1
-    folder = Path(arguments[0]) if arguments else Path(__file__).parent
-    folder.mkdir(parents=True, exist_ok=True)
-    text = report(*((60, 20) if short else (300, 300)))
-    (folder / "lapse_prior.md").write_text(text, encoding="utf-8")
+    given = options(__file__, __doc__, folder=ANALYSES, short="few data sets")
+    text = report(*((60, 20) if given.short else (300, 300)))
+    given.folder.mkdir(parents=True, exist_ok=True)
+    (given.folder / "lapse_prior.md").write_text(text, encoding="utf-8")
     print(text)
 
 

@@ -19,7 +19,6 @@ the balance of moments (how far past an impact at 60° the muscle turns the whis
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -28,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from command import ANALYSES, options
 from matplotlib import rc_context
 
 import weberwhisk as ww
@@ -262,9 +262,6 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent / "figures")
-    parser.add_argument("--short", action="store_true", help="three amounts, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, folder=ANALYSES / "figures", short="three amounts, seconds")
     make(given.folder, short=given.short)
     print(f"Written to {given.folder}.")

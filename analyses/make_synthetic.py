@@ -9,9 +9,10 @@ to what is expected of its fit.
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
+
+from command import ANALYSES, options
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import CuePercept, Trials, simulate_population, simulate_trials
@@ -212,5 +213,4 @@ def write(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    default = Path(__file__).parent.parent / "data_synthetic"
-    write(Path(sys.argv[1]) if len(sys.argv) > 1 else default)
+    write(options(__file__, __doc__, folder=ANALYSES.parent / "data_synthetic").folder)

@@ -1,7 +1,7 @@
 """This package and psignifit on the same data: time, bias, RMSE and coverage.
 
     pip install psignifit
-    OMP_NUM_THREADS=1 python analyses/psignifit_side_by_side.py [data sets] [folder]
+    OMP_NUM_THREADS=1 python analyses/psignifit_side_by_side.py [--sets N] [folder]
 
 Writes `psignifit_side_by_side.md` into this folder, or the one named. The observer compares two
 magnitudes with Weber noise (k = 0.1), lapses by 0.02 at each end, and sees nine signed levels to
@@ -11,12 +11,11 @@ equal asymptotes; its width, over 1.645 √2 twice, is its Weber fraction. Times
 
 from __future__ import annotations
 
-import sys
 import warnings
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
+from command import ANALYSES, options
 from scipy.stats import norm
 
 from weberwhisk.behaviour import Trials
@@ -39,14 +38,15 @@ def psignifit_answer(trials: Trials) -> fits.Answer:
 
 
 def main() -> None:
-    sets = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    folder = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).parent
+    given = options(__file__, __doc__, folder=ANALYSES, sets=100)
+    sets, folder = given.sets, given.folder
     tools = {"weberwhisk": fits.ours(), f"psignifit {version('psignifit')}": psignifit_answer}
     lines = [
         "# The same data fitted by weberwhisk and by psignifit",
         "",
-        f"Made by `analyses/psignifit_side_by_side.py {sets}`: {sets} data sets a row; Weber "
-        f"fraction {fits.K:g}, lapses {fits.LAPSE:g} at each end, nine signed levels to ±0.30.",
+        f"Made by `analyses/psignifit_side_by_side.py --sets {sets}`: {sets} data sets a row; "
+        f"Weber fraction {fits.K:g}, lapses {fits.LAPSE:g} at each end, "
+        "nine signed levels to ±0.30.",
         "",
         "| trials | tool | CPU ms a fit | median bias, % | RMSE, % | 95 % interval covers, % |",
         "|---|---|---|---|---|---|",

@@ -1,6 +1,6 @@
 """Two real data sets fitted and criticised: a rat that is learning, and people who count dots.
 
-    python analyses/real_data.py [folder]
+    python analyses/real_data.py [--short] [folder]
 
 Writes `real_data.md` (the report) and `figures/real_data.png` into this folder, or the one named.
 `--short` fits the last ten sessions of the rat only, as the slow tests do.
@@ -8,11 +8,11 @@ Writes `real_data.md` (the report) and `figures/real_data.png` into this folder,
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import ANALYSES, options
 from scipy import stats
 
 from weberwhisk import compare, figures, fit_weber
@@ -240,5 +240,5 @@ def main(folder: Path, short: bool = False) -> Path:
 
 
 if __name__ == "__main__":
-    given = [word for word in sys.argv[1:] if not word.startswith("-")]
-    main(Path(given[0]) if given else Path(__file__).parent, "--short" in sys.argv)
+    given = options(__file__, __doc__, folder=ANALYSES, short="ten sessions of the rat")
+    main(given.folder, given.short)

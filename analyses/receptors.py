@@ -8,11 +8,11 @@ model over eight decades of moment I, and for spike counts the closed form besid
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import options
 from matplotlib.figure import Figure
 
 from weberwhisk import figures
@@ -83,9 +83,6 @@ def make(folder: Path) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "receptors"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    given = parser.parse_args()
+    given = options(__file__, __doc__)
     print(make(given.folder).iloc[::25].to_string(index=False, float_format="{:.3g}".format))
     print(f"Written to {given.folder}.")

@@ -1,6 +1,6 @@
 """Is the truth found? Bias, RMSE and coverage of k over 36 known observers, and with scatter.
 
-    OMP_NUM_THREADS=1 python analyses/recovery.py [data sets] [folder]
+    OMP_NUM_THREADS=1 python analyses/recovery.py [--sets N] [folder]
 
 Writes `recovery.csv` and `recovery.md` into this folder, or the one named; cells that the table
 has already are not made again, so that a run that was stopped goes on. Beside each fit stand the
@@ -11,12 +11,12 @@ an observer told the lapses: what is left of the bias then is not the lapse prio
 from __future__ import annotations
 
 import itertools
-import sys
 from pathlib import Path
 
 import lapse_prior as grid
 import numpy as np
 import pandas as pd
+from command import ANALYSES, options
 
 from weberwhisk.behaviour import fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour.effects import Overdispersion
@@ -90,8 +90,8 @@ def scattered(per_level: int, dispersed: bool, sets: int) -> dict[str, float | s
 
 def main() -> None:
     """Make what the table lacks, then the page."""
-    sets = int(sys.argv[1]) if len(sys.argv) > 1 else 500
-    folder = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).parent
+    given = options(__file__, __doc__, folder=ANALYSES, sets=500)
+    sets, folder = given.sets, given.folder
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "recovery.csv"
     rows = pd.read_csv(path).to_dict("records") if path.is_file() else []

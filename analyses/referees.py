@@ -17,7 +17,6 @@ leaves it out.
 
 from __future__ import annotations
 
-import argparse
 import platform
 import time
 from collections.abc import Callable, Iterator
@@ -30,6 +29,7 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pandas as pd
+from command import options
 from numpy.typing import NDArray
 from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.optimize import root
@@ -501,10 +501,6 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "referees"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="without PyElastica, each timed once")
-    chosen = parser.parse_args()
+    chosen = options(__file__, __doc__, short="without PyElastica, each timed once")
     print(summary(make(chosen.folder, short=chosen.short)))
     print(versions())

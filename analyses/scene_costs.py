@@ -19,7 +19,6 @@ and scene_costs.png. Times are CPU seconds a contact in bulk, measured in the sa
 
 from __future__ import annotations
 
-import argparse
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -32,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from command import ANALYSES, options
 from matplotlib import rc_context
 from matplotlib.patches import Patch
 
@@ -384,9 +384,8 @@ def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFra
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent / "figures")
-    parser.add_argument("--short", action="store_true", help="one whisker, few moments, seconds")
-    given = parser.parse_args()
+    given = options(
+        __file__, __doc__, folder=ANALYSES / "figures", short="one whisker, few moments, seconds"
+    )
     print(make(given.folder, short=given.short)[0].round(6).to_string(index=False))
     print(f"Written to {given.folder}.")

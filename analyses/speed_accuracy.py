@@ -13,7 +13,6 @@ Writes beams, posteriors, fits and growth (CSV) and the figures speed_accuracy a
 
 from __future__ import annotations
 
-import argparse
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -29,6 +28,7 @@ from pathlib import Path
 import emcee
 import numpy as np
 import pandas as pd
+from command import options
 from psignifit_side_by_side import psignifit_answer
 from referees import Scene as Loaded
 from referees import pyelastica
@@ -303,12 +303,7 @@ def draw(run: Run, tables: dict[str, pd.DataFrame], foot: str) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = HERE.parent / "results" / "speed_accuracy"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few settings, little data")
-    parser.add_argument("--sets", type=int, default=50, help="data sets of each fit")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few settings, little data", sets=50)
     made = make(given.folder, full=not given.short, sets=4 if given.short else given.sets)
     for name, table in made.items():
         print(f"\n{name}\n{table.to_string(index=False, float_format='{:.3g}'.format)}")

@@ -11,7 +11,6 @@ all cases, which replay what is found).
 
 from __future__ import annotations
 
-import argparse
 import os
 import warnings
 
@@ -27,6 +26,7 @@ import stability_posteriors
 import stability_rungs
 import stability_space
 import stability_walkers
+from command import options
 from hunting import Domain, Fate, hunt, silent
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -172,12 +172,7 @@ def make(folder: Path, *, short: bool = False, seed: int = SEED) -> pd.DataFrame
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = HERE.parent / "results" / "stability"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few cases")
-    parser.add_argument("--seed", type=int, default=SEED)
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few cases", seed=SEED)
     made = make(given.folder, short=given.short, seed=given.seed)
     print(summary(made).to_string(index=False, float_format="{:.3g}".format))
     wrong = silent(made).dropna(axis=1, how="all")

@@ -10,11 +10,11 @@ as the push goes on, and the sd that the filter claims.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import options
 from matplotlib.figure import Figure
 
 import weberwhisk as ww
@@ -107,11 +107,7 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "sweeps"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few sweeps, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few sweeps, seconds")
     made = make(given.folder, short=given.short)
     print(made.iloc[4::10].to_string(index=False, float_format="{:.4g}".format))
     print(f"Written to {given.folder}.")

@@ -9,11 +9,11 @@ are one interval, and the most intervals seen. The floor of the noise is k of th
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from command import options
 
 import weberwhisk as ww
 from weberwhisk.cues import Vibration
@@ -60,10 +60,6 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "vibration"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few impacts, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few impacts, seconds")
     print(make(given.folder, short=given.short).to_string(index=False))
     print(f"Written to {given.folder}.")

@@ -11,10 +11,10 @@ how noise that is a common gain (k_F = 2k_M, ρ → 1) cancels.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import pandas as pd
+from command import options
 
 from weberwhisk.commands import figure
 from weberwhisk.runs import Run
@@ -33,11 +33,7 @@ def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFra
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent.parent / "results" / "weber_2d"
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--short", action="store_true", help="few posteriors, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, short="few posteriors, seconds")
     for found in make(given.folder, short=given.short):
         print(found.to_string(index=False, float_format="{:.3g}".format), end="\n\n")
     print(f"Written to {given.folder}.")

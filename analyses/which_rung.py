@@ -9,13 +9,13 @@ from the moment (at a known deflection angle) by less than a tenth of its JND.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from command import ANALYSES, options
 from matplotlib import rc_context
 from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
@@ -173,9 +173,6 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent / "figures")
-    parser.add_argument("--short", action="store_true", help="a coarse grid, seconds")
-    given = parser.parse_args()
+    given = options(__file__, __doc__, folder=ANALYSES / "figures", short="a coarse grid, seconds")
     print(make(given.folder, short=given.short).round(3).to_string(index=False))
     print(f"Written to {given.folder}.")

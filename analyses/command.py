@@ -1,0 +1,52 @@
+"""The command line that the scripts of this folder share: where to write, and how much to do."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from pathlib import Path
+
+ANALYSES = Path(__file__).parent
+
+
+def options(
+    script: str,
+    description: str | None,
+    *,
+    folder: str | Path | None = None,
+    short: str = "",
+    sets: int | None = None,
+    seed: int | None = None,
+    workers: bool = False,
+) -> argparse.Namespace:
+    """What was written after the script's name; `--help` prints its docstring and ends.
+
+    Parameters
+    ----------
+    script, description : str
+        Its ``__file__`` and ``__doc__``.
+    folder : path, optional
+        Where it writes if no folder is named: ``results/`` and its name, beside this folder.
+    short : str
+        What `--short` leaves out; without it there is no such option.
+    sets, seed : int, optional
+        Data sets of each kind and seed, by default.
+    workers : bool
+        Whether it takes `--workers` and `--scheduler`.
+    """
+    parser = argparse.ArgumentParser(
+        description=inspect.cleandoc(description or ""),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    usual = folder or ANALYSES.parent / "results" / Path(script).stem
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(usual))
+    if short:
+        parser.add_argument("--short", action="store_true", help=short)
+    if sets is not None:
+        parser.add_argument("--sets", type=int, default=sets, help=f"data sets; by default {sets}")
+    if seed is not None:
+        parser.add_argument("--seed", type=int, default=seed, help=f"by default {seed}")
+    if workers:
+        parser.add_argument("--workers", type=int, help="processes; by default one a core")
+        parser.add_argument("--scheduler", help="of a dask.distributed cluster")
+    return parser.parse_args()
