@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import special
 
-from weberwhisk.observer import FARTHEST
+from weberwhisk.coordinates import FARTHEST
 from weberwhisk.posterior.ensemble import (
     MoveMaker,
     StackedSample,

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logit, ndtr, ndtri, wrightomega
 
-from ._checks import finite, one_of
+from ._checks import finite, one_of, shown
+from .coordinates import ContactCoordinates, to_normal
 from .cues.protocol import Cue, given, straight
 from .mechanics.contact import Outcome
-from .mechanics.surface import surface_of
 from .receptors import Events, Joint, LogNormal, ReceptorNoise, Seed
 from .receptors.gaussian import Gaussian
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
-#: Values of each unknown that has a prior alone in `Observer.spread`.
-OTHERS = 7
-#: x₁ at the ends of the reach, as far as numbers go: the fraction 1e-32 and its mirror image.
-FARTHEST = 5.0
 
-
+@dataclass(frozen=True, eq=False)
 class Observer:
-    """An ideal observer of one contact.
+    """An ideal observer of one contact. Frozen; `dataclasses.replace` makes one that differs.
 
     Parameters
     ----------
@@ -41,23 +39,21 @@ class Observer:
         rad). By default these two are flat over every contact that the whisker can hold: up to
         the tip, and up to the angle at which it flicks past; further unknowns have the cue's.
     model : {"closed_form", "elastica"}, optional
-        The rung of the mechanics; by default the cheapest that the scene needs.
+        The model of the mechanics. By default the elastica, which leaves nothing out on a
+        straight whisker without friction, and of which a table makes signals nearly as cheap as
+        the closed form's: there is nothing to choose. `why` says what the closed form would cost.
 
     Raises
     ------
     ValueError
-        For whisker fields that are arrays, chances of events with noise of something else or the
-        other way round, a prior of something that is not unknown, a prior
-        that has no overlap with the whisker's reach.
+        For anything but a whisker, a cue, noise and a mapping of priors, whisker fields that are
+        arrays, chances of events with noise of something else or the other way round, a prior of
+        something that is not unknown, a prior that has no overlap with the whisker's reach.
 
     Notes
     -----
-    Posteriors are explored in coordinates x that have no edges: x₁ = asinh(logit(r/reach)), in
-    which base and tip lie double-exponentially far off, and x₂ = y + ln(M/θ_d), with M the small-
-    angle moment and logistic(y + eʸ) the fraction of the largest θ_d at that r. Down low x₂ is
-    ln M, up high it closes in on the fold or the tip double-exponentially. So the tails of
-    posteriors are short, and the force map's ridge, along which M is constant, is straight. Any
-    further unknown has a coordinate in which its prior is the standard normal.
+    Observers are compared, and engines keep what they work out for them, by identity. Posteriors
+    are explored in the coordinates of `weberwhisk.coordinates`.
 
     Examples
     --------
@@ -67,37 +63,49 @@ class Observer:
     (('radial_distance',), (0.0, 0.05))
     """
 
-    def __init__(
-        self,
-        whisker: Whisker,
-        cue: Cue,
-        noise: ReceptorNoise | None = None,
-        prior: Mapping[str, Any] | None = None,
-        *,
-        model: str | None = None,
-    ) -> None:
-        straight(whisker)
-        if isinstance(cue, type) or not isinstance(cue, Cue):
-            raise ValueError(f"An observer needs a cue, got {cue!r}; write cues.Compliance(), say.")
-        if isinstance(noise, type) or not isinstance(noise, ReceptorNoise | None):
+    whisker: Whisker
+    cue: Cue
+    noise: ReceptorNoise = None  # type: ignore[assignment]  # the cue's own, then
+    prior: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    _: KW_ONLY
+    model: str | None = field(default=None, repr=False)
+    #: The change of variables between contacts and coordinates without edges.
+    space: ContactCoordinates = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        straight(self.whisker)
+        if isinstance(self.cue, type) or not isinstance(self.cue, Cue):
             raise ValueError(
-                f"An observer needs receptor noise, got {noise!r}; write receptors.Weber(0.1), say."
+                f"An observer needs a cue, got {shown(self.cue)}; write cues.Compliance(), say."
+            )
+        if isinstance(self.noise, type) or not isinstance(self.noise, ReceptorNoise | None):
+            raise ValueError(
+                f"An observer needs receptor noise, got {shown(self.noise)}; "
+                "write receptors.Weber(0.1), say."
             )
         for name in ("length", "base_radius", "tip_radius", "youngs_modulus", "curvature"):
-            if np.ndim(getattr(whisker, name)):
+            if np.ndim(getattr(self.whisker, name)):
                 raise ValueError(
-                    f"An observer has one whisker, got {np.size(getattr(whisker, name))} values of "
-                    f"{name}; make one Observer for each."
+                    f"An observer has one whisker, got {np.size(getattr(self.whisker, name))} "
+                    f"values of {name}; make one Observer for each."
                 )
-        self.whisker = whisker
-        self.cue = cue
-        self.noise: ReceptorNoise = cue.default_noise() if noise is None else noise
-        if isinstance(self.noise, Events) != isinstance(cue.default_noise(), Events):
+        prior = {**self.cue.priors(self.whisker), **_priors(self.prior, self.cue)}
+        if self.model is not None:
+            one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
+        set_ = object.__setattr__
+        set_(self, "noise", self.cue.default_noise() if self.noise is None else self.noise)
+        set_(self, "prior", MappingProxyType(prior))
+        set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
+        self._check_noise()
+
+    def _check_noise(self) -> None:
+        usual = self.cue.default_noise()
+        if isinstance(self.noise, Events) != isinstance(usual, Events):
             raise ValueError(
-                f"The signals of {cue!r} are not what this noise reports, got {self.noise!r}; "
-                f"leave noise out for {cue.default_noise()!r}."
+                f"The signals of {self.cue!r} are not what this noise reports, got "
+                f"{self.noise!r}; leave noise out for {usual!r}."
             )
-        size = len(cue.signal_names)
+        size = len(self.cue.signal_names)
         count = self.noise.reading_size(size)
         try:
             spread = np.shape(self.noise.sd(np.ones(size)))
@@ -105,46 +113,63 @@ class Observer:
             spread = ()
         if spread != (count,):
             raise ValueError(
-                f"The noise is not of {size} signals ({', '.join(cue.signal_names)}), got "
+                f"The noise is not of {size} signals ({', '.join(self.cue.signal_names)}), got "
                 f"{self.noise!r}; give one value, or one for each signal."
             )
-        for name, distribution in (prior or {}).items():
-            one_of("prior of", name, cue.unknowns)
-            if not hasattr(distribution, "support"):
-                raise ValueError(
-                    f"The prior of {name} must be a frozen SciPy distribution, got "
-                    f"{distribution!r}; write scipy.stats.uniform(10e-3, 20e-3), say."
-                )
-        if model is not None:
-            one_of("model", model, ("closed_form", "elastica", "profile", "rod"))
-        self.prior = {**cue.priors(whisker), **(prior or {})}
-        self.model = model
-        self._from_normal = {
-            name: _from_normal(self.prior[name])
-            for name in cue.unknowns
-            if name not in ("radial_distance", "deflection_angle")
-        }
-        #: How many unknowns the whisker bounds: the first ones; the rest have priors alone.
-        self.bounded = 2 if "deflection_angle" in cue.unknowns else 1
-        self.reach = self._range("radial_distance", cue.farthest(whisker))
 
     def __repr__(self) -> str:
         return f"Observer({self.whisker}, {self.cue!r}, {self.noise!r})"
+
+    def __reduce__(self) -> Any:  # its mappings are views, which do not pickle
+        return _made, (self.whisker, self.cue, self.noise, dict(self.prior), self.model)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
         """Names of what the cue does not know of the contact, radial distance first."""
         return self.cue.unknowns
 
-    def _range(self, name: str, top: float) -> tuple[float, float]:
-        low, high = self.prior[name].support() if name in self.prior else (0.0, np.inf)
-        low, high = max(float(low), 0.0), min(float(high), top)
-        if not low < high:
-            raise ValueError(
-                f"The prior of {name} has no overlap with what this whisker can reach, got "
-                f"{low:g} and more where the reach ends at {top:g}; give it in m (rad for angles)."
-            )
-        return low, high
+    @property
+    def bounded(self) -> int:
+        """How many unknowns the whisker bounds: the first ones; the rest have priors alone."""
+        return self.space.bounded
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Ends of the radial distance, m."""
+        return self.space.reach
+
+    @cached_property
+    def why(self) -> str:
+        """Which model of the mechanics serves this observer, and why.
+
+        The bias of the radial distance under the closed form is (JᵀWJ)⁻¹JᵀWδ to first order, with
+        δ what its signals are off by, and JᵀWJ the information: over 36 contacts of the reach,
+        from a tenth to nine tenths of the distances and of the angles.
+
+        Examples
+        --------
+        >>> from weberwhisk import cues
+        >>> print(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap()).why)
+        the elastica models all there is; the closed form is off by up to 10 JND, 0.1 allowed
+        """
+        if self.model is not None:
+            return f"{self.model} was asked for"
+        x = self.space.spread(np.linspace(0.1, 0.9, 6))
+        contact = self.contact(x)[0]
+        exact, outcome = self.signals(contact)
+        rough, held = self.cue.signals(self.whisker, contact, model="closed_form")
+        known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
+        contact, exact, off = contact[known], exact[known], (rough - exact)[known]
+        unit = np.maximum(np.abs(contact), 1e-12)
+        slope = self.cue.jacobian(self.whisker, contact) * unit[:, None]
+        weight = np.swapaxes(slope, -1, -2) @ self.noise.fisher(exact)
+        prior = self.prior_information(contact) * unit[:, None] * unit[..., None]
+        inverse = np.linalg.pinv(weight @ slope + prior, rcond=1e-12, hermitian=True)
+        bias = (inverse @ weight @ off[..., None])[:, 0, 0] / np.sqrt(inverse[:, 0, 0])
+        return (
+            "the elastica models all there is; the closed form is off by up to "
+            f"{np.max(np.abs(bias), initial=0.0):.2g} JND, 0.1 allowed"
+        )
 
     # -- coordinates ---------------------------------------------------------------------------
 
@@ -155,23 +180,9 @@ class Observer:
         contact, so that theirs is ln |d contact/dx|.
         """
         x = np.asarray(x, dtype=float)
-        low, high = self.reach
-        out = np.empty(x.shape)
-        fraction, log_prior = _place(x[..., 0])
-        # Rounding must not put a contact on an edge, where there is none.
-        out[..., 0] = np.clip(
-            low + (high - low) * fraction, np.nextafter(low, high), np.nextafter(high, low)
-        )
-        log_prior += np.log(high - low)
-        if self.bounded > 1:
-            low_angle, width = self.angle_range(out[..., 0])
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                fraction, log_slope = _squash(x[..., 1] - self._shear(out[..., 0], width))
-                out[..., 1] = low_angle + width * fraction
-                log_prior += np.where(width > 0, np.log(width) + log_slope, -np.inf)
+        out, log_prior = self.space.constrain(x)
         for i, name in enumerate(self.unknowns[: x.shape[-1]]):
             if i >= self.bounded:
-                out[..., i] = self._from_normal[name](x[..., i])
                 log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
             elif name in self.prior:
                 log_prior = log_prior + self.prior[name].logpdf(out[..., i])
@@ -179,32 +190,19 @@ class Observer:
 
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
-        contact = np.asarray(contact, dtype=float)
-        low, high = self.reach
-        out = np.empty(contact.shape)
-        out[..., 0] = _unplace((contact[..., 0] - low) / (high - low))
-        if self.bounded > 1:
-            low_angle, width = self.angle_range(contact[..., 0])
-            out[..., 1] = _unsquash((contact[..., 1] - low_angle) / width) + self._shear(
-                contact[..., 0], width
-            )
-        for i in range(self.bounded, contact.shape[-1]):
-            out[..., i] = _to_normal(self.prior[self.unknowns[i]], contact[..., i])
-        return out
+        return self.space.unconstrain(contact)
 
     def spread(self, fractions: Array) -> Array:
-        """Coordinates (n, U) of contacts at all combinations of fractions of each range.
+        """Coordinates (n, U) of contacts at all combinations of fractions of each range."""
+        return self.space.spread(fractions)
 
-        Unknowns that have priors alone take `OTHERS` values within 2.5 sd of the middle.
-        """
-        bounded = [f(fractions) for f in (_unplace, _unsquash)[: self.bounded]]
-        others = [np.linspace(-2.5, 2.5, OTHERS)] * (len(self.unknowns) - self.bounded)
-        x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *others, indexing="ij")], axis=-1)
-        if self.bounded > 1:
-            low, high = self.reach
-            r = low + (high - low) * _place(x[:, 0])[0]
-            x[:, 1] += self._shear(r, self.angle_range(r)[1])
-        return x
+    def angle_range(self, r: Array) -> tuple[float, Array]:
+        """Lowest deflection angle and width of the range open at each distance."""
+        return self.space.angle_range(r)
+
+    def last_unknown(self, z: Array) -> Array:
+        """The last unknown's values (...) at its coordinate z."""
+        return self.space.constrain_last(z)
 
     def at_middle(self, contact: ArrayLike) -> Array:
         """Contacts (..., U) of the first unknowns (..., ≤ U), the others at their prior medians."""
@@ -224,7 +222,7 @@ class Observer:
         out = np.zeros((*contact.shape, contact.shape[-1]))
         for i in range(self.bounded, contact.shape[-1]):
             distribution = self.prior[self.unknowns[i]]
-            z = _to_normal(distribution, contact[..., i])
+            z = to_normal(distribution, contact[..., i])
             slope = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / distribution.pdf(contact[..., i])
             out[..., i, i] = slope**-2
         return out
@@ -250,24 +248,6 @@ class Observer:
             density = density * width
         return np.where(inside, density, 0.0)
 
-    def _shear(self, r: Array, width: Array) -> Array:
-        """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
-        w = self.whisker
-        # Where a prior leaves no angle there is nothing to shear.
-        width = np.maximum(width, np.finfo(float).tiny)
-        return np.asarray(np.log(width * w.length * (1 / r - 1 / w.apex_distance)))
-
-    def angle_range(self, r: Array) -> tuple[float, Array]:
-        """Lowest deflection angle and width of the range open at each distance."""
-        limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
-        if hasattr(self.cue, "largest_angle"):
-            limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
-        low = 0.0
-        if "deflection_angle" in self.prior:
-            low, high = self._range("deflection_angle", np.pi)
-            limit = np.minimum(limit, high)
-        return low, np.maximum(limit - low, 0.0)
-
     # -- densities -----------------------------------------------------------------------------
 
     def signals(self, contact: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
@@ -280,10 +260,6 @@ class Observer:
         What does not depend on it is worked out once.
         """
         return given(self.cue, self.whisker, np.asarray(contact, dtype=float), model=self.model)
-
-    def last_unknown(self, z: Array) -> Array:
-        """The last unknown's values (...) at its coordinate z."""
-        return self._from_normal[self.unknowns[-1]](z)
 
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
@@ -381,64 +357,26 @@ def _of_signals(noise: ReceptorNoise) -> bool:
     return isinstance(noise, Gaussian | LogNormal | Events)
 
 
-def _from_normal(distribution: Any) -> Callable[[Array], Array]:
-    """The value as far up its distribution as z is up the standard normal, as a function of z."""
-    family = getattr(getattr(distribution, "dist", None), "name", None)
-    if family == "norm":
-        mean, sd = float(distribution.mean()), float(distribution.std())
-        return lambda z: mean + sd * z
-    if family == "lognorm" and distribution.support()[0] == 0.0:
-        middle, above = distribution.ppf([0.5, ndtr(1.0)])
-        spread = np.log(above / middle)
-        return lambda z: np.asarray(middle * np.exp(spread * z))
-    if family == "uniform":
-        low, high = distribution.support()
-        return lambda z: np.asarray(low + (high - low) * ndtr(z))
-
-    def value(z: Array) -> Array:
-        z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
-        below, tail = z < 0, ndtr(-np.abs(z))
-        out = np.empty(z.shape)
-        out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
-        return out
-
-    return value
+def _made(
+    whisker: Whisker, cue: Cue, noise: ReceptorNoise, prior: dict[str, Any], model: str | None
+) -> Observer:
+    return Observer(whisker, cue, noise, prior, model=model)
 
 
-def _to_normal(distribution: Any, value: Array) -> Array:
-    """Where on the standard normal a value of a distribution is."""
-    below, above = distribution.cdf(value), distribution.sf(value)
-    return np.where(below < above, ndtri(below), -ndtri(above))
-
-
-def _place(y: Array) -> tuple[Array, Array]:
-    """f = logistic(sinh y) and the ln of its slope."""
-    z = np.sinh(np.clip(y, -FARTHEST, FARTHEST))
-    distance = np.abs(z)
-    tail = np.exp(-distance)
-    upper = 1 / (1 + tail)
-    log_slope = -distance + 2 * np.log(upper) + 0.5 * np.log1p(z * z)
-    return np.where(z < 0, tail * upper, upper), log_slope
-
-
-def _unplace(fraction: Array) -> Array:
-    """The y of a fraction."""
-    return np.asarray(np.arcsinh(logit(fraction)))
-
-
-def _squash(y: Array) -> tuple[Array, Array]:
-    """f = logistic(y + eʸ) and the ln of its slope."""
-    growth = np.exp(np.minimum(y, 30.0))
-    z = y + growth
-    distance = np.abs(z)
-    tail = np.exp(-distance)
-    upper = 1 / (1 + tail)
-    log_slope = -distance + 2 * np.log(upper) + np.log1p(growth)
-    return np.where(z < 0, tail * upper, upper), log_slope
-
-
-def _unsquash(fraction: Array) -> Array:
-    """The y of a fraction: eʸ is Wright's ω of its logit."""
-    z = logit(fraction)
-    omega = wrightomega(z)
-    return np.where(z > 0, np.log(omega), z - omega)
+def _priors(prior: Any, cue: Cue) -> Mapping[str, Any]:
+    """The priors given, refused where they are not distributions of the cue's unknowns."""
+    if prior is None:
+        return {}
+    if not isinstance(prior, Mapping):
+        raise ValueError(
+            f"prior must be a mapping of unknown to distribution, got {shown(prior)}; "
+            'write {"radial_distance": scipy.stats.uniform(10e-3, 20e-3)}, say.'
+        )
+    for name, distribution in prior.items():
+        one_of("prior of", name, cue.unknowns)
+        if not hasattr(distribution, "support"):
+            raise ValueError(
+                f"The prior of {name} must be a frozen SciPy distribution, got "
+                f"{distribution!r}; write scipy.stats.uniform(10e-3, 20e-3), say."
+            )
+    return prior

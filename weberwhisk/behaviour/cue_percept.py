@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -150,8 +149,7 @@ class CuePercept:
 
     def _jnd(self, stimulus: ArrayLike, noise: ReceptorNoise) -> Array:
         """Noise carried to distance, in the stimulus's unit; NaN where it cannot be told."""
-        observer = copy(self.observer)
-        observer.noise = noise
+        observer = replace(self.observer, noise=noise)
         jnd = weber_propagation(observer, self._contact(stimulus)) / self.unit
         # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.
         return np.where(np.isfinite(jnd), jnd, np.nan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -74,7 +75,8 @@ def distance_percept(
         )
     angle = float(angles[0]) if angles.size else None
     if cue not in SCENES:
-        observer.noise = _receptors(receptors or "weber", observer, angle)
+        noise = _receptors(receptors or "weber", observer, angle)
+        observer = replace(observer, noise=noise)
     elif receptors:
         raise ValueError(
             f"The cue {cue} has receptors of its own, got --receptors {receptors}; leave it out, "

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from ..observer import OTHERS, Observer
+from ..observer import Observer
 from ..receptors import Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
@@ -33,6 +33,8 @@ UNEXPLAINED = 5.0
 LEFT = 0.4
 #: The most, in ln, that a peak has left to gain, and the least curvature, 1/x², that makes it one.
 _SETTLED, _CURVED = 1e-6, 1e-2
+#: Values of each unknown that has a prior alone on the coarse grid.
+OTHERS = 7
 _STEP = 1e-4  # of the finite differences, in x: posteriors there are 0.005 wide and wider
 
 
@@ -180,7 +182,7 @@ def _coarse(
     """The coarse grid (n, U), or places; ln of readings' densities (B, n) there; its shape."""
     dim = len(observer.unknowns)
     fractions = _COARSE[min(dim, 2)]
-    grid = observer.spread(fractions) if places is None else places
+    grid = observer.space.spread(fractions, others=OTHERS) if places is None else places
     shape = (fractions.size,) * observer.bounded + (OTHERS,) * (dim - observer.bounded)
     contact, log_prior = observer.contact(grid)
     signals, outcome = observer.signals(contact)

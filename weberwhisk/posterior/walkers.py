@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..observer import FARTHEST, Observer
+from ..coordinates import FARTHEST
+from ..observer import Observer
 from ..receptors import Events, Seed
 from .densities import Density
 from .ensemble import (

@@ -1,0 +1,246 @@
+"""Contacts in coordinates without edges: the change of variables of every posterior.
+
+Radial distance and deflection angle are bounded, by the tip and by the angle at which the whisker
+flicks past; any further unknown has a prior alone. Posteriors are explored in x, in which there
+are no bounds: `constrain` carries x to the contact, `unconstrain` back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logit, ndtr, ndtri, wrightomega
+
+from .cues.protocol import Cue
+from .mechanics.surface import surface_of
+from .whisker import Whisker
+
+Array = NDArray[np.float64]
+
+#: x₁ at the ends of the reach, as far as numbers go: the fraction 1e-32 and its mirror image.
+FARTHEST = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class ContactCoordinates:
+    """The bijection between the contacts open to an observer and x in ℝᵁ.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    cue : Cue
+    prior : mapping of name to frozen SciPy distribution
+        Their supports bound distance and angle further; each unknown that the whisker does not
+        bound needs one.
+
+    Attributes
+    ----------
+    bounded : int
+        How many unknowns the whisker bounds: the first ones.
+    reach : (float, float)
+        Ends of the radial distance, m.
+
+    Raises
+    ------
+    ValueError
+        For a prior of the distance that has no overlap with the whisker's reach.
+
+    Notes
+    -----
+    x₁ = asinh(logit(r/reach)), in which base and tip lie double-exponentially far off, and
+    x₂ = y + ln(M/θ_d), with M the small-angle moment and logistic(y + eʸ) the fraction of the
+    largest θ_d at that r. Down low x₂ is ln M, up high it closes in on the fold or the tip
+    double-exponentially. So the tails of posteriors are short, and the force map's ridge, along
+    which M is constant, is straight. Any further unknown has a coordinate in which its prior is
+    the standard normal.
+
+    Examples
+    --------
+    >>> from weberwhisk import cues
+    >>> space = ContactCoordinates(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap(), {})
+    >>> contact, log_jacobian = space.constrain([0.0, 1.0])
+    >>> contact.round(4), space.unconstrain(contact).round(12)
+    (array([0.025 , 0.7024]), array([0., 1.]))
+    """
+
+    whisker: Whisker
+    cue: Cue
+    prior: Mapping[str, Any]
+    bounded: int = field(init=False)
+    reach: tuple[float, float] = field(init=False)
+    _from_normal: Mapping[str, Callable[[Array], Array]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        further = self.cue.unknowns[2 if "deflection_angle" in self.cue.unknowns else 1 :]
+        values = {
+            "bounded": len(self.cue.unknowns) - len(further),
+            "reach": self._range("radial_distance", self.cue.farthest(self.whisker)),
+            "_from_normal": {name: from_normal(self.prior[name]) for name in further},
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _range(self, name: str, top: float) -> tuple[float, float]:
+        low, high = self.prior[name].support() if name in self.prior else (0.0, np.inf)
+        low, high = max(float(low), 0.0), min(float(high), top)
+        if not low < high:
+            raise ValueError(
+                f"The prior of {name} has no overlap with what this whisker can reach, got "
+                f"{low:g} and more where the reach ends at {top:g}; give it in m (rad for angles)."
+            )
+        return low, high
+
+    def constrain(self, x: ArrayLike) -> tuple[Array, Array]:
+        """The contact (..., U) at x (..., U), and ln|d contact/dx| of the bounded unknowns (...).
+
+        Of the first unknowns alone where x has fewer.
+        """
+        x = np.asarray(x, dtype=float)
+        low, high = self.reach
+        out = np.empty(x.shape)
+        fraction, log_jacobian = constrain_distance(x[..., 0])
+        # Rounding must not put a contact on an edge, where there is none.
+        out[..., 0] = np.clip(
+            low + (high - low) * fraction, np.nextafter(low, high), np.nextafter(high, low)
+        )
+        log_jacobian += np.log(high - low)
+        if self.bounded > 1:
+            low_angle, width = self.angle_range(out[..., 0])
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                fraction, log_slope = constrain_angle(
+                    x[..., 1] - self._log_gain(out[..., 0], width)
+                )
+                out[..., 1] = low_angle + width * fraction
+                log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
+        for i in range(self.bounded, x.shape[-1]):
+            out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
+        return out, log_jacobian
+
+    def unconstrain(self, contact: ArrayLike) -> Array:
+        """The coordinates x (..., U) of a contact (..., U) inside the reach."""
+        contact = np.asarray(contact, dtype=float)
+        low, high = self.reach
+        out = np.empty(contact.shape)
+        out[..., 0] = unconstrain_distance((contact[..., 0] - low) / (high - low))
+        if self.bounded > 1:
+            low_angle, width = self.angle_range(contact[..., 0])
+            fraction = (contact[..., 1] - low_angle) / width
+            out[..., 1] = unconstrain_angle(fraction) + self._log_gain(contact[..., 0], width)
+        for i in range(self.bounded, contact.shape[-1]):
+            out[..., i] = to_normal(self.prior[self.cue.unknowns[i]], contact[..., i])
+        return out
+
+    def constrain_last(self, z: Array) -> Array:
+        """The last unknown's values (...) at its coordinate z, where the whisker bounds it not."""
+        return self._from_normal[self.cue.unknowns[-1]](z)
+
+    def spread(self, fractions: Array, *, others: int = 7) -> Array:
+        """Coordinates (n, U) of contacts at all combinations of fractions of each range.
+
+        Unknowns that have priors alone take as many values as `others`, within 2.5 sd of the
+        middle.
+        """
+        bounded = [f(fractions) for f in (unconstrain_distance, unconstrain_angle)[: self.bounded]]
+        further = [np.linspace(-2.5, 2.5, others)] * (len(self.cue.unknowns) - self.bounded)
+        x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *further, indexing="ij")], axis=-1)
+        if self.bounded > 1:
+            low, high = self.reach
+            r = low + (high - low) * constrain_distance(x[:, 0])[0]
+            x[:, 1] += self._log_gain(r, self.angle_range(r)[1])
+        return x
+
+    def angle_range(self, r: Array) -> tuple[float, Array]:
+        """Lowest deflection angle and width of the range open at each distance."""
+        limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
+        if hasattr(self.cue, "largest_angle"):
+            limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
+        low = 0.0
+        if "deflection_angle" in self.prior:
+            low, high = self._range("deflection_angle", np.pi)
+            limit = np.minimum(limit, high)
+        return low, np.maximum(limit - low, 0.0)
+
+    def _log_gain(self, r: Array, width: Array) -> Array:
+        """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
+        w = self.whisker
+        # Where a prior leaves no angle there is nothing to carry.
+        width = np.maximum(width, np.finfo(float).tiny)
+        return np.asarray(np.log(width * w.length * (1 / r - 1 / w.apex_distance)))
+
+
+def constrain_distance(y: Array) -> tuple[Array, Array]:
+    """The fraction logistic(sinh y) and the ln of its slope.
+
+    Examples
+    --------
+    >>> unconstrain_distance(constrain_distance(np.array([-1.0, 2.0]))[0]).round(12)
+    array([-1.,  2.])
+    """
+    z = np.sinh(np.clip(y, -FARTHEST, FARTHEST))
+    return _logistic(z, 0.5 * np.log1p(z * z))
+
+
+def unconstrain_distance(fraction: Array) -> Array:
+    """The y of a fraction."""
+    return np.asarray(np.arcsinh(logit(fraction)))
+
+
+def constrain_angle(y: Array) -> tuple[Array, Array]:
+    """The fraction logistic(y + eʸ) and the ln of its slope.
+
+    Examples
+    --------
+    >>> unconstrain_angle(constrain_angle(np.array([-1.0, 2.0]))[0]).round(12)
+    array([-1.,  2.])
+    """
+    growth = np.exp(np.minimum(y, 30.0))
+    return _logistic(y + growth, np.log1p(growth))
+
+
+def unconstrain_angle(fraction: Array) -> Array:
+    """The y of a fraction: eʸ is Wright's ω of its logit."""
+    z = logit(fraction)
+    omega = wrightomega(z)
+    return np.where(z > 0, np.log(omega), z - omega)
+
+
+def _logistic(z: Array, log_slope: Array) -> tuple[Array, Array]:
+    """logistic(z) and ln of its slope, where ln dz/dy is `log_slope`."""
+    distance = np.abs(z)
+    tail = np.exp(-distance)
+    upper = 1 / (1 + tail)
+    return np.where(z < 0, tail * upper, upper), 2 * np.log(upper) - distance + log_slope
+
+
+def from_normal(distribution: Any) -> Callable[[Array], Array]:
+    """The value as far up its distribution as z is up the standard normal, as a function of z."""
+    family = getattr(getattr(distribution, "dist", None), "name", None)
+    if family == "norm":
+        mean, sd = float(distribution.mean()), float(distribution.std())
+        return lambda z: mean + sd * z
+    if family == "lognorm" and distribution.support()[0] == 0.0:
+        middle, above = distribution.ppf([0.5, ndtr(1.0)])
+        spread = np.log(above / middle)
+        return lambda z: np.asarray(middle * np.exp(spread * z))
+    if family == "uniform":
+        low, high = distribution.support()
+        return lambda z: np.asarray(low + (high - low) * ndtr(z))
+
+    def value(z: Array) -> Array:
+        z = np.clip(z, -37.0, 37.0)  # probabilities above the smallest there is
+        below, tail = z < 0, ndtr(-np.abs(z))
+        out = np.empty(z.shape)
+        out[below], out[~below] = distribution.ppf(tail[below]), distribution.isf(tail[~below])
+        return out
+
+    return value
+
+
+def to_normal(distribution: Any, value: Array) -> Array:
+    """Where on the standard normal a value of a distribution is."""
+    below, above = distribution.cdf(value), distribution.sf(value)
+    return np.where(below < above, ndtri(below), -ndtri(above))
