@@ -6,9 +6,13 @@ import multiprocessing
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import weberwhisk as ww
+from weberwhisk.behaviour import IdentityPercept, fit_population, fit_weber, simulate_population
 from weberwhisk.campaign import all_cores
+from weberwhisk.design import Hypothesis, Scheme, information
+from weberwhisk.design.experiments import fit
 from weberwhisk.posterior import threads, walkers
 
 
@@ -58,3 +62,28 @@ def test_numpy_errors_are_raised_or_not_as_the_caller_has_set(
     monkeypatch.setattr(threads, "thread_count", lambda: 2)
     with np.errstate(divide="ignore"):
         assert list(threads.on_threads(np.log, np.zeros(3))) == [-np.inf] * 3
+
+
+def test_fits_and_designs_keep_blas_to_one_thread() -> None:
+    """Six animals took eight times as long where BLAS had two threads on a busy machine."""
+    seen = []
+
+    class Watched(IdentityPercept):
+        def mean(self, stimulus: np.ndarray) -> np.ndarray:
+            blas = [p for p in threadpool_info() if p["user_api"] == "blas"]
+            seen.append(max(p["num_threads"] for p in blas))
+            return super().mean(stimulus)
+
+    trials, _ = simulate_population(2, trials_per_level=2, seed=1)
+    scheme, watched = Scheme([1.0], [-0.2, 0.2], 4), Hypothesis("a", Watched())
+    with threadpool_limits(2, user_api="blas"):
+        for work in (
+            lambda: fit_weber(trials.select(subject="s1"), percept=Watched()),
+            lambda: fit_population(trials, percept=Watched()),
+            lambda: fit(watched, scheme, np.ones((1, 1, 2))),
+            lambda: information([watched], [1.0], [0.1]),
+        ):
+            seen.clear()
+            work()
+            assert set(seen) == {1}
+        assert max(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas") == 2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from ..posterior.threads import one_blas_thread
 from .effects import Effect, check_effects
 from .likelihood import WeberModel, gather
 from .percepts import NOISES, Percept, chosen_percept, percept_for, refuse_unfelt, unit_percepts
@@ -23,6 +24,7 @@ METHODS = ("quadrature", "emcee")
 MOST_BY_QUADRATURE = 5  # parameters; one more costs a sampler less than a grid
 
 
+@one_blas_thread
 def fit_weber(
     trials: Trials,
     *,

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from ..posterior.threads import one_blas_thread
 from .criticism import check_fit
 from .likelihood import WeberModel
 from .posteriors import GridPosterior
@@ -57,6 +58,7 @@ class WeberLawTest:
         )
 
 
+@one_blas_thread
 def weber_law_test(fit: WeberFit) -> WeberLawTest:
     """Shared k against k per standard by exact evidence.
 

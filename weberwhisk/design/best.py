@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
+from ..posterior.threads import one_blas_thread
 from .experiments import compare, fit, simulate
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis
@@ -55,6 +56,7 @@ class Best:
     table: pd.DataFrame = field(repr=False)
 
 
+@one_blas_thread
 def best_scheme(
     hypotheses: Sequence[Hypothesis],
     *,

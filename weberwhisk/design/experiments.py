@@ -20,6 +20,7 @@ from scipy.stats import beta as beta_distribution
 
 from ..behaviour.priors import Priors
 from ..behaviour.quadrature import score_prior
+from ..posterior.threads import one_blas_thread
 from .coding import decode
 from .goals import Animals
 from .hypotheses import Hypothesis
@@ -112,6 +113,7 @@ def simulate(
     return counts.astype(float), k[:, 0] if scheme.animals == 1 else middle
 
 
+@one_blas_thread
 def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     """Weigh a hypothesis by every experiment.
 

@@ -20,6 +20,7 @@ from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts, unit_percepts
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
+from ..posterior.threads import one_blas_thread
 from .boxes import passes
 from .goals import Animals
 from .hypotheses import Hypothesis, told_apart
@@ -33,6 +34,7 @@ REACH = 4.0  # prior sds
 THRESHOLDS = 161  # bins of the log of a JND
 
 
+@one_blas_thread
 def information(
     hypotheses: Sequence[Hypothesis],
     standards: ArrayLike,

@@ -8,8 +8,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
-from functools import cache
-from typing import TypeVar
+from functools import cache, wraps
+from typing import ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -17,6 +17,7 @@ from ..cores import core_count
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 
 
 _inside: ContextVar[bool] = ContextVar("inside a thread of on_threads", default=False)
@@ -37,6 +38,26 @@ def thread_count() -> int:
 def _libraries() -> ThreadpoolController:
     """The libraries of linear algebra, whose own threads spin while they wait for work."""
     return ThreadpoolController()
+
+
+def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """The same function, while BLAS keeps to one thread.
+
+    Its products are many and small: with a thread more each of them waits for the other thread to
+    wake, and where cores are shared that takes tens of times as long.
+
+    Examples
+    --------
+    >>> one_blas_thread(abs)(-1)
+    1
+    """
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _libraries().limit(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
 
 
 def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
