@@ -77,3 +77,51 @@ def test_what_the_closed_form_would_cost_is_true():
 def test_every_cue_says_why():
     for cue in CUES.values():
         assert ww.Observer(W, cue).why.endswith("allowed")
+
+
+SCENES = [cues.Compliance(), cues.ForceMap(), cues.SpaceMap()]
+
+
+@pytest.mark.parametrize("method", ["quadrature", "laplace"])
+@pytest.mark.parametrize("cue", SCENES, ids=repr)
+def test_a_missing_reading_leaves_the_others_as_they_are(cue, method):
+    observer = ww.Observer(W, cue)
+    contact = observer.contact(observer.space.spread(np.array([0.3, 0.4, 0.5])))[0][:3]
+    readings = observer.read(contact, seed=1)
+    broken = np.insert(readings, [0, 2], np.nan, axis=0)
+    broken[0, 0] = np.inf
+    known = np.isfinite(broken).all(axis=1)
+    p, whole = (ww.posterior(observer, y, method) for y in (broken, readings))
+    lost = ww.Status.NOT_A_READING
+    assert np.array_equal(p.status == lost, ~known)
+    for name, estimate in whole.estimates.items():
+        for ours, theirs in zip(p.estimates[name], estimate, strict=True):
+            assert np.array_equal(ours[known], theirs)
+            assert np.isnan(ours[~known]).all()
+    assert np.array_equal(p.interval()[known], whole.interval())
+    assert np.isnan(p.interval()[~known]).all()
+    assert p.to_arviz(draws=10)["posterior"]["radial_distance"].shape == (4, 10, 5)
+    table = p.summary()
+    assert (table.status == lost.message).sum() == 2 * len(observer.unknowns)
+    assert np.array_equal(p.outcome == ww.Outcome.NOT_A_READING, ~known)
+
+
+def test_nothing_but_missing_readings():
+    observer = ww.Observer(W, cues.ForceMap())
+    for reading in ([np.nan, 1.0], [[np.nan, 1.0]]):
+        p = ww.posterior(observer, reading, "emcee", seed=1)
+        assert np.isnan(p.mean)
+        assert p.status == ww.Status.NOT_A_READING
+    assert ww.posterior(observer, np.empty((0, 2))).mean.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "cue", [cues.ForceMap(), cues.ForceMap("moment", deflection_angle=0.2)], ids=repr
+)
+def test_readings_in_another_unit_are_told(cue):
+    observer = ww.Observer(W, cue)
+    contact = observer.contact(observer.space.spread(np.linspace(0.1, 0.8, 4)))[0]
+    right = observer.read(contact, seed=1)
+    ww.posterior(observer, right)  # without a word
+    with pytest.warns(UserWarning, match="did you pass mN"):
+        ww.posterior(observer, 1e3 * right)

@@ -137,6 +137,7 @@ def test_a_negative_reading_is_improbable_unless_noise_is_large():
     assert np.isfinite([large.mean, large.sd]).all()
 
 
+@pytest.mark.filterwarnings("ignore:.*did you pass mN")
 def test_a_reading_from_far_inside_the_base():
     observer = ww.Observer(W, Compliance(), Weber(0.1))
     p = ww.posterior(observer, observer.signals([1e-5 * W.length])[0])

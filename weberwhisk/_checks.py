@@ -10,12 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
-    """`value` as a float array, refused where it is text, NaN or infinite."""
+def numbers(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+    """`value` as a float array, NaN and infinite values included, refused where it is text."""
     try:
-        array = np.asarray(value, dtype=float)
+        return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number, got {value!r}; {hint}.") from None
+
+
+def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+    """`value` as a float array, refused where it is text, NaN or infinite."""
+    array = numbers(name, value, hint)
     if not np.all(np.isfinite(array)):
         raise ValueError(
             f"{name} must be finite, got {_first(array, ~np.isfinite(array))}; {hint}."

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import finite, one_of, shown
+from ._checks import finite, numbers, one_of, shown
 from .coordinates import ContactCoordinates, to_normal
 from .cues.protocol import Cue, given, straight
 from .mechanics.contact import Outcome
@@ -295,13 +295,28 @@ class Observer:
     def reading_outcome(self, reading: ArrayLike) -> NDArray[np.int8]:
         """What the cue's method, taken by itself and as exact, makes of readings (..., R).
 
-        An `Outcome` each: `HELD` where it finds a contact, for cues without an inverse, and where
-        readings are not of the signals themselves (spikes are counts).
+        An `Outcome` each: `NOT_A_READING` where a number is missing; `HELD` where it finds a
+        contact, for cues without an inverse, and where readings are not of the signals themselves
+        (spikes are counts).
         """
-        y = self.checked_reading(reading)
+        y = self.checked_reading(reading, missing=True)
         if not (hasattr(self.cue, "reading_outcome") and _of_signals(self.noise)):
-            return np.zeros(y.shape[:-1], dtype=np.int8)
-        return np.asarray(self.cue.reading_outcome(self.whisker, y), dtype=np.int8)
+            known = np.isfinite(y).all(axis=-1)
+            return np.where(known, Outcome.HELD, Outcome.NOT_A_READING).astype(np.int8)
+        rows = y.reshape(-1, y.shape[-1])
+        outcome = np.full(len(rows), Outcome.NOT_A_READING, dtype=np.int8)
+        known = np.isfinite(rows).all(axis=1)
+        if known.any():
+            outcome[known] = self.cue.reading_outcome(self.whisker, rows[known])
+        return outcome.reshape(y.shape[:-1])
+
+    @cached_property
+    def usual_reading(self) -> Array:
+        """Magnitudes (R,) that readings of three quarters of the whisker's contacts stay below."""
+        contact = self.contact(self.space.spread(np.linspace(0.1, 0.9, 9)))[0]
+        signals, outcome = self.signals(contact)
+        size = np.abs(self.noise.mean(signals[outcome == Outcome.HELD]))
+        return np.quantile(size, 0.75, axis=0) if size.size else np.full(size.shape[1:], np.inf)
 
     def read(self, contact: ArrayLike, seed: Seed = None) -> Array:
         """Noisy readings (..., S) of a contact (..., U).
@@ -333,9 +348,10 @@ class Observer:
             )
         return array
 
-    def checked_reading(self, reading: ArrayLike) -> Array:
-        """`reading` as an array (..., S) of finite numbers."""
-        array = finite("reading", reading, "give the base signals in SI units")
+    def checked_reading(self, reading: ArrayLike, *, missing: bool = False) -> Array:
+        """`reading` as an array (..., S) of finite numbers, or with `missing` also of others."""
+        hint = "give the base signals in SI units"
+        array = numbers("reading", reading, hint) if missing else finite("reading", reading, hint)
         count = self.noise.reading_size(len(self.cue.signal_names))
         if count == 1 and (array.ndim == 0 or array.shape[-1] != 1):
             array = array[..., None]

@@ -31,6 +31,7 @@ class Outcome(IntEnum):
     CONTRADICTORY = 12
     ONE_SIDED = 13
     AT_LIMIT = 14
+    NOT_A_READING = 15
 
     @property
     def message(self) -> str:
@@ -57,6 +58,7 @@ _MESSAGES = {
     "from one end of the side",
     Outcome.AT_LIMIT: "at the limit: an object that the tip met bends the whisker almost as far as "
     "it can be held, where slips are not known well enough",
+    Outcome.NOT_A_READING: "not a reading: a number of it is missing or infinite",
     Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
 }
 

@@ -32,6 +32,7 @@ class Status(IntEnum):
     IMPRECISE = 4
     NOT_CONVERGED = 5
     SEVERAL_PEAKS = 6
+    NOT_A_READING = 7
 
     @property
     def message(self) -> str:
@@ -48,6 +49,7 @@ _MESSAGES = {
     Status.IMPRECISE: "the estimated error is above the tolerance",
     Status.NOT_CONVERGED: "the walkers have not converged",
     Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
+    Status.NOT_A_READING: "not a reading: a number of it is missing or infinite",
 }
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
-from .result import Estimate
+from .result import Estimate, Status
 
 if TYPE_CHECKING:
     from .mode import Mode
@@ -41,6 +41,36 @@ class Solution(NamedTuple):
             lambda p, unknown: self.quantile_of(p, unknown)[rows],
             lambda count, seed: self.draws_of(count, seed)[rows],
         )
+
+    def among(self, known: NDArray[np.bool_]) -> Solution:
+        """The same among readings (B,) of which the others are not known: NaN for those."""
+
+        def put(values: Array) -> Array:
+            out = np.full((len(known), *values.shape[1:]), np.nan)
+            out[known] = values
+            return out
+
+        status = np.full(len(known), Status.NOT_A_READING, dtype=np.int8)
+        status[known] = self.status
+        return Solution(
+            [Estimate(*map(put, estimate)) for estimate in self.estimates],
+            status,
+            put(self.log_evidence),
+            lambda p, unknown: put(self.quantile_of(p, unknown)),
+            lambda count, seed: put(self.draws_of(count, seed)),
+        )
+
+
+def of_nothing(unknowns: int) -> Solution:
+    """The solution for no reading at all."""
+    none = np.empty(0)
+    return Solution(
+        [Estimate(none, none, none, none)] * unknowns,
+        np.empty(0, dtype=np.int8),
+        none,
+        lambda p, unknown: np.empty((0, len(p))),
+        lambda count, seed: np.empty((0, 4, count, unknowns)),
+    )
 
 
 def mode_root(mode: Mode, *, widen: float = 1.0) -> Array:

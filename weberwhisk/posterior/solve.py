@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,7 @@ from ..observer import Observer
 from ..receptors import Seed
 from .apart import factors_of, solve_apart
 from .result import Estimate, Posterior, Status
-from .solution import Array, Solution
+from .solution import Array, Solution, of_nothing
 
 #: Each method's module and function; imported when first asked for, as emcee is heavy.
 _METHODS = {
@@ -68,12 +69,12 @@ def posterior(
     Returns
     -------
     Posterior
-        With a `Status` for every reading.
+        With a `Status` for every reading; `NOT_A_READING`, and NaN, where a number is missing.
 
     Raises
     ------
     ValueError
-        For a reading of the wrong shape or not finite, an unknown method, a tolerance that is
+        For a reading of the wrong shape or of text, an unknown method, a tolerance that is
         not positive.
 
     Examples
@@ -88,7 +89,7 @@ def posterior(
     module, function = _METHODS[one_of("method", method, _METHODS)]
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance must be above zero, got {tolerance!r}; write 1e-3, say.")
-    y = observer.checked_reading(reading)
+    y = observer.checked_reading(reading, missing=True)
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])
     solve = getattr(import_module(f".{module}", __package__), function)
@@ -98,10 +99,16 @@ def posterior(
         found: Solution = solve(observer, rows, seed, tolerance, progress)
         return found
 
-    factors = factors_of(observer)
-    solution = (
-        solved(observer, rows) if factors is None else solve_apart(solved, observer, factors, rows)
-    )
+    known = np.asarray(np.isfinite(rows).all(axis=1))
+    if not known.any():
+        solution = of_nothing(len(observer.unknowns))
+    elif (factors := factors_of(observer)) is None:
+        solution = solved(observer, rows[known])
+    else:
+        solution = solve_apart(solved, observer, factors, rows[known])
+    _hint_at_units(observer, rows[known], solution)
+    if not known.all():
+        solution = solution.among(known)
 
     def shaped(values: Array) -> Any:
         return values[0] if single else values
@@ -119,3 +126,23 @@ def posterior(
         solution.quantile_of,
         solution.draws_of,
     )
+
+
+def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> None:
+    """Warn of readings (B, R) so far above what the whisker gives that the unit may be another.
+
+    More than half of them are above 30 times what is usual, and explained by no contact, or by one
+    within a hundredth of the reach of the base.
+    """
+    times = np.abs(reading) / observer.usual_reading
+    low, high = observer.reach
+    at_base = solution.estimates[0].mean < low + 0.01 * (high - low)
+    odd = (times > 30).any(axis=1) & (at_base | (solution.status == Status.IMPROBABLE_READING))
+    if odd.sum() * 2 > len(odd):
+        first = int(np.argmax(odd))
+        warn(
+            f"{odd.sum()} of {len(reading)} readings are far above what this whisker gives, the "
+            f"first {reading[first].tolist()}, {times[first].max():.3g} times the usual; readings "
+            "are in SI units (N m, N, rad): did you pass mN?",
+            stacklevel=3,
+        )
