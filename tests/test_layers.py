@@ -14,11 +14,12 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_checks` and `_deprecated`. A folder's modules share its entry, unless they have
-# their own. "" is the package's __init__.
+# its own folder, `_checks`, `_deprecated` and `_values`. A folder's modules share its entry, unless
+# they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
     "_checks": (),
     "_deprecated": (),
+    "_values": (),
     "whisker": (),
     "mechanics.chebyshev": (),
     "mechanics.contact": ("whisker",),
@@ -137,7 +138,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    return {place, "_checks", "_deprecated"}.union(*(_allowed(below) for below in TABLE[place]))
+    return {place, "_checks", "_deprecated", "_values"}.union(*(_allowed(below) for below in TABLE[place]))
 
 
 def _imports(path: Path, package: Path, modules: dict[str, Path]) -> Iterator[tuple[str, bool]]:

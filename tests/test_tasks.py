@@ -14,7 +14,6 @@ from weberwhisk.behaviour import (
     LogAxisPercept,
     LogPercept,
     fit_weber,
-    noise_parts,
     response_probability,
     simulate_trials,
     task_named,
@@ -288,7 +287,7 @@ def test_every_cue_is_a_percept_of_distance_with_its_own_jnd(cue: str) -> None:
     if cue == "balance-of-moments":  # one signal: the angle is the percept
         jnd = observer.noise.sd(observer.signals(contact)[0])[:, 0]
     # At the receptors' own Weber fraction, 0.1, the noise is their own.
-    first = noise_parts.fractions(observer.noise, len(observer.cue.signal_names))
+    first = observer.noise.weber_fractions(len(observer.cue.signal_names))
     k = first[first > 0][0] if percept.has_weber_fraction else 0.123
     found = np.hypot(k * percept.unit_sd(R), percept.floor_sd(R))
     np.testing.assert_allclose(found, jnd, rtol=1e-6)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._checks import finite, one_of, positive
+from ._values import Value
 
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
 YOUNGS_MODULUS = 3.34e9
@@ -20,7 +21,7 @@ DENSITY = 1260.0
 
 
 @dataclass(frozen=True, eq=False)
-class Whisker:
+class Whisker(Value):
     """A linearly tapered (or cylindrical) whisker, in SI units.
 
     Every field may be an array; fields broadcast against each other and against the
@@ -92,8 +93,7 @@ class Whisker:
                 f"The tip must not be wider than the base, got tip_radius {np.max(tip):g} m and "
                 f"base_radius {np.min(base):g} m; swap them or correct the unit."
             )
-        for name, array in checked.items():
-            object.__setattr__(self, name, array if array.ndim else float(array))
+        self._set(**{n: array if array.ndim else float(array) for n, array in checked.items()})
 
     @classmethod
     def from_identity(

@@ -12,9 +12,7 @@ from .. import _checks
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from ..receptors import LogNormal, ReceptorNoise
-from ..receptors.gaussian import Gaussian
-from .noise_parts import all_or_none, fractions, saturated, varied
+from ..receptors import ReceptorNoise
 
 Array = NDArray[np.float64]
 
@@ -66,7 +64,7 @@ class CuePercept:
         _checks.kind("observer", self.observer, "an Observer", "unknowns", hint)
         _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
         cue = self.observer.cue
-        if all_or_none(self.observer.noise):
+        if self.observer.noise.is_categorical:
             raise ValueError(
                 f"{cue!r} reports events, all or none, which leave no two noisy signals to "
                 "compare; write cues.Compliance(), say."
@@ -94,7 +92,7 @@ class CuePercept:
     @property
     def _one_signal(self) -> bool:
         one = len(self.observer.cue.signal_names) == 1
-        return one and isinstance(self.observer.noise, Gaussian | LogNormal)
+        return one and self.observer.noise.gaussian_on is not None
 
     def _contact(self, stimulus: ArrayLike) -> Array:
         r = np.asarray(stimulus, dtype=float) * self.unit
@@ -105,9 +103,8 @@ class CuePercept:
 
     def _signals(self, stimulus: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         signals, outcome = self.observer.signals(self._contact(stimulus))
-        return np.where(
-            saturated(self.observer.noise, signals)[..., None], np.nan, signals
-        ), outcome
+        blind = np.asarray(self.observer.noise.uninformative(signals).any(axis=-1))
+        return np.where(blind[..., None], np.nan, signals), outcome
 
     def mean(self, stimulus: ArrayLike) -> Array:
         signals, outcome = self._signals(stimulus)
@@ -115,7 +112,7 @@ class CuePercept:
             held = (outcome == Outcome.HELD) & np.isfinite(signals).all(axis=-1)
             return np.where(held, np.asarray(stimulus, dtype=float), np.nan)
         noise = self.observer.noise
-        if isinstance(noise, LogNormal):
+        if noise.gaussian_on == "log":
             return np.log(np.abs(signals[..., 0]))
         return np.asarray(noise.mean(signals)[..., 0], dtype=float)
 
@@ -126,7 +123,7 @@ class CuePercept:
 
     @cached_property
     def _fractions(self) -> Array:
-        return fractions(self.observer.noise, len(self.observer.cue.signal_names))
+        return self.observer.noise.weber_fractions(len(self.observer.cue.signal_names))
 
     def unit_sd(self, stimulus: ArrayLike) -> Array:
         noise, k = self.observer.noise, self._fractions
@@ -136,14 +133,15 @@ class CuePercept:
         first = float(k[k > 0][0])
         if self._one_signal:
             signals, _ = self._signals(stimulus)
-            if isinstance(noise, LogNormal):
+            if noise.gaussian_on == "log":
                 return np.where(np.isfinite(felt), 1.0, np.nan)
-            return np.asarray(varied(noise, 1.0, floor=False).sd(signals)[..., 0] / first)
+            return np.asarray(_varied(noise, k.size, 1.0, floor=False).sd(signals)[..., 0] / first)
         own = self.observer.bounded == len(self.observer.unknowns)
         if k.all() and own:
-            jnd = self._jnd(stimulus, varied(noise, 1.0, floor=False))
+            jnd = self._jnd(stimulus, _varied(noise, k.size, 1.0, floor=False))
         else:  # some is not Weber's, or of a prior: what is added as the Weber fractions double
-            more, less = (self._jnd(stimulus, varied(noise, f, floor=True)) for f in (2.0, 1.0))
+            both = (_varied(noise, k.size, factor, floor=True) for factor in (2.0, 1.0))
+            more, less = (self._jnd(stimulus, each) for each in both)
             jnd = np.sqrt(np.maximum(more**2 - less**2, 0.0) / 3)
         return jnd / first
 
@@ -158,8 +156,7 @@ class CuePercept:
         """Sd of the noise that does not go with the Weber fraction, carried to the percept."""
         noise, k = self.observer.noise, self._fractions
         if self._one_signal:
-            floor = np.ravel(getattr(noise, "floor", 0.0))[0]
-            return np.full(np.shape(stimulus), float(floor))
+            return np.full(np.shape(stimulus), float(noise.floors(1)[0]))
         whole = self._jnd(stimulus, noise)
         if not k.any():
             return whole
@@ -171,8 +168,14 @@ class CuePercept:
         """What becomes of the contact at one distance, in words."""
         signals, reached = self.observer.signals(self._contact(stimulus))
         outcome = Outcome(int(reached))
-        if outcome == Outcome.HELD and saturated(self.observer.noise, signals):
+        if outcome == Outcome.HELD and self.observer.noise.uninformative(signals).any():
             return "the receptors are saturated there"
         if outcome == Outcome.HELD:
             return "these signals cannot tell distance on this whisker"
         return outcome.message
+
+
+def _varied(noise: ReceptorNoise, signals: int, factor: float, *, floor: bool) -> ReceptorNoise:
+    """The same receptors with their Weber fractions times a factor, with or without their floor."""
+    other = noise.with_weber_fraction(noise.weber_fractions(signals) * factor)
+    return other if floor else other.without_floor()

@@ -14,7 +14,6 @@ import weberwhisk as ww
 
 from .. import _checks
 from ..behaviour import CuePercept
-from ..behaviour.noise_parts import all_or_none
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
 from .options import SCENES, the_scene, the_whisker
 
@@ -63,7 +62,7 @@ def distance_percept(
         return None, None
     whisker = the_whisker(*shape, None)
     observer, angles = the_scene(cue, angles_deg, None, whisker)
-    if all_or_none(observer.noise):
+    if observer.noise.is_categorical:
         raise ValueError(
             f"The cue {cue} reports events, all or none, which leave no two noisy signals to "
             "compare; write --cue compliance, say."

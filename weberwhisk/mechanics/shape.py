@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, non_negative, positive
+from .._checks import finite, kind, non_negative, positive
+from .._values import Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Whisker
 from .chebyshev import Array
 
 _METRES = "give metres, such as 5e-3"
+_TABLES = ("arc", "radius", "core")
 _PER_METRE = "give 1/m, such as 20, or 0 for none"
 
 
-@dataclass(frozen=True, eq=False)
-class Spiral:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spiral(Value):
     """Intrinsic curvature ``base + rate · s``: straight, circular or an Euler spiral.
 
     Parameters
@@ -38,8 +40,8 @@ class Spiral:
     rate: Any = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "base", finite("base", self.base, _PER_METRE))
-        object.__setattr__(self, "rate", finite("rate", self.rate, "give 1/m², or 0"))
+        base = finite("base", self.base, _PER_METRE)
+        self._set(base=base, rate=finite("rate", self.rate, "give 1/m², or 0"))
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
@@ -65,8 +67,8 @@ class Spiral:
         return Spiral(self.base * length * sign, self.rate * length**2 * sign)
 
 
-@dataclass(frozen=True, eq=False)
-class Parabola:
+@dataclass(frozen=True, eq=False, repr=False)
+class Parabola(Value):
     """Intrinsic shape y = a·x²: curvature 2a cos³(tangent angle).
 
     Parameters
@@ -78,7 +80,7 @@ class Parabola:
     coefficient: Any
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "coefficient", finite("coefficient", self.coefficient, _PER_METRE))
+        self._set(coefficient=finite("coefficient", self.coefficient, _PER_METRE))
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
@@ -117,8 +119,8 @@ class Parabola:
 Law = Spiral | Parabola
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
+@dataclass(frozen=True, eq=False, repr=False)
+class Profile(Value):
     """A whisker whose stiffness and curvature vary along the arc in any way.
 
     Make one with `of`, `tabulated`, and change it with `cut`, `hollow`, `curved`.
@@ -142,9 +144,16 @@ class Profile:
     core: Array
     law: Law
 
+    def __post_init__(self) -> None:
+        kind("whisker", self.whisker, "a Whisker", "stiffness", "write Profile.of(whisker)")
+        kind("law", self.law, "a Spiral or a Parabola", "turn", "write Spiral(20.0), say")
+        tables = {name: finite(name, getattr(self, name), _METRES) for name in _TABLES}
+        self._set(**tables)
+
     @classmethod
     def of(cls, whisker: Whisker) -> Profile:
         """The profile of a linearly tapered whisker of constant curvature."""
+        kind("whisker", whisker, "a Whisker", "taper", "write Whisker(50e-3, 100e-6, 5e-6), say")
         length, base, tip = np.broadcast_arrays(
             whisker.length, whisker.base_radius, whisker.tip_radius
         )

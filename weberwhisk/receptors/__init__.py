@@ -13,21 +13,23 @@ model               sd of a reading of a signal I              information about
 
 Signals carry their kinds (moment, axial force, …) along the last axis, and so do readings, but for
 `SpikeCount`, whose readings are counts, one for each afferent, and `Events`, whose signals are
-chances. `Joint` gives each group of signals a model of its own. Constant noise, natural for
-angles, is `GeneralisedWeber(0, floor=sd)`.
+probabilities. `Joint` gives each group of signals a model of its own. Constant noise, natural for
+angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `receptors.protocol`.
 """
 
 from .events import Events
-from .gaussian import GeneralisedWeber, NearMiss, Saturating, Weber
+from .gaussian import Gaussian, GeneralisedWeber, NearMiss, Saturating, Weber
 from .joint import Joint
 from .log_normal import LogNormal
-from .protocol import Array, ReceptorNoise, Seed
+from .protocol import Array, Component, ReceptorNoise, Seed
 from .spike_count import Afferents, SpikeCount
 
 __all__ = [
     "Afferents",
     "Array",
+    "Component",
     "Events",
+    "Gaussian",
     "GeneralisedWeber",
     "Joint",
     "LogNormal",

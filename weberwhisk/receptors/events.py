@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, non_negative
-from .protocol import Array, Seed
+from .._checks import finite, non_negative, number
+from .protocol import Array, ReceptorNoise, Seed
 
 #: Chances below inform of nothing, as p'²/p falls with p; dividing by them would magnify what
 #: rounding leaves of sums over the others' slopes.
 _NEGLIGIBLE = 1e-10
 
 
-class Events:
+@dataclass(frozen=True, eq=False, repr=False)
+class Events(ReceptorNoise):
     """One event out of C, of which the signals are the chances of the first C − 1.
 
     A touch is not felt more or less: it happens or it does not, with chances that depend on the
@@ -43,24 +46,32 @@ class Events:
     np.float64(-0.2231)
     """
 
-    def __init__(self, reports: ArrayLike, *, misreport: float = 0.0) -> None:
-        self.reports = finite("reports", reports, "give one row of numbers for each event")
-        if self.reports.ndim != 2 or len(self.reports) < 2:
+    is_categorical = True
+
+    reports: Any
+    _: KW_ONLY
+    misreport: float = 0.0
+
+    def __post_init__(self) -> None:
+        reports = finite("reports", self.reports, "give one row of numbers for each event")
+        if reports.ndim != 2 or len(reports) < 2:
             raise ValueError(
                 f"reports must have a row for each of two events or more, got shape "
-                f"{self.reports.shape}; write [[0], [1]] for no touch and touch, say."
+                f"{reports.shape}; write [[0], [1]] for no touch and touch, say."
             )
-        if len(np.unique(self.reports, axis=0)) < len(self.reports):
+        if len(np.unique(reports, axis=0)) < len(reports):
             raise ValueError(
-                f"Each event needs a report of its own, got {len(self.reports)} events and "
-                f"{len(np.unique(self.reports, axis=0))} different rows of reports; "
+                f"Each event needs a report of its own, got {len(reports)} events and "
+                f"{len(np.unique(reports, axis=0))} different rows of reports; "
                 "leave out events that cannot be told apart."
             )
-        self.misreport = float(non_negative("misreport", misreport, "give a chance, 0 to 1"))
-        if self.misreport >= 1:
+        misreport = number("misreport", self.misreport, "give a probability, 0 to 1")
+        non_negative("misreport", misreport, "give a probability, 0 to 1")
+        if misreport >= 1:
             raise ValueError(
-                f"misreport must be below 1, got {self.misreport:g}; give a chance, 0 to 1."
+                f"misreport must be below 1, got {misreport:g}; give a probability, 0 to 1."
             )
+        self._set(reports=reports, misreport=misreport)
 
     def __repr__(self) -> str:
         return f"Events({len(self.reports)} events, misreport={self.misreport:g})"
@@ -72,7 +83,7 @@ class Events:
                 f"Events with {len(self.reports)} reports take {len(self.reports) - 1} chances, "
                 f"got {signals} signals; use the cue's default_noise()."
             )
-        return self.reports.shape[1]
+        return int(self.reports.shape[1])
 
     def chances(self, signals: ArrayLike) -> Array:
         """Chance of each of the C reports, (..., C)."""
@@ -119,6 +130,11 @@ class Events:
         Far below 1e-12, where chances may be rounding, it is level.
         """
         return np.asarray(2 * np.sqrt(self.chances(signals) + 1e-12))
+
+    def resolution(self, signals: Array) -> tuple[Array, Array]:
+        """`stabilised`, whose JND is 1 everywhere."""
+        place = self.stabilised(signals)
+        return place, np.ones_like(place)
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln of the chance of a report (..., R), shape (...); −∞ for what reports no event."""

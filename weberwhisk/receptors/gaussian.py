@@ -1,44 +1,43 @@
 """Gaussian receptor noise with a spread that grows with the signal (Weber's law, (3.1)).
 
-A model is one short class that gives the mean, the sd and their slopes.
+A law is one short class that gives the sd; the mean where it is not the signal, and exact slopes
+where they are to be exact.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, non_negative, positive
-from .protocol import Array, Seed
+from .._checks import non_negative, number, positive
+from .protocol import Array, ReceptorNoise, Seed
 
 
-class Gaussian:
+class Gaussian(ReceptorNoise):
     """Independent or equally correlated Gaussian noise whose sd depends on the signal."""
 
-    correlation: float
-
-    def reading_size(self, signals: int) -> int:
-        """One number for each signal."""
-        return signals
+    gaussian_on = "linear"
+    #: Correlation between any two of the readings.
+    correlation: float = 0.0
 
     def mean(self, signals: ArrayLike) -> Array:
         """Mean reading, (..., S)."""
         return np.asarray(signals, dtype=float)
 
-    def sd(self, signals: ArrayLike) -> Array:
-        """Standard deviation of each reading, (..., S)."""
-        raise NotImplementedError
-
-    def _slopes(self, signals: Array) -> tuple[Array, Array]:
-        """d mean/d signal and d sd/d signal, (..., S) each."""
-        raise NotImplementedError
+    def slopes(self, signals: Array) -> tuple[Array, Array]:
+        """d mean/d signal and d sd/d signal, (..., S) each: here by differences, good to 1e-10."""
+        step = 6e-6 * np.where(signals == 0, 1.0, np.abs(signals))
+        ends = signals + step, signals - step
+        rise, growth = (f(ends[0]) - f(ends[1]) for f in (self.mean, self.sd))
+        return rise / (2 * step), growth / (2 * step)
 
     def jacobian(self, signals: ArrayLike) -> Array:
         """d mean/d signal, (..., S, S): each reading is of its own signal."""
-        slope, _ = self._slopes(np.asarray(signals, dtype=float))
+        slope, _ = self.slopes(np.asarray(signals, dtype=float))
         return np.asarray(slope[..., None] * np.eye(slope.shape[-1]))
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
@@ -172,7 +171,7 @@ class Gaussian:
         sd = self.sd(signals)
         size = sd.shape[-1]
         precision, correlations = self._precision(size), self._correlations(size)
-        mean_slope, sd_slope = self._slopes(signals)
+        mean_slope, sd_slope = self.slopes(signals)
         a, b = mean_slope / sd, sd_slope / sd
         return (
             a[..., :, None] * precision * a[..., None, :]
@@ -180,6 +179,7 @@ class Gaussian:
         )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Weber(Gaussian):
     """Weber's law: each reading is Gaussian about its signal with sd = k·|signal|.
 
@@ -205,21 +205,30 @@ class Weber(Gaussian):
     25.5
     """
 
-    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
-        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
-        self.correlation = checked_correlation(correlation)
+    weber_fraction: Any = 0.1
+    _: KW_ONLY
+    correlation: float = 0.0
 
-    def __repr__(self) -> str:
-        return f"Weber({self.weber_fraction.tolist()}, correlation={self.correlation:g})"
+    def __post_init__(self) -> None:
+        self._set(
+            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
+            correlation=checked_correlation(self.correlation),
+        )
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Always: the sd is a share of the signal."""
+        return True
 
     def sd(self, signals: ArrayLike) -> Array:
         """k·|signal|, (..., S)."""
         return np.asarray(self.weber_fraction * np.abs(np.asarray(signals, dtype=float)))
 
-    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+    def slopes(self, signals: Array) -> tuple[Array, Array]:
         return np.ones_like(signals), self.weber_fraction * np.sign(signals)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class GeneralisedWeber(Gaussian):
     """Weber's law between a floor and a ceiling: sd² = floor² + (k·signal)².
 
@@ -248,31 +257,40 @@ class GeneralisedWeber(Gaussian):
     (array([0.5  , 1.044]), array([False,  True]))
     """
 
-    def __init__(
-        self,
-        weber_fraction: ArrayLike = 0.1,
-        *,
-        floor: ArrayLike,
-        ceiling: ArrayLike | None = None,
-        correlation: float = 0.0,
-    ) -> None:
-        self.weber_fraction: Any = non_negative("weber_fraction", weber_fraction, "write 0.1, say")
-        self.floor: Any = non_negative("floor", floor, "write it in the unit of the signal")
-        if np.any((self.weber_fraction == 0) & (self.floor == 0)):
+    weber_fraction: Any = 0.1
+    _: KW_ONLY
+    floor: Any
+    ceiling: Any = np.inf
+    correlation: float = 0.0
+
+    def __post_init__(self) -> None:
+        k = non_negative("weber_fraction", self.weber_fraction, "write 0.1, say")
+        floor = non_negative("floor", self.floor, "write it in the unit of the signal")
+        if np.any((k == 0) & (floor == 0)):
             raise ValueError(
                 "A signal without noise has no likelihood, got weber_fraction 0 and floor 0; "
                 "write one of them above zero."
             )
-        self.ceiling: Any = np.inf
-        if ceiling is not None:
-            self.ceiling = positive("ceiling", ceiling, "write None for no ceiling")
-        self.correlation = checked_correlation(correlation)
-
-    def __repr__(self) -> str:
-        return (
-            f"GeneralisedWeber({self.weber_fraction.tolist()}, floor={self.floor.tolist()}, "
-            f"ceiling={np.asarray(self.ceiling).tolist()}, correlation={self.correlation:g})"
+        ceiling = self.ceiling
+        if ceiling is None or (isinstance(ceiling, float) and ceiling == np.inf):
+            ceiling = np.inf
+        else:
+            ceiling = positive("ceiling", ceiling, "write None for no ceiling")
+        self._set(
+            weber_fraction=k,
+            floor=floor,
+            ceiling=ceiling,
+            correlation=checked_correlation(self.correlation),
         )
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Without a floor and a ceiling, where this is `Weber`'s law."""
+        return not np.any(self.floor) and bool(np.all(np.isinf(self.ceiling)))
+
+    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+        """Where a signal lies above the ceiling, (..., S)."""
+        return self.saturated(signals)
 
     def saturated(self, signals: ArrayLike) -> NDArray[np.bool_]:
         """Where a signal lies above the ceiling, (..., S)."""
@@ -291,11 +309,12 @@ class GeneralisedWeber(Gaussian):
     def _mean_slope(self, signals: Array) -> Array:
         return np.where(self.saturated(signals), 0.0, 1.0)
 
-    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+    def slopes(self, signals: Array) -> tuple[Array, Array]:
         slope = self._mean_slope(signals)
         return slope, slope * self.weber_fraction**2 * self.mean(signals) / self.sd(signals)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Saturating(GeneralisedWeber):
     """Weber's law on a response that levels off: sd² = floor² + (k·response)².
 
@@ -336,24 +355,28 @@ class Saturating(GeneralisedWeber):
     (array([0.099, 5.   , 9.901]), array([False, False,  True]))
     """
 
-    def __init__(
-        self,
-        weber_fraction: ArrayLike = 0.1,
-        *,
-        ceiling: ArrayLike,
-        sharpness: float = 1.0,
-        floor: ArrayLike = 0.0,
-        correlation: float = 0.0,
-    ) -> None:
-        super().__init__(weber_fraction, floor=floor, ceiling=ceiling, correlation=correlation)
-        self.sharpness = float(positive("sharpness", sharpness, "write 1 for Naka–Rushton"))
+    _: KW_ONLY
+    ceiling: Any = field()
+    floor: Any = 0.0
+    sharpness: float = 1.0
 
-    def __repr__(self) -> str:
-        return (
-            f"Saturating({self.weber_fraction.tolist()}, ceiling={self.ceiling.tolist()}, "
-            f"sharpness={self.sharpness:g}, floor={self.floor.tolist()}, "
-            f"correlation={self.correlation:g})"
-        )
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set(sharpness=number("sharpness", self.sharpness, "write 1 for Naka–Rushton"))
+        positive("sharpness", self.sharpness, "write 1 for Naka–Rushton")
+        if np.any(np.isinf(self.ceiling)):
+            raise ValueError(
+                "A response that levels off needs a ceiling, got none; write GeneralisedWeber."
+            )
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Never: the response bends."""
+        return False
+
+    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+        """Nowhere: the response rises for ever."""
+        return np.zeros(np.shape(signals), dtype=bool)
 
     def mean(self, signals: ArrayLike) -> Array:
         """The response, (..., S)."""
@@ -369,6 +392,7 @@ class Saturating(GeneralisedWeber):
         return np.asarray(np.exp((1 + self.sharpness) * self._log_ratio(signals)))
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class NearMiss(Gaussian):
     """The near-miss to Weber's law: sd = k·I₀·(|I|/I₀)ᵐ.
 
@@ -401,23 +425,19 @@ class NearMiss(Gaussian):
     array([0.1   , 0.0794])
     """
 
-    def __init__(
-        self,
-        weber_fraction: ArrayLike = 0.1,
-        *,
-        exponent: float = 0.9,
-        reference: ArrayLike,
-        correlation: float = 0.0,
-    ) -> None:
-        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
-        self.exponent = float(positive("exponent", exponent, "write 1 for Weber's law"))
-        self.reference: Any = positive("reference", reference, "write it in the signal's unit")
-        self.correlation = checked_correlation(correlation)
+    weber_fraction: Any = 0.1
+    _: KW_ONLY
+    exponent: float = 0.9
+    reference: Any
+    correlation: float = 0.0
 
-    def __repr__(self) -> str:
-        return (
-            f"NearMiss({self.weber_fraction.tolist()}, exponent={self.exponent:g}, "
-            f"reference={self.reference.tolist()}, correlation={self.correlation:g})"
+    def __post_init__(self) -> None:
+        positive("exponent", self.exponent, "write 1 for Weber's law")
+        self._set(
+            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
+            exponent=number("exponent", self.exponent, "write 1 for Weber's law"),
+            reference=positive("reference", self.reference, "write it in the signal's unit"),
+            correlation=checked_correlation(self.correlation),
         )
 
     def weber_fraction_at(self, signals: ArrayLike) -> Array:
@@ -431,14 +451,14 @@ class NearMiss(Gaussian):
         ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
         return np.asarray(self.weber_fraction * self.reference * ratio**self.exponent)
 
-    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+    def slopes(self, signals: Array) -> tuple[Array, Array]:
         slope = self.exponent * self.weber_fraction_at(signals) * np.sign(signals)
         return np.ones_like(signals), slope
 
 
 def checked_correlation(value: float) -> float:
     """A correlation, refused outside −1 … 1."""
-    rho = float(finite("correlation", value, "write a number from -1 to 1"))
+    rho = number("correlation", value, "write a number from -1 to 1")
     if not -1 <= rho <= 1:
         raise ValueError(f"correlation must lie between -1 and 1, got {rho:g}; write 0 for none.")
     return rho

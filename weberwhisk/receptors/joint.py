@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from .protocol import Array, ReceptorNoise, Seed
+from .._checks import shown, whole
+from .protocol import Array, Component, ReceptorNoise, Seed
 
 
-class Joint:
+@dataclass(frozen=True, eq=False, repr=False)
+class Joint(ReceptorNoise):
     """Independent groups of receptors, one noise model for each group of signals.
 
     Parameters
@@ -22,7 +27,7 @@ class Joint:
     Raises
     ------
     ValueError
-        For other than one size for each model, and sizes below 1.
+        For other than one size for each model, sizes below 1, models that are none.
 
     Examples
     --------
@@ -32,16 +37,105 @@ class Joint:
     array([0.2, 1. , 2. ])
     """
 
-    def __init__(self, noises: Sequence[ReceptorNoise], sizes: Sequence[int]) -> None:
-        self.noises, self.sizes = tuple(noises), tuple(int(n) for n in sizes)
-        if len(self.noises) != len(self.sizes) or not self.noises or min(self.sizes) < 1:
+    noises: Any
+    sizes: Any
+
+    def __post_init__(self) -> None:
+        hint = "write Joint([Weber(0.1), Weber(0.5)], sizes=[1, 2]), say"
+        for name in ("noises", "sizes"):
+            if not np.iterable(getattr(self, name)) or isinstance(getattr(self, name), str):
+                raise ValueError(
+                    f"{name} must be a list, got {shown(getattr(self, name))}; {hint}."
+                )
+        noises, sizes = tuple(self.noises), tuple(self.sizes)
+        if len(noises) != len(sizes) or not noises:
             raise ValueError(
-                f"Every noise model needs its number of signals, got {len(self.noises)} models and "
-                f"sizes {list(self.sizes)}; write sizes=[1, 2], say."
+                f"Every noise model needs its number of signals, got {len(noises)} models and "
+                f"sizes {list(sizes)}; write sizes=[1, 2], say."
             )
+        for noise in noises:
+            if not isinstance(noise, ReceptorNoise):
+                raise ValueError(f"noises must be noise models, got {shown(noise)}; {hint}.")
+        self._set(noises=noises, sizes=tuple(whole("sizes", n, hint) for n in sizes))
 
     def __repr__(self) -> str:
         return f"Joint([{', '.join(map(repr, self.noises))}], sizes={list(self.sizes)})"
+
+    # -- what it is made of --------------------------------------------------------------------
+
+    @property
+    def is_categorical(self) -> bool:  # type: ignore[override]
+        """Whether all of its models are."""
+        return all(noise.is_categorical for noise in self.noises)
+
+    @property
+    def reads_signals(self) -> bool:  # type: ignore[override]
+        """Whether all of its models do."""
+        return all(noise.reads_signals for noise in self.noises)
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Whether all of its models are."""
+        return all(noise.is_scale_family for noise in self.noises)
+
+    def components(self, signals: int) -> tuple[Component, ...]:
+        """The models, those of a joint one among them one by one."""
+        out, row, column = [], 0, 0
+        for noise, size in zip(self.noises, self.sizes, strict=True):
+            for own, s, r in noise.components(size):
+                out.append(
+                    Component(
+                        own,
+                        slice(column + s.start, column + s.stop),
+                        slice(row + r.start, row + r.stop),
+                    )
+                )
+            row, column = row + noise.reading_size(size), column + size
+        return tuple(out)
+
+    def part(self, signals: int, start: int, stop: int) -> ReceptorNoise | None:
+        """The model, or the models, of signals start … stop."""
+        ends = [0, *accumulate(self.sizes)]
+        for noise, low, high in zip(self.noises, ends[:-1], ends[1:], strict=True):
+            if low <= start and stop <= high:
+                return noise.part(high - low, start - low, stop - low)
+        if start not in ends or stop not in ends:
+            return None
+        first, last = ends.index(start), ends.index(stop)
+        return Joint(self.noises[first:last], self.sizes[first:last])
+
+    def weber_fractions(self, signals: int) -> Array:
+        """Those of the models, (S,)."""
+        pairs = zip(self.noises, self.sizes, strict=True)
+        return np.concatenate([noise.weber_fractions(size) for noise, size in pairs])
+
+    def floors(self, signals: int) -> Array:
+        """Those of the models, (S,)."""
+        pairs = zip(self.noises, self.sizes, strict=True)
+        return np.concatenate([noise.floors(size) for noise, size in pairs])
+
+    def with_weber_fraction(self, weber_fraction: ArrayLike) -> Joint:
+        """The same models with another Weber fraction, one or one for each signal."""
+        k = np.asarray(weber_fraction, dtype=float)
+        each = [k] * len(self.sizes)
+        if k.ndim:
+            each = np.split(np.broadcast_to(k, sum(self.sizes)), np.cumsum(self.sizes)[:-1])
+        pairs = zip(self.noises, each, strict=True)
+        return Joint([noise.with_weber_fraction(own) for noise, own in pairs], self.sizes)
+
+    def without_floor(self) -> Joint:
+        """The same models with no noise but what grows with the signal."""
+        return Joint([noise.without_floor() for noise in self.noises], self.sizes)
+
+    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+        """That of each model, (..., S)."""
+        return np.concatenate([n.uninformative(s) for n, s in self.parts(signals)], axis=-1)
+
+    def resolution(self, signals: Array) -> tuple[Array, Array]:
+        """That of each model, one after the other."""
+        both = [noise.resolution(part) for noise, part in self.parts(signals)]
+        place, step = (np.concatenate(side, axis=-1) for side in zip(*both, strict=True))
+        return place, step
 
     def _signals(self, signals: ArrayLike) -> list[Array]:
         """The signals of each model, (..., S_i)."""
@@ -111,6 +205,30 @@ class Joint:
         for value in others:
             first = first + value
         return first
+
+    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+        """`log_likelihood` at a table of signals (P, ..., S): the sum over the models."""
+        parts = [
+            (readings, noise.prepared(signals[..., own]))
+            for noise, own, readings in self.components(signals.shape[-1])
+        ]
+
+        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+            values = (part(reading[:, columns], index) for columns, part in parts)
+            total = next(values)
+            for value in values:
+                total += value
+            return total
+
+        return log_likelihood
+
+    def log_likelihoods(self, reading: Array, signals: Array) -> Array:
+        """`log_likelihood` of readings (B, R) at signals (N, S), (B, N): summed over models."""
+        values = (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals))
+        total = next(values)
+        for value in values:
+            total += value
+        return total
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., R)."""

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._checks import positive
 from .gaussian import Gaussian, checked_correlation
-from .protocol import Array, Seed
+from .protocol import Array, ReceptorNoise, Seed
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class _Constant(Gaussian):
     """Gaussian noise of the same sd everywhere: of the logs of the readings."""
 
-    def __init__(self, sd: Array, correlation: float) -> None:
-        self.constant, self.correlation = sd, correlation
+    constant: Any
+    correlation: float = 0.0
 
     def sd(self, signals: ArrayLike) -> Array:
         return np.broadcast_to(self.constant, np.shape(signals))
 
-    def _slopes(self, signals: Array) -> tuple[Array, Array]:
+    def slopes(self, signals: Array) -> tuple[Array, Array]:
         return np.ones_like(signals), np.zeros_like(signals)
 
 
-class LogNormal:
+@dataclass(frozen=True, eq=False, repr=False)
+class LogNormal(ReceptorNoise):
     """Weber's law with log-normal readings: mean the signal, sd = k·|signal|.
 
     The ln of a reading is Gaussian with variance σ² = ln(1 + k²) about ln|signal| − σ²/2: constant
@@ -62,22 +67,31 @@ class LogNormal:
     25.125
     """
 
-    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
-        self.weber_fraction: Any = positive("weber_fraction", weber_fraction, "write 0.1, say")
-        self.correlation = checked_correlation(correlation)
-        self._logs = _Constant(self.sigma, self.correlation)
+    gaussian_on = "log"
 
-    def __repr__(self) -> str:
-        return f"LogNormal({self.weber_fraction.tolist()}, correlation={self.correlation:g})"
+    weber_fraction: Any = 0.1
+    _: KW_ONLY
+    correlation: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._set(
+            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
+            correlation=checked_correlation(self.correlation),
+        )
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Always: a factor of the signal is one of the reading."""
+        return True
+
+    @cached_property
+    def _logs(self) -> _Constant:
+        return _Constant(self.sigma, self.correlation)
 
     @property
     def sigma(self) -> Any:
         """Sd σ of the ln of a reading: √ln(1 + k²)."""
         return np.sqrt(np.log1p(self.weber_fraction**2))
-
-    def reading_size(self, signals: int) -> int:
-        """One number for each signal."""
-        return signals
 
     def mean(self, signals: ArrayLike) -> Array:
         """The signal, (..., S)."""
@@ -118,6 +132,21 @@ class LogNormal:
             value = self._logs.log_likelihood(log_reading, self._centre(signals))
             value = value - log_reading.sum(axis=-1)
         return np.where(possible, value, -np.inf)
+
+    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+        """`log_likelihood` at a table of signals (P, ..., S): that of the logs, worked out once."""
+        of_logs, sign = self._logs.prepared(self._centre(signals)), np.sign(signals)
+
+        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+            own = reading.reshape(len(reading), *(1,) * (signals.ndim - 2), -1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                logs = np.log(np.abs(reading))
+                value = of_logs(logs, index)
+                value -= logs.sum(axis=-1).reshape(own.shape[:-1])
+            value[~(own * sign[index] > 0).all(axis=-1)] = -np.inf
+            return value
+
+        return log_likelihood
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., S)."""

@@ -1,46 +1,197 @@
-"""What an observer needs of a noise model."""
+"""What the rest of the package asks of a noise model, and how to write one.
+
+A law of Gaussian noise is a frozen dataclass of `Gaussian` with its sd, and nothing more::
+
+    @dataclass(frozen=True, eq=False, repr=False)
+    class SquareRoot(Gaussian):
+        size: float = 0.1
+        correlation: float = 0.0
+
+        def sd(self, signals):
+            return self.size * np.sqrt(np.abs(signals))
+
+Any other is one of `ReceptorNoise` with `mean`, `sd`, `jacobian`, `interval`, `log_likelihood`,
+`sample` and `fisher`. What else is asked has an answer here, to be overridden where the law has a
+better one. One line in `receptors/__init__.py` lists it.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from .._values import Value
 
 Array = NDArray[np.float64]
 Seed = int | np.random.SeedSequence | np.random.Generator | None
 
 
-@runtime_checkable
-class ReceptorNoise(Protocol):
-    """A noise model: S kinds of signal along the last axis, R numbers in each reading."""
+class Component(NamedTuple):
+    """One independent part of a noise model, and where its signals and readings stand."""
 
-    def reading_size(self, signals: int) -> int:
-        """R for S = `signals` kinds of signal: S, unless readings are something else."""
+    noise: ReceptorNoise
+    signals: slice
+    readings: slice
+
+
+class ReceptorNoise(Value):
+    """A noise model: S kinds of signal along the last axis, R numbers in each reading.
+
+    Models are frozen: they compare and hash by value.
+    """
+
+    #: Whether a reading is one of a few reports, of which the signals are the probabilities.
+    is_categorical: ClassVar[bool] = False
+    #: Whether a reading is of the signals themselves, so that a cue's own inverse can take it.
+    reads_signals: bool = True
+    #: Readings are Gaussian as they are ("linear"), their logarithms are ("log"), or neither.
+    gaussian_on: ClassVar[Literal["linear", "log"] | None] = None
+
+    # -- what each law says --------------------------------------------------------------------
 
     def mean(self, signals: ArrayLike) -> Array:
         """Mean of the readings, (..., R)."""
-
-    def jacobian(self, signals: ArrayLike) -> Array:
-        """d mean/d signal, (..., R, S)."""
+        raise NotImplementedError
 
     def sd(self, signals: ArrayLike) -> Array:
         """Standard deviation of each number of a reading, (..., R)."""
+        raise NotImplementedError
 
-    def covariance(self, signals: ArrayLike) -> Array:
-        """Covariance of the readings, (..., R, R)."""
+    def jacobian(self, signals: ArrayLike) -> Array:
+        """d mean/d signal, (..., R, S)."""
+        raise NotImplementedError
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
         """Readings outside are rarer than those `width` sd from a Gaussian's mean, (..., R) each.
 
-        The chance of a number below the first, or above the second, is at most exp(−width²/2).
+        The probability of a number below the first, or above the second, is at most
+        exp(−width²/2).
         """
+        raise NotImplementedError
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln p(reading | signals), shape (...)."""
+        raise NotImplementedError
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., R)."""
+        raise NotImplementedError
 
     def fisher(self, signals: ArrayLike) -> Array:
         """Fisher information of a reading about the signals, (..., S, S)."""
+        raise NotImplementedError
+
+    # -- what has an answer ---------------------------------------------------------------------
+
+    def reading_size(self, signals: int) -> int:
+        """R for S = `signals` kinds of signal: S, unless readings are something else."""
+        return signals
+
+    def covariance(self, signals: ArrayLike) -> Array:
+        """Covariance of the readings, (..., R, R): by default they are independent."""
+        sd = self.sd(signals)
+        return np.asarray(sd[..., None] ** 2 * np.eye(sd.shape[-1]))
+
+    def components(self, signals: int) -> tuple[Component, ...]:
+        """The independent parts of which the noise of S = `signals` consists; itself, mostly."""
+        return (Component(self, slice(0, signals), slice(0, self.reading_size(signals))),)
+
+    def part(self, signals: int, start: int, stop: int) -> ReceptorNoise | None:
+        """The noise of signals start … stop of S alone; None where it is not apart from the rest.
+
+        Examples
+        --------
+        >>> from weberwhisk.receptors import Joint, Weber
+        >>> Joint([Weber(0.1), Weber(0.2)], [1, 2]).part(3, 1, 3), Weber(0.1).part(3, 1, 3)
+        (Weber(0.2), None)
+        """
+        return self if (start, stop) == (0, signals) else None
+
+    def weber_fractions(self, signals: int) -> Array:
+        """Weber fraction of each signal, (S,), 0 where its noise has none.
+
+        Examples
+        --------
+        >>> from weberwhisk.receptors import GeneralisedWeber
+        >>> GeneralisedWeber([0.1, 0.0], floor=[0.0, 0.02]).weber_fractions(2)
+        array([0.1, 0. ])
+        """
+        return np.broadcast_to(np.asarray(getattr(self, "weber_fraction", 0.0), float), signals)
+
+    def floors(self, signals: int) -> Array:
+        """Sd of the noise that is left without a signal, (S,)."""
+        return np.broadcast_to(np.asarray(getattr(self, "floor", 0.0), float), signals)
+
+    def with_weber_fraction(self, weber_fraction: ArrayLike) -> ReceptorNoise:
+        """The same receptors with another Weber fraction, one or one for each signal.
+
+        One is that of the signals that have one: what has none is left as it is.
+
+        Examples
+        --------
+        >>> from weberwhisk.receptors import LogNormal
+        >>> LogNormal(0.1, correlation=0.5).with_weber_fraction(0.2)
+        LogNormal(0.2, correlation=0.5)
+        """
+        own = getattr(self, "weber_fraction", None)
+        if own is None:
+            return self
+        k = np.asarray(weber_fraction, dtype=float)
+        if k.ndim == 0:
+            k = np.where(np.asarray(own) > 0, k, 0.0)
+        elif np.ndim(own) == 0 and np.ptp(k) == 0:
+            k = k.flat[0]
+        return self._with(weber_fraction=k)
+
+    def without_floor(self) -> ReceptorNoise:
+        """The same receptors with no noise but what grows with the signal."""
+        return self._with(floor=0.0)
+
+    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+        """Where a reading says nothing of its signal's size, (..., S): above a hard ceiling."""
+        return np.zeros(np.shape(signals), dtype=bool)
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Whether a reading of c times the signals is c times a reading of them, for every c > 0.
+
+        With `gaussian_on` = "linear" that is Weber's law: mean the signal, sd k·|signal|.
+        """
+        return False
+
+    def resolution(self, signals: Array) -> tuple[Array, Array]:
+        """A smooth function of the signals, (..., T), and what it must change by for one JND.
+
+        By default mean and sd of the readings.
+        """
+        return self.mean(signals), self.sd(signals)
+
+    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+        """`log_likelihood` at a table of signals (P, ..., S) for many readings.
+
+        Returns
+        -------
+        callable
+            Of readings (n, R) and the index (n,) of the signals for each, giving (n, ...), a new
+            array. What does not depend on the readings is worked out once, where the law allows.
+        """
+
+        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+            own = reading.reshape(len(reading), *(1,) * (signals.ndim - 2), -1)
+            return self.log_likelihood(own, signals[index])
+
+        return log_likelihood
+
+    def log_likelihoods(self, reading: Array, signals: Array) -> Array:
+        """`log_likelihood` of readings (B, R) at each of signals (N, S), a new array (B, N)."""
+        return self.log_likelihood(reading[:, None], signals)
+
+    def _with(self, **values: Any) -> Any:
+        """Itself with other values of those of these fields that it has."""
+        own = {f.name for f in fields(self)}  # type: ignore[arg-type]
+        changed = {name: value for name, value in values.items() if name in own}
+        return replace(self, **changed) if changed else self  # type: ignore[type-var]

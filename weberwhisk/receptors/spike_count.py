@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, gammaln
 
-from .._checks import non_negative, positive
-from .protocol import Array, Seed
+from .._checks import non_negative, number, positive, shown, whole
+from .._values import Value
+from .protocol import Array, ReceptorNoise, Seed
 
 #: Counts worked on together: what fits the cache.
 _BLOCK = 100_000
@@ -17,8 +20,8 @@ _BLOCK = 100_000
 _FARTHEST = 460.0
 
 
-@dataclass(frozen=True, eq=False)
-class Afferents:
+@dataclass(frozen=True, eq=False, repr=False)
+class Afferents(Value):
     """One class of afferents, its thresholds evenly spread on a logarithmic axis.
 
     An afferent of threshold c fires at spontaneous_rate + peak_rate·s(u), u = drive/c, with the
@@ -52,16 +55,14 @@ class Afferents:
     """
 
     number: int
-    lowest: ArrayLike
-    highest: ArrayLike
+    lowest: Any
+    highest: Any
     peak_rate: float = 150.0
     exponent: float = 2.0
     spontaneous_rate: float = 0.5
 
     def __post_init__(self) -> None:
-        count = float(positive("number", self.number, "write how many afferents there are"))
-        if count != int(count):
-            raise ValueError(f"number must be whole, got {count:g}; write {round(count)}, say.")
+        number = whole("number", self.number, "write how many afferents there are")
         low = positive("lowest", self.lowest, "write a threshold in the signal's unit")
         high = positive("highest", self.highest, "write a threshold in the signal's unit")
         if np.any(high < low):
@@ -71,15 +72,16 @@ class Afferents:
         positive("peak_rate", self.peak_rate, "write spikes/s")
         positive("exponent", self.exponent, "write 2, say")
         non_negative("spontaneous_rate", self.spontaneous_rate, "write spikes/s")
+        self._set(number=number, lowest=low, highest=high)
 
     @property
     def thresholds(self) -> Array:
         """Thresholds, (number,), or (S, number) where signals differ."""
-        ends = np.asarray(self.lowest, dtype=float), np.asarray(self.highest, dtype=float)
-        return np.geomspace(*ends, self.number, axis=-1)
+        return np.geomspace(self.lowest, self.highest, self.number, axis=-1)
 
 
-class SpikeCount:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpikeCount(ReceptorNoise):
     """Counts of a population of slowly (SA) and rapidly adapting (RA) trigeminal afferents.
 
     Every kind of signal has afferents of its own. SA afferents respond to its magnitude throughout
@@ -142,46 +144,61 @@ class SpikeCount:
     array([5.89420e+01, 1.10000e-01, 1.11000e-01, 9.77933e+02])
     """
 
-    def __init__(
-        self,
-        slow: Afferents | None = None,
-        rapid: Afferents | None = None,
-        *,
-        window: float = 0.05,
-        rise_time: float = 0.01,
-        gain_sd: float = 0.0,
-    ) -> None:
-        if slow is None and rapid is None:
-            raise ValueError("A population needs afferents, got none; write slow=Afferents(...).")
-        self.slow, self.rapid = slow, rapid
-        self.window = float(positive("window", window, "write seconds, such as 0.05"))
-        self.rise_time = float(positive("rise_time", rise_time, "write seconds, such as 0.01"))
-        self.gain_sd = float(non_negative("gain_sd", gain_sd, "write 0 for Poisson counts"))
-        # From here on both classes are alike: thresholds in the signal's unit, times to count in.
-        classes = []
-        if slow is not None:
-            classes.append((slow, self.window))
-        if rapid is not None:
-            t = self.rise_time
-            magnitude = replace(
-                rapid, lowest=np.multiply(rapid.lowest, t), highest=np.multiply(rapid.highest, t)
-            )
-            classes.append((magnitude, min(t, self.window)))
-        self._classes = classes
-        logs = [np.log(part.thresholds) for part, _ in classes]
-        signals = np.broadcast_shapes(*(c.shape[:-1] for c in logs))
-        self._log_threshold = np.concatenate(
-            [np.broadcast_to(c, (*signals, c.shape[-1])) for c in logs], axis=-1
-        )
-        self._exponent = self._each([part.exponent for part, _ in classes])
-        self._peak = self._each([part.peak_rate * time for part, time in classes])
-        self._rest = self._each([part.spontaneous_rate * self.window for part, _ in classes])
+    reads_signals = False
 
-    def __repr__(self) -> str:
-        return (
-            f"SpikeCount(slow={self.slow}, rapid={self.rapid}, window={self.window:g}, "
-            f"rise_time={self.rise_time:g}, gain_sd={self.gain_sd:g})"
-        )
+    slow: Afferents | None = None
+    rapid: Afferents | None = None
+    _: KW_ONLY
+    window: float = 0.05
+    rise_time: float = 0.01
+    gain_sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.slow is None and self.rapid is None:
+            raise ValueError("A population needs afferents, got none; write slow=Afferents(...).")
+        for name in ("slow", "rapid"):
+            if not isinstance(getattr(self, name), Afferents | None):
+                raise ValueError(
+                    f"{name} must be Afferents, got {shown(getattr(self, name))}; "
+                    "write Afferents(75, 1e-8, 1e-5), say."
+                )
+        for name in ("window", "rise_time"):
+            hint = "write seconds, such as 0.05"
+            positive(name, getattr(self, name), hint)
+            self._set(**{name: number(name, getattr(self, name), hint)})
+        non_negative("gain_sd", self.gain_sd, "write 0 for Poisson counts")
+        self._set(gain_sd=number("gain_sd", self.gain_sd, "write 0 for Poisson counts"))
+
+    # From here on both classes are alike: thresholds in the signal's unit, times to count in.
+
+    @cached_property
+    def _classes(self) -> list[tuple[Afferents, float]]:
+        classes = []
+        if self.slow is not None:
+            classes.append((self.slow, self.window))
+        if self.rapid is not None:
+            low, high = self.rapid.lowest * self.rise_time, self.rapid.highest * self.rise_time
+            magnitude = replace(self.rapid, lowest=low, highest=high)
+            classes.append((magnitude, min(self.rise_time, self.window)))
+        return classes
+
+    @cached_property
+    def _log_threshold(self) -> Array:
+        logs = [np.log(part.thresholds) for part, _ in self._classes]
+        signals = np.broadcast_shapes(*(c.shape[:-1] for c in logs))
+        return np.concatenate([np.broadcast_to(c, (*signals, c.shape[-1])) for c in logs], axis=-1)
+
+    @cached_property
+    def _exponent(self) -> Array:
+        return self._each([part.exponent for part, _ in self._classes])
+
+    @cached_property
+    def _peak(self) -> Array:
+        return self._each([part.peak_rate * time for part, time in self._classes])
+
+    @cached_property
+    def _rest(self) -> Array:
+        return self._each([part.spontaneous_rate * self.window for part, _ in self._classes])
 
     def _each(self, values: list[float]) -> Array:
         """A value of each class, for each of its afferents."""
@@ -230,11 +247,6 @@ class SpikeCount:
     def sd(self, signals: ArrayLike) -> Array:
         """Standard deviation of the counts, (..., R)."""
         return np.sqrt(self.variance(signals))
-
-    def covariance(self, signals: ArrayLike) -> Array:
-        """Covariance of the counts, diagonal, (..., R, R)."""
-        variance = self.variance(signals)
-        return np.asarray(variance[..., None] * np.eye(variance.shape[-1]))
 
     def jacobian(self, signals: ArrayLike) -> Array:
         """d mean/d signal, (..., R, S)."""

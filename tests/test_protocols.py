@@ -1,0 +1,176 @@
+"""Receptors, cues and whiskers are values, and new ones take a few lines."""
+
+from __future__ import annotations
+
+import pickle
+from copy import copy
+from dataclasses import FrozenInstanceError, dataclass
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import weberwhisk as ww
+from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.jnd import weber_propagation
+from weberwhisk.receptors import (
+    Afferents,
+    Events,
+    Gaussian,
+    GeneralisedWeber,
+    Joint,
+    LogNormal,
+    NearMiss,
+    Saturating,
+    SpikeCount,
+    Weber,
+)
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
+NOISES = [
+    lambda: Weber([0.1, 0.2], correlation=0.3),
+    lambda: GeneralisedWeber(0.1, floor=[0.2, 0.0], ceiling=9.0),
+    lambda: Saturating(0.1, ceiling=9.0, sharpness=2.0),
+    lambda: NearMiss(0.1, exponent=0.8, reference=2.0),
+    lambda: LogNormal(0.1, correlation=-0.2),
+    lambda: SpikeCount(Afferents(7, 1e-2, 10.0), Afferents(3, [0.1, 1.0], 30.0)),
+    lambda: Events([[0.0], [1.0], [2.0]], misreport=0.1),
+    lambda: Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], [1, 1]),
+    lambda: Joint([Joint([LogNormal(0.1), Weber(0.2)], [1, 1]), Weber([0.3])], [2, 1]),
+]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SquareRoot(Gaussian):
+    """A new law of noise: sd = size·√|I|."""
+
+    size: float = 0.1
+    correlation: float = 0.0
+
+    def sd(self, signals):
+        return self.size * np.sqrt(np.abs(signals))
+
+
+@pytest.mark.parametrize("make", NOISES)
+def test_noise_is_a_value(make):
+    first, other = make(), make()
+    assert first == other
+    assert hash(first) == hash(other)
+    assert copy(first) == pickle.loads(pickle.dumps(first)) == first
+    assert isinstance(first, Events) or eval(repr(first), vars(ww.receptors)) == first
+    with pytest.raises(FrozenInstanceError):
+        first.weber_fraction = 0.5
+    assert len({make() for make in NOISES for _ in range(2)}) == len(NOISES)
+
+
+def test_arrays_among_the_fields_are_copies_that_cannot_be_written():
+    own = np.array([0.1, 0.2])
+    noise = Weber(own)
+    own[0] = 9.0
+    assert_allclose(noise.weber_fraction, [0.1, 0.2])
+    with pytest.raises(ValueError, match="read-only"):
+        noise.weber_fraction[0] = 9.0
+    assert Weber(0.1) != LogNormal(0.1)
+    assert Weber(0.1) != Weber(0.2)
+
+
+def test_whiskers_and_profiles_are_values():
+    assert ww.Whisker(50e-3, 100e-6, 5e-6, 3e9) == W
+    assert len({W, W.cylinder(), W.cylinder(), ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)}) == 2
+    assert ww.Profile.of(W) == ww.Profile.of(W) != ww.Profile.of(W.cylinder())
+    assert hash(ww.Profile.of(W)) == hash(ww.Profile.of(W))
+    bent = ww.Profile.of(W).curved(ww.Parabola(20.0))
+    assert bent == ww.Profile.of(W).curved(ww.Parabola(20.0)) != ww.Profile.of(W)
+    with pytest.raises(FrozenInstanceError):
+        W.length = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        bent.arc[0] = 1.0
+
+
+@pytest.mark.parametrize("make", NOISES)
+def test_a_prepared_table_has_the_likelihood(make):
+    """`prepared` and `log_likelihoods` are `log_likelihood`, worked out beforehand."""
+    noise = make()
+    size = 3 if "Joint([Joint" in repr(noise) else 2
+    rng = np.random.default_rng(0)
+    signals = rng.uniform(0.2, 0.8, (5, 4, size)) * (0.5 if noise.is_categorical else 1.0)
+    reading = noise.sample(signals[:, 0], 1)
+    index = np.array([3, 0, 0, 4, 2])
+    expected = noise.log_likelihood(reading[:, None], signals[index])
+    assert_allclose(noise.prepared(signals)(reading, index), expected, rtol=1e-9, atol=1e-9)
+    table = noise.log_likelihood(reading[:, None], signals[:, 0])
+    assert_allclose(noise.log_likelihoods(reading, signals[:, 0]), table, rtol=1e-9, atol=1e-9)
+
+
+def test_parts_stand_where_they_say():
+    noise = NOISES[-1]()
+    kinds = [(type(c.noise), c.signals, c.readings) for c in noise.components(3)]
+    assert kinds == [
+        (LogNormal, slice(0, 1), slice(0, 1)),
+        (Weber, slice(1, 2), slice(1, 2)),
+        (Weber, slice(2, 3), slice(2, 3)),
+    ]
+    assert noise.part(3, 1, 2) == Weber(0.2)
+    assert noise.part(3, 0, 2) == noise.noises[0]
+    assert noise.part(3, 1, 3) is None  # across the two groups
+    assert Weber(0.1).part(2, 0, 2) == Weber(0.1)
+    counts = SpikeCount(Afferents(7, 1e-2, 10.0))
+    assert Joint([counts, Weber()], [2, 1]).components(3)[1].readings == slice(14, 15)
+
+
+def test_another_weber_fraction_leaves_the_rest():
+    assert Weber(0.1, correlation=0.5).with_weber_fraction(0.3) == Weber(0.3, correlation=0.5)
+    angles = Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], [2, 1])
+    assert angles.with_weber_fraction(0.3) == Joint(
+        [Weber(0.3), GeneralisedWeber(0, floor=0.1)], [2, 1]
+    )
+    assert angles.with_weber_fraction([0.3, 0.3, 0.0]) == angles.with_weber_fraction(0.3)
+    assert_allclose(angles.weber_fractions(3), [0.1, 0.1, 0.0])
+    assert_allclose(angles.floors(3), [0.0, 0.0, 0.1])
+    assert Events([[0.0], [1.0]]).with_weber_fraction(0.3) == Events([[0.0], [1.0]])
+    floor = GeneralisedWeber(0.1, floor=0.5, ceiling=3.0)
+    assert floor.without_floor() == GeneralisedWeber(0.1, floor=0.0, ceiling=3.0)
+    assert floor.with_weber_fraction(0.2) == GeneralisedWeber(0.2, floor=0.5, ceiling=3.0)
+
+
+@pytest.mark.parametrize("make", NOISES)
+def test_what_laws_say_of_themselves_is_so(make):
+    noise = make()
+    size = 3 if "Joint([Joint" in repr(noise) else 2
+    signals = np.linspace(0.2, 0.4, size)
+    rng = np.random.default_rng(3)
+    reading = noise.sample(signals, rng)
+    if noise.is_scale_family:  # the density of c·y given c·I is that of y given I over c
+        for c in (1e-3, 7.0):
+            change = noise.log_likelihood(c * reading, c * signals) + size * np.log(c)
+            assert_allclose(change, noise.log_likelihood(reading, signals))
+    elif not noise.is_categorical:
+        assert not np.allclose(noise.sd(7 * signals), 7 * noise.sd(signals))
+    if noise.gaussian_on is not None:  # quadratic in the reading, or in its logarithm
+        log = noise.gaussian_on == "log"
+        places = np.geomspace(0.1, 1.0, 5) if log else np.linspace(0.1, 1.0, 5)
+        points = np.repeat(signals[None], 5, axis=0)
+        points[:, 0] = places
+        value = noise.log_likelihood(points, signals) + (np.log(points).sum(-1) if log else 0.0)
+        assert_allclose(np.diff(value, 3), 0.0, atol=1e-9 * np.abs(value).max())
+
+
+def test_a_new_law_of_noise_in_four_lines():
+    """It runs through the observer, the posterior and the JND, with the right numbers."""
+    size = 0.1 * np.sqrt(Compliance().signals(W, np.array([20e-3]))[0][0])
+    same = ww.Observer(W, Compliance(), Weber(0.1))
+    new = ww.Observer(W, Compliance(), SquareRoot(size))
+    at = np.array([20e-3])
+    assert_allclose(weber_propagation(new, at), weber_propagation(same, at))
+    # Σ⁻¹μ'² + ½(ln Σ)'²: the second term is a quarter of Weber's, as sd goes with √I.
+    assert_allclose(new.information(at) / same.information(at), (100 + 0.5) / (100 + 2.0))
+    p = ww.posterior(new, new.read(at, seed=1))
+    r = np.linspace(1e-4, W.length, 20_001)[:-1]
+    density = np.exp(new.log_likelihood(new.read(at, seed=1), r[:, None]))
+    assert_allclose(p.mean[0], (r * density).sum() / density.sum(), rtol=1e-5)
+    two = ww.Observer(W, ForceMap(), SquareRoot(1e-3 * size))
+    fast, slow = (
+        ww.posterior(two, two.read([20e-3, 0.2], 1), method=m, seed=1)
+        for m in ("quadrature", "emcee")
+    )
+    assert abs(fast.mean[0] - slow.mean[0]) < 0.1 * fast.sd[0]
