@@ -138,7 +138,8 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    return {place, "_checks", "_deprecated", "_values"}.union(*(_allowed(below) for below in TABLE[place]))
+    own = {place, "_checks", "_deprecated", "_values"}
+    return own.union(*(_allowed(below) for below in TABLE[place]))
 
 
 def _imports(path: Path, package: Path, modules: dict[str, Path]) -> Iterator[tuple[str, bool]]:
