@@ -20,7 +20,7 @@ from command import options
 
 from weberwhisk.commands import figure
 from weberwhisk.runs import Run
-from weberwhisk.surveys import SEED, WHISKER, K
+from weberwhisk.surveys import SEED, K
 
 #: The charts, and the names of their files.
 CHARTS = {
@@ -37,7 +37,7 @@ def make(folder: Path, *, short: bool = False) -> dict[str, pd.DataFrame]:
     tables = {}
     with Run(folder, "all_cues", {"weber_fraction": K, "short": short}, SEED) as run:
         for name, chart in CHARTS.items():
-            made = chart(WHISKER, short, SEED)
+            made = chart(figure.Asked(short=short))
             (tables[name],) = made.tables.values()
             run.table(f"all_cues_{name}", tables[name])
             run.figure(f"all_cues_{name}", made.chart)

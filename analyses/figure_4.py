@@ -32,14 +32,14 @@ EXPECTED = {
 
 def figure_4a(run: Run, short: bool) -> None:
     """Compliance cue, tapered and cylindrical: closed forms, and emcee's posteriors as points."""
-    made = figure.figure_4a(WHISKER, short, SEED)
+    made = figure.figure_4a(figure.Asked(short=short))
     run.table("figure_4a", made.tables["figure-4a"])
     run.figure("figure_4a", made.chart)
 
 
 def figure_4b(run: Run) -> pd.DataFrame:
     """Force map with noise in the moment alone; returns the surface beside what is expected."""
-    made = figure.figure_4b(WHISKER, True, SEED)
+    made = figure.figure_4b(figure.Asked(short=True))
     run.table("figure_4b", made.tables["figure-4b"])
     run.figure("figure_4b", made.chart)
     checked = check()

@@ -18,13 +18,13 @@ from command import options
 
 from weberwhisk.commands import figure
 from weberwhisk.runs import Run
-from weberwhisk.surveys import SEED, WHISKER, K
+from weberwhisk.surveys import SEED, K
 
 
 def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Tables and figure into `folder`."""
     with Run(folder, "weber_2d", {"weber_fraction": K, "short": short}, SEED) as run:
-        made = figure.weber_2d(WHISKER, short, SEED)
+        made = figure.weber_2d(figure.Asked(short=short))
         zero, common = made.tables.values()
         run.table("weber_2d_false_zero", zero)
         run.table("weber_2d_gain", common)

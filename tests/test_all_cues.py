@@ -1,9 +1,11 @@
 """The claims of the charts of all cues, from small tables."""
 
 import numpy as np
+import pytest
 
-from weberwhisk import figures
+from weberwhisk import Whisker, figures
 from weberwhisk import surveys as all_cues
+from weberwhisk.commands import figure
 
 
 def test_no_cue_is_best_everywhere():
@@ -34,8 +36,12 @@ def test_charts_name_the_regions_where_methods_fail():
     names = {outcome.split(":")[0] for outcome in lost["outcome"]}
     assert {"one-sided", "flicked past"} <= names
     assert lost[["closed_form", "fisher", "posterior"]].isna().all(axis=None)
-    works = figures.cue_jnds(table).axes[2]
-    assert names <= {text.get_text() for text in works.texts}
+    works = figures.cue_jnds(table).axes[:4]
+    written = [text.get_text() for ax in works for text in ax.texts]
+    assert names | set(table["cue"]) == set(written)
+    for ax in works:  # a colour is one cue's
+        colours = [line.get_color() for line in ax.lines if line.get_marker() not in (None, "None")]
+        assert len(set(colours)) == len(colours) > 1
 
     contacts = all_cues.best(30)
     beyond = set(contacts["beyond"])
@@ -76,3 +82,35 @@ def test_every_way_to_fail_is_an_outcome_on_a_chart():
     assert shown == set(table["outcome"])
     titles = {ax.get_title() for ax in chart.axes} - {""}
     assert titles == set(table["cue"])
+    # Both columns have ticks below, and a colour means one outcome, whichever else are shown.
+    count = len(titles)
+    for ax in chart.axes[count - 2 : count]:
+        assert ax.xaxis.get_tick_params()["labelbottom"]
+    few = figures.cue_outcomes(table[table["cue"] == "moment and axial force (f)"])
+    whole, part = (
+        dict(zip((text.get_text() for text in box.get_texts()), box.legend_handles, strict=True))
+        for box in (chart.legends[0], few.legends[0])
+    )
+    for name, patch in part.items():
+        assert patch.get_facecolor() == whole[name].get_facecolor()
+
+
+def test_neighbours_are_those_of_the_identity(monkeypatch):
+    """E4 (17.9 mm) stood between whiskers of 40 and 30 mm."""
+    array = all_cues.neighbours(identity="E4")
+    known = [Whisker.from_identity(name).length for name in ("E5", "E3")]
+    np.testing.assert_allclose(array.lengths, known)
+    assert np.sign(array.bases[:, 1]).tolist() == [1, -1]
+    assert np.all((np.abs(array.bases[:, 1]) > 0.5e-3) & (np.abs(array.bases[:, 1]) < 3e-3))
+    # C2's base by hand, from Belli et al. 2018: azimuth -8.4°, elevation 2.51°, 6.743 mm out.
+    np.testing.assert_allclose(
+        all_cues._base("C", 2) * 1e3, 6.7432 * np.array([0.98832, -0.14594, 0.04379]), rtol=1e-3
+    )
+    asked = []
+    monkeypatch.setattr(all_cues, "curves", lambda *a, **how: asked.append(how) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        figure.CHARTS["cues"](figure.Asked(Whisker.from_identity("E4"), True, identity="E4"))
+    assert asked[0]["identity"] == "E4"
+    table = all_cues.outcomes(4, 4, whisker=Whisker.from_identity("E4"), identity="E4")
+    other = all_cues.outcomes(4, 4, whisker=Whisker.from_identity("E4"))
+    assert not table[table["cue"] == all_cues.ARRAY].equals(other[other["cue"] == all_cues.ARRAY])

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import cli
+from weberwhisk import cli, surveys
 from weberwhisk._terminal import run_app
 from weberwhisk.behaviour import load_rat_auditory
 from weberwhisk.commands import quickstart
@@ -69,7 +69,7 @@ def test_the_surface_falls_with_distance_and_deflection(numbers: dict) -> None:
 
 def test_the_surface_is_the_small_angle_form_at_small_angles() -> None:
     whisker = ww.Whisker.from_identity("C2")
-    table = quickstart.surface_table(whisker, 0.1, distances=20)
+    table = surveys.surface(0.1, 1e-10, 20, whisker=whisker)
     first = table.groupby("radial_distance").first()
     r, apex = first.index.to_numpy(), whisker.apex_distance
     form = 0.1 * (apex - r) * (3 * apex - 2 * r) / (2 * apex - r)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
+from weberwhisk import figures
 from weberwhisk import surveys as weber_2d
 from weberwhisk.jnd import fisher_jnd, jnd_curve, weber_propagation
 
@@ -49,6 +50,46 @@ def test_both_limits_improve_with_the_deflection_as_the_paper_found():
     contact = np.stack([np.full(5, 0.7 * W.length), theta], axis=-1)
     for noise in weber_2d.FAMILY.values():
         assert np.all(np.diff(weber_propagation(weber_2d.observer(*noise), contact)) < 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "other", "contact"),
+    [
+        ("axial force noise alone", "moment", (84, 71, 59, 47)),
+        ("moment noise alone", "axial_force", (103, 103, None, None)),
+    ],
+)
+def test_false_zeros_of_either_limit_are_where_the_other_slope_vanishes(name, other, contact):
+    """Axial: within the paper's contact angles of 90°. Moment: beyond, and only up to 0.5 L."""
+    table = weber_2d.surface(*weber_2d.FAMILY[name], 300)
+    places = table["radial_distance"].unique()
+    for place, alpha in zip((0.3, 0.5, 0.7, 0.9), contact, strict=True):
+        near = places[np.argmin(np.abs(places - place * W.length))]
+        rows = table[table["radial_distance"] == near]
+        sign = np.sign(rows["signed_jnd"].to_numpy())
+        at = np.flatnonzero(np.diff(sign) != 0)
+        if alpha is None:
+            assert not at.size
+            continue
+        assert at.size == 1
+        before, after = (rows["deflection_angle"].iloc[at[0] + i] for i in (0, 1))
+        angles = np.linspace(before, after, 9)
+        angles = np.concatenate([angles - (after - before), angles, angles + (after - before)])
+        top = np.argmax(getattr(ww.press(W, near, angles), other))
+        assert before <= angles[top] <= after  # there the other signal peaks
+        assert np.degrees(rows["contact_angle"].iloc[at[0]]) == pytest.approx(
+            alpha, abs=2 if alpha < 90 else 4
+        )
+    assert np.all(table["jnd"] == np.abs(table["signed_jnd"]))
+
+
+def test_figure_4b_marks_the_contact_angle_of_90_degrees_and_the_false_zero():
+    table = weber_2d.surface(K, weber_2d.NONE, 40)
+    ax = figures.jnd_surface(table, length=W.length, weber_fraction=K)
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == ["contact angle of 90°", "false zero of the linear JND"]
+    both = weber_2d.surface(*weber_2d.FAMILY["both alike"], 20)
+    assert "signed_jnd" not in both
 
 
 def test_the_linear_jnd_has_a_false_zero_and_the_posterior_none():

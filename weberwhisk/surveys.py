@@ -29,12 +29,13 @@ from .cues import (
 from .cues.force_map import SIGNALS
 from .fusion import added_information
 from .jnd import fisher_jnd, jnd_curve, weber_propagation
+from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.ladder import flick_past, press
 from .observer import Observer
 from .posterior import posterior
 from .receptors import Weber
-from .whisker import Whisker
+from .whisker import Whisker, identities
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,12 +47,51 @@ K = 0.1
 #: Deflection where a cue does not say, rad.
 ANGLE = np.radians(5.0)
 SEED = 20110166
+ARRAY = "which of three whiskers touch (b)"
+
+
+def neighbours(whisker: Whisker = WHISKER, identity: str | None = None) -> ComparativeLength:
+    """Which of three whiskers touch: this one and the two nearest of its row.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        Without an identity its neighbours are assumed: four and three fifths as long, with bases
+        3 and 6 mm in front.
+    identity : str, optional
+        With one they have the mean lengths of the rat's, and bases as far away, along the row, as
+        the array's equations say (Belli, Bresee, Graff & Hartmann 2018, PLoS ONE).
+
+    Examples
+    --------
+    >>> neighbours(identity="E4").lengths * 1e3  # E5 and E3
+    array([11.3, 26.8])
+    """
+    if identity is None:
+        bases = [[0.0, 3e-3], [0.0, 6e-3]]
+        return ComparativeLength([0.8 * whisker.length, 0.6 * whisker.length], bases)
+    row, column = identity[0], int(identity[1:])
+    others = [int(name[1:]) for name in identities() if name[0] == row and name != identity]
+    near = sorted(others, key=lambda c: (abs(c - column), -c))[:2]
+    own = _base(row, column)
+    gaps = [np.copysign(np.linalg.norm(_base(row, c) - own), c - column) for c in near]
+    lengths = [Whisker.from_identity(f"{row}{c}").length for c in near]
+    return ComparativeLength(lengths, [[0.0, gap] for gap in gaps])
+
+
+def _base(row: str, column: int) -> Array:
+    """A base's place, m, by Belli et al. 2018, whose columns count from 1."""
+    r, c = "ABCDE".index(row) + 1, column + 1
+    azimuth, elevation = 13.4 * c - 48.6, 1.49 * r**2 - 26.3 * r + 68.0
+    distance = 0.000511 * azimuth**2 - 0.0295 * azimuth - 0.0162 * elevation + 6.5
+    a, e = np.radians([azimuth, elevation])
+    return 1e-3 * distance * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
 #: One line a cue, in the order of the paper's sections.
 CUES: dict[str, Cue] = {
     "whisker length (a)": VibrissaLength(),
-    "which of three whiskers touch (b)": ComparativeLength(
-        [40e-3, 30e-3], [[0.0, 3e-3], [0.0, 6e-3]]
-    ),
+    ARRAY: neighbours(),
     "angle-side-angle (c)": AngleSideAngle(),
     "two whiskers (c)": TwoWhiskers(),
     "contact and detachment (c)": ContactAndDetachment(),
@@ -70,16 +110,22 @@ MAPPED = ("vibration, 3 modes with phase (d)", "tap (e)", "moment and axial forc
 
 
 def curves(
-    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
+    points: int,
+    draws: int,
+    *,
+    whisker: Whisker = WHISKER,
+    identity: str | None = None,
+    seed: int = SEED,
 ) -> pd.DataFrame:
     """The JND of every cue by every route, m, a row for each cue and distance.
 
     Up to the tip for all of them: where a method does not work there its ``outcome`` says why.
+    With `identity` the neighbours of `neighbours` are the real ones.
     """
     import pandas as pd
 
     tables = []
-    for name, cue in CUES.items():
+    for name, cue in (CUES | {ARRAY: neighbours(whisker, identity)}).items():
         r = np.linspace(0.03, 0.97, points) * whisker.length
         angle = ANGLE if "deflection_angle" in cue.unknowns else None
         table = jnd_curve(Observer(whisker, cue), r, angle, draws=draws, seed=seed)
@@ -95,7 +141,7 @@ FAILING: dict[str, Cue] = {
         name: CUES[name]
         for name in (
             "whisker length (a)",
-            "which of three whiskers touch (b)",
+            ARRAY,
             "angle-side-angle (c)",
             "contact and detachment (c)",
             "moment and axial force (f)",
@@ -107,7 +153,12 @@ FAILING: dict[str, Cue] = {
 
 
 def outcomes(
-    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
+    points: int,
+    draws: int,
+    *,
+    whisker: Whisker = WHISKER,
+    identity: str | None = None,
+    seed: int = SEED,
 ) -> pd.DataFrame:
     """What becomes of contacts and, by each cue's own method, of noisy readings of them.
 
@@ -118,7 +169,7 @@ def outcomes(
 
     rng, tables = np.random.default_rng(seed), []
     r = np.linspace(0.03, 1.2, points) * whisker.length
-    for name, cue in FAILING.items():
+    for name, cue in (FAILING | {ARRAY: neighbours(whisker, identity)}).items():
         observer = Observer(whisker, cue)
         count = observer.bounded
         contact = observer.at_middle(np.stack([r, np.full(points, ANGLE)], axis=-1)[:, :count])
@@ -223,19 +274,35 @@ def closed_form(r: Array, k_moment: float, k_force: float, rho: float) -> Array:
 
 
 def surface(
-    k_moment: float, k_force: float, points: int = 80, *, whisker: Whisker = WHISKER
+    k_moment: float, k_force: float, points: int = 90, *, whisker: Whisker = WHISKER
 ) -> pd.DataFrame:
-    """The JND over every contact that the whisker holds, as `figures.jnd_surface` takes it."""
+    """The linear JND over every contact up to flick-past, as `figures.jnd_surface` takes it.
+
+    Returns
+    -------
+    DataFrame
+        ``radial_distance`` (m), ``deflection_angle`` (rad), ``jnd`` (m), ``contact_angle`` (rad)
+        and, where one signal alone is noisy, ``signed_jnd`` (m). To first order an error of that
+        signal moves r by the slope of the *other* in θ_d over the Jacobian; where that slope passes
+        through zero the signed JND does, a false zero that no posterior has.
+    """
     import pandas as pd
 
     r = np.linspace(0.02, 0.99, points) * whisker.length
     limit = np.asarray(flick_past(whisker, r).deflection_angle)
+    # Close to the limit the slopes vary fast: angles stand denser there.
     share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, points))
     contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * share), axis=-1)
-    jnd = weber_propagation(observer(k_moment, k_force, whisker=whisker), contact)
-    columns = (contact[..., 0], contact[..., 1], jnd)
-    names = ("radial_distance", "deflection_angle", "jnd")
-    return pd.DataFrame({n: c.ravel() for n, c in zip(names, columns, strict=True)})
+    columns = {
+        "radial_distance": contact[..., 0],
+        "deflection_angle": contact[..., 1],
+        "jnd": weber_propagation(observer(k_moment, k_force, whisker=whisker), contact),
+        "contact_angle": press(whisker, contact[..., 0], contact[..., 1]).contact_angle,
+    }
+    if min(k_moment, k_force) < 1e-6 * max(k_moment, k_force):
+        slopes = elastica.signal_jacobian(whisker, contact[..., 0], contact[..., 1])[..., 1]
+        columns["signed_jnd"] = columns["jnd"] * np.sign(slopes[..., int(k_moment > k_force)])
+    return pd.DataFrame({name: np.ravel(column) for name, column in columns.items()})
 
 
 def false_zero(

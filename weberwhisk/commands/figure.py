@@ -26,7 +26,7 @@ from .options import (
     the_whisker,
     wrote,
 )
-from .quickstart import surface_in_degrees, surface_table
+from .quickstart import surface_in_degrees
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,97 +42,113 @@ class Made(NamedTuple):
     chart: Any
 
 
-Make = Callable[[ww.Whisker, bool, int], Made]
+class Asked(NamedTuple):
+    """What a chart is made of: a whisker, its identity if it has one, and how."""
+
+    whisker: ww.Whisker = surveys.WHISKER
+    short: bool = False
+    seed: int = surveys.SEED
+    identity: str | None = None
 
 
-def cues(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+Make = Callable[[Asked], Made]
+
+
+def _of(asked: Asked) -> dict[str, Any]:
+    return {"whisker": asked.whisker, "identity": asked.identity, "seed": asked.seed}
+
+
+def cues(asked: Asked) -> Made:
     """JND of each cue against distance, posteriors over closed forms, where each works"""
     from .. import figures
 
-    points, draws = (8, DRAWS_SHORT) if short else (30, DRAWS)
-    table = surveys.curves(points, draws, whisker=whisker, seed=seed)
+    points, draws = (8, DRAWS_SHORT) if asked.short else (30, DRAWS)
+    table = surveys.curves(points, draws, **_of(asked))
     return Made({"cues": table}, figures.cue_jnds(table))
 
 
-def outcomes(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def outcomes(asked: Asked) -> Made:
     """where each cue finds a distance, and what fails elsewhere or by chance"""
     from .. import figures
 
-    points, draws = (25, DRAWS_SHORT) if short else (100, 2 * DRAWS)
-    table = surveys.outcomes(points, draws, whisker=whisker, seed=seed)
+    points, draws = (25, DRAWS_SHORT) if asked.short else (100, 2 * DRAWS)
+    table = surveys.outcomes(points, draws, **_of(asked))
     return Made({"outcomes": table}, figures.cue_outcomes(table))
 
 
-def best_cue(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def best_cue(asked: Asked) -> Made:
     """the best cue at every contact, over distance and deflection"""
     from .. import figures
 
-    table = surveys.best(40 if short else 90, whisker=whisker)
+    table = surveys.best(40 if asked.short else 90, whisker=asked.whisker)
     return Made({"best-cue": table}, figures.best_cue(table, surveys.MAPPED))
 
 
-def ridge(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def ridge(asked: Asked) -> Made:
     """pair plot of the posterior of one reading: a taper's, and a cylinder's ridge"""
     from .. import figures
 
-    table = surveys.ridge(400 if short else 8000, whisker=whisker, seed=seed)
-    contact = surveys.RIDGE[0] * whisker.length, surveys.RIDGE[1]
+    table = surveys.ridge(400 if asked.short else 8000, whisker=asked.whisker, seed=asked.seed)
+    contact = surveys.RIDGE[0] * asked.whisker.length, surveys.RIDGE[1]
     return Made({"ridge": table}, figures.ridge(table, contact))
 
 
-def information(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def information(asked: Asked) -> Made:
     """bits about distance that each cue tells alone and adds to the others"""
     from .. import figures
 
-    table = surveys.bits(40 if short else 400, whisker=whisker, seed=seed)
+    table = surveys.bits(40 if asked.short else 400, whisker=asked.whisker, seed=asked.seed)
     return Made({"information": table}, figures.cue_information(table))
 
 
-def weber_2d(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def weber_2d(asked: Asked) -> Made:
     """Weber's law in two dimensions: either limit, between them, and the false zero"""
     from .. import figures
 
     pairs = surveys.FAMILY.items()
     surfaces = {
-        name: surveys.surface(*noise, 40 if short else 80, whisker=whisker) for name, noise in pairs
+        name: surveys.surface(*noise, 40 if asked.short else 80, whisker=asked.whisker)
+        for name, noise in pairs
     }
-    zero = surveys.false_zero(DRAWS_SHORT if short else DRAWS, whisker=whisker, seed=seed)
+    zero = surveys.false_zero(
+        DRAWS_SHORT if asked.short else DRAWS, whisker=asked.whisker, seed=asked.seed
+    )
     chart = figures.weber_2d(
         surfaces,
         zero,
-        surveys.linear_between(whisker=whisker),
-        length=whisker.length,
+        surveys.linear_between(whisker=asked.whisker),
+        length=asked.whisker.length,
         weber_fraction=surveys.K,
     )
     return Made({"weber-2d": zero, "weber-2d-gain": surveys.gain()}, chart)
 
 
-def figure_4a(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def figure_4a(asked: Asked) -> Made:
     """the paper's figure 4a: JND by compliance, tapered and cylindrical, with posteriors"""
     import pandas as pd
 
     from .. import figures
 
-    r, none = np.linspace(0.05, 0.95, 10) * whisker.length, np.array([])
+    r, none = np.linspace(0.05, 0.95, 10) * asked.whisker.length, np.array([])
     tables, shown = [], {}
-    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+    for name, shape in (("tapered", asked.whisker), ("cylinder", asked.whisker.cylinder())):
         observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(surveys.K))
-        draws = DRAWS_SHORT if short else 2 * DRAWS
-        table = jnd_table(observer, r, none, "emcee", "d'=1", draws, seed, False, name)
+        draws = DRAWS_SHORT if asked.short else 2 * DRAWS
+        table = jnd_table(observer, r, none, "emcee", "d'=1", draws, asked.seed, False, name)
         tables.append(in_millimetres(table).assign(whisker=name))
         shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
-    drawn = figures.jnd_curve(shown, length=whisker.length, weber_fraction=surveys.K)
+    drawn = figures.jnd_curve(shown, length=asked.whisker.length, weber_fraction=surveys.K)
     joined = pd.concat(tables, ignore_index=True)
     joined.insert(0, "whisker", joined.pop("whisker"))
     return Made({"figure-4a": joined}, figures.figure_of(drawn))
 
 
-def figure_4b(whisker: ww.Whisker, short: bool, seed: int) -> Made:
+def figure_4b(asked: Asked) -> Made:
     """the paper's figure 4b: JND by the force map, with noise in the moment alone"""
     from .. import figures
 
-    table = surface_table(whisker, surveys.K)
-    drawn = figures.jnd_surface(table, length=whisker.length, weber_fraction=surveys.K)
+    table = surveys.surface(surveys.K, surveys.NONE, whisker=asked.whisker)
+    drawn = figures.jnd_surface(table, length=asked.whisker.length, weber_fraction=surveys.K)
     return Made({"figure-4b": surface_in_degrees(table)}, figures.figure_of(drawn))
 
 
@@ -184,7 +200,7 @@ def figure(
     for used in ("out", "seed", "as_json"):
         inputs.pop(used)
     with Run(out, "figure", inputs | {"whisker": describe(whisker)}, seed) as run:
-        made = make(whisker, short, seed)
+        made = make(Asked(whisker, short, seed, identity))
         for key, table in made.tables.items():
             run.table(key, table)
         run.figure(name, made.chart)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import weberwhisk as ww
 
-from .. import _checks
+from .. import _checks, surveys
 from .._terminal import progress
 from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
@@ -142,7 +142,7 @@ def jnd_surface(
 
     from .. import figures
 
-    table = surface_table(whisker, k)
+    table = surveys.surface(k, k * NO_NOISE, whisker=whisker)
     run.table("jnd_surface", surface_in_degrees(table))
     observer = moment_dominated(whisker, k, LITTLE_NOISE)
     places, degrees = np.array(MARKED).T
@@ -192,35 +192,15 @@ def moment_dominated(whisker: ww.Whisker, k: float, ratio: float = NO_NOISE) -> 
     return ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber([k, k * ratio]))
 
 
-def surface_table(whisker: ww.Whisker, k: float, *, distances: int = 90) -> pd.DataFrame:
-    """The moment-dominated JND over every contact that the whisker holds.
-
-    Returns
-    -------
-    DataFrame
-        ``radial_distance`` (m), ``deflection_angle`` (rad) up to flick-past, and ``jnd`` (m).
-    """
-    import pandas as pd
-
-    r = np.linspace(0.02, 0.99, distances) * whisker.length
-    limit = np.asarray(ww.flick_past(whisker, r).deflection_angle)
-    # Close to the limit the slopes vary fast: angles stand denser there.
-    share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, 90))
-    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * share), axis=-1)
-    jnd = weber_propagation(moment_dominated(whisker, k), contact)
-    columns = (contact[..., 0], contact[..., 1], jnd)
-    names = ("radial_distance", "deflection_angle", "jnd")
-    return pd.DataFrame({n: c.ravel() for n, c in zip(names, columns, strict=True)})
-
-
 def surface_in_degrees(table: pd.DataFrame) -> pd.DataFrame:
-    """`surface_table` in the units of the command line."""
+    """`surveys.surface` in the units of the command line."""
     import pandas as pd
 
     return pd.DataFrame(
         {
             "radial_distance_mm": table["radial_distance"] * 1e3,
             "deflection_angle_deg": np.degrees(table["deflection_angle"]),
+            "contact_angle_deg": np.degrees(table["contact_angle"]),
             "jnd_mm": table["jnd"] * 1e3,
         }
     )
@@ -339,9 +319,12 @@ def _of_surface(surface: dict[str, Any]) -> str:
         f"{surface['flick_past_degrees_at_half_length']:.1f}° for 0.5 L, and there is nothing to "
         f"feel. Full posteriors with a tenth of the noise in the axial force (the dots): {told}. "
         "They need not agree: the surface is the slope at one contact, a posterior averages over "
-        "the contacts that a reading allows and ends where the whisker does. The dark band along "
-        "the edge is of that kind: there the axial force stops changing with angle, and the slope "
-        "alone would call distance known exactly; do not take it for resolution. "
+        "the contacts that a reading allows and ends where the whisker does. The orange line is a "
+        "false zero: there the axial force stops changing with angle, so that the slope alone "
+        "calls distance known exactly, which no posterior does; do not take the dark band about "
+        "it for resolution. It lies beyond the contact angle of 90° (dashed), where the paper's "
+        "figure ends; with noise in the axial force alone there is one within it, where the moment "
+        "stops changing with angle (weberwhisk figure weber-2d). "
         f"Of those posteriors up to {bad:.0%} at one place are flagged as not reliable, and ± is "
         "the scatter over readings only, so read the dots as a rough check."
     )

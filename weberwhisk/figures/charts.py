@@ -11,14 +11,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from .style import COLOURS, DOUBLE, LINES, MARKERS, new_figure, styled
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SMALL, new_figure, styled
 
 #: Unit roundoff of the numbers, and the bias that the ladder allows, in JNDs.
 ROUNDING, ALLOWED = float(np.finfo(float).eps), 0.1
 #: Rows of a posteriors' table that are no method.
 LANDMARKS = ("closed form", "referee")
-#: Size of small print, and letters of it in a line.
-SMALL, FOOT = 6.0, 130
+#: Letters of small print in a line.
+FOOT = 130
 
 
 @styled

@@ -108,13 +108,19 @@ def jnd_surface(
 ) -> Axes:
     """The JND over radial distance and deflection angle, up to where the whisker flicks past.
 
-    The paper's figure 4b.
+    The paper's figure 4b, which ends where the contact angle is 90°. With noise in one signal alone
+    the linear JND has a *false zero*, a dark band about the line drawn here: there the other signal
+    no longer changes with the angle, and to first order distance is known exactly. No posterior has
+    it. With noise in the moment alone it lies beyond the 90°; in the axial force alone, within them
+    from a fifth of the length outwards.
 
     Parameters
     ----------
     table : DataFrame
         Columns ``radial_distance`` (m), ``deflection_angle`` (rad) and ``jnd`` (m): for every
-        distance equally many angles, the last of them where the whisker flicks past.
+        distance equally many angles, the last of them where the whisker flicks past. If there are
+        ``contact_angle`` (rad) and ``signed_jnd``, which changes sign at a false zero, the contact
+        angle of 90° and the false zero are drawn. From `surveys.surface`, say.
     ax : Axes, optional
     length, weber_fraction : float
         The JND is shown as a fraction of their product, the distance as one of the length.
@@ -139,8 +145,19 @@ def jnd_surface(
     lines = ax.contour(x, y, z, np.arange(0.2, top, 0.2), colors="white", linewidths=0.8)
     # Where each line is crossed half-way up: the labels stand clear of the edge.
     ax.clabel(lines, fmt="%.1f", fontsize=7)
+    for name, unit, level, style, colour, label in (
+        ("contact_angle", np.pi / 180, 90.0, "--", "white", "contact angle of 90°"),
+        ("signed_jnd", 1.0, 0.0, "-", COLOURS[1], "false zero of the linear JND"),
+    ):
+        if name in rows:
+            w = rows[name].to_numpy(float).reshape(count, -1) / unit
+            if np.nanmin(w) < level < np.nanmax(w):  # a cylinder may reach neither
+                ax.contour(x, y, w, [level], colors=colour, linestyles=style, linewidths=1.2)
+                shown = "0.6" if colour == "white" else colour
+                ax.plot([], [], linestyle=style, color=shown, linewidth=1.2, label=label)
     ax.plot(x[:, -1], y[:, -1], color="black", linewidth=1.2)
     ax.text(0.97, 0.95, "flicked past", transform=ax.transAxes, ha="right", va="top")
+    legend_above(ax)
     bar = figure_of(ax).colorbar(filled, ax=ax, ticks=np.arange(0, top + 0.01, 0.2))
     bar.set_label("JND/(kL), d'=1")
     if points is not None:

@@ -10,68 +10,106 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from ..mechanics.contact import Outcome
 from .jnds import jnd_surface
-from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, SMALL, figure_of, new_figure, styled
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
+#: The first words of the outcome that is no failure.
+WORKS = Outcome.HELD.message.split(":")[0]
+#: Panels of `cue_jnds`: a title and the paper's sections in it.
+_GROUPS = (
+    ("events (§2a, b)", "ab"),
+    ("angles and sides (§2c)", "c"),
+    ("vibration and taps (§2d, e)", "de"),
+    ("force map, balance (§2f, h)", "fgh"),
+)
+
+
 @styled
 def cue_jnds(table: pd.DataFrame) -> Figure:
-    """JNDs against r (lines: Fisher, marks: posterior), posteriors over closed forms, and failures.
+    """Where each cue works, its JND against r, and posteriors over closed forms.
 
-    Open marks are where the two differ by more than the Monte Carlo error. In the lowest panel
-    every cue has a line where it works; elsewhere it says what fails.
+    Lines are Fisher's JNDs, marks posteriors; open marks are where posterior and closed form differ
+    by more than the Monte Carlo error. Above, every cue has its name and a line where it works;
+    elsewhere it says what fails.
 
     Parameters
     ----------
     table : DataFrame
         From `surveys.curves`.
     """
-    figure = new_figure(DOUBLE, 8.6)
-    top, below, works = figure.subplots(3, 1, sharex=True, height_ratios=(4, 2, 2))
-    groups = list(table.groupby("cue", sort=False))
-    for i, (name, rows) in enumerate(groups):
-        colour = COLOURS[i % len(COLOURS)]
-        look: dict[str, Any] = {
-            "color": colour,
-            "marker": MARKERS[i // 2 % len(MARKERS)],
-            "markersize": 3,
-        }
-        # One event has no limit of small noise, and its information at a point says little.
-        events = rows["closed_form"].isna().all()
-        expected = rows["posterior" if events else "fisher"]
-        top.semilogy(rows["place"], expected * 1e3, LINES[i % len(LINES)], color=colour)
-        top.plot(rows["place"], rows["posterior"] * 1e3, linestyle="none", label=name, **look)
-        ratio = rows["posterior"] / rows["closed_form"]
-        error = 1.96 * rows["posterior_error"] / rows["closed_form"]
-        off = np.abs(ratio - 1) > error
-        for shown, face in ((off, "none"), (~off, colour)):
-            below.errorbar(
-                rows["place"][shown], ratio[shown], error[shown],
-                linestyle="none", linewidth=0.7, markerfacecolor=face, **look,
-            )  # fmt: skip
-        _where_it_works(works, rows, -i, colour)
-    below.axhline(1.0, color="black", linewidth=0.8)
-    below.set(ylabel="posterior /\nclosed form", ylim=(0.3, 1.7))
-    top.set(ylabel="JND (mm), d'=1", ylim=(0.05, 60))
-    works.set(xlabel="Radial distance r/L", ylabel="where it works", yticks=[])
-    figure.legend(*top.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    figure = new_figure(DOUBLE, 6.4)
+    axes = figure.subplots(
+        3, len(_GROUPS), sharex=True, sharey="row", height_ratios=(2.4, 4, 2.4), squeeze=False
+    )
+    for (title, sections), (works, top, below) in zip(_GROUPS, axes.T, strict=True):
+        mine = table[table["cue"].str.extract(r"\(([a-h])\)$", expand=False).isin(list(sections))]
+        for i, (name, rows) in enumerate(mine.groupby("cue", sort=False)):
+            look = _cue_lines(top, below, rows, i)
+            _where_it_works(works, rows, str(name), -i, look)
+        works.set_title(title)
+        works.set(ylim=(-3.6, 0.7), yticks=[])
+        below.axhline(1.0, color="black", linewidth=0.8)
+    below.set(ylim=(0.3, 1.7), xlim=(-0.02, 1.0))
+    top.set(yscale="log", ylim=(0.05, 60))
+    axes[0, 0].set_ylabel("where it works")
+    axes[1, 0].set_ylabel("JND (mm), d'=1\nline: Fisher, mark: posterior")
+    axes[2, 0].set_ylabel("posterior /\nclosed form")
+    figure.supxlabel("Radial distance r/L")
     return figure
 
 
-def _where_it_works(ax: Axes, rows: pd.DataFrame, height: float, colour: str) -> None:
-    """A line where a cue works, and the names of what fails elsewhere."""
-    held = rows["outcome"].str.startswith("held").to_numpy()
+def _cue_lines(top: Axes, below: Axes, rows: pd.DataFrame, i: int) -> dict[str, Any]:
+    """One cue's JNDs, and its posteriors over its closed form; returns its look."""
+    look: dict[str, Any] = {"color": COLOURS[i], "marker": MARKERS[i], "markersize": 3}
+    # One event has no limit of small noise, and its information at a point says little.
+    events = rows["closed_form"].isna().all()
+    expected = rows["posterior" if events else "fisher"]
+    top.plot(rows["place"], expected * 1e3, LINES[i], color=COLOURS[i])
+    top.plot(rows["place"], rows["posterior"] * 1e3, linestyle="none", **look)
+    ratio = rows["posterior"] / rows["closed_form"]
+    error = 1.96 * rows["posterior_error"] / rows["closed_form"]
+    off = np.abs(ratio - 1) > error
+    for shown, face in ((off, "none"), (~off, COLOURS[i])):
+        below.errorbar(
+            rows["place"][shown], ratio[shown], error[shown],
+            linestyle="none", linewidth=0.7, markerfacecolor=face, **look,
+        )  # fmt: skip
+    return look | {"linestyle": LINES[i]}
+
+
+def _where_it_works(
+    ax: Axes, rows: pd.DataFrame, name: str, height: float, look: Mapping[str, Any]
+) -> None:
+    """A cue's name over a line where it works, and under it the names of what fails elsewhere."""
+    works = rows["outcome"].str.split(":").str[0].eq(WORKS).to_numpy()
     place = rows["place"].to_numpy()
-    ax.plot(np.where(held, place, np.nan), np.full(place.size, height), color=colour, linewidth=2.5)
-    for outcome, lost in rows[~held].groupby("outcome", sort=False):
+    ax.plot(np.where(works, place, np.nan), np.full(place.size, height), **look)
+    ax.text(0.0, height + 0.12, name, fontsize=SMALL, color=look["color"], va="bottom")
+    for outcome, lost in rows[~works].groupby("outcome", sort=False):
         ends = lost["place"].min(), lost["place"].max()
         ax.plot(ends, (height, height), ":", color="0.5", linewidth=1)
-        name, late = str(outcome).split(":")[0], ends[0] > 0.85
-        x, side = (ends[1], "right") if late else (ends[0], "left")
-        ax.text(x, height, name, fontsize="x-small", color="0.3", va="bottom", ha=side)
+        x, side = (ends[1], "right") if ends[1] > 0.7 else (ends[0], "left")
+        words = str(outcome).split(":")[0]
+        ax.text(x, height - 0.18, words, fontsize=SMALL, color="0.3", va="top", ha=side)
+
+
+def _outcome_looks() -> dict[str, dict[str, Any]]:
+    """A colour and hatch for every outcome there is, whichever a chart happens to show."""
+    names = [outcome.message.split(":")[0] for outcome in Outcome]
+    return {
+        name: {
+            "facecolor": COLOURS[i % len(COLOURS)],
+            "alpha": 0.45 if i else 0.9,
+            "hatch": (None, "//", "..")[i // len(COLOURS)],
+            "linewidth": 0,
+        }
+        for i, name in enumerate(names)
+    }
 
 
 @styled
@@ -84,21 +122,14 @@ def cue_outcomes(table: pd.DataFrame) -> Figure:
         From `surveys.outcomes`.
     """
     groups = list(table.groupby("cue", sort=False))
-    names = ["held", *(name for name in table["outcome"].unique() if name != "held")]
-    looks: dict[str, dict[str, Any]] = {
-        name: {
-            "facecolor": COLOURS[i % len(COLOURS)],
-            "alpha": 0.45 if i else 0.9,
-            "hatch": "//" if i >= len(COLOURS) else None,
-            "linewidth": 0,
-        }
-        for i, name in enumerate(names)
-    }
+    looks = _outcome_looks()
     count = -(-len(groups) // 2)
     figure = new_figure(DOUBLE, 1.2 * count + 0.8)
     axes = figure.subplots(count, 2, sharex=True, sharey=True).ravel()
     for ax in axes[len(groups) :]:
         ax.set_axis_off()
+    for ax in axes[max(len(groups) - 2, 0) : len(groups)]:  # the last of each column
+        ax.tick_params(labelbottom=True)
     for ax, (cue, rows) in zip(axes, groups, strict=False):
         below = np.zeros(rows["place"].nunique())
         for name, part in rows.groupby("outcome", sort=False):
@@ -107,7 +138,8 @@ def cue_outcomes(table: pd.DataFrame) -> Figure:
             below = below + share
         ax.set(title=cue, xlim=(place[0], place[-1]), ylim=(0, 1))
     for name, look in looks.items():
-        axes[0].fill_between([], [], label=name, **look)
+        if (table["outcome"] == name).any():
+            axes[0].fill_between([], [], label=name, **look)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     figure.supxlabel("Radial distance r/L")
     figure.supylabel("share of readings")
@@ -236,7 +268,10 @@ def weber_2d(
     length: float,
     weber_fraction: float,
 ) -> Figure:
-    """JNDs of three pairs of noises as surfaces, and the false zero beside posteriors.
+    """JNDs of three pairs of noises as surfaces, and a false zero beside posteriors.
+
+    With noise in one signal alone the linear JND has a false zero: in the axial force where the
+    moment no longer grows with the angle, in the moment where the axial force no longer does.
 
     Parameters
     ----------
@@ -251,6 +286,13 @@ def weber_2d(
     *axes, last = figure.subplots(2, 2).ravel()
     for ax, (title, table) in zip(axes, surfaces.items(), strict=True):
         jnd_surface(table, ax, length=length, weber_fraction=weber_fraction)
+        legend = ax.get_legend()
+        if legend:
+            figure.legend(
+                legend.legend_handles, [t.get_text() for t in legend.get_texts()],
+                loc="outside upper center", ncols=3,
+            ) if not figure.legends else None  # fmt: skip
+            legend.remove()
         ax.set_title(title)
     scale = weber_fraction * length
     angle = np.degrees(linear["deflection_angle"])
@@ -263,7 +305,7 @@ def weber_2d(
     )  # fmt: skip
     last.set(
         xlabel="Deflection angle θ$_d$ (degrees)", ylabel="JND/(kL), d'=1", ylim=(1e-4, 1),
-        title="its false zero, far out",
+        title="axial force noise alone, at 0.7 L: its false zero",
     )  # fmt: skip
     last.legend(frameon=False)
     return figure_of(last)
