@@ -376,6 +376,41 @@ def test_the_smallest_number_of_animals():
     assert "animals" in found.report()
 
 
+def test_populations_are_shared_out_and_fit_into_memory(monkeypatch):
+    """512 experiments of three animals were one chunk, and its tables 11.7 GB."""
+    from weberwhisk.design import experiments, power_analysis
+
+    scheme = design((0.2, 0.6), 40).with_animals(3)
+    chunks = power_analysis._chunks(scheme, [TAPERED], Animals(), "tapered", 512, False)
+    assert len(chunks) >= 8
+    assert sum(chunk["runs"] for chunk in chunks) == 512
+    counts, _ = simulate(TAPERED, scheme, Animals(), 14, np.random.default_rng(1))
+    sizes: list[int] = []
+
+    def watched(*given):
+        found = likelihood(*given)
+        sizes.append(found.values.nbytes)
+        return found
+
+    likelihood = experiments.likelihood
+    monkeypatch.setattr(experiments, "likelihood", watched)
+    found = []
+    for most in (1e12, 6e6):
+        monkeypatch.setattr(experiments, "MOST_BYTES", most)
+        sizes.clear()
+        found.append(fit(TAPERED, scheme, counts))
+    assert len(sizes) > 4
+    assert max(sizes[1:]) < 1.5 * 6e6  # what one experiment takes is known by then
+    np.testing.assert_allclose(found[1].log_evidence, found[0].log_evidence, atol=0.05)
+    np.testing.assert_allclose(found[1].quantiles, found[0].quantiles, rtol=5e-3)
+
+
+def test_a_size_far_from_the_goal_is_settled_by_few_runs_of_several_animals():
+    scheme = design((0.2, 0.6), 2).with_animals(2)
+    with pytest.raises(ValueError, match="no design of up to 2 trials"):
+        smallest(scheme, [TAPERED], goal=Goal(half_width=0.1), most=2, runs=10**7)
+
+
 def test_goals_are_counted_as_they_are_said():
     runs = pd.DataFrame({"log_bayes_factor": [2.2, 2.4], "half_width": [0.19, 0.21]})
     assert reaches(runs, Goal(bayes_factor=10)).tolist() == [False, True]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,7 +70,7 @@ def run(
         Shown beside the progress bar.
     progress : callable, optional
         Told how many more chunks are done. By default a bar with the time left, on standard error
-        where that is a terminal.
+        where that is a terminal, and a plain line every 15 s where it is not.
 
     Returns
     -------
@@ -197,6 +199,26 @@ def _kept(record: Record) -> str:
     return f" {len(record.lines)} chunks are done and kept in {record.where!r}."
 
 
+class _Lines:
+    """Progress as plain lines on standard error, few of them: none where it takes seconds."""
+
+    def __init__(self, title: str, done: int, total: int, seconds: float = 15.0) -> None:
+        self._title, self._done, self._total, self._seconds = title, done, total, seconds
+        self._before, self._began = done, time.monotonic()
+        self._next = self._began + seconds
+
+    def advance(self, more: float) -> None:
+        self._done += int(more)
+        now = time.monotonic()
+        if now < self._next or self._done <= self._before:
+            return
+        self._next = now + self._seconds
+        each = (now - self._began) / (self._done - self._before)
+        left = str(timedelta(seconds=round(each * (self._total - self._done))))
+        text = f"{self._title}: {self._done} of {self._total}, about {left} left"
+        print(text, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def _shown(
     progress: Callable[[float], None] | None, title: str, done: int, total: int
@@ -207,7 +229,7 @@ def _shown(
         yield progress
         return
     if not sys.stderr.isatty():
-        yield lambda more: None
+        yield _Lines(title or "Sweep", done, total).advance
         return
     from rich.console import Console
     from rich.progress import (

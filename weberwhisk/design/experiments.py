@@ -32,7 +32,9 @@ Array = NDArray[np.float64]
 
 QUANTILES = (0.025, 0.5, 0.975)
 FINER = 8  # nodes between those of k, for quantiles
-BATCH, POOLED = 2048, 512  # data sets at once, alone and in populations, whose tables are larger
+BATCH = 2048  # data sets at once, of animals alone
+FIRST = 4  # experiments with several animals at first, which tell how much memory one takes
+MOST_BYTES = 100e6  # of the tables of a population's batch, a quarter of what a worker then takes
 
 
 @dataclass(frozen=True)
@@ -134,9 +136,12 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     """
     model = hypothesis.model(scheme)
     apart = counts.shape[1] == 1 or not model.free[0]
-    size = max(1, (BATCH if apart else POOLED) // counts.shape[1])
-    found = []
-    for some in (counts[i : i + size] for i in range(0, len(counts), size)):
+    size = max(1, BATCH // counts.shape[1]) if apart else FIRST
+    found: list[tuple[Array, Array]] = []
+    at = 0
+    while at < len(counts):
+        some = counts[at : at + size]
+        at += len(some)
         flat = some.reshape(-1, some.shape[-1])
         if apart:
             evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
@@ -145,6 +150,9 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
             table = likelihood(model, flat, LAPSE_STEP, HELD)
             mu, by_median, evidence = populations(model, table, counts.shape[1])
             found.append((evidence, np.exp(_integrated(mu, by_median)[1])))
+            # Nodes are shared: more data sets together spread over more of them.
+            fits = int(MOST_BYTES * len(some) / table.values.nbytes)
+            size = max(1, min(fits, 2 * len(some)))
     evidence, quantiles = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Fitted(evidence, quantiles)
 

@@ -20,9 +20,10 @@ from ..behaviour.bias_scale import BiasScales
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors
 from .boxes import with_tail
-from .tables import Likelihood, carried_on, log_sum
+from .tables import NOTHING, Likelihood, carried_on, log_sum
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 LAPSE_STEP = 0.6  # of the nodes of the lapses, between which likelihoods are linear
 HELD = 10.0  # nats under an animal's best, to which its likelihood is tabulated
@@ -41,10 +42,19 @@ PRIORS = PopulationPriors()  # made once: that costs a hundred times what is ask
 
 @dataclass(frozen=True)
 class _Lapses:
-    """Populations of lapses: `weights` (L, J) of the nodes, and `log_prior` (J,)."""
+    """Populations of lapses: `weights` (Lo, Hi, J) of the nodes, and `log_prior` (J,)."""
 
     weights: NDArray[np.float32]
     log_prior: Array
+
+    def at(self, inside: tuple[slice, ...]) -> NDArray[np.float32]:
+        """Weights of some of the nodes."""
+        return self.weights[inside]
+
+    @property
+    def flat(self) -> NDArray[np.float32]:
+        """Weights (L, J) of all nodes in a row."""
+        return self.weights.reshape(-1, self.weights.shape[-1])
 
 
 @dataclass(frozen=True)
@@ -77,16 +87,31 @@ def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Arr
     experiments = found.values.shape[-1] // animals
     out = np.empty((experiments, fractions.mu.size))
     scales = len(found.values)
-    nodes = animals, log_k.size, found.low.size * found.high.size
     for i in range(experiments):
         own = found.values[..., i * animals : (i + 1) * animals]
-        own = np.moveaxis(own, -1, 1).reshape(scales, *nodes)  # (S, A, K, L), in one piece
-        shares, log_weight = _bias_scales(found.scales, own, lapses)
-        by_scale = (shares @ own.reshape(scales, -1)).reshape(-1, *nodes)
-        given = np.array([_of_one(values, log_k, x, lapses, fractions) for values in by_scale])
+        inside, k = _cropped(found, own)
+        own = own[:, *inside].reshape(scales, k.size, -1, animals)
+        own = np.ascontiguousarray(np.moveaxis(own, -1, 1))  # (S, A, K, L)
+        few = _Lapses(lapses.at(inside[1:]), lapses.log_prior)
+        shares, log_weight = _bias_scales(found.scales, own, few)
+        by_scale = (shares @ own.reshape(scales, -1)).reshape(-1, *own.shape[1:])
+        given = np.array([_of_one(values, k, log_k, x, few, fractions) for values in by_scale])
         out[i] = log_sum(log_weight[:, None] + given, 0)
     step = fractions.mu[1] - fractions.mu[0]
     return fractions.mu, out, log_sum(out, 1) + np.log(step)
+
+
+def _cropped(found: Likelihood, own: NDArray[np.float32]) -> tuple[tuple[slice, ...], Indices]:
+    """The nodes (K, Lo, Hi) that some animal of one experiment holds, and those of k by number.
+
+    All data sets share their nodes, of which the animals of one hold a tenth to a third.
+    """
+    held = (own[0] > 0.5 * NOTHING).any(axis=-1)
+    spans = []
+    for axis in range(3):
+        some = np.flatnonzero(held.any(axis=tuple(a for a in range(3) if a != axis)))
+        spans.append(slice(int(some[0]), int(some[-1]) + 1))
+    return tuple(spans), np.arange(found.scores.size)[spans[0]]
 
 
 def _bias_scales(
@@ -97,7 +122,7 @@ def _bias_scales(
     if scales.nodes.size == 1:
         return np.ones((1, 1), dtype=np.float32), np.zeros(1)
     # With likely lapses, and every animal's k its own.
-    usual = lapses.weights[:, int(np.argmax(lapses.log_prior))]
+    usual = lapses.flat[:, int(np.argmax(lapses.log_prior))]
     top = values.max(axis=(0, 2, 3), keepdims=True)
     told = np.log(np.exp(values - top).sum(axis=2) @ usual + LEAST)  # (S, A)
     prior = PRIORS.bias_scale
@@ -122,18 +147,24 @@ def _bias_scales(
 
 
 def _of_one(
-    values: NDArray[np.float32], log_k: Array, x: Array, lapses: _Lapses, fractions: _Fractions
+    values: NDArray[np.float32],
+    k: Indices,
+    log_k: Array,
+    x: Array,
+    lapses: _Lapses,
+    fractions: _Fractions,
 ) -> Array:
-    """Log posterior density of the median in one experiment, (U,)."""
+    """Log posterior density of the median in one experiment, (U,), whose animals hold nodes `k`."""
     animals = len(values)  # (A, K, L)
     top = values.max(axis=(1, 2), keepdims=True)
-    like = np.maximum(np.exp(values - top) @ lapses.weights, LEAST)  # (A, K, J)
+    like = np.maximum(np.exp(values - top) @ lapses.flat, LEAST)  # (A, K, J)
     # What lapses there are, whatever k: then the rest for these populations alone.
     told = np.log(like.sum(axis=1)).sum(axis=0) + lapses.log_prior
     kept = np.flatnonzero(told > told.max() - CUT)
     best = int(np.flatnonzero(kept == told.argmax())[0])
     some = like[..., kept].astype(float)
-    log_like = np.log(some, out=np.full(some.shape, -np.inf), where=some > 1e3 * LEAST)
+    log_like = np.full((animals, log_k.size, kept.size), -np.inf)
+    np.log(some, out=log_like[:, k[0] : k[-1] + 1], where=some > 1e3 * LEAST)
     rows = carried_on(np.swapaxes(log_like, 1, 2).reshape(-1, log_k.size))
     high = rows.max(axis=1, keepdims=True)
     fine = np.exp(CubicSpline(log_k, np.maximum(rows - high, FLOOR), axis=1)(x))
@@ -159,7 +190,7 @@ def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
         for name, axis in zip(names, (found.low, found.high), strict=True)
     ]
     if found.low.size == found.high.size == 1:
-        return _Lapses(np.ones((1, 1), dtype=np.float32), np.zeros(1))
+        return _Lapses(np.ones((1, 1, 1), dtype=np.float32), np.zeros(1))
     priors = PRIORS
     step = min(0.75 / np.sqrt(animals), 0.35)
     mean = np.arange(LAPSE_MEANS[0], LAPSE_MEANS[1] + step, step)
@@ -184,10 +215,10 @@ def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
         columns.append(
             np.einsum("li,hj,lhm->ijm", parts[0][2], parts[1][2], density, optimize=True)
         )
-    weights = np.stack(columns, axis=-1).reshape(found.low.size * found.high.size, -1)
+    weights = np.stack(columns, axis=-1).reshape(found.low.size, found.high.size, -1)
     lo, hi = (model.at(n, a) for n, a in zip(names, (found.low, found.high), strict=True))
     lost = np.add(*model.lapses(lo[:, None], hi[None]))
-    weights[np.broadcast_to(lost >= 1, (lo.size, hi.size)).ravel()] = 0.0
+    weights[np.broadcast_to(lost >= 1, (lo.size, hi.size))] = 0.0
     return _Lapses(weights.astype(np.float32), prior.ravel())
 
 

@@ -23,8 +23,11 @@ from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
-CHUNK = 512  # experiments done at once: the grid of chunks belongs to the seed
+CHUNK = 512  # experiments of one animal done at once: the grid of chunks belongs to the seed
+CHUNK_ANIMALS = 128  # animals done at once, where they share a population: some seconds' work
 TOLERATED = 0.1  # share of 95 % intervals that may miss, before the report says so
+FEW = 96  # runs of several animals that settle a size where the goal is far: others cost minutes
+SURE = 0.99  # how surely
 CLOSE = 0.05  # of the size: how near the bracket closes
 MOST = {"trials": 1000, "animals": 200}
 BY = ["truth", "trials", "animals", "lapse"]
@@ -214,7 +217,8 @@ def smallest(
     most : int, optional
         Where the search ends: 1000 trials of a comparison, or 200 animals.
     runs : int
-        Experiments of each size and truth visited.
+        Experiments of each size and truth visited. With several animals 96 of them settle a size
+        whose power is clearly above or below the goal's share (99 %).
     seed : int
     **options
         As for `power`.
@@ -239,12 +243,22 @@ def smallest(
     end = MOST[vary] if most is None else most
     visited: dict[int, Power] = {}
 
+    def visit(size: int, runs: int, *seeds: int) -> Power:
+        root = np.random.SeedSequence([seed, size, *seeds])
+        own = sized(scheme, vary, size)
+        return power(own, given, goal=aim, runs=runs, seed=root, **(options | shown(own)))
+
+    def shown(own: Scheme) -> dict[str, Any]:
+        most = max(map(max, own.trials))
+        return {"title": f"power, {own.animals} × {most} trials"} if "title" not in options else {}
+
     def reached(size: int) -> bool:
         if size not in visited:
-            visited[size] = power(
-                sized(scheme, vary, size), given, goal=aim, runs=runs,
-                seed=np.random.SeedSequence([seed, size]), **options,
-            )  # fmt: skip
+            few = runs if sized(scheme, vary, size).animals == 1 else min(FEW, runs)
+            found = visit(size, few)
+            if few < runs and not _clear(found):
+                found = _joined([found, visit(size, runs - few, 1)])
+            visited[size] = found
         return bool(visited[size].table["power"].min() >= aim.share)
 
     start = max(map(max, scheme.trials)) if vary == "trials" else scheme.animals
@@ -265,6 +279,23 @@ def smallest(
     fresh = np.random.SeedSequence([seed, 0])
     found = power(scheme, given, goal=aim, runs=2 * runs, seed=fresh, **options)
     return Smallest(scheme, vary, size, error, found, path)
+
+
+def _clear(found: Power) -> bool:
+    """Whether these runs leave no doubt on which side of the goal's share the power lies."""
+    low, high = (
+        np.array(ends)
+        for ends in zip(
+            *(
+                binomtest(round(row["power"] * row["runs"]), row["runs"]).proportion_ci(
+                    SURE, "wilson"
+                )
+                for row in found.table.to_dict("records")
+            ),
+            strict=True,
+        )
+    )
+    return bool(low.min() > found.goal.share or high.min() < found.goal.share)
 
 
 def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
@@ -328,7 +359,8 @@ def _chunks(
         "scheme": encode(scheme), "hypotheses": encode(list(hypotheses)),
         "animals": encode(animals), "truth": truth, "assurance": assurance, "label": label,
     }  # fmt: skip
-    return [common | {"runs": min(CHUNK, runs - i)} for i in range(0, runs, CHUNK)]
+    size = CHUNK if scheme.animals == 1 else max(4, CHUNK_ANIMALS // scheme.animals)
+    return [common | {"runs": min(size, runs - i)} for i in range(0, runs, size)]
 
 
 def _joined(found: list[Power]) -> Power:
