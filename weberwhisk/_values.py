@@ -27,6 +27,12 @@ class Value:
     (Place([1.0, 2.0]), True, False)
     """
 
+    _known_key: tuple[Any, ...]
+    __slots__ = ("__dict__", "__weakref__", "_known_key")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__  # in a copy the key is made again
+
     def _set(self, **values: Any) -> None:
         """Give fields their final values, in `__post_init__`; arrays become read-only copies."""
         for name, value in values.items():
@@ -37,11 +43,12 @@ class Value:
 
     @property
     def _key(self) -> tuple[Any, ...]:
-        key = self.__dict__.get("_known_key")
-        if key is None:
+        try:
+            return self._known_key
+        except AttributeError:
             key = tuple(_plain(getattr(self, f.name)) for f in fields(self))  # type: ignore[arg-type]
-            self.__dict__["_known_key"] = key
-        return key
+            object.__setattr__(self, "_known_key", key)
+            return key
 
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import domain
 from ._checks import finite, one_of, positive
 from ._values import Value
 
@@ -44,8 +45,8 @@ class Whisker(Value):
     Raises
     ------
     ValueError
-        For a length, radius, modulus or density that is not a positive finite number, and for
-        a tip wider than the base.
+        For a length, radius, modulus or density that is not a positive finite number, for a tip
+        wider than the base, and for what can only be a slip of units (a whisker of 41 m).
 
     Examples
     --------
@@ -93,6 +94,7 @@ class Whisker(Value):
                 f"The tip must not be wider than the base, got tip_radius {np.max(tip):g} m and "
                 f"base_radius {np.min(base):g} m; swap them or correct the unit."
             )
+        domain.refuse_length(checked["length"], base)
         self._set(**{n: array if array.ndim else float(array) for n, array in checked.items()})
 
     @classmethod

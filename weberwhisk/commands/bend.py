@@ -139,6 +139,8 @@ def bend(
     if not as_json:
         for outcome in sorted({ww.Outcome(o) for o in bending.outcome[~bending.held]}):
             print(f"{outcome.message[:1].upper()}{outcome.message[1:]}.")
+        if bending.outside_domain:
+            print(bending.outside_domain)
         if model is None:
             _say_which_rung(whisker, bending)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import domain
 from ..whisker import Whisker
 
 
@@ -191,6 +192,20 @@ class Bending:
     def why(self) -> Any:
         """Why this rung, in words: one sentence, or an array of them."""
         return "it was asked for by name" if self.choice is None else self.choice.why
+
+    @property
+    def outside_domain(self) -> str:
+        """What of whisker and contacts lies outside `weberwhisk.domain`, in words; empty if none.
+
+        Examples
+        --------
+        >>> from weberwhisk import press
+        >>> press(Whisker(0.5, 100e-6, 5e-6), 0.1, 0.1).outside_domain
+        'Outside the domain: a length of 500 mm, where whiskers are 2 to 200 mm long.'
+        """
+        held = np.asarray(self.held)
+        share = np.asarray(self.radial_distance / self.whisker.length)[held]
+        return domain.sentence(domain.of_whisker(self.whisker) + domain.of_contact(share, 1.0))
 
     @property
     def held(self) -> Any:

@@ -1,0 +1,69 @@
+"""Magnitudes outside the stated domain: refused where surely a slip of units, else flagged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk import domain
+
+GOOD = (41e-3, 80e-6, 4e-6)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ((41.0, 80e-6, 4e-6), "41 m is none: did you pass millimetres"),
+        ((41.0, 80.0, 4.0), "41 m is none: did you pass millimetres"),
+        ((41e-3, 80.0, 4.0), "base_radius 80 m: did you pass micrometres"),
+        ((41e-3, 0.08, 0.004), "base_radius 0.08 m: did you pass micrometres or millimetres"),
+        (([41e-3, 41.0], 80e-6, 4e-6), "41 m is none"),
+    ],
+)
+def test_a_slip_of_units_is_refused_with_a_hint(fields, words):
+    with pytest.raises(ValueError, match=words):
+        ww.Whisker(*fields)
+
+
+def test_degrees_are_refused_with_a_hint():
+    w = ww.Whisker(*GOOD)
+    with pytest.raises(ValueError, match="did you pass degrees"):
+        ww.press(w, 20e-3, 20.0)
+    assert ww.press(w, 20e-3, np.pi).outcome != ww.Outcome.HELD
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ((1.9e-3, 50e-6, 5e-6), "a length of 1.9 mm"),
+        ((0.21, 500e-6, 5e-6), "a length of 210 mm"),
+        ((50e-3, 100e-6, 0.99e-7), "a radius ratio of 1010.1"),
+    ],
+)
+def test_what_is_merely_unusual_is_flagged(fields, words):
+    w = ww.Whisker(*fields)
+    assert words in domain.sentence(domain.of_whisker(w))
+    bent = ww.press(w, 0.5 * w.length, 0.1)
+    assert words in bent.outside_domain
+    assert bent.outcome == ww.Outcome.HELD
+
+
+@pytest.mark.parametrize(
+    "fields", [GOOD, (2e-3, 50e-6, 0.0), (0.2, 1e-3, 1e-6), (50e-3, 1e-4, 1e-4)]
+)
+def test_nothing_inside_is_flagged(fields):
+    w = ww.Whisker(*fields)
+    bent = ww.press(w, np.array([0.01, 0.5, 0.99, 1.5]) * w.length, 0.01)
+    assert bent.outside_domain == ""
+    near = ww.press(w, np.array([0.009, 0.5]) * w.length, 0.001)
+    assert near.outside_domain.startswith("Outside the domain: a contact at 0.009 of the reach")
+    assert ww.bend(w, 0.5 * w.length, 0.0).outside_domain == ""
+
+
+def test_receptors_of_per_cent_are_flagged():
+    w = ww.Whisker(*GOOD)
+    observer = ww.Observer(w, ww.cues.Compliance(), ww.receptors.Weber(10.0))
+    assert "did you pass per cent" in domain.sentence(domain.of_observer(observer))
+    angles = ww.Observer(w, ww.cues.SpaceMap())  # part of its noise has no Weber fraction
+    assert domain.of_observer(angles) == ()

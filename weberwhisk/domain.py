@@ -1,0 +1,152 @@
+"""The domain in which every number is true, or flagged by its own error estimate.
+
+============================= ==================================================================
+whiskers                      2 to 200 mm long; radius ratio 1 to 1000, or a perfect cone
+contacts                      from 1 % of the reach to the tip; from no deflection to the fold
+Weber fractions of receptors  0.01 to 0.6
+readings                      that some contact the prior allows explains within 8 sd
+trials                        1 to 10⁶
+Weber fractions of fits       0.01 to 3
+============================= ==================================================================
+
+Outside, numbers may still be right, and one flag says what lies outside: `outside_domain` of a
+`Bending`, `Status.OUTSIDE_DOMAIN` of a posterior. No method is there for what lies outside. What
+can only be a slip of units (a whisker of 41 m) is refused where it is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+#: Lengths of whiskers, m: rats' whiskers are 5 to 60 mm long, seals' to 480 mm.
+LENGTHS = (2e-3, 0.2)
+#: Base radius over tip radius; a perfect cone, whose ratio is infinite, is inside as well.
+RADIUS_RATIOS = (1.0, 1000.0)
+#: Radial distance over the largest one that can be reached.
+CONTACTS = (0.01, 1.0)
+#: Weber fractions of receptors.
+WEBER_FRACTIONS = (0.01, 0.6)
+#: Weber fractions that fits and plans may find.
+FITTED_WEBER_FRACTIONS = (0.01, 3.0)
+#: Trials of a fit or a plan.
+TRIALS = (1, 10**6)
+#: How far, in sds, a reading may lie from what the nearest contact gives.
+READING_SDS = 8.0
+
+
+def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
+    """Refuse whiskers that can only be a slip of units: longer than 2 m, or wider than long.
+
+    Raises
+    ------
+    ValueError
+
+    Examples
+    --------
+    >>> refuse_length(41.0, 1e-4)
+    Traceback (most recent call last):
+    ValueError: A whisker of 41 m is none: did you pass millimetres? Write 0.041 for 41 mm.
+    """
+    longest = float(np.max(length))
+    if longest > 10 * LENGTHS[1]:
+        raise ValueError(
+            f"A whisker of {longest:g} m is none: did you pass millimetres? "
+            f"Write {longest / 1e3:g} for {longest:g} mm."
+        )
+    # A stub of the radius's own length is an exercise in scaling, a wider one is no beam.
+    wide = np.asarray(base_radius) > np.asarray(length)
+    if np.any(wide):
+        at = np.broadcast_to(base_radius, wide.shape)[wide].flat[0]
+        raise ValueError(
+            f"The base must not be wider than the whisker is long, got base_radius {at:g} m: did "
+            "you pass micrometres or millimetres? Write 100e-6 for 100 µm."
+        )
+
+
+def of_whisker(whisker: Any) -> tuple[str, ...]:
+    """What of a whisker lies outside, a sentence each; none if nothing does.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> of_whisker(Whisker(50e-3, 100e-6, 5e-6))
+    ()
+    >>> of_whisker(Whisker(1e-3, 100e-6, 5e-6))
+    ('a length of 1 mm, where whiskers are 2 to 200 mm long',)
+    """
+    ratio = np.asarray(whisker.radius_ratio)
+    ratio = np.where(np.isinf(ratio), 1.0, ratio)
+    low, high = (f"{1e3 * end:g}" for end in LENGTHS)
+    where = f"where whiskers are {low} to {high} mm long"
+    out = [f"a length of {1e3 * v:g} mm, {where}" for v in _beyond(whisker.length, LENGTHS)]
+    where = f"where 1 to {RADIUS_RATIOS[1]:g} and the perfect cone are covered"
+    out += [f"a radius ratio of {v:g}, {where}" for v in _beyond(ratio, RADIUS_RATIOS)]
+    return tuple(out)
+
+
+def of_contact(radial_distance: ArrayLike, reach: ArrayLike) -> tuple[str, ...]:
+    """What of radial distances lies outside, a sentence each.
+
+    Examples
+    --------
+    >>> of_contact(0.1e-3, 50e-3)
+    ('a contact at 0.002 of the reach, where 0.01 to 1 are covered',)
+    """
+    share = np.asarray(radial_distance, dtype=float) / np.asarray(reach, dtype=float)
+    where = f"where {CONTACTS[0]:g} to {CONTACTS[1]:g} are covered"
+    return tuple(f"a contact at {v:g} of the reach, {where}" for v in _beyond(share, CONTACTS))
+
+
+def of_weber_fractions(
+    weber_fractions: ArrayLike, known: tuple[float, float] = WEBER_FRACTIONS
+) -> tuple[str, ...]:
+    """What of Weber fractions lies outside, a sentence each; 0 stands for none.
+
+    Examples
+    --------
+    >>> of_weber_fractions([0.1, 10.0])
+    ('a Weber fraction of 10, where 0.01 to 0.6 are covered: did you pass per cent?',)
+    """
+    k = np.asarray(weber_fractions, dtype=float)
+    hint = ": did you pass per cent?" if np.max(k, initial=0.0) > 1 else ""
+    where = f"where {known[0]:g} to {known[1]:g} are covered{hint}"
+    return tuple(f"a Weber fraction of {v:g}, {where}" for v in _beyond(k[k > 0], known))
+
+
+def of_observer(observer: Any) -> tuple[str, ...]:
+    """What of an observer's whisker and receptors lies outside, a sentence each.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues, receptors
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> of_observer(Observer(w, cues.Compliance()))
+    ()
+    >>> of_observer(Observer(w, cues.Compliance(), receptors.Weber(0.001)))
+    ('a Weber fraction of 0.001, where 0.01 to 0.6 are covered',)
+    """
+    k = observer.noise.weber_fractions(len(observer.cue.signal_names))
+    return of_whisker(observer.whisker) + of_weber_fractions(k)
+
+
+def sentence(outside: Iterable[str]) -> str:
+    """All that lies outside, in one sentence; empty if nothing does.
+
+    Examples
+    --------
+    >>> sentence(["a length of 1 mm, where whiskers are 2 to 200 mm long"])
+    'Outside the domain: a length of 1 mm, where whiskers are 2 to 200 mm long.'
+    """
+    found = list(outside)
+    return f"Outside the domain: {'; '.join(found)}." if found else ""
+
+
+def _beyond(values: Any, ends: tuple[float, float]) -> list[float]:
+    """The least and the largest of what lies beyond either end."""
+    array = np.asarray(values, dtype=float)
+    low, high = array[array < ends[0] * (1 - 1e-9)], array[array > ends[1] * (1 + 1e-9)]
+    return [float(f(side)) for f, side in ((np.min, low), (np.max, high)) if side.size]
