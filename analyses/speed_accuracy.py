@@ -8,7 +8,8 @@ stretch and its differential-evolution move), a gradient sampler (littlemcmc's N
 one (dynesty) on the posteriors; psignifit and psychofit on the fits. All but the chain and emcee
 come with ``pip install weberwhisk[referees]``; what is not installed is left out, with a note.
 
-Writes beams, posteriors, fits and growth (CSV) and the figures speed_accuracy and fits_and_growth.
+Writes beams, posteriors, jnds, fits and growth (CSV) and the figures speed_accuracy and
+fits_and_growth.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from scipy.optimize import root
 import weberwhisk as ww
 from weberwhisk import charts, figures
 from weberwhisk.behaviour import Trials
-from weberwhisk.charts import beams, fits, growth, posteriors
+from weberwhisk.charts import beams, fits, posteriors
 from weberwhisk.charts.timing import timed
 from weberwhisk.mechanics import closed_form
 from weberwhisk.runs import Run
@@ -265,7 +266,7 @@ def other_fits(full: bool, sets: int) -> pd.DataFrame:
 
 
 def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
-    """The four tables, this package's rows first."""
+    """The five tables, this package's rows first."""
     return {
         "beams": pd.concat([beams.measure(full=full), other_beams(full)], ignore_index=True),
         "posteriors": pd.concat(
@@ -274,7 +275,8 @@ def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
         "fits": pd.concat(
             [fits.measure(full=full, sets=sets), other_fits(full, sets)], ignore_index=True
         ),
-        "growth": growth.measure(full=full),
+        "jnds": posteriors.measure_jnds(full=full),
+        "growth": fits.measure_growth(full=full),
     }
 
 
@@ -294,10 +296,9 @@ def draw(run: Run, tables: dict[str, pd.DataFrame], foot: str) -> None:
     for name, table in tables.items():
         run.table(name, table)
     table = pd.concat(tables.values(), ignore_index=True)
-    own = {"closed form", "quadrature", "emcee", "Laplace", "emcee, stacked"}
-    outside = {
-        m for m in table["method"].unique() if not m.startswith(("rung", "quad")) and m not in own
-    }
+    own = ("closed", "elastica", "planar", "rod", "quadrature", "Laplace", "emcee, stacked",
+           "exact", "Fisher", "posteriors")  # fmt: skip
+    outside = {m for m in table["method"].unique() if not m.startswith(own) and m != "emcee"}
     run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot, outside=outside))
     run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot, outside=outside))
 

@@ -1,4 +1,4 @@
-"""Speed against accuracy, measured here and now: beams, posteriors, fits, and how they grow.
+"""Speed against accuracy, measured here and now: beams, posteriors, JNDs, fits and growth.
 
 Every part is a table in one form, a row for each method, scene and setting of the method's own
 knob: `part`, `scene`, `method`, `knob`, `seconds` (CPU of one core, of one solution), `error`,
@@ -6,15 +6,16 @@ knob: `part`, `scene`, `method`, `knob`, `seconds` (CPU of one core, of one solu
 run. Rows of other tools may be joined to them; `weberwhisk.figures.speed_accuracy` draws either.
 """
 
-from . import beams, fits, growth, posteriors
+from . import beams, fits, posteriors
 from .timing import machine
 
 #: Name of each part, and what measures it: ``measure(full=...)`` gives its table.
 PARTS = {
     "beams": beams.measure,
     "posteriors": posteriors.measure,
+    "jnds": posteriors.measure_jnds,
     "fits": fits.measure,
-    "growth": growth.measure,
+    "growth": fits.measure_growth,
 }
 
-__all__ = ["PARTS", "beams", "fits", "growth", "machine", "posteriors"]
+__all__ = ["PARTS", "beams", "fits", "machine", "posteriors"]

@@ -1,8 +1,9 @@
-"""Error against time of a bent whisker: every rung, and SciPy's solvers of the same equations.
+"""Error against time of a bent whisker: models, SciPy's solvers, the paper's interpolation.
 
 The contact is given, as an observer's posterior needs it. The truth is Runge–Kutta in extended
 precision, extrapolated. An error of the moment is, at a known angle and under Weber noise, k times
-the error of the distance in JNDs, so that one axis serves for both.
+the error of the distance in JNDs, so that one axis serves for both, and for the paper's way (§2f)
+too, which goes from signals to distance: a cubic through scattered (M, Fx).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.integrate import solve_bvp, solve_ivp
+from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.optimize import root
 
 from ..mechanics import closed_form, elastica, flick_past, profile, rod
@@ -161,31 +163,62 @@ def boundary_value(scene: Scene, tolerance: float) -> float:
     return float(solved.y[1, 0] * unit) if solved.success else float("nan")
 
 
+# -- the paper's interpolation ---------------------------------------------------------------------
+
+
+@cache
+def scattered(points: int, logarithmic: bool) -> CloughTocher2DInterpolator:
+    """A cubic for r, m, through scattered (M, Fx) of contacts to the fold or to 90° (§2f)."""
+    side = int(np.sqrt(points))
+    r = np.linspace(0.02, 0.99, side)[:, None] * WHISKER.length
+    theta = flick_past(WHISKER, r).deflection_angle * np.linspace(0.01, 1 - 1e-9, side)
+    bent = elastica.press(WHISKER, r, theta)
+    kept = bent.contact_angle <= np.pi / 2
+    signals = np.stack([bent.moment[kept], bent.axial_force[kept]], axis=-1)
+    signals = np.log(signals) if logarithmic else signals
+    return CloughTocher2DInterpolator(signals, bent.radial_distance[kept], rescale=True)
+
+
+def interpolated(scene: Scene, points: int, logarithmic: bool, count: int) -> Array:
+    """The moment that differs from the true one as the distance found does; of many alike."""
+    r, theta = scene.contact
+    bent = elastica.press(WHISKER, r, theta)
+    signals = np.array([[bent.moment, bent.axial_force]])
+    signals = np.log(signals) if logarithmic else signals
+    found = scattered(points, logarithmic)(np.repeat(signals, count, axis=0))
+    slope = elastica.signal_jacobian(WHISKER, r, theta)[0, 0]
+    return np.asarray(truth(scene) + slope * (found - r))
+
+
 # -- the table -----------------------------------------------------------------------------------
 
 
 def _calls(scene: Scene, full: bool) -> Iterator[tuple[str, float, int, Callable[[], Any]]]:
     """Method, knob, contacts in a call, and the call, which returns moments."""
     r, theta = scene.contact
-    for name, rung in (("rung 0, closed form", closed_form), ("rung 1, elastica", elastica)):
+    for name, model in (("closed form", closed_form), ("elastica", elastica)):
         for count in (1, 10, 100, 1000, 10_000) if full else (1, 100, 10_000):
-            yield name, count, count, partial(_moment, rung, np.full(count, r), theta)
+            yield name, count, count, partial(_moment, model, np.full(count, r), theta)
     few = (1e-3, 1e-6, 1e-9, 1e-12) if full else (1e-3, 1e-9)
     point = r * np.array([np.cos(theta), np.sin(theta), 0.0])
     for tolerance in few:
         for name, many in (("300 at once", 300), ("one", 1)):
             call = partial(_moment, profile, np.full(many, r), theta, tolerance=tolerance)
-            yield f"rung 2, profile, {name}", tolerance, many, call
-        yield "rung 3, rod, one", tolerance, 1, partial(_rod_moment, point, tolerance)
+            yield f"planar beam, {name}", tolerance, many, call
+        yield "rod, one", tolerance, 1, partial(_rod_moment, point, tolerance)
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11) if full else (1e-3, 1e-9):
         for name, solver in (
             ("SciPy, root over DOP853", initial_value), ("SciPy, solve_bvp", boundary_value)
         ):  # fmt: skip
             yield name, tolerance, 1, partial(solver, scene, tolerance)
+    for points in (100, 1000, 10_000) if full else (100, 1000):
+        for name, logarithmic in (("linear", False), ("logarithmic", True)):
+            call = partial(interpolated, scene, points, logarithmic, 1000)
+            yield f"cubic through scattered (M, Fx), {name}", points, 1000, call
 
 
-def _moment(rung: Any, r: Array, theta: float, **options: float) -> Any:
-    return rung.press(WHISKER, r, theta, **options).moment
+def _moment(model: Any, r: Array, theta: float, **options: float) -> Any:
+    return model.press(WHISKER, r, theta, **options).moment
 
 
 def _rod_moment(point: Array, tolerance: float) -> Any:
@@ -209,7 +242,7 @@ def row(scene: Scene, method: str, knob: float, moment: Any, seconds: float, cou
 
 
 def measure(*, full: bool = False) -> pd.DataFrame:
-    """Relative error of the moment, and CPU seconds a contact, of every rung and of SciPy.
+    """Relative error of the moment, and CPU seconds a contact, of every model and of SciPy.
 
     Parameters
     ----------

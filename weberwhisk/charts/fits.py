@@ -1,14 +1,19 @@
-"""Error and coverage of a fitted Weber fraction against time, on simulated choices."""
+"""Fits of choices: error and coverage against time; and how time and memory grow with size."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ..behaviour import Trials, fit_weber, simulate_trials
+from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
+from ..jnd import jnd_curve
+from ..posterior import posterior
+from .posteriors import OBSERVERS, readings
 from .timing import Row
 
 #: The observer: Weber fraction, lapses at either end; nine signed levels to ±0.30 of one standard.
@@ -38,7 +43,10 @@ TOOLS: dict[str, Tool] = {
 
 
 def measure_tool(name: str, tool: Tool, per_level: int, sets: int) -> Row:
-    """One row: median CPU time, relative RMSE, bias and coverage over data sets of their own."""
+    """One row: median CPU time, relative RMSE with its standard error, bias and coverage.
+
+    The data sets go by their number and size alone, so that every tool has the same.
+    """
     times, middle, inside = [], [], []
     for seed in range(sets):
         trials = simulate_trials(
@@ -51,6 +59,8 @@ def measure_tool(name: str, tool: Tool, per_level: int, sets: int) -> Row:
         middle.append(value / K - 1)
         inside.append(np.nan if np.isnan(low) else low < K < high)
     off = np.array(middle)
+    square = off[np.isfinite(off)] ** 2
+    error = float(np.sqrt(square.mean()))
     return {
         "part": "fits",
         "scene": f"{9 * per_level} trials",
@@ -58,7 +68,8 @@ def measure_tool(name: str, tool: Tool, per_level: int, sets: int) -> Row:
         "knob": 9 * per_level,
         "count": sets,
         "seconds": float(np.median(times)),
-        "error": float(np.sqrt(np.nanmean(off**2))),
+        "error": error,
+        "error_se": float(square.std(ddof=1) / (2 * error * np.sqrt(square.size))),
         "failed": float(np.mean(~np.isfinite(off))),
         "bias": float(np.nanmedian(off)),
         "coverage": float(np.mean(inside)),
@@ -66,11 +77,94 @@ def measure_tool(name: str, tool: Tool, per_level: int, sets: int) -> Row:
 
 
 def measure(*, full: bool = False, sets: int | None = None) -> pd.DataFrame:
-    """Relative RMSE of the Weber fraction, coverage of its 95 % interval, and CPU seconds a fit."""
-    sets = sets or (100 if full else 6)
-    rows = []
-    for per_level in SIZES if full else SIZES[:2]:
-        for name, tool in TOOLS.items():
-            many = sets if name != "emcee" else max(sets // 4, 3)
-            rows.append(measure_tool(name, tool, per_level, many))
-    return pd.DataFrame(rows)
+    """Relative RMSE of the Weber fraction, coverage of its 95 % interval, and CPU seconds a fit.
+
+    All tools fit the same data sets: with fewer for the slow ones their RMSE is another number.
+    """
+    sets = sets or (100 if full else 3)
+    return pd.DataFrame(
+        [
+            measure_tool(name, tool, per_level, sets)
+            for per_level in (SIZES if full else SIZES[:1])
+            for name, tool in TOOLS.items()
+        ]
+    )
+
+
+# -- growth ----------------------------------------------------------------------------------------
+
+#: Largest count of each, in full and in short; 0 leaves it out, as what takes seconds a call.
+MOST = {
+    "posteriors, quadrature, r": (65_536, 1024),
+    "posteriors, quadrature, r and θ_d": (4096, 64),
+    "posteriors, emcee, r": (1024, 64),
+    "trials, fit": (262_144, 4096),
+    "subjects, population fit": (32, 0),
+    "distances, JND curve": (1024, 64),
+}
+
+
+def _job(what: str, n: int) -> Callable[[], Any]:
+    """The call whose size is n; what it needs is made here."""
+    one, two = list(OBSERVERS.values())[:2]
+    if what.startswith("posteriors"):
+        observer = two if "θ_d" in what else one
+        rows = np.resize(readings(observer, 4096), (n, len(observer.cue.signal_names)))
+        method = "emcee" if "emcee" in what else "quadrature"
+        return lambda: posterior(observer, rows, method=method, seed=1)
+    if what.startswith("trials"):
+        trials = simulate_trials(trials_per_level=max(n // 9, 1), seed=1)
+        return lambda: fit_weber(trials)
+    if what.startswith("subjects"):
+        table, _ = simulate_population(n, trials_per_level=15, seed=1)
+        return lambda: fit_population(table, seed=1)
+    r = np.linspace(5e-3, 45e-3, n)
+    return lambda: jnd_curve(one, r, draws=20, seed=1)
+
+
+def _sizes(what: str, full: bool) -> Iterator[int]:
+    most = MOST[what][0 if full else 1]
+    n = 2 if what.startswith("subjects") else 16 if what.startswith("trials") else 1
+    while n <= most:
+        yield n
+        n *= 4
+
+
+def measure_growth(*, full: bool = False) -> pd.DataFrame:
+    """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
+    tables = []
+    for what, most in MOST.items():
+        if not most[0 if full else 1]:
+            continue
+        _job(what, 2)()  # what is made once is not counted
+        rows = []
+        for n in _sizes(what, full):
+            job = _job(what, n)
+            start = time.process_time()
+            job()
+            seconds = time.process_time() - start
+            tracemalloc.start()
+            job()
+            peak = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+            rows.append(
+                {"part": "growth", "method": what, "count": n, "seconds": seconds, "bytes": peak}
+            )
+        part = pd.DataFrame(rows)
+        for column in ("seconds", "bytes"):
+            part[f"slope_{column}"] = slope(part["count"], part[column])
+        tables.append(part)
+    return pd.concat(tables, ignore_index=True)
+
+
+def slope(count: Any, value: Any) -> float:
+    """Exponent of growth over the upper half of the sizes, by least squares; NaN of fewer than 2.
+
+    Examples
+    --------
+    >>> round(slope([1, 10, 100, 1000], [5, 5, 50, 500]), 6)
+    1.0
+    """
+    half = len(count) // 2
+    x, y = (np.log(np.asarray(v, dtype=float)[-max(half, 2) :]) for v in (count, value))
+    return float(np.polyfit(x, y, 1)[0]) if x.size > 1 else float("nan")

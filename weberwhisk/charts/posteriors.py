@@ -1,6 +1,7 @@
-"""Error of a posterior's sd against time: every engine, swept over its own knob.
+"""Errors of posteriors and of JND curves against time: every engine, swept over its own knob.
 
-The referee is a midpoint sum in the contact itself that shares no code with any engine.
+The referee of a posterior's sd is a midpoint sum in the contact itself that shares no code with any
+engine; a JND is the mean of such sds over the readings of one contact.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.integrate import cubature
 
 from .. import cues, receptors
-from ..jnd import weber_propagation
+from ..jnd import fisher_jnd, jnd_curve, weber_propagation
 from ..mechanics import flick_past
 from ..mechanics.chebyshev import Array
 from ..observer import Observer
@@ -57,12 +59,20 @@ def cells(observer: Observer, n: int, box: Array) -> tuple[Array, Array]:
     Axes: r over the reach, then the share of the largest θ_d, or a nuisance from −6 to 6 prior sds.
     """
     shares = [low + (np.arange(n) + 0.5) / n * (high - low) for low, high in box]
-    if len(shares) == 1:
-        return shares[0][:, None] * observer.reach[1], np.ones(n)
-    first, second = (a.ravel() for a in np.meshgrid(*shares, indexing="ij"))
-    r = first * observer.reach[1]
     if observer.bounded > 1:
         width = observer.angle_range(shares[0] * observer.reach[1])[1].repeat(n)
+    else:
+        width = np.ones(n ** len(shares))
+    return _placed(observer, [a.ravel() for a in np.meshgrid(*shares, indexing="ij")], width)
+
+
+def _placed(observer: Observer, shares: list[Array], width: Array) -> tuple[Array, Array]:
+    """Contacts at shares of each axis, where θ_d reaches to `width`; see `cells`."""
+    r = shares[0] * observer.reach[1]
+    if len(shares) == 1:
+        return r[:, None], width
+    second = shares[1]
+    if observer.bounded > 1:
         return np.stack([r, second * width], axis=-1), width
     # The prior is log-normal: ln of the stiffness over its median is normal.
     prior = observer.prior[observer.unknowns[1]]
@@ -95,6 +105,36 @@ def summed(observer: Observer, rows: Array, n: int, *, zoom: bool = False) -> Ar
         share = np.exp(log - log.max()) * weight
         mean = share @ place / share.sum()
         out.append(np.sqrt(share @ (place - mean) ** 2 / share.sum()))
+    return np.array(out)
+
+
+def by_cubature(observer: Observer, rows: Array, tolerance: float) -> Array:
+    """Sds of r (B,) by SciPy's adaptive cubature over the prior's whole box, reading by reading.
+
+    NaN where it does not converge in a thousand regions.
+    """
+    whole = len(observer.unknowns)
+    middle = 0.5 * observer.reach[1]
+    coarse, _ = cells(observer, 100, np.tile([0.0, 1.0], (whole, 1)))
+    out = []
+    for row in rows:
+        top = float(observer.log_likelihood(row, coarse).max())  # against overflow
+
+        def moments(at: Array, row: Array = row, top: float = top) -> Array:
+            shares = list(np.atleast_2d(at.T))
+            two = observer.bounded > 1
+            width = observer.angle_range(shares[0] * observer.reach[1])[1] if two else 1.0
+            contact, size = _placed(observer, shares, np.broadcast_to(width, shares[0].shape))
+            mass = np.exp(observer.log_likelihood(row, contact) - top) * size
+            off = contact[:, 0] - middle
+            return np.stack([mass, mass * off, mass * off**2], axis=-1)
+
+        found = cubature(
+            moments, np.zeros(whole), np.ones(whole), rtol=tolerance, max_subdivisions=1000
+        )
+        mass, first, second = found.estimate
+        good = found.status == "converged" and mass > 0
+        out.append(np.sqrt(second / mass - (first / mass) ** 2) if good else np.nan)
     return np.array(out)
 
 
@@ -137,6 +177,8 @@ def _engines(observer: Observer, full: bool) -> Iterator[tuple[str, float, int, 
     yield "Laplace", 0, bulk, engine("laplace")
     for n in (100, 300, 1000, 3000, 10_000) if full else (100, 3000):
         yield "importance sampling", n, 32, partial(importance, observer, n=n)
+    for tolerance in (1e-2, 1e-4, 1e-6) if full else (1e-2,):
+        yield "SciPy, cubature", tolerance, 4, partial(by_cubature, observer, tolerance=tolerance)
     for tolerance in (0.1, 0.05, 0.02, 0.01) if full else (0.1, 0.03):
         count = 256 if full else 32
         yield "emcee, stacked", tolerance, count, engine("emcee", tolerance=tolerance, seed=3)
@@ -158,7 +200,7 @@ def row(
         "knob": knob,
         "count": sd.size,
         "seconds": seconds,
-        "error": float(np.sqrt(np.mean(ratio**2))),
+        "error": float(np.sqrt(np.nanmean(ratio**2))) if np.isfinite(ratio).any() else np.nan,
         "failed": 1 - good.mean(),
         "worst_vouched": float(np.abs(ratio[good]).max()) if good.any() else np.nan,
     }
@@ -204,4 +246,50 @@ def measure(*, full: bool = False) -> pd.DataFrame:
                 sd, good = result, np.ones(len(result), dtype=bool)
             found = sd[:shown], good[:shown], exact[:shown]
             table.append(row(scene, method, knob, *found, seconds / count))
+    return pd.DataFrame(table)
+
+
+# -- JND curves ----------------------------------------------------------------------------------
+
+
+def measure_jnds(*, full: bool = False) -> pd.DataFrame:
+    """R.m.s. relative error of a curve of JNDs over distances, and CPU seconds a distance.
+
+    The truth, at each distance, is the mean sd over many readings of its own by quadrature, whose
+    sds `measure` judges; the row "referee" is the Monte Carlo error of that mean.
+    """
+    r = np.linspace(0.2, 0.8, 4) * WHISKER.length
+    table: list[Row] = []
+    for scene, cue in (("JND curve, tap: r", cues.Compliance()),
+                       ("JND curve, force map: r, θ_d", cues.ForceMap())):  # fmt: skip
+        observer = Observer(WHISKER, cue, receptors.Weber(K))
+        angle = 0.1 if "deflection_angle" in observer.unknowns else None
+        contact = np.stack([r, np.full(r.size, 0.1)], axis=-1)[:, : len(observer.unknowns)]
+        exact = jnd_curve(observer, r, angle, draws=4000 if full else 300, seed=99)
+        truth = exact["posterior"].to_numpy()
+        doubt = float(np.sqrt(np.mean((exact["posterior_error"] / truth) ** 2)))
+
+        def curve(
+            count: int, method: str, o: Observer = observer, a: float | None = angle
+        ) -> Array:
+            found = jnd_curve(o, r, a, method=method, draws=count, seed=7)
+            return found["posterior"].to_numpy()
+
+        calls: list[tuple[str, int, Callable[[], Array]]] = [
+            ("closed form", 0, partial(weber_propagation, observer, contact, model="closed_form")),
+            ("exact slope", 0, partial(weber_propagation, observer, contact)),
+            ("Fisher information", 0, partial(fisher_jnd, observer, contact)),
+        ]
+        for method, counts in (
+            ("quadrature", (10, 30, 100, 300, 1000) if full else (10, 100)),
+            ("emcee", (10, 30, 100, 300) if full else (10, 30)),
+        ):
+            calls += [(f"posteriors, {method}", n, partial(curve, n, method)) for n in counts]
+        shared = {"part": "jnds", "scene": scene}
+        table.append({**shared, "method": "referee", "error": doubt})
+        for method, count, call in calls:
+            found, seconds = timed(call, repeats=1)
+            error = float(np.sqrt(np.mean((found / truth - 1) ** 2)))
+            table.append({**shared, "method": method, "knob": count, "count": r.size,
+                          "seconds": seconds / r.size, "error": error, "failed": 0.0})  # fmt: skip
     return pd.DataFrame(table)

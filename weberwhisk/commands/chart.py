@@ -14,17 +14,18 @@ from .options import JsonOption, wrote
 
 def chart(
     full: Annotated[
-        bool, typer.Option("--full", help="Every setting and more data: minutes, not seconds.")
+        bool, typer.Option("--full", help="Every setting and more data: some ten minutes.")
     ] = False,
     out: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Folder for the tables and figures.")
     ] = Path("chart"),
     as_json: JsonOption = False,
 ) -> None:
-    """Chart error against CPU time: beams, posteriors and fits, and how each grows.
+    """Chart error against CPU time: beams, posteriors, JND curves and fits, and how each grows.
 
-    Every method is swept over its own knob; time and error are of the same run. What needs other
-    packages (PyElastica, dynesty, psignifit and so on) is added by analyses/speed_accuracy.py.
+    Takes about half a minute; with --full ten. Every method is swept over its own knob; time and
+    error are of the same run. What needs other packages (PyElastica, dynesty, psignifit and so on)
+    is added by analyses/speed_accuracy.py.
     """
     import pandas as pd
 

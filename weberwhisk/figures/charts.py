@@ -25,18 +25,19 @@ FOOT = 130
 def speed_accuracy(
     table: pd.DataFrame, *, weber_fraction: float = 0.1, foot: str = "", outside: Iterable[str] = ()
 ) -> Any:
-    """Beams above and posteriors below, a panel for each scene; every method a line over its knob.
+    """Beams, posteriors and JND curves, a panel for each scene; every method a line over its knob.
 
     Crosses mark settings at which a method fails or flags answers, with their share; at the upper
     edge those without any answer. Methods named in `outside` have hollow marks.
     """
-    figure = new_figure(DOUBLE, 7.4)
-    rows: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.08))
-    beams, posteriors = (table[table["part"] == part] for part in ("beams", "posteriors"))
+    figure = new_figure(DOUBLE, 10.0)
+    rows: Any = figure.subfigures(3, 1, height_ratios=(1.0, 1.1, 0.85))
+    beams, posteriors, jnds = (
+        table[table["part"] == part] for part in ("beams", "posteriors", "jnds")
+    )
     axes = _row(rows[0], beams, set(outside))
     for ax, (_, part) in zip(axes, beams.groupby("scene", sort=False), strict=True):
-        closed = part[part["method"].str.startswith("rung 0")]["seconds"].min()
-        _limits(ax, closed, ROUNDING, "rounding")
+        _limits(ax, _closed_form(part), ROUNDING, "rounding")
         ax.axhline(ALLOWED * weber_fraction, color="0.6", linewidth=0.7, linestyle="--")
         ax.set_ylim(1e-17, 30)
         right = ax.secondary_yaxis("right", functions=_scaling(weber_fraction))
@@ -50,15 +51,32 @@ def speed_accuracy(
     rows[0].supxlabel("CPU time of one contact (s)", fontsize=8)
     axes = _row(rows[1], posteriors[~posteriors["method"].isin(LANDMARKS)], set(outside))
     for ax, (_, part) in zip(axes, posteriors.groupby("scene", sort=False), strict=True):
-        referee, closed = (part[part["method"] == name] for name in ("referee", "closed form"))
-        doubt = max(float(referee["error"].iloc[0]), ROUNDING)
-        _limits(ax, float(closed["seconds"].iloc[0]), doubt, "referee")
+        _limits(ax, _closed_form(part), _doubt(part), "referee")
         ax.set_ylim(1e-17, 30)
     axes[0].set_ylabel("r.m.s. relative error of the sd")
-    rows[1].supxlabel(
-        f"CPU time of one posterior (s), k = {weber_fraction:g}\n{fill(foot, FOOT)}", fontsize=SMALL
-    )
+    rows[1].supxlabel(f"CPU time of one posterior (s), k = {weber_fraction:g}", fontsize=8)
+    axes = _row(rows[2], jnds[jnds["method"] != "referee"], set(outside))
+    for ax, (_, part) in zip(axes, jnds.groupby("scene", sort=False), strict=True):
+        _limits(ax, _closed_form(part), _doubt(part), "Monte Carlo error of the truth")
+        for _, row in part[part["knob"] > 0].iterrows():
+            ax.annotate(
+                f"{row['knob']:.0f}", (row["seconds"], row["error"]), fontsize=SMALL,
+                textcoords="offset points", xytext=(4, 2),
+            )  # fmt: skip
+    axes[0].set_ylabel("r.m.s. relative error of the JND")
+    words = "CPU time of a JND at one distance (s); small numbers: readings"
+    rows[2].supxlabel(f"{words}\n{fill(foot, FOOT)}", fontsize=SMALL)
     return figure
+
+
+def _closed_form(part: pd.DataFrame) -> float:
+    """Time of the closed form, the least there is."""
+    return float(part[part["method"].str.contains("closed form")]["seconds"].min())
+
+
+def _doubt(part: pd.DataFrame) -> float:
+    """Error of the truth itself."""
+    return max(float(part[part["method"] == "referee"]["error"].iloc[0]), ROUNDING)
 
 
 @styled
@@ -70,24 +88,23 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
     left, right = rows[0].subplots(1, 2)
     for i, (method, part) in enumerate(fits.groupby("method", sort=False)):
         style = _style(i, method in set(outside)) | {"label": method}
-        left.loglog(part["seconds"], part["error"], **style)
+        left.errorbar(part["seconds"], part["error"], part["error_se"], elinewidth=0.7, **style)
         miss = 100 * (part["coverage"] - 0.95)
         spread = 100 * np.sqrt(0.95 * 0.05 / part["count"])
         right.errorbar(part["seconds"], miss, spread, elinewidth=0.7, **style)
         for _, row in part.iterrows():
             left.annotate(
-                f"{row['knob']:.0f}", (row["seconds"], row["error"]), fontsize=5,
+                f"{row['knob']:.0f}", (row["seconds"], row["error"]), fontsize=SMALL,
                 textcoords="offset points", xytext=(4, 2),
             )  # fmt: skip
+    left.set(xscale="log", yscale="log")
     left.set(ylabel="relative RMSE of the Weber fraction", xlabel="CPU time of a fit (s)")
     right.axhline(0, color="0.4", linewidth=0.7, linestyle=":")
     right.set(xscale="log", xlabel="CPU time of a fit (s)")
     right.set_ylabel("coverage of the 95 % interval − 95 (points)")
-    for ax in (left, right):  # often less than a decade, where labels of minor ticks overlap
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
-        ax.xaxis.set_major_formatter("{x:g}")
-        ax.xaxis.set_minor_formatter(NullFormatter())
-    left.set_title("small numbers: trials of a data set")
+    for axis in (left.xaxis, left.yaxis, right.xaxis):
+        _log_ticks(axis)
+    left.set_title("small numbers: trials of a data set; bars: standard errors")
     right.set_title("bars: one standard error of the coverage")
     _legend(rows[0], [left])
     axes = rows[1].subplots(1, 2)
@@ -103,6 +120,15 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
     if foot:
         rows[1].supxlabel(fill(foot, FOOT), fontsize=SMALL)
     return figure
+
+
+def _log_ticks(axis: Any) -> None:
+    """Plain numbers that do not run together, however few or many decades there are."""
+    low, high = axis.get_view_interval()
+    decades = np.log10(high / low)
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 1.5 else (1.0,)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _scaling(k: float) -> tuple[Any, Any]:
@@ -140,10 +166,16 @@ def _line(ax: Axes, part: pd.DataFrame, style: dict[str, Any], label: str) -> No
     answered = part[np.isfinite(part["error"])]
     ax.plot(answered["seconds"], np.maximum(answered["error"], ROUNDING / 2), label=label, **style)
     for _, row in part[part["failed"] > 0].iterrows():
-        error = max(row["error"], ROUNDING / 2) if np.isfinite(row["error"]) else 10.0
+        lost = not np.isfinite(row["error"])
+        error = 10.0 if lost else max(row["error"], ROUNDING / 2)
         ax.plot(row["seconds"], error, "x", color="black", markersize=6, markeredgewidth=0.9)
+        if lost:  # all of them; said once
+            if "no answer" not in (text.get_text() for text in ax.texts):
+                ax.text(0.02, 10.0, "no answer", fontsize=SMALL, va="center",
+                        transform=ax.get_yaxis_transform())  # fmt: skip
+            continue
         ax.annotate(
-            f"{row['failed']:.0%}", (row["seconds"], error), fontsize=5,
+            f"{row['failed']:.0%}", (row["seconds"], error), fontsize=SMALL,
             textcoords="offset points", xytext=(4, 3),
         )  # fmt: skip
 
@@ -152,9 +184,17 @@ def _limits(ax: Axes, closed: float, floor: float, name: str) -> None:
     ax.axvline(closed, color="0.4", linewidth=0.7, linestyle=":")
     ax.axhline(floor, color="0.4", linewidth=0.7, linestyle=":")
     top = ax.get_xaxis_transform()
-    ax.text(closed * 1.15, 0.02, "closed form", rotation=90, fontsize=5, transform=top, va="bottom")
     ax.text(
-        0.99, floor, name, fontsize=5, transform=ax.get_yaxis_transform(), ha="right", va="bottom"
+        closed * 1.15, 0.02, "closed form", rotation=90, fontsize=SMALL, transform=top, va="bottom"
+    )
+    ax.text(
+        0.99,
+        floor,
+        name,
+        fontsize=SMALL,
+        transform=ax.get_yaxis_transform(),
+        ha="right",
+        va="bottom",
     )
 
 
