@@ -41,9 +41,10 @@ from weberwhisk.design import (
     taper,
     trial_lists,
 )
-from weberwhisk.design.exports import bpod_table, csv_text, own_table, psychopy_tables
+from weberwhisk.design.exports import bpod_table, own_table, psychopy_tables
 from weberwhisk.design.plan_file import plan_of
 from weberwhisk.design.preregistration import preregistration
+from weberwhisk.written import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
 OFFSETS = [-3e-3, -2e-3, -1e-3, 1e-3, 2e-3, 3e-3]
@@ -632,6 +633,7 @@ def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
         "lognorm(1.099, scale=0.1)",
         "beta(0.3, 3)",
         "a response bias b for each standard",
+        'weberwhisk.fit_weber with bias="per standard"; on the command line --bias',
     ):
         assert fact in text, fact
     alone = Plan(plan.scheme, plan.hypotheses[:1], Goal(half_width=0.25), constraints=Constraints())

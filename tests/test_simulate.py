@@ -11,6 +11,7 @@ import pytest
 
 from weberwhisk.behaviour import (
     LogPercept,
+    WeberFit,
     effects,
     fit_weber,
     simulate_population,
@@ -265,3 +266,61 @@ def test_effects_at_nothing_leave_the_answers_alone() -> None:
 def test_effects_without_a_value_are_refused(given: list[object], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         simulate_trials(effects=given, seed=1)  # type: ignore[arg-type]
+
+
+def test_random_order_puts_the_comparison_first_in_half_of_the_trials() -> None:
+    trials = simulate_trials(
+        standards=[1.0, 2.0], trials_per_level=10, order="random", sessions=2, seed=4
+    )
+    frame = trials.frame
+    offset = (frame["stimulus_1"] + frame["stimulus_2"]) / frame["standard"] - 2
+    swapped = frame["stimulus_1"] != frame["standard"]
+    away = offset.abs() > 1e-9
+    counts = frame[away].groupby(["standard", offset[away].round(6)]).size()
+    assert (counts == 10).all()
+    assert swapped[away].mean() == 0.5
+    assert 0.2 < swapped[away & (frame["session"] == 1)].mean() < 0.8
+    plain = simulate_trials(standards=[1.0, 2.0], trials_per_level=10, sessions=2, seed=4).frame
+    assert (plain["stimulus_1"] == plain["standard"]).all()
+    assert (plain["standard"] == frame["standard"]).all()
+
+
+def test_order_effects_are_found_where_the_order_is_random() -> None:
+    """The standard always came first: a liking for the second could not be told from one for the
+    comparison, so neither could be learnt."""
+    truth = {"bias": 0.3, "comparison_bias": -0.4}
+    design = {
+        "offsets": [-0.2, -0.1, 0.1, 0.2], "trials_per_level": 1000, "bias": truth["bias"],
+        "effects": [(effects.ComparisonBias(), truth["comparison_bias"])], "seed": 12,
+    }  # fmt: skip
+    known = {"lapse_low": 0.0, "lapse_high": 0.0}
+
+    def fitted(order: str) -> WeberFit:
+        trials = simulate_trials(order=order, **design)  # type: ignore[arg-type]
+        return fit_weber(trials, effects=[effects.ComparisonBias()], priors=known)
+
+    fit = fitted("random")
+    for name, value in truth.items():
+        low, high = fit.interval(0.99, parameter=name)
+        assert low < value < high
+        assert high - low < 0.2
+    low, high = fitted("standard first").interval(0.95, parameter="bias")
+    assert high - low > 2.0
+
+
+def test_noise_of_the_first_interval_is_simulated_and_found() -> None:
+    effect = effects.FirstIntervalNoise()
+    trials = simulate_trials(
+        offsets=[-0.4, -0.2, 0.2, 0.4], trials_per_level=3000, order="random", seed=3,
+        weber_fraction=0.2, effects=[(effect, 0.8)],
+    )  # fmt: skip
+    known = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+    low, high = fit_weber(trials, effects=[effect], priors=known).interval(0.99, effect.name)
+    assert low < 0.8 < high
+
+
+def test_an_order_needs_two_intervals() -> None:
+    with pytest.raises(ValueError, match="needs a task of two intervals, got task 'yes/no'"):
+        simulate_trials(order="random", task="yes/no", seed=1)
+    with pytest.raises(ValueError, match="order 'randon' is unknown"):
+        simulate_trials(order="randon", seed=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,11 +15,13 @@ import pytest
 
 from weberwhisk.behaviour import (
     Trials,
+    fit_weber,
     load_numerosity,
     load_rat_auditory,
     read_trials,
     simulate_trials,
 )
+from weberwhisk.written import csv_text
 
 GOOD = "stimulus_1,stimulus_2,choice\n1,1.1,1\n1,0.9,0\n"
 
@@ -440,3 +443,54 @@ def test_two_that_write_one_table_at_once_leave_it_whole(tmp_path: Path) -> None
         list(pool.map(write, tables))
     assert [p.name for p in tmp_path.iterdir()] == ["trials.csv"]
     assert path.read_text() in [t.table().to_csv(index=False, lineterminator="\n") for t in tables]
+
+
+def test_a_selection_has_its_own_notes(tmp_path: Path) -> None:
+    """One animal's report said 16 trials without an answer, and then the 92 of the file."""
+    text = (
+        "subject,trial,stimulus_1,stimulus_2,choice\n"
+        "a,1,1,1.1,\na,1,1,1.1,\nb,1,1,1.1,1\n\nb,1,1,1.1,1\nb,2,1,0.9,\n"
+    )
+    trials = read_trials(table(tmp_path, text))
+    assert trials.notes[0].startswith("3 trials have no answer")
+    assert "the first in rows 2, 5" in trials.notes[1]
+    one = trials.select(subject="b")
+    assert one.n_missing == 1
+    assert one.notes[0].startswith("1 trials have no answer")
+    assert one.notes[1].startswith("1 rows occur more than once, the first in row 5")
+    assert len(one.notes) == 2
+    assert trials.select(subject="b", trial=1).notes == one.notes[1:]
+    said = replace(trials, notes=("The animal was ill.", *trials.notes))
+    assert said.select(subject="b").notes == ("The animal was ill.", *one.notes)
+
+
+def test_many_subjects_are_cut_short_and_said_to_be() -> None:
+    frame = pd.DataFrame({"subject": list("edcba"), "stimulus_1": 1.0, "stimulus_2": 1.1})
+    with pytest.raises(ValueError, match=r"5 subjects \('a', 'b', 'c', 'd', …\)"):
+        fit_weber(read_trials(frame.assign(choice=1)))
+    few = frame.assign(choice=1, subject=list("aabbb"))
+    with pytest.raises(ValueError, match=r"2 subjects \('a', 'b'\)"):
+        fit_weber(read_trials(few))
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mred", "a\x07", "a\tb", "zero\u200bwidth"])
+def test_names_that_a_terminal_would_obey_are_refused(name: str) -> None:
+    frame = pd.DataFrame({"subject": name, "stimulus_1": [1.0], "stimulus_2": 1.1, "choice": 1})
+    assert "row 1: " in (said := refusal(frame))
+    assert "not printed" in said
+    assert said.isprintable()
+
+
+@pytest.mark.parametrize("name", ["=1+1", "@SUM(A1)", "+x", "-x", " =2"])
+def test_a_name_is_no_formula_in_a_spreadsheet(tmp_path: Path, name: str) -> None:
+    frame = pd.DataFrame({"subject": name, "stimulus_1": [1.0], "stimulus_2": 1.1, "choice": 1})
+    trials = read_trials(frame)
+    path = trials.to_csv(tmp_path / "t.csv")
+    cell = path.read_text().splitlines()[1].split(",")[0]
+    assert cell.startswith("'")
+    assert read_trials(path).subjects == trials.subjects == [name.strip()]
+
+
+def test_numbers_below_zero_are_written_as_they_are() -> None:
+    frame = pd.DataFrame({"bias": [-0.5], "text": ["-0.5"], "name": ["a-b"]})
+    assert csv_text(frame) == "bias,text,name\n-0.5,-0.5,a-b\n"

@@ -96,6 +96,18 @@ def shown(value: object) -> str:
     return text if short else f"an object of type {type(value).__name__}"
 
 
+def listed(values: Iterable[object], most: int = 4) -> str:
+    """The first few of many, and that there are more.
+
+    Examples
+    --------
+    >>> listed(["s1", "s2"]), listed(range(9))
+    ("'s1', 's2'", '0, 1, 2, 3, …')
+    """
+    known = list(values)
+    return ", ".join([*map(repr, known[:most]), *(["…"] if len(known) > most else [])])
+
+
 def one_of(name: str, value: object, choices: Iterable[str]) -> str:
     """`value` if it is one of `choices`, else a refusal that names the nearest."""
     known = list(choices)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from .design.exports import bpod_table, csv_text, own_table, psychopy_tables
+from .design.exports import bpod_table, own_table, psychopy_tables
 from .design.plan_file import plan_json
 from .design.preregistration import preregistration
 from .runs import Run, atomic_write
+from .written import csv_text
 
 if TYPE_CHECKING:
     from .design import Plan

@@ -37,10 +37,13 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from . import __version__
-from .written import UNFINISHED, atomic_write, sync, to_json
+from .written import UNFINISHED, atomic_write, csv_text, sync, to_json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["Run", "atomic_write", "to_json"]
 
@@ -48,12 +51,6 @@ _FINISHED = ".weberwhisk-finished-"
 _RECORD = ".run.json"
 _NAME = re.compile(r"\w[\w.-]*")
 _RECORDED_PACKAGES = ("numpy", "scipy", "emcee", "arviz", "pandas")
-
-
-class Table(Protocol):
-    """What `Run.table` needs of a DataFrame."""
-
-    def to_csv(self, path: Path, /, *, index: bool) -> Any: ...
 
 
 class Figure(Protocol):
@@ -158,10 +155,10 @@ class Run:
             shutil.rmtree(self._staging, ignore_errors=True)
             self._staging = None
 
-    def table(self, name: str, table: Table) -> None:
+    def table(self, name: str, table: pd.DataFrame) -> None:
         """Keep a DataFrame as ``<name>.csv``."""
         if self.out_dir is not None:
-            table.to_csv(self.path(f"{name}.csv"), index=False)
+            self.path(f"{name}.csv").write_text(csv_text(table), encoding="utf-8", newline="\n")
 
     def figure(self, name: str, figure: Figure) -> None:
         """Keep a Matplotlib figure as ``<name>.png`` and ``<name>.svg``."""

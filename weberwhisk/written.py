@@ -8,9 +8,12 @@ import secrets
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: What files and folders that are not finished begin with.
 UNFINISHED = ".weberwhisk-unfinished-"
@@ -55,6 +58,39 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
             f"{str(target)!r} cannot be written ({error.strerror}); "
             "name a file in a folder that exists and that you may write to."
         ) from error
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """A table as CSV, the same bytes on every platform; no cell of it runs in a spreadsheet.
+
+    Text that begins with =, +, - or @ is a formula to Excel, LibreOffice and Google Sheets. Such a
+    cell gets an apostrophe in front, which they show as text (OWASP, "CSV injection");
+    `read_trials` takes it off again. Numbers are left as they are.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> print(csv_text(pd.DataFrame({"subject": ["=1+1", "s1"], "bias": [-0.5, 0.5]})), end="")
+    subject,bias
+    '=1+1,-0.5
+    s1,0.5
+    """
+    safe = table.copy()
+    for column in safe:
+        if safe[column].dtype.kind not in "biufcM":
+            safe[column] = safe[column].map(_as_text)
+    return str(safe.to_csv(index=False, lineterminator="\n"))
+
+
+def _as_text(cell: Any) -> Any:
+    """A cell that a spreadsheet takes for what it says."""
+    if not (isinstance(cell, str) and cell.lstrip().startswith(("=", "+", "-", "@"))):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def to_json(value: Any) -> str:

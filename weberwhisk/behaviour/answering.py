@@ -10,7 +10,7 @@ from .. import _checks
 from .percepts import Percept, refuse_unfelt
 from .psychometric import response_probability
 from .tasks import task_named
-from .trials import LABELS, Trials
+from .trials import LABELS, Trials, notes_of
 
 Array = NDArray[np.float64]
 
@@ -88,4 +88,6 @@ def answer_trials(
     frame = table[[name for name in LABELS if name in table]].assign(
         standard=standard, stimulus_1=s1, stimulus_2=s2, n=np.ones(p.size, np.int64), count=answer
     )
-    return Trials(frame.reset_index(drop=True), asked, source="simulated trials")
+    return Trials(
+        frame.reset_index(drop=True), asked, source="simulated trials", notes=notes_of(frame)
+    )

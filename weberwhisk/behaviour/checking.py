@@ -111,7 +111,16 @@ class TableCheck:
         values = pd.to_numeric(cells, errors="coerce")
         if column != "subject" and values.notna().all() and (values == values.round()).all():
             return values.to_numpy(np.int64)
-        return np.array([c.strip() if isinstance(c, str) else c for c in cells], dtype=object)
+        names = np.array([_plain(c) for c in cells], dtype=object)
+        # A terminal obeys what is not printed, and a figure has no sign for it.
+        hidden = np.array([isinstance(c, str) and not c.isprintable() for c in names], dtype=bool)
+        if hidden.any():
+            self.add(
+                column,
+                hidden,
+                f"{names[hidden][0]!r} holds characters that are not printed; write letters.",
+            )
+        return names
 
     def answers(
         self, answer: str, counted: bool, labels: Mapping[Any, str] | None
@@ -154,6 +163,14 @@ class TableCheck:
                 "which is which.",
             )
         return n, count
+
+
+def _plain(label: Any) -> Any:
+    """A label without margins, nor the apostrophe that keeps a spreadsheet from running it."""
+    if not isinstance(label, str):
+        return label
+    text = label.strip()
+    return text[1:] if text[:1] == "'" and text[1:].lstrip()[:1] in tuple("=+-@") else text
 
 
 def _blank(cells: pd.Series) -> Flags:

@@ -123,10 +123,10 @@ def build_model(
     check_trials(trials)
     check_effects(effects)
     if len(trials.subjects) > 1:
-        shown = ", ".join(map(repr, trials.subjects[:4]))
         raise ValueError(
-            f"{trials.source}: there are {len(trials.subjects)} subjects ({shown}) and one "
-            "observer is fitted at a time; choose one with "
+            f"{trials.source}: there are {len(trials.subjects)} subjects "
+            f"({_checks.listed(trials.subjects)}) and one observer is fitted at a time; choose "
+            "one with "
             f"trials.select(subject={trials.subjects[0]!r})."
         )
     felt = chosen_percept(percept, observer)

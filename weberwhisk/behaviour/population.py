@@ -13,7 +13,7 @@ from scipy.stats import beta as beta_distribution
 
 from .. import _checks
 from .simulate import simulate_trials
-from .trials import Trials
+from .trials import Trials, notes_of
 
 Array = NDArray[np.float64]
 
@@ -152,9 +152,10 @@ def joined(parts: list[Trials]) -> Trials:
         raise ValueError(
             f"tables of {len(kinds)} kinds (task, scale, unit) were given; join those of one kind."
         )
+    if len(parts) == 1:
+        return parts[0]
     frame = pd.concat([t.frame for t in parts], ignore_index=True)
-    notes = tuple(dict.fromkeys(note for t in parts for note in t.notes))
-    return replace(parts[0], frame=frame, notes=notes if len(parts) == 1 else ())
+    return replace(parts[0], frame=frame, notes=notes_of(frame), rows=None)
 
 
 def _spread(name: str, value: float) -> None:

@@ -11,10 +11,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from .checking import TableCheck, rows_in_words
+from .checking import TableCheck
 from .loading import load_table
 from .tasks import TASKS, Task, task_named
-from .trials import LABELS, SCALES, Trials, standards_of
+from .trials import LABELS, SCALES, Trials, notes_of, standards_of
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,8 @@ def read_trials(
         }
     )
     chosen = asked or task_named(ANSWERS[answer])
-    return Trials(frame, chosen, scale, log_unit, name, _notes(frame, table.index.to_numpy()))
+    rows = table.index.to_numpy()
+    return Trials(frame, chosen, scale, log_unit, name, notes_of(frame, rows), rows)
 
 
 def _choose_columns(
@@ -186,21 +187,3 @@ def _check_mapping(name: str, value: object, example: str) -> None:
         raise ValueError(
             f"{name} must be a mapping, got {_checks.shown(value)}; write {name}={example}, say."
         )
-
-
-def _notes(frame: pd.DataFrame, rows: NDArray[Any]) -> tuple[str, ...]:
-    notes = []
-    missing = int(frame.loc[frame["count"].isna(), "n"].sum())
-    if missing:
-        notes.append(f"{missing} trials have no answer and stay out of the likelihood.")
-    keys = [c for c in LABELS if c in frame]
-    twice = frame.duplicated() if "trial" in keys or (frame["n"] > 1).any() else None
-    if twice is not None and twice.any():
-        notes.append(
-            f"{int(twice.sum())} rows occur more than once, the first in "
-            f"{rows_in_words(rows[twice.to_numpy()])}; they are counted as they stand."
-        )
-    empty = int((frame["n"] == 0).sum())
-    if empty:
-        notes.append(f"{empty} rows hold a level without trials, which says nothing.")
-    return tuple(notes)

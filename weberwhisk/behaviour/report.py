@@ -128,7 +128,8 @@ def _poor(fit: WeberFit) -> bool:
 def _next(fit: WeberFit) -> str:
     advice = {
         FitStatus.NO_TRIALS: "Trials with an answer.",
-        FitStatus.REVERSED: "Nothing yet: first check choice_labels and the order of the stimuli.",
+        FitStatus.REVERSED: "Nothing yet: first check which answer means which stimulus, and "
+        "their order.",
         FitStatus.ONE_SIDED: "Answers of both kinds: first find out why the animal gave only one.",
         FitStatus.NOT_CONVERGED: f"Nothing yet: first {_instead(fit)}.",
         FitStatus.UNINFORMED: "Comparisons at several distances from the standard, on both sides, "

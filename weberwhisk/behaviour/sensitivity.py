@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 from scipy import stats
 
+from ..posterior.threads import one_blas_thread
 from .likelihood import WeberModel
 from .posteriors import GridPosterior, WeberPosterior
 from .quadrature import integrate
@@ -16,6 +17,7 @@ from .quadrature import integrate
 BELIEFS = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
 
 
+@one_blas_thread
 def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFrame:
     """Median and 95 % interval of k with other lapse priors than those of the fit.
 

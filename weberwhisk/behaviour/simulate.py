@@ -24,10 +24,11 @@ from .percepts import (
 )
 from .psychometric import response_probability
 from .tasks import task_named
-from .trials import Trials
+from .trials import Trials, notes_of
 
 Array = NDArray[np.float64]
 
+ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())
 
 
@@ -47,6 +48,7 @@ def simulate_trials(
     observer: Any = None,
     noise: str = "weber",
     effects: Sequence[tuple[Effect, float]] = (),
+    order: str = "standard first",
     sessions: int = 1,
     subject: str | None = None,
     missing: float = 0.0,
@@ -60,7 +62,8 @@ def simulate_trials(
     weber_fraction : float, or array_like of shape (sessions,)
         Noise sd of each signal over its mean; one for each session where it is not the same.
     standards : array_like, shape (S,)
-        Stimulus 1: magnitudes, logarithms (with a log percept) or radial distances in metres.
+        Magnitudes, logarithms (with a log percept) or radial distances in metres; stimulus 1, but
+        where `order` has it otherwise.
     offsets : array_like, optional
         Comparisons relative to each standard: standard × (1 + offset), or standard + offset on a
         log scale. Nine signed levels to ±0.30 where neither these nor comparisons are given.
@@ -83,6 +86,10 @@ def simulate_trials(
     effects : sequence of (Effect, float)
         What else moves the answers, with the value of its parameter: `[(History(), 0.5)]`; see
         `weberwhisk.behaviour.effects`.
+    order : {"standard first", "random"}
+        "random": in every other trial of each pair the comparison is stimulus 1. Only then is the
+        order effect (the `bias`) told apart from a preference for the comparison
+        (`effects.ComparisonBias`).
     sessions : int
         The trials are dealt out evenly over this many sessions.
     subject : str, optional
@@ -111,6 +118,12 @@ def simulate_trials(
     """
     asked = task_named(task)
     check_moved(effects)
+    _checks.one_of("order", order, ORDERS)
+    if order == "random" and asked.bias_name != "bias":
+        raise ValueError(
+            f"order={order!r} needs a task of two intervals, got task {task!r}; write task='2AFC', "
+            "or leave order out."
+        )
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
         if not 0 <= _checks.number(name, value, "write for example 0.02") < 1:
             raise ValueError(
@@ -144,52 +157,59 @@ def simulate_trials(
     refuse_unfelt(felt, stimuli)
 
     rng = _checks.generator(seed)
+    first, second = np.repeat(base, levels.shape[1]), levels.ravel()
+    s0 = first
+    if order == "random":  # the same pairs the other way round come after them
+        first, second, s0 = np.r_[first, second], np.r_[second, first], np.r_[s0, s0]
     p = np.concatenate(
         [
             response_probability(
                 asked,
                 felt,
-                np.full(levels.shape[1], s),
-                row,
+                first[own],
+                second[own],
+                standard=s0[own],
                 weber_fraction=fraction,
                 lapse_low=lapse_low,
                 lapse_high=lapse_high,
                 bias=b + wander,
                 noise=noise,
             )
-            for s, row, b in zip(base, levels, shift, strict=True)
+            for own, b in zip(
+                np.array_split(np.arange(first.size), first.size // levels.shape[1]),
+                np.tile(shift, first.size // levels.size),
+                strict=True,
+            )
         ],
         axis=-1,
     )  # (sessions, or 1 where all are alike; pairs of stimuli)
     # Uniform numbers alone: the streams of the other distributions may change between versions.
     pair = np.repeat(np.arange(levels.size), trials_per_level)
-    order = np.argsort(rng.random(pair.size), kind="stable")
+    place = np.argsort(rng.random(pair.size), kind="stable")
     session = np.empty(pair.size, dtype=np.int64)
-    session[order] = np.sort(np.arange(pair.size) % sessions)
+    session[place] = np.sort(np.arange(pair.size) % sessions)
+    which = pair + levels.size * (np.arange(pair.size) % 2) if order == "random" else pair
     uniform = rng.random(pair.size)
-    answer = (uniform < p[session % len(p), pair]).astype(float)
+    answer = (uniform < p[session % len(p), which]).astype(float)
     answer[rng.random(pair.size) < missing] = np.nan
-    s1, s2 = np.repeat(base, levels.shape[1])[pair], levels.ravel()[pair]
-    course, session = session[order], session[order] + 1
-    first = np.searchsorted(session, session)
-    columns: dict[str, Any] = {} if subject is None else {"subject": np.full(s1.size, subject)}
+    course, session, which = session[place], session[place] + 1, which[place]
+    start = np.searchsorted(session, session)
+    columns: dict[str, Any] = {} if subject is None else {"subject": np.full(which.size, subject)}
     frame = pd.DataFrame(
         {
             **columns,
             "session": session,
-            "trial": np.arange(s1.size) - first + 1,
-            "standard": s1[order],
-            "stimulus_1": s1[order],
-            "stimulus_2": s2[order],
-            "n": np.ones(s1.size, dtype=np.int64),
-            "count": answer[order],
+            "trial": np.arange(which.size) - start + 1,
+            "standard": s0[which],
+            "stimulus_1": first[which],
+            "stimulus_2": second[which],
+            "n": np.ones(which.size, dtype=np.int64),
+            "count": answer[place],
         }
     )
-    lost = int(np.isnan(answer).sum())
-    notes = (f"{lost} trials have no answer and stay out of the likelihood.",) if lost else ()
     unit = felt.log_unit if isinstance(felt, (LogPercept, LogAxisPercept)) else None
     scale = "log" if is_log else "linear"
-    trials = Trials(frame, asked, scale, unit, "simulated trials", notes)
+    trials = Trials(frame, asked, scale, unit, "simulated trials", notes_of(frame))
     if not effects:
         return trials
     moved = moved_answers(
@@ -198,10 +218,10 @@ def simulate_trials(
         weber_fraction=fraction[course % len(fraction)],
         lapse_low=lapse_low,
         lapse_high=lapse_high,
-        bias=np.repeat(shift, levels.shape[1])[pair][order] + wander[course % len(wander)],
+        bias=np.repeat(shift, levels.shape[1])[pair][place] + wander[course % len(wander)],
         noise=noise,
         effects=effects,
-        uniform=uniform[order],
+        uniform=uniform[place],
         rng=rng,
     )
     count = np.where(np.isnan(frame["count"]), np.nan, moved)

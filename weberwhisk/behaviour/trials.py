@@ -12,7 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..written import atomic_write
+from ..written import atomic_write, csv_text
+from .checking import rows_in_words
 from .tasks import Task
 
 Array = NDArray[np.float64]
@@ -61,7 +62,9 @@ class Trials:
     source : str
         Where the table came from, for messages.
     notes : tuple of str
-        What a reader should know: missing answers, rows that occur twice.
+        What a reader should know: missing answers, rows that occur twice; `select` counts anew.
+    rows : ndarray of int, optional
+        Where each row stands in the file, the first below the header being 1.
 
     Raises
     ------
@@ -84,6 +87,7 @@ class Trials:
     log_unit: float | None = None
     source: str = "table"
     notes: tuple[str, ...] = ()
+    rows: NDArray[np.intp] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         hint = "make it with read_trials, which takes a table under any names"
@@ -157,7 +161,11 @@ class Trials:
         if not keep.any():
             words = ", ".join(f"{column} = {value!r}" for column, value in wanted.items())
             raise ValueError(f"{self.source}: no trials have {words}; choose values that occur.")
-        return replace(self, frame=self.frame.loc[keep].reset_index(drop=True))
+        known = notes_of(self.frame, self.rows)
+        others = (note for note in self.notes if note not in known)
+        frame = self.frame.loc[keep].reset_index(drop=True)
+        rows = (np.arange(1, len(self) + 1) if self.rows is None else self.rows)[keep]
+        return replace(self, frame=frame, notes=(*others, *notes_of(frame, rows)), rows=rows)
 
     def cells(self) -> Cells:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
@@ -184,8 +192,28 @@ class Trials:
 
     def to_csv(self, path: str | Path) -> Path:
         """Write `table()`; the file is complete or absent, never half-written."""
-        atomic_write(path, self.table().to_csv(index=False, lineterminator="\n"))
+        atomic_write(path, csv_text(self.table()))
         return Path(path)
+
+
+def notes_of(frame: pd.DataFrame, rows: NDArray[np.intp] | None = None) -> tuple[str, ...]:
+    """What a reader should know of a table whose rows have these places in their file."""
+    places = np.arange(1, len(frame) + 1) if rows is None else rows
+    notes = []
+    missing = int(frame.loc[frame["count"].isna(), "n"].sum())
+    if missing:
+        notes.append(f"{missing} trials have no answer and stay out of the likelihood.")
+    if "trial" in frame or (frame["n"] > 1).any():
+        twice = frame.duplicated().to_numpy()
+        if twice.any():
+            notes.append(
+                f"{int(twice.sum())} rows occur more than once, the first in "
+                f"{rows_in_words(places[twice])}; they are counted as they stand."
+            )
+    empty = int((frame["n"] == 0).sum())
+    if empty:
+        notes.append(f"{empty} rows hold a level without trials, which says nothing.")
+    return tuple(notes)
 
 
 def check_trials(trials: Any) -> None:

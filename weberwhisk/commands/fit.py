@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,9 +12,11 @@ import typer
 
 import weberwhisk as ww
 
+from .. import _checks
 from .._terminal import numbers
 from ..behaviour import CuePercept, FitStatus
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
+from ..behaviour.loading import load_table
 from ..runs import Run, atomic_write, to_json
 from .comparisons import compared
 from .distance import ReceptorsOption, distance_percept
@@ -33,6 +36,24 @@ from .options import (
     wrote,
 )
 
+#: What the library says, and what that is called here.
+AS_OPTIONS = (
+    (r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'"),
+    (r"columns key", "--column"),
+    (r"choice_labels=\{label: 'first' or 'second'\}",
+     "--label LABEL=first and --label LABEL=second"),
+    (r"choice_labels value", "the stimulus of --label"),
+    (r"choice_labels", "--label"),
+    (r"scale='log'", "--scale log"),
+    (r"log_unit=", "--log-unit "),
+    (r"""bias=["']per standard["']""", "--bias 'per standard'"),
+    (r"bias='(\w+)'", r"--bias \1"),
+    (r"priors=\{'lapse_low': scipy\.stats\.beta\(([\d.]+), ([\d.]+)\)[^}]*\}",
+     r"--lapse-prior \1,\2"),
+    (r"priors=\{'lapse_low': 0\.02[^}]*\}", "--lapse-prior 1,50"),
+    (r"\(priors=\)", "(--lapse-prior)"),
+    (r"fit_population\(trials, sessions=True\)", "--by-session"),
+)  # fmt: skip
 #: Columns that hold stimuli, and so may carry a unit.
 STIMULI = ("standard", "stimulus_1", "stimulus_2", "comparison")
 
@@ -177,7 +198,7 @@ def fit(
         summary = result.summary().reset_index()
         run.table("fit", summary)
         answer = result.to_dict()
-        report = result.report()
+        report = _as_options(result.report())
         if comparison is not None:
             table, verdict = compared(comparison, result, whisker, priors)
             run.table("comparison", table)
@@ -244,23 +265,18 @@ def _pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, st
 
 def _with_millimetres(file: Path) -> dict[str, str]:
     """The stimulus columns whose names carry their unit, as `simulate` writes them."""
-    import pandas as pd
-
     try:
-        tabs = {".tsv", ".tab"} & set(file.suffixes)
-        here = pd.read_csv(file, sep="\t" if tabs else ",", dtype=str, nrows=0).columns
-    except (ValueError, OSError, EOFError):  # `read_trials` says what is wrong with it
+        here = load_table(file)[0].columns
+    except ValueError:  # `read_trials` says what is wrong with it
         return {}
     return {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in here and name not in here}
 
 
 def _as_options(sentence: str) -> str:
-    """A refusal of `read_trials` with its remedies as this command takes them."""
-    sentence = re.sub(r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'", sentence)
-    sentence = sentence.replace(
-        "choice_labels={label: 'first' or 'second'}", "--label LABEL=first and --label LABEL=second"
-    )
-    return sentence.replace("scale='log'", "--scale log")
+    """A sentence of the library with its remedies as this command takes them."""
+    for python, option in AS_OPTIONS:
+        sentence = re.sub(python, option, sentence)
+    return sentence
 
 
 def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any] | None:
@@ -313,10 +329,10 @@ def _selected(
     if subject is not None:
         trials = trials.select(subject=subject)
     elif len(trials.subjects) > 1 and not together:
-        shown = ", ".join(map(str, trials.subjects[:4]))
         raise ValueError(
-            f"{trials.source}: there are {len(trials.subjects)} subjects ({shown}), and one is "
-            f"fitted at a time; write --subject {trials.subjects[0]}, or --together for all."
+            f"{trials.source}: there are {len(trials.subjects)} subjects "
+            f"({_checks.listed(trials.subjects)}), and one is fitted at a time; write "
+            f"--subject {shlex.quote(str(trials.subjects[0]))}, or --together for all."
         )
     if session is not None:
         if not trials.sessions:

@@ -14,6 +14,7 @@ from ..behaviour.datapackage import data_package, describe_table
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..runs import Run, atomic_write, to_json
+from ..written import csv_text
 from .distance import ReceptorsOption, distance_percept
 from .options import (
     AngleOption,
@@ -84,6 +85,13 @@ def simulate(
     trials_per_level: Annotated[
         int, typer.Option("--trials-per-level", help="Trials of each comparison.")
     ] = 40,
+    order: Annotated[
+        str,
+        typer.Option(
+            "--order",
+            help="'standard first', or random: the comparison comes first in half of the trials.",
+        ),
+    ] = "standard first",
     sessions: Annotated[int, typer.Option("--sessions", help="Dealt out over these.")] = 1,
     subjects: Annotated[
         int, typer.Option("--subjects", help="Animals; with several, each draws its own truth.")
@@ -134,6 +142,7 @@ def simulate(
             "offsets": levels,
             "trials_per_level": trials_per_level,
             "percept": percept,
+            "order": order,
             "sessions": sessions,
             "drift": drift,
             "bias_drift": bias_drift,
@@ -161,6 +170,7 @@ def simulate(
             **({"effects": {e.name: value for e, value in effects}} if effects else {}),
             "standards": base,
             "offsets": SIGNED_OFFSETS if levels is None else levels,
+            "order": order,
             "task": trials.task.name,
             "seed": seed,
             "whisker": None if whisker is None else describe(whisker),
@@ -204,7 +214,7 @@ def simulate(
         f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
     )
     if run.out_dir is None:
-        print(table.to_csv(index=False, lineterminator="\n"), end="")
+        print(csv_text(table), end="")
     else:
         wrote(run)
         if fittable:

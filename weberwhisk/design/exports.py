@@ -75,11 +75,6 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def csv_text(table: pd.DataFrame) -> str:
-    """The same bytes on every platform."""
-    return table.to_csv(index=False, lineterminator="\n")
-
-
 def in_millimetres(metres: float) -> float:
     """A length as one would write it: 20.1, not 20.100000000000001."""
     return float(f"{metres * 1e3:.9g}")

@@ -38,6 +38,8 @@ class Hypothesis:
     priors : Priors
         Of the Weber fraction, the lapses, and the bias (PSE) of every standard: those of the fit.
     bias : {"none", "shared", "per standard"}
+        A bias that differs between standards would pass for a difference between JND curves: here
+        each standard has its own, where a fit by itself shares one.
     noise : {"weber", "equal-variance"}
     task : str
         As for `read_trials`.

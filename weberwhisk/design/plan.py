@@ -15,9 +15,10 @@ import pandas as pd
 
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
+from ..written import csv_text
 from . import expectation
 from .analysis import Finding, analyse
-from .exports import csv_text, own_table
+from .exports import own_table
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis, told_apart
 from .scheme import Constraints, Scheme

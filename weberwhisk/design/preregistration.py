@@ -157,11 +157,15 @@ def _size(plan: Plan) -> str:
 
 def _analysis(plan: Plan) -> str:
     h = plan.hypotheses[0]
+    # A fit by itself shares one bias between the standards; one that differs would pass for a
+    # difference between JND curves, so hypotheses leave it free, and the call says so.
+    options = [f'bias="{h.bias}"', *([f'noise="{h.noise}"'] if h.noise != "weber" else [])]
+    call = f"with {', '.join(options)}; on the command line --bias '{h.bias}'"
     fitted = (
-        "All animals are fitted together (weberwhisk.fit_population, which learns how their Weber "
-        "fractions, lapses and biases spread)"
+        f"All animals are fitted together (weberwhisk.fit_population {call}), which learns how "
+        "their Weber fractions, lapses and biases spread"
         if plan.together
-        else "Each animal is fitted by itself (weberwhisk.fit_weber, by quadrature)"
+        else f"Each animal is fitted by itself by quadrature (weberwhisk.fit_weber {call})"
     )
     noise = "of its own stimulus" if h.noise == "weber" else "of the standard"
     bias = {"none": "no response bias", "shared": "one response bias b",

@@ -10,7 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from .style import COLOURS, DOUBLE, SINGLE, axes_or_new, figure_of, legend_above, new_figure, styled
+from .style import (
+    COLOURS,
+    DOUBLE,
+    SINGLE,
+    axes_or_new,
+    drawable,
+    figure_of,
+    legend_above,
+    new_figure,
+    styled,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -138,7 +148,7 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     labels = [str(s) for s in rows["subject"]]
     if "session" in rows:
         labels = [f"{s}, {n}" for s, n in zip(rows["subject"], rows["session"], strict=True)]
-    ax.set_yticks(y, labels)
+    ax.set_yticks(y, [drawable(label) for label in labels])
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

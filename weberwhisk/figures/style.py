@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -49,6 +50,20 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
             return draw(*arguments, **options)
 
     return drawn
+
+
+def drawable(text: str) -> str:
+    """A name as the font can draw it: other characters by their code, and no formula of it.
+
+    Examples
+    --------
+    >>> drawable("Maus $1$ 鼠")
+    'Maus \\\\$1\\\\$ \\\\u9f20'
+    """
+    font = get_font(findfont(FontProperties()))
+    known = font.get_charmap()
+    drawn = (c if ord(c) in known else c.encode("unicode_escape").decode() for c in text)
+    return "".join(drawn).replace("$", r"\$")
 
 
 class _Figure(Figure):
