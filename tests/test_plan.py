@@ -356,12 +356,25 @@ def test_a_damaged_plan_is_refused_in_one_sentence_or_is_the_same(
     """Any part removed or replaced: never a traceback, never other lists in silence."""
     record = json.loads(plan_json(plan))
     place = data.draw(st.sampled_from([p for p in paths(record) if p]))
+    tried(plan, place, data.draw(st.sampled_from(DAMAGE)))
+
+
+REMOVED = "removed"
+DAMAGE = (
+    REMOVED, None, "x", "nan", "inf", -1, 0, 0.5, 1e9, 10**30, np.nan, np.inf, [], [1], {}, True,
+    {"is": "x"}, {"is": "beta", "args": ["a"], "kwds": {}}, {"is": "lognorm", "args": [-1.0],
+    "kwds": {}},
+)  # fmt: skip
+
+
+def tried(plan: Plan, place: tuple[Any, ...], put: Any) -> None:
+    """The plan with one part replaced: refused in one sentence, or read and of use."""
+    record = json.loads(plan_json(plan))
     *above, key = place
     inside: Any = record
     for step in above:
         inside = inside[step]
-    put = data.draw(st.sampled_from(["remove", None, "x", -1, 0, 1e9, [], {}, True, {"is": "x"}]))
-    if put == "remove":
+    if put is REMOVED:
         del inside[key]
     else:
         inside[key] = put
@@ -369,11 +382,54 @@ def test_a_damaged_plan_is_refused_in_one_sentence_or_is_the_same(
         read = plan_of(json.dumps(record))
     except ValueError as error:
         sentence = str(error)
-    else:
-        sentence = "plan.json"
-        assert read.fingerprint == plan.fingerprint
-    assert "plan.json" in sentence
-    assert "\n" not in sentence
+        assert "plan.json" in sentence
+        assert "\n" not in sentence
+        assert len(sentence) < 400
+        return
+    assert read.fingerprint == plan.fingerprint
+    # What the file let through, `rehearse` uses.
+    preregistration(read)
+    assert np.isfinite([h.priors.value("weber_fraction", 0.5) for h in read.hypotheses]).all()
+    assert not any(read.levels.isna().any())
+
+
+HYPOTHESIS = "plan", "hypotheses", 0
+
+
+@pytest.mark.parametrize(
+    ("place", "put"),
+    [
+        ((*HYPOTHESIS, "priors"), []),
+        ((*HYPOTHESIS, "priors"), None),
+        ((*HYPOTHESIS, "priors", "is"), REMOVED),
+        ((*HYPOTHESIS, "priors", "weber_fraction", "args", 0), np.nan),
+        ((*HYPOTHESIS, "priors", "weber_fraction", "args", 0), -1),
+        ((*HYPOTHESIS, "priors", "weber_fraction", "kwds", "scale"), 0),
+        ((*HYPOTHESIS, "priors", "bias", "args", 0), None),
+        ((*HYPOTHESIS, "percept", "observer", "cue", "tap_angle"), [1]),
+        ((*HYPOTHESIS, "percept", "observer", "whisker", "length"), None),
+        (("plan", "hypotheses"), [1]),
+        (("plan", "title"), None),
+        (("plan", "animals"), 0.5),
+        (("plan", "scheme", "standards"), [None]),
+        (("plan", "scheme", "trials"), [[1e400]]),
+        (("power",), [1]),
+        (("power",), {"power": [0.5]}),
+    ],
+)
+def test_what_once_broke_a_plan_is_refused_in_one_sentence(
+    plan: Plan, place: tuple[Any, ...], put: Any
+) -> None:
+    with np.errstate(all="raise"):
+        tried(plan, place, put)
+
+
+def test_two_hundred_damaged_plans(plan: Plan) -> None:
+    rng = np.random.default_rng(220)
+    places = [p for p in paths(json.loads(plan_json(plan))) if p]
+    for _ in range(220):
+        with np.errstate(all="ignore"):  # absurd numbers may overflow; what comes out is judged
+            tried(plan, places[rng.integers(len(places))], DAMAGE[rng.integers(len(DAMAGE))])
 
 
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy import stats
+from scipy.stats.distributions import rv_frozen
 
+from .. import _checks
 from ..behaviour.comparison import ConstantNoise
 from ..behaviour.percepts import CuePercept, IdentityPercept, LogAxisPercept, LogPercept
 from ..behaviour.priors import Priors
@@ -20,27 +20,34 @@ from .goals import Animals, Goal
 from .hypotheses import Hypothesis
 from .scheme import Constraints, Scheme
 
-# What each is made of: the names of its arguments, `argument=attribute` where these differ.
+# What each is made of: the names of its arguments, `argument=attribute` where these differ, and
+# after a colon what they may be where that is not one finite number.
 NOUNS: dict[type, str] = {
     Whisker: "length base_radius tip_radius youngs_modulus curvature density",
     Compliance: "tap_angle angular_velocity velocity_spread",
-    ForceMap: "signals=signal_names deflection_angle",
-    Weber: "weber_fraction correlation",
-    GeneralisedWeber: "weber_fraction floor ceiling correlation",
-    Observer: "whisker cue noise",
-    CuePercept: "observer deflection_angle unit",
+    ForceMap: "signals=signal_names:texts deflection_angle:number|null",
+    Weber: "weber_fraction:numbers correlation:numbers",
+    GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
+    Observer: "whisker:Whisker cue:Compliance|ForceMap noise:Weber|GeneralisedWeber",
+    CuePercept: "observer:Observer deflection_angle:number|null unit",
     IdentityPercept: "",
     LogPercept: "log_unit",
     LogAxisPercept: "log_unit",
-    ConstantNoise: "base typical",
-    Priors: "weber_fraction lapse_low lapse_high bias lapse_correlation",
-    Hypothesis: "name percept priors bias noise task",
-    Scheme: "standards offsets trials animals",
-    Constraints: "nearest farthest step easy_share easy_proportion",
-    Goal: "bayes_factor half_width share",
-    Animals: "weber_fraction spread lapse bias_spread lapses_vary",
+    ConstantNoise: "base:percept typical",
+    Priors: "weber_fraction:prior lapse_low:prior lapse_high:prior bias:prior lapse_correlation",
+    Hypothesis: "name:text percept:percept priors:Priors bias:text noise:text task:text",
+    Scheme: "standards:numbers offsets:numbers trials:numbers animals",
+    Constraints: "nearest farthest:limits step easy_share easy_proportion",
+    Goal: "bayes_factor:number|null half_width:number|null share",
+    Animals: "weber_fraction spread lapse bias_spread lapses_vary:flag",
+}
+#: Parts of a noun that are one of several nouns, or a number or distribution.
+KINDS = {
+    "percept": "CuePercept|IdentityPercept|LogPercept|LogAxisPercept|ConstantNoise",
+    "prior": "number|distribution",
 }
 KIND = "is"  # the key that says which noun a mapping is
+MOST = 1e30  # no number of a plan is beyond
 
 
 def encode(value: Any) -> Any:
@@ -73,7 +80,7 @@ def encode(value: Any) -> Any:
     if type(value) not in NOUNS:
         known = ", ".join(noun.__name__ for noun in NOUNS)
         raise ValueError(f"{value!r} cannot be written to a plan; make it of {known}.")
-    parts = {name: encode(getattr(value, a)) for name, a in _parts(type(value))}
+    parts = {name: encode(getattr(value, a)) for name, a, _ in _parts(type(value))}
     return {KIND: type(value).__name__, **parts}
 
 
@@ -83,43 +90,113 @@ def decode(value: Any) -> Any:
     Raises
     ------
     ValueError
-        For an unknown noun, parts that are missing or too many, or values that the noun refuses.
+        For an unknown noun, parts that are missing, too many or of the wrong kind, or values that
+        the noun refuses.
 
     Examples
     --------
     >>> decode(encode(LogPercept(0.5)))
     LogPercept(log_unit=0.5, direction=1, domain=(-inf, inf))
+    >>> decode({"is": "LogPercept", "log_unit": None})
+    Traceback (most recent call last):
+        ...
+    ValueError: log_unit of LogPercept must be number, got None
     """
     if isinstance(value, list):
         return [decode(item) for item in value]
-    if isinstance(value, str) and value in ("inf", "-inf"):
-        return float(value)
     if not isinstance(value, dict):
         return value
     parts = {name: decode(item) for name, item in value.items() if name != KIND}
     if KIND not in value:
         return parts
+    noun = next((noun for noun in NOUNS if noun.__name__ == value[KIND]), None)
+    if noun is None:
+        return _frozen(value[KIND], parts)
+    kinds = {name: kind for name, _, kind in _parts(noun)}
     try:
-        return _maker(value[KIND])(**parts)
-    except TypeError as error:  # parts missing, or not of this noun
-        raise ValueError(f"{value[KIND]!r} is not made of {sorted(parts)} ({error}).") from None
+        return noun(**checked(noun.__name__, parts, kinds))
+    except (TypeError, OverflowError) as error:
+        raise ValueError(f"{noun.__name__} cannot be made of these ({error})") from None
 
 
-def _maker(kind: Any) -> Callable[..., Any]:
-    for noun in NOUNS:
-        if noun.__name__ == kind:
-            return noun
-    distribution = getattr(stats, kind, None) if isinstance(kind, str) else None
-    if isinstance(distribution, stats.rv_continuous):
-        return partial(_frozen, distribution)
-    raise ValueError(f"{kind!r} is nothing that this version knows.")
+def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any, Any]:
+    """Parts of the kinds that they must be, infinite numbers no longer text; none missing or more.
+
+    Raises
+    ------
+    ValueError
+        Naming the part.
+    """
+    for strange in parts.keys() ^ kinds.keys():
+        words = "lacks" if strange in kinds else "has nothing called"
+        raise ValueError(f"{what} {words} {strange!r}")
+    for name, kind in kinds.items():
+        if not any(_is(parts[name], one) for one in KINDS.get(kind, kind).split("|")):
+            wanted = kind.replace("|", " or ")
+            raise ValueError(f"{name} of {what} must be {wanted}, got {_checks.shown(parts[name])}")
+    return {
+        name: _read(parts[name]) if kind.startswith("limit") else parts[name]
+        for name, kind in kinds.items()
+    }
 
 
-def _frozen(distribution: Any, *, args: list[float], kwds: dict[str, float]) -> Any:
-    return distribution(*args, **kwds)
+def _read(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_read(item) for item in value]
+    return float(value) if isinstance(value, str) else value
 
 
-def _parts(noun: type) -> list[tuple[str, str]]:
-    """Arguments of a noun, and the attributes that hold them."""
-    pairs = (part.partition("=") for part in NOUNS[noun].split())
-    return [(name, attribute or name) for name, _, attribute in pairs]
+def _is(value: Any, kind: str) -> bool:
+    match kind:
+        case "null":
+            return value is None
+        case "flag":
+            return isinstance(value, bool)
+        case "text":
+            return isinstance(value, str)
+        case "texts":
+            return _is(value, "text") or _all_are(value, "text")
+        case "number" | "limit":
+            if isinstance(value, str | bool):
+                return kind == "limit" and value in ("inf", "-inf", "nan")
+            return isinstance(value, int | float) and abs(value) < MOST
+        case "numbers" | "limits":
+            return _is(value, kind[:-1]) or _all_are(value, kind)
+        case "distribution":
+            return isinstance(value, rv_frozen)
+        case _:
+            return type(value).__name__ == kind
+
+
+def _all_are(value: Any, kind: str) -> bool:
+    return isinstance(value, list) and all(_is(item, kind) for item in value)
+
+
+def _frozen(name: Any, parts: dict[str, Any]) -> Any:
+    """A SciPy distribution that has quantiles."""
+    distribution = getattr(stats, name, None) if isinstance(name, str) else None
+    if not isinstance(distribution, stats.rv_continuous):
+        raise ValueError(f"{name!r} is nothing that this version knows.")
+    checked(name, parts, {"args": "list", "kwds": "dict"})
+    args, kwds = parts["args"], parts["kwds"]
+    named = dict(enumerate(args)) | kwds
+    checked(name, named, dict.fromkeys(named, "number"))
+    try:
+        made = distribution(*map(float, args), **{key: float(v) for key, v in kwds.items()})
+        with np.errstate(all="ignore"):
+            found = made.ppf([0.02, 0.5, 0.98])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} cannot be made of {args} and {kwds} ({error})") from None
+    if not (np.isfinite(found).all() and (np.diff(found) > 0).all()):
+        raise ValueError(f"{name} has no quantiles with {args} and {kwds}")
+    return made
+
+
+def _parts(noun: type) -> list[tuple[str, str, str]]:
+    """Arguments of a noun, the attributes that hold them, and their kinds."""
+    found = []
+    for part in NOUNS[noun].split():
+        names, _, kind = part.partition(":")
+        name, _, attribute = names.partition("=")
+        found.append((name, attribute or name, kind or "number"))
+    return found

@@ -12,11 +12,23 @@ import numpy as np
 import pandas as pd
 
 from .. import __version__
-from .coding import decode, encode
+from .coding import checked, decode, encode
+from .hypotheses import Hypothesis
 from .plan import Plan
 
 FORMAT = "weberwhisk plan"
 VERSION = 1  # of the format
+#: What a file has, what the plan in it is made of, and what its table of power needs.
+FILE = {
+    "format": "text", "version": "number", "made_with": "dict", "trials_sha256": "text",
+    "plan": "dict", "power": "dict|null",
+}  # fmt: skip
+PARTS = {
+    "scheme": "Scheme", "hypotheses": "list", "goal": "Goal", "animals": "Animals",
+    "constraints": "Constraints", "trials_per_session": "number", "longest_run": "number",
+    "together": "flag", "seed": "number", "title": "text",
+}  # fmt: skip
+COLUMNS = "truth", "trials", "animals", "power", "lower", "upper"
 AGAIN = "write the plan again with `weberwhisk design`"
 
 
@@ -71,7 +83,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
 def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     """A plan from the text of its JSON; see `read_plan`."""
     try:
-        record = json.loads(content)
+        record = json.loads(content, parse_constant=_not_json)
     except (ValueError, RecursionError) as error:  # also bytes that are no text
         raise ValueError(
             f"{source} is no whole plan: its JSON cannot be read ({error}); {AGAIN}."
@@ -88,17 +100,23 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
             f"({_made_with(record)})."
         )
     try:
-        power = record["power"]
-        plan = Plan(**decode(record["plan"]), power=None if power is None else _table(power))
-        fingerprint = record["trials_sha256"]
+        checked("the file", record, FILE)
+        own = checked("a plan", decode(record["plan"]), PARTS)
+        if not own["hypotheses"] or {type(h) for h in own["hypotheses"]} != {Hypothesis}:
+            raise ValueError("hypotheses of a plan must be a list of Hypothesis")
+        plan = Plan(**own, power=_table(record["power"]))
         now = plan.fingerprint  # lays out the lists, which may be impossible
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"{source} is damaged: {type(error).__name__} {error} where its parts are put "
-            f"together; {AGAIN}."
-        ) from None
+        for hypothesis in plan.hypotheses:
+            with np.errstate(all="ignore"):
+                seen = hypothesis.model(plan.scheme).felt(np.ones(1))
+            if not all(np.isfinite(part).all() for part in seen):
+                raise ValueError(f"{hypothesis.name!r} feels nothing finite of these levels")
+    except RecursionError:
+        raise ValueError(f"{source} is damaged: its parts are nested too deep; {AGAIN}.") from None
     except ValueError as error:
-        raise ValueError(f"{source} does not hold a plan that can be run: {error}") from None
+        words = str(error).rstrip(".")
+        raise ValueError(f"{source} does not hold a plan that can be run: {words}.") from None
+    fingerprint = record["trials_sha256"]
     if now != fingerprint:
         raise ValueError(
             f"{source} gives other trial lists than when it was made (SHA-256 "
@@ -108,11 +126,22 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     return plan
 
 
-def _table(columns: Any) -> pd.DataFrame:
-    table = decode(columns)
-    if not isinstance(table, dict) or len({len(column) for column in table.values()}) > 1:
-        raise TypeError("power is not a table of columns")
-    return pd.DataFrame(table)
+def _not_json(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _table(columns: Any) -> pd.DataFrame | None:
+    if columns is None:
+        return None
+    checked("power", columns, dict.fromkeys([*COLUMNS, *columns], "list"))
+    if len({len(column) for column in columns.values()}) != 1:
+        raise ValueError("columns of power must be equally long")
+    return pd.DataFrame({name: _column(name, column) for name, column in columns.items()})
+
+
+def _column(name: str, values: list[Any]) -> list[Any]:
+    kinds = dict.fromkeys(range(len(values)), "text" if name == "truth" else "limit")
+    return list(checked(name, dict(enumerate(values)), kinds).values())
 
 
 def _made_with(record: dict[str, Any]) -> str:
