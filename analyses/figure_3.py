@@ -6,11 +6,9 @@ Writes figure_3 (PNG, SVG) and its tables: figure_3a.csv (moments against angle)
 against distance), figure_3c.csv (θ_b and the outcome over distance and impact angle) and
 figure_3_check.csv (what the caption and §2h say, as numbers).
 
-Equation (2.2) as printed is not the curve drawn in the paper's figure 3a. Each panel that depends
-on it therefore shows all three curves by name: *figure*, sin(θ − 23°), read off the dashed curve;
-*printed*, equation (2.2) with w = 1.25, which peaks at 0.625 near 129°; *normalised*, the same with
-a peak of 1. The whisker's moment is scaled by 2.0 per EI/L for all of them, which with the figure's
-curve reproduces the paper's values of figure 3b.
+The muscle is equation (2.2) with the arctangent of the full circle, its peak scaled to 1
+(*normalised*) or as it is (*printed*), each on its own gain: with which the whisker flicks past
+from 0.697 L on, for the "around 70 per cent" of the text. The two differ in their unit alone.
 """
 
 from __future__ import annotations
@@ -27,7 +25,6 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.mechanics.muscle import (
-    FIGURE_GAIN,
     WHISKING,
     Balance,
     MuscleCurve,
@@ -39,9 +36,9 @@ Array = NDArray[np.float64]
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 IMPACT = np.radians(60.0)
-#: Distances over L of panel a, and those of panel b with the paper's θ_b in degrees.
+CURVES = (MuscleCurve.NORMALISED, MuscleCurve.PRINTED)
+#: Distances over L of panel a.
 SHOWN = (0.3, 0.5, 0.7, 0.9)
-PAPER_3B = {0.3: 2.55, 0.4: 4.06, 0.5: 6.29, 0.6: 10.09, 0.65: 13.54}
 #: Panel c: distances over L and impact angles in degrees.
 DISTANCES, IMPACTS = np.linspace(0.3, 1.0, 71), np.linspace(30.0, 150.0, 61)
 
@@ -57,14 +54,14 @@ def moments() -> pd.DataFrame:
         columns = {
             "radial_distance": np.full(past.size, share),
             "angle_deg": np.degrees(IMPACT + past),
-            "moment": FIGURE_GAIN * bent.normalised_moment,
+            "moment": MuscleCurve.NORMALISED.gain() * bent.normalised_moment,
         }
         tables.append(pd.DataFrame(columns))
     return pd.concat(tables, ignore_index=True)
 
 
 def balance_angles() -> pd.DataFrame:
-    """Panel b: θ_b at the impact angle of 60°, for each curve, and where each curve ends."""
+    """Panel b: θ_b at the impact angle of 60°, on either scale, and where each curve ends."""
     tables = []
     for curve in MuscleCurve:
         share = np.append(np.linspace(0.3, 1.0, 141), curve_end(curve))
@@ -116,20 +113,15 @@ def dashed_line() -> tuple[Array, Array]:
 
 def check(b: pd.DataFrame, c: pd.DataFrame) -> pd.DataFrame:
     """What caption and text say of the figure, a row a claim, with the paper's numbers."""
-    figure = MuscleCurve.FIGURE
     rows: list[tuple[str, float, float]] = []
-    for share, degrees in PAPER_3B.items():
-        found = moment_balance(WHISKER, share * WHISKER.length, IMPACT).balance_angle
-        rows.append((f"b: θ_b at {share:g} L, degrees", float(np.degrees(found)), degrees))
     for curve in MuscleCurve:
-        expected = 0.684 if curve is figure else np.nan
         end = b.loc[(b["curve"] == curve.value) & (b["outcome"] == "BALANCED"), "radial_distance"]
-        rows.append((f"b: end of the curve, {curve.value}, r/L", end.max(), expected))
+        rows.append((f"b: end of the curve, {curve.value}, r/L", end.max(), 0.7))
     past = moment_balance(WHISKER, np.array(SHOWN) * WHISKER.length, IMPACT).outcome
     rows.append(("a: distances of four that flick past", int(np.sum(past != 0)), 2))
     falling = b.groupby("curve")["balance_angle_deg"].apply(lambda t: np.sum(np.diff(t) <= 0))
     rows.append(("b: falls of θ_b with distance, all curves", int(falling.sum()), 0))
-    grid = c[c["curve"] == figure.value]
+    grid = c[c["curve"] == MuscleCurve.NORMALISED.value]
     below = _below_the_line(grid)
     early = grid["outcome"].isin(["FLICKED_PAST", "SLIPPED_OFF_TIP"])
     late = grid["outcome"] == "END_OF_WHISKING"
@@ -145,17 +137,17 @@ def _below_the_line(grid: pd.DataFrame) -> Array:
 
 
 def draw(a: pd.DataFrame, b: pd.DataFrame, c: pd.DataFrame) -> Figure:
-    """Panels a and b, and c for the figure's curve and for the printed one."""
+    """Panels a and b, and c for equation (2.2) on either scale, each with its own gain."""
     figure = figures.new_figure(figures.DOUBLE, 5.6)
     axes = figure.subplots(2, 2)
     _moments(axes[0, 0], a, b)
     _angles(axes[0, 1], b)
-    for ax, curve in zip(axes[1], (MuscleCurve.FIGURE, MuscleCurve.PRINTED), strict=True):
+    for ax, curve in zip(axes[1], CURVES, strict=True):
         _surface(ax, c[c["curve"] == curve.value])
     axes[0, 0].set_title("(a) impact at 60°", loc="left", fontsize=8)
     axes[0, 1].set_title("(b) impact at 60°", loc="left", fontsize=8)
-    axes[1, 0].set_title("(c) with the figure's curve", loc="left", fontsize=8)
-    axes[1, 1].set_title("(c) with equation (2.2) as printed", loc="left", fontsize=8)
+    for ax, curve, words in zip(axes[1], CURVES, ("peak scaled to 1", "as printed"), strict=True):
+        ax.set_title(f"(c) {words}, gain {curve.gain():g}", loc="left", fontsize=8)
     for ax in axes.flat:
         ax.tick_params(labelsize=7)
         ax.xaxis.label.set_size(8)
@@ -166,10 +158,10 @@ def draw(a: pd.DataFrame, b: pd.DataFrame, c: pd.DataFrame) -> Figure:
 
 def _moments(ax: Axes, a: pd.DataFrame, b: pd.DataFrame) -> None:
     theta = np.linspace(*WHISKING, 300)
-    styles = (":", "-.", "--"), ("0.5", "0.5", "0.0"), ((139, 0.66), (116, 1.06), (120, 0.86))
-    for curve, style, shade, (x, y) in zip(MuscleCurve, *styles, strict=True):
-        ax.plot(np.degrees(theta), curve.moment(theta), style, color=shade, linewidth=1.2)
-        ax.text(x, y, curve.value, color=shade, fontsize=7, ha="center")
+    muscle = MuscleCurve.NORMALISED
+    ax.plot(np.degrees(theta), muscle.moment(theta), "--", color="0.0", linewidth=1.2)
+    ax.text(116, 1.06, "muscle: equation (2.2)", color="0.0", fontsize=7, ha="center")
+    b = b[b["curve"] == muscle.value]
     for i, share in enumerate(SHOWN):
         rows = a[a["radial_distance"] == share]
         ax.plot(
@@ -180,11 +172,11 @@ def _moments(ax: Axes, a: pd.DataFrame, b: pd.DataFrame) -> None:
             label=f"r = {share:g} L",
         )
         at = b[np.isclose(b["radial_distance"], share) & (b["outcome"] == "BALANCED")]
-        for curve, degrees in zip(at["curve"], at["balance_angle_deg"], strict=True):
+        for degrees in at["balance_angle_deg"]:
             angle = IMPACT + np.radians(degrees)
             ax.plot(
                 np.degrees(angle),
-                MuscleCurve(curve).moment(angle),
+                muscle.moment(angle),
                 figures.MARKERS[i],
                 color=figures.COLOURS[i],
                 markerfacecolor="white",
@@ -192,7 +184,7 @@ def _moments(ax: Axes, a: pd.DataFrame, b: pd.DataFrame) -> None:
             )
     ax.set(
         xlabel="Follicle angle θ (degrees)",
-        ylabel="Moment (units of the figure's muscle peak)",
+        ylabel="Moment (units of the muscle's peak)",
         xlim=(30, 150),
         ylim=(0, 1.2),
     )
@@ -211,9 +203,6 @@ def _angles(ax: Axes, b: pd.DataFrame) -> None:
             linewidth=1.2,
             label=f"{curve.value}: ends at {end:.4f} L",
         )
-    ax.plot(
-        list(PAPER_3B), list(PAPER_3B.values()), "o", color="0.0", markersize=3.5, label="paper"
-    )
     ax.set(
         xlabel="Radial distance r/L",
         ylabel="Angle of moment balance θ$_b$ (degrees)",
@@ -253,7 +242,7 @@ def _surface(ax: Axes, c: pd.DataFrame) -> None:
 
 def make(folder: Path) -> pd.DataFrame:
     """Figure and tables into `folder`; returns the check of the claims."""
-    inputs = {"radius_ratio": WHISKER.radius_ratio, "gain": FIGURE_GAIN}
+    inputs = {"radius_ratio": WHISKER.radius_ratio, "gain": MuscleCurve.NORMALISED.gain()}
     with Run(folder, "figure_3", inputs) as run:
         a, b = moments(), balance_angles()
         c = pd.concat([surface(curve) for curve in MuscleCurve], ignore_index=True)

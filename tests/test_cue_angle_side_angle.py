@@ -208,7 +208,7 @@ def test_it_says_where_it_does_not_work():
     [
         (lambda: AngleSideAngle(0.0), "side must be above zero"),
         (lambda: AngleSideAngle(1e-2, side_sd=5e-3), "at most a quarter of the side"),
-        (lambda: AngleSideAngle(bearings=(0.5, 4.0)), "bearings must go up between 0 and π"),
+        (lambda: AngleSideAngle(bearings=(0.5, 4.0)), "bearings must be two that go up"),
         (lambda: TwoWhiskers(neighbour_length=-1), "neighbour_length must be above zero"),
         (lambda: ContactAndDetachment(push=-0.1), "push must not be negative"),
         (lambda: ww.Observer(W, ContactAndDetachment(push=2.0)), "No contact holds a push of 114"),

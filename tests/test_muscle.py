@@ -13,6 +13,8 @@ from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 IMPACT = np.radians(60)
+#: The end of figure 3b over L.
+END = 0.696977644
 
 
 def pressed(distance, force):
@@ -33,23 +35,32 @@ def extreme(function, bounds):
     ).fun
 
 
-def test_the_curve_of_figure_3b_ends_where_the_two_curves_touch():
-    """Where the smallest excess of muscle over whisker is zero, by SciPy: r = 0.684828 L.
+def pull(angle, w=1.25):
+    """Equation (2.2) by geometry: the sine of the angle at which a muscle pulls on the follicle.
 
-    The theory notes print 0.684.
+    The follicle is a lever of length 2 from the origin, the muscle's other end at w on the x axis,
+    behind it; by the cross product of the two directions.
     """
+    lever = 2 * np.stack([np.cos(angle), np.sin(angle)])
+    muscle = np.stack([np.full_like(angle, -w), np.zeros_like(angle)]) - lever
+    cross = lever[0] * muscle[1] - lever[1] * muscle[0]
+    return cross / np.hypot(*lever) / np.hypot(*muscle)
+
+
+def test_the_curve_of_figure_3b_ends_where_the_two_curves_touch():
+    """Where the smallest excess of muscle over whisker is zero, by SciPy: r = 0.697 L."""
 
     def least_excess(share):
         def excess(force):
             moment, theta = pressed(share * W.length, force)
-            return np.sin(IMPACT + theta - np.radians(23)) - 2 * moment
+            return pull(IMPACT + theta) / 0.625 - 2 * moment
 
         return extreme(excess, (50, 100))
 
     def outcome(share):
         return moment_balance(W, share * W.length, IMPACT).outcome
 
-    end, tiny = 0.684827922, 1e-8
+    end, tiny = END, 1e-8
     assert least_excess(end - tiny) < 0 < least_excess(end + tiny)
     assert outcome(end - tiny) is Balance.BALANCED
     assert outcome(end + tiny) is Balance.FLICKED_PAST
@@ -74,9 +85,24 @@ def test_printed_curve_peaks_at_half_w_near_128_7_degrees():
     )
 
 
-def test_figure_curve_is_what_was_read_off():
-    angles = np.radians([30, 113, 150])
-    np.testing.assert_allclose(MuscleCurve.FIGURE.moment(angles), [0.125, 1.0, 0.80], atol=4e-3)
+@pytest.mark.parametrize("w", [0.4, 1.25, 1.999, 2.0, 5.0])
+def test_the_curve_is_the_triangle_and_goes_on_through_128_7_degrees(w):
+    """The principal value of the arctangent would jump by twice the moment there."""
+    angle = np.linspace(0.001, np.pi - 0.001, 4001)
+    curve = MuscleCurve.PRINTED.moment(angle, w)
+    np.testing.assert_allclose(curve, pull(angle, w), rtol=1e-11)
+    assert np.all(curve > 0)
+    np.testing.assert_allclose(MuscleCurve.NORMALISED.moment(angle, w).max(), 1.0, rtol=1e-6)
+    jumps = np.sin(angle - np.arctan(2 * np.sin(angle) / (w + 2 * np.cos(angle))))
+    assert np.allclose(jumps, curve) == (w >= 2)
+
+
+def test_either_scale_gives_the_same_balance_on_its_own_gain():
+    share = np.linspace(0.3, 0.99, 24)
+    impact = np.radians(np.linspace(30, 149, 9))[:, None]
+    one, other = (moment_balance(W, share * W.length, impact, curve=c) for c in MuscleCurve)
+    np.testing.assert_array_equal(one.outcome, other.outcome)
+    np.testing.assert_allclose(one.balance_angle, other.balance_angle, rtol=1e-9)
 
 
 @pytest.mark.parametrize("curve", MuscleCurve)
@@ -88,11 +114,11 @@ def test_balance_is_the_root_that_scipy_finds(curve):
 
         def excess(t, r=r):
             bent = elastica.press(W, r, t).normalised_moment
-            return curve.moment(IMPACT + t) - 2 * bent
+            return curve.moment(IMPACT + t) - curve.gain() * bent
 
         assert b.balance_angle == pytest.approx(brentq(excess, 1e-6, 0.3, xtol=1e-15), rel=1e-10)
         assert b.moment == pytest.approx(
-            curve.moment(IMPACT + b.balance_angle) * W.moment_scale / 2, rel=1e-9
+            curve.moment(IMPACT + b.balance_angle) * W.moment_scale / curve.gain(), rel=1e-9
         )
 
 
@@ -107,7 +133,7 @@ def test_every_outcome_of_figure_3c_by_plain_sampling(curve):
     reach = np.minimum(flick, np.radians(150) - impact)
     theta = np.linspace(0, 1 - 1e-9, 1500)[:, None, None] * reach
     moment = elastica.press(W, share * W.length, theta).normalised_moment
-    excess = curve.moment(impact + theta) - 2 * np.nan_to_num(moment, nan=0.0)
+    excess = curve.moment(impact + theta) - curve.gain() * np.nan_to_num(moment, nan=0.0)
     expected = np.where(
         np.any(excess <= 0, axis=0),
         Balance.BALANCED,
@@ -149,7 +175,7 @@ def test_flick_past_under_a_limited_muscle_is_where_it_can_no_more_be_balanced()
 
     def ratio(force):
         moment, theta = pressed(r, force)
-        return np.sin(IMPACT + theta - np.radians(23)) / moment
+        return pull(IMPACT + theta) / 0.625 / moment
 
     need = extreme(ratio, (20, 110))
     outcomes = [moment_balance(W, r, IMPACT, gain=need * (1 + d)).outcome for d in (1e-9, -1e-9)]

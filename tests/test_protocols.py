@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import pickle
 from copy import copy
 from dataclasses import FrozenInstanceError, dataclass
@@ -11,6 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import weberwhisk as ww
+from weberwhisk import cues
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.receptors import (
@@ -174,3 +176,137 @@ def test_a_new_law_of_noise_in_four_lines():
         for m in ("quadrature", "emcee")
     )
     assert np.all(np.abs(fast.mean - slow.mean) < 0.1 * fast.sd)
+
+
+# -- cues ----------------------------------------------------------------------------------------
+
+CUES = [
+    lambda: cues.Compliance(tap_angle=0.1, velocity_spread=0.5),
+    lambda: ForceMap(["moment", "transverse_force"]),
+    lambda: ForceMap("moment", deflection_angle=0.2),
+    lambda: cues.SpaceMap(),
+    lambda: cues.UnknownStiffness(ForceMap(), 0.3),
+    lambda: cues.Fused(Compliance(), cues.Vibration(4, phase=True)),
+    lambda: cues.Vibration(2, impulse=1e-9, damping_ratio=0.01),
+    lambda: cues.VibrissaLength(spread=0.1),
+    lambda: cues.ComparativeLength([40e-3], [[-1e-3, 0.0]], position_sd=2e-3),
+    lambda: cues.AngleSideAngle(5e-3, side_sd=1e-3),
+    lambda: cues.TwoWhiskers(neighbour_length=20e-3),
+    lambda: cues.ContactAndDetachment(push=0.2),
+    lambda: cues.LateralSlip(friction_angle=0.2),
+    lambda: cues.BalanceOfMoments(1.2, effort=None),
+]
+
+
+@pytest.mark.parametrize("make", CUES)
+def test_a_cue_is_a_value(make):
+    first, other = make(), make()
+    assert first == other
+    assert hash(first) == hash(other)
+    assert copy(first) == pickle.loads(pickle.dumps(first)) == first
+    assert repr(first).startswith(type(first).__name__)
+    with pytest.raises(FrozenInstanceError):
+        first.side = 0.5
+    assert len({make() for make in CUES for _ in range(2)}) == len(CUES)
+
+
+@pytest.mark.parametrize("make", CUES)
+def test_the_slopes_that_a_cue_gives_are_its_own(make):
+    """`Cue.jacobian`, by differences, beside what each cue knows in closed form."""
+    cue = make()
+    observer = ww.Observer(W, cue)
+    x = np.full((1, len(cue.unknowns)), -0.2)
+    contact = observer.contact(x)[0]
+    own = cue.jacobian(W, contact)
+    assert_allclose(own, cues.Cue.jacobian(cue, W, contact), rtol=1e-5, atol=1e-7 * abs(own).max())
+    part = cue.given(W, contact[..., :-1])(contact[..., -1])
+    whole = cue.signals(W, contact)
+    assert_allclose(part[0], whole[0], rtol=1e-12)
+    assert part[1] == whole[1]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Lever(cues.Cue):
+    """A new cue: moment over transverse force, nearly the distance, at a known angle."""
+
+    deflection_angle: float = 0.1
+    signal_names = ("lever_arm",)
+
+    def signals(self, whisker, contact, *, model=None):
+        bent = ww.press(whisker, contact[..., 0], self.deflection_angle, model=model)
+        return np.asarray(bent.moment / bent.transverse_force)[..., None], np.asarray(bent.outcome)
+
+
+def test_a_new_cue_in_four_lines():
+    observer = ww.Observer(W, Lever(0.1))
+    at = np.array([20e-3])
+    # M = Fy·x + Fx·y at the contact: the arm is r but for terms of the second order in θ_d.
+    assert_allclose(observer.signals(at)[0], at, rtol=0.02)
+    assert_allclose(weber_propagation(observer, at), 0.1 * at[0], rtol=0.03)
+    p = ww.posterior(observer, observer.read(at, seed=1))
+    checked = ww.posterior(observer, observer.read(at, seed=1), method="emcee", seed=2)
+    assert abs(p.mean - checked.mean) < 0.1 * p.sd
+    r = np.linspace(1e-4, 0.999 * W.length, 4001)
+    density = np.exp(observer.log_likelihood(observer.read(at, seed=1), r[:, None]))
+    assert_allclose(p.mean, (r * density).sum() / density.sum(), rtol=1e-3)
+    table = ww.jnd_curve(observer, radial_distance=[10e-3, 20e-3], draws=20, seed=1)
+    assert np.isfinite(np.asarray(table.filter(like="jnd"), dtype=float)).all()
+    both = ww.Observer(W, cues.Fused(Lever(0.1), Compliance()))
+    assert weber_propagation(both, at) < weber_propagation(observer, at)
+
+
+# -- misuse --------------------------------------------------------------------------------------
+
+JUNK = ["text", None, np.nan, np.inf, -np.inf, -1, 0, 1e300, 3.0, 2.5, True, object(), [], {}, ()]
+JUNK += [1j, ["a", "b"], [1.0, "b"], [[1, 2], [3]], float, ForceMap, b"x", np.zeros((2, 0))]
+GOOD = {  # what each class needs at least
+    ww.Whisker: (50e-3, 100e-6, 5e-6),
+    ww.Parabola: (20.0,),
+    ww.Spiral: (),
+    ww.Profile: (W, [0, 50e-3], [1e-4, 5e-6], [0.0, 0.0], ww.Spiral(1.0)),
+    ww.Profile.of: (W,),
+    ww.Profile.tabulated: ([0, 50e-3], [1e-4, 5e-6]),
+    Events: ([[0], [1]],),
+    Joint: ([Weber()], [1]),
+    Afferents: (3, 1e-2, 10.0),
+    SpikeCount: (Afferents(3, 1e-2, 10.0),),
+    cues.UnknownStiffness: (ForceMap(),),
+    cues.Fused: (ForceMap(), Compliance()),
+    cues.ComparativeLength: ([40e-3], [[-1e-3, 0.0]]),
+    GeneralisedWeber: (0.1,),
+    Saturating: (0.1,),
+    NearMiss: (0.1,),
+    ww.Observer: (W, ForceMap()),
+}
+NAMED = {GeneralisedWeber: {"floor": 0.1}, Saturating: {"ceiling": 1.0}, NearMiss: {"reference": 1}}
+EVERY = [
+    *GOOD,
+    *(getattr(cues, n) for n in cues.__all__ if n != "Cue"),
+    *(getattr(ww.receptors, n) for n in ("Weber", "LogNormal")),
+]
+
+
+@pytest.mark.parametrize("make", dict.fromkeys(EVERY), ids=lambda m: m.__qualname__)
+def test_a_constructor_takes_a_value_or_refuses_it_in_one_sentence(make):
+    good, named = GOOD.get(make, ()), NAMED.get(make, {})
+    make(*good, **named)
+    parameters = inspect.signature(make).parameters
+    only = [n for n, p in parameters.items() if p.kind == p.KEYWORD_ONLY]
+    refusals, others = [], []
+    for junk in JUNK:
+        calls = [((*good[:i], junk, *good[i + 1 :]), named) for i in range(max(1, len(good)))]
+        if not any(p.kind != p.KEYWORD_ONLY for p in parameters.values()):
+            calls = []
+        for args, kwargs in [*calls, *((good, named | {name: junk}) for name in only)]:
+            try:
+                assert isinstance(repr(make(*args, **kwargs)), str)
+            except ValueError as error:
+                refusals.append(str(error))
+            except Exception as error:
+                others.append((args, kwargs, repr(error)))
+    assert others == []
+    assert refusals or make is cues.SpaceMap
+    for words in refusals:
+        assert 20 < len(words) < 500
+        assert "\n" not in words
+        assert "object at 0x" not in words

@@ -15,7 +15,7 @@ def numbers(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number, got {value!r}; {hint}.") from None
+        raise ValueError(f"{name} must be a number, got {shown(value)}; {hint}.") from None
 
 
 def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
@@ -50,6 +50,16 @@ def number(name: str, value: ArrayLike, hint: str) -> float:
     if array.size != 1:
         raise ValueError(f"{name} must be one number, got {array.size}; {hint}.")
     return float(array.reshape(()))
+
+
+def positive_number(name: str, value: ArrayLike, hint: str) -> float:
+    """`value` as one finite number above zero."""
+    return number(name, positive(name, value, hint), hint)
+
+
+def non_negative_number(name: str, value: ArrayLike, hint: str) -> float:
+    """`value` as one finite number of zero or more."""
+    return number(name, non_negative(name, value, hint), hint)
 
 
 def whole(name: str, value: object, hint: str, least: int = 1) -> int:
@@ -92,7 +102,7 @@ def shown(value: object) -> str:
     if isinstance(value, type):
         return f"the class {value.__name__}"
     text = repr(value)
-    short = len(text) <= 50 and "\n" not in text
+    short = len(text) <= 50 and "\n" not in text and "object at 0x" not in text
     return text if short else f"an object of type {type(value).__name__}"
 
 
@@ -115,7 +125,20 @@ def one_of(name: str, value: object, choices: Iterable[str]) -> str:
         return value
     near = get_close_matches(str(value), known, n=1)
     meant = f" (did you mean {near[0]!r}?)" if near else ""
-    raise ValueError(f"{name} {value!r} is unknown{meant}; choose one of {', '.join(known)}.")
+    raise ValueError(f"{name} {shown(value)} is unknown{meant}; choose one of {', '.join(known)}.")
+
+
+def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...]:
+    """`value`, a name or a sequence of different names, if all are among `choices`."""
+    known = list(choices)
+    names = (value,) if isinstance(value, str) else value
+    hint = f"write {known[:2]}, say"
+    if not np.iterable(names):
+        raise ValueError(f"{name} must be a list of names, got {shown(value)}; {hint}.")
+    found = tuple(one_of(name.removesuffix("s"), each, known) for each in names)
+    if not found or len(set(found)) < len(found):
+        raise ValueError(f"{name} must be one or more, each once, got {list(found)}; {hint}.")
+    return found
 
 
 def _first(array: NDArray[np.float64], bad: NDArray[np.bool_]) -> str:

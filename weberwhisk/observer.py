@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._checks import finite, numbers, one_of, shown
 from .coordinates import ContactCoordinates, to_normal
-from .cues.protocol import Cue, given, straight
+from .cues.protocol import Cue, straight
 from .mechanics.contact import Outcome
 from .receptors import Events, Joint, LogNormal, ReceptorNoise, Seed
 from .receptors.gaussian import Gaussian
@@ -259,7 +259,7 @@ class Observer:
 
         What does not depend on it is worked out once.
         """
-        return given(self.cue, self.whisker, np.asarray(contact, dtype=float), model=self.model)
+        return self.cue.given(self.whisker, np.asarray(contact, dtype=float), model=self.model)
 
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""

@@ -8,17 +8,18 @@ whiskers (`TwoWhiskers`), a base that moves within a whisk (`ContactAndDetachmen
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, non_negative, positive
+from .._checks import finite, non_negative, non_negative_number, positive, positive_number
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 from .reach import reach_at
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
@@ -27,7 +28,8 @@ ANGLE_SD = float(np.radians(1.0))
 BEARINGS = (float(np.radians(30.0)), float(np.radians(150.0)))
 
 
-class AngleSideAngle:
+@dataclass(frozen=True, eq=False, repr=False)
+class AngleSideAngle(Cue):
     """Radial distance from the angles of an object seen from two ends of a known side (§2c, i).
 
     The base is carried from one place to another between two whisks, by a side of known length;
@@ -68,41 +70,34 @@ class AngleSideAngle:
     30.000000 mm
     """
 
-    signal_names: tuple[str, ...] = ("first_angle", "second_angle")
+    signal_names = ("first_angle", "second_angle")
 
-    def __init__(
-        self,
-        side: float = 10e-3,
-        *,
-        side_sd: float = 0.0,
-        bearings: tuple[float, float] = BEARINGS,
-    ) -> None:
-        self.side = float(positive("side", side, "give metres, such as 10e-3"))
-        self.side_sd = float(non_negative("side_sd", side_sd, "give metres, 0 for a known side"))
-        if self.side_sd > self.side / 4:
+    side: float = 10e-3
+    _: KW_ONLY
+    side_sd: float = 0.0
+    bearings: Any = BEARINGS
+
+    def __post_init__(self) -> None:
+        side = positive_number("side", self.side, "give metres, such as 10e-3")
+        side_sd = non_negative_number("side_sd", self.side_sd, "give metres, 0 for a known side")
+        if side_sd > side / 4:
             raise ValueError(
-                f"side_sd must be at most a quarter of the side, got {self.side_sd:g} m for "
-                f"{self.side:g} m; a side that may be nothing tells nothing."
+                f"side_sd must be at most a quarter of the side, got {side_sd:g} m for "
+                f"{side:g} m; a side that may be nothing tells nothing."
             )
-        low, high = (float(a) for a in finite("bearings", bearings, "give (low, high) in rad"))
+        bearings = finite("bearings", self.bearings, "give (low, high) in rad")
+        low, high = bearings if bearings.shape == (2,) else (np.nan, np.nan)
         if not 0 < low < high < np.pi:
             raise ValueError(
-                f"bearings must go up between 0 and π, got ({low:g}, {high:g}); "
+                f"bearings must be two that go up between 0 and π, got {bearings.tolist()}; "
                 "give them in radians."
             )
-        self.bearings = (low, high)
-        #: Distance, bearing and, where it is not known, the side.
-        self.unknowns: tuple[str, ...] = ("radial_distance", "bearing", "side")
-        if self.side_sd == 0:
-            self.unknowns = self.unknowns[:2]
+        self._set(side=side, side_sd=side_sd, bearings=(float(low), float(high)))
 
-    def __repr__(self) -> str:
-        given = {
-            k: v
-            for k, v in vars(self).items()
-            if k not in ("bearings", "unknowns") and v is not None
-        }
-        return f"{type(self).__name__}({', '.join(f'{k}={v:g}' for k, v in given.items())})"
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Distance, bearing and, where it is not known, the side."""
+        return ("radial_distance", "bearing", "side")[: 2 + (self.side_sd > 0)]
 
     def _triangle(self, contact: Array) -> tuple[Array, Array, Array, Array, Array]:
         """r, bearing and side, and the first place's distance and angle."""
@@ -135,9 +130,7 @@ class AngleSideAngle:
         outcome = np.select([known, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH)
         return np.asarray(outcome, dtype=np.int8)
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """First and second angle (..., 2), rad, of a contact (..., U), and its outcome."""
         straight(whisker)
         r, bearing, _, first, angle = self._triangle(contact)
@@ -147,7 +140,7 @@ class AngleSideAngle:
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+    ) -> Callable[[Array], Felt]:
         """The signals as a function of the last unknown (...), the rest of the contact given."""
         straight(whisker)
         if self.side_sd == 0:
@@ -157,7 +150,7 @@ class AngleSideAngle:
         r, bearing = contact[..., 0], contact[..., 1]
         ahead, across = r * np.cos(bearing), r * np.sin(bearing)
 
-        def signals(side: Array) -> tuple[Array, NDArray[np.int8]]:
+        def signals(side: Array) -> Felt:
             along = side + ahead
             outcome = self._outcome(whisker, r, np.hypot(along, across))
             angles = np.empty((*along.shape, 2))
@@ -227,6 +220,7 @@ class AngleSideAngle:
         return self.radial_distance(whisker, reading)[1]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class TwoWhiskers(AngleSideAngle):
     """Angle–side–angle with two whiskers, the side between their bases (§2c, ii).
 
@@ -249,26 +243,23 @@ class TwoWhiskers(AngleSideAngle):
     ['HELD', 'OUT_OF_REACH']
     """
 
-    def __init__(
-        self,
-        side: float = 3e-3,
-        *,
-        side_sd: float = 0.0,
-        bearings: tuple[float, float] = BEARINGS,
-        neighbour_length: float | None = None,
-    ) -> None:
-        super().__init__(side, side_sd=side_sd, bearings=bearings)
-        self.neighbour_length = neighbour_length
-        if neighbour_length is not None:
-            self.neighbour_length = float(
-                positive("neighbour_length", neighbour_length, "give metres, such as 40e-3")
-            )
+    side: float = 3e-3
+    _: KW_ONLY
+    neighbour_length: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.neighbour_length is not None:
+            hint = "give metres, such as 40e-3"
+            length = positive_number("neighbour_length", self.neighbour_length, hint)
+            self._set(neighbour_length=length)
 
     def _reaches(self, whisker: Whisker) -> tuple[float, float]:
         length = float(whisker.length)
         return self.neighbour_length or length, length
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class ContactAndDetachment(AngleSideAngle):
     """Angle–side–angle within a whisk, between first contact and detachment (§2c, iii).
 
@@ -293,16 +284,13 @@ class ContactAndDetachment(AngleSideAngle):
     'FLICKED_PAST'
     """
 
-    def __init__(
-        self,
-        side: float = 2e-3,
-        *,
-        side_sd: float = 0.0,
-        bearings: tuple[float, float] = BEARINGS,
-        push: float = float(np.radians(10.0)),
-    ) -> None:
-        super().__init__(side, side_sd=side_sd, bearings=bearings)
-        self.push = float(non_negative("push", push, "give radians, such as np.radians(10)"))
+    side: float = 2e-3
+    _: KW_ONLY
+    push: float = float(np.radians(10.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set(push=non_negative_number("push", self.push, "give radians, 0.17 say"))
 
     def _reaches(self, whisker: Whisker) -> tuple[float, float]:
         reach = _held_to(whisker, self.push)

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, positive
+from .._checks import number, positive, positive_number, shown
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
-from ..mechanics.muscle import FIGURE_GAIN, SEPARATION, WHISKING, MuscleCurve
+from ..mechanics.muscle import SEPARATION, WHISKING, MuscleCurve, whisking_range
 from ..mechanics.surface import base_signals, surface_of
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
 from .angle_side_angle import ANGLE_SD
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 
 #: Steps of Newton's method, with slopes read off a table; relative size of the last that ends it.
 STEPS, ENDED = 2, 1e-8
 
 
-class BalanceOfMoments:
+@dataclass(frozen=True, eq=False, repr=False)
+class BalanceOfMoments(Cue):
     """Radial distance from the angle θ_b at which muscle and bent whisker balance (§2h).
 
     The muscle turns the follicle past the impact until the whisker's moment is the muscle's:
@@ -38,7 +40,7 @@ class BalanceOfMoments:
     effort : float or None
         Part of the largest muscle moment that is used, known; None where it is felt.
     curve : MuscleCurve
-        Which of the three curves of the largest muscle moment.
+        Which curve of the largest muscle moment.
     gain, separation, whisking
         As for `moment_balance`: muscle units per EI₀/L, w of equation (2.2), the range of
         follicle angles (rad).
@@ -60,44 +62,60 @@ class BalanceOfMoments:
     >>> cue = BalanceOfMoments(np.radians(60))
     >>> angle, outcome = cue.signals(w, np.array([[15e-3], [25e-3], [35e-3]]))
     >>> np.degrees(angle[:, 0]).round(2), [Outcome(k).name for k in outcome]
-    (array([2.55, 6.29,  nan]), ['HELD', 'HELD', 'FLICKED_PAST'])
+    (array([2.54, 6.09,  nan]), ['HELD', 'HELD', 'FLICKED_PAST'])
     >>> r, outcome = cue.radial_distance(w, angle[:2, 0])
     >>> (r * 1e3).round(6)
     array([15., 25.])
     """
 
-    def __init__(
-        self,
-        impact_angle: float = float(np.radians(60.0)),
-        *,
-        effort: float | None = 1.0,
-        curve: MuscleCurve = MuscleCurve.FIGURE,
-        gain: float = FIGURE_GAIN,
-        separation: float = SEPARATION,
-        whisking: tuple[float, float] = WHISKING,
-    ) -> None:
-        self.impact_angle = float(finite("impact_angle", impact_angle, "give radians"))
-        if not whisking[0] <= self.impact_angle < whisking[1]:
-            raise ValueError(
-                f"impact_angle must be in the range of whisking, {whisking[0]:.4g} to "
-                f"{whisking[1]:.4g} rad, got {self.impact_angle:g}; change it or `whisking`."
-            )
-        self.effort = effort
-        if effort is not None:
-            self.effort = float(positive("effort", effort, "give a part of the largest, 0.5 say"))
-        self.curve = curve
-        self.gain = float(positive("gain", gain, "give muscle units per EI₀/L, such as 2.0"))
-        self.separation = separation
-        self.room = float(whisking[1]) - self.impact_angle  # how far whisking goes on, rad
-        felt = effort is None
-        self.signal_names = ("balance_angle", "effort")[: 1 + felt]
-        self.unknowns = ("radial_distance", "deflection_angle")[: 1 + felt]
+    impact_angle: float = float(np.radians(60.0))
+    _: KW_ONLY
+    effort: float | None = 1.0
+    curve: MuscleCurve = MuscleCurve.NORMALISED
+    gain: Any = None
+    separation: float = SEPARATION
+    whisking: Any = WHISKING
 
-    def __repr__(self) -> str:
-        return (
-            f"BalanceOfMoments({self.impact_angle:.4g}, effort={self.effort}, "
-            f"curve={self.curve.name}, gain={self.gain:g})"
+    def __post_init__(self) -> None:
+        impact = number("impact_angle", self.impact_angle, "give radians, such as 1.05")
+        low, high = whisking_range(self.whisking)
+        if not low <= impact < high:
+            raise ValueError(
+                f"impact_angle must be in the range of whisking, {low:.4g} to {high:.4g} rad, got "
+                f"{impact:g}; change it or `whisking`."
+            )
+        if not isinstance(self.curve, MuscleCurve):
+            raise ValueError(
+                f"curve must be a MuscleCurve, got {shown(self.curve)}; "
+                "write MuscleCurve.NORMALISED."
+            )
+        effort = self.effort
+        if effort is not None:
+            effort = positive_number("effort", effort, "give a part of the largest, 0.5 say")
+        width = positive_number("separation", self.separation, "give w of equation (2.2), 1.25 say")
+        gain = self.curve.gain(width) if self.gain is None else self.gain
+        self._set(
+            impact_angle=impact,
+            effort=effort,
+            gain=positive_number("gain", gain, "give muscle units per EI₀/L, such as 2.0"),
+            separation=width,
+            whisking=(low, high),
         )
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """The balance angle, and the effort where it is felt."""
+        return ("balance_angle", "effort")[: 1 + (self.effort is None)]
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """The distance, and the deflection angle where the effort is felt."""
+        return ("radial_distance", "deflection_angle")[: 1 + (self.effort is None)]
+
+    @property
+    def room(self) -> float:
+        """How far whisking goes on past the impact, rad."""
+        return float(self.whisking[1] - self.impact_angle)
 
     # -- effort --------------------------------------------------------------------------------
 
@@ -183,9 +201,7 @@ class BalanceOfMoments:
         found = find_root(excess, ends, args=(r,), tolerances={"fatol": 0.0})
         return np.asarray(found.x)
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Balance angle, rad, and effort where it is felt (..., S), and the outcome (...)."""
         straight(whisker)
         contact = np.asarray(contact, dtype=float)
@@ -232,10 +248,6 @@ class BalanceOfMoments:
         felt = np.stack([by_r, by_theta], axis=-1)
         both = np.stack([np.broadcast_to([0.0, 1.0], felt.shape), felt], axis=-2)
         return np.where(held[..., None, None], both, np.nan)
-
-    def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """None: every unknown is bounded by the whisker."""
-        return {}
 
     def default_noise(self) -> GeneralisedWeber:
         """One degree of angle everywhere, and Weber's law, k = 0.1, of the effort."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -9,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from .._checks import finite, non_negative, positive
+from .._checks import finite, non_negative_number, positive, positive_number, whole
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 
 #: Whiskers of an array: 2⁸ patterns of touch.
 MOST_WHISKERS = 8
@@ -22,7 +24,8 @@ AHEAD = (-np.pi / 2, np.pi / 2)
 _ROWS = 256  # distances worked on together
 
 
-class ComparativeLength:
+@dataclass(frozen=True, eq=False, repr=False)
+class ComparativeLength(Cue):
     """Radial distance from which whiskers of an array touch an object, and which do not (§2b).
 
     In the plane of whisking the observer's whisker has its base at the origin, and the object is
@@ -96,63 +99,75 @@ class ComparativeLength:
     30.0 to 39.0 mm
     """
 
-    unknowns: tuple[str, ...] = ("radial_distance",)
+    lengths: Any
+    bases: Any
+    _: KW_ONLY
+    sweeps: Any = None
+    spread: float = 0.05
+    base_sd: float = 1e-3
+    angle_sd: float = float(np.radians(3.0))
+    position_sd: float = 1e-3
+    orientation_sd: float = float(np.radians(3.0))
+    reach: float = 1.5
+    poses: int = 5
 
-    def __init__(
-        self,
-        lengths: ArrayLike,
-        bases: ArrayLike,
-        *,
-        sweeps: ArrayLike | None = None,
-        spread: float = 0.05,
-        base_sd: float = 1e-3,
-        angle_sd: float = float(np.radians(3.0)),
-        position_sd: float = 1e-3,
-        orientation_sd: float = float(np.radians(3.0)),
-        reach: float = 1.5,
-        poses: int = 5,
-    ) -> None:
-        self.lengths = np.atleast_1d(positive("lengths", lengths, "give metres"))
-        self.bases = finite("bases", bases, "give metres, a row for each neighbour")
-        count = self.lengths.size + 1
-        if not 2 <= count <= MOST_WHISKERS or self.lengths.ndim > 1:
+    def __post_init__(self) -> None:
+        lengths = np.atleast_1d(positive("lengths", self.lengths, "give metres"))
+        bases = finite("bases", self.bases, "give metres, a row for each neighbour")
+        count = lengths.size + 1
+        if not 2 <= count <= MOST_WHISKERS or lengths.ndim > 1:
             raise ValueError(
                 f"An array has 1 to {MOST_WHISKERS - 1} neighbours, got lengths of shape "
-                f"{self.lengths.shape}; give one length for each."
+                f"{lengths.shape}; give one length for each."
             )
-        if self.bases.shape != (count - 1, 2):
+        if bases.shape != (count - 1, 2):
             raise ValueError(
-                f"bases must have shape ({count - 1}, 2), got {self.bases.shape}; "
+                f"bases must have shape ({count - 1}, 2), got {bases.shape}; "
                 "give x and y for each neighbour."
             )
-        ends = np.tile(AHEAD, (count, 1)) if sweeps is None else sweeps
-        self.sweeps = finite("sweeps", ends, "give radians, a row for each whisker")
-        if self.sweeps.shape != (count, 2) or np.any(self.sweeps[:, 0] >= self.sweeps[:, 1]):
+        ends = np.tile(AHEAD, (count, 1)) if self.sweeps is None else self.sweeps
+        sweeps = finite("sweeps", ends, "give radians, a row for each whisker")
+        if sweeps.shape != (count, 2) or np.any(sweeps[:, 0] >= sweeps[:, 1]):
             raise ValueError(
                 f"sweeps must be {count} rows of (low, high), the observer's own whisker first, "
-                f"got {self.sweeps.tolist()}; give radians that go up."
+                f"got {sweeps.tolist()}; give radians that go up."
             )
-        self.spread = float(positive("spread", spread, "give sd over mean, 0.05 say"))
-        self.base_sd = float(positive("base_sd", base_sd, "give metres, 1e-3 say"))
-        self.angle_sd = float(positive("angle_sd", angle_sd, "give radians"))
-        self.position_sd = float(non_negative("position_sd", position_sd, "give metres"))
-        self.orientation_sd = float(non_negative("orientation_sd", orientation_sd, "give radians"))
-        self.reach = float(positive("reach", reach, "give lengths of the longest, 1.5 say"))
-        #: Which whiskers touch, by event, (2ⁿ, n): none of them first, all of them last.
-        self.reports = np.array(list(product([0.0, 1.0], repeat=count)))
-        self.signal_names = tuple(
-            "chance_of_" + "".join(str(int(touch)) for touch in row) for row in self.reports[:-1]
+        metres = "give metres, 1e-3 say"
+        self._set(
+            lengths=lengths,
+            bases=bases,
+            sweeps=sweeps,
+            spread=positive_number("spread", self.spread, "give sd over mean, 0.05 say"),
+            base_sd=positive_number("base_sd", self.base_sd, metres),
+            angle_sd=positive_number("angle_sd", self.angle_sd, "give radians"),
+            position_sd=non_negative_number("position_sd", self.position_sd, metres),
+            orientation_sd=non_negative_number(
+                "orientation_sd", self.orientation_sd, "give radians"
+            ),
+            reach=positive_number("reach", self.reach, "give lengths of the longest, 1.5 say"),
+            poses=whole("poses", self.poses, "write 5, say"),
         )
-        self._turn, self._shift, self._weight = self._poses(poses)
+
+    @cached_property
+    def reports(self) -> Array:
+        """Which whiskers touch, by event, (2ⁿ, n): none of them first, all of them last."""
+        return np.array(list(product([0.0, 1.0], repeat=len(self.lengths) + 1)))
+
+    @cached_property
+    def signal_names(self) -> tuple[str, ...]:
+        """The probability of each pattern but the last."""
+        rows = ("".join(str(int(touch)) for touch in row) for row in self.reports[:-1])
+        return tuple(f"chance_of_{row}" for row in rows)
 
     def __repr__(self) -> str:
         millimetres = ", ".join(f"{v * 1e3:g}" for v in self.lengths)
         return f"ComparativeLength({len(self.lengths) + 1} whiskers, neighbours {millimetres} mm)"
 
-    def _poses(self, count: int) -> tuple[Array, Array, Array]:
+    @cached_property
+    def _poses(self) -> tuple[Array, Array, Array]:
         """Turns (P,), shifts (P, 2) of the pole as the head sees it, and their weights (P,)."""
         sds = (self.orientation_sd, self.position_sd, self.position_sd)
-        rules = [np.polynomial.hermite_e.hermegauss(count if sd > 0 else 1) for sd in sds]
+        rules = [np.polynomial.hermite_e.hermegauss(self.poses if sd > 0 else 1) for sd in sds]
         grid = np.meshgrid(*(sd * x for sd, (x, _) in zip(sds, rules, strict=True)), indexing="ij")
         turn, along, across = (a.ravel() for a in grid)
         weight = np.einsum("i,j,k->ijk", *(w / w.sum() for _, w in rules)).ravel()
@@ -165,8 +180,9 @@ class ComparativeLength:
 
     def _touches(self, whisker: Whisker, r: Array) -> tuple[Array, Array]:
         """Chance of each whisker's touch in each pose, and its slope in r, (n, P, whiskers)."""
-        ahead = np.stack([np.cos(self._turn), -np.sin(self._turn)], axis=-1)  # d pole/dr
-        pole = r[:, None, None] * ahead + self._shift
+        turn, shift, _ = self._poses
+        ahead = np.stack([np.cos(turn), -np.sin(turn)], axis=-1)  # d pole/dr
+        pole = r[:, None, None] * ahead + shift
         bases = np.concatenate([np.zeros((1, 2)), self.bases])
         x, y = np.moveaxis(pole[:, :, None] - bases, -1, 0)
         distance = np.maximum(np.hypot(x, y), 1e-12)
@@ -197,13 +213,11 @@ class ComparativeLength:
             if step:
                 touch = touch + step * slope
             first, second = _together(touch[..., :half]), _together(touch[..., half:])
-            both = np.swapaxes(first * self._weight[:, None], 1, 2) @ second
+            both = np.swapaxes(first * self._poses[2][:, None], 1, 2) @ second
             parts.append(both.reshape(len(touch), -1))
         return np.concatenate(parts).reshape(*r.shape, -1)
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Chances (..., 2ⁿ − 1) of all patterns but "all touch", of a contact (..., 1)."""
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
@@ -217,10 +231,6 @@ class ComparativeLength:
         tiny = 1e-30  # a complex step does the product rule, without error
         chances = self._patterns(whisker, np.asarray(contact, dtype=float)[..., 0], 1j * tiny)
         return np.asarray(chances.imag[..., :-1, None] / tiny)
-
-    def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """None: poses, lengths and sectors are summed over already."""
-        return {}
 
     def default_noise(self) -> Events:
         """Events that are never misreported."""

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from .._checks import non_negative, positive
+from .._checks import non_negative_number, positive_number
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
-from ..receptors import Weber
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 from .reach import reach_at
 
 
-class Compliance:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compliance(Cue):
     """Radial distance from the moment rate Ṁ and the angular velocity θ̇ (equation (2.1)).
 
     By default θ̇ is known. With a spread it is unknown, felt with noise of its own, and the
@@ -50,34 +51,33 @@ class Compliance:
     0.02
     """
 
-    def __init__(
-        self,
-        *,
-        tap_angle: float = 0.0,
-        angular_velocity: float = 1.0,
-        velocity_spread: float = 0.0,
-    ) -> None:
-        self.tap_angle = float(
-            non_negative("tap_angle", tap_angle, "give radians, 0 for the lightest tap")
-        )
-        self.angular_velocity = float(
-            positive("angular_velocity", angular_velocity, "give rad/s, such as 1")
-        )
-        self.velocity_spread = float(
-            non_negative("velocity_spread", velocity_spread, "give the sd of ln, such as 0.5")
-        )
-        self.signal_names: tuple[str, ...] = ("moment_rate",)
-        self.unknowns: tuple[str, ...] = ("radial_distance",)
-        if self.velocity_spread > 0:
-            self.signal_names = ("moment_rate", "angular_velocity")
-            self.unknowns = ("radial_distance", "angular_velocity")
+    _: KW_ONLY
+    tap_angle: float = 0.0
+    angular_velocity: float = 1.0
+    velocity_spread: float = 0.0
 
-    def __repr__(self) -> str:
-        spread = f", velocity_spread={self.velocity_spread:g}" if self.velocity_spread else ""
-        return (
-            f"Compliance(tap_angle={self.tap_angle:g}, "
-            f"angular_velocity={self.angular_velocity:g}{spread})"
+    def __post_init__(self) -> None:
+        self._set(
+            tap_angle=non_negative_number(
+                "tap_angle", self.tap_angle, "give radians, 0 for the lightest tap"
+            ),
+            angular_velocity=positive_number(
+                "angular_velocity", self.angular_velocity, "give rad/s, such as 1"
+            ),
+            velocity_spread=non_negative_number(
+                "velocity_spread", self.velocity_spread, "give the sd of ln, such as 0.5"
+            ),
         )
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """The moment rate, and the angular velocity where it is not known."""
+        return ("moment_rate", "angular_velocity")[: 1 + (self.velocity_spread > 0)]
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """The distance, and the angular velocity where it is not known."""
+        return ("radial_distance", "angular_velocity")[: 1 + (self.velocity_spread > 0)]
 
     def _velocity(self, contact: Array) -> Array:
         """θ̇ of a contact: what it says, or the known one."""
@@ -85,9 +85,7 @@ class Compliance:
             return contact[..., 1]
         return np.full(contact.shape[:-1], self.angular_velocity)
 
-    def _stiffness(
-        self, whisker: Whisker, r: Array, model: str | None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def _stiffness(self, whisker: Whisker, r: Array, model: str | None) -> Felt:
         """Moment for each radian of the tap, N m, and outcome."""
         if self.tap_angle > 0:
             bent = ladder.press(whisker, r, self.tap_angle, model=model)
@@ -97,9 +95,7 @@ class Compliance:
         value = closed_form.moment(whisker, np.where(reached, r, whisker.length), 1.0)
         return np.where(reached, value, np.nan), outcome
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment rate, N m/s, and where unknown θ̇, rad/s, (..., S); outcome of a contact."""
         straight(whisker)
         contact = np.asarray(contact, dtype=float)
@@ -133,10 +129,6 @@ class Compliance:
         from scipy.stats import lognorm
 
         return {"angular_velocity": lognorm(self.velocity_spread, scale=self.angular_velocity)}
-
-    def default_noise(self) -> Weber:
-        """Weber's law, k = 0.1."""
-        return Weber(0.1)
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the tap angle, m."""

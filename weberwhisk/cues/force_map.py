@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import one_of, positive
+from .._checks import one_or_more, positive_number
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
 from ..mechanics.surface import base_signals
-from ..receptors import Weber
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 from .reach import reach_at
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
 
 
-class ForceMap:
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class ForceMap(Cue):
     """Radial distance, and deflection angle where unknown, from moment and forces at the base.
 
     Moment M and axial force Fx, the paper's pair, are one-to-one with the contact on a tapered
@@ -55,32 +56,28 @@ class ForceMap:
     array([0.03, 0.4 ])
     """
 
+    signal_names: tuple[str, ...] = SIGNALS[:2]
+    _: KW_ONLY
+    deflection_angle: float | None = None
+
     def __init__(
-        self,
-        signals: Sequence[str] = SIGNALS[:2],
-        *,
-        deflection_angle: float | None = None,
+        self, signals: Sequence[str] = SIGNALS[:2], *, deflection_angle: float | None = None
     ) -> None:
-        names = (signals,) if isinstance(signals, str) else tuple(signals)
-        self.signal_names: tuple[str, ...] = tuple(one_of("signal", n, SIGNALS) for n in names)
-        if not names or len(set(names)) < len(names):
-            raise ValueError(
-                f"A force map has one signal or more, each once, got {list(names)}; "
-                'write ["moment", "axial_force"], say.'
-            )
-        self.deflection_angle = deflection_angle
-        self.unknowns: tuple[str, ...] = ("radial_distance", "deflection_angle")
+        names = one_or_more("signals", signals, SIGNALS)
         if deflection_angle is not None:
             hint = "give radians, or None where it is unknown"
-            self.deflection_angle = float(positive("deflection_angle", deflection_angle, hint))
-            self.unknowns = ("radial_distance",)
-        #: Columns of the signals among all three.
-        self._columns = [SIGNALS.index(name) for name in names]
+            deflection_angle = positive_number("deflection_angle", deflection_angle, hint)
+        self._set(signal_names=names, deflection_angle=deflection_angle)
 
-    def __repr__(self) -> str:
-        signals = "" if self.signal_names == SIGNALS[:2] else f"{list(self.signal_names)}"
-        angle = "" if self.deflection_angle is None else f"deflection_angle={self.deflection_angle}"
-        return f"ForceMap({', '.join(part for part in (signals, angle) if part)})"
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """The distance, and the deflection angle where it is not known."""
+        return ("radial_distance", "deflection_angle")[: 1 + (self.deflection_angle is None)]
+
+    @cached_property
+    def _columns(self) -> list[int]:
+        """Columns of the signals among all three."""
+        return [SIGNALS.index(name) for name in self.signal_names]
 
     def _place(self, contact: Array) -> tuple[Array, Array]:
         """Distance and angle of a contact."""
@@ -90,9 +87,7 @@ class ForceMap:
             return r, contact[..., 1]
         return r, np.full_like(r, self.deflection_angle)
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment (N m) and forces (N), (..., S), and outcome of a contact (..., U)."""
         straight(whisker)
         r, theta = self._place(contact)
@@ -112,14 +107,6 @@ class ForceMap:
         slope = (closed_form if model == "closed_form" else ladder).signal_jacobian
         return slope(whisker, r, theta)[..., self._columns, : len(self.unknowns)]
 
-    def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """None: every unknown is bounded by the whisker."""
-        return {}
-
-    def default_noise(self) -> Weber:
-        """Weber's law, k = 0.1."""
-        return Weber(0.1)
-
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the known angle, m."""
         if self.deflection_angle is None:
@@ -128,9 +115,7 @@ class ForceMap:
 
     # -- inverse -------------------------------------------------------------------------------
 
-    def contact(
-        self, whisker: Whisker, signals: ArrayLike, *, steps: int = 60
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def contact(self, whisker: Whisker, signals: ArrayLike, *, steps: int = 60) -> Felt:
         """The contact that gives these signals: of two signals, or of the moment at a known angle.
 
         Newton's method from the closed-form inverse, or from the nearest contact of a coarse map;

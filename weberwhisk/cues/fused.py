@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,11 @@ from numpy.typing import NDArray
 from ..mechanics.contact import Outcome
 from ..receptors import Joint, ReceptorNoise
 from ..whisker import Whisker
-from .protocol import Array, Cue, given
-
-Felt = tuple[Array, NDArray[np.int8]]
+from .protocol import Array, Cue, Felt, a_cue
 
 
-class Fused:
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Fused(Cue):
     """Cues that are felt of one contact at once: a cue itself.
 
     What several cues do not know by the same name is one unknown, shared. Signals stand one after
@@ -32,7 +32,7 @@ class Fused:
     Raises
     ------
     ValueError
-        For fewer than two cues.
+        For fewer than two cues, and anything that is no cue.
 
     Examples
     --------
@@ -49,19 +49,26 @@ class Fused:
     1.28 and 2.75 mm alone, 1.16 mm together
     """
 
+    cues: tuple[Cue, ...]
+
     def __init__(self, *cues: Cue) -> None:
         if len(cues) < 2:
             raise ValueError(
                 f"A fusion takes two cues or more, got {len(cues)}; "
                 "write Fused(Compliance(), ForceMap()), say."
             )
-        self.cues = cues
-        self.signal_names: tuple[str, ...] = _distinct([c.signal_names for c in cues])
-        named = dict.fromkeys(name for cue in cues for name in cue.unknowns)
-        # Those that the whisker bounds come first.
-        self.unknowns: tuple[str, ...] = tuple(
-            sorted(named, key=lambda n: _FIRST.index(n) if n in _FIRST else len(_FIRST))
-        )
+        self._set(cues=tuple(map(a_cue, cues)))
+
+    @cached_property
+    def signal_names(self) -> tuple[str, ...]:
+        """Those of all cues; one that several have, with the cue's number behind it."""
+        return _distinct([c.signal_names for c in self.cues])
+
+    @cached_property
+    def unknowns(self) -> tuple[str, ...]:
+        """All that any cue does not know; those that the whisker bounds come first."""
+        named = dict.fromkeys(name for cue in self.cues for name in cue.unknowns)
+        return tuple(sorted(named, key=lambda n: _FIRST.index(n) if n in _FIRST else len(_FIRST)))
 
     def __repr__(self) -> str:
         return f"Fused({', '.join(map(repr, self.cues))})"
@@ -72,16 +79,14 @@ class Fused:
             ..., [self.unknowns.index(name) for name in cue.unknowns]
         ]
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Signals of all cues (..., S); the outcome is that of the first cue that fails."""
         felt = [c.signals(whisker, self.part(c, contact), model=model) for c in self.cues]
         return self._together(felt)
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+    ) -> Callable[[Array], Felt]:
         """The signals as a function of the last unknown (...): cues that know it feel the same."""
         *known, last = self.unknowns
         parts: list[Callable[[Array], Felt]] = []
@@ -90,7 +95,7 @@ class Fused:
             if last not in cue.unknowns:
                 parts.append(partial(_same, cue.signals(whisker, place, model=model)))
             elif cue.unknowns[-1] == last:
-                parts.append(given(cue, whisker, place, model=model))
+                parts.append(cue.given(whisker, place, model=model))
             else:
                 parts.append(
                     partial(_inserted, cue, cue.unknowns.index(last), whisker, place, model)
@@ -122,15 +127,13 @@ class Fused:
 
     def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
         """That of the first cue to which its part of the readings (..., R) gives no contact."""
-        noise = self.default_noise()
         outcome = np.zeros(reading.shape[:-1], dtype=np.int8)
-        counts = [n.reading_size(s) for n, s in zip(noise.noises, noise.sizes, strict=True)]
-        for cue, part in zip(
-            self.cues, np.split(reading, np.cumsum(counts)[:-1], axis=-1), strict=True
-        ):
-            if hasattr(cue, "reading_outcome"):
-                own = cue.reading_outcome(whisker, part)
-                outcome = np.where(outcome == Outcome.HELD, own, outcome)
+        start = 0
+        for cue in self.cues:
+            stop = start + cue.default_noise().reading_size(len(cue.signal_names))
+            own = cue.reading_outcome(whisker, reading[..., start:stop])
+            outcome = np.where(outcome == Outcome.HELD, own, outcome)
+            start = stop
         return outcome
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
@@ -165,9 +168,8 @@ class Fused:
 
     def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
         """The least of the cues' largest deflections (...), rad; infinite where none has one."""
-        edges = [cue for cue in self.cues if hasattr(cue, "largest_angle")]
         least = np.full(np.shape(radial_distance), np.inf)
-        for cue in edges:
+        for cue in self.cues:
             least = np.minimum(least, cue.largest_angle(whisker, radial_distance))
         return least
 

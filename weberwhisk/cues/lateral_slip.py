@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, non_negative, positive
+from .._checks import finite, non_negative_number, positive_number
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 
 
-class LateralSlip:
+@dataclass(frozen=True, eq=False, repr=False)
+class LateralSlip(Cue):
     """Radial distance and the tilt of a surface, from the moment rate's size and direction.
 
     A whisker that taps a surface whose normal is tilted by τ out of the plane of rotation slips
@@ -59,34 +61,29 @@ class LateralSlip:
     array([0.02, 0.7 ])
     """
 
-    signal_names: tuple[str, ...] = ("moment_rate", "moment_direction")
-    unknowns: tuple[str, ...] = ("radial_distance", "surface_tilt")
+    signal_names = ("moment_rate", "moment_direction")
+    unknowns = ("radial_distance", "surface_tilt")
 
-    def __init__(
-        self,
-        *,
-        angular_velocity: float = 1.0,
-        friction_angle: float = 0.0,
-        steepest: float = np.radians(75.0),
-    ) -> None:
-        self.angular_velocity = float(
-            positive("angular_velocity", angular_velocity, "give rad/s, such as 1")
-        )
-        self.steepest = float(positive("steepest", steepest, "give radians, such as 1.3"))
-        self.friction_angle = float(
-            non_negative("friction_angle", friction_angle, "give radians, 0 for no friction")
+    _: KW_ONLY
+    angular_velocity: float = 1.0
+    friction_angle: float = 0.0
+    steepest: float = float(np.radians(75.0))
+
+    def __post_init__(self) -> None:
+        self._set(
+            angular_velocity=positive_number(
+                "angular_velocity", self.angular_velocity, "give rad/s, such as 1"
+            ),
+            steepest=positive_number("steepest", self.steepest, "give radians, such as 1.3"),
+            friction_angle=non_negative_number(
+                "friction_angle", self.friction_angle, "give radians, 0 for no friction"
+            ),
         )
         if not self.friction_angle < self.steepest < np.pi / 2:
             raise ValueError(
                 f"Angles must rise from friction_angle over steepest to a right angle, got "
                 f"{self.friction_angle:g} and {self.steepest:g} rad; write steepest=1.3, say."
             )
-
-    def __repr__(self) -> str:
-        return (
-            f"LateralSlip(angular_velocity={self.angular_velocity:g}, "
-            f"friction_angle={self.friction_angle:g}, steepest={self.steepest:g})"
-        )
 
     def sticks(self, surface_tilt: ArrayLike) -> NDArray[np.bool_]:
         """Where friction holds the whisker: the tilt is not felt there, the distance is."""
@@ -99,9 +96,7 @@ class LateralSlip:
         slip = np.maximum(np.abs(tilt), self.friction_angle)
         return np.asarray(np.cos(slip) / np.cos(self.friction_angle))
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment rate (N m/s) and its direction (rad), (..., 2), and outcome of a contact (..., 2).
 
         Beyond the whisker, or on a surface steeper than the steepest, it is out of reach.
@@ -138,11 +133,7 @@ class LateralSlip:
         """Noise of a tenth of the moment in both of its components: k = 0.1, and 0.1 rad."""
         return Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[1, 1])
 
-    def farthest(self, whisker: Whisker) -> float:
-        """The tip, m."""
-        return float(whisker.length)
-
-    def contact(self, whisker: Whisker, signals: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def contact(self, whisker: Whisker, signals: ArrayLike) -> Felt:
         """The contact that gives these signals.
 
         Parameters

@@ -1,56 +1,132 @@
-"""What a cue is: signals of a contact, and which properties of the contact are unknown."""
+"""What the rest of the package asks of a cue, and how to write one.
+
+A cue is a frozen dataclass of `Cue` with its signals, and nothing more::
+
+    @dataclass(frozen=True, eq=False, repr=False)
+    class MomentAlone(Cue):
+        deflection_angle: float = 0.1
+        signal_names = ("moment",)
+
+        def signals(self, whisker, contact, *, model=None):
+            bent = press(whisker, contact[..., 0], self.deflection_angle, model=model)
+            return np.asarray(bent.moment)[..., None], np.asarray(bent.outcome)
+
+What else is asked has an answer here, to be overridden where the cue has a better one. One line in
+`cues/__init__.py` lists it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..receptors import ReceptorNoise
+from .._checks import shown
+from .._values import Value
+from ..receptors import ReceptorNoise, Weber
 from ..whisker import Whisker
 
 Array = NDArray[np.float64]
+#: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
+Felt = tuple[Array, NDArray[np.int8]]
 
 
-@runtime_checkable
-class Cue(Protocol):
+class Cue(Value):
     """One of the paper's methods (§2a–h): from a contact to the signals that tell of it.
 
     A contact is an array whose last axis holds the cue's unknowns: radial distance (m), then, if
     it is one, the deflection angle (rad), then whatever else is not known (a stiffness, a side, a
-    bearing), each with a proper prior. The mechanics of a rung is named by `model`, ``None`` for
-    the cheapest that the scene needs. A cue that works only up to some deflection has a further
-    method, ``largest_angle(whisker, radial_distance)``, rad; one whose mechanics do not depend on
-    its last unknown has the method ``given`` of the function of that name.
+    bearing), each with a proper prior. Cues are frozen: they compare and hash by value.
     """
 
-    #: Names of the signals, in the order of the last axis of `signals`.
-    signal_names: tuple[str, ...]
-    #: Names of the unknowns, ``"radial_distance"`` first.
-    unknowns: tuple[str, ...]
+    #: Where the last unknown has signals of its own, which tell of nothing else: the cue without.
+    all_but_last: ClassVar[Cue | None] = None
 
-    def signals(
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Names of the signals, in the order of the last axis of `signals`."""
+        raise NotImplementedError
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of the unknowns, ``"radial_distance"`` first."""
+        return ("radial_distance",)
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether every signal is proportional to the last unknown."""
+        return False
+
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+        """Signals (..., S) of a contact (..., U), NaN where it is not held, and its `Outcome`.
+
+        `model` names the model of the mechanics; without it the elastica's.
+        """
+        raise NotImplementedError
+
+    def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
-        """Signals (..., S) of a contact (..., U), NaN where it is not held, and its `Outcome`."""
+    ) -> Callable[[Array], Felt]:
+        """Signals and outcome as a function of the last unknown (...), the others (..., U − 1).
+
+        What does not depend on it is worked out once, where the cue knows how.
+
+        Examples
+        --------
+        >>> from weberwhisk.cues import Compliance, UnknownStiffness
+        >>> w = Whisker(50e-3, 100e-6, 5e-6)
+        >>> signals = UnknownStiffness(Compliance()).given(w, np.array([[20e-3]]))
+        >>> (signals(np.array([2.0]))[0] / signals(np.array([1.0]))[0]).tolist()
+        [[2.0]]
+        """
+
+        def signals(last: Array) -> Felt:
+            whole = np.concatenate([contact, last[..., None]], axis=-1)
+            return self.signals(whisker, whole, model=model)
+
+        return signals
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives of the signals with respect to the unknowns, (..., S, U)."""
+        """Derivatives of the signals with respect to the unknowns, (..., S, U).
+
+        By differences, good to 1e-9 of smooth signals; NaN within 6e-6 of an edge.
+        """
+        contact = np.asarray(contact, dtype=float)
+        columns = []
+        for i in range(contact.shape[-1]):
+            step = np.zeros_like(contact)
+            step[..., i] = 6e-6 * np.where(contact[..., i] == 0, 1.0, np.abs(contact[..., i]))
+            above, below = (
+                self.signals(whisker, contact + s, model=model)[0] for s in (step, -step)
+            )
+            columns.append((above - below) / (2 * step[..., i, None]))
+        return np.stack(columns, axis=-1)
 
     def farthest(self, whisker: Whisker) -> float:
-        """Largest radial distance at which the cue works on this whisker, m."""
+        """Largest radial distance at which the cue works on this whisker, m: the tip."""
+        return float(whisker.length)
+
+    def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
+        """Largest deflection (...) at which the cue works, rad; infinite where the fold is."""
+        return np.full(np.shape(radial_distance), np.inf)
 
     def priors(self, whisker: Whisker) -> Mapping[str, Any]:
         """Frozen SciPy distributions of all unknowns but radial distance and deflection angle."""
+        return {}
 
     def default_noise(self) -> ReceptorNoise:
-        """Noise of the signals where the user names none."""
+        """Noise of the signals where the user names none: Weber's law, k = 0.1."""
+        return Weber(0.1)
+
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+        """What the method's own inverse makes of readings (..., R); `HELD` where it has none."""
+        return np.zeros(reading.shape[:-1], dtype=np.int8)
 
 
 def straight(whisker: Any) -> None:
-    """Refuse whiskers that no cue feels through: curved ones, and profiles.
+    """Refuse whiskers that no cue takes: curved ones, and profiles.
 
     Raises
     ------
@@ -72,27 +148,8 @@ def straight(whisker: Any) -> None:
         )
 
 
-def given(
-    cue: Cue, whisker: Whisker, contact: Array, *, model: str | None = None
-) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
-    """Signals and outcome as a function of the last unknown (...), the others (..., U − 1) given.
-
-    Examples
-    --------
-    >>> from weberwhisk.cues import Compliance, UnknownStiffness
-    >>> w = Whisker(50e-3, 100e-6, 5e-6)
-    >>> felt = given(UnknownStiffness(Compliance()), w, np.array([[20e-3]]))
-    >>> (felt(np.array([2.0]))[0] / felt(np.array([1.0]))[0]).tolist()
-    [[2.0]]
-    """
-    if hasattr(cue, "given"):
-        prepared: Callable[[Array], tuple[Array, NDArray[np.int8]]]
-        prepared = cue.given(whisker, contact, model=model)
-        return prepared
-
-    def signals(last: Array) -> tuple[Array, NDArray[np.int8]]:
-        return cue.signals(
-            whisker, np.concatenate([contact, last[..., None]], axis=-1), model=model
-        )
-
-    return signals
+def a_cue(value: Any) -> Cue:
+    """`value` if it is a cue, else a refusal in one sentence."""
+    if not isinstance(value, Cue):
+        raise ValueError(f"A cue is needed, got {shown(value)}; write cues.ForceMap(), say.")
+    return value

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .force_map import SIGNALS, ForceMap
-from .protocol import Array
+from .protocol import Array, Cue, Felt
 
 
-class SpaceMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpaceMap(Cue):
     """Distance, deflection angle and azimuth from moment and forces in all directions.
 
     The paper's look-up in three dimensions, Scholz & Rahn's with a second plane. A straight whisker
@@ -33,17 +35,12 @@ class SpaceMap:
     array([0.03, 0.4 , 1.  ])
     """
 
-    signal_names: tuple[str, ...] = (*SIGNALS, "moment_direction", "force_direction")
-    unknowns: tuple[str, ...] = ("radial_distance", "deflection_angle", "azimuth")
+    signal_names = (*SIGNALS, "moment_direction", "force_direction")
+    unknowns = ("radial_distance", "deflection_angle", "azimuth")
     #: The cue without the azimuth, which the directions alone tell of and which tells of no more.
     all_but_last = ForceMap(SIGNALS)
 
-    def __repr__(self) -> str:
-        return "SpaceMap()"
-
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment, axial and transverse force, and the two directions, (..., 5); outcome."""
         contact = np.asarray(contact, dtype=float)
         sizes, outcome = self.all_but_last.signals(whisker, contact[..., :2], model=model)
@@ -52,14 +49,14 @@ class SpaceMap:
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+    ) -> Callable[[Array], Felt]:
         """The signals as a function of the azimuth (...), the rest of the contact given."""
         sizes, outcome = self.all_but_last.signals(whisker, contact, model=model)
         signals = np.empty((*outcome.shape, 5))
         signals[..., :3] = sizes
         lost = outcome != Outcome.HELD
 
-        def turned(azimuth: Array) -> tuple[Array, NDArray[np.int8]]:
+        def turned(azimuth: Array) -> Felt:
             out = signals.copy()
             out[..., 3:] = azimuth[..., None]
             out[lost] = np.nan
@@ -85,13 +82,7 @@ class SpaceMap:
         """Weber's law, k = 0.1, for the sizes; as much across them: 0.1 rad."""
         return Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[3, 2])
 
-    def farthest(self, whisker: Whisker) -> float:
-        """The tip, m."""
-        return float(whisker.length)
-
-    def contact(
-        self, whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def contact(self, whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike) -> Felt:
         """The contact of a moment in two dimensions and an axial force.
 
         Parameters

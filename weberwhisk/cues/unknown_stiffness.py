@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import one_of, positive
+from .._checks import one_or_more, positive_number
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
-from .protocol import Array, Cue
+from .protocol import Array, Cue, Felt, a_cue
 
 #: Sd of ln E that goes with 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
 MODULUS_SPREAD = 0.42
@@ -21,7 +23,8 @@ MODULUS_SPREAD = 0.42
 FORCES = ("moment", "axial_force", "transverse_force", "moment_rate")
 
 
-class UnknownStiffness:
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UnknownStiffness(Cue):
     """A cue of one more unknown, ``"stiffness"``: EI₀ over what the whisker says it is.
 
     Forces and moments are proportional to EI₀ at a given contact, so any cue of them can be
@@ -55,40 +58,50 @@ class UnknownStiffness:
     array([0.5, 0.5])
     """
 
+    cue: Cue
+    spread: float
+    soft: tuple[str, ...]
+
     def __init__(
         self, cue: Cue, spread: float = MODULUS_SPREAD, signals: Sequence[str] | None = None
     ) -> None:
-        self.cue = cue
-        self.spread = float(positive("spread", spread, "give the sd of ln EI₀, such as 0.42"))
+        names = a_cue(cue).signal_names
+        spread = positive_number("spread", spread, "give the sd of ln EI₀, such as 0.42")
         if "stiffness" in cue.unknowns:
             raise ValueError(f"The stiffness is unknown in {cue!r} already; leave it as it is.")
-        # The signals of a fusion are numbered where a name comes twice.
-        names = (
-            [name for name in cue.signal_names if name.rstrip("_0123456789") in FORCES]
-            if signals is None
-            else [signals]
-            if isinstance(signals, str)
-            else list(signals)
-        )
-        if not names:
-            raise ValueError(
-                f"Of the signals of {cue!r} ({', '.join(cue.signal_names)}) none is a force or a "
-                "moment that goes with the stiffness; use the cue as it is."
-            )
-        for name in names:
-            one_of("signal", name, cue.signal_names)
-        self._soft = np.isin(cue.signal_names, names)
-        #: Whether every signal is proportional to the stiffness.
-        self.is_scale = bool(self._soft.all())
-        self.signal_names: tuple[str, ...] = cue.signal_names
-        self.unknowns: tuple[str, ...] = (*cue.unknowns, "stiffness")
+        if signals is None:
+            # The signals of a fusion are numbered where a name comes twice.
+            signals = [name for name in names if name.rstrip("_0123456789") in FORCES]
+            if not signals:
+                raise ValueError(
+                    f"Of the signals of {cue!r} ({', '.join(names)}) none is a force or a "
+                    "moment that goes with the stiffness; use the cue as it is."
+                )
+        self._set(cue=cue, spread=spread, soft=one_or_more("signals", signals, names))
 
     def __repr__(self) -> str:
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Those of the cue."""
+        return self.cue.signal_names
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Those of the cue, and the stiffness."""
+        return (*self.cue.unknowns, "stiffness")
+
+    @cached_property
+    def _soft(self) -> NDArray[np.bool_]:
+        return np.isin(self.cue.signal_names, self.soft)
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether every signal is proportional to the stiffness."""
+        return bool(self._soft.all())
+
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """The cue's signals (..., S), those of force times the stiffness, and the outcome."""
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact[..., :-1], model=model)
@@ -96,7 +109,7 @@ class UnknownStiffness:
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+    ) -> Callable[[Array], Felt]:
         """The signals as a function of the stiffness (...), the rest of the contact given."""
         signals, outcome = self.cue.signals(whisker, contact, model=model)
         return lambda factor: (

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .._checks import non_negative, positive
+from .._checks import non_negative_number, positive_number, whole
 from ..mechanics import modes
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 
 #: Places along the whisker at which the shapes are worked out, for the spline between them.
 _PLACES = 1001
 
 
-class Vibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Vibration(Cue):
     """Radial distance from the amplitudes of the modes that a short impact at r excites.
 
     An impulse J at r gives mode n the velocity Jφ_n(r), and the base a moment that rings with
@@ -65,51 +66,38 @@ class Vibration:
            [1.43, 0.81]])
     """
 
-    unknowns: tuple[str, ...] = ("radial_distance",)
+    count: int = 3
+    _: KW_ONLY
+    impulse: float | None = None
+    phase: bool = False
+    damping_ratio: float = 0.0
 
-    def __init__(
-        self,
-        count: int = 3,
-        *,
-        impulse: float | None = None,
-        phase: bool = False,
-        damping_ratio: float = 0.0,
-    ) -> None:
-        least = 2 if impulse is None else 1
-        if not least <= count <= 12 or count != int(count):
-            raise ValueError(
-                f"count must be {least} to 12, got {count}; write 3, or impulse= for one mode."
-            )
-        self.count, self.phase = int(count), bool(phase)
-        self.impulse = impulse
-        if impulse is not None:
-            hint = "give newton seconds, such as 1e-9, or None where it is unknown"
-            self.impulse = float(positive("impulse", impulse, hint))
-        zeta = non_negative("damping_ratio", damping_ratio, "give a share, such as 0.05")
-        if np.any(zeta >= 1):
-            raise ValueError(f"damping_ratio must be below 1, got {damping_ratio}; write 0.05.")
-        self.damping_ratio = float(zeta)
-        first = 2 if impulse is None else 1
-        kind = "ratio" if impulse is None else "amplitude"
-        self.signal_names: tuple[str, ...] = tuple(
-            f"mode_{n}_{kind}" for n in range(first, self.count + 1)
-        )
+    def __post_init__(self) -> None:
+        least = 1 + (self.impulse is None)
+        hint = "write 3, or impulse= for one mode"
+        count = whole("count", self.count, hint)
+        if not least <= count <= 12:
+            raise ValueError(f"count must be {least} to 12, got {count}; {hint}.")
+        if self.impulse is not None:
+            unit = "give newton seconds, such as 1e-9, or None where it is unknown"
+            self._set(impulse=positive_number("impulse", self.impulse, unit))
+        zeta = non_negative_number("damping_ratio", self.damping_ratio, "give a share, 0.05 say")
+        if zeta >= 1:
+            raise ValueError(f"damping_ratio must be below 1, got {zeta:g}; write 0.05.")
+        self._set(count=count, phase=bool(self.phase), damping_ratio=zeta)
 
-    def __repr__(self) -> str:
-        strength = "" if self.impulse is None else f", impulse={self.impulse:g}"
-        return (
-            f"Vibration({self.count}{strength}, phase={self.phase}, "
-            f"damping_ratio={self.damping_ratio:g})"
-        )
+    @cached_property
+    def signal_names(self) -> tuple[str, ...]:
+        """The ratios to the first mode's amplitude, or the amplitudes."""
+        first, kind = (2, "ratio") if self.impulse is None else (1, "amplitude")
+        return tuple(f"mode_{n}_{kind}" for n in range(first, self.count + 1))
 
     def resolved(self, whisker: Whisker) -> bool:
         """Whether the half-power bands of all the modes are apart."""
         omega = _frequencies(whisker, self.count)
         return bool(np.all(np.diff(omega) > self.damping_ratio * (omega[1:] + omega[:-1])))
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Ratios of amplitudes, or amplitudes (N m), (..., S), and outcome of a contact (..., 1).
 
         There is one rung: `model` makes no difference.
@@ -148,10 +136,6 @@ class Vibration:
             out = out * np.sign(value)
         return np.asarray(out)[..., None]
 
-    def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """None: every unknown is bounded by the whisker."""
-        return {}
-
     def noise(self, weber_fraction: float, floor: float) -> GeneralisedWeber:
         """Weber's law for every mode's amplitude, carried to the signals.
 
@@ -172,10 +156,6 @@ class Vibration:
         The floor is 0.05 of a ratio, and 0.1 J m/s of an amplitude: a few per cent of most.
         """
         return self.noise(0.1, 0.05 if self.impulse is None else 0.1 * self.impulse)
-
-    def farthest(self, whisker: Whisker) -> float:
-        """The tip, m."""
-        return float(whisker.length)
 
 
 @lru_cache(maxsize=32)

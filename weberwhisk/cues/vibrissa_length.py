@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from .._checks import finite, non_negative, positive
+from .._checks import finite, non_negative_number, positive_number
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array, straight
+from .protocol import Array, Cue, Felt, straight
 
 #: Sd over mean of the length of a rat's whiskers of one identity: the median over the 30 of
 #: Belli et al. (2017), in data/whisker_morphology.csv.
 LENGTH_SPREAD = 0.18
 
 
-class VibrissaLength:
+@dataclass(frozen=True, eq=False, repr=False)
+class VibrissaLength(Cue):
     """Radial distance from whether a whisker of uncertain length touches, and with its tip (§2a).
 
     The whisker points at the object. It touches if it is long enough; the touch feels like one of
@@ -65,23 +66,23 @@ class VibrissaLength:
            [1.   , 0.   ]])
     """
 
-    signal_names: tuple[str, ...] = ("chance_of_no_touch", "chance_of_tip")
-    unknowns: tuple[str, ...] = ("radial_distance",)
+    signal_names = ("chance_of_no_touch", "chance_of_tip")
     #: Touch and touch of the tip, by event: no touch, tip, shaft.
     reports = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0))
 
-    def __init__(
-        self,
-        *,
-        spread: float = LENGTH_SPREAD,
-        damage: float = 0.0,
-        tip_zone: float = 0.1,
-        reach: float = 1.5,
-    ) -> None:
-        self.spread = float(positive("spread", spread, "give sd over mean, 0.18 say"))
-        self.damage = float(non_negative("damage", damage, "give a chance, 0 to 1"))
-        self.tip_zone = float(positive("tip_zone", tip_zone, "give a part, 0.1 say"))
-        self.reach = float(positive("reach", reach, "give whisker lengths, 1.5 say"))
+    _: KW_ONLY
+    spread: float = LENGTH_SPREAD
+    damage: float = 0.0
+    tip_zone: float = 0.1
+    reach: float = 1.5
+
+    def __post_init__(self) -> None:
+        self._set(
+            spread=positive_number("spread", self.spread, "give sd over mean, 0.18 say"),
+            damage=non_negative_number("damage", self.damage, "give a probability, 0 to 1"),
+            tip_zone=positive_number("tip_zone", self.tip_zone, "give a part, 0.1 say"),
+            reach=positive_number("reach", self.reach, "give whisker lengths, 1.5 say"),
+        )
         for name in ("damage", "tip_zone"):
             if getattr(self, name) >= 1:
                 raise ValueError(
@@ -92,12 +93,6 @@ class VibrissaLength:
                 f"Objects must be possible beyond the whisker's tip, got reach={self.reach:g}; "
                 "write 1.5, say."
             )
-
-    def __repr__(self) -> str:
-        return (
-            f"VibrissaLength(spread={self.spread:g}, damage={self.damage:g}, "
-            f"tip_zone={self.tip_zone:g}, reach={self.reach:g})"
-        )
 
     def _missing(self, whisker: Whisker, r: Array) -> tuple[Array, Array]:
         """The chance of being shorter than r, and its slope.
@@ -113,9 +108,7 @@ class VibrissaLength:
         chance = ndtr(z) + self.damage * r * inverse
         return chance, (1 - self.damage) * density + self.damage * inverse
 
-    def signals(
-        self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Chances (..., 2) of no touch and of a touch with the tip, at a contact (..., 1)."""
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
@@ -133,10 +126,6 @@ class VibrissaLength:
         none = self._missing(whisker, r)[1]
         not_shaft = self._missing(whisker, r * stretch)[1] * stretch
         return np.stack([none, not_shaft - none], axis=-1)[..., None]
-
-    def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """None: the length is summed over already."""
-        return {}
 
     def default_noise(self) -> Events:
         """Events that are never misreported."""

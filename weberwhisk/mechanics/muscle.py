@@ -2,11 +2,8 @@
 
 The muscle's largest moment is a function of the follicle angle θ; the whisker's moment grows with
 the rotation past the impact at θ_i. Where the two first meet they balance: the angle θ_b past the
-impact is the cue. Equation (2.2) as printed is not the curve drawn in figure 3a; both are here,
-by name, and the figure's reproduces figure 3b.
-
-The units of the curves are the paper's, a peak of order one; the whisker's moment, in EI₀/L, is
-multiplied by `gain` to compare (2.0 in the paper's figure).
+impact is the cue. The whisker's moment, in EI₀/L, is
+multiplied by `gain` to compare, so that curves of one shape need gains in proportion.
 """
 
 from __future__ import annotations
@@ -18,30 +15,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, positive
+from .._checks import finite, positive, positive_number
 from ..whisker import Whisker
 from . import elastica
 from .chebyshev import Array
 
-#: Factor on M L/EI₀ with which the figure's curve reproduces figure 3b.
-FIGURE_GAIN = 2.0
 #: Figure 3c: the range of whisking, rad.
 WHISKING = (np.radians(30.0), np.radians(150.0))
-#: Half the ratio of follicle separation to length, at the centre of the pad (§2h).
+#: w of equation (2.2), at the centre of the pad (§2h).
 SEPARATION = 1.25
 
 
 class MuscleCurve(Enum):
-    """The three muscle curves, by name.
+    """Equation (2.2), on two scales.
 
-    PRINTED is equation (2.2) as it stands, which peaks at w/2 near 128.7° for w = 1.25;
-    NORMALISED is the same with its peak scaled to 1; FIGURE is sin(θ − 23°), read off the dashed
-    curve of figure 3a.
+    PRINTED is the equation as it stands, whose peak is w/2 (1 for w ≥ 2), near 128.7° for w = 1.25;
+    NORMALISED is the same over its peak.
+
+    Notes
+    -----
+    The equation is the sine of the angle at which a muscle pulls on the follicle, in a triangle:
+    the follicle is a lever of length 2 from its pivot, the muscle's other end lies w from that
+    pivot, and these two sides enclose 180° − θ. So w is the follicles' separation over *half* the
+    lever's length, where the paper's words have half the ratio of separation to length. The
+    arctangent must be that of the full circle: the principal value jumps by 180° where
+    cos θ = −w/2 (128.7°), inside the range of whisking, and the moment from +w/2 to −w/2.
     """
 
     PRINTED = "printed"
     NORMALISED = "normalised"
-    FIGURE = "figure"
 
     def moment(self, angle: ArrayLike, separation: float = SEPARATION) -> Array:
         """Largest muscle moment at the follicle angle `angle`, rad.
@@ -51,21 +53,45 @@ class MuscleCurve(Enum):
         angle : float or array
             rad.
         separation : float
-            w of equation (2.2); not used by FIGURE.
+            w of equation (2.2).
 
         Examples
         --------
-        >>> print(MuscleCurve.FIGURE.moment(np.radians([30, 113, 150])).round(3))
-        [0.122 1.    0.799]
+        >>> print(MuscleCurve.NORMALISED.moment(np.radians([30, 128.68, 150])).round(3))
+        [0.318 1.    0.901]
         """
         theta = finite("angle", angle, "give radians")
-        if self is MuscleCurve.FIGURE:
-            return np.asarray(np.sin(theta - np.radians(23.0)))
-        w = float(positive("separation", separation, "give w of equation (2.2), such as 1.25"))
+        w = positive_number("separation", separation, "give w of equation (2.2), such as 1.25")
         inner = np.arctan2(2 * np.sin(theta), w + 2 * np.cos(theta))
-        printed = np.sin(theta - inner)
+        return np.asarray(np.sin(theta - inner) / self._unit(w))
+
+    def gain(self, separation: float = SEPARATION) -> float:
+        """The factor on M L/EI₀ with which figure 3's whisker flicks past from 0.697 L on.
+
+        The paper scaled the moments so that it "tended to flick past the object when contact
+        occurred at around 70 per cent of vibrissa length": 2.0 for a curve whose peak is 1.
+
+        Examples
+        --------
+        >>> MuscleCurve.NORMALISED.gain(), MuscleCurve.PRINTED.gain()
+        (2.0, 1.25)
+        """
+        return 2.0 * min(separation / 2, 1.0) / self._unit(separation)
+
+    def _unit(self, w: float) -> float:
         # sin(θ − atan2(…)) = w sin θ/√(w² + 4w cos θ + 4): its peak is w/2 below w = 2, else 1.
-        return np.asarray(printed if self is MuscleCurve.PRINTED else printed / min(w / 2, 1.0))
+        return 1.0 if self is MuscleCurve.PRINTED else min(w / 2, 1.0)
+
+
+def whisking_range(whisking: Any) -> tuple[float, float]:
+    """The range of follicle angles, refused where it is not two angles that go up."""
+    ends = finite("whisking", whisking, "give (low, high) in radians")
+    if ends.shape != (2,) or not ends[0] < ends[1]:
+        raise ValueError(
+            f"whisking must be two angles that go up, got {ends.tolist()}; "
+            "give (low, high) in radians."
+        )
+    return float(ends[0]), float(ends[1])
 
 
 class Balance(IntEnum):
@@ -118,8 +144,8 @@ def moment_balance(
     radial_distance: ArrayLike,
     impact_angle: ArrayLike,
     *,
-    curve: MuscleCurve = MuscleCurve.FIGURE,
-    gain: float = FIGURE_GAIN,
+    curve: MuscleCurve = MuscleCurve.NORMALISED,
+    gain: float | None = None,
     separation: float = SEPARATION,
     whisking: tuple[float, float] = WHISKING,
     samples: int = 200,
@@ -133,9 +159,10 @@ def moment_balance(
     radial_distance, impact_angle : float or array
         m; follicle angle at first contact, rad.
     curve : MuscleCurve
-        Which of the three.
-    gain : float
-        Muscle units per EI₀/L: M L/EI₀ times `gain` is compared with the curve.
+        On which of the two scales.
+    gain : float, optional
+        Muscle units per EI₀/L: M L/EI₀ times `gain` is compared with the curve. Default the
+        curve's own, `MuscleCurve.gain`.
     separation : float
         w of equation (2.2).
     whisking : (float, float)
@@ -157,17 +184,21 @@ def moment_balance(
     >>> w = Whisker(50e-3, 100e-6, 5e-6, 3e9)
     >>> b = moment_balance(w, np.array([0.3, 0.5, 0.7]) * 50e-3, np.radians(60))
     >>> np.degrees(b.balance_angle).round(2), [Balance(k).name for k in b.outcome]
-    (array([2.55, 6.29,  nan]), ['BALANCED', 'BALANCED', 'FLICKED_PAST'])
+    (array([2.54, 6.09,  nan]), ['BALANCED', 'BALANCED', 'FLICKED_PAST'])
     """
     r = positive("radial_distance", radial_distance, "give metres, such as 35e-3")
     impact = finite("impact_angle", impact_angle, "give radians, such as np.radians(60)")
-    positive("gain", gain, "give muscle units per EI₀/L, such as 2.0")
+    gain = positive_number(
+        "gain",
+        curve.gain(separation) if gain is None else gain,
+        "give muscle units per EI₀/L, such as 2.0",
+    )
     if np.any(np.not_equal(whisker.curvature, 0)):
         raise ValueError(
             "moment_balance() takes a straight whisker, got curvature "
             f"{np.max(np.abs(whisker.curvature)):g} 1/m; write curvature=0."
         )
-    low, high = whisking
+    low, high = whisking_range(whisking)
     if np.any((impact < low) | (impact > high)):
         raise ValueError(
             f"impact_angle must be in the range of whisking, {low:.4g} to {high:.4g} rad, got "

@@ -134,6 +134,8 @@ def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> No
     More than half of them are above 30 times what is usual, and explained by no contact, or by one
     within a hundredth of the reach of the base.
     """
+    if observer.noise.is_categorical:  # reports have no unit
+        return
     times = np.abs(reading) / observer.usual_reading
     low, high = observer.reach
     at_base = solution.estimates[0].mean < low + 0.01 * (high - low)
