@@ -395,7 +395,7 @@ def verdict(table: pd.DataFrame) -> str:
 @figures.styled
 def draw(rows: list[Row]) -> Figure:
     """ECDFs less the diagonal, times √n, a panel a group; below the last, coverage."""
-    figure = figures.new_figure(figures.DOUBLE, 4.6)
+    figure = figures.new_figure(figures.DOUBLE, 5.4)
     groups = {
         "cues": "cues, quadrature",
         "receptors": "receptors, quadrature",
@@ -429,8 +429,11 @@ def draw(rows: list[Row]) -> Figure:
                 linewidth=0.7,
                 label=r.name if group == "broken" else None,
             )
+        if group == "broken":  # room below the curves for their names
+            low, high = ax.get_ylim()
+            ax.set_ylim(low - 0.9 * (high - low), high)
+            ax.legend(fontsize=6, loc="lower left", ncols=1, labelspacing=0.2)
         ax.set(title=f"{title}: {len(some)}", xlabel="rank", ylabel="√n (ECDF − rank)")
-    axes[4].legend(fontsize=4.5)
     table = pd.DataFrame([r.numbers() for r in rows])
     for i, group in enumerate(groups):
         some_rows = table[table["group"] == group]
@@ -445,9 +448,9 @@ def draw(rows: list[Row]) -> Figure:
                 label=group if j == 0 else None,
             )
     axes[5].axhline(0, color="0.7", linewidth=0.7, zorder=0)
-    axes[5].set(title="coverage", ylabel="covered − nominal", ylim=(-0.3, 0.3))
+    axes[5].set(title="coverage", ylabel="covered − nominal", ylim=(-0.3, 0.4))
     axes[5].set_xticks(range(3), [f"{m:.0%}" for m in MASSES])
-    axes[5].legend(fontsize=5, ncols=2)
+    axes[5].legend(fontsize=6, ncols=2, loc="upper center")
     return figure
 
 

@@ -167,24 +167,27 @@ def shape(whisker: ww.Whisker, bent: ww.Bending) -> Array:
 def draw(table: pd.DataFrame) -> Figure:
     """All six panels."""
     figure = figures.new_figure(figures.DOUBLE, 7.4)
-    axes = figure.subplots(3, 2)
-    _shapes(axes[0, 0])
-    _lines(axes[0, 1], "tapered")
-    _lines(axes[1, 0], "cylinder")
-    axes[1, 0].set(xlim=axes[0, 1].get_xlim(), ylim=axes[0, 1].get_ylim())
-    _map(axes[1, 1], table, "radial_distance", "r/L", "viridis")
-    _map(axes[2, 0], table, "deflection_angle_deg", "θ$_d$ (degrees)", "cividis")
-    _curve(axes[2, 1], table)
-    names = (
-        "three examples, loaded to α = 90°",
-        "tapered",
-        "cylinder",
-        "tapered: distance",
-        "tapered: angle",
-        "cylinder",
+    # A row of its own for each pair, so that colour bars stay with their maps.
+    (shapes, curve), (b, c), (d, e) = (
+        row.subplots(1, 2)
+        for row in figure.subfigures(3, 1)  # type: ignore[attr-defined]
     )
-    for letter, name, ax in zip("abcdef", names, axes.flat, strict=True):
-        ax.set_title(f"({letter}) {name}", loc="left", fontsize=8)
+    _shapes(shapes)
+    _curve(curve, table)
+    _lines(b, "tapered")
+    _lines(c, "cylinder")
+    c.set(xlim=b.get_xlim(), ylim=b.get_ylim())
+    _map(d, table, "radial_distance", "r/L", "viridis")
+    _map(e, table, "deflection_angle_deg", "θ$_d$ (degrees)", "cividis")
+    for ax, title in {
+        shapes: "(a) three examples, loaded to α = 90°",
+        b: "(b) tapered",
+        c: "(c) cylinder",
+        d: "(d) tapered: distance",
+        e: "(e) tapered: angle",
+        curve: "(f) cylinder",
+    }.items():
+        ax.set_title(title, loc="left", fontsize=8)
         ax.tick_params(labelsize=7)
         ax.xaxis.label.set_size(8)
         ax.yaxis.label.set_size(8)
@@ -257,7 +260,8 @@ def _map(ax: Axes, table: pd.DataFrame, column: str, label: str, colours: str) -
     ax.set(xlim=(0, 9), ylim=(0, 120), xticks=[0.1, 1, 2, 4, 8], yticks=[0.01, 0.1, 1, 10, 50, 100])
     ax.set_xticklabels([f"{v:g}" for v in (0.1, 1, 2, 4, 8)])
     ax.set_yticklabels([f"{v:g}" for v in (0.01, 0.1, 1, 10, 50, 100)])
-    ax.set(xlabel="Moment M$_z$L/EI", ylabel="Axial force F$_x$L²/EI")
+    ax.set(xlabel="Moment M$_z$L/EI (square-root scale)")
+    ax.set(ylabel="Axial force F$_x$L²/EI (fourth-root scale)")
     ax.legend(frameon=False, fontsize=7, loc="upper left")
 
 

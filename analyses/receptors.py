@@ -53,12 +53,18 @@ def effective(points: int = 201) -> pd.DataFrame:
 
 def draw(table: pd.DataFrame) -> Figure:
     """One line a model; the range of the afferents' thresholds is shaded."""
-    figure = Figure(figsize=(figures.DOUBLE / 1.6, figures.SINGLE * 0.9), layout="constrained")
+    figure = figures.new_figure(figures.DOUBLE / 1.6, figures.SINGLE * 0.9)
     ax = figure.subplots()
     ax.axvspan(LOWEST, HIGHEST, color="0.93", label="the afferents' thresholds")
     for i, name in enumerate(MODELS):
         style = figures.LINES[i % len(figures.LINES)]
-        ax.loglog(table["moment"], table[name], style, color=figures.COLOURS[i], label=name)
+        # Weber's law and its log-normal form are one line: the wide one shows beneath the dots.
+        wide, dots = name == "Weber", name == "log-normal"
+        ax.loglog(
+            table["moment"], table[name], ":" if dots else style, label=name,
+            color="black" if dots else figures.COLOURS[i], linewidth=4.0 if wide else 1.3,
+            alpha=0.4 if wide else 1.0, zorder=3 if dots else 2,
+        )  # fmt: skip
     marked = table.iloc[::8]
     ax.plot(marked["moment"], marked[CLOSED_FORM], "kx", markersize=4, label=CLOSED_FORM)
     ax.set(
@@ -67,7 +73,7 @@ def draw(table: pd.DataFrame) -> Figure:
         ylim=(0.02, 10),
         xlim=(table["moment"].min(), table["moment"].max()),
     )
-    ax.legend(frameon=False, fontsize=7)
+    ax.legend(frameon=False, fontsize=7, loc="upper center")
     return figure
 
 

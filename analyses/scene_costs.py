@@ -295,7 +295,7 @@ def draw(ladder: pd.DataFrame, rungs: pd.DataFrame) -> Any:
         loc="outside upper center",
         ncols=4,
     )
-    figure.text(0.5, -0.02, machine(), ha="center", va="top", fontsize=5)
+    figure.text(0.5, -0.02, machine(), ha="center", va="top", fontsize=6)
     return figure
 
 
@@ -314,9 +314,9 @@ def _shares(ax: Any, ladder: pd.DataFrame) -> None:
         for colour, column in zip(COLOURS, NAMES, strict=True):
             ax.barh(y, row[column], left=left, color=colour, height=1.0, edgecolor="white", lw=0.3)
             left += row[column]
-        ax.text(1.01, y, f"{row['weber_fraction']:g}", va="center", fontsize=5)
+        ax.text(1.01, y, f"{row['weber_fraction']:g}", va="center", fontsize=6)
     ax.set_yticks([y for y, _ in labels], [text.replace(", ", "\n") for _, text in labels])
-    ax.tick_params(axis="y", length=0, labelsize=5.5)
+    ax.tick_params(axis="y", length=0, labelsize=6)
     ax.set(
         xlim=(0, 1),
         ylim=(at, -1),
@@ -343,13 +343,14 @@ def _map(ax: Any, rungs: pd.DataFrame) -> None:
         )
     ax.axhline(TOLERANCE, color="black", linestyle="--", linewidth=0.8)
     ax.set(xscale="log", yscale="log", title="k = 0.1, a mark for each whisker and object")
-    ax.set(xlabel="CPU time a contact in bulk (s)", ylabel="Bias of r (JNDs), 95 % quantile")
+    ax.set(xlabel="CPU time a contact, vectorised (s)", ylabel="Bias of r (JNDs), 95 % quantile")
     ax.legend(loc="center left")
 
 
 def _times(ax: Any, ladder: pd.DataFrame) -> None:
     """How often a choice must be used before it has paid, against what it saves."""
-    for k, marker in zip(WEBER_FRACTIONS, "os^", strict=True):
+    markers = dict(zip(WEBER_FRACTIONS, "os^", strict=True))
+    for k, marker in markers.items():
         rows = ladder[ladder["weber_fraction"] == k]
         for kind, colour in zip(KINDS, KIND_COLOURS, strict=True):
             mine = rows[rows["whisker"] == kind.name]
@@ -367,9 +368,15 @@ def _times(ax: Any, ladder: pd.DataFrame) -> None:
         "below the line: pays at the first use", (0.98, 0.5), xycoords="axes fraction", ha="right"
     )
     ax.axvline(1, color="0.6", linewidth=0.8)
-    ax.set(xscale="log", yscale="log", ylabel="Choosing, in times of the complete rung")
-    ax.set(xlabel="Times quicker than the complete rung, once chosen")
-    ax.legend(fontsize=5.5)
+    ax.set(xscale="log", yscale="log", ylabel="Choosing, in times of the complete model")
+    ax.set_ylim(top=50)  # room for the names
+    ax.set(xlabel="Times quicker than the complete model, once chosen")
+    ax.set_title("colour: whisker; shape: k")
+    shapes = [ax.plot([], [], m, color="0.5", markersize=4, label=f"k = {k:g}")[0]
+              for k, m in markers.items()]  # fmt: skip
+    ax.add_artist(ax.legend(handles=shapes, fontsize=6, loc="lower right"))
+    kinds = [h for h in ax.get_legend_handles_labels()[0] if h not in shapes]
+    ax.legend(handles=kinds, fontsize=6, loc="upper right")
 
 
 def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -139,17 +139,19 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
             label=fate.words,
         )
     ax.set(xlabel="distance / reach", ylabel="push / last angle")
-    ax.set_title(title.replace(", ", ",\n", 1), fontsize=5)
+    ax.set_title(title.replace(", ", ",\n", 1).replace("JND by", "JND by\n"), fontsize=7)
     if "unknown" in title or "emcee" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
-    if title.startswith("fit"):
+    if not title.startswith("fit"):
+        ax.set_xticks([0, 1])
+    else:
         ax.set(xscale="log", yscale="log", xlabel="Weber fraction", ylabel="trials a level")
 
 
 @figures.styled
 def draw(cases: pd.DataFrame) -> Figure:
     """A map for each rung and engine."""
-    figure = figures.new_figure(figures.DOUBLE, 5.4)
+    figure = figures.new_figure(figures.DOUBLE, 6.4)
     axes = figure.subplots(3, 5).ravel()
     panels = list(cases["panel"].unique())
     for ax in axes[len(panels) :]:
@@ -157,7 +159,7 @@ def draw(cases: pd.DataFrame) -> Figure:
     for ax, panel in zip(axes, panels, strict=False):
         _map(ax, cases[cases["panel"] == panel], panel)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=6)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
 
 

@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from command import options
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
+from weberwhisk.mechanics.bodies import Body
 from weberwhisk.mechanics.objects import Sweep, contour, cylinder, peg, sweep
 from weberwhisk.receptors import Weber
 from weberwhisk.runs import Run
@@ -86,10 +88,24 @@ def draw(sweeps: dict[str, Sweep], found: dict[str, list[tuple[Track, Track]]]) 
         ax.errorbar(*centre.T, xerr=2 * sd[:, 0], yerr=2 * sd[:, 1], fmt=".", linewidth=0.5,
                     color=figures.COLOURS[1], alpha=0.5, label="filter ± 2 sd")  # fmt: skip
         ax.plot(x, y, "o-", markersize=2, color="black", zorder=3, label="contact")
+        _object(ax, BODIES[name], float(s.first_contact))
         ax.set(title=name, xlabel="x (mm)")
     figure.axes[0].set_ylabel("y (mm)")
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
+
+
+def _object(ax: Axes, body: Body, first: float) -> None:
+    """The part of a body that is in sight, turned as the whisker was at first contact."""
+    x, y = np.meshgrid(*(np.linspace(*ends, 200) for ends in (ax.get_xlim(), ax.get_ylim())))
+    world = 1e-3 * np.array([np.cos(first) * x + np.sin(first) * y,
+                             np.cos(first) * y - np.sin(first) * x])  # fmt: skip
+    depth = body.depth(*world)
+    if (depth > 0).any():
+        ax.contourf(x, y, depth, [0, np.inf], colors="0.85", zorder=0)
+    else:  # a peg is a point
+        ax.plot(*(1e3 * abs(body.corners[0])), "o", markersize=14, color="0.7", zorder=0)
+    ax.fill([], [], color="0.85", label="object")
 
 
 def make(folder: Path, *, short: bool = False) -> pd.DataFrame:

@@ -235,6 +235,22 @@ def test_shrinkage_shows_every_animal_twice_and_labels_apart() -> None:
     assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
 
 
+def test_names_that_no_font_shows_are_drawn(tmp_path: Path) -> None:
+    """Missing glyphs warn, and warnings are errors here; a pair of dollars would be a formula."""
+    trials, _ = ww.simulate_population(3, trials_per_level=6, seed=2)
+    names = ["\x1b[31mred\x07", "\U0001f400 鼠\u200b", r"a$\frac{$ " + 60 * "b"]
+    table = trials.frame.copy()
+    known = dict(zip(table["subject"].unique(), names, strict=True))
+    fit = ww.fit_population(trials)
+    fit.subjects["subject"] = fit.subjects["subject"].map(known)
+    ax = figures.shrinkage(fit)
+    figures.figure_of(ax).savefig(tmp_path / "one.png")
+    figures.figure_of(ax).savefig(tmp_path / "one.svg")
+    drawn = {label.get_text() for label in ax.get_yticklabels()}
+    assert {r"\x1b[31mred\x07", r"\U0001f400 \u9f20\u200b"} <= drawn
+    assert max(map(len, drawn)) <= 26
+
+
 def test_pairs_show_the_draws(fit: ww.WeberFit) -> None:
     grid = figures.pairs(fit)
     names = fit.parameters

@@ -17,6 +17,7 @@ from .style import (
     SINGLE,
     Array,
     axes_or_new,
+    drawable,
     figure_of,
     legend_above,
     new_figure,
@@ -106,7 +107,7 @@ def _relative(fit: WeberFit) -> bool:
 
 
 def _stimulus_label(fit: WeberFit, unit: str) -> str:
-    counted = f" ({unit})" if unit else ""
+    counted = f" ({drawable(unit)})" if unit else ""
     if _relative(fit):
         return f"Second stimulus − first{counted or ' (units of the log column)'}"
     return f"Second stimulus{counted}"

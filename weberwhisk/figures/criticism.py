@@ -63,7 +63,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
             ax.plot(x[which], z[which], marker, color=colour, label=name, markersize=3.5)
     if np.issubdtype(x.dtype, np.integer):
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_xlabel(column.replace("_", " "))
+    ax.set_xlabel(drawable(column.replace("_", " ")))
     ax.set_ylabel("Residual (standard errors)")
     legend_above(ax)
     return ax

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from .style import COLOURS, LINES, MARKERS, axes_or_new, figure_of, legend_above, styled
+from .style import COLOURS, LINES, MARKERS, axes_or_new, drawable, figure_of, legend_above, styled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,7 +80,9 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
               if name != by and (name == "truth" or table[name].nunique() > 1)]  # fmt: skip
     for i, (key, own) in enumerate(table.groupby(others, sort=False)):
         own = own.sort_values(by)
-        words = [str(key[0])] + [f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True)]
+        words = [drawable(key[0])] + [
+            f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True)
+        ]
         y = own["power"].to_numpy(float)
         ax.errorbar(
             own[by],

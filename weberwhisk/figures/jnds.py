@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from .style import COLOURS, LINES, MARKERS, SINGLE, axes_or_new, figure_of, legend_above, styled
+from .style import (
+    COLOURS,
+    LINES,
+    MARKERS,
+    SINGLE,
+    axes_or_new,
+    drawable,
+    figure_of,
+    legend_above,
+    styled,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +68,7 @@ def jnd_curve(
     for i, (label, table) in enumerate(named.items()):
         rows = table.sort_values("radial_distance")
         colour = COLOURS[i % len(COLOURS)]
-        prefix = f"{label}: " if label else ""
+        prefix = f"{drawable(label)}: " if label else ""
         # The closed form holds for small angles; where it is not what the observer has, both show.
         x = rows["radial_distance"].to_numpy(float) / x_unit
         exact = rows["propagation"].to_numpy(float) / y_unit

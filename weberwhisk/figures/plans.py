@@ -17,6 +17,7 @@ from .style import (
     MARKERS,
     SINGLE,
     axes_or_new,
+    drawable,
     figure_of,
     legend_above,
     new_figure,
@@ -75,7 +76,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
             own = plan.curves.query("standard == @standard and hypothesis == @hypothesis.name")
             ax.plot(
                 own["comparison"] / MM, own["median"], color=COLOURS[i], linestyle=LINES[i % 4],
-                label=hypothesis.name,
+                label=drawable(hypothesis.name),
             )  # fmt: skip
         ax.axvline(standard / MM, color="0.8", linewidth=0.8, zorder=0)
         ax.set_ylim(-0.03, 1.03)
@@ -113,7 +114,7 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
             at, own["lower"] / MM, own["upper"] / MM, color=COLOURS[i], alpha=0.2, linewidth=0
         )
         ax.plot(at, own["jnd"] / MM, color=COLOURS[i], linestyle=LINES[i % 4],
-                label=hypothesis.name)  # fmt: skip
+                label=drawable(hypothesis.name))  # fmt: skip
     points = plan.jnds_by_standard
     jnd = points["jnd"] / MM
     ax.errorbar(
@@ -162,7 +163,7 @@ def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
         ax.errorbar(
             at, share, [low.clip(0).tolist(), high.clip(0).tolist()], color=COLOURS[i],
             fmt=f"{MARKERS[i]}{LINES[i % 4]}", markersize=3, elinewidth=1, capsize=2,
-            label=f"{hypothesis.name} is true",
+            label=f"{drawable(hypothesis.name)} is true",
         )  # fmt: skip
     ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0)
     ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0)
@@ -199,7 +200,7 @@ def rehearsed(result: Rehearsal, ax: Axes | None = None) -> Axes:
         values = np.sort(own[column].to_numpy(float)) / unit
         ax.step(
             values, np.arange(1, values.size + 1) / values.size, where="post", color=COLOURS[i],
-            linestyle=LINES[i % 4], label=str(truth),
+            linestyle=LINES[i % 4], label=drawable(truth),
         )  # fmt: skip
     limits = [np.log10(goal.bayes_factor)] if goal.bayes_factor else [100 * (goal.half_width or 0)]
     for limit in limits + ([-limits[0]] if compared else []):

@@ -52,8 +52,8 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
     return drawn
 
 
-def drawable(text: str) -> str:
-    """A name as the font can draw it: other characters by their code, and no formula of it.
+def drawable(name: object, longest: int = 24) -> str:
+    """A name as the font can draw it: other characters by their code, no formula, cut if long.
 
     Examples
     --------
@@ -62,8 +62,13 @@ def drawable(text: str) -> str:
     """
     font = get_font(findfont(FontProperties()))
     known = font.get_charmap()
-    drawn = (c if ord(c) in known else c.encode("unicode_escape").decode() for c in text)
-    return "".join(drawn).replace("$", r"\$")
+    drawn = (
+        c if ord(c) in known and c.isprintable() else c.encode("unicode_escape").decode()
+        for c in str(name)
+    )
+    text = "".join(drawn)
+    text = text if len(text) <= longest else f"{text[: longest - 1]}…"
+    return text.replace("$", r"\$")
 
 
 class _Figure(Figure):
