@@ -16,7 +16,7 @@ from .jnd import SD, criterion_factor, fisher_jnd
 from .observer import Observer
 from .posterior import posterior
 from .posterior.grid import integrate
-from .receptors import Joint, ReceptorNoise, Seed
+from .receptors import ReceptorNoise, Seed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -180,17 +180,22 @@ def _fused(observer: Observer) -> Fused:
 
 def _part(observer: Observer, kept: list[int]) -> Observer:
     """The observer of some of a fusion's cues."""
-    fused, joint = _fused(observer), observer.noise
-    if not isinstance(joint, Joint) or joint.sizes != fused.default_noise().sizes:
-        raise ValueError(
-            f"The noise must be given cue by cue, got {joint!r}; "
-            "write fused.joint(Weber(0.1), Weber(0.1)), say."
-        )
+    fused = _fused(observer)
+    ends = np.cumsum([0, *(len(cue.signal_names) for cue in fused.cues)])
+    noises = []
+    for i in kept:
+        own = observer.noise.part(int(ends[-1]), int(ends[i]), int(ends[i + 1]))
+        if own is None:
+            raise ValueError(
+                f"The noise must be given cue by cue, got {observer.noise!r}; "
+                "write fused.joint(Weber(0.1), Weber(0.1)), say."
+            )
+        noises.append(own)
     cue: Cue = fused.cues[kept[0]]
-    noise: ReceptorNoise = joint.noises[kept[0]]
+    noise: ReceptorNoise = noises[0]
     if len(kept) > 1:
         cue = several = Fused(*(fused.cues[i] for i in kept))
-        noise = several.joint(*(joint.noises[i] for i in kept))
+        noise = several.joint(*noises)
     prior: dict[str, Any] = {n: d for n, d in observer.prior.items() if n in cue.unknowns}
     if observer.bounded > 1 and "deflection_angle" not in cue.unknowns:
         prior["radial_distance"] = DistancePrior(observer)

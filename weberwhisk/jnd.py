@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from ._checks import finite, one_of, positive
 from .mechanics.contact import Outcome
 from .observer import Observer
-from .receptors import Events, Joint, ReceptorNoise, Seed
+from .receptors import Seed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,7 +111,10 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     information and the posterior have them.
     """
     contact = observer.checked(contact)
-    linear = ~_of_events(observer.noise, len(observer.cue.signal_names))
+    size = len(observer.cue.signal_names)
+    linear = np.empty(observer.noise.reading_size(size), dtype=bool)
+    for noise, _, readings in observer.noise.components(size):
+        linear[readings] = not noise.is_categorical
     if not linear.any():
         return np.full(contact.shape[:-1], np.nan)
     model = model or observer.model
@@ -168,14 +171,6 @@ def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
     held = np.asarray(np.isfinite(information).all(axis=(-2, -1)))
     variance = _inverse(np.where(held[..., None, None], information, 0.0))[..., 0, 0]
     return np.where(held, np.sqrt(variance) * unit[..., 0], np.nan)
-
-
-def _of_events(noise: ReceptorNoise, signals: int) -> NDArray[np.bool_]:
-    """Which numbers of a reading report events, (R,)."""
-    if isinstance(noise, Joint):
-        pairs = zip(noise.noises, noise.sizes, strict=True)
-        return np.concatenate([_of_events(*pair) for pair in pairs])
-    return np.full(noise.reading_size(signals), isinstance(noise, Events))
 
 
 def _with_priors(

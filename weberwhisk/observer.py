@@ -15,8 +15,7 @@ from ._checks import finite, numbers, one_of, shown
 from .coordinates import ContactCoordinates, to_normal
 from .cues.protocol import Cue, straight
 from .mechanics.contact import Outcome
-from .receptors import Events, Joint, LogNormal, ReceptorNoise, Seed
-from .receptors.gaussian import Gaussian
+from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -100,7 +99,7 @@ class Observer:
 
     def _check_noise(self) -> None:
         usual = self.cue.default_noise()
-        if isinstance(self.noise, Events) != isinstance(usual, Events):
+        if self.noise.is_categorical != usual.is_categorical:
             raise ValueError(
                 f"The signals of {self.cue!r} are not what this noise reports, got "
                 f"{self.noise!r}; leave noise out for {usual!r}."
@@ -300,7 +299,7 @@ class Observer:
         (spikes are counts).
         """
         y = self.checked_reading(reading, missing=True)
-        if not (hasattr(self.cue, "reading_outcome") and _of_signals(self.noise)):
+        if not (hasattr(self.cue, "reading_outcome") and self.noise.reads_signals):
             known = np.isfinite(y).all(axis=-1)
             return np.where(known, Outcome.HELD, Outcome.NOT_A_READING).astype(np.int8)
         rows = y.reshape(-1, y.shape[-1])
@@ -357,20 +356,13 @@ class Observer:
             array = array[..., None]
         if array.ndim == 0 or array.shape[-1] != count:
             of = f"of {', '.join(self.cue.signal_names)}"
-            if isinstance(self.noise, Events):
+            if hasattr(self.noise, "reports"):
                 of = f"one of {self.noise.reports.tolist()}"
             raise ValueError(
                 f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
         return array
-
-
-def _of_signals(noise: ReceptorNoise) -> bool:
-    """Whether readings are numbers that a cue's inverse can take."""
-    if isinstance(noise, Joint):
-        return all(map(_of_signals, noise.noises))
-    return isinstance(noise, Gaussian | LogNormal | Events)
 
 
 def _made(
