@@ -40,7 +40,7 @@ CURVES = (MuscleCurve.NORMALISED, MuscleCurve.PRINTED)
 #: Distances over L of panel a.
 SHOWN = (0.3, 0.5, 0.7, 0.9)
 #: Panel c: distances over L and impact angles in degrees.
-DISTANCES, IMPACTS = np.linspace(0.3, 1.0, 71), np.linspace(30.0, 150.0, 61)
+DISTANCES, IMPACTS = np.linspace(0.3, 1.0, 211), np.linspace(30.0, 150.0, 121)
 
 
 def moments() -> pd.DataFrame:
@@ -77,13 +77,14 @@ def balance_angles() -> pd.DataFrame:
 
 
 def curve_end(curve: MuscleCurve, impact: float = IMPACT) -> float:
-    """The largest distance over L at which muscle and whisker still balance, by bisection."""
+    """The largest distance over L at which muscle and whisker still balance, by finer grids."""
     low, high = 0.3, 1.0
-    for _ in range(26):
-        middle = (low + high) / 2
-        b = moment_balance(WHISKER, middle * WHISKER.length, impact, curve=curve)
-        low, high = (middle, high) if b.outcome is Balance.BALANCED else (low, middle)
-    return low
+    for _ in range(5):
+        share = np.linspace(low, high, 33)
+        b = moment_balance(WHISKER, share * WHISKER.length, impact, curve=curve)
+        last = int(np.flatnonzero(b.outcome == Balance.BALANCED)[-1])
+        low, high = share[last], share[last + 1]
+    return float(low)
 
 
 def surface(curve: MuscleCurve) -> pd.DataFrame:
