@@ -2,7 +2,8 @@
 
     python analyses/stability.py [--short] [--seed N] [folder]
 
-A search hunts for answers that are wrong in silence (`hunting.py`), each judged by a reference that
+Inside the package's domain (`weberwhisk.domain`) a search hunts for answers that are wrong in
+silence (`hunting.py`); outside, for answers without the flag. Each is judged by a reference that
 shares nothing with what is judged: SciPy's DOP853 in raw SI for rungs and JNDs (`reference_beam`,
 `reference_rod`), sums over plain grids for posteriors and fits. Writes stability (CSV: a row for
 each domain, with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV:
@@ -21,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import stability_choices
+import stability_outside
 import stability_populations
 import stability_posteriors
 import stability_rungs
@@ -48,6 +50,7 @@ TWO = (
     "balance of moments",
     "lateral slip",
     "tap and map fused",
+    "map and vibration fused",
     "map, stiffness unknown",
     "log-normal map, stiffness unknown",
     "angle-side-angle, side unknown",
@@ -94,13 +97,14 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
             two = name in TWO
             effort = (2 if two else 6) if method != "emcee" else (1 if two else 2)
             panel = f"{method}, {'several unknowns' if two else 'one unknown'}"
-            d = stability_posteriors.domain(name, method)
+            d = stability_posteriors.hunted(name, method)
             found.append((d, panel, "distance", "k", effort))
             if name in ODD and method != "laplace":
-                d = stability_posteriors.domain(name, method, odd=True)
+                d = stability_posteriors.hunted(name, method, odd=True)
                 found.append((d, panel, "distance", "k", 1))
     # Last, though a rung: a domain's seed goes by its place, and kept ones stay what they were.
     found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
+    found += [(d, "outside the domain", "x", "y", 4) for d in stability_outside.DOMAINS]
     return found
 
 
@@ -142,7 +146,9 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
     ax.set_title(title.replace(", ", ",\n", 1).replace("JND by", "JND by\n"), fontsize=7)
     if "unknown" in title or "emcee" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
-    if not title.startswith("fit"):
+    if title.startswith("outside"):
+        ax.set(xscale="log", xlabel="outside by (ln)", ylabel="kind of case")
+    elif not title.startswith("fit"):
         ax.set_xticks([0, 1])
     else:
         ax.set(xscale="log", yscale="log", xlabel="Weber fraction", ylabel="trials a level")
@@ -151,8 +157,8 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
 @figures.styled
 def draw(cases: pd.DataFrame) -> Figure:
     """A map for each rung and engine."""
-    figure = figures.new_figure(figures.DOUBLE, 6.4)
-    axes = figure.subplots(3, 5).ravel()
+    figure = figures.new_figure(figures.DOUBLE, 8.0)
+    axes = figure.subplots(4, 4).ravel()
     panels = list(cases["panel"].unique())
     for ax in axes[len(panels) :]:
         ax.axis("off")

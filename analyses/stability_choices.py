@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr, ndtri, xlogy
 
 import weberwhisk as ww
-from weberwhisk import Observer, Outcome, Whisker, cues, receptors
+from weberwhisk import Observer, Outcome, Whisker, cues, domain, receptors
 from weberwhisk.behaviour import FitStatus, fit_weber, read_trials
 from weberwhisk.jnd import weber_propagation
 
@@ -34,8 +34,8 @@ JND_AXES = {
     "distance": Axis(0.02, 1.0, special=(1.0,)),
     "push": Axis(1e-3, 1.0, special=(1.0,)),
     "tip": Axis(0.0, 1.0, special=(0.05,)),
-    "k_moment": Axis(1e-3, 0.3, log=True),
-    "k_force": Axis(1e-3, 0.3, log=True),
+    "k_moment": Axis(*domain.WEBER_FRACTIONS, log=True),
+    "k_force": Axis(*domain.WEBER_FRACTIONS, log=True),
     "correlation": Axis(-0.99, 0.99, special=(0.0,)),
 }
 #: Relative error of a JND from which it is wrong; what differences of DOP853 leave is less.
@@ -101,7 +101,7 @@ def judge_jnd(case: Case) -> Judged:
 # -- fits -----------------------------------------------------------------------------------------
 
 FIT_AXES = {
-    "weber_fraction": Axis(0.003, 3.0, log=True, special=(0.1,)),
+    "weber_fraction": Axis(*domain.FITTED_WEBER_FRACTIONS, log=True, special=(0.1,)),
     "lapse": Axis(0.0, 0.45, special=(0.02,)),
     "bias": Axis(-3.0, 3.0, special=(0.0,)),
     "trials": Axis(1.0, 1000.0, log=True),

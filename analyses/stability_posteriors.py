@@ -18,7 +18,7 @@ from hunting import Axis, Domain, Fate, Judged
 from scipy.special import expit, logit
 
 import weberwhisk as ww
-from weberwhisk import Observer, Status, Whisker, cues, receptors
+from weberwhisk import Observer, Status, Whisker, cues, domain, receptors
 from weberwhisk.cues.force_map import SIGNALS
 
 Array = np.ndarray
@@ -26,9 +26,10 @@ Case = dict[str, Array]
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 CYLINDER = Whisker(50e-3, 100e-6, 100e-6, 3e9)
+BLUNT = Whisker(50e-3, 100e-6, 67e-6, 3e9)
 UNIT = float(W.compliance_constant / W.length)
 #: Weber fractions that observers are made for: one is taken for the nearest.
-FRACTIONS = (0.003, 0.03, 0.1, 0.3, 0.5, 1.0)
+FRACTIONS = (0.01, 0.03, 0.1, 0.3, 0.5, 0.6)
 #: ln below the highest density at which a window ends.
 DEPTH = 40.0
 #: Rows to either side that tell of a lost one.
@@ -91,6 +92,11 @@ OBSERVERS: dict[str, Make] = {
         W,
         cues.Fused(cues.Compliance(), cues.ForceMap()),
         receptors.Joint([receptors.Weber(2 * k), receptors.Weber(k)], sizes=[1, 2]),
+    ),
+    "map and vibration fused": lambda k: Observer(
+        BLUNT,
+        cues.Fused(cues.ForceMap(), cues.Vibration(3)),
+        receptors.Joint([receptors.Weber(k), cues.Vibration(3).noise(k, 0.5 * k)], sizes=[2, 2]),
     ),
     "map, stiffness unknown": lambda k: Observer(
         W, cues.UnknownStiffness(cues.ForceMap()), receptors.Weber(max(k, 0.03))
@@ -300,7 +306,8 @@ def judge(case: Case, name: str, method: str) -> Judged:
         rows, signals = rows[held], signals[held]
         if not rows.size:
             continue
-        off = np.stack([case["off_1"][rows], case["off_2"][rows], case["off_1"][rows] * 0.3], -1)
+        off = np.stack([case["off_1"][rows], case["off_2"][rows]], -1)
+        off = np.concatenate([off, 0.3 * off], axis=-1)
         if isinstance(o.noise, receptors.Events):
             chosen = np.arange(rows.size) % len(o.noise.reports)
             reading = o.noise.reports[chosen]
@@ -337,11 +344,12 @@ def judge(case: Case, name: str, method: str) -> Judged:
     return Judged(fate, excess, seen)
 
 
+#: Inside the package's domain (`weberwhisk.domain`), readings within 8 sd of a contact's.
 AXES = {
-    "distance": Axis(0.0, 1.0, special=(0.5, 0.9, 0.95)),
+    "distance": Axis(domain.CONTACTS[0], 1.0, special=(0.5, 0.9, 0.95)),
     "push": Axis(0.0, 1.0, special=(0.5,)),
     "further": Axis(0.01, 0.99, special=(0.5,)),
-    "k": Axis(0.003, 1.0, log=True, special=(0.1, 0.3)),
+    "k": Axis(*domain.WEBER_FRACTIONS, log=True, special=(0.1, 0.3)),
     "off_1": Axis(-4.0, 4.0, special=(0.0,)),
     "off_2": Axis(-4.0, 4.0, special=(0.0,)),
 }
@@ -349,13 +357,13 @@ AXES = {
 
 #: Readings that no contact explains.
 ODD = AXES | {
-    "k": Axis(0.03, 1.0, log=True),
+    "k": Axis(0.03, domain.WEBER_FRACTIONS[1], log=True),
     "off_1": Axis(-30.0, 30.0, special=(0.0,)),
     "off_2": Axis(-30.0, 30.0, special=(0.0,)),
 }
 
 
-def domain(name: str, method: str, *, odd: bool = False) -> Domain:
+def hunted(name: str, method: str, *, odd: bool = False) -> Domain:
     """The domain of an observer and an engine."""
     return Domain(
         f"{method}, {name}{', odd readings' * odd}",

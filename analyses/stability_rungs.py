@@ -34,7 +34,7 @@ SIDEWAYS = 1e-3
 SIGNALS = ("moment", "axial_force", "transverse_force")
 
 STRAIGHT = {
-    "distance": Axis(1e-3, 1.02, special=(1.0,)),
+    "distance": Axis(0.01, 1.02, special=(1.0,)),
     "push": Axis(1e-4, 1.3, special=(1.0,)),
     "tip": Axis(0.0, 1.0, special=(0.05,)),
 }
@@ -62,7 +62,7 @@ def _scene(case: Case) -> tuple[ww.Whisker, Beams, Array, Array, Array]:
     # Where the package knows no last angle, a case is placed all the same.
     end = np.where(np.isfinite(end), end, np.nan_to_num(rest) + side)
     theta = np.nan_to_num(rest) + np.abs(case["push"]) * (end - np.nan_to_num(rest))
-    return whisker, beams, r, theta, friction
+    return whisker, beams, r, np.clip(theta, -np.pi, np.pi), friction  # `press` refuses more
 
 
 def _press(whisker: ww.Whisker, rung: str, r: Array, theta: Array, friction: Array) -> ww.Bending:

@@ -28,7 +28,7 @@ Case = dict[str, Array]
 #: Where the sd of a sample is wrong in most runs unless they are judged.
 NEAR_TIP = posteriors.AXES | {
     "distance": Axis(0.7, 1.0, special=(0.9, 0.95)),
-    "k": Axis(0.3, 1.0, log=True),
+    "k": Axis(0.3, 0.6, log=True),
 }
 #: The ball in the coordinates of the walkers, in which the whisker is some eight long.
 BAD_START = {

@@ -42,6 +42,7 @@ SIZES = {
     "laplace, velocity felt": (3, 1),
     "emcee, compliance": (3, 1),
     "quadrature, vibration, phase, odd readings": (6, 1),
+    "contacts outside": (20, 1),
 }
 
 
@@ -132,7 +133,7 @@ def test_the_maps_are_drawn() -> None:
         warnings.simplefilter("ignore")
         cases = hunting.hunt(DOMAINS["quadrature, log-normal"], 6, 0, 1)
     cases = cases.assign(panel="quadrature, one unknown", x=cases["distance"], y=cases["k"])
-    assert len(stability.draw(cases).axes) == 15
+    assert len(stability.draw(cases).axes) == 16
     counts = stability.summary(cases)
     assert counts[["right", "warned", "refused", "silent", "unjudged"]].to_numpy().sum() == 12
 
