@@ -442,7 +442,7 @@ def test_jnd_gives_what_jnd_curve_gives(capsys: pytest.CaptureFixture[str]) -> N
     table = rows(result)
     assert list(table["radial_distance_mm"]) == [10, 40, 60]
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9), ww.cues.Compliance())
-    expected = ww.jnd_curve(observer, [10e-3, 40e-3], draws=20, seed=1)
+    expected = ww.jnd_curve(observer, [10e-3, 40e-3], n_readings=20, seed=1)
     for column in ("closed_form", "fisher"):
         found = table[f"{column}_mm"][:2].astype(float)
         np.testing.assert_allclose(found, expected[column] * 1e3, rtol=1e-9)

@@ -131,7 +131,7 @@ def test_the_jnd_is_the_angles_noise_over_its_slope():
 
 def test_the_posterior_has_the_closed_forms_sd_where_the_noise_is_small():
     observer = ww.Observer(W, KNOWN, GeneralisedWeber(0.0, floor=np.radians(0.02)))
-    table = ww.jnd_curve(observer, np.array([5e-3, 15e-3, 30e-3]), draws=200, seed=1)
+    table = ww.jnd_curve(observer, np.array([5e-3, 15e-3, 30e-3]), n_readings=200, seed=1)
     assert np.all(table["unreliable"] == 0)
     off = np.abs(table["posterior"] - table["propagation"])
     assert np.all(off < 4 * table["posterior_error"] + 1e-3 * table["propagation"])
@@ -229,7 +229,7 @@ def test_it_says_where_it_does_not_work():
     edge = float(FELT.largest_angle(W, np.array(25e-3)))
     assert names(FELT, 25e-3, edge * 0.999) == "HELD"
     assert names(FELT, 25e-3, edge * 1.001) == "FLICKED_PAST"
-    table = ww.jnd_curve(ww.Observer(W, late), 30e-3, draws=3, seed=1)
+    table = ww.jnd_curve(ww.Observer(W, late), 30e-3, n_readings=3, seed=1)
     assert table["outcome"][0].startswith("end of whisking")
 
 

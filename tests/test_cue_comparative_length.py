@@ -134,7 +134,9 @@ def test_more_whiskers_tell_more():
     """Of a pole in front of the snout; at the bases it may be behind some whiskers."""
     prior = {"radial_distance": stats.uniform(10e-3, 50e-3)}
     sds = [
-        ww.jnd_curve(ww.Observer(W, cue, prior=prior), 30e-3, draws=400, seed=1)["posterior"][0]
+        ww.jnd_curve(ww.Observer(W, cue, prior=prior), 30e-3, n_readings=400, seed=1)["posterior"][
+            0
+        ]
         for cue in (PAIR, EIGHT)
     ]
     assert sds[1] < 0.5 * sds[0]
@@ -168,7 +170,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(cue):
 def test_one_event_has_a_posterior_but_no_linear_jnd():
     observer = ww.Observer(W, ROW)
     r = np.array([15e-3, 33e-3])
-    table = ww.jnd_curve(observer, r, draws=200, seed=1)
+    table = ww.jnd_curve(observer, r, n_readings=200, seed=1)
     assert table[["closed_form", "propagation"]].isna().all(axis=None)
     assert np.isnan(weber_propagation(observer, r[:, None])).all()
     chance = np.array([observer.signals([[a]])[0][0] for a in r])

@@ -217,7 +217,7 @@ def test_information_is_that_of_the_closed_form_at_small_noise():
     r = low + (np.arange(10_000) + 0.5) / 10_000 * (high - low)
     jnd = k * r * (1 - r / W.apex_distance) / np.sqrt(1 + 2 * k**2)
     expected = np.mean(np.log2((high - low) / (jnd * np.sqrt(2 * np.pi * np.e))))
-    bits = ww.information(observer, draws=400, seed=1)
+    bits = ww.information(observer, n_readings=400, seed=1)
     assert abs(bits.value - expected) < 4 * bits.error
     assert bits.error < 0.1
 
@@ -237,7 +237,7 @@ def test_information_is_that_of_a_brute_force_sum(cue):
     marginal = density.mean(axis=1, keepdims=True)
     ratio = np.log2(np.maximum(density, 1e-300) / np.maximum(marginal, 1e-300))
     told = ((density * ratio).sum(axis=0) * (y[1] - y[0]))[inside].mean()
-    bits = ww.information(observer, draws=600, seed=1)
+    bits = ww.information(observer, n_readings=600, seed=1)
     # What the distances left out add is below their share of the most there is.
     assert abs(bits.value - told) < 4 * bits.error + 10 * np.mean(~inside)
 
@@ -255,7 +255,7 @@ def test_prior_draws_have_the_priors_distribution():
 
 
 def test_what_cues_add_is_less_than_what_they_tell_alone():
-    table = ww.added_information(ww.Observer(W, MAP_AND_TAP), draws=60, seed=1)
+    table = ww.added_information(ww.Observer(W, MAP_AND_TAP), n_readings=60, seed=1)
     assert table["cue"].tolist() == [*map(repr, MAP_AND_TAP.cues), "all"]
     error = 4 * np.hypot(table["alone_error"], table["added_error"])
     assert np.all(table["added"][:2] < (table["alone"] + error)[:2])
@@ -272,7 +272,10 @@ def test_what_cues_add_is_less_than_what_they_tell_alone():
         (lambda: BLOCKS.sd([1.0, 2.0]), "This noise is of 4 signals, got 2"),
         (lambda: fusing.alone(ww.Observer(W, Compliance())), "Only a fusion has parts"),
         (lambda: ww.fused_jnds(ww.Observer(W, TWO_TAPS, Weber(0.1)), 25e-3), "cue by cue"),
-        (lambda: ww.information(ww.Observer(W, Compliance()), draws=1), "two draws or more"),
+        (
+            lambda: ww.information(ww.Observer(W, Compliance()), n_readings=1),
+            "n_readings must be a whole number of 2 or more",
+        ),
     ],
 )
 def test_misuse_is_refused_in_one_sentence(call, words):

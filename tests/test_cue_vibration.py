@@ -127,7 +127,7 @@ def test_modes_that_damping_merges_are_unresolved():
         assert np.all(found == outcome)
         assert np.isnan(signals).all() == (outcome != Outcome.HELD)
         assert cue.resolved(W) == (outcome == Outcome.HELD)
-    table = ww.jnd_curve(ww.Observer(W, cue), R[:, 0], draws=2)
+    table = ww.jnd_curve(ww.Observer(W, cue), R[:, 0], n_readings=2)
     assert table["outcome"].str.startswith("unresolved").all()
     assert table["posterior"].isna().all()
     assert Vibration(2, damping_ratio=share * merging).resolved(W)

@@ -111,7 +111,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(cue):
 
 def test_one_event_has_a_posterior_but_no_linear_jnd():
     observer = ww.Observer(W, VibrissaLength())
-    table = ww.jnd_curve(observer, np.array([5e-3, 45e-3, 70e-3]), draws=300, seed=1)
+    table = ww.jnd_curve(observer, np.array([5e-3, 45e-3, 70e-3]), n_readings=300, seed=1)
     assert table[["closed_form", "propagation"]].isna().all(axis=None)
     # The mean sd is the chances' mean of three posteriors'.
     sd = [float(ww.posterior(observer, event).sd) for event in (NONE, TIP, SHAFT)]
@@ -144,7 +144,7 @@ def test_it_says_where_it_does_not_work():
     chances, outcome = cue.signals(W, np.array([[cue.farthest(W) * 1.01], [-1e-3]]))
     assert np.isnan(chances).all()
     assert np.all(outcome == Outcome.OUT_OF_REACH)
-    table = ww.jnd_curve(ww.Observer(W, cue), 90e-3, draws=3, seed=1)
+    table = ww.jnd_curve(ww.Observer(W, cue), 90e-3, n_readings=3, seed=1)
     assert table["outcome"][0].startswith("out of reach")
 
 

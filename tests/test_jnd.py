@@ -5,7 +5,7 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk.cues import Compliance, ForceMap
-from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.jnd import fisher_jnd, is_linear, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -67,7 +67,7 @@ def test_a_floor_lifts_the_jnd_off_zero_at_the_tip():
 def test_jnd_curve_holds_the_routes_side_by_side():
     observer = ww.Observer(W, Compliance(), Weber(0.05))
     r = np.array([0.2, 0.5, 0.8]) * L
-    curve = ww.jnd_curve(observer, r, draws=400, seed=1)
+    curve = ww.jnd_curve(observer, r, n_readings=400, seed=1)
     closed = 0.05 * r * (1 - r / A)
     assert np.allclose(curve["closed_form"], closed)
     assert np.allclose(curve["propagation"], closed)
@@ -82,7 +82,8 @@ def test_jnd_curve_holds_the_routes_side_by_side():
 def test_the_criterion_scales_every_route():
     observer = ww.Observer(W, Compliance())
     one, two = (
-        ww.jnd_curve(observer, 20e-3, draws=20, seed=1, criterion=c) for c in ("d'=1", "75% 2AFC")
+        ww.jnd_curve(observer, 20e-3, n_readings=20, seed=1, criterion=c)
+        for c in ("d'=1", "75% 2AFC")
     )
     routes = ["closed_form", "propagation", "fisher", "posterior", "estimator", "posterior_error"]
     ratio = (two[routes] / one[routes]).to_numpy()
@@ -92,13 +93,15 @@ def test_the_criterion_scales_every_route():
 def test_engines_agree_on_the_curve():
     observer = ww.Observer(W, Compliance(), Weber(0.1))
     r = np.array([0.3, 0.7]) * L
-    a, b = (ww.jnd_curve(observer, r, draws=40, seed=1, method=m) for m in ("quadrature", "emcee"))
+    a, b = (
+        ww.jnd_curve(observer, r, n_readings=40, seed=1, method=m) for m in ("quadrature", "emcee")
+    )
     assert np.allclose(a["posterior"], b["posterior"], rtol=0.01)
 
 
 def test_contacts_that_are_not_held_stay_in_the_table():
     observer = ww.Observer(W, ForceMap(), Weber(0.1))
-    curve = ww.jnd_curve(observer, np.array([0.5, 0.9]) * L, np.radians(20), draws=5, seed=1)
+    curve = ww.jnd_curve(observer, np.array([0.5, 0.9]) * L, np.radians(20), n_readings=5, seed=1)
     assert np.isfinite(curve.loc[0, "posterior"])
     assert curve.loc[1, ["propagation", "fisher", "posterior"]].isna().all()
     assert curve.loc[1, "outcome"].startswith("flicked past")
@@ -106,14 +109,16 @@ def test_contacts_that_are_not_held_stay_in_the_table():
 
 def test_the_cylinders_force_map_has_an_infinite_jnd_and_says_so():
     observer = ww.Observer(W.cylinder(), ForceMap(), Weber(0.1))
-    curve = ww.jnd_curve(observer, 25e-3, np.radians(10), draws=4, seed=1)
+    curve = ww.jnd_curve(observer, 25e-3, np.radians(10), n_readings=4, seed=1)
     assert np.isinf(curve.loc[0, ["closed_form", "propagation", "fisher"]].astype(float)).all()
     assert curve.loc[0, "unreliable"] == 1
 
 
 def test_seeds_repeat_and_matter():
     observer = ww.Observer(W, Compliance())
-    a, b, c = (ww.jnd_curve(observer, 20e-3, draws=10, seed=s)["posterior"][0] for s in (1, 1, 2))
+    a, b, c = (
+        ww.jnd_curve(observer, 20e-3, n_readings=10, seed=s)["posterior"][0] for s in (1, 1, 2)
+    )
     assert a == b != c
 
 
@@ -121,7 +126,13 @@ def test_seeds_repeat_and_matter():
     ("arguments", "words"),
     [
         ({"radial_distance": -1e-3}, "radial_distance must be above zero"),
-        ({"radial_distance": 1e-2, "draws": 1}, "at least two noisy readings, got draws=1"),
+        (
+            {"radial_distance": 1e-2, "n_readings": 1},
+            "n_readings must be .* of 2 or more, got 1",
+        ),
+        ({"radial_distance": 1e-2, "n_readings": np.nan}, "n_readings must be .*got nan"),
+        ({"radial_distance": 1e-2, "n_readings": np.inf}, "n_readings must be .*got inf"),
+        ({"radial_distance": 1e-2, "n_readings": "many"}, "n_readings must be .*got 'many'"),
         ({"radial_distance": 1e-2, "method": "nuts"}, "method 'nuts' is unknown"),
         ({"radial_distance": 1e-2, "deflection_angle": 0.1}, "no unknown deflection angle"),
     ],
@@ -144,7 +155,9 @@ def test_perfectly_correlated_signals_beyond_need_are_refused():
 
 
 def test_a_contact_that_is_not_held_has_no_jnd_by_any_route():
-    table = ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3, 25e-3], [1.5, 0.2], draws=4, seed=1)
+    table = ww.jnd_curve(
+        ww.Observer(W, ForceMap()), [20e-3, 25e-3], [1.5, 0.2], n_readings=4, seed=1
+    )
     routes = ["closed_form", "propagation", "fisher", "posterior", "estimator"]
     assert table.loc[0, routes].isna().all()
     assert table.loc[1, routes].notna().all()
@@ -152,11 +165,11 @@ def test_a_contact_that_is_not_held_has_no_jnd_by_any_route():
 
 def test_no_deflection_is_refused():
     with pytest.raises(ValueError, match="no force to feel"):
-        ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3], 0.0, draws=4)
+        ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3], 0.0, n_readings=4)
 
 
 def test_readings_that_are_all_the_same_event_have_no_scatter():
-    table = ww.jnd_curve(ww.Observer(W, ww.cues.VibrissaLength()), 5e-3, draws=8, seed=1)
+    table = ww.jnd_curve(ww.Observer(W, ww.cues.VibrissaLength()), 5e-3, n_readings=8, seed=1)
     assert np.isnan(table["estimator"][0])
     assert np.isfinite(table["posterior"][0])
 
@@ -171,3 +184,53 @@ def test_the_tolerance_of_posteriors_is_below_the_error_of_their_draws():
         a, b = (np.reshape(getattr(p, name), (-1, draws)) for p in (quick, close))
         error = b.std(axis=1, ddof=1) / np.sqrt(draws)
         assert np.all(np.abs((a - b).mean(axis=1)) < 0.05 * error)
+
+
+# -- where linear JNDs are not to be believed ----------------------------------------------------
+
+#: r/L and the θ_d from which on ∂M/∂θ_d < 0 at R = 20 (the maintainers' theory notes), degrees.
+PEAKS = [(0.3, 46.6), (0.5, 33.3), (0.7, 20.8), (0.9, 8.8)]
+
+
+@pytest.mark.parametrize(("share", "degrees"), PEAKS)
+def test_false_zeros_of_axial_noise_are_told(share, degrees):
+    observer = ww.Observer(W, ForceMap(), Weber([1e-3, 0.1]))
+    theta = np.radians(np.array([0.3, 1.0]) * degrees)
+    curve = ww.jnd_curve(observer, share * L, theta, n_readings=60, seed=1)
+    assert curve["linear"].tolist() == [True, False]
+    ratio = curve["propagation"] / curve["posterior"]
+    assert ratio[0] == pytest.approx(1, rel=0.15)
+    assert ratio[1] < 0.5  # the posterior has no zero there
+
+
+def test_false_zeros_of_moment_noise_are_told():
+    """Where ∂Fx/∂θ_d changes its sign at fixed r, past a contact angle of 90°."""
+    observer = ww.Observer(W, ForceMap(), Weber([0.1, 1e-3]))
+    theta = np.radians(np.linspace(30.0, 58.0, 2801))
+    contact = np.stack([np.full_like(theta, 0.3 * L), theta], axis=-1)
+    slope = observer.cue.jacobian(W, contact)[:, 1, 1]
+    peak = int(np.flatnonzero(np.diff(np.sign(slope)))[0])
+    bent = ww.press(W, 0.3 * L, theta[peak])
+    assert 100 < np.degrees(bent.contact_angle) < 106
+    assert is_linear(observer, contact[[0, peak]]).tolist() == [True, False]
+    assert weber_propagation(observer, contact[peak]) < 0.3 * weber_propagation(
+        observer, contact[0]
+    )
+
+
+def test_linear_is_what_the_posterior_bears_out():
+    """Over r and θ_d at k = 0.02: where linear is said, propagation is the posterior's sd."""
+    observer = ww.Observer(W, ForceMap(), Weber(0.02))
+    r = np.array([0.3, 0.5, 0.7])[:, None] * L
+    limit = ww.flick_past(W, r[:, 0]).deflection_angle[:, None]
+    curve = ww.jnd_curve(observer, r, limit * [0.2, 0.5, 0.8], n_readings=40, seed=2)
+    told = curve[curve["linear"]]
+    assert len(told) >= 5
+    assert np.allclose(told["propagation"], told["posterior"], rtol=0.3)
+
+
+def test_the_old_name_of_the_number_of_readings_still_works():
+    with pytest.warns(DeprecationWarning, match="n_readings"):
+        old = ww.jnd_curve(ww.Observer(W, Compliance()), 20e-3, draws=4, seed=1)
+    new = ww.jnd_curve(ww.Observer(W, Compliance()), 20e-3, n_readings=4, seed=1)
+    assert old.equals(new)

@@ -12,14 +12,14 @@ W = ww.Whisker(50e-3, 100e-6, 5e-6)
 @pytest.mark.parametrize("angles", [None, [0.05, 0.1]])
 def test_rows_are_those_of_jnd_curve(angles):
     k, r = [0.05, 0.1], [15e-3, 35e-3]
-    table = ww.jnd_sweep(W, k, r, angles, draws=4, seed=3)
+    table = ww.jnd_sweep(W, k, r, angles, n_readings=4, seed=3)
     places = [(fraction, angle) for fraction in k for angle in angles or [None]]
     seeds = np.random.SeedSequence(3).spawn(len(places))
     parts = []
     for (fraction, angle), seed in zip(places, seeds, strict=True):
         cue = ww.cues.Compliance() if angle is None else ww.cues.ForceMap()
         observer = ww.Observer(W, cue, ww.receptors.Weber(fraction))
-        parts.append(ww.jnd_curve(observer, r, angle, draws=4, seed=seed))
+        parts.append(ww.jnd_curve(observer, r, angle, n_readings=4, seed=seed))
         parts[-1].insert(0, "weber_fraction", fraction)
     pd.testing.assert_frame_equal(table, pd.concat(parts, ignore_index=True), check_exact=True)
 

@@ -103,7 +103,7 @@ def test_a_taps_jnd_adds_the_variances_of_noise_and_stiffness():
     # ln signal has sd k from noise and 0.2 from the stiffness, and slope −A/(r(A − r)) in r.
     expected = np.hypot(0.1, 0.2) * r * (1 - r / a)
     assert weber_propagation(observer, [r, 1.0]) == pytest.approx(expected, rel=1e-9)
-    table = ww.jnd_curve(observer, r, draws=4, seed=1)
+    table = ww.jnd_curve(observer, r, n_readings=4, seed=1)
     assert table["propagation"][0] == pytest.approx(expected, rel=1e-9)
     assert table["stiffness"][0] == 1.0
 

@@ -25,6 +25,18 @@ def test_an_observer_does_not_change():
     assert len({observer: 1, other: 2}) == 2
 
 
+def test_observers_are_equal_by_value():
+    def made(k=0.1, low=1e-2):
+        prior = {"radial_distance": stats.uniform(low, 2e-2)}
+        cue = cues.UnknownStiffness(cues.ForceMap())
+        return ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), cue, receptors.Weber(k), prior)
+
+    assert made() == made()
+    assert len({made(), made(), made(k=0.2), made(low=2e-2)}) == 3
+    assert made() != replace(made(), model="elastica")
+    assert made() != "an observer"
+
+
 @pytest.mark.parametrize(
     "cue", [cues.ForceMap(), cues.UnknownStiffness(cues.ForceMap()), cues.SpaceMap()], ids=repr
 )

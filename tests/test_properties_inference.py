@@ -210,7 +210,7 @@ def test_every_cue_has_whole_signals_posteriors_and_jnds(make, data: st.DataObje
 def test_the_jnd_of_a_tap_is_the_formula(w: ww.Whisker, fraction: float, k: float) -> None:
     observer = ww.Observer(w, cues.Compliance(), receptors.Weber(k))
     r = fraction * w.length
-    table = ww.jnd_curve(observer, r, draws=2, seed=1)
+    table = ww.jnd_curve(observer, r, n_readings=2, seed=1)
     formula = k * r * (1 - r / w.apex_distance)
     np.testing.assert_allclose(table["closed_form"], formula, rtol=1e-9)
     np.testing.assert_allclose(table["fisher"], formula / np.sqrt(1 + 2 * k * k), rtol=1e-6)

@@ -40,7 +40,7 @@ def test_the_smallest_design(cluster: str) -> None:
 
 def test_jnds(cluster: str) -> None:
     alone, there = (
-        ww.jnd_sweep(WHISKER, [0.05, 0.1], [10e-3, 40e-3], draws=8, seed=1, **how)
+        ww.jnd_sweep(WHISKER, [0.05, 0.1], [10e-3, 40e-3], n_readings=8, seed=1, **how)
         for how in ({}, {"scheduler": cluster})
     )
     pd.testing.assert_frame_equal(there, alone)

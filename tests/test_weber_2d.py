@@ -40,7 +40,7 @@ def test_all_routes_agree_across_the_family_at_small_noise(k, rho):
     assert weber_propagation(o, contact) == pytest.approx(closed, rel=2e-3)
     # What the spread itself tells is of relative order k².
     assert fisher_jnd(o, contact) == pytest.approx(closed, rel=2e-3 + 2 * np.max(small) ** 2)
-    row = jnd_curve(o, r, 0.01, draws=16, seed=1)
+    row = jnd_curve(o, r, 0.01, n_readings=16, seed=1)
     error = 4 * row["posterior_error"] + 0.01 * closed
     assert np.all(np.abs(row["posterior"] - closed) < error)
 
@@ -110,7 +110,7 @@ def test_at_the_false_zero_the_posterior_is_of_second_order():
     sds = []
     for k in (0.1, 0.03):
         o = weber_2d.observer(k * weber_2d.SLIGHT / K, k)
-        row = jnd_curve(o, weber_2d.PLACE * W.length, peak, draws=32, seed=2)
+        row = jnd_curve(o, weber_2d.PLACE * W.length, peak, n_readings=32, seed=2)
         sds.append(row["posterior"][0])
         assert sds[-1] > 1.5 * row["propagation"][0]
     assert 0.05 < sds[1] / sds[0] < 0.2

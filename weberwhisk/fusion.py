@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ._checks import generator, whole
+from ._deprecated import renamed_arguments
 from .cues.fused import Fused
 from .cues.protocol import Array, Cue
 from .jnd import SD, criterion_factor, fisher_jnd
@@ -65,7 +67,8 @@ class DistancePrior:
         return np.interp(np.asarray(probability, dtype=float), self.mass, self.r)
 
 
-def information(observer: Observer, *, draws: int = 400, seed: Seed = None) -> Bits:
+@renamed_arguments(draws="n_readings")
+def information(observer: Observer, *, n_readings: int = 400, seed: Seed = None) -> Bits:
     """How much one reading tells of the radial distance, on average over the prior.
 
     The mutual information of distance and reading: entropy of the prior of r less the mean
@@ -74,7 +77,7 @@ def information(observer: Observer, *, draws: int = 400, seed: Seed = None) -> B
     Parameters
     ----------
     observer : Observer
-    draws : int
+    n_readings : int
         Contacts drawn from the prior, with a reading each.
     seed : int, SeedSequence or Generator
 
@@ -85,7 +88,7 @@ def information(observer: Observer, *, draws: int = 400, seed: Seed = None) -> B
     Raises
     ------
     ValueError
-        For fewer than two draws.
+        For fewer than two readings.
 
     Notes
     -----
@@ -96,16 +99,15 @@ def information(observer: Observer, *, draws: int = 400, seed: Seed = None) -> B
     --------
     >>> from weberwhisk import Whisker, cues
     >>> tap = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> bits = information(tap, draws=200, seed=1)
+    >>> bits = information(tap, n_readings=200, seed=1)
     >>> print(f"{bits.value:.1f} ± {bits.error:.1f} bits")
     4.0 ± 0.1 bits
     """
-    if draws < 2:
-        raise ValueError(f"An average needs two draws or more, got draws={draws}; write 400.")
-    contact_seed, reading_seed = np.random.SeedSequence(
-        int(np.random.default_rng(seed).integers(2**63))
-    ).spawn(2)
-    contact = prior_draws(observer, draws, contact_seed)
+    n_readings = whole("n_readings", n_readings, "write 400, say", least=2)
+    contact_seed, reading_seed = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(
+        2
+    )
+    contact = prior_draws(observer, n_readings, contact_seed)
     reading = observer.read(contact, reading_seed)
     p = posterior(observer, reading)
     x = observer.coordinates(contact)
@@ -114,7 +116,7 @@ def information(observer: Observer, *, draws: int = 400, seed: Seed = None) -> B
     slope = np.diff([observer.contact(x + s * step)[0][:, 0] for s in (-1, 1)], axis=0)[0] / 2e-5
     told = _log_density_at(observer, x, reading) - p.log_evidence - np.log(slope)
     told = (told - DistancePrior(observer).logpdf(contact[:, 0])) / np.log(2)
-    return Bits(float(told.mean()), float(told.std(ddof=1) / np.sqrt(draws)))
+    return Bits(float(told.mean()), float(told.std(ddof=1) / np.sqrt(n_readings)))
 
 
 def _log_density_at(observer: Observer, x: Array, reading: Array) -> Array:
@@ -202,14 +204,17 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
     return Observer(observer.whisker, cue, noise, prior, model=observer.model)
 
 
-def added_information(observer: Observer, *, draws: int = 400, seed: Seed = None) -> pd.DataFrame:
+@renamed_arguments(draws="n_readings")
+def added_information(
+    observer: Observer, *, n_readings: int = 400, seed: Seed = None
+) -> pd.DataFrame:
     """What each cue of a fusion tells of distance alone, and what it adds to the others.
 
     Parameters
     ----------
     observer : Observer
         Of a `Fused` cue.
-    draws : int
+    n_readings : int
         As for `information`.
     seed : int, SeedSequence or Generator
 
@@ -228,15 +233,13 @@ def added_information(observer: Observer, *, draws: int = 400, seed: Seed = None
     import pandas as pd
 
     parts = alone(observer)
-    seeds = np.random.SeedSequence(int(np.random.default_rng(seed).integers(2**63))).spawn(
-        2 * len(parts) + 1
-    )
-    whole = information(observer, draws=draws, seed=seeds[-1])
+    seeds = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(2 * len(parts) + 1)
+    whole = information(observer, n_readings=n_readings, seed=seeds[-1])
     rows = []
     for i, part in enumerate(parts):
         rest = _part(observer, [j for j in range(len(parts)) if j != i])
-        single = information(part, draws=draws, seed=seeds[2 * i])
-        others = information(rest, draws=draws, seed=seeds[2 * i + 1])
+        single = information(part, n_readings=n_readings, seed=seeds[2 * i])
+        others = information(rest, n_readings=n_readings, seed=seeds[2 * i + 1])
         added = whole.value - others.value, float(np.hypot(whole.error, others.error))
         rows.append((repr(part.cue), *single, *added))
     rows.append(("all", *whole, *whole))

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from ._checks import finite, one_of, positive
+from ._checks import finite, generator, one_of, positive, whole
+from ._deprecated import renamed_arguments
 from .mechanics.contact import Outcome
 from .observer import Observer
 from .receptors import Seed
@@ -93,33 +94,77 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     model : str, optional
         ``"closed_form"`` gives the paper's closed forms, with the apex distance: k r(1 − r/A) for
         the compliance cue, ½(A−r)(3A−2r)/(2A−r)·√(4k_M² + k_F² − 4ρk_M k_F) for the map cue. By
-        default the observer's own rung.
+        default the observer's own.
 
     Returns
     -------
     array
-        NaN where the contact is not held, and for chances of events; infinite where the signals
-        cannot tell distance (the cylinder's force map).
+        NaN where the contact is not held, and for probabilities of events; infinite where the
+        signals cannot tell distance (the cylinder's force map).
 
     Notes
     -----
-    Linear: at large angles the map cue's curve for axial-force noise alone passes through a false
-    zero, where ∂M/∂θ_d = 0; the posterior does not.
+    Linear, and so with *false zeros* that no posterior has, in either limit of the map cue. With
+    noise in the axial force alone the JND reaches zero where ∂M/∂θ_d = 0 and rises again: at
+    R = 20 and r/L = 0.3, 0.5, 0.7, 0.9 from θ_d = 46.6°, 33.3°, 20.8°, 8.8° on (contact angles of
+    84°, 71°, 59°, 47°). With noise in the moment alone it does where ∂Fx/∂θ_d = 0, at contact
+    angles of 100° to 106° and r ≤ 0.5 L, past the 90° where the paper stops. `is_linear` tells.
 
-    An event is all or none, and never near its chance: no noise is so small that one event could
-    be carried to distance along a slope. Events are left out, in a fusion of cues too; the
+    An event is all or none, and never near its probability: no noise is so small that one event
+    could be carried to distance along a slope. Events are left out, in a fusion of cues too; the
     information and the posterior have them.
     """
     contact = observer.checked(contact)
+    covariance = _propagated(observer, contact, model or observer.model)
+    # With perfectly correlated noise the exact variance can be zero, and rounding take it below.
+    return np.sqrt(np.maximum(covariance[..., 0, 0], 0.0))
+
+
+def is_linear(observer: Observer, contact: ArrayLike) -> NDArray[np.bool_]:
+    """Whether Weber propagation can be relied on at a contact, (...).
+
+    Where one sd of the contact to either side, along each axis of its propagated covariance, the
+    mean JND is within a factor of two of that at the contact itself. It is not about false zeros,
+    near the tip and the fold for large noise, and where the signals cannot tell distance.
+
+    Parameters
+    ----------
+    observer : Observer
+    contact : array, shape (..., U)
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues
+    >>> from weberwhisk.receptors import Weber
+    >>> axial = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap(), Weber([1e-3, 0.1]))
+    >>> is_linear(axial, [[35e-3, np.radians(5)], [35e-3, np.radians(20.8)]])
+    array([ True, False])
+    """
+    contact = observer.checked(contact)
+    covariance = _propagated(observer, contact, observer.model)
+    known = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
+    unit = _contact_scale(contact)
+    scaled = covariance / (unit[..., :, None] * unit[..., None, :])
+    size, axes = np.linalg.eigh(np.where(known[..., None, None], scaled, np.eye(unit.shape[-1])))
+    step = np.swapaxes(axes * np.sqrt(np.maximum(size, 0.0))[..., None, :], -1, -2)
+    around = contact[..., None, None, :] * (1 + np.stack([step, -step], axis=-2))
+    around = np.maximum(around, 1e-3 * np.abs(contact)[..., None, None, :])
+    at = np.where(known, np.sqrt(np.maximum(covariance[..., 0, 0], 0.0)), 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = weber_propagation(observer, around).mean(axis=-1) / at[..., None]
+    return np.asarray(known & ((ratio > 0.5) & (ratio < 2)).all(axis=-1))
+
+
+def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
+    """Covariance (..., U, U) of the contact to first order in the noise; NaN where not held."""
     size = len(observer.cue.signal_names)
     linear = np.empty(observer.noise.reading_size(size), dtype=bool)
     for noise, _, readings in observer.noise.components(size):
         linear[readings] = not noise.is_categorical
     if not linear.any():
-        return np.full(contact.shape[:-1], np.nan)
-    model = model or observer.model
+        return np.full((*contact.shape, contact.shape[-1]), np.nan)
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
-    held = outcome == Outcome.HELD
+    held = np.asarray(outcome == Outcome.HELD)
     signals = np.where(held[..., None], signals, 1.0)
     slope = observer.noise.jacobian(signals) @ observer.cue.jacobian(
         observer.whisker, contact, model=model
@@ -136,20 +181,21 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     correlation = covariance / (sd[..., :, None] * sd[..., None, :])
     if scaled.shape[-1] == scaled.shape[-2]:
         inverse = _inverse(scaled)
-        row = np.where(np.isinf(inverse[..., 0, :]), 0.0, inverse[..., 0, :])
-        variance = np.einsum("...i,...ij,...j->...", row, correlation, row)
-        variance = np.where(np.isinf(inverse[..., 0, 0]), np.inf, variance)
+        lost = np.isinf(inverse)
+        inverse = np.where(lost, 0.0, inverse)
+        variance = inverse @ correlation @ np.swapaxes(inverse, -1, -2)
+        variance = np.where(lost.any(axis=(-2, -1), keepdims=True), np.inf, variance)
     else:
-        if np.any(np.linalg.det(correlation) < PERFECT):
+        if np.any(np.linalg.det(correlation) < 1e-14):
             raise ValueError(
                 f"Of {slope.shape[-2]} perfectly correlated signals for {slope.shape[-1]} unknowns "
                 f"there is no best combination, got {observer.noise!r}; "
                 "write a correlation between -1 and 1."
             )
         information = np.swapaxes(scaled, -1, -2) @ np.linalg.inv(correlation) @ scaled
-        variance = _inverse(information)[..., 0, 0]
-    # With perfectly correlated noise the exact variance can be zero, and rounding take it below.
-    return np.where(held, np.sqrt(np.maximum(variance, 0.0)) * unit[..., 0], np.nan)
+        variance = _inverse(information)
+    held = held[..., None, None]
+    return np.where(held, variance * unit[..., :, None] * unit[..., None, :], np.nan)
 
 
 def fisher_jnd(observer: Observer, contact: ArrayLike) -> Array:
@@ -195,11 +241,14 @@ def _contact_scale(contact: Array) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverses (..., n, n); infinite throughout where singular to rounding."""
+    """Inverses (..., n, n); infinite throughout where singular to rounding.
+
+    That is where the determinant, of a matrix with columns of length one, is below 1e-9.
+    """
     rows = _length(matrix, -1)
     columns = _length(matrix / rows, -2)
     scaled = matrix / rows / columns
-    singular = np.abs(np.linalg.det(scaled)) <= SINGULAR
+    singular = np.abs(np.linalg.det(scaled)) <= 1e-9
     safe = np.where(singular[..., None, None], np.eye(matrix.shape[-1]), scaled)
     inverse = np.linalg.inv(safe) / np.swapaxes(rows, -1, -2) / np.swapaxes(columns, -1, -2)
     return np.where(singular[..., None, None], np.inf, inverse)
@@ -211,12 +260,7 @@ def _length(matrix: Array, axis: int) -> Array:
     return np.where(length > 0, length, 1.0)
 
 
-#: Determinant of the noise's correlations below which they are perfect.
-PERFECT = 1e-14
-#: Determinant, of a matrix with columns of length one, below which rounding could have made it.
-SINGULAR = 1e-9
-
-
+@renamed_arguments(draws="n_readings")
 def jnd_curve(
     observer: Observer,
     radial_distance: ArrayLike,
@@ -224,7 +268,7 @@ def jnd_curve(
     *,
     method: str = "quadrature",
     criterion: str = SD,
-    draws: int = 200,
+    n_readings: int = 200,
     seed: Seed = None,
 ) -> pd.DataFrame:
     """The JND of radial distance by every route, one row a contact.
@@ -241,8 +285,8 @@ def jnd_curve(
         How the posteriors are found; see `posterior`.
     criterion : str
         See `criterion_factor`.
-    draws : int
-        Noisy readings for each contact.
+    n_readings : int
+        Noisy readings for each contact, two or more.
     seed : int, SeedSequence or Generator
         Of the readings and, for emcee, of the walkers.
 
@@ -250,30 +294,31 @@ def jnd_curve(
     -------
     pandas.DataFrame
         Columns ``radial_distance``, ``deflection_angle`` (where given), ``criterion``, and in
-        metres: ``closed_form`` (small angle), ``propagation`` (at the observer's own rung),
+        metres: ``closed_form`` (small angle), ``propagation`` (by the observer's own model),
         ``fisher``, ``posterior`` (mean sd of the posteriors) with its Monte Carlo error
         ``posterior_error``, ``estimator`` (sd of the posterior means: how much one observer's
         estimate scatters) with ``estimator_error`` (NaN where all readings are the
         same event); ``unreliable`` (share of posteriors whose
-        status is not `CONVERGED`) and ``outcome`` (in words). A contact that is not held has NaN.
+        status is not `CONVERGED`), ``linear`` (of the first two columns; see `is_linear`) and
+        ``outcome`` (in words). A contact that is not held has NaN.
 
     Raises
     ------
     ValueError
         For input that is not finite or positive, an unknown criterion or method, a cue that needs
-        a deflection angle, fewer than two draws.
+        a deflection angle, fewer than two readings.
 
     Notes
     -----
     Quadrature works out each posterior to 1e-2 of its sd (to 1e-6 with one unknown), and most of
-    them to a few thousandths. In the mean over the draws that is far below the Monte Carlo error,
-    which for 200 draws is some 1e-2 of the JND.
+    them to a few thousandths. In the mean over the readings that is far below the Monte Carlo
+    error, which for 200 of them is some 1e-2 of the JND.
 
     Examples
     --------
     >>> from weberwhisk import Observer, Whisker, cues
     >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> curve = jnd_curve(observer, [10e-3, 40e-3], draws=100, seed=1)
+    >>> curve = jnd_curve(observer, [10e-3, 40e-3], n_readings=100, seed=1)
     >>> (curve[["closed_form", "fisher"]] * 1e3).round(3)
        closed_form  fisher
     0         0.81   0.802
@@ -285,8 +330,7 @@ def jnd_curve(
 
     one_of("method", method, ("quadrature", "emcee", "laplace"))
     factor = criterion_factor(criterion)
-    if draws < 2:
-        raise ValueError(f"A JND needs at least two noisy readings, got draws={draws}; write 200.")
+    n_readings = whole("n_readings", n_readings, "write 200, say", least=2)
     contact = _contact(observer, radial_distance, deflection_angle)
     signals, outcome = observer.signals(contact)
     held = outcome == Outcome.HELD
@@ -301,24 +345,27 @@ def jnd_curve(
     table[list(columns)] = np.nan
     if held.any():
         reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
-        readings = observer.noise.sample(np.repeat(signals[held], draws, axis=0), reading_seed)
+        readings = observer.noise.sample(np.repeat(signals[held], n_readings, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
-        sd, mean = (np.reshape(v, (-1, draws)) for v in (result.sd, result.mean))
+        sd, mean = (np.reshape(v, (-1, n_readings)) for v in (result.sd, result.mean))
         scatter = mean.std(axis=1, ddof=1)
         # All readings alike, as those of one event may be, tell nothing of their scatter.
-        alike = np.ptp(readings.reshape(-1, draws, readings.shape[-1]), axis=1).max(axis=-1) == 0
+        alike = (
+            np.ptp(readings.reshape(-1, n_readings, readings.shape[-1]), axis=1).max(axis=-1) == 0
+        )
         scatter = np.where(alike, np.nan, scatter)
-        bad = np.reshape(np.asarray(result.status) != Status.CONVERGED, (-1, draws))
+        bad = np.reshape(np.asarray(result.status) != Status.CONVERGED, (-1, n_readings))
         table.loc[held, list(columns)] = np.stack(
             [
                 factor * sd.mean(axis=1),
-                factor * sd.std(axis=1, ddof=1) / np.sqrt(draws),
+                factor * sd.std(axis=1, ddof=1) / np.sqrt(n_readings),
                 factor * scatter,
-                factor * scatter / np.sqrt(2 * (draws - 1)),
+                factor * scatter / np.sqrt(2 * (n_readings - 1)),
                 bad.mean(axis=1),
             ],
             axis=-1,
         )
+    table["linear"] = is_linear(observer, contact)
     table["outcome"] = [Outcome(int(o)).message for o in outcome]
     return table
 
@@ -349,6 +396,4 @@ def _contact(
 
 def _entropy(seed: Seed) -> int | None:
     """A whole number that stands for any seed."""
-    if seed is None:
-        return None
-    return int(np.random.default_rng(seed).integers(2**63))
+    return None if seed is None else int(generator(seed).integers(2**63))

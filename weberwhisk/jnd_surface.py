@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import campaign
 from ._checks import finite, positive
+from ._deprecated import renamed_arguments
 from .cues import Compliance, ForceMap
 from .jnd import SD, criterion_factor, jnd_curve
 from .observer import Observer
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+@renamed_arguments(draws="n_readings")
 def jnd_sweep(
     whisker: Whisker,
     weber_fraction: ArrayLike,
@@ -29,7 +31,7 @@ def jnd_sweep(
     *,
     method: str = "quadrature",
     criterion: str = SD,
-    draws: int = 200,
+    n_readings: int = 200,
     seed: int | np.random.SeedSequence,
     workers: int = 1,
     scheduler: str | None = None,
@@ -48,7 +50,7 @@ def jnd_sweep(
     deflection_angle : array_like, optional
         rad. Given, distance is felt by the map of moment and axial force (§2f), else by a light
         tap (§2e).
-    method, criterion, draws
+    method, criterion, n_readings
         As for `jnd_curve`.
     seed, workers, scheduler, out, progress
         As for `campaign.run`.
@@ -61,7 +63,7 @@ def jnd_sweep(
     Examples
     --------
     >>> table = jnd_sweep(Whisker(50e-3, 100e-6, 5e-6), [0.05, 0.1], [10e-3, 40e-3],
-    ...                   draws=20, seed=1)
+    ...                   n_readings=20, seed=1)
     >>> (table[["weber_fraction", "radial_distance", "closed_form"]] * 1e3).round(3)
        weber_fraction  radial_distance  closed_form
     0            50.0             10.0        0.405
@@ -78,7 +80,7 @@ def jnd_sweep(
     angles: list[float | None] = [None]
     if deflection_angle is not None:
         angles = [*finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()]
-    how = {"method": method, "criterion": criterion, "draws": draws}
+    how = {"method": method, "criterion": criterion, "n_readings": n_readings}
     chunks: list[dict[str, Any]] = [
         {
             "whisker": fields,
@@ -110,7 +112,7 @@ def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
         Compliance() if angle is None else ForceMap(),
         Weber(chunk["weber_fraction"]),
     )
-    how = {name: chunk[name] for name in ("method", "criterion", "draws")}
+    how = {name: chunk[name] for name in ("method", "criterion", "n_readings")}
     table = jnd_curve(observer, chunk["radial_distance"], angle, seed=seed, **how)
     table.insert(0, "weber_fraction", chunk["weber_fraction"])
     return table

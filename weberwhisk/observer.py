@@ -51,8 +51,9 @@ class Observer:
 
     Notes
     -----
-    Observers are compared, and engines keep what they work out for them, by identity. Posteriors
-    are explored in the coordinates of `weberwhisk.coordinates`.
+    Observers compare and hash by value, so that what an engine works out for one serves all that
+    are equal; priors do by family and parameters. Posteriors are explored in the coordinates of
+    `weberwhisk.coordinates`.
 
     Examples
     --------
@@ -118,6 +119,17 @@ class Observer:
 
     def __repr__(self) -> str:
         return f"Observer({self.whisker}, {self.cue!r}, {self.noise!r})"
+
+    @cached_property
+    def _key(self) -> tuple[Any, ...]:
+        priors = [(name, _family(self.prior[name])) for name in sorted(self.prior)]
+        return self.whisker, self.cue, self.noise, tuple(priors), self.model
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Observer) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
 
     def __reduce__(self) -> Any:  # its mappings are views, which do not pickle
         return _made, (self.whisker, self.cue, self.noise, dict(self.prior), self.model)
@@ -369,6 +381,21 @@ def _made(
     whisker: Whisker, cue: Cue, noise: ReceptorNoise, prior: dict[str, Any], model: str | None
 ) -> Observer:
     return Observer(whisker, cue, noise, prior, model=model)
+
+
+def _family(distribution: Any) -> Any:
+    """What frozen SciPy distributions are compared by; any other distribution by itself."""
+    family = getattr(distribution, "dist", None)
+    key = (
+        (type(family), distribution.args, tuple(sorted(distribution.kwds.items())))
+        if family
+        else None
+    )
+    try:
+        hash(key)
+    except TypeError:
+        key = None
+    return distribution if key is None else key
 
 
 def _priors(prior: Any, cue: Cue) -> Mapping[str, Any]:

@@ -128,7 +128,7 @@ def curves(
     for name, cue in (CUES | {ARRAY: neighbours(whisker, identity)}).items():
         r = np.linspace(0.03, 0.97, points) * whisker.length
         angle = ANGLE if "deflection_angle" in cue.unknowns else None
-        table = jnd_curve(Observer(whisker, cue), r, angle, draws=draws, seed=seed)
+        table = jnd_curve(Observer(whisker, cue), r, angle, n_readings=draws, seed=seed)
         table.insert(0, "cue", name)
         tables.append(table)
     joined = pd.concat(tables, ignore_index=True)
@@ -216,7 +216,7 @@ def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
 def bits(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
     """What the mapped cues tell alone and add to the others."""
     fused = Fused(*(CUES[name] for name in MAPPED[:3]))
-    table = added_information(Observer(whisker, fused), draws=draws, seed=seed)
+    table = added_information(Observer(whisker, fused), n_readings=draws, seed=seed)
     table["cue"] = [*MAPPED[:3], "all three"]
     return table
 
@@ -313,7 +313,9 @@ def false_zero(
     share = np.array([0.08, 0.2, 0.33, 0.45, 0.57, 0.7, 0.77, 0.81, 0.85, 0.875, 0.915, 0.955])
     theta = np.radians(limit * share if degrees is None else degrees)
     place = PLACE * whisker.length
-    table = jnd_curve(observer(SLIGHT, K, whisker=whisker), place, theta, draws=draws, seed=seed)
+    table = jnd_curve(
+        observer(SLIGHT, K, whisker=whisker), place, theta, n_readings=draws, seed=seed
+    )
     contact = table[["radial_distance", "deflection_angle"]].to_numpy()
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
     table.insert(4, "linear", linear)

@@ -66,7 +66,9 @@ def main() -> None:
     words = [word for word in sys.argv[1:] if not word.startswith("--")]
     times = 10 if "--tenth" in sys.argv else 1
     method = "emcee" if "--emcee" in sys.argv else "quadrature"
-    ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3], PUSH, draws=2)  # imports, the elastica's map
+    ww.jnd_curve(
+        ww.Observer(W, ForceMap()), [20e-3], PUSH, n_readings=2
+    )  # imports, the elastica's map
     print(f"{'by ' + method:60}{'wall s':>8}{'CPU s':>8}{'bar':>5}{'unreliable':>12}")
     for cue in CUES:
         if not all(word in repr(cue) for word in words):
@@ -77,7 +79,7 @@ def main() -> None:
         # With the effort unknown the push itself is the muscle's, and little.
         angle = 0.05 if isinstance(cue, BalanceOfMoments) else PUSH
         given = (r, angle) if "deflection_angle" in cue.unknowns else (r,)
-        table = ww.jnd_curve(observer, *given, method=method, draws=200 // times, seed=1)
+        table = ww.jnd_curve(observer, *given, method=method, n_readings=200 // times, seed=1)
         spent = times * (time.perf_counter() - wall), times * (time.process_time() - cpu)
         bar = 60 if method == "emcee" else 2
         share = table["unreliable"].mean()

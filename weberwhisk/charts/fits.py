@@ -119,7 +119,7 @@ def _job(what: str, n: int) -> Callable[[], Any]:
         table, _ = simulate_population(n, trials_per_level=15, seed=1)
         return lambda: fit_population(table, seed=1)
     r = np.linspace(5e-3, 45e-3, n)
-    return lambda: jnd_curve(one, r, draws=20, seed=1)
+    return lambda: jnd_curve(one, r, n_readings=20, seed=1)
 
 
 def _sizes(what: str, full: bool) -> Iterator[int]:

@@ -265,14 +265,14 @@ def measure_jnds(*, full: bool = False) -> pd.DataFrame:
         observer = Observer(WHISKER, cue, receptors.Weber(K))
         angle = 0.1 if "deflection_angle" in observer.unknowns else None
         contact = np.stack([r, np.full(r.size, 0.1)], axis=-1)[:, : len(observer.unknowns)]
-        exact = jnd_curve(observer, r, angle, draws=4000 if full else 300, seed=99)
+        exact = jnd_curve(observer, r, angle, n_readings=4000 if full else 300, seed=99)
         truth = exact["posterior"].to_numpy()
         doubt = float(np.sqrt(np.mean((exact["posterior_error"] / truth) ** 2)))
 
         def curve(
             count: int, method: str, o: Observer = observer, a: float | None = angle
         ) -> Array:
-            found = jnd_curve(o, r, a, method=method, draws=count, seed=7)
+            found = jnd_curve(o, r, a, method=method, n_readings=count, seed=7)
             return found["posterior"].to_numpy()
 
         calls: list[tuple[str, int, Callable[[], Array]]] = [

@@ -154,7 +154,13 @@ def jnd_table(
         for (angle, r), own in zip(pairs, seeds, strict=True):
             parts.append(
                 ww.jnd_curve(
-                    observer, r, angle, method=method, criterion=criterion, draws=draws, seed=own
+                    observer,
+                    r,
+                    angle,
+                    method=method,
+                    criterion=criterion,
+                    n_readings=draws,
+                    seed=own,
                 )
             )
             advance()

@@ -154,7 +154,7 @@ def jnd_surface(
     with progress("Posteriors, force map", r.size, as_json=as_json) as advance:
         parts = []
         for distance, angle, child in zip(r, theta, own, strict=True):
-            parts.append(ww.jnd_curve(observer, distance, angle, draws=draws, seed=child))
+            parts.append(ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child))
             advance()
     points = pd.concat(parts, ignore_index=True)
     run.table("jnd_surface_posteriors", in_millimetres(points))

@@ -55,7 +55,7 @@ def jnd_curve(
     --------
     >>> from weberwhisk import Observer, Whisker, cues, jnd_curve as curve
     >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> ax = jnd_curve(curve(observer, [10e-3, 30e-3], draws=20, seed=1))
+    >>> ax = jnd_curve(curve(observer, [10e-3, 30e-3], n_readings=20, seed=1))
     >>> ax.get_xlabel()
     'Radial distance r (mm)'
     """
