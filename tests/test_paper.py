@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from integrators import follow
+from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.optimize import brentq, minimize_scalar
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -225,3 +228,191 @@ def test_posterior_over_closed_form_near_the_tip():
     assert [ratios[k] for k in (0.1, 0.2, 0.3, 0.5)] == pytest.approx(
         [1.06, 1.38, 2.97, 4.84], rel=0.01
     )
+
+
+# -- where the paper's sentences end: over its whole domain, contact angles to 90°, all distances --
+
+
+def beam_at(r, force):
+    """Moment, axial force, θ_d and α of W under a force at a distance, by SciPy's DOP853."""
+
+    def bent(s):
+        return follow(L, 100e-6, 5e-6, float(W.youngs_modulus), s, force)
+
+    s = brentq(lambda s: bent(s)[3] - r, r, min(L, 3 * r), xtol=1e-15)
+    moment, axial, _, _, theta, alpha = bent(s)
+    return moment, axial, theta, alpha
+
+
+FALSE_ZEROS = [  # r/L, θ_d and α in degrees where the moment peaks at that distance
+    (0.3, 46.6, 84),
+    (0.5, 33.3, 71),
+    (0.7, 20.8, 59),
+    (0.9, 8.8, 47),
+]
+
+
+@pytest.mark.parametrize(("share", "degrees", "alpha"), FALSE_ZEROS)
+def test_results_are_similar_in_both_cases_only_up_to_a_false_zero(share, degrees, alpha):
+    """§3c, noise in Fx alone: the linear JND is zero where ∂M/∂θ_d = 0, and rises beyond.
+
+    That angle is found here on a beam of SciPy's: the largest moment at that distance.
+    """
+    r = share * L
+    peak = ww.flick_past(W, r).at_moment_peak
+    found = minimize_scalar(
+        lambda f: -beam_at(r, f * peak.force)[0],
+        bounds=(0.5, 1.3),
+        method="bounded",
+        options={"xatol": 1e-9},
+    )
+    _, _, theta, angle = beam_at(r, found.x * peak.force)
+    assert np.degrees(theta) == pytest.approx(degrees, abs=0.05)
+    assert np.degrees(angle) == pytest.approx(alpha, abs=0.5)
+    assert np.degrees(angle) < 90  # inside the paper's domain
+    moment_alone, axial_alone = Weber([0.1, 1e-9]), Weber([1e-9, 0.1])
+    below, above = np.linspace(0.02, 1, 60)[:-1] * theta, theta * np.linspace(1.002, 1.06, 20)
+    axial = map_jnd(W, r, below, axial_alone)
+    assert np.all(np.diff(axial) < 0)
+    assert np.all(np.diff(map_jnd(W, r, above, axial_alone)) > 0)
+    assert map_jnd(W, r, theta, axial_alone) < 1e-4 * axial[0]
+    # The other case is far from zero there: the two are anything but similar.
+    assert map_jnd(W, r, theta, moment_alone) > 0.02 * map_jnd(W, r, below[0], moment_alone)
+
+
+@pytest.mark.parametrize(("share", "alpha"), [(0.1, 105), (0.3, 102), (0.5, 100)])
+def test_noise_in_the_moment_alone_has_its_false_zero_past_the_papers_90_degrees(share, alpha):
+    """Where ∂Fx/∂θ_d = 0: there Fx is largest at that distance, on SciPy's beam too."""
+    r = share * L
+    theta = np.linspace(0.6, 0.999, 4000) * ww.flick_past(W, r).deflection_angle
+    bent = ww.press(W, r, theta)
+    top = np.nanargmax(bent.axial_force)
+    assert np.degrees(bent.contact_angle[top]) == pytest.approx(alpha, abs=1)
+    jnd = map_jnd(W, r, theta, Weber([0.1, 1e-9]))
+    assert abs(np.nanargmin(jnd) - top) <= 1
+    assert np.nanmin(jnd) < 2e-3 * map_jnd(W, r, 0.01, Weber([0.1, 1e-9]))
+
+    def beam(arc):  # at a fixed arc length the distance falls as the force grows
+        def at(force):
+            return follow(L, 100e-6, 5e-6, float(W.youngs_modulus), arc, force)
+
+        near = bent.force[top] * np.array([0.9, 1.1])
+        return at(brentq(lambda force: at(force)[3] - r, *near, rtol=1e-12))
+
+    arcs = bent.arc_length[top] * np.array([0.99, 1.0, 1.01])
+    axial = [beam(arc)[1] for arc in arcs]
+    assert axial[1] == pytest.approx(bent.axial_force[top], rel=1e-6)
+    assert axial[0] < axial[1] > axial[2]
+
+
+def test_beyond_half_the_length_noise_in_the_moment_alone_has_no_false_zero():
+    """And up to contact angles of 90° that JND falls with deflection at every distance."""
+    for share in (0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9):
+        theta = _up_to_90_degrees(share)
+        assert np.all(np.diff(map_jnd(W, share * L, theta, Weber([0.1, 1e-9]))) < 0)
+        if share > 0.6:
+            end = np.linspace(0.01, 0.9999, 300) * ww.flick_past(W, share * L).deflection_angle
+            assert np.all(np.diff(ww.press(W, share * L, end).axial_force) > 0)
+
+
+def _up_to_90_degrees(share, n=60):
+    """Deflection angles at a distance, to a contact angle of 90° or the end."""
+    theta = np.linspace(0.005, 0.999, n) * ww.flick_past(W, share * L).deflection_angle
+    return theta[ww.press(W, share * L, theta).contact_angle < np.pi / 2]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_the_slope_falls_with_deflection_while_the_moment_grows_more_slowly(share):
+    """§3c has the reason upside down: |∂r/∂M| falls, M grows, their product falls."""
+    theta = _up_to_90_degrees(share)
+    theta = theta[theta < ww.flick_past(W, share * L).at_moment_peak.deflection_angle]
+    slopes = np.linalg.inv(ww.signal_jacobian(W, share * L, theta)[..., :2, :])[:, 0, 0]
+    moment = ww.press(W, share * L, theta).moment
+    assert np.all(np.diff(np.abs(slopes)) < 0)
+    assert np.all(np.diff(moment) > 0)
+    assert np.all(np.diff(np.abs(slopes) * moment) < 0)
+
+
+def test_the_slope_at_half_the_length_has_the_theory_notes_numbers():
+    theta = np.radians([1.0, 30.0])
+    bent = ww.press(W, 0.5 * L, theta)
+    slopes = np.linalg.inv(ww.signal_jacobian(W, 0.5 * L, theta)[..., :2, :])[:, 0, 0]
+    assert np.abs(slopes) * W.moment_scale / L == pytest.approx([13.50, 0.206], rel=2e-3)
+    assert bent.normalised_moment == pytest.approx([0.0550, 1.2856], rel=2e-3)
+
+
+def rolled(share, radius, alpha):
+    """Contacts of W with a cylinder met at share·L, at growing contact angles, without `sweep`.
+
+    The cylinder's centre keeps its distance from the base; it lies off the contact by the radius,
+    along the normal there.
+    """
+    centre = np.hypot(share * L, radius)
+
+    def miss(r, angle):
+        top = 0.999999 * ww.flick_past(W, r).deflection_angle
+        theta = brentq(lambda t: ww.press(W, r, t).contact_angle - angle, 1e-6, top)
+        x = r * np.cos(theta) + radius * np.sin(angle)
+        y = r * np.sin(theta) - radius * np.cos(angle)
+        return np.hypot(x, y) - centre, theta
+
+    found = []
+    for angle in alpha:
+        r = brentq(lambda r, angle=angle: miss(r, angle)[0], 0.4 * share * L, 1.02 * share * L)
+        found.append((r, miss(r, angle)[1]))
+    return np.array(found)
+
+
+def test_resolution_along_a_whisk_depends_on_slip():
+    """§3c: on a thin cylinder it improves all along, on a thick one it worsens first."""
+    alpha = np.radians([4.0, 12.0, 20.0, 35.0, 50.0, 65.0, 80.0, 88.0])
+    jnds = []
+    for radius in (6e-3, 20e-3):
+        r, theta = rolled(0.6, radius, alpha).T
+        assert np.all(np.diff(r) < 0)  # the contact slides towards the base
+        jnds.append(map_jnd(W, r, theta, Weber([0.1, 1e-9])) / (0.1 * L))
+    thin, thick = jnds
+    assert np.all(np.diff(thin) < 0)
+    assert thick[:2] == pytest.approx([0.613, 0.631], abs=0.005)
+    assert np.all(np.diff(thick[2:]) < 0)
+    assert thick[-1] == pytest.approx(0.08, abs=0.01)
+
+
+def test_the_compliance_of_a_taper_is_larger_its_inverse_smaller():
+    """§3b; and (3.5) is zero at the tip of a perfect cone alone."""
+    r = np.linspace(0.01, 0.999, 200) * L
+    for theta in (1e-4, 0.05):
+        taper, cylinder = (ww.press(w, r, theta) for w in (W, CYLINDER))
+        held = taper.held & cylinder.held
+        assert held.sum() > 100
+        assert np.all(theta / taper.moment[held] > theta / cylinder.moment[held])
+    assert compliance_jnd(CONE, L * (1 - 1e-9)) < 1e-8 * L
+    assert compliance_jnd(W, L * (1 - 1e-9)) == pytest.approx(0.1 * L / 20, rel=1e-6)
+
+
+def test_a_scattered_map_must_be_interpolated_on_logarithmic_axes():
+    """§2f: ∂r/∂M by a cubic through scattered (M, Fx): right on logarithms, lost without."""
+    share = np.linspace(0.1, 0.97, 40)[:, None]
+    theta = np.linspace(0.01, 0.999, 40) * ww.flick_past(W, share * L).deflection_angle
+    known = ww.press(W, share * L, theta)
+    inside = known.held & (known.contact_angle < np.pi / 2)
+    map_of = [known.normalised_moment, known.normalised_axial_force]
+    points = np.stack([a[inside] for a in map_of], axis=-1)
+    r = known.normalised_radial_distance[inside]
+    plain = CloughTocher2DInterpolator(points, r, rescale=True)
+    logs = CloughTocher2DInterpolator(np.log(points), r)
+    at = [(0.3, 0.1), (0.3, 0.4), (0.5, 0.1), (0.5, 0.4), (0.7, 0.1), (0.7, 0.25)]
+    off = []
+    for place, angle in at:
+        bent = ww.press(W, place * L, angle)
+        y = np.array([bent.normalised_moment, bent.normalised_axial_force])
+        jacobian = ww.signal_jacobian(W, place * L, angle)[:2]
+        true = np.linalg.inv(jacobian)[0, 0] * W.moment_scale / L
+        step = np.array([1e-4, 0.0])
+        on_plain = (plain(y * (1 + step)) - plain(y * (1 - step))) / (2e-4 * y[0])
+        on_logs = (logs(np.log(y) + step) - logs(np.log(y) - step)) / (2e-4 * y[0])
+        off.append(np.abs(np.array([on_plain.item(), on_logs.item()]) / true - 1))
+    plain_off, logs_off = np.array(off).T
+    assert logs_off.max() < 0.017
+    assert plain_off.max() > 5  # several hundred per cent
+    assert np.all(plain_off[[2, 4]] > 0.5)  # at small angles
