@@ -11,7 +11,7 @@ whiskers meet pegs alone.
 
 A rung's error is what it does to the radial distance inferred from the moment at a known angle,
 in JNDs, measured against the lowest rung that models all there is. The ladder takes in each scene
-the cheapest within 0.1 by its own estimates (`choose_rung`). Writes into the folder, by default
+the cheapest within 0.1 by its own estimates (`choose_model`). Writes into the folder, by default
 analyses/figures, scene_costs.csv (the ladder: a row for each kind of whisker, object and Weber
 fraction), scene_costs_rungs.csv (every rung used throughout, and the ladder: the map's points)
 and scene_costs.png. Times are CPU seconds a contact in bulk, measured in the same run.
@@ -120,7 +120,7 @@ class Contacts:
 
     def choose(self, k: float) -> Choice:
         """The rung that each needs."""
-        return ww.choose_rung(
+        return ww.choose_model(
             self.whisker, self.distance, self.angle, self.friction, roll=self.roll,
             weber_fraction=k, tolerance=TOLERANCE,
         )  # fmt: skip
@@ -219,12 +219,12 @@ def summary(off: Array) -> dict[str, float]:
 
 
 def used_throughout(
-    group: Contacts, true: ww.Bending, rung: ww.Rung, rods: int
+    group: Contacts, true: ww.Bending, rung: ww.Model, rods: int
 ) -> tuple[Array, float]:
     """Biases at k = 1 and seconds a contact of one rung, whatever the scene."""
-    # Rung 3 is dear, and a check of rung 2 in the plane.
+    # Model 3 is dear, and a check of rung 2 in the plane.
     part, exact = group, true
-    if rung is ww.Rung.ROD and not group.roll:
+    if rung is ww.Model.ROD and not group.roll:
         part = group.some(rods)
         exact = part.press()
     bent, seconds = timed(lambda: part.press(Choice.complete(rung, TOLERANCE)))
@@ -246,7 +246,7 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
             rung: [
                 used_throughout(g, b, rung, size.rods) for g, b in zip(groups, true, strict=True)
             ]
-            for rung in ww.Rung
+            for rung in ww.Model
         }
         for k in WEBER_FRACTIONS:
             here = {"whisker": kind.name, "object": name, "weber_fraction": k}
@@ -260,14 +260,14 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
                 strict=True,
             )
             off = np.concatenate([bias(t, f, k) for t, f in zip(true, felt, strict=True)])
-            needed = np.concatenate([choice.rung for choice in choices])
+            needed = np.concatenate([choice.model for choice in choices])
             cost = float(np.sum(pressing) / sizes.sum())
             choice_cost, saved = float(np.sum(choosing) / sizes.sum()), complete - cost
             rungs.append(here | {"model": LADDER, "seconds": cost} | summary(off))
             ladder.append(
                 here
                 | {"contacts": sum(group.distance.size for group in met)}
-                | {n: float(np.mean(needed == r)) for n, r in zip(NAMES, ww.Rung, strict=True)}
+                | {n: float(np.mean(needed == r)) for n, r in zip(NAMES, ww.Model, strict=True)}
                 | summary(off)
                 | {
                     "seconds_choosing": choice_cost,

@@ -76,7 +76,7 @@ def end_of_contact(case: Case, r: Any, side: float) -> tuple[Any, Any]:
 
 def rungs(case: Case, r: Any, theta: Any, weber_fraction: float) -> Any:
     """The rung that each contact needs."""
-    choice = ww.choose_rung(
+    choice = ww.choose_model(
         case.whisker,
         r,
         theta,
@@ -84,7 +84,7 @@ def rungs(case: Case, r: Any, theta: Any, weber_fraction: float) -> Any:
         weber_fraction=weber_fraction,
         tolerance=TOLERANCE,
     )
-    return choice.rung
+    return choice.model
 
 
 def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
@@ -123,7 +123,7 @@ def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
             ax.plot(
                 at / LENGTH, np.degrees(first_touch(case, at)), "--", color="black", linewidth=0.8
             )
-            count = (float(np.mean(needed == rung)) for rung in ww.Rung)
+            count = (float(np.mean(needed == rung)) for rung in ww.Model)
             shares.append(
                 {"whisker": case.name, "weber_fraction": k} | dict(zip(NAMES, count, strict=True))
             )

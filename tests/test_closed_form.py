@@ -1,4 +1,4 @@
-"""Rung 0: exact as the angle goes to zero, and honest about how far it can be trusted."""
+"""Model 0: exact as the angle goes to zero, and honest about how far it can be trusted."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_signals_on_no_taper_have_no_contact():
     assert np.isnan(closed_form.contact_from_signals(w, b.moment, -b.axial_force)[0])
 
 
-# Pathologies, each with its reason. Straight, frictionless and without a fold, this rung has no
+# Pathologies, each with its reason. Straight, frictionless and without a fold, this model has no
 # others; that it is used where it should not be, its error says.
 
 W, CONE = ww.Whisker(50e-3, 100e-6, 5e-6), ww.Whisker(50e-3, 100e-6, 0.0)

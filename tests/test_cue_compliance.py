@@ -97,7 +97,7 @@ def test_two_readings_are_inverted():
 
 
 def test_the_lateral_slip_is_that_of_a_rod_pressed_by_a_tilted_plane():
-    """The rod of rung 3, turned by a small angle against a smooth tilted plane."""
+    """The rod of model 3, turned by a small angle against a smooth tilted plane."""
     r, tilt, turn = 25e-3, 0.6, 1e-4
     whisker = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=1e-9)
     # The normal's part of the point's shift in the base frame is all that bends the whisker.

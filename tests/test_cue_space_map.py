@@ -1,4 +1,4 @@
-"""The map of all forces in space (§2g), against the rod of rung 3."""
+"""The map of all forces in space (§2g), against the rod of model 3."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Following a contact along a sweep (§2g), against the sweeps of the planar beam (rung 2)."""
+"""Following a contact along a sweep (§2g), against the sweeps of the planar beam (model 2)."""
 
 import numpy as np
 import pytest

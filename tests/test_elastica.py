@@ -1,4 +1,4 @@
-"""Rung 1 against exact results, stored references and integrators that share no code with it."""
+"""Model 1 against exact results, stored references and integrators that share no code with it."""
 
 import csv
 from pathlib import Path

@@ -1,7 +1,8 @@
-"""One front for all rungs: the cheapest that a scene needs, which and why, and whether rightly."""
+"""One front for all models: the cheapest that a scene needs, which and why, and whether rightly."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from integrators import follow
 from scipy.integrate import solve_ivp
 
 import weberwhisk as ww
-from weberwhisk import Outcome, Rung
+from weberwhisk import Model, Outcome
 from weberwhisk._terminal import run_app
 from weberwhisk.cli import app
 from weberwhisk.mechanics import closed_form, elastica, profile, rod
@@ -32,15 +33,15 @@ def signals(b):
 
 
 def test_by_default_each_scene_gets_the_lowest_rung_that_models_all_of_it():
-    assert ww.bend(STRAIGHT, 30e-3, 1e-5).model == Rung.ELASTICA
-    assert ww.bend(STRAIGHT, 30e-3, 1e-5, friction_angle=-0.1).model == Rung.PROFILE
-    assert ww.bend(CURVED, 30e-3, 1e-5).model == Rung.PROFILE
-    assert ww.press(CURVED, 30e-3, 0.3).model == Rung.PROFILE
-    assert ww.press(STRAIGHT, 30e-3, 0.3, 0.1).model == Rung.PROFILE
-    assert ww.press(STRAIGHT, 30e-3, 0.3, roll=0.5).model == Rung.ELASTICA
-    assert ww.press(CURVED, 30e-3, 0.3, roll=0.5).model == Rung.ROD
-    assert ww.press(Profile.of(STRAIGHT), 30e-3, 0.1).model == Rung.PROFILE
-    assert ww.press(STRAIGHT, 30e-3, 0.1, model="closed_form").model == Rung.CLOSED_FORM
+    assert ww.bend(STRAIGHT, 30e-3, 1e-5).model == Model.ELASTICA
+    assert ww.bend(STRAIGHT, 30e-3, 1e-5, friction_angle=-0.1).model == Model.PROFILE
+    assert ww.bend(CURVED, 30e-3, 1e-5).model == Model.PROFILE
+    assert ww.press(CURVED, 30e-3, 0.3).model == Model.PROFILE
+    assert ww.press(STRAIGHT, 30e-3, 0.3, 0.1).model == Model.PROFILE
+    assert ww.press(STRAIGHT, 30e-3, 0.3, roll=0.5).model == Model.ELASTICA
+    assert ww.press(CURVED, 30e-3, 0.3, roll=0.5).model == Model.ROD
+    assert ww.press(Profile.of(STRAIGHT), 30e-3, 0.1).model == Model.PROFILE
+    assert ww.press(STRAIGHT, 30e-3, 0.1, model="closed_form").model == Model.CLOSED_FORM
 
 
 def test_rung_2_is_rung_1_on_a_straight_whisker():
@@ -119,7 +120,7 @@ def test_roll_by_half_a_turn_is_the_other_curvature():
     r, theta = np.array([10e-3, 30e-3, 40e-3]), np.array([-0.3, 0.1, -0.2])
     a = ww.press(CURVED, r, theta, 0.1, roll=np.pi, model="rod")
     b = ww.press(other, r, theta, 0.1)
-    assert np.all(a.model == Rung.ROD)
+    assert np.all(a.model == Model.ROD)
     np.testing.assert_allclose(signals(a), signals(b), rtol=2e-7)
     np.testing.assert_allclose(a.arc_length, b.arc_length, rtol=1e-8)
     np.testing.assert_allclose(a.contact_angle, b.contact_angle, rtol=1e-7)
@@ -151,11 +152,11 @@ def test_a_rolled_whisker_is_met_at_rest():
         (lambda: ww.press(STRAIGHT, 3e-2, 0.1, roll=np.inf), "roll must be finite"),
         (lambda: ww.press(STRAIGHT, 3e-2, 0.1, tolerance=0.1, model="elastica"), "one of the two"),
         (lambda: ww.press(STRAIGHT, 3e-2, 0.1, tolerance=0.0), "tolerance must be above zero"),
-        (lambda: ww.choose_rung(STRAIGHT, 3e-2, 0.1, weber_fraction=-1), "weber_fraction must be"),
-        (lambda: ww.choose_rung(STRAIGHT, 3e-2, 0.1, 2.0), "friction_angle must be between"),
-        (lambda: ww.choose_rung(STRAIGHT, [1e-2] * 3, [0.1] * 2), "must broadcast"),
-        (lambda: ww.choose_rung(STRAIGHT, 3e-2, 0.1, cue=Felt(("warmth",))), "got warmth for"),
-        (lambda: ww.choose_rung(STRAIGHT, 3e-2, 0.1, cue=Felt(("moment",), 2)), "no more unknowns"),
+        (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, weber_fraction=-1), "weber_fraction must be"),
+        (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, 2.0), "friction_angle must be between"),
+        (lambda: ww.choose_model(STRAIGHT, [1e-2] * 3, [0.1] * 2), "must broadcast"),
+        (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, cue=Felt(("warmth",))), "got warmth for"),
+        (lambda: ww.choose_model(STRAIGHT, 3e-2, 0.1, cue=Felt(("moment",), 2)), "no more"),
         (lambda: ww.press(STRAIGHT, 3e-2, [0.1] * 2, model=three()), "must broadcast"),
         (lambda: ww.flick_past(STRAIGHT, 3e-2, side=2), "side must be 1 or -1"),
         (lambda: ww.flick_past(CURVED, 3e-2, roll=0.2), "a roll of 0.2 rad; write press"),
@@ -179,7 +180,7 @@ class Felt:
 
 
 def three():
-    return ww.choose_rung(STRAIGHT, [1e-2, 2e-2, 3e-2], 0.1)
+    return ww.choose_model(STRAIGHT, [1e-2, 2e-2, 3e-2], 0.1)
 
 
 @pytest.mark.parametrize("package", [ww, ww.mechanics])
@@ -192,7 +193,7 @@ def test_every_name_on_the_door_is_there(package):
         _ = package.nonsense
 
 
-# Every rung on one table of scenes
+# Every model on one table of scenes
 
 COARSE = Profile.of(STRAIGHT).curved(Parabola(0.4))
 TABLE = {  # whisker, r (m), push (rad), friction angle, roll
@@ -233,28 +234,28 @@ def planar_referee(whisker, arc, force, psi):
 
 @pytest.mark.parametrize("name", TABLE)
 def test_every_rung_on_one_scene(name):
-    """Each rung against the top one, within what the ladder says of it; the top to a referee."""
+    """Each model against the top one, within what the ladder says of it; the top to a referee."""
     whisker, r, push, psi, roll = TABLE[name]
     azimuth, _ = first_touch(whisker, r, roll)
     theta = azimuth + push
-    choice = ww.choose_rung(whisker, r, theta, psi, roll=roll)
-    by_rung = [
-        ww.press(whisker, r, theta, psi, roll=roll, model=forced(rung, choice)) for rung in Rung
+    choice = ww.choose_model(whisker, r, theta, psi, roll=roll)
+    by_model = [
+        ww.press(whisker, r, theta, psi, roll=roll, model=forced(model, choice)) for model in Model
     ]
     top = ww.press(whisker, r, theta, psi, roll=roll)
-    assert [b.model for b in by_rung] == list(Rung)
+    assert [b.model for b in by_model] == list(Model)
     assert top.outcome is Outcome.HELD
-    for rung, b in enumerate(by_rung):
+    for model, b in enumerate(by_model):
         assert (b.radial_distance, b.deflection_angle) == (r, theta)
-        if rung >= top.model:
+        if model >= top.model:
             np.testing.assert_allclose(signals(b), signals(top), rtol=2e-7)
-            assert choice.error[rung] == 0
-        elif np.isfinite(choice.error[rung]):
+            assert choice.error[model] == 0
+        elif np.isfinite(choice.error[model]):
             off = np.max(np.abs(signals(b) / signals(top) - 1))
-            assert choice.error[rung] == pytest.approx(off, rel=0.1)
+            assert choice.error[model] == pytest.approx(off, rel=0.1)
         else:  # not vouched for: past half the way to the fold, and truly far off
             assert name in ("close to the fold", "friction on a curved whisker")
-    if top.model != Rung.ROD:  # which test_rod holds to a referee of its own
+    if top.model != Model.ROD:  # which test_rod holds to a referee of its own
         side = np.sign(push)
         mirrored = whisker
         if side < 0 and whisker is CURVED:
@@ -262,15 +263,15 @@ def test_every_rung_on_one_scene(name):
         m, fx, fy, distance, angle = planar_referee(mirrored, top.arc_length, abs(top.force), psi)
         np.testing.assert_allclose([side * m, fx, side * fy], signals(top), rtol=1e-7)
         assert (distance, side * angle) == pytest.approx((r, theta), rel=1e-8)
-    if top.model == Rung.ELASTICA:  # and the straight one to the other referee as well
+    if top.model == Model.ELASTICA:  # and the straight one to the other referee as well
         w = whisker
         shape = w.length, w.base_radius, w.tip_radius, w.youngs_modulus
         again = follow(*shape, top.arc_length, abs(top.force))
         np.testing.assert_allclose(again[:3], np.abs(signals(top)), rtol=1e-9)
 
 
-def forced(rung, choice):
-    return ww.Choice(rung, choice.error, choice.bias, choice.tolerance)
+def forced(model, choice):
+    return ww.Choice(model, choice.error, choice.bias, choice.tolerance)
 
 
 def first_touch(whisker, r, roll):
@@ -280,7 +281,7 @@ def first_touch(whisker, r, roll):
     return azimuth, np.arcsin(np.sin(rest) * np.sin(roll))
 
 
-# Which rung a scene needs
+# Which model a scene needs
 
 
 @pytest.mark.parametrize(("count", "known"), [(1, True), (2, True), (2, False), (3, False)])
@@ -313,7 +314,7 @@ def test_estimates_are_exact_as_what_they_estimate_goes_to_zero():
             }[vary]
             w = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=bow)
             theta = first_touch(w, r, roll)[0] + push
-            found = ww.choose_rung(w, r, theta, psi, roll=roll)
+            found = ww.choose_model(w, r, theta, psi, roll=roll)
             top = ww.press(w, r, theta, psi, roll=roll)
             lower = ww.press(w, r, theta, psi, roll=roll, model=forced(top.model - 1, found))
             off = np.max(np.abs(signals(lower) / signals(top) - 1))
@@ -327,7 +328,7 @@ def test_by_default_signals_are_exact_and_the_choice_says_why():
     assert "models all there is" in ww.bend(CURVED, 30e-3, 1e-5).why
     assert "by name" in ww.press(STRAIGHT, 30e-3, 0.3, model="elastica").why
     b = ww.press(STRAIGHT, 25e-3, [0.01, 0.4], weber_fraction=0.1)
-    np.testing.assert_array_equal(b.model, [Rung.CLOSED_FORM, Rung.ELASTICA])
+    np.testing.assert_array_equal(b.model, [Model.CLOSED_FORM, Model.ELASTICA])
     assert b.choice.unit == "JND"
     assert "0.1 allowed" in b.why[0]
     by_cue = ww.press(STRAIGHT, 25e-3, [0.01, 0.4], cue=ww.cues.Compliance())
@@ -356,48 +357,48 @@ def test_one_call_may_take_several_rungs():
     w = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=np.array([0.0, 0.5, 5.0, 5.0]))
     r, theta = 25e-3, np.array([[0.01], [0.4]])
     scenes = {"friction_angle": 0.0, "roll": np.array([0.0, 0.0, 0.0, 1.0])}
-    choice = ww.choose_rung(w, r, theta, **scenes, weber_fraction=0.03)
-    assert choice.rung.shape == choice.why.shape == (2, 4)
+    choice = ww.choose_model(w, r, theta, **scenes, weber_fraction=0.03)
+    assert choice.model.shape == choice.why.shape == (2, 4)
     assert choice.error.shape == choice.bias.shape == (2, 4, 4)
-    assert set(np.ravel(choice.rung)) == set(Rung)
+    assert set(np.ravel(choice.model)) == set(Model)
     b = ww.press(w, r, theta, **scenes, tolerance=0.1, weber_fraction=0.03)
     again = ww.press(w, r, theta, **scenes, model=choice)
     exact = ww.press(w, r, theta, **scenes)
-    np.testing.assert_array_equal(b.model, choice.rung)
+    np.testing.assert_array_equal(b.model, choice.model)
     np.testing.assert_array_equal(signals(b), signals(again))
     assert np.all(b.held)
-    # What the chosen rung is off by is what it says, and so small that no one feels it.
+    # What the chosen model is off by is what it says, and so small that no one feels it.
     off = np.abs(signals(b) / signals(exact) - 1)
     assert np.all(off[0] <= 0.1 * 0.03)
     np.testing.assert_allclose(off.max(axis=0), b.error, rtol=0.1, atol=1e-6)
-    one = ww.choose_rung(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9), r, 0.4)
-    assert isinstance(one.rung, Rung)
+    one = ww.choose_model(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9), r, 0.4)
+    assert isinstance(one.model, Model)
     assert isinstance(one.why, str)
 
 
 def test_it_says_why():
-    assert ww.choose_rung(STRAIGHT, 20e-3, 0.02).why == (
+    assert ww.choose_model(STRAIGHT, 20e-3, 0.02).why == (
         "the closed form is off by 0.0021 JND, 0.1 allowed, and nothing is cheaper"
     )
-    words = ww.choose_rung(CURVED, 20e-3, 0.5).why
+    words = ww.choose_model(CURVED, 20e-3, 0.5).why
     assert words.startswith(
         "the curved planar beam models all there is in this scene; the straight"
     )
     assert words.endswith("JND, 0.1 allowed")
     end = ww.flick_past(CURVED, 40e-3).deflection_angle
-    assert "finds no contact here, or one" in ww.choose_rung(CURVED, 40e-3, 2 * end).why
+    assert "finds no contact here, or one" in ww.choose_model(CURVED, 40e-3, 2 * end).why
 
 
 def test_a_cue_is_judged_by_what_it_feels():
-    """A rung may do for the moment and not for the map; on a cylinder's ridge too it is judged."""
+    """A model may do for the moment and not for the map; on a cylinder's ridge too it is judged."""
     theta = first_touch(CURVED, 20e-3, 0.0)[0] + 0.1
-    alone = ww.choose_rung(CURVED, 20e-3, theta)
-    mapped = ww.choose_rung(CURVED, 20e-3, theta, cue=ww.cues.ForceMap())
-    tapped = ww.choose_rung(CURVED, 20e-3, theta, cue=ww.cues.Compliance())
+    alone = ww.choose_model(CURVED, 20e-3, theta)
+    mapped = ww.choose_model(CURVED, 20e-3, theta, cue=ww.cues.ForceMap())
+    tapped = ww.choose_model(CURVED, 20e-3, theta, cue=ww.cues.Compliance())
     assert mapped.bias[1] > 3 * alone.bias[1] > 0
     np.testing.assert_array_equal(tapped.bias, alone.bias)
     np.testing.assert_array_equal(mapped.error, alone.error)
-    ridge = ww.choose_rung(STRAIGHT.cylinder(), 20e-3, 0.3, cue=ww.cues.ForceMap())
+    ridge = ww.choose_model(STRAIGHT.cylinder(), 20e-3, 0.3, cue=ww.cues.ForceMap())
     assert 0 < ridge.bias[0] < np.inf
 
 
@@ -411,9 +412,9 @@ def test_where_nothing_is_held_the_rung_that_knows_is_taken():
         assert np.all(np.isnan(signals(b)))
         assert np.all(np.isnan(b.error))
     rest = ww.rest_angle(CURVED, 30e-3)
-    none = ww.choose_rung(CURVED, 30e-3, rest)  # no push: the relative error is that of a small one
+    none = ww.choose_model(CURVED, 30e-3, rest)  # no push: the error is that of a small one
     assert none.bias[1] == pytest.approx(
-        ww.choose_rung(CURVED, 30e-3, rest + 1e-5).bias[1], rel=1e-2
+        ww.choose_model(CURVED, 30e-3, rest + 1e-5).bias[1], rel=1e-2
     )
 
 
@@ -431,7 +432,7 @@ def test_the_figure_shows_every_rung(tmp_path):
     assert (tmp_path / "which_rung.png").stat().st_size > 10_000
     np.testing.assert_allclose(shares.sum(axis=1), 1)
     by_case = [shares.loc[case.name] for case in script.CASES]
-    for table, top in zip(by_case, (Rung.ELASTICA, Rung.PROFILE, Rung.ROD), strict=True):
+    for table, top in zip(by_case, (Model.ELASTICA, Model.PROFILE, Model.ROD), strict=True):
         assert np.all(table.iloc[:, : top + 1] > 0)
         assert np.all(table.iloc[:, top + 1 :] == 0)
         # The coarser the receptor, the further the closed form goes and the less the top is needed.
@@ -492,26 +493,26 @@ class Scenes:
 
 
 def truth(scenes):
-    """Deflection angle (n,), top rung (n,), and of every rung the bias (4, n), by full solutions.
+    """Deflection angle (n,), top model (n,), and of every model the bias (4, n), by full solutions.
 
-    The bias is infinite where the outcome is not that of the top rung. Every rung is called by its
-    own module; nothing of the ladder is used.
+    The bias is infinite where the outcome is not that of the top model. Every model is called by
+    its own module; nothing of the ladder is used.
     """
     n = scenes.r.size
     everything = np.arange(n)
     azimuth, height = first_touch(scenes.profile(everything), scenes.r, scenes.roll)
     theta = azimuth + scenes.push
-    top = np.where((scenes.bow != 0) | (scenes.friction != 0), Rung.PROFILE, Rung.ELASTICA)
-    top = np.where((scenes.bow != 0) & (scenes.roll != 0), Rung.ROD, top)
+    top = np.where((scenes.bow != 0) | (scenes.friction != 0), Model.PROFILE, Model.ELASTICA)
+    top = np.where((scenes.bow != 0) & (scenes.roll != 0), Model.ROD, top)
     found, outcome = np.full((4, 3, n), np.nan), np.full((4, n), Outcome.OUT_OF_REACH)
     reached = ~np.isnan(theta)
     push = np.where(reached, scenes.push, 0.0)
-    for rung, module in enumerate((closed_form, elastica)):
+    for model, module in enumerate((closed_form, elastica)):
         b = module.press(scenes.whisker, scenes.r, push)
-        found[rung], outcome[rung] = signals(b), np.where(reached, b.outcome, outcome[rung])
+        found[model], outcome[model] = signals(b), np.where(reached, b.outcome, outcome[model])
     slope = elastica.signal_jacobian(scenes.whisker, scenes.r, push)[..., 1].T.copy()
 
-    i = np.flatnonzero(reached & (top >= Rung.PROFILE))
+    i = np.flatnonzero(reached & (top >= Model.PROFILE))
     flat = scenes.profile(i).curved(Parabola(scenes.bow[i] * np.cos(scenes.roll[i])))
     angle = np.nan_to_num(profile.rest_angle(flat, scenes.r[i]) + push[i])
     b = profile.press(flat, scenes.r[i], angle, scenes.friction[i])
@@ -524,17 +525,17 @@ def truth(scenes):
         b = rod.press(scenes.profile(i), point.T, scenes.friction[i], plane=scenes.roll[i])
         return np.stack([b.moment[:, 2], b.axial_force, b.force[:, 1]]), b.outcome
 
-    i = np.flatnonzero(reached & (top == Rung.ROD))
+    i = np.flatnonzero(reached & (top == Model.ROD))
     found[3][:, i], outcome[3, i] = in_space(i, theta[i])
     i = i[scenes.mapped[i] & (outcome[3, i] == Outcome.HELD)]
     h = 1e-5 * np.abs(push[i]) + 1e-7
     slope[:, i] = (in_space(i, theta[i] + h)[0] - in_space(i, theta[i] - h)[0]) / (2 * h)
 
-    for rung in (2, 3):
-        same = top < rung
-        found[rung][:, same], outcome[rung, same] = (
-            found[rung - 1][:, same],
-            outcome[rung - 1, same],
+    for model in (2, 3):
+        same = top < model
+        found[model][:, same], outcome[model, same] = (
+            found[model - 1][:, same],
+            outcome[model - 1, same],
         )
     with np.errstate(all="ignore"):
         off = (found - found[3]) / found[3]
@@ -547,7 +548,7 @@ def truth(scenes):
 
 
 def scores(n, seed):
-    """Share of the scenes where the rung taken is within tolerance, and where it is the cheapest.
+    """Share of the scenes where the model taken is within tolerance, and where it is the cheapest.
 
     Both of all scenes, held or not, then of those held.
     """
@@ -556,7 +557,7 @@ def scores(n, seed):
     taken = np.zeros(n, dtype=int)
     for mapped, cue in ((False, None), (True, ww.cues.ForceMap())):
         i = np.flatnonzero((scenes.mapped == mapped) & ~np.isnan(theta))
-        choice = ww.choose_rung(
+        choice = ww.choose_model(
             scenes.profile(i),
             scenes.r[i],
             theta[i],
@@ -566,7 +567,7 @@ def scores(n, seed):
             weber_fraction=scenes.weber_fraction[i],
             tolerance=scenes.tolerance[i],
         )
-        taken[i] = choice.rung
+        taken[i] = choice.model
     meets = bias <= scenes.tolerance
     met = meets[taken, np.arange(n)]
     cheapest = taken == np.argmax(meets, axis=0)
@@ -590,3 +591,32 @@ def test_the_rung_taken_is_right_in_ten_thousand_scenes():
     assert cheapest >= 0.90
     assert met_held >= 0.995
     assert cheapest_held >= 0.95
+
+
+def test_a_reason_to_reject_is_never_one_to_accept():
+    """Biases about the tolerance, and just below where the margin for the estimate rejects them."""
+    tolerance = 0.1
+    for bias in (0.0951, 0.0999, 0.1, 0.1000001, 0.1004, 0.12, 0.4):
+        off = np.array([bias, 0.0, 0.0, 0.0])
+        why = ww.Choice(ww.Model.ELASTICA, off, off, tolerance).why
+        said, allowed = re.search(r"closed form is off by (\S+) JND, (.*)", why).groups()
+        if allowed == "0.1 allowed":
+            assert float(said) > tolerance
+        else:
+            assert allowed == "too near the 0.1 allowed to be sure of an estimate"
+            assert bias <= tolerance
+            assert float(said) <= tolerance
+    w = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=0.5)
+    angles = np.radians(np.linspace(1, 25, 400))
+    for reason in ww.choose_model(w, 25e-3, angles, weber_fraction=0.1).why:
+        for said in re.findall(r"off by (\S+) JND, 0.1 allowed(?! and)", reason.split("; ")[-1]):
+            assert float(said) > tolerance or "nothing is cheaper" in reason
+
+
+def test_the_old_names_of_a_model_still_work():
+    with pytest.warns(DeprecationWarning, match="weberwhisk.Model"):
+        assert ww.Rung is ww.Model
+    with pytest.warns(DeprecationWarning, match="weberwhisk.mechanics.choose_model"):
+        assert ww.mechanics.choose_rung is ww.choose_model
+    with pytest.warns(DeprecationWarning, match="Choice.model"):
+        assert ww.choose_model(ww.Whisker(50e-3, 1e-4, 5e-6), 20e-3, 0.1).rung == 0

@@ -27,7 +27,7 @@ def call(what, n):
     if what == "flick past":
         return ww.flick_past(w, r)
     if what == "choose":
-        return ww.choose_rung(w, r, 0.1)
+        return ww.choose_model(w, r, 0.1)
     if what == "posterior":
         return ww.posterior(tap, tap.read(r[:, None], 1))
     trials = simulate_trials(trials_per_level=max(n // 9, 1), sessions=10, seed=1)
@@ -46,7 +46,7 @@ print(peak() - before)
 """
 
 #: Bytes a scene of the result and of what is broadcast for it: eight numbers, the error and two
-#: codes of a `Bending` are 74; a `FlickPast` holds two, a `Choice` two numbers for each rung.
+#: codes of a `Bending` are 74; a `FlickPast` holds two, a `Choice` two numbers for each model.
 BYTES = {"press": 130, "bend": 130, "flick past": 280, "choose": 360, "posterior": 150}
 #: What is at work at any one time, however large the call.
 AT_WORK = {"choose": 250e6, "trials": 200e6}

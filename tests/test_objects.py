@@ -1,4 +1,4 @@
-"""Sweeps against rung 1 and 2 at a point, SciPy at rounded and flat objects, and geometry."""
+"""Sweeps against model 1 and 2 at a point, SciPy at rounded and flat objects, and geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rung 2 against the reference points, rung 1, an integrator nobody here wrote, and theory."""
+"""Model 2 against the reference points, model 1, an integrator nobody here wrote, and theory."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_press_is_rung_1_where_the_whisker_is_straight(straight_scenes):
     mine, theirs = press(w, r, theta, tolerance=1e-11), elastica.press(w, r, theta)
     np.testing.assert_array_equal(mine.outcome, theirs.outcome)
     assert set(np.unique(mine.outcome)) == {0, 2, 3, 4}
-    # Where the fold is near the signals go as its square root, for either rung; the transverse
+    # Where the fold is near the signals go as its square root, for either model; the transverse
     # force passes through zero at a contact angle of 90 degrees, and is compared with the force.
     for name in (*SIGNALS, "arc_length", "force"):
         a, b = getattr(mine, name), getattr(theirs, name)
@@ -83,7 +83,7 @@ def test_bend_is_rung_1_where_the_whisker_is_straight(straight_scenes):
     s = np.where(at.held, at.arc_length, 10e-3)
     f = np.where(at.held, at.force, 1e-6) * np.random.default_rng(6).uniform(0.1, 3, s.size)
     mine, theirs = bend(w, s, f, tolerance=1e-11), elastica.bend(w, s, f)
-    # Rung 1 gives up past the fold sooner; what both still hold they agree on.
+    # Model 1 gives up past the fold sooner; what both still hold they agree on.
     both = mine.outcome <= Outcome.PAST_FOLD
     both &= theirs.outcome <= Outcome.PAST_FOLD
     np.testing.assert_array_equal(mine.outcome[both], theirs.outcome[both])

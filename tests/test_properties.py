@@ -223,9 +223,9 @@ def test_the_rung_chosen_is_within_the_tolerance_and_no_dearer_when_it_grows(
     theta = float(ww.rest_angle(w, r)) + share * 0.5
     assume(np.isfinite(theta))
     strict, loose = (
-        ww.choose_rung(w, r, theta, weber_fraction=k, tolerance=t)
+        ww.choose_model(w, r, theta, weber_fraction=k, tolerance=t)
         for t in (tolerance, 3 * tolerance)
     )
-    assert strict.bias[strict.rung] <= tolerance
-    assert loose.rung <= strict.rung
+    assert strict.bias[strict.model] <= tolerance
+    assert loose.model <= strict.model
     assert strict.why

@@ -1,4 +1,4 @@
-"""Rung 3 against rungs 1 and 2, and SciPy's integration of the Cosserat equations from the base."""
+"""The rod against elastica and planar beam, and SciPy's Cosserat equations from the base."""
 
 from __future__ import annotations
 

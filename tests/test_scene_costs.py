@@ -102,7 +102,7 @@ def test_a_step_that_moves_the_moment_far_vouches_for_nothing() -> None:
     """
     whisker = ww.Whisker.from_identity("C2")
     scene = (0.029038053969201436, 0.19407833357666848, -0.17453292519943295)
-    choice = ww.choose_rung(whisker, *scene, weber_fraction=0.1)
+    choice = ww.choose_model(whisker, *scene, weber_fraction=0.1)
     chosen, true = ww.press(whisker, *scene, model=choice), ww.press(whisker, *scene)
     assert abs(chosen.moment / true.moment - 1) <= 0.1 * costs.TOLERANCE
 

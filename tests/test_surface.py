@@ -1,4 +1,4 @@
-"""The surface of signals that observers use: rung 1's signals and outcomes, for one whisker."""
+"""The surface of signals that observers use: model 1's signals and outcomes, for one whisker."""
 
 import numpy as np
 import pytest

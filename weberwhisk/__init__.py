@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ._deprecated import renamed_names
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
@@ -33,13 +35,13 @@ if TYPE_CHECKING:
         Bending,
         Choice,
         FlickPast,
+        Model,
         Outcome,
         Parabola,
         Profile,
-        Rung,
         Spiral,
         bend,
-        choose_rung,
+        choose_model,
         flick_past,
         press,
         rest_angle,
@@ -63,10 +65,10 @@ _HOME = {
     "Outcome": "mechanics",
     "Parabola": "mechanics",
     "Profile": "mechanics",
-    "Rung": "mechanics",
+    "Model": "mechanics",
     "Spiral": "mechanics",
     "bend": "mechanics",
-    "choose_rung": "mechanics",
+    "choose_model": "mechanics",
     "flick_past": "mechanics",
     "press": "mechanics",
     "rest_angle": "mechanics",
@@ -109,13 +111,13 @@ __all__ = [
     "Choice",
     "Comparison",
     "FlickPast",
+    "Model",
     "Observer",
     "Outcome",
     "Parabola",
     "PopulationFit",
     "Posterior",
     "Profile",
-    "Rung",
     "Spiral",
     "Status",
     "Trials",
@@ -124,7 +126,7 @@ __all__ = [
     "added_information",
     "bend",
     "campaign",
-    "choose_rung",
+    "choose_model",
     "compare",
     "convert_jnd",
     "criterion_factor",
@@ -157,9 +159,12 @@ __all__ = [
 ]
 
 
+_renamed = renamed_names(__name__, {"Rung": "Model", "choose_rung": "choose_model"})
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'weberwhisk' has no attribute {name!r}")
+        return _renamed(name)
     module = import_module(f".{_HOME[name]}", __name__)
     # A name that is its own home is the module; `posterior` can be called as well.
     value = module if _HOME[name] == name else getattr(module, name)

@@ -129,7 +129,7 @@ def bend(
         # What was asked stays as it was written, also where there is no equilibrium.
         columns |= dict(zip(names, (where, much), strict=True))
         columns["outcome"] = [ww.Outcome(o).name.lower() for o in bending.outcome]
-        columns["model"] = [ww.Rung(m).name.lower() for m in bending.model]
+        columns["model"] = [ww.Model(m).name.lower() for m in bending.model]
         columns["error"] = bending.error
         table = pd.DataFrame(columns)
         run.table("bend", table)
@@ -142,18 +142,18 @@ def bend(
         if bending.outside_domain:
             print(bending.outside_domain)
         if model is None:
-            _say_which_rung(whisker, bending)
+            _say_which_model(whisker, bending)
 
 
-def _say_which_rung(whisker: ww.Whisker, bending: ww.Bending) -> None:
-    """One line for each rung that the contacts held would need, with the reason of the first."""
+def _say_which_model(whisker: ww.Whisker, bending: ww.Bending) -> None:
+    """One line for each model that the contacts held would need, with the reason of the first."""
     at = bending.held
     if not np.any(at):
         return
-    choice = ww.choose_rung(whisker, bending.radial_distance[at], bending.deflection_angle[at])
-    rungs, first, counts = np.unique(choice.rung, return_index=True, return_counts=True)
-    for rung, k, count in zip(rungs, first, counts, strict=True):
-        title = ww.Rung(rung).title
+    choice = ww.choose_model(whisker, bending.radial_distance[at], bending.deflection_angle[at])
+    models, first, counts = np.unique(choice.model, return_index=True, return_counts=True)
+    for model, k, count in zip(models, first, counts, strict=True):
+        title = ww.Model(model).title
         print(f"At k = 0.1, {title} is enough for {count} of {at.sum()}: {choice.why[k]}.")
 
 

@@ -100,7 +100,7 @@ class Vibration(Cue):
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Ratios of amplitudes, or amplitudes (N m), (..., S), and outcome of a contact (..., 1).
 
-        There is one rung: `model` makes no difference.
+        There is one model: `model` makes no difference.
         """
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]

@@ -1,8 +1,8 @@
-"""Whisker mechanics: a ladder of beam models, from the closed form up.
+"""Whisker mechanics: four models of a beam, each of which leaves less out.
 
-`bend`, `press`, `flick_past` and `signal_jacobian` stand before all rungs, `choose_rung` says which
-one a scene needs. The rungs themselves are the modules `closed_form`, `elastica`, `profile` and
-`rod`; `modes` has the small vibrations.
+`bend`, `press`, `flick_past` and `signal_jacobian` stand before all models, `choose_model` says
+which one a scene needs. The models themselves are the modules `closed_form`, `elastica`, `profile`
+and `rod`; `modes` has the small vibrations.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .contact import Bending, Choice, FlickPast, Outcome, Rung
+from .._deprecated import renamed_names
+from .contact import Bending, Choice, FlickPast, Model, Outcome
 from .ladder import bend, flick_past, press, signal_jacobian
 
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .bodies import Body, contour, cylinder, peg, wall
-    from .choice import choose_rung
+    from .choice import choose_model
     from .modes import Modes, impulse_response, transfer
     from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
     from .objects import Sweep, sweep
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
-    "choice": ("choose_rung",),
+    "choice": ("choose_model",),
     "shape": ("Parabola", "Profile", "Spiral"),
     "profile": ("Sticking", "rest_angle", "sticking"),
     "rod": ("RodBending",),
@@ -42,6 +43,7 @@ __all__ = [
     "Body",
     "Choice",
     "FlickPast",
+    "Model",
     "Modes",
     "MomentBalance",
     "MuscleCurve",
@@ -49,12 +51,11 @@ __all__ = [
     "Parabola",
     "Profile",
     "RodBending",
-    "Rung",
     "Spiral",
     "Sticking",
     "Sweep",
     "bend",
-    "choose_rung",
+    "choose_model",
     "closed_form",
     "contour",
     "cylinder",
@@ -76,6 +77,9 @@ __all__ = [
 ]
 
 
+_renamed = renamed_names(__name__, {"Rung": "Model", "choose_rung": "choose_model"})
+
+
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f".{name}", __name__)
@@ -83,7 +87,7 @@ def __getattr__(name: str) -> Any:
         if name in names:
             globals()[name] = value = getattr(import_module(f".{home}", __name__), name)
             return value
-    raise AttributeError(f"module 'weberwhisk.mechanics' has no attribute {name!r}")
+    return _renamed(name)
 
 
 def __dir__() -> list[str]:

@@ -1,6 +1,6 @@
-"""The cheapest rung whose bias in the inferred radial distance is a small part of its JND.
+"""The cheapest model whose bias in the inferred radial distance is a small part of its JND.
 
-An observer who takes a rung for the truth reads each signal s wrong by δ. Under Weber noise of sd
+An observer who takes a model for the truth reads each signal s wrong by δ. Under Weber noise of sd
 k·s the least-squares estimate of the unknowns moves by (JᵀWJ)⁻¹JᵀWδ with W = 1/(ks)², and the JND
 of r (one observation's sd) is the root of the first diagonal element of (JᵀWJ)⁻¹. In relative
 signals, with g_r and g_θ the columns of ∂ln s/∂(r, θ_d) and q the unit vector along g_r (less its
@@ -21,20 +21,20 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite, positive
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import SIGNAL_UNIT, Choice, Rung
+from .contact import SIGNAL_UNIT, Choice, Model
 from .estimates import Estimates, estimate
 from .natural_units import Scenes, friction
 from .scene import Scene
 from .shape import Profile
 
-#: A rung is taken where its estimated bias is below the tolerance by this factor.
+#: A model is taken where its estimated bias is below the tolerance by this factor.
 MARGIN = 1.1
 #: Rows of the base signals that a cue can feel; a rate at a given speed is as good.
 _ROWS = {"moment": 0, "moment_rate": 0, "axial_force": 1, "transverse_force": 2}
 _UNKNOWNS = (("radial_distance",), ("radial_distance", "deflection_angle"))
 
 
-def choose_rung(
+def choose_model(
     whisker: Whisker | Profile,
     radial_distance: ArrayLike,
     deflection_angle: ArrayLike,
@@ -45,7 +45,7 @@ def choose_rung(
     weber_fraction: ArrayLike | None = 0.1,
     tolerance: ArrayLike = 0.1,
 ) -> Choice:
-    """The cheapest rung of the ladder that each scene needs, and why.
+    """The cheapest model of the ladder that each scene needs, and why.
 
     Parameters
     ----------
@@ -74,15 +74,15 @@ def choose_rung(
 
     Notes
     -----
-    To first order in the error. Errors are estimated by the first Newton step of the next rung up
+    To first order in the error. Errors are estimated by the first Newton step of the next model up
     (`estimates`), which costs a few µs a scene, some 50 in space: choose once, and use the choice
     for the thousands of contacts of a posterior (``press(..., model=choice)``).
 
     Examples
     --------
     >>> w = Whisker(50e-3, 100e-6, 5e-6, curvature=0.5)
-    >>> choice = choose_rung(w, 25e-3, np.radians([1.0, 20.0]), weber_fraction=0.1)
-    >>> choice.rung
+    >>> choice = choose_model(w, 25e-3, np.radians([1.0, 20.0]), weber_fraction=0.1)
+    >>> choice.model
     array([0, 1], dtype=int8)
     >>> print(choice.why[1])
     the straight elastica is off by 0.039 JND; the closed form is off by 1 JND, 0.1 allowed
@@ -102,14 +102,14 @@ def choose_rung(
         tolerance=positive("tolerance", tolerance, "give a fraction, such as 0.1"),
     )
     n, shape = scenes.length.size, scenes.shape
-    error, bias, rung = np.empty((4, n)), np.empty((4, n)), np.empty(n, dtype=np.int8)
+    error, bias, model = np.empty((4, n)), np.empty((4, n)), np.empty(n, dtype=np.int8)
     for part, rows, (r, theta, psi, turn, k, allowed) in scenes.pieces():
         found = estimate(Scene.of(rows, r, theta, psi, turn))
         error[:, part], off = _relative(found, [_ROWS[name] for name in names], unknowns)
         bias[:, part] = error[:, part] if weber_fraction is None else off / k
-        rung[part] = np.argmax(bias[:, part] * MARGIN <= allowed, axis=0)
+        model[part] = np.argmax(bias[:, part] * MARGIN <= allowed, axis=0)
     return Choice(
-        rung.reshape(shape) if shape else Rung(int(rung[0])),
+        model.reshape(shape) if shape else Model(int(model[0])),
         error.T.reshape(*shape, 4),
         bias.T.reshape(*shape, 4),
         tolerance,

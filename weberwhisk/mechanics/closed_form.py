@@ -1,4 +1,4 @@
-"""Rung 0: the straight whisker at small angle, in closed form, and its exact inverses.
+"""The closed form: the straight whisker at small angle, in closed form, and its exact inverses.
 
 With u the contact's distance over the apex distance A, a linear taper obeys, exactly as the angle
 goes to zero,
@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import Bending, Outcome, Rung, beyond_tip, by_rows
+from .contact import Bending, Model, Outcome, beyond_tip, by_rows
 
 #: Largest relative error of any signal over the squared contact angle, for every taper and
-#: distance, as that angle goes to zero (the transverse force's); the tests hold it to rung 1.
+#: distance, as that angle goes to zero (the transverse force's); the tests hold it to the elastica.
 ERROR_PER_SQUARED_ANGLE = 0.65
 
 
@@ -35,10 +35,10 @@ def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
     Returns
     -------
     Bending
-        Outcome `HELD` wherever the contact is on the whisker: this rung knows no flick-past, and
+        Outcome `HELD` wherever the contact is on the whisker: this model knows no flick-past, and
         its `error` says how far it can be trusted.
     """
-    return by_rows(_bend, Rung.CLOSED_FORM, whisker, arc_length, force)
+    return by_rows(_bend, Model.CLOSED_FORM, whisker, arc_length, force)
 
 
 def _bend(
@@ -65,7 +65,7 @@ def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayL
         Outcome `HELD` wherever the contact is on the whisker, as for `bend`. Where a push next to
         the tip slides it off, the `error` is 1: there is nothing to be relied on.
     """
-    return by_rows(_press, Rung.CLOSED_FORM, whisker, radial_distance, deflection_angle)
+    return by_rows(_press, Model.CLOSED_FORM, whisker, radial_distance, deflection_angle)
 
 
 def _press(

@@ -1,4 +1,4 @@
-"""What every rung returns: a bending whisker, and what became of the contact."""
+"""What every model returns: a bending whisker, and what became of the contact."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
+from .._deprecated import renamed_attribute
 from ..whisker import Whisker
 
 
@@ -64,8 +65,8 @@ _MESSAGES = {
 }
 
 
-class Rung(IntEnum):
-    """The rungs of the model ladder, from the cheapest up."""
+class Model(IntEnum):
+    """The models of the mechanics, from the simplest up: each leaves less out."""
 
     CLOSED_FORM = 0
     ELASTICA = 1
@@ -74,7 +75,7 @@ class Rung(IntEnum):
 
     @property
     def title(self) -> str:
-        """The rung's name in words."""
+        """The model's name in words."""
         return _TITLES[self]
 
 
@@ -82,27 +83,27 @@ class Rung(IntEnum):
 SIGNAL_UNIT = "of a signal"
 
 _TITLES = {
-    Rung.CLOSED_FORM: "the closed form",
-    Rung.ELASTICA: "the straight elastica",
-    Rung.PROFILE: "the curved planar beam",
-    Rung.ROD: "the rod in space",
+    Model.CLOSED_FORM: "the closed form",
+    Model.ELASTICA: "the straight elastica",
+    Model.PROFILE: "the curved planar beam",
+    Model.ROD: "the rod in space",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The rung that each scene needs, and why: what `choose_rung` returns and `press` went by.
+    """The model that each scene needs, and why: what `choose_model` returns and `press` went by.
 
     Attributes
     ----------
-    rung : Rung or array of int
-        The cheapest rung whose bias is within the tolerance.
+    model : Model or array of int
+        The cheapest model whose bias is within the tolerance.
     error : array (..., 4)
-        Largest relative error of the moment and the two forces, estimated, by rung. Infinite where
-        the estimate does not vouch for a rung, 0 from the first rung on that models all there is,
-        NaN where a rung was not tried.
+        Largest relative error of the moment and the two forces, estimated, by model. Infinite where
+        the estimate does not vouch for a model, 0 from the first model on that models all there is,
+        NaN where a model was not tried.
     bias : array (..., 4)
-        What is judged, by rung: the shift of the inferred radial distance by that error, in JNDs,
+        What is judged, by model: the shift of the inferred radial distance by that error, in JNDs,
         or where no noise was named the error itself.
     tolerance : float or array
         The largest bias allowed.
@@ -110,41 +111,55 @@ class Choice:
         What bias and tolerance are in, in words.
     """
 
-    rung: Any
+    model: Any
     error: NDArray[np.float64]
     bias: NDArray[np.float64]
     tolerance: Any
     unit: str = "JND"
 
     @classmethod
-    def complete(cls, rung: Rung, tolerance: ArrayLike) -> Choice:
-        """The lowest rung that models all there is, those below it not tried."""
-        off = np.where(np.arange(len(Rung)) < rung, np.nan, 0.0)
-        return cls(rung, off, off, tolerance, SIGNAL_UNIT)
+    def complete(cls, model: Model, tolerance: ArrayLike) -> Choice:
+        """The lowest model that models all there is, those below it not tried."""
+        off = np.where(np.arange(len(Model)) < model, np.nan, 0.0)
+        return cls(model, off, off, tolerance, SIGNAL_UNIT)
+
+    rung = renamed_attribute("Choice", "rung", "model")
 
     @property
     def why(self) -> Any:
         """The reason in words: one sentence, or an array of them."""
-        tolerance = np.broadcast_to(self.tolerance, np.shape(self.rung))
-        why = np.empty(np.shape(self.rung), dtype=object)
+        tolerance = np.broadcast_to(self.tolerance, np.shape(self.model))
+        why = np.empty(np.shape(self.model), dtype=object)
         for at in np.ndindex(why.shape):
-            rung = Rung(int(np.asarray(self.rung)[at]))
-            why[at] = _reason(rung, self.bias[at], f"{tolerance[at]:g} allowed", self.unit)
+            model = Model(int(np.asarray(self.model)[at]))
+            why[at] = _reason(model, self.bias[at], float(tolerance[at]), self.unit)
         return why[()]
 
 
-def _reason(rung: Rung, bias: NDArray[np.float64], allowed: str, unit: str) -> str:
-    here = f"{rung.title} is off by {bias[rung]:.2g} {unit}"
-    if bias[rung] == 0:
-        here = f"{rung.title} models all there is in this scene"
-    if rung == Rung.CLOSED_FORM:
-        return f"{here}, {allowed}, and nothing is cheaper"
-    below = Rung(rung - 1)
+def _reason(model: Model, bias: NDArray[np.float64], allowed: float, unit: str) -> str:
+    here = f"{model.title} is off by {_shown(bias[model], allowed)} {unit}"
+    if bias[model] == 0:
+        here = f"{model.title} models all there is in this scene"
+    if model == Model.CLOSED_FORM:
+        return f"{here}, {allowed:g} allowed, and nothing is cheaper"
+    below = Model(model - 1)
     if np.isnan(bias[below]):
         return f"{here}; nothing cheaper was tried"
     if np.isinf(bias[below]):
         return f"{here}; {below.title} finds no contact here, or one too far off to judge"
-    return f"{here}; {below.title} is off by {bias[below]:.2g} {unit}, {allowed}"
+    there = f"{below.title} is off by {_shown(bias[below], allowed)} {unit}"
+    if bias[below] > allowed:
+        return f"{here}; {there}, {allowed:g} allowed"
+    return f"{here}; {there}, too near the {allowed:g} allowed to be sure of an estimate"
+
+
+def _shown(bias: float, allowed: float) -> str:
+    """A bias in two digits, or as many more as show on which side of what is allowed it lies."""
+    for digits in range(2, 17):
+        text = f"{bias:.{digits}g}"
+        if np.sign(float(text) - float(f"{allowed:g}")) == np.sign(bias - allowed):
+            break
+    return text
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,13 +180,13 @@ class Bending:
         Tangent angle at the contact, rad; arc length of the contact, m; contact force, N.
     outcome : Outcome or array of int
         What became of the contact.
-    model : Rung or array of int
-        The rung that was used.
+    model : Model or array of int
+        The model that was used.
     error : float or array
         Estimated relative error of the signals.
     whisker : Whisker
     choice : Choice, optional
-        How the ladder came to the rung; none where the rung was asked for by name.
+        How the ladder came to the model; none where the model was asked for by name.
     """
 
     moment: Any
@@ -190,7 +205,7 @@ class Bending:
 
     @property
     def why(self) -> Any:
-        """Why this rung, in words: one sentence, or an array of them."""
+        """Why this model, in words: one sentence, or an array of them."""
         return "it was asked for by name" if self.choice is None else self.choice.why
 
     @property
@@ -252,7 +267,7 @@ def beyond_tip(
 
 def by_rows(
     solve: Callable[..., tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]],
-    rung: Rung,
+    model: Model,
     whisker: Whisker,
     *arguments: ArrayLike,
 ) -> Bending:
@@ -277,7 +292,7 @@ def by_rows(
     return Bending(
         **values,
         outcome=outcome.reshape(shape) if shape else Outcome(int(outcome[0])),
-        model=np.full(shape, rung, dtype=np.int8) if shape else rung,
+        model=np.full(shape, model, dtype=np.int8) if shape else model,
         error=error.reshape(shape)[()],
         whisker=whisker,
     )

@@ -1,4 +1,4 @@
-"""Kirchhoff rods from contact to base, and the equilibria of points in space: inside rung 3.
+"""Kirchhoff rods from contact to base, and the equilibria of points in space: inside the rod.
 
 In units of the whisker's length, base radius and base stiffness; the equations are `rod`'s.
 """

@@ -1,4 +1,4 @@
-"""The Runge–Kutta method of order 8 under rungs 2 and 3: SciPy's DOP853, laid out for many rows.
+"""The Runge–Kutta method of order 8 under beam and rod: SciPy's DOP853, for many rows.
 
 Slopes are kept with those of stages 1 and 2 first, which later stages do not use: each stage then
 needs one product with neighbouring slopes, and the end of the step and its error are one more.

@@ -1,4 +1,4 @@
-"""Rung 1: the planar elastica of every straight taper and cylinder, from one dimensionless map.
+"""The elastica of every straight taper and cylinder, from one dimensionless map.
 
 A straight whisker touched without friction carries a force normal to it at the contact, where
 the moment is zero, so the beam can be followed from the contact to the base without shooting. For
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
 from .chebyshev import Array, Curve, Table, fit, nodes
-from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Outcome, Rung, beyond_tip, by_rows
+from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Model, Outcome, beyond_tip, by_rows
 from .elastica_map import load_cap, the_map, unfold
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
@@ -45,7 +45,7 @@ def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
     -----
     Relative error about 1e-12, for every taper from the cylinder to the perfect cone.
     """
-    return by_rows(_bend, Rung.ELASTICA, whisker, arc_length, force)
+    return by_rows(_bend, Model.ELASTICA, whisker, arc_length, force)
 
 
 def _bend(
@@ -96,7 +96,7 @@ def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayL
     √ε, so that the last digits of the angle cost twice as many of the signals; `Bending.error`
     carries this.
     """
-    return by_rows(_press, Rung.ELASTICA, whisker, radial_distance, deflection_angle)
+    return by_rows(_press, Model.ELASTICA, whisker, radial_distance, deflection_angle)
 
 
 def _press(

@@ -1,4 +1,4 @@
-"""The map under rung 1: its coordinates, and the tables shipped as ``elastica_map.npz``.
+"""The map under the elastica: its coordinates, and the tables shipped as ``elastica_map.npz``.
 
 The map is held as two faces, each a Chebyshev table of logarithms of ratios to the closed form:
 

@@ -1,6 +1,6 @@
 """The equilibrium of a contact given in space: Newton's method, proved stable, else a walk.
 
-The inner half of rung 2, in units of the whisker's length, base radius and base stiffness.
+The inner half of the planar beam, in units of the whisker's length, base radius and base stiffness.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _guess(
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """dθ_d/dF at zero load; force, arc and steps a piece to start Newton's method from.
 
-    Those of the straight taper (rung 1) that gives way as easily, in the same proportion of
+    Those of the straight taper (the elastica) that gives way as easily, in the same proportion of
     contact angle to deflection angle, with its fold moved as friction and the rest shape move it.
     """
     # Where a taper has grown thin one step is not enough.
@@ -265,6 +265,6 @@ def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.int
 
 @cache
 def _coarse() -> tuple[Table, Curve]:
-    """The map of rung 1 to six digits, which take a twentieth of the time."""
+    """The map of the elastica to six digits, which take a twentieth of the time."""
     whole = the_map()
     return Table(whole.contact_given.coefficients[:12, :8]), Curve(whole.fold.coefficients[:12, :1])

@@ -1,12 +1,13 @@
-"""How far each rung is off at a scene, from the first Newton step of the rung above it.
+"""How far each model is off at a scene, from the first Newton step of the model above it.
 
-A rung's contact arc and force, put into the next rung's equations, miss the point that the whisker
-is pressed against. One Newton step on that miss gives the next rung's signals up to the square of
-the step, for a pass or two in the place of a solution. Rung 1 checks rung 0 (both are formulas);
-one pass of rung 2 at rung 1's contact checks both for curvature, stiffness profile and friction;
-two steps of rung 3 at rung 2's contact check all of them for what is out of the plane. Where a step
-is large, or leaves the stable branch or the whisker, it vouches for nothing, and the scene is left
-to the rung above; the square of a smaller one is added to the errors, as what it may have missed.
+A model's contact arc and force, put into the next model's equations, miss the point that the
+whisker is pressed against. One Newton step on that miss gives the next model's signals up to the
+square of the step, for a pass or two in the place of a solution. The elastica checks the closed
+form (both are formulas); one pass of the planar beam at the elastica's contact checks both for
+curvature, stiffness profile and friction; two steps of the rod at the planar beam's contact check
+all of them for what is out of the plane. Where a step is large, or leaves the stable branch or the
+whisker, it vouches for nothing, and the scene is left to the model above; the square of a smaller
+one is added to the errors, as what it may have missed.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from . import elastica
 from .chebyshev import Array
-from .contact import Outcome, Rung
+from .contact import Model, Outcome
 from .cosserat import POISSON_RATIO
 from .cosserat import Scenes as Rods
 from .equilibrium import numbers_of, signal_slopes
@@ -34,7 +35,7 @@ LEAST_PUSH = 1e-6
 #: Runge–Kutta steps a piece, and the largest error bound of such a pass that is believed; the
 #: bound exceeds the error by far.
 STEPS, RESOLVED = 5, 1e-4
-#: Accuracy of the rung 2 solution that rung 3 steps from.
+#: Accuracy of the planar beam solution that the rod steps from.
 COARSE = 1e-9
 
 
@@ -42,10 +43,10 @@ COARSE = 1e-9
 class Estimates:
     """Of n scenes.
 
-    ``top`` is the lowest rung that models all there is in the scene; ``signals`` (3, n) and
-    ``slopes`` (3, 2, n), their derivatives to (r, θ_d), are that rung's as far as the first step
-    tells. ``misses`` (4, 3, n) are the errors of each rung's signals, infinite where the step does
-    not vouch for that rung and zero from the top on.
+    ``top`` is the lowest model that models all there is in the scene; ``signals`` (3, n) and
+    ``slopes`` (3, 2, n), their derivatives to (r, θ_d), are that model's as far as the first step
+    tells. ``misses`` (4, 3, n) are the errors of each model's signals, infinite where the step does
+    not vouch for that model and zero from the top on.
     """
 
     top: NDArray[np.int8]
@@ -71,14 +72,14 @@ def estimate(scene: Scene) -> Estimates:
         -1,
     )
     held, moved = outcome == Outcome.HELD, np.zeros(push.size)
-    flat = np.flatnonzero((top == Rung.PROFILE) & held)
+    flat = np.flatnonzero((top == Model.PROFILE) & held)
     if flat.size:
         part, contact = scene.take(flat), numbers[6:, flat]
         contact[0] *= part.start / part.distance
         true[:, flat], slopes[..., flat], held[flat], moved[flat] = _planar_step(part, contact)
     vouched = np.stack([held, held, np.ones_like(held)])
 
-    high = np.flatnonzero(top == Rung.ROD)
+    high = np.flatnonzero(top == Model.ROD)
     if high.size:
         part = scene.take(high)
         numbers, outcome, _ = _planar(part, COARSE)
@@ -92,11 +93,11 @@ def estimate(scene: Scene) -> Estimates:
     vouched[:2] &= vouched[2]
 
     misses = np.zeros((4, 3, push.size))
-    for rung, signals in enumerate((small, straight, planar)):
-        miss = np.where(vouched[rung], signals - true, np.inf)
-        if rung < Rung.PROFILE:  # what one step leaves is of the order of its square
+    for model, signals in enumerate((small, straight, planar)):
+        miss = np.where(vouched[model], signals - true, np.inf)
+        if model < Model.PROFILE:  # what one step leaves is of the order of its square
             miss = miss + np.copysign(DOUBT * moved**2 * true, miss)
-        misses[rung] = np.where(rung < top, miss, 0.0)
+        misses[model] = np.where(model < top, miss, 0.0)
     return Estimates(top, true, slopes, misses)
 
 
@@ -107,7 +108,7 @@ def _where(
 
 
 def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-    """Rung 2's signals and slopes one Newton step from a contact (arc, force), and its vouching.
+    """Signals and slopes of the planar beam one Newton step from a contact (arc, force).
 
     And how large the step was: of the moment, of the contact and of the whisker that is left.
     """
@@ -141,7 +142,7 @@ def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np
 
 
 def _spatial_step(scene: Scene, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Rung 3's signals two Newton steps from a planar contact, and their vouching."""
+    """The rod's signals two Newton steps from a planar contact, and their vouching."""
     rods = Rods.of(scene.profile(), (scene.distance,), scene.friction, scene.roll, POISSON_RATIO)
     v = np.stack([np.minimum(contact[0], 1.0), contact[1], np.zeros_like(contact[1])])
     point, good = scene.point().T, np.ones(v.shape[1], dtype=bool)

@@ -1,4 +1,4 @@
-"""Bend, press, flick past: one front for all rungs."""
+"""Bend, press, flick past: one front for all models."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .._checks import finite, one_of, positive
 from ..whisker import Whisker
 from . import closed_form, elastica
 from .chebyshev import Array
-from .contact import Bending, Choice, FlickPast, Rung
+from .contact import Bending, Choice, FlickPast, Model
 
 if TYPE_CHECKING:
     from .shape import Profile
 
 #: Relative error of the signals allowed by default.
 TOLERANCE = 1e-9
-#: The rungs that a name can force, cheapest first.
-MODELS = tuple(rung.name.lower() for rung in Rung)
+#: The models that a name can force, cheapest first.
+MODELS = tuple(model.name.lower() for model in Model)
 _METRES = "give metres, such as 35e-3"
 _NEWTONS, _RADIANS = "give newtons, such as 1e-5", "give radians, such as 0.35"
 _NO_FRICTION, _NO_ROLL = "give radians, 0 for no friction", "give radians, 0 for contact in plane"
@@ -52,7 +52,7 @@ def bend(
         As for `press`, where it makes no difference: a force given out of the plane of curvature
         also has a direction, which `rod.bend` takes.
     model : {"closed_form", "elastica", "profile"}, optional
-        The rung to use. By default the cheapest that models all there is: the elastica for every
+        The model to use. By default the cheapest that models all there is: the elastica for every
         straight whisker without friction, and the profile, some twenty times dearer, for intrinsic
         curvature, other stiffness profiles and friction.
     tolerance : float
@@ -81,12 +81,12 @@ def bend(
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     hint = "write rod.bend(whisker, arc_length, force, direction, plane=...)"
     _refuse_roll(whisker, "bend", roll, hint)
-    name = _rung(whisker, model, tilt, known=MODELS[:3])
+    name = _model_of(whisker, model, tilt, known=MODELS[:3])
     if name in _STRAIGHT:
         bent: Bending = _STRAIGHT[name].bend(whisker, arc, load)
     else:
         bent = _module("profile").bend(whisker, arc, load, tilt, tolerance=tolerance)
-    return bent if model else replace(bent, choice=Choice.complete(Rung[name.upper()], tolerance))
+    return bent if model else replace(bent, choice=Choice.complete(Model[name.upper()], tolerance))
 
 
 def press(
@@ -119,32 +119,32 @@ def press(
         the deflection angle is then its azimuth. Moment and forces are those in the plane of the
         push; `rod.press` has all six.
     model : {"closed_form", "elastica", "profile", "rod"} or Choice, optional
-        The rung to use, or what `choose_rung` chose for these scenes. By default the cheapest
+        The model to use, or what `choose_model` chose for these scenes. By default the cheapest
         within `tolerance`, scene by scene; the result's ``model`` says which, and ``why`` why.
     tolerance : float or array, optional
         Without a Weber fraction or a cue, the largest relative error of the moment and the two
         forces, by default 1e-9: who names no noise may do anything with the signals, compare two
-        contacts or differentiate, and expects digits. No rung that leaves something out keeps to
+        contacts or differentiate, and expects digits. No model that leaves something out keeps to
         1e-9 but for vanishing loads, so that the cheapest within it is the lowest that models all
-        there is, and taking that one costs nothing. A larger tolerance weighs all rungs.
+        there is, and taking that one costs nothing. A larger tolerance weighs all models.
 
         With them, the largest bias of the inferred radial distance as a fraction of its JND, by
         default 0.1: less than anyone who feels through that noise can notice. Signals may then jump
         by as much from one contact to the next, and those that the cue does not feel are off by
         whatever ``error`` says.
     weber_fraction, cue
-        What the JND is of; see `choose_rung`. Either alone is enough: the moment, and k = 0.1.
+        What the JND is of; see `choose_model`. Either alone is enough: the moment, and k = 0.1.
 
     Returns
     -------
     Bending
         Arrays of the broadcast shape. Signals are NaN where `outcome` is not `HELD`; `model` is
-        the rung of each scene and `error` its relative error.
+        the model of each scene and `error` its relative error.
 
     Raises
     ------
     ValueError
-        As for `bend` and `choose_rung`.
+        As for `bend` and `choose_model`.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def press(
     >>> b.outcome
     array([0, 2, 4], dtype=int8)
 
-    A slightly curved whisker needs different rungs near the base, far out and at large angles.
+    A slightly curved whisker needs different models near the base, far out and at large angles.
 
     >>> w = Whisker(50e-3, 100e-6, 5e-6, curvature=2.0)
     >>> b = press(w, [8e-3, 20e-3, 40e-3], np.radians([2, 12, 14]), weber_fraction=0.1)
@@ -166,10 +166,10 @@ def press(
     """
     r = positive("radial_distance", radial_distance, _METRES)
     theta = finite("deflection_angle", deflection_angle, _RADIANS)
-    if np.any(np.abs(theta) > np.pi):
+    if np.any(np.abs(theta) > 2 * np.pi):
         raise ValueError(
-            f"deflection_angle must be π rad at most, got {np.max(np.abs(theta)):g}: did you pass "
-            "degrees? Write np.radians(20), say."
+            f"deflection_angle must be within a turn, got {np.max(np.abs(theta)):g} rad: did you "
+            "pass degrees? Write np.radians(20), say."
         )
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     turn = finite("roll", roll, _NO_ROLL)
@@ -186,7 +186,7 @@ def press(
             tolerance = 0.1
         elif not felt:
             accuracy = float(np.min(positive("tolerance", tolerance, "give a fraction")))
-        model = _module("choice").choose_rung(
+        model = _module("choice").choose_model(
             whisker,
             r,
             theta,
@@ -199,14 +199,14 @@ def press(
     if isinstance(model, Choice):
         scene = _module("scene")
         return scene.press_chosen(whisker, r, theta, tilt, turn, model, min(accuracy, 1e-4))
-    name = _rung(whisker, model, tilt, turn)
+    name = _model_of(whisker, model, tilt, turn)
     if name in _STRAIGHT:
         bent: Bending = _STRAIGHT[name].press(whisker, r, theta)
     elif name == "profile":
         bent = _module("profile").press(whisker, r, theta, tilt)
     else:
         bent = _module("scene").press_in_space(whisker, r, theta, tilt, turn)
-    chosen = None if model else Choice.complete(Rung[name.upper()], TOLERANCE)
+    chosen = None if model else Choice.complete(Model[name.upper()], TOLERANCE)
     return replace(bent, choice=chosen)
 
 
@@ -254,7 +254,7 @@ def flick_past(
     sides = finite("side", side, "write 1 or -1")
     hint = "write press(..., roll=...) at growing deflection angles"
     _refuse_roll(whisker, "flick_past", roll, hint)
-    if _rung(whisker, None, tilt) == "profile" or np.any(np.abs(sides) != 1):
+    if _model_of(whisker, None, tilt) == "profile" or np.any(np.abs(sides) != 1):
         return _module("profile").flick_past(whisker, r, tilt, side=sides)
     assert isinstance(whisker, Whisker)
     r, sides = np.broadcast_arrays(r, sides)
@@ -301,7 +301,7 @@ def signal_jacobian(
     theta = finite("deflection_angle", deflection_angle, _RADIANS)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     turn = finite("roll", roll, _NO_ROLL)
-    name = _rung(whisker, None, tilt, turn)
+    name = _model_of(whisker, None, tilt, turn)
     if name == "rod":
         return _module("scene").jacobian_in_space(whisker, r, theta, tilt, turn)
     if name == "profile":
@@ -312,7 +312,7 @@ def signal_jacobian(
 
 def _refuse_roll(whisker: Whisker | Profile, name: str, roll: ArrayLike, instead: str) -> None:
     turn = finite("roll", roll, _NO_ROLL)
-    if _rung(whisker, None, 0.0, turn) == "rod":
+    if _model_of(whisker, None, 0.0, turn) == "rod":
         raise ValueError(
             f"{name} takes contact in the plane of a whisker's curvature alone, got a roll of "
             f"{np.max(np.abs(turn)):g} rad; {instead}."
@@ -323,40 +323,40 @@ _STRAIGHT: dict[str, Any] = {"closed_form": closed_form, "elastica": elastica}
 
 
 def _module(name: str) -> Any:
-    """A module of rungs 2 and 3, imported when a scene first needs it."""
+    """A module of models 2 and 3, imported when a scene first needs it."""
     return import_module(f"{__package__}.{name}")
 
 
-def _rung(
+def _model_of(
     whisker: Whisker | Profile,
     model: str | None,
     friction_angle: ArrayLike,
     roll: ArrayLike = 0.0,
     known: tuple[str, ...] = MODELS,
 ) -> str:
-    """The name of the rung to use: the one asked for, or the lowest that models all there is."""
-    found = {}  # what the scene has: its size and unit, and the lowest rung that models it
+    """The name of the model to use: the one asked for, or the lowest that models all there is."""
+    found = {}  # what the scene has: its size and unit, and the lowest model that models it
     if isinstance(whisker, Whisker):
         bow = np.max(np.abs(whisker.curvature))
     else:
-        found["A stiffness profile"] = (f"{len(whisker.arc)} knots", Rung.PROFILE)
+        found["A stiffness profile"] = (f"{len(whisker.arc)} knots", Model.PROFILE)
         bow = max(np.max(np.abs(value)) for value in vars(whisker.law).values())
     if bow > 0:
-        found["Intrinsic curvature"] = (f"{bow:g} 1/m", Rung.PROFILE)
+        found["Intrinsic curvature"] = (f"{bow:g} 1/m", Model.PROFILE)
     tilt, turn = np.max(np.abs(friction_angle)), np.max(np.abs(np.sin(roll)))
     if tilt > 0:
-        found["Friction"] = (f"{tilt:g} rad", Rung.PROFILE)
+        found["Friction"] = (f"{tilt:g} rad", Model.PROFILE)
     if turn > 0 and bow > 0:
-        found["Roll of the plane of curvature"] = (f"{np.max(np.abs(roll)):g} rad", Rung.ROD)
-    needed = max((rung for _, rung in found.values()), default=Rung.ELASTICA)
+        found["Roll of the plane of curvature"] = (f"{np.max(np.abs(roll)):g} rad", Model.ROD)
+    needed = max((model for _, model in found.values()), default=Model.ELASTICA)
     if model is None:
         return needed.name.lower()
     one_of("model", model, known)
-    forced = Rung[model.upper()]
+    forced = Model[model.upper()]
     for what, (size, lowest) in found.items():
         if forced < lowest:
             raise ValueError(
-                f"{what} is not modelled by the {model} rung, got {size}; "
+                f"{what} is not modelled by the {model} model, got {size}; "
                 f'write model="{needed.name.lower()}" or leave model out.'
             )
     return model

@@ -1,4 +1,4 @@
-"""Scenes of one broadcast shape: flat and in natural units for the rungs that integrate, and back.
+"""Scenes of one broadcast shape: flat and in natural units for the models that integrate, and back.
 
 Natural units are the whisker's length L, its base stiffness EI₀, and EI₀/L² for forces.
 """
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import NUMBERS, Bending, Outcome, Rung
+from .contact import NUMBERS, Bending, Model, Outcome
 from .shape import Profile
 from .trajectory import Rows, rows_of
 
@@ -104,7 +104,7 @@ class Scenes:
                 for name, row in zip(NUMBERS, numbers, strict=True)
             },
             outcome=self.outcome(outcome),
-            model=np.full(shape, Rung.PROFILE, dtype=np.int8) if shape else Rung.PROFILE,
+            model=np.full(shape, Model.PROFILE, dtype=np.int8) if shape else Model.PROFILE,
             error=error.reshape(shape)[()],
             whisker=self.whisker,
         )

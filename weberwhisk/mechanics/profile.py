@@ -1,4 +1,4 @@
-"""Rung 2: the planar elastica of any whisker, curved or cut or hollow, with Coulomb friction.
+"""The planar beam: any whisker, curved or cut or hollow, with Coulomb friction.
 
 The whisker is followed from the contact to the base (`trajectory`), so that bending by a given
 force needs no root. Pressing against a point is Newton's method in contact arc and force on the

@@ -1,4 +1,4 @@
-"""Rung 3: contact out of the plane of a curved whisker, with bending about two axes and torsion.
+"""The rod: contact out of the plane of a curved whisker, with bending about two axes and torsion.
 
 A Kirchhoff rod of circular section, GJ = EI/(1 + ν). As in the plane, the moment is zero at the
 contact and the force's direction is known in the contact's own frame, so the rod is followed from
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite, positive
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import Outcome, Rung
+from .contact import Model, Outcome
 from .cosserat import POISSON_RATIO, Base, Scenes
 from .equilibrium import on_whisker
 from .shape import Profile
@@ -246,7 +246,7 @@ def _result(
         scalar(np.hypot(v[1], v[2]) * scenes.force),
         scalar(np.arctan2(v[2], v[1])),
         outcome.reshape(scenes.shape) if scenes.shape else Outcome(int(outcome[0])),
-        np.full(scenes.shape, Rung.ROD, dtype=np.int8) if scenes.shape else Rung.ROD,
+        np.full(scenes.shape, Model.ROD, dtype=np.int8) if scenes.shape else Model.ROD,
         scalar(error),
         scenes.whisker,
     )

@@ -1,4 +1,4 @@
-"""One scene, any rung: what each rung makes of the same whisker pressed against the same point.
+"""One scene, any model: what each model makes of the same whisker pressed against the same point.
 
 A scene is a whisker, the radial distance and deflection angle of the contact, a friction angle,
 and a *roll*: the angle about the base tangent between the plane in which the whisker is pushed
@@ -6,12 +6,13 @@ and a *roll*: the angle about the base tangent between the plane in which the wh
 resting whisker does where it reaches that distance, so that the push begins at first touch; the
 deflection angle is the azimuth of the point.
 
-Each rung sees of it what it can model:
+Each model sees of it what it can model:
 
-- rungs 0 and 1 a straight taper, deflected by the *push*: the deflection angle less the angle of
-  the resting whisker;
-- rung 2 the whisker's projection on the xy plane: curvature times cos(roll), the same push;
-- rung 3 everything.
+- closed form and elastica a straight taper, deflected by the *push*: the deflection angle less the
+  angle of the resting whisker;
+- the planar beam the whisker's projection on the xy plane: curvature times cos(roll), the same
+  push;
+- the rod everything.
 
 In units of the whisker's length, base radius and base stiffness; signals are M_z, −F_x, F_y.
 """
@@ -19,6 +20,7 @@ In units of the whisker's length, base radius and base stiffness; signals are M_
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +29,7 @@ from ..whisker import Whisker
 from . import closed_form, elastica, rod
 from .branch import zero_load
 from .chebyshev import Array
-from .contact import Bending, Choice, Outcome, Rung
+from .contact import Bending, Choice, Model, Outcome
 from .cosserat import POISSON_RATIO
 from .cosserat import Scenes as Rods
 from .equilibrium import press_rows
@@ -69,18 +71,18 @@ class Scene:
 
     @property
     def taper(self) -> Array:
-        """1 − 1/R of the straight whisker that rungs 0 and 1 see."""
+        """1 − 1/R of the straight whisker that models 0 and 1 see."""
         return np.clip(1 - self.rows.radius[-1] / self.rows.radius[0], 0.0, 1.0)
 
     def top(self) -> NDArray[np.int8]:
-        """The lowest rung that models all there is in each scene."""
+        """The lowest model that models all there is in each scene."""
         plain = self.rows.core is None and len(self.rows.arc) == 2
-        rung = np.where((self.friction != 0) | (not plain), Rung.PROFILE, Rung.ELASTICA)
+        model = np.where((self.friction != 0) | (not plain), Model.PROFILE, Model.ELASTICA)
         if self.rows.law is not None:
             curved = np.any([value != 0 for value in vars(self.rows.law).values()], axis=0)
-            rung = np.where(curved, Rung.PROFILE, rung)
-            rung = np.where(curved & (np.sin(self.roll) != 0), Rung.ROD, rung)
-        return rung.astype(np.int8)
+            model = np.where(curved, Model.PROFILE, model)
+            model = np.where(curved & (np.sin(self.roll) != 0), Model.ROD, model)
+        return model.astype(np.int8)
 
     def planar(self) -> tuple[Rows, Array]:
         """The whiskers as projected on the plane of the push, and the deflection angles there."""
@@ -132,9 +134,9 @@ def press_chosen(
     choice: Choice,
     tolerance: float = 1e-9,
 ) -> Bending:
-    """Press each whisker by the rung chosen for its scene; arguments as for `ladder.press`.
+    """Press each whisker by the model chosen for its scene; arguments as for `ladder.press`.
 
-    `tolerance` is that of solving the equations of rung 2.
+    `tolerance` is that of solving the equations of the planar beam.
 
     Raises
     ------
@@ -143,8 +145,8 @@ def press_chosen(
         that does not broadcast with these.
     """
 
-    def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, rung: Array) -> Solved:
-        return press(Scene.of(rows, r, theta, psi, turn), rung.astype(np.int8), tolerance)
+    def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, model: Array) -> Solved:
+        return press(Scene.of(rows, r, theta, psi, turn), model.astype(np.int8), tolerance)
 
     b = by_rows(
         solve,
@@ -153,14 +155,14 @@ def press_chosen(
         angle=deflection_angle,
         tilt=friction(friction_angle),
         roll=roll,
-        rung=choice.rung,
+        model=choice.model,
     )
-    rung = np.broadcast_to(np.asarray(choice.rung, dtype=np.int8), np.shape(b.moment))
-    off = np.take_along_axis(choice.error, np.asarray(choice.rung)[..., None], -1)[..., 0]
+    model: Any = np.broadcast_to(np.asarray(choice.model, dtype=np.int8), np.shape(b.moment))
+    off = np.take_along_axis(choice.error, np.asarray(choice.model)[..., None], -1)[..., 0]
     # What the closed form says of itself is about the same error as the choice's.
-    own = np.where(rung == Rung.CLOSED_FORM, 0.0, b.error)
+    own = np.where(model == Model.CLOSED_FORM, 0.0, b.error)
     error = np.where(np.isnan(b.error), np.nan, off + own)
-    model = rung if rung.ndim else Rung(int(rung))
+    model = model if model.ndim else Model(int(model))
     return replace(b, model=model, error=error[()], choice=choice)
 
 
@@ -171,8 +173,8 @@ def press_in_space(
     friction_angle: ArrayLike,
     roll: ArrayLike,
 ) -> Bending:
-    """Rung 3 as a `Bending`; arguments as for `ladder.press`."""
-    whole = Choice.complete(Rung.ROD, 1e-9)
+    """The rod as a `Bending`; arguments as for `ladder.press`."""
+    whole = Choice.complete(Model.ROD, 1e-9)
     return press_chosen(whisker, radial_distance, deflection_angle, friction_angle, roll, whole)
 
 
@@ -183,7 +185,7 @@ def jacobian_in_space(
     friction_angle: ArrayLike,
     roll: ArrayLike,
 ) -> Array:
-    """Rung 3's derivatives of (M_z, −F_x, F_y) to (r, θ_d); arguments as for `ladder.press`."""
+    """The rod's derivatives of (M_z, −F_x, F_y) to (r, θ_d); arguments as for `ladder.press`."""
     scenes = Scenes.of(
         whisker,
         length=radial_distance,
@@ -197,13 +199,13 @@ def jacobian_in_space(
     return scenes.jacobian(slopes)
 
 
-def press(scene: Scene, rung: NDArray[np.int8], tolerance: float) -> Solved:
-    """The eight numbers of a `Bending`, outcome and error, each scene by the rung named."""
+def press(scene: Scene, model: NDArray[np.int8], tolerance: float) -> Solved:
+    """The eight numbers of a `Bending`, outcome and error, each scene by the model named."""
     n = scene.distance.size
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
     outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
-    for step in np.unique(rung):
-        which = np.flatnonzero(rung == step)
+    for step in np.unique(model):
+        which = np.flatnonzero(model == step)
         part = scene.take(which)
         solved = _SOLVE[step](part) if step in _SOLVE else _planar(part, tolerance)
         numbers[:, which], outcome[which], error[which] = solved
@@ -212,15 +214,15 @@ def press(scene: Scene, rung: NDArray[np.int8], tolerance: float) -> Solved:
 
 
 def _closed_form(scene: Scene) -> Solved:
-    return _straight(scene, Rung.CLOSED_FORM)
+    return _straight(scene, Model.CLOSED_FORM)
 
 
 def _elastica(scene: Scene) -> Solved:
-    return _straight(scene, Rung.ELASTICA)
+    return _straight(scene, Model.ELASTICA)
 
 
-def _straight(scene: Scene, rung: Rung) -> Solved:
-    solve = closed_form._press if rung == Rung.CLOSED_FORM else elastica._press
+def _straight(scene: Scene, model: Model) -> Solved:
+    solve = closed_form._press if model == Model.CLOSED_FORM else elastica._press
     unit, lost = np.ones_like(scene.distance), np.isnan(scene.push)
     push = np.where(lost, 0.0, scene.push)
     numbers, outcome, error = solve(unit, scene.taper, unit, scene.distance, push)
@@ -279,5 +281,5 @@ def _spatial_slopes(scene: Scene) -> Array:
     return slopes
 
 
-#: By rung; rung 2 takes its tolerance as well.
-_SOLVE = {Rung.CLOSED_FORM: _closed_form, Rung.ELASTICA: _elastica, Rung.ROD: _spatial}
+#: By model; the planar beam takes its tolerance as well.
+_SOLVE = {Model.CLOSED_FORM: _closed_form, Model.ELASTICA: _elastica, Model.ROD: _spatial}

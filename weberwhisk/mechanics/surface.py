@@ -1,7 +1,7 @@
 """The base signals of one straight whisker as a surface over (r, θ_d), for millions of contacts.
 
 An observer presses one whisker against point after point and asks for its signals only. For that,
-rung 1's map is taken to the signals themselves and to as many of its terms as `TOLERANCE` needs:
+the elastica's map is taken to the signals themselves and to as many terms as `TOLERANCE` needs:
 a third of the time of `elastica.press`, with the same outcomes.
 """
 

@@ -1,4 +1,4 @@
-"""One pass along the whisker from the contact to the base: the integrator under rung 2.
+"""One pass along the whisker from the contact to the base: the integrator under the planar beam.
 
 At a contact the moment is zero and the direction of the force is known in the contact's own
 frame, so the beam is followed from there to the base as an initial value problem. With y along
