@@ -110,19 +110,26 @@ def test_a_rehearsal_broken_off_goes_on(
     ("options", "sentence"),
     [
         (["--half-width", "0.2", "--bayes-factor", "10"], "There is one goal, got"),
-        (["--standard-mm", "35"], "is off the whisker, by 0.0014 past its tip"),
-        (["--trials", "0"], "trials of a level must be a whole number of 1 or more, got 0"),
-        (["--easy-share", "0.8"], "fewer than easy_share=0.8 asks for"),
+        (["--standard-mm", "35"], "is off the whisker, by 1.4 mm past its tip"),
+        (["--trials", "0"], "--trials of a level must be a whole number of 1 or more, got 0"),
+        (["--easy-share", "0.8"], "fewer than --easy-share 0.8 asks for"),
         (["--step-mm", "3"], "are too coarse at standard"),
-        (["--farthest-mm", "25"], "farther than the animal's range"),
-        (["--nearest-mm", "30", "--farthest-mm", "20"], "farthest must lie beyond nearest"),
+        (["--farthest-mm", "25"],
+         "is farther than the animal's range of 0 mm to 25 mm, by"),
+        (["--step-mm", "-1"], "--step-mm must not be negative, got -1; give millimetres"),
+        (["--standard-mm", "nan"], "--standard-mm must be finite, got nan; give millimetres"),
+        (["--nearest-mm", "inf"], "--nearest-mm must be finite, got inf; give millimetres"),
+        (["--farthest-mm", "nan"], "--farthest-mm must lie beyond --nearest-mm, got nan and 0"),
+        (["--bayes-factor", "nan"], "--bayes-factor must be above 1, got nan"),
+        (["--nearest-mm", "30", "--farthest-mm", "20"],
+         "--farthest-mm must lie beyond --nearest-mm, got 20 and 30"),
         (["--half-width", "0.2", "--cue", "force-map", "--deflection-angle-deg", "60"], "flicked"),
         (["--cue", "force-map"], "Taper is tested by the compliance cue"),
-        (["--trials-per-session", "0"], "trials_per_session must be a whole number"),
-        (["--share", "1"], "share must lie between 0 and 1"),
+        (["--trials-per-session", "0"], "--trials-per-session must be a whole number"),
+        (["--share", "1"], "--share must lie between 0 and 1"),
         (["--identity", "Z9"], "Z9"),
     ],
-)
+)  # fmt: skip
 def test_design_refuses_in_one_sentence_and_leaves_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, options: list[str], sentence: str
 ) -> None:
@@ -143,7 +150,7 @@ def test_design_refuses_in_one_sentence_and_leaves_nothing(
         ("{", "is no whole plan"),
         ("[1]", "is not a plan"),
         ('{"format": "weberwhisk plan", "version": 3}', "has version 3 of the plan's format"),
-        ('{"format": "weberwhisk plan", "version": 1}', "is damaged: KeyError 'power'"),
+        ('{"format": "weberwhisk plan", "version": 1}', "lacks"),
     ],
 )
 def test_rehearse_refuses_what_is_no_plan(

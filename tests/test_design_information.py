@@ -301,7 +301,7 @@ def test_impossible_constraints_are_named_with_by_how_much(options, words):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda: information([TAPERED], [51e-3], [1e-3]), "by 0.001 past its tip"),
+        (lambda: information([TAPERED], [51e-3], [1e-3]), "by 1 mm past its tip"),
         (lambda: information([TAPERED], [10e-3, 20e-3], np.zeros((3, 2))), "3 rows for 2"),
         (lambda: information([TAPERED], [10e-3], [np.nan]), "must be finite"),
         (lambda: information([], [10e-3], [1e-3]), "needs a hypothesis"),
@@ -311,7 +311,7 @@ def test_impossible_constraints_are_named_with_by_how_much(options, words):
         (lambda: Scheme([10e-3], [1e-3], 0), "got 0"),
         (lambda: Scheme.spaced(OF_THE_MAP, [49e-3]), "flicked past: the whisker holds"),
         (lambda: Constraints(farthest=40e-3).check(Scheme([39e-3], [2e-3]), TAPERED.percept),
-         "by 0.001"),
+         "by 1 mm"),
     ],
 )  # fmt: skip
 def test_bad_input_is_refused_in_a_sentence(wrong, words):

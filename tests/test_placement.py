@@ -397,7 +397,7 @@ def test_a_lattice_stays_where_the_animal_and_the_pole_can_go():
     assert max(lattice(percept, [48.0]).comparisons[0]) < 50
     with pytest.raises(ValueError, match="standard 40 is left without comparisons on both sides"):
         lattice(percept, [40.0], Constraints(5.0, 40.0))
-    with pytest.raises(ValueError, match="standard 60 is off the whisker"):
+    with pytest.raises(ValueError, match="standard 60 mm is off the whisker"):
         lattice(percept, [60.0])
 
 

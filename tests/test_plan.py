@@ -461,14 +461,17 @@ C2 = Whisker.from_identity("C2")  # 33.6 mm
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"standards": [40e-3]}, r"standard 0\.04 is off the whisker, by 0\.0064 past its tip"),
+        ({"standards": [40e-3]}, r"standard 40 mm is off the whisker, by 6\.4 mm past its tip"),
         ({"standards": [30e-3], "levels": [9.0]}, r"comparison .* is off the whisker, by"),
-        ({"scheme": Scheme([10e-3], [-11e-3])}, r"nearer than the animal's range .* by 0\.001"),
+        ({"scheme": Scheme([10e-3], [-11e-3])}, r"nearer than the animal's range .* by 1\.?\d* mm"),
         ({"trials": 0}, r"trials of a level must be a whole number of 1 or more, got 0"),
         ({"animals": 0}, r"animals must be a whole number of 1 or more, got 0"),
-        ({"constraints": Constraints(nearest=9e-3), "trials": 5}, r"nearer .* by 0\.00"),
-        ({"constraints": Constraints(farthest=30e-3), "trials": 5}, r"farther .* by 0\.0"),
-        ({"constraints": Constraints(step=2e-3), "trials": 5}, r"steps of 0\.002 are too coarse"),
+        ({"constraints": Constraints(nearest=9e-3), "trials": 5}, r"nearer .* by .* mm"),
+        (
+            {"constraints": Constraints(farthest=30e-3), "trials": 5},
+            r"farther .* to 30 mm, by 0\.24 mm",
+        ),
+        ({"constraints": Constraints(step=2e-3), "trials": 5}, r"steps of 2 mm are too coarse"),
         (
             {"constraints": Constraints(easy_share=0.5), "trials": 5},
             r"33\.3 % of the trials are easy .* 16\.7 % fewer than easy_share=0\.5",

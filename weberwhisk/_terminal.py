@@ -63,7 +63,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str]) -> int:
             message += f"; `{context.command_path} --help` says what it takes."
         return _refuse(message)
     except ValueError as error:
-        if not _raised_by_weberwhisk(error):
+        if not raised_by_weberwhisk(error):
             raise
         return _refuse(str(error))
     except BrokenPipeError:
@@ -82,7 +82,7 @@ def _refuse(sentence: str) -> int:
     return 2
 
 
-def _raised_by_weberwhisk(error: BaseException) -> bool:
+def raised_by_weberwhisk(error: BaseException) -> bool:
     """Whether it is a refusal of ours; a ValueError from elsewhere is a bug and must look it."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 import weberwhisk as ww
 
@@ -33,6 +34,7 @@ from .options import (
     WorkersOption,
     describe,
     number_option,
+    options_named,
     the_cue,
     the_whisker,
     whisker_line,
@@ -149,12 +151,14 @@ def design(
         shape = ("C2", *shape[1:])
     whisker = the_whisker(*shape, None)
     _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
-    with Run(out, "design", inputs, seed) as run:
+    with options_named(inputs), Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker,
             goal=_goal(bayes_factor, half_width, share),
-            standards=None if not standard_mm else numbers("--standard-mm", standard_mm) * 1e-3,
-            levels=numbers("--level", level) if level else WIDE,
+            standards=_standards(standard_mm),
+            levels=_checks.finite("--level", numbers("--level", level), "write -1,1, say")
+            if level
+            else WIDE,
             best=best,
             trials=trials,
             animals=animals,
@@ -202,8 +206,22 @@ def _goal(bayes_factor: float | None, half_width: float | None, share: float) ->
 def _constraints(
     nearest_mm: float, farthest_mm: float | None, step_mm: float, easy_share: float
 ) -> Constraints:
+    _checks.non_negative("--nearest-mm", nearest_mm, "give millimetres, such as 5")
+    _checks.non_negative("--step-mm", step_mm, "give millimetres, such as 0.1, or 0")
+    if farthest_mm is not None and not farthest_mm > nearest_mm:
+        raise ValueError(
+            f"--farthest-mm must lie beyond --nearest-mm, got {farthest_mm:g} and {nearest_mm:g}; "
+            "exchange them, say."
+        )
     farthest = np.inf if farthest_mm is None else farthest_mm * 1e-3
     return Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
+
+
+def _standards(texts: list[str] | None) -> NDArray[np.float64] | None:
+    if not texts:
+        return None
+    at = numbers("--standard-mm", texts)
+    return _checks.positive("--standard-mm", at, "give millimetres, such as 10,20") * 1e-3
 
 
 def _felt(cue: str | None, angles_deg: list[str] | None) -> dict[str, Any]:

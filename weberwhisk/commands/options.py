@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, a_seed, numbers
+from .._terminal import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
 from ..runs import Run, to_json
 
@@ -287,3 +289,17 @@ def whisker_line(whisker: ww.Whisker) -> str:
 def option(parameter: str) -> str:
     """The option that a parameter is written as."""
     return f"--{parameter.replace('_', '-')}"
+
+
+@contextmanager
+def options_named(parameters: Iterable[str]) -> Iterator[None]:
+    """Refusals of the library within, with options for the parameters that they name."""
+    names = "|".join(parameters)
+    try:
+        yield
+    except ValueError as error:
+        if not raised_by_weberwhisk(error):
+            raise
+        words = re.sub(rf"^({names})\b", lambda m: option(m[1]), str(error))
+        words = re.sub(rf"\b({names})=(?=[\w.])", lambda m: f"{option(m[1])} ", words)
+        raise ValueError(words) from error

@@ -147,9 +147,9 @@ class Scheme:
             if row.size < np.size(z):
                 one = weber_fraction * float(difference_sd(percept, s))
                 raise ValueError(
-                    f"steps of {step:g} are too coarse at standard {s:g}: {np.size(z)} levels fall "
-                    f"on {row.size}, as one sd is {one:.3g}; take finer steps, fewer levels or "
-                    "another standard."
+                    f"steps of {in_words(percept, step)} are too coarse at standard "
+                    f"{in_words(percept, s)}: {np.size(z)} levels fall on {row.size}, as one sd is "
+                    f"{in_words(percept, one)}; take finer steps, fewer levels or another standard."
                 )
         return cls(at, rows, trials, animals)
 
@@ -275,26 +275,29 @@ class Constraints:
             Naming the constraint, by how much it is missed and where.
         """
         cells = scheme.cells()
+
+        def said(value: float) -> str:
+            return in_words(percept, value)
+
+        ends = f"{said(self.nearest)} to {said(self.farthest)}"
         for name, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
             low, high = float(at.min()), float(at.max())
             if low < self.nearest:
                 raise ValueError(
-                    f"{name} {low:g} is nearer than the animal's range of {self.nearest:g} to "
-                    f"{self.farthest:g}, by {self.nearest - low:.3g}; move it out or widen the "
-                    "range."
+                    f"{name} {said(low)} is nearer than the animal's range of {ends}, by "
+                    f"{said(self.nearest - low)}; move it out or widen the range."
                 )
             if high > self.farthest:
                 raise ValueError(
-                    f"{name} {high:g} is farther than the animal's range of {self.nearest:g} to "
-                    f"{self.farthest:g}, by {high - self.farthest:.3g}; move it in or widen the "
-                    "range."
+                    f"{name} {said(high)} is farther than the animal's range of {ends}, by "
+                    f"{said(high - self.farthest)}; move it in or widen the range."
                 )
             off = np.abs(at - self.positions(at))
             if self.step and off.max() > 1e-6 * self.step:
                 worst = int(np.argmax(off))
                 raise ValueError(
-                    f"{name} {at[worst]:g} lies between two steps of {self.step:g}, off by "
-                    f"{off[worst]:.3g}; write {self.positions(at[worst]):g}."
+                    f"{name} {said(at[worst])} lies between two steps of {said(self.step)}, off by "
+                    f"{said(off[worst])}; write {said(float(self.positions(at[worst])))}."
                 )
             refuse_out_of_reach(percept, at, name)
         share = easy_share(scheme, percept, weber_fraction, self.easy_proportion)
@@ -357,15 +360,19 @@ def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stim
     """
     at = np.atleast_1d(np.asarray(stimulus, dtype=float))
     low, high = percept.domain
+
+    def said(value: float) -> str:
+        return in_words(percept, value)
+
     if at.max() >= high:
         raise ValueError(
-            f"{name} {at.max():g} is off the whisker, by {at.max() - high:.3g} past its tip at "
-            f"{high:g}; stay well inside."
+            f"{name} {said(at.max())} is off the whisker, by {said(at.max() - high)} past its tip "
+            f"at {said(high)}; stay well inside."
         )
     if at.min() <= low:
         raise ValueError(
-            f"{name} {at.min():g} is off the whisker, by {low - at.min():.3g} before its base at "
-            f"{low:g}; stay well inside."
+            f"{name} {said(at.min())} is off the whisker, by {said(low - at.min())} before its "
+            f"base at {said(low)}; stay well inside."
         )
     felt = np.isfinite(percept.mean(at)) & np.isfinite(percept.unit_sd(at))
     if felt.all():
@@ -373,19 +380,33 @@ def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stim
     worst = float(at[~felt].max())
     why = percept.outcome(worst) if isinstance(percept, CuePercept) else "it gives no signal"
     if not isinstance(percept, CuePercept) or percept.deflection_angle is None:
-        raise ValueError(f"{name} {worst:g} cannot be felt: {why}; choose another distance.")
+        raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
     whisker, unit = percept.observer.whisker, percept.unit
     angle = np.degrees(percept.deflection_angle)
     limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
     if limit >= angle:
-        raise ValueError(f"{name} {worst:g} cannot be felt: {why}; choose another distance.")
+        raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
     grid = np.linspace(0.01, 0.999, 400) * high
     held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
-    farthest = f"stay within {held.max():.3g}, or " if held.size else ""
+    farthest = f"stay within {said(float(held.max()))}, or " if held.size else ""
     raise ValueError(
-        f"{name} {worst:g} is flicked past: the whisker holds {limit:.3g}° there and contacts are "
-        f"at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
+        f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and contacts "
+        f"are at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
     )
+
+
+def in_words(percept: Percept, length: float) -> str:
+    """A stimulus with its unit: millimetres where it is a distance along a whisker.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> in_words(IdentityPercept(), 0.06)
+    '0.06'
+    """
+    if not isinstance(percept, CuePercept):
+        return f"{length:.4g}"
+    return f"{1e3 * percept.unit * length:.4g} mm"
 
 
 def _snapped(distance: ArrayLike, step: float) -> Array:
