@@ -141,7 +141,7 @@ def table(case: Case, i: int) -> tuple[Array, int, Array]:
 def believed() -> tuple[Array, Array, Array, Array]:
     """Scores of k, lapses and biases as believed beforehand: a low-discrepancy sequence."""
     z, low, high, bias = ndtri(stats.qmc.Sobol(4, seed=1).random_base2(19)).T
-    lapses = stats.beta(0.3, 3)
+    lapses = stats.beta(0.7, 20)
     return z, lapses.ppf(ndtr(low)), lapses.ppf(ndtr(0.7 * low + np.sqrt(0.51) * high)), bias
 
 
@@ -167,7 +167,7 @@ def exact_fit(levels: Array, n: int, answers: Array) -> tuple[Array, float, Arra
     # Scores of k (a perfect observer's far below what is believed) and of both lapses, the bias.
     windows = [(-9.0, 5.5), *[(-5.5, 5.5)] * 3]
     pair = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]])
-    lapses = stats.beta(0.3, 3)
+    lapses = stats.beta(0.7, 20)
     for sizes in ((59, 15, 15, 41), (61, 15, 15, 41), (121, 19, 19, 41)):
         k, low, high, b = (np.linspace(*w, m) for w, m in zip(windows, sizes, strict=True))
         p_low, p_high = (lapses.ppf(ndtr(z))[:, None] for z in (low, high))

@@ -98,7 +98,7 @@ def _drawn(count: int) -> dict[str, Array]:
 @cache
 def _lapses() -> tuple[Array, Array]:
     score = np.linspace(-9.0, 9.0, 4001)
-    return score, stats.beta(0.3, 3).ppf(ndtr(score))
+    return score, stats.beta(0.7, 20).ppf(ndtr(score))
 
 
 def _normals(rng: np.random.Generator, *shape: int) -> Array:

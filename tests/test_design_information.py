@@ -51,7 +51,7 @@ def draws(count, seed):
     rng = np.random.default_rng(seed)
     z = rng.standard_normal((3, count))
     z[2] = 0.7 * z[1] + np.sqrt(1 - 0.49) * z[2]
-    lapses = beta(0.3, 3).ppf(ndtr(z[1:]))
+    lapses = beta(0.7, 20).ppf(ndtr(z[1:]))
     keep = lapses.sum(axis=0) < 1
     k = 0.1 * np.exp(np.log(3) * z[0])
     return k[keep], lapses[0, keep], lapses[1, keep], rng.standard_normal(count)[keep]

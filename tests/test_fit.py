@@ -61,7 +61,7 @@ NINE = np.linspace(0.7, 1.3, 9)
 def lapses_possible() -> float:
     """Prior probability that lapses are not more than 1 in all, as they cannot be."""
     scores = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]]).rvs(400_000, random_state=1)
-    return float(np.mean(stats.beta(0.3, 3).ppf(stats.norm.cdf(scores)).sum(axis=1) < 1))
+    return float(np.mean(stats.beta(0.7, 20).ppf(stats.norm.cdf(scores)).sum(axis=1) < 1))
 
 
 def brute_force(trials: Trials, bias: str, n_k: int = 61, n_b: int = 61, n_l: int = 31) -> dict:
@@ -81,7 +81,7 @@ def brute_force(trials: Trials, bias: str, n_k: int = 61, n_b: int = 61, n_l: in
         ln_k, z_low, z_high, b = axes
         if bias == "none":
             b = np.zeros(1)
-        low, high = (stats.beta(0.3, 3).ppf(stats.norm.cdf(z)) for z in (z_low, z_high))
+        low, high = (stats.beta(0.7, 20).ppf(stats.norm.cdf(z)) for z in (z_low, z_high))
         low, high = low[:, None, None, None], high[None, :, None, None]
         prior_b = stats.norm.pdf(b) * (b[1] - b[0]) if b.size > 1 else np.ones(1)
         log_post = np.empty([a.size for a in axes[:3]])
@@ -141,7 +141,8 @@ def test_interval_ends_within_one_percent_of_brute_force(name: str) -> None:
     options, bias = BRUTE[name]
     trials = simulate_trials(**options)  # type: ignore[arg-type]
     fit = fit_weber(trials, bias=bias)
-    exact = brute_force(trials, bias)
+    # With 61 nodes of the bias the sum over 999 trials is itself 0.04 off.
+    exact = brute_force(trials, bias, n_b=121 if name == "999 trials" else 61)
     np.testing.assert_allclose(
         fit.posterior.quantile("weber_fraction", ENDS), exact["ends"], rtol=0.01
     )
@@ -260,7 +261,7 @@ def test_summary(fit: WeberFit) -> None:
     assert (table["median"] < table["upper"]).all()
     assert table.loc["weber_fraction", "median"] == fit.weber_fraction
     assert tuple(table.loc["weber_fraction", ["lower", "upper"]]) == fit.interval(0.95)
-    assert table.loc["lapse_low", "prior"] == "beta(0.3, 3)"
+    assert table.loc["lapse_low", "prior"] == "beta(0.7, 20)"
     narrow = fit.summary(mass=0.5)
     assert (narrow["lower"] > table["lower"]).all()
 
@@ -465,7 +466,7 @@ def test_prior_predictive_is_what_the_priors_say(fit: WeberFit) -> None:
     # Drawn anew with SciPy alone, at equal stimuli.
     rng = np.random.default_rng(1)
     z = rng.multivariate_normal([0, 0], [[1, 0.7], [0.7, 1]], 40_000).T
-    low, high = stats.beta(0.3, 3).ppf(stats.norm.cdf(z))
+    low, high = stats.beta(0.7, 20).ppf(stats.norm.cdf(z))
     low, high = (side[low + high < 1] for side in (low, high))
     p = low + (1 - low - high) * stats.norm.cdf(rng.standard_normal(low.size))
     share = rng.binomial(40, p) / 40
@@ -530,7 +531,7 @@ def test_weber_law_evidence_with_lapses_and_bias_by_brute_force(bias: str) -> No
     c = trials.cells()
     drive = (c.stimulus_2 - c.stimulus_1) / np.hypot(c.stimulus_1, c.stimulus_2)
     ln_k, z, b = np.linspace(-4.6, 0.0, 47), np.linspace(-5, 4, 28), np.linspace(-1.6, 1.6, 33)
-    lapse = stats.beta(0.3, 3).ppf(stats.norm.cdf(z))
+    lapse = stats.beta(0.7, 20).ppf(stats.norm.cdf(z))
     low, high = lapse[:, None, None, None, None], lapse[:, None, None, None]
     up = stats.norm.cdf(drive / np.exp(ln_k)[:, None, None] + b[:, None])
     down = stats.norm.cdf(-drive / np.exp(ln_k)[:, None, None] - b[:, None])
@@ -582,7 +583,7 @@ def test_reversed_labels_are_found() -> None:
     fit = fit_weber(wrong)
     assert fit.status is FitStatus.REVERSED
     assert "means nothing" in fit.report()
-    assert "choice_labels" in fit.report()
+    assert "check which answer means which stimulus" in fit.report()
     assert fit_weber(counted([0.8, 1.2], 30, [30, 0])).status is FitStatus.REVERSED
     odd = simulate_trials(task="3AFC percent correct", seed=31)
     never = replace(odd, frame=odd.frame.assign(count=0.0))
@@ -600,7 +601,7 @@ def test_chance_performance_does_not_claim_a_weber_fraction() -> None:
         assert fit.status in (FitStatus.LOWER_BOUND, FitStatus.UNINFORMED)
         low, high = fit.interval()
         assert high > 1.0
-        assert high / low > 50
+        assert high / low > 5
 
 
 @pytest.mark.parametrize("task", ["2AFC", "yes/no"])
@@ -762,12 +763,13 @@ def test_a_poor_animal_is_within_reach_of_the_prior() -> None:
 def test_a_ridge_between_bias_and_lapses_is_integrated() -> None:
     """One ratio up and one down: four parameters on two proportions."""
     trials = counted([0.8, 1.25], 1500, [470, 900])
-    fit = fit_weber(trials)
+    wide = stats.beta(0.3, 3)
+    fit = fit_weber(trials, priors={"lapse_low": wide, "lapse_high": wide})
     assert fit.posterior.trouble == ""
     c = trials.cells()
     drive = (c.stimulus_2 - c.stimulus_1) / np.hypot(c.stimulus_1, c.stimulus_2)
     z = np.linspace(-6, 3.5, 150)
-    lapse = stats.beta(0.3, 3).ppf(stats.norm.cdf(z))
+    lapse = wide.ppf(stats.norm.cdf(z))
     low, high = lapse[:, None, None], lapse[:, None]
     pair = stats.multivariate_normal(cov=[[1, 0.7], [0.7, 1]])
     prior = pair.pdf(np.stack(np.meshgrid(z, z, indexing="ij"), -1))

@@ -690,7 +690,7 @@ def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
         "not more than 4 times running",
         "from seed 7",
         "lognorm(1.099, scale=0.1)",
-        "beta(0.3, 3)",
+        "beta(0.7, 20)",
         "a response bias b for each standard",
         'weberwhisk.fit_weber with bias="per standard"; on the command line --bias',
     ):

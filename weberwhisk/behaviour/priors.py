@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 REACH = 9.0  # scores beyond which no prior has mass
 TINY = 1e-300
-DISTRIBUTION = "give a frozen distribution such as scipy.stats.beta(0.3, 3)"
+DISTRIBUTION = "give a frozen distribution such as scipy.stats.beta(1, 20)"
 
 _WEBER = stats.lognorm(np.log(3.0), scale=0.1)
-_LAPSE = stats.beta(0.3, 3.0)
+_LAPSE = stats.beta(0.7, 20.0)
 _BIAS = stats.norm(0.0, 1.0)
 # "Different" must be said of a difference: a criterion below zero says it of everything.
 _SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
@@ -100,7 +100,7 @@ class Priors:
             if low < 0 or high > 1:
                 raise ValueError(
                     f"the prior of {name} must lie between 0 and 1, got support {low:g} to "
-                    f"{high:g}; give for example scipy.stats.beta(0.3, 3)."
+                    f"{high:g}; give for example scipy.stats.beta(1, 20)."
                 )
         lost = [self.support(name)[0] for name in ("lapse_low", "lapse_high")]
         if sum(lost) >= 1:
@@ -168,7 +168,7 @@ class Priors:
         Examples
         --------
         >>> Priors().words("lapse_low")
-        'beta(0.3, 3)'
+        'beta(0.7, 20)'
         """
         prior = self.of(name)
         if self.is_fixed(name):

@@ -121,7 +121,7 @@ def fit(
         typer.Option(
             "--lapse-prior",
             metavar="A,B",
-            help="Belief about the lapses at either end, Beta(A, B).  [default: 0.3,3]",
+            help="Belief about the lapses at either end, Beta(A, B).  [default: 0.7,20]",
         ),
     ] = None,
     comparison: Annotated[
