@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-import lapse_prior as grid
+import lapse_prior as plain
 import numpy as np
 import pandas as pd
 from command import ANALYSES, options
@@ -23,8 +23,13 @@ from weberwhisk.behaviour.effects import Overdispersion
 
 FRACTIONS, PER_LEVEL, RATES = (0.05, 0.1, 0.2, 0.4), (13, 33, 111), (0.0, 0.02, 0.1)
 SCATTER = 0.05  # the intraclass correlation of overdispersed answers
-SHIPPED = grid.weights(grid.beta(0.3, 3).cdf(grid.EDGES), 0.7)
+SHIPPED = plain.belief(*plain.BELIEFS[plain.SHIPPED])[:, None]
 CELL = ["k", "trials", "lapse", "scatter", "model"]
+
+
+def offsets(k: float) -> plain.Array:
+    """Nine levels: to ±0.30 for k = 0.1, to ±3 k of the logarithm for the others."""
+    return plain.even(0.3, 9) if k == 0.1 else np.round(plain.log_even(3 * k, 9), 6)
 
 
 def off(found: list[tuple[float, float, float]], k: float) -> tuple[float, float, float]:
@@ -44,7 +49,7 @@ def cell(k: float, per_level: int, lapse: float, sets: int) -> dict[str, float |
     known = {"lapse_low": lapse, "lapse_high": lapse}
     for seed in range(70_000, 70_000 + sets):
         trials = simulate_trials(
-            weber_fraction=k, trials_per_level=per_level, offsets=grid.offsets(k), seed=seed,
+            weber_fraction=k, trials_per_level=per_level, offsets=offsets(k), seed=seed,
             **known,
         )  # fmt: skip
         fit = fit_weber(trials)
@@ -53,8 +58,11 @@ def cell(k: float, per_level: int, lapse: float, sets: int) -> dict[str, float |
         fit = fit_weber(trials, priors=known)
         told.append((*fit.interval(), fit.weber_fraction))
         counts.append(trials.cells().count)
-    table = grid.likelihood(k, np.array(counts), per_level)
-    exact = k * np.exp(np.array(grid.answers(k, table, SHIPPED)))
+    ln_k, like = plain.density(
+        plain.around("", offsets(k), per_level=per_level), np.array(counts), SHIPPED
+    )
+    found = plain.estimates(ln_k, like[0, :, 0])
+    exact = np.exp(np.array([found[name] for name in ("lower", "median", "upper")]))
     bias, rmse, covers = off(ours, k)
     _, exact_rmse, exact_covers = off(list(zip(*exact, strict=True)), k)
     return {
@@ -69,8 +77,8 @@ def cell(k: float, per_level: int, lapse: float, sets: int) -> dict[str, float |
 
 def scattered(per_level: int, dispersed: bool, sets: int) -> dict[str, float | str]:
     """Answers whose probability is drawn anew at each level (beta), k = 0.1 and lapses of 0.02."""
-    comparison = 1 + grid.offsets(0.1)
-    p = 0.02 + 0.96 * grid.ndtr((comparison - 1) / np.hypot(1, comparison) / 0.1)
+    comparison = 1 + offsets(0.1)
+    p = 0.02 + 0.96 * plain.ndtr((comparison - 1) / np.hypot(1, comparison) / 0.1)
     found = []
     for seed in range(sets):
         rng = np.random.default_rng([seed, per_level])

@@ -1,63 +1,98 @@
-"""What no belief about lapses can do: `analyses/lapse_prior.py`, a grid written for itself."""
+"""The belief about lapses: `analyses/lapse_prior.py`, and psignifit on the same data."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 import pytest
-from analysis_scripts import load
+from analysis_scripts import FOLDER, load
 
-from weberwhisk.behaviour import fit_weber, read_trials
+from weberwhisk.behaviour.priors import DEFAULTS
 
 script = load("lapse_prior")
+beside = load("psignifit_side_by_side")
+
+#: With 117 trials to 0.9 sd even an observer told the lapses and the bias is at 20 %.
+BEYOND_REACH = "k 0.2, 117 trials to ±0.30"
+CELLS = [name for name in script.CELLS if name != BEYOND_REACH]
 
 
-def fitted(k: float, count: np.ndarray) -> float:
-    frame = pd.DataFrame(
-        {"standard": 1.0, "comparison": 1 + script.offsets(k), "n": 33, "n_greater": count}
-    )
-    return fit_weber(read_trials(frame)).weber_fraction
+@pytest.fixture(scope="module")
+def psignifit() -> pd.DataFrame:
+    """Answers of psignifit 4.3, one second each, as `psignifit_side_by_side.py` has them."""
+    return pd.read_csv(FOLDER / "psignifit_side_by_side.csv", dtype={"name": str})
 
 
-@pytest.mark.parametrize("k", [0.1, 0.4])
-def test_the_plain_grid_gives_what_the_fit_gives(k: float) -> None:
-    count = script.counts(k, 4, seed=1)
-    table = script.likelihood(k, np.concatenate(count))
-    shipped = next(iter(script.priors().values()))
-    found = script.judge(k, table, shipped)
-    fits = np.array([[fitted(k, row) for row in rate] for rate in count])
-    # Nodes of 0.1 in ln k, and two dozen for each lapse.
-    np.testing.assert_allclose(found.bias, 100 * (np.median(fits, axis=1) / k - 1), atol=1.5)
-    np.testing.assert_allclose(
-        found.rmse, np.sqrt(np.mean((fits / k - 1) ** 2, axis=1)), rtol=0.05, atol=0.01
-    )
+def by_grid(design: object, count: np.ndarray, name: str = script.SHIPPED) -> np.ndarray:
+    table = script.belief(*script.BELIEFS[name])[:, None]
+    ln_k, like = script.density(design, count, table)
+    return np.exp(script.estimates(ln_k, like[0, :, 0])["median"])
 
 
-def worst(sets: int, fractions: tuple[float, ...]) -> dict[str, tuple[float, float]]:
-    """Largest bias and lowest coverage of each belief."""
-    out: dict[str, list[tuple[float, float]]] = {}
-    for k in fractions:
-        table = script.likelihood(k, np.concatenate(script.counts(k, sets)))
-        for name, by_rate in script.priors().items():
-            found = script.judge(k, table, by_rate)
-            out.setdefault(name, []).append((abs(found.bias).max(), found.covers.min()))
-    return {name: (max(b for b, _ in v), min(c for _, c in v)) for name, v in out.items()}
+def rmse(found: np.ndarray, k: float | np.ndarray) -> float:
+    return float(np.sqrt(np.mean((found / k - 1) ** 2)))
 
 
-def test_not_knowing_the_lapses_costs_more_than_six_per_cent() -> None:
-    """Of 100 sets a median has a standard error of some 3 % where lapses are 0.1."""
-    found = worst(100, (0.05,))
-    known = found.pop("told what it is")
-    assert known[0] < 6
-    for name, (bias, _) in found.items():
-        assert bias > 10, name
+def test_what_was_chosen_is_the_default() -> None:
+    a, b, correlation = script.BELIEFS[script.SHIPPED]
+    for prior in (DEFAULTS.lapse_low, DEFAULTS.lapse_high):
+        assert (prior.dist.name, prior.args) == ("beta", (a, b))
+    assert DEFAULTS.lapse_correlation == correlation
+    assert (DEFAULTS.bias.mean(), DEFAULTS.bias.std()) == (0.0, script.BIAS_SDS[0])
+
+
+@pytest.mark.parametrize("name", ["k 0.1, 297 trials to ±0.30", "k 0.2, 297 trials to ±0.30"])
+def test_the_plain_grid_gives_what_the_fit_gives(name: str) -> None:
+    design, count, _ = script.cell(name, 12)
+    fits = np.array([beside.our_answer(design, row)[0] for row in count])
+    # Nodes of 0.12 in ln k, and sixteen for each lapse.
+    np.testing.assert_allclose(by_grid(design, count), fits, rtol=0.03)
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_no_further_from_the_truth_than_psignifit_on_the_same_data(
+    name: str, psignifit: pd.DataFrame
+) -> None:
+    """At k = 0.2 and 297 trials the default was at 19 % and psignifit at 13 %."""
+    own = psignifit[(psignifit["kind"] == "cell") & (psignifit["name"] == name)]
+    assert len(own) > 50
+    design, count, k = script.cell(name, 400)
+    ours = by_grid(design, count[own["set"].to_numpy()])
+    assert rmse(ours, k) <= rmse(own["k"].to_numpy(), k)
+
+
+def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() -> None:
+    design, count, k = script.cell(BEYOND_REACH, 150)
+    told = np.zeros((script.LAPSES.size, script.LAPSES.size))
+    place = int(np.argmin(np.abs(script.LAPSES - 0.02)))
+    told[place, place] = 1
+    ln_k, like = script.density(design, count, told.reshape(-1, 1), (0.05,))
+    floor = rmse(np.exp(script.estimates(ln_k, like[0, :, 0])["median"]), k)
+    assert 0.18 < floor < rmse(by_grid(design, count), k) < 1.2 * floor
+
+
+@pytest.mark.parametrize("part", script.DESIGNS)
+def test_over_animals_and_designs_the_default_loses_less_than_the_one_before(part: str) -> None:
+    table = np.array([script.belief(*script.BELIEFS[name]) for name in list(script.BELIEFS)[:2]]).T
+    errors = []
+    for number in range(8):
+        design, count, truth = script.population(part, number, 150)
+        ln_k, like = script.density(design, count, table)
+        errors.append(script.estimates(ln_k, like[0])["median"] - np.log(truth[0]))
+    now, before = np.sqrt(np.mean(np.concatenate(errors, axis=1) ** 2, axis=1))
+    assert now < 0.97 * before
+    assert now < 0.3
 
 
 @pytest.mark.slow
-def test_not_knowing_the_lapses_costs_more_than_six_per_cent_in_full() -> None:
-    found = worst(500, script.FRACTIONS)
-    known = found.pop("told what it is")
-    assert known[0] < 9  # the belief about k pulls where lapses of 0.1 leave little to see
-    assert known[1] > 90
-    for name, (bias, _) in found.items():
-        assert bias > 10, name
+def test_the_same_by_the_fit_itself_in_full(psignifit: pd.DataFrame) -> None:
+    for name in CELLS:
+        found = beside.side_by_side(psignifit, "cell", [name])
+        ours, theirs = (rmse(found[tool][:, 0], 1.0) for tool in ("weberwhisk", "psignifit"))
+        assert ours <= theirs, name
+    for kind in beside.KINDS:
+        found = beside.side_by_side(psignifit, kind, [str(n) for n in range(8)])
+        log = {
+            t: np.sqrt(np.mean(np.log(found[t][:, 0]) ** 2)) for t in ("weberwhisk", "psignifit")
+        }
+        assert log["weberwhisk"] <= log["psignifit"]
