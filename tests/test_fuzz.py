@@ -7,6 +7,7 @@ together at random; `pytest -m slow` tries twenty times as many.
 from __future__ import annotations
 
 import faulthandler
+import gzip
 import json
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
@@ -186,6 +187,18 @@ def test_a_file_of_another_format_is_refused(tmp_path: Path, suffix: str, conten
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"trials\.\w+: "):
         read_trials(path)
+
+
+@pytest.mark.parametrize("at", [12, 20, 40, 60])
+def test_a_corrupt_archive_is_one_sentence_of_the_command(tmp_path: Path, at: int) -> None:
+    """With a whisker the header is read first, and zlib's own error came through."""
+    content = bytearray(gzip.compress(TRIALS.encode()))
+    content[at : at + 4] = b"\xff" * 4
+    path = tmp_path / "trials.csv.gz"
+    path.write_bytes(content)
+    status, _, err = run(["fit", str(path), "--identity", "C2", "--cue", "compliance"])
+    assert status == 2
+    refused(err)
 
 
 def refused_by_us(error: BaseException) -> bool:

@@ -36,7 +36,9 @@ from weberwhisk.behaviour import (
     threshold,
     weber_law_test,
 )
+from weberwhisk.behaviour.answering import answer_trials
 from weberwhisk.behaviour.effects import Drift, Floor
+from weberwhisk.behaviour.population import joined
 
 TRIALS = simulate_trials(trials_per_level=3, seed=1)
 ANIMALS = simulate_population(2, trials_per_level=3, seed=1)[0]
@@ -161,6 +163,42 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     ),
     (lambda: threshold(TASK, SELF, 1, 0.75, weber_fraction=0), "above zero, got 0"),
     (lambda: threshold(TASK, SELF, [1, 2], 0.75, weber_fraction=0.1), "must be one number, got 2"),  # type: ignore[arg-type]
+    (
+        lambda: response_probability(TASK, 3.0, 1.0, 1.1, weber_fraction=0.1),
+        "percept must be a Percept, got 3.0; write IdentityPercept",
+    ),
+    (
+        lambda: response_probability(TASK, SELF, {}, 1.1, weber_fraction=0.1),
+        "stimulus_1 must be a number",
+    ),
+    (
+        lambda: response_probability(TASK, SELF, 1.0, 1.1, weber_fraction=0.1, bias={}),
+        "bias must be a number",
+    ),
+    (
+        lambda: threshold(TASK, SELF, 1.0, 0.75, weber_fraction=0.1, effects=3.0),
+        "effects must be pairs of an effect and its value, got 3.0",
+    ),
+    (lambda: Priors(lapse_low=10**400), "the prior of lapse_low must be a number"),
+    (lambda: Trials(TRIALS.frame.assign(n=np.inf), TASK), "n must be a whole number"),
+    (lambda: Trials(TRIALS.frame.assign(n=np.nan), TASK), "n must be a whole number"),
+    (simulated(trials_per_level=1e308), "trials_per_level must be a whole number"),
+    (simulated(subject=[]), r"subject must be a name, got \[\]; write 'r1'"),
+    (lambda: simulate_population(2.5, seed=1), "subjects must be a whole number"),
+    (lambda: joined(3.0), "parts must be a list of Trials, got 3.0"),
+    (lambda: joined(["x"]), "trials must be Trials, got 'x'"),
+    (read(scale="log", log_unit=[]), "log_unit must be one number, got 0"),
+    (lambda: FIT.interval([]), "mass must be one number"),
+    (
+        lambda: answer_trials(3.0, pd.DataFrame(), percept=SELF, seed=1),
+        "table must be a DataFrame with columns subject, standard",
+    ),
+    (
+        lambda: answer_trials(
+            TRIALS.frame.assign(subject="a"), pd.DataFrame(), percept=SELF, seed=1
+        ),
+        "animals must be a DataFrame with columns subject, weber_fraction",
+    ),
 ]
 
 

@@ -14,7 +14,7 @@ def numbers(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     """`value` as a float array, NaN and infinite values included, refused where it is text."""
     try:
         return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be a number, got {shown(value)}; {hint}.") from None
 
 
@@ -67,7 +67,7 @@ def whole(name: str, value: object, hint: str, least: int = 1) -> int:
     array = np.asarray(value)
     if array.size == 1 and array.dtype.kind in "iuf":
         number = float(array.reshape(()))
-        if number.is_integer() and number >= least:
+        if number.is_integer() and least <= number < 2**53:
             return int(number)
     raise ValueError(
         f"{name} must be a whole number of {least} or more, got {shown(value)}; {hint}."

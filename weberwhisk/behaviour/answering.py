@@ -14,6 +14,10 @@ from .trials import LABELS, Trials, notes_of
 
 Array = NDArray[np.float64]
 
+NEEDED = {
+    "table": ("subject", "standard", "stimulus_1", "stimulus_2"),
+    "animals": ("subject", "weber_fraction", "lapse_low", "lapse_high", "bias"),
+}
 TRUTH = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 
 
@@ -63,14 +67,23 @@ def answer_trials(
     [1.0, 0.0]
     """
     asked = task_named(task)
-    share = float(_checks.non_negative("missing", missing, "write for example 0.02"))
+    share = _checks.number("missing", missing, "write for example 0.02")
+    _checks.non_negative("missing", share, "write for example 0.02")
+    for name, frame in (("table", table), ("animals", animals)):
+        lacking = set(NEEDED[name]) - set(getattr(frame, "columns", ()))
+        if not isinstance(frame, pd.DataFrame) or lacking:
+            raise ValueError(
+                f"{name} must be a DataFrame with columns {', '.join(NEEDED[name])}, got "
+                f"{f'none called {min(lacking)}' if hasattr(frame, 'columns') else frame!r}."
+            )
+    _checks.kind("percept", percept, "a Percept", "unit_sd", "write IdentityPercept(), say")
     keys = [name for name in ("subject", "session") if name in animals]
     truth = table[keys].merge(animals, how="left", on=keys, validate="many_to_one")
     unknown = truth["weber_fraction"].isna().to_numpy()
     if unknown.any():
         who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
         raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")
-    rng = np.random.default_rng(seed)
+    rng = _checks.generator(seed)
     columns = ("standard", "stimulus_1", "stimulus_2")
     standard, s1, s2 = (table[name].to_numpy(float) for name in columns)
     refuse_unfelt(percept, np.concatenate([s1, s2, standard]))

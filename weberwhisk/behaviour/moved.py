@@ -3,39 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from .. import _checks
-from .effects import Effect, History, Overdispersion, check_effects
+from .effects import Effect, History, Overdispersion
 from .percepts import Percept, UnitPercepts, unit_percepts
 from .trials import Trials
 
 Array = NDArray[np.float64]
-
-
-def check_moved(effects: Any) -> None:
-    """Refuses what is not a sequence of effects with their values."""
-    hint = (
-        "write effects=[(Contraction(), 0.2)], with Contraction from weberwhisk.behaviour.effects"
-    )
-    try:
-        pairs = [(effect, value) for effect, value in effects]
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"effects must be pairs of an effect and its value, got {_checks.shown(effects)}; "
-            f"{hint}."
-        ) from None
-    check_effects([effect for effect, _ in pairs])
-    for effect, value in pairs:
-        _checks.number(f"the value of {effect.name}", value, hint)
-        if isinstance(effect, Overdispersion) and not 0 < value < 1:
-            raise ValueError(
-                f"overdispersion must lie between 0 and 1, got {value:g}; write 0.05, say."
-            )
 
 
 def moved_answers(

@@ -13,7 +13,7 @@ from scipy.stats import beta as beta_distribution
 
 from .. import _checks
 from .simulate import simulate_trials
-from .trials import Trials, notes_of
+from .trials import Trials, check_trials, notes_of
 
 Array = NDArray[np.float64]
 
@@ -67,11 +67,12 @@ def simulate_population(
     (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
     rng = _checks.generator(seed)
+    subjects = _checks.whole("subjects", subjects, "write 6, say")
     truth = draw_animals(
         subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
         lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
     )  # fmt: skip
-    _checks.whole("sessions", sessions, "write 10, say")
+    sessions = _checks.whole("sessions", sessions, "write 10, say")
     _spread("session_spread", session_spread)
     wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
     parts = []
@@ -110,7 +111,7 @@ def draw_animals(
     0      s1             0.1
     1      s2             0.1
     """
-    _checks.whole("subjects", subjects, "write 6, say")
+    subjects = _checks.whole("subjects", subjects, "write 6, say")
     hint = "write for example 0.1"
     _checks.positive("weber_fraction", _checks.number("weber_fraction", weber_fraction, hint), hint)
     _checks.number("bias", bias, "write for example 0")
@@ -145,6 +146,10 @@ def joined(parts: list[Trials]) -> Trials:
     ValueError
         Where they differ in task, scale or unit, or there is none.
     """
+    if not isinstance(parts, list | tuple):
+        raise ValueError(f"parts must be a list of Trials, got {_checks.shown(parts)}.")
+    for part in parts:
+        check_trials(part)
     if not parts:
         raise ValueError("there are no tables to join; give one or more.")
     kinds = {(t.task.name, t.scale, t.log_unit) for t in parts}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .effects import Effect
+from .effects import Effect, check_valued
 from .percepts import Percept, UnitPercepts, refuse_outside, unit_percepts
 from .tasks import Task
 
@@ -59,10 +60,14 @@ def response_probability(
     ...                      weber_fraction=0.1).round(3)
     array([0.229, 0.5  , 0.749])
     """
+    hint = "give one stimulus or several"
     s1, s2 = np.broadcast_arrays(
-        np.atleast_1d(np.asarray(stimulus_1, float)), np.atleast_1d(np.asarray(stimulus_2, float))
+        np.atleast_1d(_checks.finite("stimulus_1", stimulus_1, hint)),
+        np.atleast_1d(_checks.finite("stimulus_2", stimulus_2, hint)),
     )
-    _check_task(task)
+    if standard is not None:
+        standard = _checks.finite("standard", standard, hint)
+    _check_observer(task, percept, bias, effects)
     _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     refuse_outside(percept, np.concatenate([s1, s2], axis=None))
     cells = unit_percepts(percept, s1, s2, s1 if standard is None else standard, noise)
@@ -77,8 +82,11 @@ def response_probability(
     return low * down + (1 - high) * up
 
 
-def _check_task(task: Task) -> None:
+def _check_observer(task: Task, percept: Percept, bias: ArrayLike, effects: Any) -> None:
     _checks.kind("task", task, "a Task", "decide", "write task_named('2AFC'), say")
+    _checks.kind("percept", percept, "a Percept", "unit_sd", "write IdentityPercept(), say")
+    _checks.finite("bias", bias, "write for example 0")
+    check_valued(effects)
 
 
 def _chance(
@@ -163,7 +171,7 @@ def threshold(
     >>> round(float(point), 5)
     1.21196
     """
-    _check_task(task)
+    _check_observer(task, percept, bias, effects)
     check_proportion(task, proportion)
     _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     values = [np.asarray(v, dtype=float) for _, v in effects]

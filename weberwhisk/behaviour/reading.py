@@ -102,7 +102,9 @@ def read_trials(
         _checks.kind("whisker", whisker, "a Whisker", "length", hint)
     asked = None if task is None else task_named(task)
     if log_unit is not None:
-        _checks.positive("log_unit", log_unit, "give natural-log units per unit of the column")
+        hint = "give natural-log units per unit of the column"
+        log_unit = _checks.number("log_unit", log_unit, hint)
+        _checks.positive("log_unit", log_unit, hint)
     raw, name = load_table(source)
     if not len(raw):
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")

@@ -188,7 +188,7 @@ class WeberFit:
         for s in np.atleast_1d(
             self.trials.standards
             if standard is None
-            else _checks.finite("standard", standard, "give one stimulus or several")
+            else _checks.finite("standard", standard, "give one stimulus or several").ravel()
         ):
             if (biased and model.group_names) or model.effects:
                 d = self.posterior.draws()
@@ -266,6 +266,7 @@ class WeberFit:
                     f"standard={self.trials.standards[0]:g}."
                 )
             standard = float(self.trials.standards[0])
+        standard = _checks.number("standard", standard, "name one standard")
         p = self._probability(np.full(levels.shape, standard), levels, standard)
         low, median, high = np.quantile(p, [_tails(mass)[0], 0.5, _tails(mass)[1]], axis=0)
         return pd.DataFrame({"comparison": levels, "median": median, "lower": low, "upper": high})
@@ -383,7 +384,7 @@ class WeberFit:
 
 
 def _tails(mass: float) -> tuple[float, float]:
-    value = float(_checks.finite("mass", mass, "write for example 0.95"))
+    value = _checks.number("mass", mass, "write for example 0.95")
     if not 0 < value < 1:
         raise ValueError(f"mass must lie between 0 and 1, got {value:g}; write for example 0.95.")
     return 0.5 - value / 2, 0.5 + value / 2

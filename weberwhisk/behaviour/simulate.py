@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .effects import Effect
-from .moved import check_moved, moved_answers
+from .effects import Effect, check_valued
+from .moved import moved_answers
 from .percepts import (
     IdentityPercept,
     LogAxisPercept,
@@ -117,7 +117,9 @@ def simulate_trials(
     (720, array([1., 2.]))
     """
     asked = task_named(task)
-    check_moved(effects)
+    check_valued(effects)
+    for effect, value in effects:
+        _checks.number(f"the value of {effect.name}", value, "write 0.2, say")
     _checks.one_of("order", order, ORDERS)
     if order == "random" and asked.bias_name != "bias":
         raise ValueError(
@@ -134,8 +136,10 @@ def simulate_trials(
             f"lapse_low + lapse_high must be below 1, got {lapse_low + lapse_high:g}; "
             "write for example 0.02 for each."
         )
-    for name, whole in (("trials_per_level", trials_per_level), ("sessions", sessions)):
-        _checks.whole(name, whole, "write 40, say")
+    trials_per_level = _checks.whole("trials_per_level", trials_per_level, "write 40, say")
+    sessions = _checks.whole("sessions", sessions, "write 10, say")
+    if subject is not None and not isinstance(subject, str | int):
+        raise ValueError(f"subject must be a name, got {_checks.shown(subject)}; write 'r1', say.")
     felt = chosen_percept(percept, observer) or IdentityPercept()
     is_log = isinstance(felt, (LogPercept, LogAxisPercept))
     base = np.atleast_1d(

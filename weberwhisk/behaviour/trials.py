@@ -98,7 +98,7 @@ class Trials:
         _checks.kind("task", self.task, "a Task", "decide", "write task_named('2AFC'), say")
         _checks.one_of("scale", self.scale, SCALES)
         n, count = (self.frame[c].to_numpy(float) for c in ("n", "count"))
-        wrong = (n < 0) | (n % 1 != 0) | (count < 0) | (count > n)
+        wrong = ~np.isfinite(n) | (n < 0) | (n != np.round(n)) | (count < 0) | (count > n)
         if wrong.any():
             raise ValueError(
                 f"frame has n = {n[wrong][0]:g} and count = {count[wrong][0]:g} in a row; n must "

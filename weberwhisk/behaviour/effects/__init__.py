@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ... import _checks
 from .effect import Effect
 from .learning import Drift, Step
@@ -31,6 +33,7 @@ __all__ = [
     "PastContraction",
     "Step",
     "check_effects",
+    "check_valued",
     "effect_named",
     "effect_valued",
 ]
@@ -65,6 +68,28 @@ def check_effects(effects: Any) -> None:
             "an effect", effect, "an Effect", "apply",
             f"write {instead}(), from weberwhisk.behaviour.effects",
         )  # fmt: skip
+
+
+def check_valued(effects: Any) -> None:
+    """Refuses what is not a sequence of effects with their values."""
+    hint = (
+        "write effects=[(Contraction(), 0.2)], with Contraction from weberwhisk.behaviour.effects"
+    )
+    try:
+        pairs = [(effect, value) for effect, value in effects]
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"effects must be pairs of an effect and its value, got {_checks.shown(effects)}; "
+            f"{hint}."
+        ) from None
+    check_effects([effect for effect, _ in pairs])
+    for effect, value in pairs:
+        values = _checks.finite(f"the value of {effect.name}", value, hint)
+        if isinstance(effect, Overdispersion) and not np.all((values > 0) & (values < 1)):
+            raise ValueError(
+                f"overdispersion must lie between 0 and 1, got {_checks.shown(value)}; write "
+                "0.05, say."
+            )
 
 
 def effect_named(text: str) -> Effect:
