@@ -97,7 +97,7 @@ class Beams:
         equations of a rod linearised about the planar one: rotations ω of its cross-sections about
         axes in the plane and z out of it, ω' = (1 + ν) t(t·q)/EI + n(n·q)/EI, q = δm − ω × m.
         """
-        parts = []
+        parts = [np.empty(0)]  # of no contacts there is none
         for start in range(0, arc.size, TOGETHER):
             part = slice(start, start + TOGETHER)
             parts.append(self.take(part)._sideways(arc[part], force[part], poisson_ratio))
