@@ -47,7 +47,7 @@ def draw_information(tables: dict[str, pd.DataFrame]) -> Figure:
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for row, (when, table) in zip(axes, tables.items(), strict=True):
         for ax, about in zip(row, ("weber_fraction", "hypothesis"), strict=True):
-            figures.information(table, ax, about=about)
+            figures.information_map(table, ax, about=about)
             ax.set_title(when)
     return figure
 

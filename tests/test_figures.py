@@ -37,7 +37,7 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
         ({}, 1e-3, 1e-3),
         ({"length": 50e-3, "weber_fraction": 0.1}, 50e-3, 5e-3),
     ):
-        ax = figures.jnd_curve({"one": table, "two": table}, **options)
+        ax = figures.jnd_lines({"one": table, "two": table}, **options)
         line = ax.get_lines()[0]
         np.testing.assert_allclose(line.get_xdata(), table["radial_distance"] / x_unit)
         np.testing.assert_allclose(line.get_ydata(), table["closed_form"] / y_unit)
@@ -55,7 +55,7 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
 def test_jnd_curve_leaves_out_posteriors_that_are_not_there() -> None:
     table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1)
     table["posterior"] = np.nan
-    assert figures.jnd_curve(table).containers == []
+    assert figures.jnd_lines(table).containers == []
 
 
 def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
@@ -121,7 +121,7 @@ def test_log_column_is_drawn_by_difference() -> None:
 
 def test_binomial_intervals_are_jeffreys() -> None:
     count, n = np.array([0.0, 3.0, 10.0]), np.full(3, 10.0)
-    low, high = figures.choices.binomial_interval(count, n)
+    low, high = figures.fits.binomial_interval(count, n)
     expected = stats.beta(count + 0.5, n - count + 0.5).interval(0.95)
     np.testing.assert_allclose([low[1], high[1]], [e[1] for e in expected])
     assert (low[0], high[2]) == (0, 1)
@@ -145,7 +145,7 @@ def test_bending_draws_a_line_for_each_contact_and_says_where_there_is_none() ->
 def test_posterior_shows_its_mean_and_interval(of: str) -> None:
     seen = observer(ww.cues.ForceMap())
     result = ww.posterior(seen, seen.read([35e-3, 0.2], seed=2))
-    ax = figures.posterior(result, of=of)
+    ax = figures.posterior_histogram(result, of=of)
     unit = {"radial_distance": 1e-3, "deflection_angle": np.pi / 180}[of]
     at = [line.get_xdata()[0] * unit for line in ax.get_lines()]
     np.testing.assert_allclose(at, [result.estimates[of].mean, *result.interval(of=of)])
@@ -154,7 +154,7 @@ def test_posterior_shows_its_mean_and_interval(of: str) -> None:
 def test_posterior_of_many_readings_is_refused() -> None:
     result = ww.posterior(observer(), observer().read(np.full((2, 1), 30e-3), seed=1))
     with pytest.raises(ValueError, match="got 2 readings; infer from one"):
-        figures.posterior(result)
+        figures.posterior_histogram(result)
 
 
 def test_figures_leave_the_users_style_alone(fit: ww.WeberFit, tmp_path: Path) -> None:

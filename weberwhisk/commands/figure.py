@@ -137,7 +137,7 @@ def figure_4a(asked: Asked) -> Made:
         table = jnd_table(observer, r, none, "emcee", "d'=1", draws, asked.seed, False, name)
         tables.append(in_millimetres(table).assign(whisker=name))
         shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
-    drawn = figures.jnd_curve(shown, length=asked.whisker.length, weber_fraction=surveys.K)
+    drawn = figures.jnd_lines(shown, length=asked.whisker.length, weber_fraction=surveys.K)
     joined = pd.concat(tables, ignore_index=True)
     joined.insert(0, "whisker", joined.pop("whisker"))
     return Made({"figure-4a": joined}, figures.figure_of(drawn))

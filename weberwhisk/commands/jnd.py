@@ -113,7 +113,7 @@ def jnd(
             from .. import figures
 
             lines = lines_and_points(observer, table, angles, criterion)
-            run.figure("jnd", figures.figure_of(figures.jnd_curve(lines)))
+            run.figure("jnd", figures.figure_of(figures.jnd_lines(lines)))
     show(written, run, whisker, as_json=as_json)
     if not as_json:
         print(f"Every column of lengths is a JND of radial distance, criterion {criterion}.")

@@ -109,7 +109,7 @@ def curves(
         shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
         findings[name] = _compared(table, exact, whisker.length * k)
     run.table("jnd_curve", pd.concat(tables, ignore_index=True))
-    drawn = figures.jnd_curve(shown, length=whisker.length, weber_fraction=k)
+    drawn = figures.jnd_lines(shown, length=whisker.length, weber_fraction=k)
     run.figure("jnd_curve", figures.figure_of(drawn))
     return findings
 

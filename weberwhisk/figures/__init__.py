@@ -5,16 +5,21 @@ Okabe and Ito, which the colour-blind can tell apart, and every colour comes wit
 line style, so that a figure also reads in grey.
 """
 
+from .._deprecated import renamed_names
 from .charts import fits_and_growth, speed_accuracy
-from .choices import psychometric, psychometrics
-from .criticism import pairs, residuals, shrinkage
-from .design import information, power_curve
-from .jnds import jnd_curve, jnd_surface
+from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram
+from .designs import (
+    adaptive,
+    information_map,
+    placements,
+    planned_jnds,
+    planned_power,
+    planned_psychometrics,
+    power_curve,
+    rehearsed,
+)
+from .fits import pairs, psychometric, psychometrics, residuals, shrinkage
 from .page import plan_page
-from .placements import adaptive, placements
-from .plans import planned_jnds, planned_power, planned_psychometrics, rehearsed
-from .posteriors import posterior
-from .signals import bending
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
 from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, ridge, weber_2d
 
@@ -32,8 +37,8 @@ __all__ = [
     "cue_outcomes",
     "figure_of",
     "fits_and_growth",
-    "information",
-    "jnd_curve",
+    "information_map",
+    "jnd_lines",
     "jnd_surface",
     "new_figure",
     "pairs",
@@ -42,7 +47,7 @@ __all__ = [
     "planned_jnds",
     "planned_power",
     "planned_psychometrics",
-    "posterior",
+    "posterior_histogram",
     "power_curve",
     "psychometric",
     "psychometrics",
@@ -54,3 +59,11 @@ __all__ = [
     "styled",
     "weber_2d",
 ]
+__getattr__ = renamed_names(
+    __name__,
+    {
+        "jnd_curve": "jnd_lines",
+        "posterior": "posterior_histogram",
+        "information": "information_map",
+    },
+)

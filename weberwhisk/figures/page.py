@@ -9,7 +9,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ..design.preregistration import assumptions, offsets_in_words, preregistration
-from .plans import planned_jnds, planned_power, planned_psychometrics
+from .designs import planned_jnds, planned_power, planned_psychometrics
 from .style import DOUBLE, figure_of, new_figure, styled
 
 if TYPE_CHECKING:

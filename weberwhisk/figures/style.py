@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -82,6 +82,21 @@ class _Figure(Figure):
 def new_figure(width: float = SINGLE, height: float = 2.8) -> Figure:
     """An empty figure in this module's style, inches."""
     return _Figure(figsize=(width, height), dpi=200, layout="constrained")
+
+
+def look(i: int, **more: Any) -> dict[str, Any]:
+    """Colour and line style of the i-th line."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)], **more}
+
+
+def bars(ax: Axes, x: Any, ends: Iterable[Any], i: int, **more: Any) -> None:
+    """Marks of the i-th kind, with bars: `ends` are their heights, lower and upper ends."""
+    middle, low, high = (np.asarray(v, dtype=float) for v in ends)
+    # Lists: some versions of Matplotlib take a lone row of an array for a number.
+    length = [np.maximum(middle - low, 0).tolist(), np.maximum(high - middle, 0).tolist()]
+    style: dict[str, Any] = {"fmt": MARKERS[i % len(MARKERS)], "color": COLOURS[i % len(COLOURS)]}
+    style |= {"capsize": 2, "elinewidth": 1, "markersize": 3}
+    ax.errorbar(x, middle, length, **(style | more))
 
 
 def axes_or_new(ax: Axes | None, width: float = SINGLE, height: float = 2.8) -> Axes:

@@ -11,7 +11,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from ..mechanics.contact import Outcome
-from .jnds import jnd_surface
+from .contacts import jnd_surface
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, SMALL, figure_of, new_figure, styled
 
 if TYPE_CHECKING:

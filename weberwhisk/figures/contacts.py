@@ -1,31 +1,172 @@
-"""Just noticeable differences, as lines and as a surface."""
+"""Signals of bent whiskers, posteriors of contacts, and just noticeable differences."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from .style import (
     COLOURS,
-    LINES,
+    DOUBLE,
     MARKERS,
     SINGLE,
     axes_or_new,
+    bars,
     drawable,
     figure_of,
     legend_above,
+    look,
+    new_figure,
     styled,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from ..mechanics import Bending
+    from ..posterior import Posterior
+
+#: What a panel of `bending` shows: attribute of Bending, label, and unit in SI.
+_SIGNALS = (
+    ("moment", "Moment M (µN m)", 1e-6),
+    ("axial_force", "Axial force F$_x$ (µN)", 1e-6),
+    ("transverse_force", "Transverse force F$_y$ (µN)", 1e-6),
+)
+_AGAINST = {
+    "deflection_angle": ("Deflection angle θ$_d$ (degrees)", np.pi / 180, "radial_distance", "r"),
+    "force": ("Contact force (µN)", 1e-6, "arc_length", "s"),
+}
+
 
 @styled
-def jnd_curve(
+def bending(
+    curves: Bending,
+    axes: Sequence[Axes] | None = None,
+    *,
+    points: Bending | None = None,
+    against: str = "deflection_angle",
+) -> NDArray[Any]:
+    """The three signals at the base of a bent whisker, a line for each contact distance.
+
+    Parameters
+    ----------
+    curves : Bending
+        Arrays (lines, points along each).
+    axes : three Axes, optional
+    points : Bending, optional
+        Contacts to mark, arrays (lines, marks on each).
+    against : {"deflection_angle", "force"}
+        Along the horizontal axis. Lines are told apart by radial distance or by arc length.
+
+    Returns
+    -------
+    array of the three Axes
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker, press
+    >>> whisker = Whisker(50e-3, 100e-6, 5e-6)
+    >>> lines = press(whisker, [[20e-3], [30e-3]], np.linspace(0.01, 0.4, 20))
+    >>> len(bending(lines))
+    3
+    """
+    if axes is None:
+        axes = list(new_figure(DOUBLE, 2.7).subplots(1, 3))
+    label, unit, name, symbol = _AGAINST[against]
+    for ax, (attribute, title, scale) in zip(axes, _SIGNALS, strict=True):
+        for i in range(len(curves.moment)):
+            held = np.isfinite(curves.moment[i])
+            if not held.any():  # out of reach: there is no line
+                continue
+            distance = np.max(getattr(curves, name)[i][held])
+            x, y = (getattr(curves, which)[i] for which in (against, attribute))
+            ax.plot(x / unit, y / scale, **look(i), label=f"{symbol} = {distance * 1e3:.4g} mm")
+            if points is not None:
+                x, y = (getattr(points, which)[i] for which in (against, attribute))
+                marks = {"marker": MARKERS[i % len(MARKERS)], "markerfacecolor": "white"}
+                ax.plot(x / unit, y / scale, **look(i, **marks) | {"linestyle": "none"})
+        ax.set_xlabel(label)
+        ax.set_ylabel(title)
+    handles, labels = axes[0].get_legend_handles_labels()
+    if handles:
+        figure_of(axes).legend(
+            handles, labels, loc="outside upper center", ncols=min(len(handles), 5)
+        )
+    else:
+        axes[1].text(
+            0.5, 0.5, "no contact is held", transform=axes[1].transAxes, ha="center", va="center"
+        )
+    return np.array(axes, dtype=object)
+
+
+_UNKNOWNS = {
+    "radial_distance": ("Radial distance (mm)", 1e-3),
+    "deflection_angle": ("Deflection angle (degrees)", np.pi / 180),
+}
+
+
+@styled
+def posterior_histogram(
+    result: Posterior, ax: Axes | None = None, *, of: str = "radial_distance", draws: int = 4000
+) -> Axes:
+    """The posterior of one unknown given one reading: a histogram, its mean and 95 % interval.
+
+    Parameters
+    ----------
+    result : Posterior
+        Of a single reading.
+    ax : Axes, optional
+    of : str
+        The unknown.
+    draws : int
+        Draws in the histogram, repeatable.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    ValueError
+        For a result of many readings.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues, posterior as infer
+    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> posterior_histogram(infer(observer, observer.read(30e-3, seed=1))).get_ylabel()
+    'Probability density'
+    """
+    if np.ndim(result.reading) > 1:
+        raise ValueError(
+            f"One posterior is drawn at a time, got {len(result.reading)} readings; "
+            "infer from one of them."
+        )
+    ax = axes_or_new(ax)
+    label, unit = _UNKNOWNS[of]
+    column = result.observer.unknowns.index(of)
+    values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
+    ax.hist(values, bins=60, density=True, color=COLOURS[4], edgecolor="none")
+    mean = result.estimates[of].mean / unit
+    low, high = np.asarray(result.interval(0.95, of=of)) / unit
+    ax.axvline(mean, color=COLOURS[0], label=f"mean {mean:.3g}")
+    for end in (low, high):
+        ax.axvline(
+            end, color=COLOURS[1], linestyle="--",
+            label=f"95 %: {low:.3g} to {high:.3g}" if end == low else None,
+        )  # fmt: skip
+    ax.set_xlabel(label)
+    ax.set_ylabel("Probability density")
+    legend_above(ax)
+    return ax
+
+
+@styled
+def jnd_lines(
     tables: pd.DataFrame | Mapping[str, pd.DataFrame],
     ax: Axes | None = None,
     *,
@@ -55,7 +196,7 @@ def jnd_curve(
     --------
     >>> from weberwhisk import Observer, Whisker, cues, jnd_curve as curve
     >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> ax = jnd_curve(curve(observer, [10e-3, 30e-3], n_readings=20, seed=1))
+    >>> ax = jnd_lines(curve(observer, [10e-3, 30e-3], n_readings=20, seed=1))
     >>> ax.get_xlabel()
     'Radial distance r (mm)'
     """
@@ -67,30 +208,22 @@ def jnd_curve(
     y_unit = 1e-3 if length is None else length * weber_fraction
     for i, (label, table) in enumerate(named.items()):
         rows = table.sort_values("radial_distance")
-        colour = COLOURS[i % len(COLOURS)]
         prefix = f"{drawable(label)}: " if label else ""
         # The closed form holds for small angles; where it is not what the observer has, both show.
         x = rows["radial_distance"].to_numpy(float) / x_unit
         exact = rows["propagation"].to_numpy(float) / y_unit
         closed = rows["closed_form"].to_numpy(float) / y_unit
-        ax.plot(
-            x, closed, color=colour, linestyle=LINES[i % len(LINES)], label=f"{prefix}closed form"
-        )
+        ax.plot(x, closed, **look(i), label=f"{prefix}closed form")
         if not np.allclose(exact, closed, rtol=1e-3, equal_nan=True):
-            ax.plot(x, exact, color=colour, linestyle=":", label=f"{prefix}exact slope")
+            ax.plot(x, exact, **look(i) | {"linestyle": ":"}, label=f"{prefix}exact slope")
         points = np.isfinite(rows["posterior"].to_numpy(float))
         if points.any():
-            ax.errorbar(
-                x[points],
-                rows["posterior"].to_numpy(float)[points] / y_unit,
-                1.96 * rows["posterior_error"].to_numpy(float)[points] / y_unit,
-                fmt=MARKERS[i % len(MARKERS)],
-                color=colour,
-                markersize=2.5,
-                elinewidth=1,
-                capsize=3,
-                label=f"{prefix}posterior, 95 %",
+            found, error = (
+                rows[name].to_numpy(float)[points] / y_unit
+                for name in ("posterior", "posterior_error")
             )
+            ends = found, found - 1.96 * error, found + 1.96 * error
+            bars(ax, x[points], ends, i, markersize=2.5, label=f"{prefix}posterior, 95 %")
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
     if length is None:

@@ -1,0 +1,294 @@
+"""Choices, the psychometric functions fitted to them, and fits looked at closely."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+from scipy.special import betaincinv
+
+from .style import (
+    COLOURS,
+    DOUBLE,
+    SINGLE,
+    Array,
+    axes_or_new,
+    bars,
+    drawable,
+    figure_of,
+    legend_above,
+    new_figure,
+    styled,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ..behaviour import PopulationFit, WeberFit
+
+
+@styled
+def psychometric(
+    fit: WeberFit, ax: Axes | None = None, *, standard: float | None = None, unit: str = ""
+) -> Axes:
+    """Choices at one standard, with 95 % binomial intervals, and the curve fitted to them.
+
+    Parameters
+    ----------
+    fit : WeberFit
+    ax : Axes, optional
+    standard : float, optional
+        May be left out where the table has one.
+    unit : str
+        Of the stimulus, for the axis.
+
+    Returns
+    -------
+    Axes
+
+    Notes
+    -----
+    The curve is that of a first stimulus at the standard. Choices with another first stimulus stand
+    where their difference (on a log scale) or their ratio puts them.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> ax = psychometric(fit_weber(simulate_trials(weber_fraction=0.1, seed=7)))
+    >>> ax.get_ylabel()
+    'Second reported greater'
+    """
+    ax = axes_or_new(ax)
+    known = fit.trials.standards
+    if standard is None and known.size > 1:
+        raise ValueError(
+            f"There are {known.size} standards; name one, such as standard={known[0]:g}, or draw "
+            "psychometrics(fit)."
+        )
+    s = float(known[0]) if standard is None else standard
+    _choices(fit, ax, s)
+    ax.set_xlabel(_stimulus_label(fit, unit))
+    ax.set_ylabel(_answer_label(fit))
+    legend_above(ax)
+    return ax
+
+
+@styled
+def psychometrics(
+    fit: WeberFit, axes: Sequence[Axes] | None = None, *, unit: str = ""
+) -> NDArray[Any]:
+    """`psychometric` at every standard, in small multiples; returns their axes."""
+    known = fit.trials.standards
+    if axes is None:
+        columns = min(len(known), 4)
+        rows = -(-len(known) // columns)
+        width = SINGLE if columns == 1 else DOUBLE * max(columns, 2) / 4
+        figure = new_figure(width, 0.9 + 1.55 * rows if rows > 1 else 2.6)
+        grid = figure.subplots(rows, columns, sharey=True, sharex=_relative(fit), squeeze=False)
+        axes = list(grid.ravel())
+        for spare in axes[len(known) :]:
+            spare.set_visible(False)
+    for ax, s in zip(axes, known, strict=False):
+        _choices(fit, ax, float(s))
+        if len(known) > 1:
+            ax.set_title(f"standard {s:.3g}")
+    figure = figure_of(axes)
+    figure.supxlabel(_stimulus_label(fit, unit))
+    figure.supylabel(_answer_label(fit))
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    return np.array(axes[: len(known)], dtype=object)
+
+
+def _relative(fit: WeberFit) -> bool:
+    """Whether the horizontal axis is a difference: on a log scale only that matters."""
+    return bool(fit.trials.scale == "log")
+
+
+def _stimulus_label(fit: WeberFit, unit: str) -> str:
+    counted = f" ({drawable(unit)})" if unit else ""
+    if _relative(fit):
+        return f"Second stimulus − first{counted or ' (units of the log column)'}"
+    return f"Second stimulus{counted}"
+
+
+def _answer_label(fit: WeberFit) -> str:
+    return (
+        "Second reported greater" if fit.trials.task.response == "choice" else "Proportion correct"
+    )
+
+
+def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
+    every = fit.trials.cells()
+    cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
+    first, second, n = cells.stimulus_1, cells.stimulus_2, cells.n
+    share = cells.count / n
+    low, high = binomial_interval(share * n, n)
+    if _relative(fit):
+        x, origin = second - first, standard
+    else:
+        x, origin = standard * second / first, 0.0
+    if x.size:
+        reach = [min(x.min(), standard - origin), max(x.max(), standard - origin)]
+        margin = 0.08 * (reach[1] - reach[0]) or 0.1 * abs(standard) or 0.1
+        lowest, highest = fit.percept.domain
+        edges = np.clip(
+            [reach[0] - margin + origin, reach[1] + margin + origin],
+            lowest + 1e-6 * margin if np.isfinite(lowest) else lowest,
+            highest - 1e-6 * margin if np.isfinite(highest) else highest,
+        )
+        curve = fit.psychometric(np.linspace(edges[0], edges[1], 121), standard)
+        at = curve["comparison"] - origin
+        ax.fill_between(
+            at, curve["lower"], curve["upper"], color=COLOURS[4], alpha=0.35, linewidth=0,
+            label="fit, 95 %" if fit.parameters else None,
+        )  # fmt: skip
+        # A fit to which every parameter was given has a curve and no band.
+        name = None if fit.parameters else "given parameters"
+        ax.plot(at, curve["median"], color=COLOURS[0], label=name)
+    bars(ax, x, (share, low, high), 0, color=COLOURS[6], label="choices, 95 %", markersize=4)
+    ax.axvline(standard - origin, color="0.7", linewidth=0.8, zorder=0)
+    ax.set_ylim(-0.03, 1.03)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
+
+
+def binomial_interval(count: Array, n: Array) -> tuple[Array, Array]:
+    """Jeffreys' 95 % interval of a proportion, closed where all or none were."""
+    low = np.where(count == 0, 0.0, betaincinv(count + 0.5, n - count + 0.5, 0.025))
+    high = np.where(count == n, 1.0, betaincinv(count + 0.5, n - count + 0.5, 0.975))
+    # Rounding must not turn an error bar round.
+    return np.minimum(low, count / n), np.maximum(high, count / n)
+
+
+@styled
+def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | None = None) -> Axes:
+    """Residuals in standard errors, with the band that holds 95 % of them if the model does.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `residuals_by` or `quantile_residuals`: its `z` is drawn.
+    ax : Axes, optional
+    against : str, optional
+        The column along the horizontal axis: `stimulus_2` by default, or the table's first.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> from weberwhisk.behaviour import residuals_by
+    >>> fit = fit_weber(simulate_trials(sessions=4, seed=1))
+    >>> residuals(residuals_by(fit, "session")).get_xlabel()
+    'session'
+    """
+    ax = axes_or_new(ax)
+    column = against or ("stimulus_2" if "stimulus_2" in table else str(table.columns[0]))
+    z = table["z"].to_numpy(float)
+    outside = np.abs(z) > 1.96
+    x = table[column].to_numpy()
+    ax.axhspan(-1.96, 1.96, color="0.92", zorder=0, label="95 % of sound residuals")
+    ax.axhline(0, color="0.6", linewidth=0.8, zorder=0)
+    for which, marker, colour, name in (
+        (~outside, "o", COLOURS[0], None),
+        (outside, "D", COLOURS[1], "outside"),
+    ):
+        if which.any():
+            ax.plot(x[which], z[which], marker, color=colour, label=name, markersize=3.5)
+    if np.issubdtype(x.dtype, np.integer):
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xlabel(drawable(column.replace("_", " ")))
+    ax.set_ylabel("Residual (standard errors)")
+    legend_above(ax)
+    return ax
+
+
+@styled
+def pairs(fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800) -> NDArray[Any]:
+    """The joint posterior of a fit's parameters, two at a time, and each one's alone.
+
+    Returns
+    -------
+    array of Axes, shape (P, P)
+        Those above the diagonal are empty.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> pairs(fit_weber(simulate_trials(seed=1))).shape
+    (4, 4)
+    """
+    names = fit.parameters
+    size = len(names)
+    if axes is None:
+        figure = new_figure(max(SINGLE, 1.5 * size), max(2.6, 1.4 * size))
+        axes = list(figure.subplots(size, size, squeeze=False).ravel())
+    grid = np.array(axes, dtype=object).reshape(size, size)
+    sample = fit.posterior.draws().named(fit.posterior.model)  # type: ignore[attr-defined]
+    for i, down in enumerate(names):
+        for j, along in enumerate(names):
+            ax = grid[i, j]
+            if j > i:
+                ax.set_visible(False)
+            elif i == j:
+                ax.hist(sample[down], bins=40, color=COLOURS[4], edgecolor="none")
+                ax.set_yticks([])
+            else:
+                step = max(len(sample[down]) // draws, 1)
+                x, y = sample[along][::step], sample[down][::step]
+                ax.plot(x, y, ".", color=COLOURS[0], alpha=0.35, markersize=2, rasterized=True)
+            ax.xaxis.set_major_locator(MaxNLocator(3))
+            if i != j:
+                ax.yaxis.set_major_locator(MaxNLocator(3))
+            if i < size - 1:
+                ax.set_xticklabels([])
+            else:
+                ax.set_xlabel(along.replace("_", " "))
+            if j:
+                ax.set_yticklabels([])
+            elif i:
+                ax.set_ylabel(down.replace("_", " "))
+    figure_of(grid).align_labels()
+    return grid
+
+
+@styled
+def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
+    """Weber fractions of animals from their own trials, and in the light of the others.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_population, simulate_population
+    >>> ax = shrinkage(fit_population(simulate_population(3, trials_per_level=10, seed=1)[0]))
+    >>> ax.get_xlabel()
+    'Weber fraction'
+    """
+    table = fit.subjects if "alone" in fit.subjects else fit.sessions
+    assert table is not None
+    rows = table[table["weber_fraction"].notna()].sort_values("alone").reset_index(drop=True)
+    ax = axes_or_new(ax, SINGLE if len(rows) < 30 else DOUBLE / 2, min(1.2 + 0.16 * len(rows), 9.0))
+    y = np.arange(len(rows), dtype=float)
+    for names, shift, i, label in (
+        (("alone", "alone_lower", "alone_upper"), -0.17, 1, "alone"),
+        (("weber_fraction", "lower", "upper"), 0.17, 0, "with the others"),
+    ):
+        middle, low, high = (rows[c].to_numpy(float) for c in names)
+        ax.errorbar(
+            middle, y + shift, xerr=[(middle - low).tolist(), (high - middle).tolist()],
+            fmt="so"[i], color=COLOURS[i], markersize=3, elinewidth=0.9,
+            markerfacecolor="white" if i else COLOURS[0], label=f"{label}, 95 %",
+        )  # fmt: skip
+    ax.axvspan(*fit.interval(0.95), color="0.9", zorder=0, label="population median, 95 %")
+    labels = [str(s) for s in rows["subject"]]
+    if "session" in rows:
+        labels = [f"{s}, {n}" for s, n in zip(rows["subject"], rows["session"], strict=True)]
+    ax.set_yticks(y, [drawable(label) for label in labels])
+    ax.set_xscale("log")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.set_xlabel("Weber fraction")
+    legend_above(ax)
+    return ax
