@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.mechanics.bodies import Body
 from weberwhisk.mechanics.objects import Sweep, contour, cylinder, peg, sweep
+from weberwhisk.mechanics.touch import Body
 from weberwhisk.receptors import Weber
 from weberwhisk.runs import Run
 from weberwhisk.sweeping import SweepFilter, Track, follow

@@ -6,7 +6,8 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome, sweeping
-from weberwhisk.mechanics import elastica, slip
+from weberwhisk.mechanics import elastica
+from weberwhisk.mechanics import surface as slip
 from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
 from weberwhisk.sweeping import SweepFilter, follow

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from analysis_scripts import load
 from integrators import follow
 from mpmath import mp
 from scipy.optimize import brentq
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.mechanics import build_map
+from weberwhisk.mechanics.chebyshev import load_cap, the_map
 from weberwhisk.mechanics.elastica import DeflectionLimit
-from weberwhisk.mechanics.elastica_map import load_cap, the_map
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -245,7 +245,7 @@ def test_everything_broadcasts():
 
 
 def test_the_shipped_map_is_the_one_the_script_builds():
-    built = build_map.build()
+    built = load("build_elastica_map").build()
     m = the_map()
     shipped = {
         "force_given": m.force_given,

@@ -16,7 +16,7 @@ from weberwhisk import Model, Outcome
 from weberwhisk._terminal import run_app
 from weberwhisk.cli import app
 from weberwhisk.mechanics import closed_form, elastica, profile, rod
-from weberwhisk.mechanics.choice import _direction
+from weberwhisk.mechanics.model_choice import _direction
 from weberwhisk.mechanics.shape import Parabola, Profile
 from weberwhisk.whisker import _morphology
 

@@ -11,11 +11,11 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 from weberwhisk.mechanics import elastica, equilibrium
-from weberwhisk.mechanics.branch import Branch, walk, zero_load
+from weberwhisk.mechanics.beam import rows_of
 from weberwhisk.mechanics.contact import Outcome
+from weberwhisk.mechanics.continuation import Branch, walk, zero_load
 from weberwhisk.mechanics.profile import bend, flick_past, press, rest_angle, sticking
 from weberwhisk.mechanics.shape import Parabola, Profile, Spiral
-from weberwhisk.mechanics.trajectory import rows_of
 from weberwhisk.whisker import Whisker
 
 POINTS = np.genfromtxt(

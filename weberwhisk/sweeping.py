@@ -27,8 +27,7 @@ from .cues import ForceMap
 from .cues.protocol import straight
 from .mechanics import elastica
 from .mechanics.contact import Outcome
-from .mechanics.slip import rate_on_wall, slid, tip_contacts
-from .mechanics.surface import surface_of
+from .mechanics.surface import rate_on_wall, slid, surface_of, tip_contacts
 from .observer import Observer
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
@@ -201,7 +200,7 @@ class SweepFilter:
     and smooth. A bootstrap particle filter (Gordon, Salmond & Smith 1993, IEE Proc. F 140, 107)
     with systematic resampling; the likelihood of each moment is that of an `Observer`. A share of
     the objects is met by the tip: walls at any distance from the base, whose contacts stay at the
-    tip at first and then run inwards as `mechanics.slip` says, but for a rate that wanders too.
+    tip at first and then run inwards as `mechanics.surface` says, but for a rate that wanders too.
 
     Parameters
     ----------

@@ -16,22 +16,22 @@ from .ladder import bend, flick_past, press, signal_jacobian
 
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
-    from .bodies import Body, contour, cylinder, peg, wall
-    from .choice import choose_model
+    from .model_choice import choose_model
     from .modes import Modes, impulse_response, transfer
     from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
     from .objects import Sweep, sweep
     from .profile import Sticking, rest_angle, sticking
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
+    from .touch import Body, contour, cylinder, peg, wall
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
-    "choice": ("choose_model",),
+    "model_choice": ("choose_model",),
     "shape": ("Parabola", "Profile", "Spiral"),
     "profile": ("Sticking", "rest_angle", "sticking"),
     "rod": ("RodBending",),
-    "bodies": ("Body", "contour", "cylinder", "peg", "wall"),
+    "touch": ("Body", "contour", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
     "modes": ("Modes", "impulse_response", "transfer"),

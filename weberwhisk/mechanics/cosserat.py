@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
 from ..whisker import Whisker
-from .branch import rest_point, zero_load
+from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot, rows_of
 from .chebyshev import Array
 from .contact import Outcome
-from .dop853 import CAUTION, ENDS, POINTS, SLOTS, STAGES
+from .continuation import rest_point, zero_load
 from .equilibrium import ROUNDING, on_whisker
 from .shape import Profile
-from .trajectory import Piece, Rows, pilot, rows_of
 
 #: Of keratin; sets the torsional stiffness.
 POISSON_RATIO = 0.38

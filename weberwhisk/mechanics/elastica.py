@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
-from .chebyshev import Array, Curve, Table, fit, nodes
+from .chebyshev import Array, Curve, Table, fit, load_cap, nodes, the_map, unfold
 from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Model, Outcome, beyond_tip, by_rows
-from .elastica_map import load_cap, the_map, unfold
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
 MAP_ERROR = 1e-12

@@ -186,7 +186,7 @@ def press(
             tolerance = 0.1
         elif not felt:
             accuracy = float(np.min(positive("tolerance", tolerance, "give a fraction")))
-        model = _module("choice").choose_model(
+        model = _module("model_choice").choose_model(
             whisker,
             r,
             theta,

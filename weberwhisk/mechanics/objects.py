@@ -27,12 +27,11 @@ from numpy.typing import ArrayLike
 
 from .._checks import finite
 from ..whisker import Whisker
-from .bodies import Body, contour, cylinder, peg, wall
 from .chebyshev import Array
 from .contact import Bending, Outcome
 from .profile import bend
 from .shape import Profile
-from .touch import Touch, TouchedBody
+from .touch import Body, Touch, TouchedBody, contour, cylinder, peg, wall
 
 __all__ = ["Body", "Sweep", "contour", "cylinder", "peg", "sweep", "wall"]
 

@@ -1,6 +1,6 @@
 """The planar beam: any whisker, curved or cut or hollow, with Coulomb friction.
 
-The whisker is followed from the contact to the base (`trajectory`), so that bending by a given
+The whisker is followed from the contact to the base (`beam`), so that bending by a given
 force needs no root. Pressing against a point is Newton's method in contact arc and force on the
 pass's own derivatives; what it finds is taken only where the pass proves it stable, and the rest
 is walked along its branch from zero load (`branch`), which ends at a fold or at the tip.
@@ -23,11 +23,16 @@ from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative, positive
 from ..whisker import Whisker
-from .branch import NO_MOVE, TIP, Branch, walk, zero_load
+from .beam import Rows, resolve
 from .chebyshev import Array
 from .contact import Bending, FlickPast, Outcome
+from .continuation import NO_MOVE, TIP, Branch, walk, zero_load
 from .equilibrium import (
+    Scenes,
+    Solved,
     at_points,
+    by_rows,
+    friction,
     in_order,
     numbers_of,
     on_whisker,
@@ -35,9 +40,7 @@ from .equilibrium import (
     signal_error,
     signal_slopes,
 )
-from .natural_units import Scenes, Solved, by_rows, friction
 from .shape import Profile
-from .trajectory import Rows, resolve
 
 #: Accuracy asked for by default.
 TOLERANCE = 1e-9

@@ -27,15 +27,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
 from . import closed_form, elastica, rod
-from .branch import zero_load
+from .beam import Rows
 from .chebyshev import Array
 from .contact import Bending, Choice, Model, Outcome
+from .continuation import zero_load
 from .cosserat import POISSON_RATIO
 from .cosserat import Scenes as Rods
-from .equilibrium import press_rows
-from .natural_units import Scenes, Solved, by_rows, friction
+from .equilibrium import Scenes, Solved, by_rows, friction, press_rows
 from .shape import Profile, Spiral
-from .trajectory import Rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,8 @@
 """Compute the dimensionless elastica map and write ``elastica_map.npz``.
 
-Run ``python -m weberwhisk.mechanics.build_map`` after a change; it takes a few seconds.
+    python analyses/build_elastica_map.py [folder]
+
+Writes the file that the package ships, into its folder by default; it takes a few seconds.
 
 With p the contact-to-base coordinate for which z = 1 − u p is the contact's distance from the
 apex over that of the running point, the elastica of a linear taper in the contact's frame is
@@ -16,10 +18,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from command import options
 from numpy.polynomial import legendre
 
-from .chebyshev import Array, Curve, Table, fit, nodes
-from .elastica_map import load_cap, unfold
+import weberwhisk
+from weberwhisk.mechanics.chebyshev import Array, Curve, Table, fit, load_cap, nodes, unfold
 
 COLLOCATION = 60
 
@@ -201,6 +204,8 @@ def build() -> dict[str, Array]:
 
 
 if __name__ == "__main__":
-    target = Path(__file__).with_name("elastica_map.npz")
+    home = Path(weberwhisk.__file__).parent / "mechanics"
+    asked = options(__file__, __doc__, folder=home)
+    target = asked.folder / "elastica_map.npz"
     np.savez(target, **build())  # type: ignore[arg-type]
     print(f"wrote {target.name}, {target.stat().st_size} bytes")

@@ -3,7 +3,7 @@
 A whisker at rest meets the circle of radius r at the arc s₀ and the angle θ₀. From there the
 equilibria of a point object at that distance form a curve in (contact arc, force), walked here by
 steps along its tangent with corrections across it, until the deflection angle asked for is
-reached, or the branch ends: in a fold, where the determinant D of `trajectory` changes sign; where
+reached, or the branch ends: in a fold, where the determinant D of `beam` changes sign; where
 the force comes down to zero again and a curved whisker lets go; at the tip; or at once where at
 this friction angle the object cannot move the contact at all.
 """
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .beam import Path, Rows, needed, resolve
 from .chebyshev import Array
 from .shape import Law
-from .trajectory import Path, Rows, needed, resolve
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)
 #: A distance this much beyond the tip of a curved whisker, in lengths, is rounding: the tips that
