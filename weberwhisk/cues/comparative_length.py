@@ -21,7 +21,6 @@ from .protocol import Array, Cue, Felt, straight
 MOST_WHISKERS = 8
 #: Sectors that whiskers sweep where none are given, rad: all that is ahead.
 AHEAD = (-np.pi / 2, np.pi / 2)
-_ROWS = 256  # distances worked on together
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -208,8 +207,9 @@ class ComparativeLength(Cue):
         Those of either half of the array first, and their products summed over the poses.
         """
         half, parts = self.reports.shape[1] // 2, []
-        for start in range(0, r.size, _ROWS):
-            touch, slope = self._touches(whisker, r.reshape(-1)[start : start + _ROWS])
+        rows = 256  # distances worked on together
+        for start in range(0, r.size, rows):
+            touch, slope = self._touches(whisker, r.reshape(-1)[start : start + rows])
             if step:
                 touch = touch + step * slope
             first, second = _together(touch[..., :half]), _together(touch[..., half:])

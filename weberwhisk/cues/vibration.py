@@ -15,9 +15,6 @@ from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, straight
 
-#: Places along the whisker at which the shapes are worked out, for the spline between them.
-_PLACES = 1001
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vibration(Cue):
@@ -177,8 +174,8 @@ def _amplitudes(whisker: Whisker, count: int) -> Any:
     from scipy.interpolate import CubicSpline
 
     found = _modes(whisker, count)
-    s = np.linspace(0, whisker.length, _PLACES)
-    shapes = np.empty((_PLACES, count))
+    s = np.linspace(0, whisker.length, 1001)
+    shapes = np.empty((s.size, count))
     shapes[0] = found.derivative(0.0, 2) / 2
     shapes[1:] = (found.shape(s[1:]) / s[1:] ** 2).T
     return CubicSpline(s, shapes * (found.base_moment / found.angular_frequency))

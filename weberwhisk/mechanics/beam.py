@@ -59,10 +59,6 @@ CAUTION = 4.0
 #: Rows of the state. The derivatives of χ and of X to contact arc and to force, −sin χ, cos χ and
 #: X: these `FED` are what the right side depends on. −Y and its derivatives: on these it does not.
 FED, ROWS_OF_STATE = 7, 10
-#: Rows followed at a time: slopes that fit the cache.
-BLOCK = 2000
-#: So few rows cost no more together than one by one.
-FEW = 400
 #: Steps a piece at most.
 MOST = 256
 
@@ -336,14 +332,16 @@ def _determinant(state: Array) -> Array:
     return np.asarray(arc_x * force_y - arc_y * force_x)
 
 
-def follow_blocks(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) -> Path:
-    """`follow` in blocks of rows that fit the cache."""
+def follow_blocks(
+    rows: Rows, arc: Array, force: Array, friction: Array, steps: int, block: int = 2000
+) -> Path:
+    """`follow` in blocks of rows whose slopes fit the cache."""
     n = arc.size
-    if n <= BLOCK:
+    if n <= block:
         return follow(rows, arc, force, friction, steps)
     parts = []
-    for start in range(0, n, BLOCK):
-        part = slice(start, start + BLOCK)
+    for start in range(0, n, block):
+        part = slice(start, start + block)
         parts.append(follow(rows.take(part), arc[part], force[part], friction[part], steps))
     names = vars(parts[0])
     return Path(**{k: np.concatenate([vars(p)[k] for p in parts], axis=-1) for k in names})
@@ -394,8 +392,9 @@ def resolve(
 def needed(steps: NDArray[np.int64], error: Array, bound: Array) -> NDArray[np.int64]:
     """Steps for an error below `bound`, by the order of the method, from a pass with `steps`."""
     ratio = np.clip(error / bound, 1e-12, 1e12)
-    # Counts in powers of √2; for few rows in powers of 4, as every count costs a pass.
-    coarse = 0.5 if steps.size > FEW else 2.0
+    # Counts in powers of √2; so few rows as cost no more together than one by one in powers of 4,
+    # as every count costs a pass.
+    coarse = 0.5 if steps.size > 400 else 2.0
     exponent = np.ceil(np.log2(steps * 1.05 * ratio ** (1 / 8)) / coarse) * coarse
     return np.clip(np.ceil(np.exp2(exponent)), 1, MOST).astype(np.int64)
 

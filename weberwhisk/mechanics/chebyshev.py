@@ -21,11 +21,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Points worked on together.
-PIECE = 8192
-#: Columns that BLAS is given at once.
-BLOCK = 256
-
 
 def nodes(n: int) -> Array:
     """The `n` Chebyshev points of the first kind on [0, 1], ascending, without the ends."""
@@ -52,17 +47,17 @@ def basis(n: int, x: Array) -> Array:
     return out
 
 
-def product(matrix: Array, columns: Array) -> Array:
+def product(matrix: Array, columns: Array, block: int = 256) -> Array:
     """Their matrix product, in blocks of columns that BLAS multiplies on one thread.
 
     Its own threads cost up to sixty times what they save on a matrix of some ten rows, as they wait
     for each other where another process has a core; and callers have threads of their own.
     """
     size = columns.shape[1]
-    whole = size - size % BLOCK
+    whole = size - size % block
     out = np.empty((len(matrix), size))
     blocks, filled = (
-        a[:, :whole].reshape(len(a), -1, BLOCK).swapaxes(0, 1) for a in (columns, out)
+        a[:, :whole].reshape(len(a), -1, block).swapaxes(0, 1) for a in (columns, out)
     )
     np.matmul(matrix, blocks, out=filled)
     np.matmul(matrix, columns[:, whole:], out=out[:, whole:])
@@ -86,7 +81,8 @@ class Curve:
     def __call__(self, x: Array) -> Array:
         """Values (k, len(x))."""
         # In pieces whose polynomials stay in the cache: four times as fast on a million points.
-        pieces = [x[i : i + PIECE] for i in range(0, x.size, PIECE)] or [x]
+        piece = 8192
+        pieces = [x[i : i + piece] for i in range(0, x.size, piece)] or [x]
         rows, n = np.ascontiguousarray(self.coefficients.T), len(self.coefficients)
         values = [product(rows, basis(n, part)) for part in pieces]
         return values[0] if len(values) == 1 else np.concatenate(values, axis=1)

@@ -18,10 +18,6 @@ from ..whisker import Whisker
 from .chebyshev import Array
 from .contact import Bending, Model, Outcome, beyond_tip, by_rows
 
-#: Largest relative error of any signal over the squared contact angle, for every taper and
-#: distance, as that angle goes to zero (the transverse force's); the tests hold it to the elastica.
-ERROR_PER_SQUARED_ANGLE = 0.65
-
 
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
     """Bend a straight whisker by a given force at a given arc length, at small angle.
@@ -94,7 +90,9 @@ def _result(
     with np.errstate(over="ignore"):  # of loads beyond belief: the error says so
         axial = force * contact_angle
         square = contact_angle**2
-        error = np.minimum(ERROR_PER_SQUARED_ANGLE * square * (1 + square) ** 3, 1.0)
+        # Largest relative error of any signal (the transverse force's), for every taper and
+        # distance, as the angle goes to zero; the tests hold it to the elastica.
+        error = np.minimum(0.65 * square * (1 + square) ** 3, 1.0)
     numbers = np.stack([force * r, axial, force, r, theta, contact_angle, r, force])
     numbers[:, lost] = np.nan
     outcome = np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)

@@ -243,6 +243,8 @@ class Bending:
         return self.radial_distance / self.whisker.length
 
 
+#: Relative error of the signals to stay below, by default, where equations are integrated.
+TOLERANCE = 1e-9
 #: Rows solved at a time: pieces that fit the cache halve the time of large calls.
 ROWS = 8192
 #: The numbers of a `Bending`, in order.

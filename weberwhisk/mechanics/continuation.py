@@ -21,9 +21,6 @@ from .chebyshev import Array
 from .shape import Law
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)
-#: A distance this much beyond the tip of a curved whisker, in lengths, is rounding: the tips that
-#: `bend` finds, to its tolerance, are touched.
-REACH_ROUNDING = 1e-9
 #: Steps along a branch: the first, the longest, and the shortest, where a walk gives up.
 _FIRST, _LONGEST, _SHORTEST = 0.1, 0.4, 1e-5
 
@@ -48,7 +45,8 @@ def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
         slope = (x * np.cos(turn) + y * np.sin(turn)) / distance
         theta[active] = np.arctan2(y, x)
         at_tip = (arc >= 1) & (miss > 0)
-        lost = (slope <= 1e-3) | (at_tip & (miss > REACH_ROUNDING))
+        # The tips that `bend` finds, to its tolerance, are touched.
+        lost = (slope <= 1e-3) | (at_tip & (miss > 1e-9))
         step = np.where(lost, 0.0, miss / np.where(lost, 1.0, slope))
         done = (np.abs(miss) <= 4e-15 * r[active]) | at_tip
         s[active] = np.where(lost, np.nan, np.minimum(arc + step, 1.0))

@@ -21,8 +21,6 @@ from .shape import Profile
 
 #: Of keratin; sets the torsional stiffness.
 POISSON_RATIO = 0.38
-#: A contact this close beyond the tip is rounding of Newton's method on difference quotients.
-TIP_SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +331,7 @@ class Scenes:
             ok = np.max(np.abs(move) / scale, axis=0) < 1e-6
             ok &= (det == sign[active]) | (sign[active] == 0)
             ok &= np.max(np.abs(here - guess) / scale, axis=0) < 0.15
-            ok &= beyond < TIP_SLACK
+            ok &= beyond < 1e-9  # rounding of Newton's method on difference quotients
             rate = (here - v[:, active]) / np.maximum(step, 1e-300)
             v[:, active] = np.where(ok, here, v[:, active])
             last[:, active] = np.where(ok, rate, last[:, active])

@@ -226,7 +226,8 @@ class DeflectionLimit:
             tip = at(middle)[1] > 0
             low, high = np.where(tip, low, middle), np.where(tip, middle, high)
         self.tip_from = float(high[0])
-        r = self._tip_distance(nodes(TIP_NODES))
+        # Enough nodes for the error to be rounding, from cylinder to cone.
+        r = self._tip_distance(nodes(24))
         room = self.length - r
         # Of a whisker that all but ends in a point no distance is left between the fold's end and
         # the tip: no room, no angle.
@@ -252,10 +253,6 @@ class DeflectionLimit:
                 np.isnan(angle[tip]), np.nan, np.sqrt(room * self.tip(np.maximum(x, 0.0))[0])
             )
         return angle
-
-
-#: Nodes of the tip's curve: enough for its error to be rounding, from cylinder to cone.
-TIP_NODES = 24
 
 
 def _limit(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, Array]:

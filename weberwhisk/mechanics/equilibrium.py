@@ -21,8 +21,6 @@ from .contact import NUMBERS, TIP_ROUNDING, Bending, Model, Outcome
 from .continuation import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .shape import Profile
 
-#: Rows solved at a time; passes are cut further, to fit the cache.
-ROWS = 32768
 Solved = tuple[Array, NDArray[np.int8], Array]
 
 
@@ -71,10 +69,10 @@ class Scenes:
         given = [flat(value) / unit.get(name, 1.0) for name, value in arguments.items()]
         return cls(base, shape, length, force, rows_of(profile, shape), given)
 
-    def pieces(self) -> Iterator[tuple[slice, Rows, list[Array]]]:
-        """Pieces of `ROWS` scenes: where they are, their whiskers and their arguments."""
-        for start in range(0, self.length.size, ROWS):
-            part = slice(start, start + ROWS)
+    def pieces(self, size: int = 32768) -> Iterator[tuple[slice, Rows, list[Array]]]:
+        """Pieces of so many scenes: where they are, their whiskers and their arguments."""
+        for start in range(0, self.length.size, size):
+            part = slice(start, start + size)
             yield part, self.rows.take(part), [a[part] for a in self.given]
 
     def outcome(self, flat: NDArray[np.int8]) -> Any:
@@ -124,8 +122,6 @@ def by_rows(
     return scenes.bending(numbers, outcome, error)
 
 
-#: Turn of the whisker at rest, rad, up to which Newton's method is trusted: about twice a rat's.
-MOST_TURN = 1.5
 #: Of contact distance and angle, a few last digits.
 ROUNDING = 3e-15
 
@@ -271,12 +267,15 @@ def _guess(
     return compliance, f, np.clip(s, 0.5 * start, 1.0), np.clip(steps, 1, 4).astype(np.int64)
 
 
-def _winds(rows: Rows) -> NDArray[np.bool_]:
-    """So curled that a stable contact may lie on another branch than the first: it is walked."""
+def _winds(rows: Rows, most: float = 1.5) -> NDArray[np.bool_]:
+    """So curled that a stable contact may lie on another branch than the first: it is walked.
+
+    By the turn of the whisker at rest, rad: up to about twice a rat's Newton's method is trusted.
+    """
     if rows.law is None:
         return np.zeros(rows.radius.shape[1], dtype=bool)
     turns = [np.abs(rows.law.turn(np.asarray(share))) for share in (0.25, 0.5, 0.75, 1.0)]
-    return np.asarray(np.max(turns, axis=0) > MOST_TURN)
+    return np.asarray(np.max(turns, axis=0) > most)
 
 
 def at_points(

@@ -13,13 +13,11 @@ from .._checks import finite, one_of, positive
 from ..whisker import Whisker
 from . import closed_form, elastica
 from .chebyshev import Array
-from .contact import Bending, Choice, FlickPast, Model
+from .contact import TOLERANCE, Bending, Choice, FlickPast, Model
 
 if TYPE_CHECKING:
     from .shape import Profile
 
-#: Relative error of the signals allowed by default.
-TOLERANCE = 1e-9
 #: The models that a name can force, cheapest first.
 MODELS = tuple(model.name.lower() for model in Model)
 _METRES = "give metres, such as 35e-3"

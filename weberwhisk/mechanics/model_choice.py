@@ -42,15 +42,9 @@ from .shape import Profile
 
 #: Largest relative Newton step that is believed.
 LARGEST_STEP = 0.2
-#: What a step may be wrong by, in times its square.
-DOUBT = 2.0
-#: Below this push, rad, signals are proportional to it, so that their relative errors stay.
-LEAST_PUSH = 1e-6
 #: Runge–Kutta steps a piece, and the largest error bound of such a pass that is believed; the
 #: bound exceeds the error by far.
 STEPS, RESOLVED = 5, 1e-4
-#: Accuracy of the planar beam solution that the rod steps from.
-COARSE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +66,10 @@ class Estimates:
 def estimate(scene: Scene) -> Estimates:
     """The estimates at n scenes, in natural units."""
     top = scene.top()
-    nudge = np.where(scene.push < 0, -LEAST_PUSH, LEAST_PUSH)
-    push = np.where(np.abs(scene.push) < LEAST_PUSH, nudge, scene.push)
+    # Below this push, rad, signals are proportional to it, so that their relative errors stay.
+    least = 1e-6
+    nudge = np.where(scene.push < 0, -least, least)
+    push = np.where(np.abs(scene.push) < least, nudge, scene.push)
     scene = replace(scene, push=push, angle=scene.angle + push - scene.push)
 
     numbers, outcome, _ = _elastica(scene)
@@ -96,7 +92,7 @@ def estimate(scene: Scene) -> Estimates:
     high = np.flatnonzero(top == Model.ROD)
     if high.size:
         part = scene.take(high)
-        numbers, outcome, _ = _planar(part, COARSE)
+        numbers, outcome, _ = _planar(part, 1e-9)
         planar[:, high] = numbers[:3]
         vouched[2, high] = outcome == Outcome.HELD
         high, part, contact = _where(outcome == Outcome.HELD, high, part, numbers[6:])
@@ -109,8 +105,8 @@ def estimate(scene: Scene) -> Estimates:
     misses = np.zeros((4, 3, push.size))
     for model, signals in enumerate((small, straight, planar)):
         miss = np.where(vouched[model], signals - true, np.inf)
-        if model < Model.PROFILE:  # what one step leaves is of the order of its square
-            miss = miss + np.copysign(DOUBT * moved**2 * true, miss)
+        if model < Model.PROFILE:  # what one step leaves is of the order of its square: twice it
+            miss = miss + np.copysign(2.0 * moved**2 * true, miss)
         misses[model] = np.where(model < top, miss, 0.0)
     return Estimates(top, true, slopes, misses)
 
@@ -172,8 +168,6 @@ def _spatial_step(scene: Scene, contact: Array) -> tuple[Array, NDArray[np.bool_
     return np.stack([moment, -force[0], force[1]]), good & (base.error < RESOLVED)
 
 
-#: A model is taken where its estimated bias is below the tolerance by this factor.
-MARGIN = 1.1
 #: Rows of the base signals that a cue can feel; a rate at a given speed is as good.
 _ROWS = {"moment": 0, "moment_rate": 0, "axial_force": 1, "transverse_force": 2}
 _UNKNOWNS = (("radial_distance",), ("radial_distance", "deflection_angle"))
@@ -252,7 +246,8 @@ def choose_model(
         found = estimate(Scene.of(rows, r, theta, psi, turn))
         error[:, part], off = _relative(found, [_ROWS[name] for name in names], unknowns)
         bias[:, part] = error[:, part] if weber_fraction is None else off / k
-        model[part] = np.argmax(bias[:, part] * MARGIN <= allowed, axis=0)
+        # Below by a tenth, as biases are estimates.
+        model[part] = np.argmax(bias[:, part] * 1.1 <= allowed, axis=0)
     return Choice(
         model.reshape(shape) if shape else Model(int(model[0])),
         error.T.reshape(*shape, 4),

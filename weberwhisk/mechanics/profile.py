@@ -25,7 +25,7 @@ from .._checks import finite, non_negative, positive
 from ..whisker import Whisker
 from .beam import Rows, resolve
 from .chebyshev import Array
-from .contact import Bending, FlickPast, Outcome
+from .contact import TOLERANCE, Bending, FlickPast, Outcome
 from .continuation import NO_MOVE, TIP, Branch, walk, zero_load
 from .equilibrium import (
     Scenes,
@@ -42,8 +42,6 @@ from .equilibrium import (
 )
 from .shape import Profile
 
-#: Accuracy asked for by default.
-TOLERANCE = 1e-9
 _METRES = "give metres, such as 35e-3"
 
 

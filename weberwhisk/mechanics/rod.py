@@ -24,12 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite, positive
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import Model, Outcome
+from .contact import TOLERANCE, Model, Outcome
 from .cosserat import POISSON_RATIO, Base, Scenes
 from .equilibrium import on_whisker
 from .shape import Profile
 
-TOLERANCE = 1e-9
 _METRES = "give metres, such as 35e-3"
 
 
