@@ -22,7 +22,15 @@ from command import options
 from numpy.polynomial import legendre
 
 import weberwhisk
-from weberwhisk.mechanics.chebyshev import Array, Curve, Table, fit, load_cap, nodes, unfold
+from weberwhisk.mechanics.chebyshev import (
+    Array,
+    ChebyshevTable,
+    Curve,
+    fit,
+    load_cap,
+    nodes,
+    unfold,
+)
 
 COLLOCATION = 60
 
@@ -68,17 +76,17 @@ def solve(u: Array, loads: Array) -> Array:
     return out
 
 
-def force_table(nu: int, nq: int) -> Table:
+def force_table(nu: int, nq: int) -> ChebyshevTable:
     """The face of the map with the force given."""
     u, load = nodes(nu), load_cap(nodes(nu))[:, None] * np.sqrt(nodes(nq))
     angle, height, shortening = np.moveaxis(solve(u, load), 2, 0)
     height_lin = 2 * load / (3 - 2 * u[:, None])
     values = np.stack([angle / load, height / height_lin, shortening / load**2], axis=-1)
     by_u = fit(np.log(values))
-    return Table(fit(by_u.transpose(1, 0, 2)).transpose(1, 0, 2))
+    return ChebyshevTable(fit(by_u.transpose(1, 0, 2)).transpose(1, 0, 2))
 
 
-def place(table: Table, u: Array, w: Array) -> tuple[Array, Array, Array]:
+def place(table: ChebyshevTable, u: Array, w: Array) -> tuple[Array, Array, Array]:
     """v = r/A, θ_d and their Jacobian (2, 2, n) at u and relative load w = ℓ/ℓ_cap."""
     values, d_u, d_q = np.split(table.gradient(u, w**2), 3)
     load, load_u, load_w = load_cap(u) * w, -2.6 * w, load_cap(u)
@@ -97,7 +105,7 @@ def place(table: Table, u: Array, w: Array) -> tuple[Array, Array, Array]:
     return u * rho, np.arctan2(y, x), np.array([[v_u, v_w], [theta_u, theta_w]])
 
 
-def fold_curve(table: Table, n: int) -> Curve:
+def fold_curve(table: ChebyshevTable, n: int) -> Curve:
     """Relative load of the fold at fixed r against u: where the Jacobian of (r, θ_d) vanishes."""
 
     def determinant(w: Array) -> Array:
@@ -115,7 +123,7 @@ def fold_curve(table: Table, n: int) -> Curve:
     raise RuntimeError("the fold was not found")
 
 
-def at_fold(table: Table, fold_load: Curve, v: Array) -> tuple[Array, Array, Array]:
+def at_fold(table: ChebyshevTable, fold_load: Curve, v: Array) -> tuple[Array, Array, Array]:
     """u, relative load and θ_d of the fold at r = vA."""
     u = unfold(v)
     for _ in range(60):
@@ -128,7 +136,9 @@ def at_fold(table: Table, fold_load: Curve, v: Array) -> tuple[Array, Array, Arr
     return u, fold_load(u)[0], theta
 
 
-def contact_table(table: Table, fold_load: Curve, nv: int, nc: int) -> tuple[Table, Curve]:
+def contact_table(
+    table: ChebyshevTable, fold_load: Curve, nv: int, nc: int
+) -> tuple[ChebyshevTable, Curve]:
     """The face of the map with the contact given, and the curve of the fold angle."""
     v = nodes(nv) * (1 + nodes(nv)) / 2
     _, _, fold_angle = at_fold(table, fold_load, v)
@@ -158,11 +168,11 @@ def contact_table(table: Table, fold_load: Curve, nv: int, nc: int) -> tuple[Tab
         extra = (u - v) * (1 - v) / (v * theta**2)
         values[:, k] = np.log(np.stack([force, angle, extra], axis=-1))
     by_v = fit(values)
-    contact = Table(fit(by_v.transpose(1, 0, 2)).transpose(1, 0, 2))
+    contact = ChebyshevTable(fit(by_v.transpose(1, 0, 2)).transpose(1, 0, 2))
     return contact, Curve(fit((fold_angle / (1 - v))[:, None]))
 
 
-def moment_peak(contact: Table, fold: Curve, n: int) -> Curve:
+def moment_peak(contact: ChebyshevTable, fold: Curve, n: int) -> Curve:
     """c at the largest moment on the way to the fold, against x(v)."""
     x = nodes(n)
     v = x * (1 + x) / 2

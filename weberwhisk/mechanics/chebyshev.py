@@ -94,7 +94,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ChebyshevTable:
     """Several functions of two variables: `coefficients` (nx, ny, k)."""
 
     coefficients: Array
@@ -111,7 +111,7 @@ class Table:
         return np.einsum("kin,in->kn", along_y, basis(nx, x))
 
     @cached_property
-    def gradient(self) -> Table:
+    def gradient(self) -> ChebyshevTable:
         """The table of all values, then all d/dx, then all d/dy."""
         parts = [self.coefficients]
         for axis in (0, 1):
@@ -119,7 +119,7 @@ class Table:
             padding = [(0, 0)] * 3
             padding[axis] = (0, 1)
             parts.append(np.pad(derived, padding))
-        return Table(np.concatenate(parts, axis=2))
+        return ChebyshevTable(np.concatenate(parts, axis=2))
 
 
 def load_cap(u: Array) -> Array:
@@ -141,8 +141,8 @@ def place_of(x: Array) -> Array:
 class Map:
     """The two faces of the map, and its fold."""
 
-    force_given: Table  # (u, (ℓ/ℓ_cap)²) → ln α/ℓ, ln height ratio, ln shortening ratio
-    contact_given: Table  # (x(v), c) → ln F/F_lin, ln α/α_lin, ln of the extra arc length
+    force_given: ChebyshevTable  # (u, (ℓ/ℓ_cap)²) → ln α/ℓ, ln height ratio, ln shortening ratio
+    contact_given: ChebyshevTable  # (x(v), c) → ln F/F_lin, ln α/α_lin, ln of the extra arc length
     fold_load: Curve  # u → ℓ/ℓ_cap at the fold
     fold: Curve  # x(v) → θ_fold/(1−v), and c at the moment peak
 
@@ -157,8 +157,8 @@ def the_map() -> Map:
     with resources.files(__package__).joinpath("elastica_map.npz").open("rb") as file:
         stored = np.load(file)
         return Map(
-            Table(stored["force_given"]),
-            Table(stored["contact_given"]),
+            ChebyshevTable(stored["force_given"]),
+            ChebyshevTable(stored["contact_given"]),
             Curve(stored["fold_load"]),
             Curve(stored["fold"]),
         )

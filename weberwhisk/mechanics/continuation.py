@@ -146,7 +146,7 @@ def moment_slope(branch: Branch, v: Array, path: Path, _goal: Array | None = Non
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Section:
     """A stretch of branch between two points, each (2, n), and the measure (n,) at either end.
 
     Between them the branch is followed by the cubic through both points and both tangents.
@@ -160,7 +160,7 @@ class Stretch:
     at_high: Array
 
     @classmethod
-    def empty(cls, n: int) -> Stretch:
+    def empty(cls, n: int) -> Section:
         """n stretches, not yet known."""
         low, high, low_tangent, high_tangent = np.full((4, 2, n), np.nan)
         return cls(low, high, low_tangent, high_tangent, np.full(n, np.nan), np.zeros(n))
@@ -170,9 +170,9 @@ class Stretch:
         for old, new in zip(vars(self).values(), values, strict=True):
             old[..., index[which]] = new[..., which]
 
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Stretch:
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Section:
         """The stretches at `index`."""
-        return Stretch(*(value[..., index] for value in vars(self).values()))
+        return Section(*(value[..., index] for value in vars(self).values()))
 
     def __call__(self, x: Array) -> Array:
         """The points (2, n) at 0 ≤ x ≤ 1."""
@@ -208,7 +208,7 @@ def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
     end[~moves] = NO_MOVE
     at_once = moves & (branch.start >= 1 - 1e-12)  # it rests on the object with its very tip
     end[at_once] = TIP
-    last, top = Stretch.empty(n), Stretch.empty(n)
+    last, top = Section.empty(n), Section.empty(n)
     freed = np.zeros(n, dtype=bool)  # the force is down to zero again: no contact is left
     best = np.full(n, np.inf)  # the largest angle that the last stretch can hold
 
@@ -311,7 +311,7 @@ Measure = Callable[[Branch, Array, Path, Array], Array]
 
 
 def refine(
-    branch: Branch, stretch: Stretch, measure: Measure, goal: Array | None = None
+    branch: Branch, stretch: Section, measure: Measure, goal: Array | None = None
 ) -> tuple[Array, Path]:
     """The point of a stretch where `measure` falls through zero, and its pass.
 

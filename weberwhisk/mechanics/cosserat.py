@@ -73,7 +73,7 @@ class Base:
 
 
 @dataclass(frozen=True, eq=False)
-class Scenes:
+class RodScenes:
     rows: Rows
     shape: tuple[int, ...]
     length: Array
@@ -91,7 +91,7 @@ class Scenes:
         friction_angle: ArrayLike,
         plane: ArrayLike,
         poisson_ratio: float,
-    ) -> Scenes:
+    ) -> RodScenes:
         tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
         roll = finite("plane", plane, "give radians, 0 for the xy plane")
         if np.any(np.abs(tilt) >= np.pi / 2):
@@ -117,10 +117,10 @@ class Scenes:
     def flat(self, value: ArrayLike) -> Array:
         return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
 
-    def take(self, index: NDArray[np.intp]) -> Scenes:
+    def take(self, index: NDArray[np.intp]) -> RodScenes:
         values = (self.length, self.force, self.friction, self.plane)
         length, force, friction, plane = (a[index] for a in values)
-        return Scenes(
+        return RodScenes(
             self.rows.take(index),
             (index.size,),
             length,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..whisker import Whisker
-from .chebyshev import Array, Curve, Table, fit, load_cap, nodes, the_map, unfold
+from .chebyshev import Array, ChebyshevTable, Curve, fit, load_cap, nodes, the_map, unfold
 from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Model, Outcome, beyond_tip, by_rows
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
@@ -128,7 +128,7 @@ def _press(
 
 
 def _contact(
-    table: Table, v: Array, c: Array, stiffness: Array, r: Array, theta: Array
+    table: ChebyshevTable, v: Array, c: Array, stiffness: Array, r: Array, theta: Array
 ) -> tuple[Array, Array, Array]:
     """Force, contact angle and arc length of an object at r = vA, deflection angle θ ≥ 0."""
     log_force, log_angle, log_extra = table(unfold(v), c)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
-from .chebyshev import Array, Curve, Table, the_map, unfold
+from .chebyshev import Array, ChebyshevTable, Curve, the_map, unfold
 from .contact import NUMBERS, TIP_ROUNDING, Bending, Model, Outcome
 from .continuation import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .shape import Profile
@@ -369,7 +369,9 @@ def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.int
 
 
 @cache
-def _coarse() -> tuple[Table, Curve]:
+def _coarse() -> tuple[ChebyshevTable, Curve]:
     """The map of the elastica to six digits, which take a twentieth of the time."""
     whole = the_map()
-    return Table(whole.contact_given.coefficients[:12, :8]), Curve(whole.fold.coefficients[:12, :1])
+    return ChebyshevTable(whole.contact_given.coefficients[:12, :8]), Curve(
+        whole.fold.coefficients[:12, :1]
+    )

@@ -34,10 +34,9 @@ from . import elastica
 from .beam import follow_blocks
 from .chebyshev import Array
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
-from .cosserat import POISSON_RATIO
-from .cosserat import Scenes as Rods
+from .cosserat import POISSON_RATIO, RodScenes
 from .equilibrium import Scenes, friction, numbers_of, signal_slopes
-from .scene import Scene, _closed_form, _elastica, _planar
+from .scene import SceneRows, _closed_form, _elastica, _planar
 from .shape import Profile
 
 #: Largest relative Newton step that is believed.
@@ -63,7 +62,7 @@ class Estimates:
     misses: Array
 
 
-def estimate(scene: Scene) -> Estimates:
+def estimate(scene: SceneRows) -> Estimates:
     """The estimates at n scenes, in natural units."""
     top = scene.top()
     # Below this push, rad, signals are proportional to it, so that their relative errors stay.
@@ -112,12 +111,12 @@ def estimate(scene: Scene) -> Estimates:
 
 
 def _where(
-    mask: NDArray[np.bool_], index: NDArray[np.intp], scene: Scene, numbers: Array
-) -> tuple[NDArray[np.intp], Scene, Array]:
+    mask: NDArray[np.bool_], index: NDArray[np.intp], scene: SceneRows, numbers: Array
+) -> tuple[NDArray[np.intp], SceneRows, Array]:
     return index[mask], scene.take(np.flatnonzero(mask)), numbers[:, mask]
 
 
-def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+def _planar_step(scene: SceneRows, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:
     """Signals and slopes of the planar beam one Newton step from a contact (arc, force).
 
     And how large the step was: of the moment, of the contact and of the whisker that is left.
@@ -151,9 +150,11 @@ def _planar_step(scene: Scene, contact: Array) -> tuple[Array, Array, NDArray[np
     return numbers[:3], slopes, good, np.where(good, size, 0.0)
 
 
-def _spatial_step(scene: Scene, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _spatial_step(scene: SceneRows, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
     """The rod's signals two Newton steps from a planar contact, and their vouching."""
-    rods = Rods.of(scene.profile(), (scene.distance,), scene.friction, scene.roll, POISSON_RATIO)
+    rods = RodScenes.of(
+        scene.profile(), (scene.distance,), scene.friction, scene.roll, POISSON_RATIO
+    )
     v = np.stack([np.minimum(contact[0], 1.0), contact[1], np.zeros_like(contact[1])])
     point, good = scene.point().T, np.ones(v.shape[1], dtype=bool)
     scale = np.stack([scene.distance, np.abs(v[1]), np.abs(v[1])])
@@ -243,7 +244,7 @@ def choose_model(
     n, shape = scenes.length.size, scenes.shape
     error, bias, model = np.empty((4, n)), np.empty((4, n)), np.empty(n, dtype=np.int8)
     for part, rows, (r, theta, psi, turn, k, allowed) in scenes.pieces():
-        found = estimate(Scene.of(rows, r, theta, psi, turn))
+        found = estimate(SceneRows.of(rows, r, theta, psi, turn))
         error[:, part], off = _relative(found, [_ROWS[name] for name in names], unknowns)
         bias[:, part] = error[:, part] if weber_fraction is None else off / k
         # Below by a tenth, as biases are estimates.

@@ -25,7 +25,7 @@ from .._checks import finite, positive
 from ..whisker import Whisker
 from .chebyshev import Array
 from .contact import TOLERANCE, Model, Outcome
-from .cosserat import POISSON_RATIO, Base, Scenes
+from .cosserat import POISSON_RATIO, Base, RodScenes
 from .equilibrium import on_whisker
 from .shape import Profile
 
@@ -128,7 +128,7 @@ def bend(
     s = positive("arc_length", arc_length, _METRES)
     size = finite("force", force, "give newtons, such as 1e-5")
     turn = finite("direction", direction, "give radians, 0 for the plane of curvature")
-    scenes = Scenes.of(whisker, (s, size, turn), friction_angle, plane, poisson_ratio)
+    scenes = RodScenes.of(whisker, (s, size, turn), friction_angle, plane, poisson_ratio)
     f = scenes.flat(size) / scenes.force
     chi = scenes.flat(turn)
     v = np.stack([scenes.flat(s) / scenes.length, f * np.cos(chi), f * np.sin(chi)])
@@ -194,7 +194,7 @@ def press(
             f"point must have three components, got shape {place.shape}; give (x, y, z) in metres."
         )
     r = positive("the point's distance", np.sqrt((place**2).sum(-1)), _METRES)
-    scenes = Scenes.of(whisker, (r,), friction_angle, plane, poisson_ratio)
+    scenes = RodScenes.of(whisker, (r,), friction_angle, plane, poisson_ratio)
     distance = scenes.flat(r) / scenes.length
     target = np.stack([scenes.flat(place[..., k]) / scenes.length for k in range(3)]) / distance
     far = np.broadcast_to(np.asarray(round_back, dtype=bool), scenes.shape).reshape(-1)
@@ -223,7 +223,7 @@ def press(
 
 
 def _result(
-    scenes: Scenes, v: Array, base: Base, outcome: NDArray[np.int8], error: Array
+    scenes: RodScenes, v: Array, base: Base, outcome: NDArray[np.int8], error: Array
 ) -> RodBending:
     lost = outcome != Outcome.HELD
     contact = base.seen(base.lever)

@@ -31,14 +31,13 @@ from .beam import Rows
 from .chebyshev import Array
 from .contact import Bending, Choice, Model, Outcome
 from .continuation import zero_load
-from .cosserat import POISSON_RATIO
-from .cosserat import Scenes as Rods
+from .cosserat import POISSON_RATIO, RodScenes
 from .equilibrium import Scenes, Solved, by_rows, friction, press_rows
 from .shape import Profile, Spiral
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SceneRows:
     """n scenes, each array (n,).
 
     ``start`` is the arc at which the resting whisker is touched, ``push`` the deflection from
@@ -56,17 +55,17 @@ class Scene:
     height: Array
 
     @classmethod
-    def of(cls, rows: Rows, r: Array, theta: Array, psi: Array, roll: Array) -> Scene:
+    def of(cls, rows: Rows, r: Array, theta: Array, psi: Array, roll: Array) -> SceneRows:
         """The scenes and their pushes."""
         start, rest = zero_load(rows, r)
         azimuth = np.arctan2(np.sin(rest) * np.cos(roll), np.cos(rest))
         height = np.arcsin(np.sin(rest) * np.sin(roll))
         return cls(rows, r, theta, psi, roll, start, theta - azimuth, height)
 
-    def take(self, index: NDArray[np.intp]) -> Scene:
+    def take(self, index: NDArray[np.intp]) -> SceneRows:
         """The scenes at `index`."""
         rest = (value[index] for name, value in vars(self).items() if name != "rows")
-        return Scene(self.rows.take(index), *rest)
+        return SceneRows(self.rows.take(index), *rest)
 
     @property
     def taper(self) -> Array:
@@ -145,7 +144,7 @@ def press_chosen(
     """
 
     def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, model: Array) -> Solved:
-        return press(Scene.of(rows, r, theta, psi, turn), model.astype(np.int8), tolerance)
+        return press(SceneRows.of(rows, r, theta, psi, turn), model.astype(np.int8), tolerance)
 
     b = by_rows(
         solve,
@@ -194,11 +193,11 @@ def jacobian_in_space(
     )
     slopes = np.full((3, 2, scenes.length.size), np.nan)
     for part, rows, given in scenes.pieces():
-        slopes[..., part] = _spatial_slopes(Scene.of(rows, *given))
+        slopes[..., part] = _spatial_slopes(SceneRows.of(rows, *given))
     return scenes.jacobian(slopes)
 
 
-def press(scene: Scene, model: NDArray[np.int8], tolerance: float) -> Solved:
+def press(scene: SceneRows, model: NDArray[np.int8], tolerance: float) -> Solved:
     """The eight numbers of a `Bending`, outcome and error, each scene by the model named."""
     n = scene.distance.size
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)
@@ -212,15 +211,15 @@ def press(scene: Scene, model: NDArray[np.int8], tolerance: float) -> Solved:
     return numbers, outcome, error
 
 
-def _closed_form(scene: Scene) -> Solved:
+def _closed_form(scene: SceneRows) -> Solved:
     return _straight(scene, Model.CLOSED_FORM)
 
 
-def _elastica(scene: Scene) -> Solved:
+def _elastica(scene: SceneRows) -> Solved:
     return _straight(scene, Model.ELASTICA)
 
 
-def _straight(scene: Scene, model: Model) -> Solved:
+def _straight(scene: SceneRows, model: Model) -> Solved:
     solve = closed_form._press if model == Model.CLOSED_FORM else elastica._press
     unit, lost = np.ones_like(scene.distance), np.isnan(scene.push)
     push = np.where(lost, 0.0, scene.push)
@@ -229,20 +228,20 @@ def _straight(scene: Scene, model: Model) -> Solved:
     return numbers, np.where(lost, Outcome.OUT_OF_REACH, outcome).astype(np.int8), error
 
 
-def _planar(scene: Scene, tolerance: float) -> Solved:
+def _planar(scene: SceneRows, tolerance: float) -> Solved:
     rows, angle = scene.planar()
     angle = np.nan_to_num(angle)  # out of reach either way
     return press_rows(rows, scene.distance, angle, scene.friction, tolerance)
 
 
-def _rod(scene: Scene) -> rod.RodBending:
+def _rod(scene: SceneRows) -> rod.RodBending:
     # A point alone does not tell half a turn and more from what is left to a whole one.
     back = np.abs(scene.push) > np.pi
     place, roll = scene.point(), scene.roll
     return rod.press(scene.profile(), place, scene.friction, plane=roll, round_back=back)
 
 
-def _spatial(scene: Scene) -> Solved:
+def _spatial(scene: SceneRows) -> Solved:
     b = _rod(scene)
     side = np.where(scene.push < 0, -1.0, 1.0)
     # The tangent is within half a turn of the line to the contact, on whichever turn that is.
@@ -263,7 +262,7 @@ def _spatial(scene: Scene) -> Solved:
     return numbers, b.outcome, b.error
 
 
-def _spatial_slopes(scene: Scene) -> Array:
+def _spatial_slopes(scene: SceneRows) -> Array:
     """Derivatives (3, 2, n) of (M_z, −F_x, F_y) to (r, θ_d) where held, else NaN."""
     found = _rod(scene)
     slopes = np.full((3, 2, scene.distance.size), np.nan)
@@ -272,7 +271,9 @@ def _spatial_slopes(scene: Scene) -> Array:
         part = scene.take(held)
         force, direction = found.magnitude[held], found.direction[held]
         v = np.stack([found.arc_length[held], force * np.cos(direction), force * np.sin(direction)])
-        rods = Rods.of(part.profile(), (part.distance,), part.friction, part.roll, POISSON_RATIO)
+        rods = RodScenes.of(
+            part.profile(), (part.distance,), part.friction, part.roll, POISSON_RATIO
+        )
         places, signals = rods.central_slopes(v, part.point().T)
         felt = signals[:, [5, 0, 1]] * np.array([1, -1, 1])[:, None]
         to_place = felt @ np.linalg.inv(places)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..whisker import Whisker
 from . import elastica
-from .chebyshev import Array, Curve, Table, fit, nodes, place_of, the_map, unfold
+from .chebyshev import Array, ChebyshevTable, Curve, fit, nodes, place_of, the_map, unfold
 from .contact import ROWS, Outcome
 from .elastica import DeflectionLimit, press
 
@@ -127,7 +127,7 @@ def _fold() -> Curve:
 
 
 @cache
-def _table() -> Table:
+def _table() -> ChebyshevTable:
     """Moment, axial and transverse force over those of the closed form, against (x(v), c).
 
     On a whisker of apex distance 1 and stiffness 1 without a tip in the way.
@@ -150,7 +150,7 @@ def _table() -> Table:
     coefficients = fit(by_x.transpose(1, 0, 2)).transpose(1, 0, 2)
     size = np.abs(coefficients).max(axis=2)
     rows, columns = (_needed(size.max(axis=axis), TOLERANCE) for axis in (1, 0))
-    return Table(coefficients[:rows, :columns])
+    return ChebyshevTable(coefficients[:rows, :columns])
 
 
 def _needed(size: Array, tolerance: float) -> int:

@@ -112,7 +112,7 @@ State = tuple[Array, Array, Array, Array, Array]
 
 
 @dataclass(frozen=True)
-class Solution:
+class TouchSolution:
     """A point v, the sign of the Jacobian there, and the state up to Newton's last step."""
 
     point: Array
@@ -157,7 +157,7 @@ class TouchedBody:
         edge = self.edges[touch.feature // 2] + rotation
         return np.stack([np.sin(tangent - edge), -off_x * np.sin(edge) + off_y * np.cos(edge)])
 
-    def solve(self, touch: Touch, v: Array, rotation: float) -> Solution | None:
+    def solve(self, touch: Touch, v: Array, rotation: float) -> TouchSolution | None:
         """Newton's method; the point, the sign of its Jacobian and its state, or None."""
         step = 1e-6
         for _ in range(7):
@@ -177,17 +177,21 @@ class TouchedBody:
                 return None
             # The next step would be smaller than this one by what the quotients are off, 1e-4.
             if np.max(np.abs(move) / np.maximum(np.abs(v), [1.0, 0.1])) < 1e-7:
-                return Solution(v, float(np.sign(det)), tuple(float(part[0]) for part in state))
+                return TouchSolution(
+                    v, float(np.sign(det)), tuple(float(part[0]) for part in state)
+                )
         return None
 
-    def next_touch(self, touch: Touch, at: Solution, rotation: float) -> Touch | Outcome | None:
+    def next_touch(
+        self, touch: Touch, at: TouchSolution, rotation: float
+    ) -> Touch | Outcome | None:
         """None if this touch is valid, else what it turns into, or what it ends by."""
         change = self._change(touch, at, rotation)
         if change is None and self.rows.law and self._overlap(touch, at, rotation) > OVERLAP:
             return Outcome.TOUCHES_TWICE
         return change
 
-    def _overlap(self, touch: Touch, at: Solution, rotation: float) -> float:
+    def _overlap(self, touch: Touch, at: TouchSolution, rotation: float) -> float:
         """How deep in the object the whisker lies elsewhere: a straight one never does."""
         v, (x, y, angle, _, force) = at.point, at.state
         arc, push = 1.0 if touch.tip else min(float(v[0]), 1.0), angle + self.friction
@@ -214,7 +218,7 @@ class TouchedBody:
         c, s = np.cos(rotation), np.sin(rotation)
         return float(np.max(self.body.depth(c * px + s * py, c * py - s * px)))
 
-    def _change(self, touch: Touch, at: Solution, rotation: float) -> Touch | Outcome | None:
+    def _change(self, touch: Touch, at: TouchSolution, rotation: float) -> Touch | Outcome | None:
         v, (x, y, _, tangent, _) = at.point, at.state
         if not touch.tip and v[0] > 1 + 1e-9:
             return Outcome.SLIPPED_OFF_TIP
