@@ -169,14 +169,14 @@ def test_any_rehearsal_is_done_or_refused(
     words += [w for pair in given_options for w in pair if pair != ("--workers", "2")][:4]
     with TemporaryDirectory() as folder:
         (Path(folder) / "plan.json").write_text(TEXT, "utf-8")
-        with mock.patch("weberwhisk.campaign.runner.Processes", _one_process):
+        with mock.patch("weberwhisk.campaign.Processes", _one_process):
             check([*words, "--json"] if as_json else words, Path(folder))
 
 
-def _one_process(job: object, workers: int) -> object:
-    from weberwhisk.campaign.crews import Serial
+def _one_process(workers: int) -> object:
+    from weberwhisk.campaign.executor import InProcess
 
-    return Serial(job)  # type: ignore[arg-type]
+    return InProcess()
 
 
 @settings(max_examples=6)

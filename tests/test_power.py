@@ -439,7 +439,7 @@ def test_the_report_says_where_intervals_of_k_miss():
         (lambda: ww.power(design((0.3,), 5), [TAPERED], runs=0), "got 0"),
         (lambda: ww.power(design((0.3,), 5), [TAPERED], animals=[0]), "animals must be"),
         (lambda: design((0.3,), 5).with_animals(10**9), "up to 10000000 trials, got"),
-        (lambda: ww.power(Scheme([49e-3], [-2e-3, 2e-3]), [TAPERED]), "by 0.001 past its tip"),
+        (lambda: ww.power(Scheme([49e-3], [-2e-3, 2e-3]), [TAPERED]), "by 1 mm past its tip"),
         (lambda: smallest(design((0.3, 0.5), 5), (TAPERED, CYLINDRICAL), most=10, runs=32),
          "no design of up to 10 trials a comparison"),
         (lambda: smallest(design((0.3, 0.5), 5), (TAPERED, CYLINDRICAL), most=10, runs=32),

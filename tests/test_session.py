@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from weberwhisk import journal
 from weberwhisk._terminal import run_app
 from weberwhisk.behaviour import IdentityPercept, fit_weber
+from weberwhisk.campaign.log import read_lines
 from weberwhisk.cli import app
 from weberwhisk.design import BayesianPlacer, Hypothesis, Session, lattice
 from weberwhisk.design.session import converse
@@ -106,7 +106,7 @@ def test_another_sessions_file_is_refused(tmp_path: Path) -> None:
     ):
         pass
     with pytest.raises(ValueError, match="is not the file of a walk"):
-        journal.read(file, "walk")
+        read_lines(file, "walk")
 
 
 # -- the command ---------------------------------------------------------------------------------

@@ -9,11 +9,12 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import weberwhisk as ww
+from weberwhisk import threads
 from weberwhisk.behaviour import IdentityPercept, fit_population, fit_weber, simulate_population
 from weberwhisk.campaign import all_cores
 from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
-from weberwhisk.posterior import threads, walkers
+from weberwhisk.posterior import walkers
 
 
 def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .effects import Effect, check_effects
 from .likelihood import WeberModel, gather
 from .percepts import NOISES, Percept, chosen_percept, percept_for, refuse_unfelt, unit_percepts

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .criticism import check_fit
 from .likelihood import WeberModel
 from .posteriors import GridPosterior

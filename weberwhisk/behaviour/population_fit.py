@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..posterior.arviz_io import to_arviz
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .bias_scale import likely_scales
 from .fit import fit_weber
 from .hierarchy import NAMES, Population, integrate_population

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from scipy import stats
 
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .likelihood import WeberModel
 from .posteriors import GridPosterior, WeberPosterior
 from .quadrature import integrate

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate
 from .goals import Animals, Goal
 from .hypotheses import Hypothesis

@@ -20,7 +20,7 @@ from scipy.stats import beta as beta_distribution
 
 from ..behaviour.priors import Priors
 from ..behaviour.quadrature import score_prior
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .coding import decode
 from .goals import Animals
 from .hypotheses import Hypothesis

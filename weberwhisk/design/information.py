@@ -20,7 +20,7 @@ from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts, unit_percepts
 from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
-from ..posterior.threads import one_blas_thread
+from ..threads import one_blas_thread
 from .boxes import passes
 from .goals import Animals
 from .hypotheses import Hypothesis, told_apart

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import Any, Self
 
-from ..journal import Journal
+from ..campaign.log import Log
 from .placement import BayesianPlacer, Placer, Proposal
 from .staircases import Staircase
 
@@ -61,14 +61,14 @@ class Session:
         question: dict[str, Any] | None = None,
     ) -> None:
         self.placer = placer
-        self._journal = None if path is None else Journal(path, KIND, question or {})
+        self._log = None if path is None else Log(path, KIND, question or {})
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        if self._journal is not None:
-            self._open.enter_context(self._journal)
+        if self._log is not None:
+            self._open.enter_context(self._log)
             try:
-                for place, line in enumerate(self._journal.lines):
+                for place, line in enumerate(self._log.lines):
                     self._again(place, json.loads(line))
             except BaseException:
                 self._open.close()
@@ -82,9 +82,9 @@ class Session:
         try:
             self.placer.record(row["standard"], row["comparison"], row["choice"])
         except (KeyError, ValueError) as error:
-            assert self._journal is not None
+            assert self._log is not None
             raise ValueError(
-                f"{str(self._journal.path)!r} has a trial that cannot be read (line {place + 2}: "
+                f"{str(self._log.path)!r} has a trial that cannot be read (line {place + 2}: "
                 f"{error}); name another file."
             ) from error
 
@@ -101,7 +101,7 @@ class Session:
         """Keep and learn from a trial: what was shown, and the answer."""
         proposed = self.placer.next()
         self.placer.record(standard, comparison, choice)
-        if self._journal is not None:
+        if self._log is not None:
             row = {
                 "trial": proposed.trial,
                 "standard": float(standard),
@@ -110,12 +110,12 @@ class Session:
                 "easy": proposed.easy,
                 "proposed": [proposed.standard, proposed.comparison],
             }
-            self._journal.append(json.dumps(row))
+            self._log.append(json.dumps(row))
 
     def sync(self) -> None:
         """Have the trials on the disk, safe from a power cut too."""
-        if self._journal is not None:
-            self._journal.sync()
+        if self._log is not None:
+            self._log.sync()
 
 
 def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator[str]:

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..threads import on_threads
 from .densities import Density, Functions
 from .frames import Frames, Status
 from .nodes import Array, Nodes
 from .passes import evaluate
-from .threads import on_threads
 
 PASSES = 50
 

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..threads import on_threads
 from .gaps import GAPS, MORE_TILES, Look, water_in
 from .passes import LOST, claimed_error, fitting
-from .threads import on_threads
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -15,9 +15,9 @@ from scipy.special import expit
 from ..observer import Observer
 from ..receptors import Joint, ReceptorNoise
 from ..receptors.gaussian import Gaussian
+from ..threads import on_threads
 from .densities import refuse_impossible
 from .solution import is_improbable
-from .threads import on_threads
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from ..receptors import Seed
+from ..threads import on_threads
 from .lattice import LatticeMoments
 from .mode import Mode, find_mode, find_other, starting_points
 from .nodes import Nodes
@@ -17,7 +18,6 @@ from .nuisance import MOST, LastUnknown
 from .panels import panels_of
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified
-from .threads import on_threads
 from .tiles import AllUnknowns, Engine
 
 #: Error of mean and sd, over the sd, above which a quadrature is called imprecise: one unknown,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..coordinates import FARTHEST
 from ..observer import Observer
 from ..receptors import Events, Seed
+from ..threads import on_threads
 from .densities import Density
 from .ensemble import (
     MoveMaker,
@@ -27,7 +28,6 @@ from .nuisance import LastUnknown
 from .peaks import find_highest, over_all_peaks
 from .result import Estimate, Status
 from .solution import Array, Solution, is_improbable, is_unidentified, mode_root
-from .threads import on_threads
 
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for: one unknown, and more.
 PRECISION = (0.02, 0.03)

@@ -7,13 +7,12 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from contextvars import ContextVar, copy_context
 from functools import cache, wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
-
-from ..cores import core_count
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -21,6 +20,18 @@ Arguments = ParamSpec("Arguments")
 
 
 _inside: ContextVar[bool] = ContextVar("inside a thread of on_threads", default=False)
+
+
+def core_count() -> int:
+    """Cores that this process may run on, which may be fewer than the machine has.
+
+    Examples
+    --------
+    >>> core_count() >= 1
+    True
+    """
+    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def thread_count() -> int:
@@ -37,7 +48,15 @@ def thread_count() -> int:
 @cache
 def _libraries() -> ThreadpoolController:
     """The libraries of linear algebra, whose own threads spin while they wait for work."""
+    import scipy.linalg  # noqa: F401  # its library must be there to be told
+
     return ThreadpoolController()
+
+
+def limited_blas() -> AbstractContextManager[Any]:
+    """Leave linear algebra one thread within: others would add in another order, and their many
+    small products wait for a thread to wake."""
+    return _libraries().limit(limits=1, user_api="blas")
 
 
 def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -54,7 +73,7 @@ def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments
 
     @wraps(function)
     def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        with _libraries().limit(limits=1, user_api="blas"):
+        with limited_blas():
             return function(*args, **kwargs)
 
     return limited
@@ -81,7 +100,7 @@ def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Ite
         return function(task)
 
     # NumPy's error state belongs to the context, and a thread starts with a fresh one.
-    with _libraries().limit(limits=1, user_api="blas"), ThreadPoolExecutor(count) as pool:
+    with limited_blas(), ThreadPoolExecutor(count) as pool:
         ahead: deque[Future[Result]] = deque()
         try:
             for task in waiting:

@@ -1,0 +1,299 @@
+"""Files that only grow: what was asked on the first line, then a line for every thing done.
+
+JSON lines, appended to and never rewritten. A process killed while it writes leaves half a line at
+the end, which is cut off when the next one goes on; whatever was written before is kept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from .. import __version__
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT = 1
+
+
+@cache
+def versions() -> dict[str, str]:
+    """What the bits of a result hang on."""
+    return {"weberwhisk": __version__, "numpy": np.__version__, "scipy": version("scipy")}
+
+
+@contextmanager
+def locked(path: Path, seconds: float = -1.0) -> Iterator[None]:
+    """Let no other process in; the system lifts the lock however this one ends.
+
+    Raises
+    ------
+    filelock.Timeout
+        If it is held after so many seconds; a negative number waits for ever.
+    """
+    lock = FileLock(path, timeout=seconds)
+    with lock:
+        try:
+            yield
+        finally:
+            # While it is held: who comes now makes a file of their own, and who waits notices.
+            with suppress(OSError):
+                path.unlink()
+
+
+class Log:
+    """A file of JSON lines that belongs to one question, as a context manager.
+
+    Parameters
+    ----------
+    path : path
+        Made if it is missing. Where it holds an earlier part of the same, `lines` has that.
+    kind : str
+        What it is a log of, one word.
+    question : mapping
+        What was asked, as JSON has it: must be the same whenever the file is gone on with.
+    about : mapping, optional
+        For a reader of the file.
+
+    Attributes
+    ----------
+    lines : list of str
+        The lines that were there, without the first.
+
+    Raises
+    ------
+    ValueError
+        If the file is of another question or of none, is being written by another process, or
+        cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = tempfile.mkdtemp() + "/walk.jsonl"
+    >>> with Log(file, "walk", {"seed": 1}) as log:
+    ...     log.append('{"step": 1}')
+    >>> with Log(file, "walk", {"seed": 1}) as log:
+    ...     log.lines
+    ['{"step": 1}']
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        kind: str,
+        question: dict[str, Any],
+        about: dict[str, Any] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.lines: list[str] = []
+        self._kind = kind
+        self._question = json.loads(json.dumps(question))
+        self._about = about or {}
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            try:
+                self._file = opened.enter_context(open(self.path, "a+b"))
+                lock = self.path.with_name(f".{self.path.name}.lock")
+                opened.enter_context(locked(lock, 0.0))
+            except Timeout:
+                raise ValueError(
+                    f"{str(self.path)!r} is being written by another process; wait for it, or name "
+                    "another file."
+                ) from None
+            except OSError as error:
+                raise self._unwritable(error) from error
+            header, self.lines, good = _parse(self._file, self.path, self._kind)
+            self._file.truncate(good)
+            if header is None:
+                self._begin()
+            else:
+                self._same(header)
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with self._open:
+            self.sync()
+
+    def append(self, *lines: str) -> None:
+        """Add lines; they are in the system's hands, safe from this process being killed."""
+        try:
+            self._file.write("".join(f"{line}\n" for line in lines).encode("ascii"))
+            self._file.flush()
+        except OSError as error:  # a full disk
+            raise self._unwritable(error) from error
+
+    def sync(self) -> None:
+        """Have it on the disk, safe from a power cut too."""
+        os.fsync(self._file.fileno())
+
+    def _unwritable(self, error: OSError) -> ValueError:
+        return ValueError(
+            f"{str(self.path)!r} cannot be written ({error.strerror}); name a file in a folder "
+            "that exists and that you may write to."
+        )
+
+    def _begin(self) -> None:
+        started = datetime.now(UTC).isoformat(timespec="seconds")
+        about = {"python": platform.python_version(), "started": started} | self._about
+        about = {"made_with": versions()} | about
+        self.append(json.dumps({_mark(self._kind): FORMAT, **about, **self._question}))
+
+    def _same(self, header: dict[str, Any]) -> None:
+        for what, asked in self._question.items():
+            was = header.get(what)
+            if was == asked:
+                continue
+            words = f"its {what} is {was}, not {asked}"
+            if isinstance(was, list) and isinstance(asked, list):
+                words = f"it has {len(was)} {what}, not {len(asked)}"
+                if len(was) == len(asked):
+                    at = next(i for i, (a, b) in enumerate(zip(was, asked, strict=True)) if a != b)
+                    words = f"its {what} have {was[at]} in place {at}, not {asked[at]}"
+            raise ValueError(
+                f"{str(self.path)!r} holds another {self._kind}: {words}; name another file, or "
+                "remove this one."
+            )
+
+
+def read_lines(path: str | os.PathLike[str], kind: str) -> list[str]:
+    """The lines written so far, without the first; the file may still be growing.
+
+    Raises
+    ------
+    ValueError
+        If it is no log of that kind.
+    """
+    with open(path, "rb") as file:
+        return _parse(file, Path(path), kind)[1]
+
+
+def _mark(kind: str) -> str:
+    return f"weberwhisk_{kind}"
+
+
+def _parse(file: BinaryIO, path: Path, kind: str) -> tuple[dict[str, Any] | None, list[str], int]:
+    """The header (None where the file has none yet), the lines, and where the good part ends."""
+    file.seek(0)
+    header: dict[str, Any] | None = None
+    lines: list[str] = []
+    good = 0
+    refusal = (
+        f"{str(path)!r} is not the file of a {kind}, or was changed by hand (line {{}}); name "
+        "another file."
+    )
+    mark = _mark(kind)
+    start = json.dumps({mark: FORMAT})[:-1].encode()
+    *whole, rest = file.read().split(b"\n")
+    for place, line in enumerate(whole):
+        try:
+            record = json.loads(line)
+            if place == 0:
+                header = record if record[mark] == FORMAT else None
+            else:
+                lines.append(line.decode("ascii"))
+        except (ValueError, KeyError, TypeError):
+            # A machine that goes down may leave zeros where the last line was to be.
+            if place == 0 or place < len(whole) - 1 or rest:
+                raise ValueError(refusal.format(place + 1)) from None
+            return header, lines, good
+        if header is None:
+            raise ValueError(refusal.format(1))
+        good += len(line) + 1
+    if header is None and not (rest.startswith(start) or start.startswith(rest)):
+        raise ValueError(refusal.format(1))
+    return header, lines, good
+
+
+# -- the tables of a sweep -----------------------------------------------------------------------
+
+
+def encode(number: int, frame: pd.DataFrame) -> str:
+    """The table of a chunk as one line of strict JSON, every number to its last bit.
+
+    Raises
+    ------
+    ValueError
+        For anything but a DataFrame of numbers, booleans and text.
+    """
+    import pandas as pd
+
+    if not isinstance(frame, pd.DataFrame):
+        raise ValueError(f"work must return a DataFrame, got {type(frame).__name__}.")
+    if not frame.columns.is_unique or not all(isinstance(name, str) for name in frame.columns):
+        raise ValueError(
+            f"work must return columns with different names, got {list(frame.columns)}."
+        )
+    columns = {str(name): _plain(str(name), column) for name, column in frame.items()}
+    record = {"chunk": number, "rows": len(frame), "columns": columns}
+    return json.dumps(record, allow_nan=False)
+
+
+def _plain(name: str, column: pd.Series) -> list[Any]:
+    """Kind of a column and its values; what JSON has no number for is text."""
+    if isinstance(column.dtype, np.dtype) and column.dtype.kind in "biuf":
+        values = column.to_list()
+        if column.dtype.kind == "f":
+            values = [v if isfinite(v) else str(v) for v in values]
+        return [column.dtype.name, values]
+    texts = column.astype(object).where(column.notna(), None).to_list()
+    if not all(v is None or isinstance(v, str) for v in texts):
+        raise ValueError(
+            f"work must return numbers, booleans or text, got a column {name!r} of {column.dtype}."
+        )
+    return ["text", texts]
+
+
+def decode(lines: dict[int, str]) -> pd.DataFrame:
+    """The tables of all chunks in one, in the order of the chunks."""
+    import pandas as pd
+
+    tables = [json.loads(line) for _, line in sorted(lines.items())]
+    tables = [table for table in tables if table["rows"]] or tables[:1]
+    if not tables:
+        return pd.DataFrame()
+    first = tables[0]
+    for table in tables:
+        if list(table["columns"]) != list(first["columns"]):
+            raise ValueError(
+                f"chunk {table['chunk']} returned the columns {list(table['columns'])}, and chunk "
+                f"{first['chunk']} {list(first['columns'])}; let work return the same ones always."
+            )
+    return pd.DataFrame(
+        {name: _joined([table["columns"][name] for table in tables]) for name in first["columns"]}
+    )
+
+
+def _joined(parts: list[list[Any]]) -> Any:
+    if any(kind == "text" for kind, _ in parts):
+        return [value for _, values in parts for value in values]
+    return np.concatenate(
+        [
+            # Written apart: NumPy reads a list with text in it as text.
+            np.array([float(v) for v in values] if kind.startswith("float") else values, kind)
+            for kind, values in parts
+        ]
+    )
+
+
+def by_number(lines: list[str]) -> dict[int, str]:
+    """Lines of chunks by their number, the first of each."""
+    found: dict[int, str] = {}
+    for line in lines:
+        found.setdefault(int(json.loads(line)["chunk"]), line)
+    return found
