@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -379,3 +380,30 @@ def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ValueError, match=r"pip install 'weberwhisk\[cluster\]'"):
         run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_scheduler_that_is_lost_is_one_sentence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its client showed two tracebacks of its own before."""
+    pytest.importorskip("distributed")
+    file = tmp_path / "scheduler.json"
+    where = ["--port", "0", "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "dask", "scheduler", *where],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent), *sys.path])},
+    )  # fmt: skip
+    try:
+        while not file.exists():
+            assert scheduler.poll() is None
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        threading.Timer(0.5, scheduler.kill).start()
+        with pytest.raises(CampaignError, match="lost: the scheduler does not answer") as error:
+            run(campaign_work.draw, CHUNKS, seed=7, scheduler=address)
+    finally:
+        scheduler.kill()
+        scheduler.wait()
+    assert error.value.__suppress_context__
+    assert capfd.readouterr().err == ""

@@ -68,7 +68,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "runs": ("written",),
     "planning": ("figures", "runs"),
     "": ("planning", "jnd_surface"),
-    "_terminal": (),
+    "_terminal": ("campaign",),
     "commands": ("", "charts", "surveys", "runs", "_terminal"),
     "cli": ("commands",),
 }

@@ -3,6 +3,7 @@
 - A wrong input ends with one sentence on standard error and status 2.
 - Ctrl-C ends quietly with 130, termination with 143; both let the command clean up.
 - A reader that goes away, as in ``| head``, ends the command quietly with 1.
+- A sweep that cannot go on, for want of memory or a cluster, ends with one sentence and 1.
 - An error that is no refusal is a bug: its traceback shows, with status 1.
 """
 
@@ -21,6 +22,7 @@ import typer
 from numpy.typing import NDArray
 
 from . import __version__
+from .campaign import CampaignError
 
 
 def new_app() -> typer.Typer:
@@ -66,6 +68,11 @@ def run_app(app: typer.Typer, arguments: Sequence[str]) -> int:
         if not raised_by_weberwhisk(error):
             raise
         return _refuse(str(error))
+    except CampaignError as error:
+        if getattr(error, "__notes__", None):  # the work's own traceback
+            raise
+        print("weberwhisk:", error, file=sys.stderr)
+        return 1
     except BrokenPipeError:
         # The reader has gone. Nothing more can be said to it, also not when Python shuts down.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
