@@ -36,9 +36,8 @@ from weberwhisk.behaviour import (
     threshold,
     weber_law_test,
 )
-from weberwhisk.behaviour.answering import answer_trials
 from weberwhisk.behaviour.effects import Drift, Floor
-from weberwhisk.behaviour.population import joined
+from weberwhisk.behaviour.population import joined, simulate_responses
 
 TRIALS = simulate_trials(trials_per_level=3, seed=1)
 ANIMALS = simulate_population(2, trials_per_level=3, seed=1)[0]
@@ -190,11 +189,11 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (read(scale="log", log_unit=[]), "log_unit must be one number, got 0"),
     (lambda: FIT.interval([]), "mass must be one number"),
     (
-        lambda: answer_trials(3.0, pd.DataFrame(), percept=SELF, seed=1),
+        lambda: simulate_responses(3.0, pd.DataFrame(), percept=SELF, seed=1),
         "table must be a DataFrame with columns subject, standard",
     ),
     (
-        lambda: answer_trials(
+        lambda: simulate_responses(
             TRIALS.frame.assign(subject="a"), pd.DataFrame(), percept=SELF, seed=1
         ),
         "animals must be a DataFrame with columns subject, weber_fraction",

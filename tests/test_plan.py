@@ -24,8 +24,7 @@ from scipy.stats import norm
 
 from weberwhisk import Whisker, figures, plan_experiment, read_plan, write_plan
 from weberwhisk.behaviour import IdentityPercept, Priors, read_trials
-from weberwhisk.behaviour.answering import answer_trials
-from weberwhisk.behaviour.population import draw_animals
+from weberwhisk.behaviour.population import draw_animals, simulate_responses
 from weberwhisk.cues import ForceMap
 from weberwhisk.design import (
     LEVELS,
@@ -256,7 +255,7 @@ def test_answers_to_a_list_have_the_probabilities_of_their_observers() -> None:
             "bias": [0.0, 0.3],
         }
     )
-    trials = answer_trials(table, animals, percept=IdentityPercept(), seed=1)
+    trials = simulate_responses(table, animals, percept=IdentityPercept(), seed=1)
     for row in animals.itertuples():
         for s1, s2 in ((1.0, 1.1), (1.1, 1.0)):
             own = trials.frame.query("subject == @row.subject and stimulus_1 == @s1")
@@ -271,7 +270,7 @@ def test_an_animal_without_truth_is_refused() -> None:
         columns=lambda name: name.removesuffix("_mm")
     )
     with pytest.raises(ValueError, match="truth about s2 is not given"):
-        answer_trials(table, draw_animals(1, seed=1), percept=IdentityPercept(), seed=1)
+        simulate_responses(table, draw_animals(1, seed=1), percept=IdentityPercept(), seed=1)
 
 
 # -- plans ---------------------------------------------------------------------------------------
@@ -588,7 +587,7 @@ def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
     percept = plan.hypotheses[0].percept
     found = []
     for seed in range(30):
-        answers = answer_trials(plan.trials, animal, percept=percept, seed=seed)
+        answers = simulate_responses(plan.trials, animal, percept=percept, seed=seed)
         row = plan.analyse(answers).estimates.iloc[0]
         found.append((row["weber_fraction"], row["upper"] - row["lower"]))
     middle, width = np.array(found).T

@@ -14,8 +14,8 @@ from scipy.stats import beta, lognorm, norm
 
 from weberwhisk import Whisker, plan_experiment, rehearse
 from weberwhisk.behaviour import IdentityPercept, Priors, fit_population
-from weberwhisk.behaviour.answering import answer_trials
 from weberwhisk.behaviour.comparison import ConstantNoise
+from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.behaviour.simulate import simulate_trials
 from weberwhisk.design import (
     Animals,
@@ -73,7 +73,7 @@ def test_a_row_is_what_the_plan_finds_in_that_experiment(plan: Plan, found: Rehe
     of_animals, of_answers = np.random.SeedSequence(2, spawn_key=(3,)).spawn(2)
     animals = plan.animals.draw(1, of_animals)
     cylinder = plan.hypotheses[1]
-    answers = answer_trials(plan.trials, animals, percept=cylinder.percept, seed=of_answers)
+    answers = simulate_responses(plan.trials, animals, percept=cylinder.percept, seed=of_answers)
     finding = plan.analyse(answers)
     estimate = finding.of("cylindrical").iloc[0]
     assert row["weber_fraction"] == estimate["weber_fraction"]
@@ -195,7 +195,7 @@ def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
         "C2", standards=PLACES, levels=LEVELS, trials=15, animals=2, together=False, runs=0
     )
     truth = plan.animals.draw(2, 1)
-    answers = answer_trials(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
+    answers = simulate_responses(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
     frame = answers.frame.copy()
     second = frame["subject"] == "s2"
     frame.loc[second, "count"] = 1 - frame.loc[second, "count"]
@@ -211,7 +211,7 @@ def test_animals_fitted_together_are_fitted_as_a_population() -> None:
     scheme = Scheme.spaced(tapered.percept, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
     plan = Plan(scheme, [tapered], Goal(half_width=0.5), together=True)
     truth = plan.animals.draw(2, 1)
-    answers = answer_trials(plan.trials, truth, percept=tapered.percept, seed=1)
+    answers = simulate_responses(plan.trials, truth, percept=tapered.percept, seed=1)
     finding = plan.analyse(answers)
     whole = fit_population(answers, percept=tapered.percept, bias="per standard")
     row = finding.estimates.iloc[0]
@@ -222,7 +222,7 @@ def test_animals_fitted_together_are_fitted_as_a_population() -> None:
 
 def test_data_in_millimetres_say_the_same(plan: Plan) -> None:
     truth = plan.animals.draw(1, 1)
-    answers = answer_trials(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
+    answers = simulate_responses(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
     names = ["standard", "stimulus_1", "stimulus_2"]
     frame = answers.frame.assign(**{n: (answers.frame[n] * 1e3).round(6) for n in names})
     one, other = plan.analyse(answers), plan.analyse(replace(answers, frame=frame), unit=1e-3)

@@ -17,7 +17,7 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.datapackage import data_package, describe_table
+from weberwhisk.behaviour.export import data_package, describe_table
 from weberwhisk.behaviour.population import joined
 
 

@@ -13,15 +13,14 @@ from .comparison import (
     compare_taper,
 )
 from .criticism import checks, quantile_residuals, residuals_by
-from .datasets import load_numerosity, load_rat_auditory
 from .fit import fit_weber
+from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
 from .percepts import CuePercept, IdentityPercept, LogAxisPercept, LogPercept, Percept
 from .population import simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
 from .psychometric import response_probability, threshold
-from .reading import read_trials
 from .result import WeberFit
 from .simulate import simulate_trials
 from .status import FitStatus

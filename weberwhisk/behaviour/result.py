@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from . import criticism, report
 from . import psychometric as curve
+from .criticism import predicted, prior_draws
 from .effects import Effect
 from .likelihood import Draws, WeberModel
 from .percepts import Percept, refuse_outside
 from .posteriors import WeberPosterior
-from .predictive import predicted, prior_draws
 from .sensitivity import lapse_sensitivity
 from .status import FitStatus
 from .trials import Trials

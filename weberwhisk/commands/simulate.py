@@ -10,8 +10,8 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
-from ..behaviour.datapackage import data_package, describe_table
 from ..behaviour.effects import effect_valued
+from ..behaviour.export import data_package, describe_table
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..runs import Run, atomic_write, to_json
 from ..written import csv_text

@@ -20,7 +20,7 @@ from ..behaviour.quadrature import lapse_prior
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STEP_K = 2.8  # in the least sd that it can have given the rest: its marginal is interpolated
+STEP_K = 2.5  # in the least sd that it can have given the rest: its marginal is interpolated
 STEP_BIAS = 1.9  # in the same, and summed
 LAPSE_STEP = 1.4  # of the lapses, in their stretched coordinates
 FINER = 3.0  # from one pass to the next, about

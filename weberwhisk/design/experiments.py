@@ -150,8 +150,8 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
             table = likelihood(model, flat, LAPSE_STEP, HELD)
             mu, by_median, evidence = populations(model, table, counts.shape[1])
             found.append((evidence, np.exp(_integrated(mu, by_median)[1])))
-            # Nodes are shared: more data sets together spread over more of them.
-            fits = int(MOST_BYTES * len(some) / table.values.nbytes)
+            # Nodes are shared: more data sets together spread over more of them, by half or so.
+            fits = int(MOST_BYTES * len(some) / (1.5 * table.values.nbytes))
             size = max(1, min(fits, 2 * len(some)))
     evidence, quantiles = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Fitted(evidence, quantiles)

@@ -43,7 +43,7 @@ class Animals:
             raise ValueError(f"lapse must be below 0.5, got {self.lapse:g}; write 0.03, say.")
 
     def draw(self, number: int, seed: np.random.SeedSequence | int) -> pd.DataFrame:
-        """So many of them, a row each: the truth that `answer_trials` takes."""
+        """So many of them, a row each: the truth that `simulate_responses` takes."""
         drawn = draw_animals(
             number, weber_fraction=self.weber_fraction, spread=self.spread, lapse_low=self.lapse,
             lapse_high=self.lapse, bias_spread=self.bias_spread, seed=seed,

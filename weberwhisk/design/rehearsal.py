@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from .. import _checks, campaign
-from ..behaviour.answering import answer_trials
+from ..behaviour.population import simulate_responses
 from ..behaviour.status import FitStatus
 from .plan import Plan
 from .plan_file import plan_json, plan_of
@@ -193,7 +193,7 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.Da
     truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
     of_animals, of_answers = seed.spawn(2)
     animals = plan.animals.draw(plan.scheme.animals, of_animals)
-    answers = answer_trials(
+    answers = simulate_responses(
         plan.trials, animals, percept=truth.percept, noise=truth.noise, task=truth.task,
         seed=of_answers,
     )  # fmt: skip

@@ -15,9 +15,18 @@ import numpy as np
 
 from ... import _checks
 from .effect import Effect
-from .learning import Drift, Step
-from .noise import FirstIntervalNoise, Floor, NearMiss, Overdispersion
-from .past import ComparisonBias, Contraction, History, PastContraction
+from .kinds import (
+    ComparisonBias,
+    Contraction,
+    Drift,
+    FirstIntervalNoise,
+    Floor,
+    History,
+    NearMiss,
+    Overdispersion,
+    PastContraction,
+    Step,
+)
 
 __all__ = [
     "EFFECTS",

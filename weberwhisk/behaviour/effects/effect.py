@@ -75,7 +75,7 @@ def needs_rows(trials: Trials, what: str) -> None:
         )
 
 
-def stretch_of_session(frame: pd.DataFrame) -> NDArray[np.intp]:
+def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
     """Which stretch of rows of one session each row lies in."""
     new = np.zeros(len(frame), dtype=bool)
     for label in ("subject", "session"):

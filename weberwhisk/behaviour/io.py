@@ -1,8 +1,11 @@
-"""Tables of choices from files, checked: every problem named at once, with its row and remedy."""
+"""Tables of choices from files: found, read, checked, every problem named with its remedy."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import errno
+import gzip
+from collections.abc import Iterable, Mapping
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,6 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .checking import TableCheck
-from .loading import load_table
 from .tasks import TASKS, Task, task_named
 from .trials import LABELS, SCALES, Trials, notes_of, standards_of
 
@@ -189,3 +191,183 @@ def _check_mapping(name: str, value: object, example: str) -> None:
         raise ValueError(
             f"{name} must be a mapping, got {_checks.shown(value)}; write {name}={example}, say."
         )
+
+
+SHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
+
+
+def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """The table as it stands, and its name for messages; its index counts rows from 1.
+
+    Parameters
+    ----------
+    source : path or DataFrame
+        By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
+        `trials`), and everything else as text, plain or compressed. Text is separated by commas,
+        tabs or semicolons, whichever its header has most of.
+
+    Returns
+    -------
+    DataFrame
+        Text formats give text in every cell. Rows without any entry are left out and counted, so
+        the index is that of the file: the first row below the header is 1.
+    str
+
+    Raises
+    ------
+    FileNotFoundError
+        With the path as its `filename`.
+    ValueError
+        For what is not readable as a table, or needs a package that is not there.
+
+    Examples
+    --------
+    >>> table, name = load_table(pd.DataFrame({"choice": [1, 0]}))
+    >>> name, table.index.tolist()
+    ('table', [1, 2])
+    """
+    if isinstance(source, pd.DataFrame):
+        return _numbered(source), "table"
+    if not isinstance(source, str | Path):
+        raise ValueError(
+            f"source must be a path or a DataFrame, got {_checks.shown(source)}; write "
+            "read_trials('file.csv')."
+        )
+    path = Path(source)
+    if not path.is_file():
+        sentence = "there is no such file; give the path of a table of trials"
+        raise FileNotFoundError(errno.ENOENT, sentence, str(path))
+    try:
+        raw = _read(path)
+    except ImportError as error:
+        extra = "nwb" if path.suffix == ".nwb" else "tables"
+        raise ValueError(
+            f"{path.name}: reading {path.suffix} needs the package {error.name or 'missing here'}; "
+            f"run pip install 'weberwhisk[{extra}]', or save the table as CSV."
+        ) from None
+    except pd.errors.EmptyDataError:
+        raise ValueError(
+            f"{path.name}: the file is empty; give a header and one row per trial."
+        ) from None
+    # The readers of all these formats raise whatever their libraries do at a broken file.
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1] or type(error).__name__
+        raise ValueError(
+            f"{path.name}: not readable as a table ({reason}); save it as CSV."
+        ) from None
+    if not isinstance(raw.index, pd.RangeIndex):
+        raise ValueError(
+            f"{path.name}: rows have more cells than the header has names; name every column."
+        )
+    return _numbered(raw), path.name
+
+
+def _numbered(raw: pd.DataFrame) -> pd.DataFrame:
+    if not raw.columns.is_unique:
+        twice = raw.columns[raw.columns.duplicated()][0]
+        raise ValueError(f"there are two columns {str(twice)!r}; give each its own name.")
+    table = raw.set_axis(pd.RangeIndex(1, len(raw) + 1), axis=0)
+    return table[table.notna().any(axis=1)] if table.shape[1] else table
+
+
+def _read(path: Path) -> pd.DataFrame:
+    if path.suffix == ".parquet":
+        return pd.read_parquet(path).reset_index(drop=True)
+    if path.suffix in SHEETS:
+        return pd.read_excel(path)
+    if path.suffix == ".nwb":
+        return _nwb_trials(path)
+    separator, blank = _layout(path)
+    return pd.read_csv(
+        path, sep=separator, dtype=str, skipinitialspace=True, skip_blank_lines=False,
+        skiprows=blank, encoding="utf-8-sig",
+    )  # fmt: skip
+
+
+def _layout(path: Path) -> tuple[str, int]:
+    """The separator of a text table, and the blank lines above its header."""
+    if path.suffix in (".bz2", ".xz", ".zip", ".zst"):  # pandas opens them, we do not look inside
+        return ("\t" if {".tsv", ".tab"} & set(path.suffixes) else ","), 0
+    opened: Any = gzip.open if path.suffix == ".gz" else open
+    with opened(path, "rt", encoding="utf-8-sig") as lines:
+        for blank, line in enumerate(lines):
+            if line.strip():
+                return max(",\t;", key=line.count), blank
+    raise pd.errors.EmptyDataError
+
+
+def _nwb_trials(path: Path) -> pd.DataFrame:
+    """The `trials` of a Neurodata Without Borders file, columns that hold one value a trial."""
+    import warnings
+
+    from pynwb import NWBHDF5IO
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # remarks on how the file was written
+        with NWBHDF5IO(str(path), "r", load_namespaces=True) as file:
+            trials = file.read().trials
+            if trials is None:
+                raise ValueError("the NWB file has no trials")
+            table = trials.to_dataframe().reset_index(drop=True)
+    return table.drop(columns=[c for c in table if table[c].map(_holds_many).any()])
+
+
+def _holds_many(value: Any) -> bool:
+    return hasattr(value, "__len__") and not isinstance(value, str)
+
+
+def load_rat_auditory(sessions: int | Iterable[int] | None = None) -> Trials:
+    """One rat comparing two sounds: which was louder?
+
+    Rat W053 of the delayed-comparison task of Akrami, Kopec, Diamond & Brody (2018, Nature
+    554:368), the first 40 sessions of its training: 11 489 trials. The stimuli are normalised
+    logarithms of the sound level; one unit is an unknown number of natural-log units, so a Weber
+    fraction is counted per unit. Neighbouring levels are compared, at several standards. The animal
+    is learning: lapses, bias and drift are real.
+
+    Sample data of the psytrack package (github.com/nicholas-roy/psytrack), MIT licence, copyright
+    of its author; see `weberwhisk/data/README.md`.
+
+    Parameters
+    ----------
+    sessions : int or iterable of int, optional
+        1 to 40; all by default.
+
+    Examples
+    --------
+    >>> load_rat_auditory(sessions=range(31, 41)).n_trials
+    3101
+    """
+    with as_file(files("weberwhisk") / "data" / "rat_auditory_2ifc.csv.gz") as path:
+        trials = read_trials(
+            path,
+            columns={"stimulus_1": "s1_z", "stimulus_2": "s2_z"},
+            choice_labels={"right": "first", "left": "second"},
+            scale="log",
+            task="2IFC",
+        )
+    return trials if sessions is None else trials.select(session=sessions)
+
+
+def load_numerosity(subject: str | None = None) -> Trials:
+    """Two people, each 250 trials: which of two clouds has more dots?
+
+    `stimulus_2` over `stimulus_1` is given by its natural logarithm; a choice of "second" is the
+    first colour of the original table.
+
+    Data of the TEfits package (github.com/akcochrane/TEfits), MIT licence; Cochrane, Cui, Hubbard &
+    Green (2019); see `weberwhisk/data/README.md`.
+
+    Parameters
+    ----------
+    subject : {"s1", "s2"}, optional
+        Both by default.
+
+    Examples
+    --------
+    >>> load_numerosity("s1").n_trials
+    250
+    """
+    with as_file(files("weberwhisk") / "data" / "numerosity_2afc.csv") as path:
+        trials = read_trials(path, columns={"choice": "response"})
+    return trials if subject is None else trials.select(subject=subject)

@@ -1,0 +1,315 @@
+"""The effects: each one parameter, one short class."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
+
+from ... import _checks
+from ..percepts import Percept, Signals, UnitPercepts
+from ..trials import Trials
+from .effect import NORMAL, Plain, needs_order, needs_rows, session_block
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Drift(Plain):
+    """A learning animal, smoothly: ln k goes by `drift` from the first session to the last.
+
+    Linear in the number of the session in its row, or with `of_log` in its logarithm (fast first,
+    slow later). The Weber fraction is that in the middle of the course.
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> trials = simulate_trials(sessions=3, trials_per_level=1, seed=1)
+    >>> Drift().column(trials, IdentityPercept())
+    array([-0.5, -0.5, -0.5,  0. ,  0. ,  0. ,  0.5,  0.5,  0.5])
+    """
+
+    prior: Any = NORMAL[0.5]
+    name: str = "drift"
+    of_log: bool = False
+
+    def column(self, trials: Trials, percept: Percept) -> Array:
+        sessions, place = sessions_of(trials, "Drift")
+        course = np.log1p(np.arange(len(sessions))) if self.of_log else np.arange(len(sessions))
+        return (course / course[-1] - 0.5)[place]
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        factor = np.exp(value * column)
+        return felt._replace(sd_1=felt.sd_1 * factor, sd_2=felt.sd_2 * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Step(Plain):
+    """A learning animal, by blocks: ln k changes by this much from session `at` on.
+
+    Several steps make a piecewise course; the Weber fraction is that before the first.
+
+    Examples
+    --------
+    >>> from weberwhisk import simulate_trials
+    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> trials = simulate_trials(sessions=3, trials_per_level=1, seed=1)
+    >>> Step(at=2).name, Step(at=2).column(trials, IdentityPercept())
+    ('step[2]', array([0., 0., 0., 1., 1., 1., 1., 1., 1.]))
+    """
+
+    at: Any
+    prior: Any = NORMAL[0.5]
+
+    @property
+    def name(self) -> str:
+        return f"step[{self.at}]"
+
+    def column(self, trials: Trials, percept: Percept) -> Array:
+        sessions, place = sessions_of(trials, "Step")
+        _checks.one_of("the session of a Step", str(self.at), map(str, sessions))
+        return (place >= [str(s) for s in sessions].index(str(self.at))).astype(float)
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        factor = np.exp(value * column)
+        return felt._replace(sd_1=felt.sd_1 * factor, sd_2=felt.sd_2 * factor)
+
+
+def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
+    """Sessions in order, and the place of each row's."""
+    if what and len(trials.sessions) < 2:
+        raise ValueError(
+            f"{trials.source}: {what} needs two sessions or more, got {len(trials.sessions)}; "
+            "give the table a column 'session'."
+        )
+    levels, place = np.unique(trials.frame["session"].to_numpy(), return_inverse=True)
+    return levels.tolist(), place
+
+
+_EXPONENT, _RHO = stats.norm(1.0, 0.15), stats.beta(1.0, 15.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Floor(Plain):
+    """Noise that is left where the signal vanishes: sd² = (kI)² + floor² (generalised Weber).
+
+    `floor` is in the unit of the signal. Its prior is log-normal: median 3 % of the table's typical
+    signal (geometric mean), a factor of 4 either way as one sd.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> trials = simulate_trials(standards=[1.0, 4.0], weber_fraction=0.15, seed=1)
+    >>> fit_weber(trials, effects=[Floor()]).parameters
+    ('weber_fraction', 'floor', 'lapse_low', 'lapse_high', 'bias')
+    """
+
+    prior: Any = None
+    name: str = "floor"
+
+    def bound(self, percepts: UnitPercepts, n: Array) -> Floor:
+        typical = _typical(percepts, "A floor")
+        if self.prior is not None:
+            return self
+        return replace(self, prior=stats.lognorm(np.log(4.0), scale=0.03 * typical))
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        return felt._replace(sd_1=np.hypot(felt.sd_1, value), sd_2=np.hypot(felt.sd_2, value))
+
+
+@dataclass(frozen=True, eq=False)
+class NearMiss(Plain):
+    """The near miss to Weber's law: sd = k I₀ (I/I₀)^exponent, I₀ the table's typical signal.
+
+    The exponent is 1 under Weber's law and about 0.9 for the loudness of pure tones (McGill &
+    Goldberg 1968); the Weber fraction is that at I₀, the geometric mean of the signals.
+    """
+
+    prior: Any = _EXPONENT
+    name: str = "exponent"
+    neutral: float = 1.0
+    typical: float = 1.0
+
+    def bound(self, percepts: UnitPercepts, n: Array) -> NearMiss:
+        return replace(self, typical=_typical(percepts, "A near-miss exponent"))
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        one, two = ((np.abs(m) / self.typical) ** (value - 1) for m in (felt.mean_1, felt.mean_2))
+        return felt._replace(sd_1=felt.sd_1 * one, sd_2=felt.sd_2 * two)
+
+
+def _typical(percepts: UnitPercepts, what: str) -> float:
+    """Geometric mean of the signals; refused where all are equally noisy."""
+    sds = np.concatenate([percepts.sd_1, percepts.sd_2])
+    means = np.abs(np.concatenate([percepts.mean_1, percepts.mean_2]))
+    if not sds.size:
+        return 1.0
+    if np.ptp(sds) <= 1e-9 * sds.max() or np.any(means == 0):
+        raise ValueError(
+            f"{what} shows only where noise grows with the stimulus, got stimuli that are all "
+            "equally noisy; leave it out, or give more standards."
+        )
+    return float(np.exp(np.mean(np.log(means))))
+
+
+@dataclass(frozen=True, eq=False)
+class FirstIntervalNoise(Plain):
+    """The order of the intervals matters: the first signal's sd times exp(memory).
+
+    It shows only as far as the noise of the two stimuli of a trial differs: thousands of trials
+    with large differences tell it. The order effect that is easily seen is the `bias`.
+    """
+
+    prior: Any = NORMAL[0.4]
+    name: str = "memory"
+
+    def column(self, trials: Trials, percept: Percept) -> None:
+        needs_order(trials, "FirstIntervalNoise")
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        return felt._replace(sd_1=felt.sd_1 * np.exp(value))
+
+
+@dataclass(frozen=True, eq=False)
+class Overdispersion(Plain):
+    """Answers that scatter more than a coin's: beta-binomial, with intraclass correlation ρ.
+
+    The probability of each pair of stimuli in each session is itself drawn from a beta distribution
+    of mean P and variance ρ P (1 − P) (Fründ, Haenel & Wichmann 2011; Schütt et al. 2016). It
+    touches the likelihood, not the signals.
+    """
+
+    prior: Any = _RHO
+    name: str = "overdispersion"
+
+    def column(self, trials: Trials, percept: Percept) -> Array | None:
+        return None if not trials.sessions else sessions_of(trials, "")[1].astype(float)
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        return felt
+
+
+@dataclass(frozen=True, eq=False)
+class Contraction(Plain):
+    """The first signal drawn towards the mean of all stimuli: m₁ → m₁ + contraction · (M − m₁).
+
+    Contraction bias (Ashourian & Loewenstein 2011; Akrami et al. 2018): a remembered signal drifts
+    towards what is usual. 0 is none, 1 an observer that compares with the mean alone. M is the mean
+    signal of the whole table, as for an animal that has known its stimuli for long;
+    `PastContraction` has that of the trials before.
+    """
+
+    prior: Any = NORMAL[0.3]
+    name: str = "contraction"
+    centre: float = 0.0
+
+    def bound(self, percepts: UnitPercepts, n: Array) -> Contraction:
+        total = float(n.sum())
+        mean = (percepts.mean_1 + percepts.mean_2) @ n / (2 * total) if total else 0.0
+        return replace(self, centre=float(mean))
+
+    def column(self, trials: Trials, percept: Percept) -> Array | None:
+        needs_order(trials, "Contraction")
+        return None
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        usual = self.centre + column
+        return felt._replace(mean_1=felt.mean_1 + value * (usual - felt.mean_1))
+
+
+@dataclass(frozen=True, eq=False)
+class PastContraction(Contraction):
+    """The first signal drawn towards the mean of past ones: m₁ → m₁ + value · (M_t − m₁).
+
+    M_t is the mean of both signals of all trials before this one in its session (Akrami et al.
+    2018), answered or not. With a `half_life` in trials the past fades: a trial that many trials
+    back counts half as much as the last. The first trial of a session has no past and is not
+    drawn. M_t is rounded to a hundredth of the standard deviation of the signals, so that trials
+    alike are counted together.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityPercept, read_trials
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"stimulus_1": [1.0, 2.0, 4.0], "stimulus_2": [3.0, 2.0, 6.0],
+    ...                       "choice": [1, 0, 1]})
+    >>> PastContraction().column(read_trials(table), IdentityPercept()).round(1) + 3  # their mean
+    array([1., 2., 2.])
+    """
+
+    name: str = "past_contraction"
+    half_life: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.half_life is not None:
+            _checks.positive("half_life", self.half_life, "give trials, such as 20")
+
+    def column(self, trials: Trials, percept: Percept) -> Array:
+        needs_order(trials, "PastContraction")
+        needs_rows(trials, "PastContraction")
+        frame = trials.frame
+        first, second = (
+            percept.direction * percept.mean(frame[c].to_numpy(float))
+            for c in ("stimulus_1", "stimulus_2")
+        )
+        middle = (first + second) / 2
+        answered = middle[frame["count"].notna().to_numpy()]
+        usual = answered.mean() if answered.size else 0.0
+        ago = pd.Series(middle - usual).groupby(session_block(frame), sort=False)
+        if self.half_life is None:
+            past = ago.transform(lambda m: m.expanding().mean().shift(1))
+        else:
+            past = ago.transform(lambda m: m.ewm(halflife=self.half_life).mean().shift(1))
+        step = 0.01 * middle.std() or 1.0
+        return np.where(past.isna(), first - usual, np.round(past / step) * step)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonBias(Plain):
+    """A push towards the comparison, whichever interval it came in; sds of the difference.
+
+    Where the standard takes turns between the intervals this is told apart from the order effect,
+    which is the `bias`.
+    """
+
+    prior: Any = NORMAL[1.0]
+    name: str = "comparison_bias"
+
+    def column(self, trials: Trials, percept: Percept) -> Array:
+        needs_order(trials, "ComparisonBias")
+        s1, s2, standard = (
+            trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "standard")
+        )
+        return np.sign(np.abs(s2 - standard) - np.abs(s1 - standard))
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        return felt._replace(push=felt.push + value * column)
+
+
+@dataclass(frozen=True, eq=False)
+class History(Plain):
+    """A push towards the answer given on the trial before; sds of the difference.
+
+    Positive repeats answers, negative alternates. The first trial of a session, and one after a
+    missing answer, has none.
+    """
+
+    prior: Any = NORMAL[0.5]
+    name: str = "history"
+
+    def column(self, trials: Trials, percept: Percept) -> Array:
+        needs_order(trials, "History")
+        needs_rows(trials, "History")
+        frame = trials.frame
+        before = frame["count"].shift(1).to_numpy(float)
+        answer = np.where(np.isnan(before), 0.0, 2 * np.nan_to_num(before) - 1)
+        answer[np.diff(session_block(frame), prepend=-1) != 0] = 0.0
+        return answer
+
+    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+        return felt._replace(push=felt.push + value * column)
