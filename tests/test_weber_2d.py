@@ -97,8 +97,8 @@ def test_the_linear_jnd_has_a_false_zero_and_the_posterior_none():
     peak = float(ww.flick_past(W, weber_2d.PLACE * W.length).at_moment_peak.deflection_angle)
     table = weber_2d.false_zero(24, np.degrees([peak]))
     before = weber_2d.false_zero(24, np.degrees([0.5 * peak]))
-    assert table["linear"][0] < 1e-3 * before["linear"][0]
-    assert before["posterior"][0] == pytest.approx(before["linear"][0], rel=0.15)
+    assert table["linear_jnd"][0] < 1e-3 * before["linear_jnd"][0]
+    assert before["posterior"][0] == pytest.approx(before["linear_jnd"][0], rel=0.15)
     # The posterior's sd is what the linear JND is a third of the way before the peak.
     assert table["posterior"][0] > 0.1 * before["posterior"][0]
     assert table["posterior"][0] > 5 * table["fisher"][0]

@@ -318,8 +318,15 @@ def false_zero(
     )
     contact = table[["radial_distance", "deflection_angle"]].to_numpy()
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
-    table.insert(4, "linear", linear)
-    kept = ["deflection_angle", "linear", "fisher", "posterior", "posterior_error", "unreliable"]
+    table.insert(4, "linear_jnd", linear)
+    kept = [
+        "deflection_angle",
+        "linear_jnd",
+        "fisher",
+        "posterior",
+        "posterior_error",
+        "unreliable",
+    ]
     return table[kept]
 
 
@@ -332,7 +339,7 @@ def linear_between(*, whisker: Whisker = WHISKER) -> pd.DataFrame:
     theta = np.linspace(0.04, 0.99, 400) * limit
     contact = np.stack([np.full(theta.size, place), theta], axis=-1)
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
-    return pd.DataFrame({"deflection_angle": theta, "linear": linear})
+    return pd.DataFrame({"deflection_angle": theta, "linear_jnd": linear})
 
 
 def gain() -> pd.DataFrame:

@@ -296,7 +296,7 @@ def weber_2d(
         ax.set_title(title)
     scale = weber_fraction * length
     angle = np.degrees(linear["deflection_angle"])
-    last.semilogy(angle, linear["linear"] / scale, color=COLOURS[0], label="linear")
+    last.semilogy(angle, linear["linear_jnd"] / scale, color=COLOURS[0], label="linear")
     last.errorbar(
         np.degrees(false_zero["deflection_angle"]),
         false_zero["posterior"] / scale,
