@@ -52,7 +52,8 @@ def test_quadrature_in_one_dimension_is_exact_to_1e_8(k, taper):
         rounding = 1e-11 * sd + 1e-12 * mean
         assert abs(p.mean[i] - mean) <= p.mean_error[i] + rounding
         assert abs(p.sd[i] - sd) <= p.sd_error[i] + rounding
-    assert np.all(p.status == Status.CONVERGED)
+    fine = Status.CONVERGED if k >= 0.01 else Status.OUTSIDE_DOMAIN
+    assert np.all(p.status == fine)
 
 
 def test_quadrature_with_a_floor_is_exact_too():

@@ -20,6 +20,5 @@ def test_a_ridge_of_unknown_width_is_imprecise() -> None:
         p = ww.posterior(observer, observer.read(contacts, 3))
         lost = p.sd_error > 0.5 * p.sd
         assert not np.isin(p.status[lost], (Status.CONVERGED, Status.UNIDENTIFIED)).any()
-        assert k != 0.003 or lost.any()
         known = p.sd_error < 0.05 * p.sd
         assert (p.status[known & (p.mean_error < 0.05 * p.sd)] == Status.UNIDENTIFIED).all()

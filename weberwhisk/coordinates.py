@@ -134,6 +134,22 @@ class ContactCoordinates:
             out[..., i] = to_normal(self.prior[self.cue.unknowns[i]], contact[..., i])
         return out
 
+    def unconstrain_one(self, value: Array, unknown: int) -> Array:
+        """One coordinate, of values (...) of an unknown other than the deflection angle.
+
+        Beyond the range of the unknown it is infinite.
+        """
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if unknown >= self.bounded:
+                return to_normal(self.prior[self.cue.unknowns[unknown]], value)
+            low, high = self.reach
+            return unconstrain_distance(np.clip((value - low) / (high - low), 0.0, 1.0))
+
+    def angle_scale(self, r: Array) -> tuple[float, Array, Array]:
+        """At distances r (...): the lowest angle, the width of its range, and what x₂ adds to y."""
+        low, width = self.angle_range(r)
+        return low, width, self._log_gain(r, width)
+
     def constrain_last(self, z: Array) -> Array:
         """The last unknown's values (...) at its coordinate z, where the whisker bounds it not."""
         return self._from_normal[self.cue.unknowns[-1]](z)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
+from .by_tiles import by_tiles
 from .lattice import LatticeMoments
 from .mode import Mode, find_mode, find_other, starting_points
 from .nodes import Nodes
@@ -30,6 +31,8 @@ TOGETHER = 2048
 def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
+    if len(observer.unknowns) == 2:
+        return by_tiles(observer, reading, tolerance, progress)
     if len(observer.unknowns) > 1:
         return _several(observer, reading, tolerance, progress)
     panels = panels_of(observer)

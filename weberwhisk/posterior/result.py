@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import domain
 from .._checks import finite
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -33,6 +34,8 @@ class Status(IntEnum):
     NOT_CONVERGED = 5
     SEVERAL_PEAKS = 6
     NOT_A_READING = 7
+    NO_CONTACT = 8
+    OUTSIDE_DOMAIN = 9
 
     @property
     def message(self) -> str:
@@ -50,6 +53,8 @@ _MESSAGES = {
     Status.NOT_CONVERGED: "the walkers have not converged",
     Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
     Status.NOT_A_READING: "not a reading: a number of it is missing or infinite",
+    Status.NO_CONTACT: "no contact: every signal is zero, and none is zero in a contact",
+    Status.OUTSIDE_DOMAIN: "outside the domain: see outside_domain",
 }
 
 
@@ -100,6 +105,23 @@ class Posterior:
         """
         outcome = self.observer.reading_outcome(self.reading)
         return outcome if self.reading.ndim > 1 else Outcome(int(outcome))
+
+    @cached_property
+    def outside_domain(self) -> str:
+        """What lies outside the domain (`weberwhisk.domain`), in a sentence; empty if nothing does.
+
+        Examples
+        --------
+        >>> from weberwhisk import Observer, Whisker, cues, posterior, receptors
+        >>> sharp = Observer(Whisker(50e-3, 1e-4, 5e-6), cues.Compliance(), receptors.Weber(0.001))
+        >>> p = posterior(sharp, sharp.read(30e-3, seed=1))
+        >>> p.status.name, p.outside_domain[:43]
+        ('OUTSIDE_DOMAIN', 'Outside the domain: a Weber fraction of 0.0')
+        """
+        r = np.atleast_1d(self.mean)
+        r = r[np.isfinite(r)]
+        near = domain.of_contact(r, self.observer.reach[1]) if r.size else ()
+        return domain.sentence((*domain.of_observer(self.observer), *near))
 
     @property
     def mean(self) -> Any:

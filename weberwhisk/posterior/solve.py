@@ -9,8 +9,9 @@ from typing import Any
 from warnings import warn
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from .. import domain
 from .._checks import one_of
 from ..observer import Observer
 from ..receptors import Seed
@@ -69,7 +70,8 @@ def posterior(
     Returns
     -------
     Posterior
-        With a `Status` for every reading; `NOT_A_READING`, and NaN, where a number is missing.
+        With a `Status` for every reading; `NOT_A_READING`, and NaN, where a number is missing, and
+        `NO_CONTACT` where all are zero and no contact makes that.
 
     Raises
     ------
@@ -99,7 +101,9 @@ def posterior(
         found: Solution = solve(observer, rows, seed, tolerance, progress)
         return found
 
-    known = np.asarray(np.isfinite(rows).all(axis=1))
+    given = np.isfinite(rows).all(axis=1)
+    nothing = _of_no_contact(observer, rows)
+    known = np.asarray(given & ~nothing)
     if not known.any():
         solution = of_nothing(len(observer.unknowns))
     elif (factors := factors_of(observer)) is None:
@@ -109,6 +113,8 @@ def posterior(
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
+        solution.status[given & nothing] = Status.NO_CONTACT
+    solution.status[_outside(observer, solution)] = Status.OUTSIDE_DOMAIN
 
     def shaped(values: Array) -> Any:
         return values[0] if single else values
@@ -126,6 +132,25 @@ def posterior(
         solution.quantile_of,
         solution.draws_of,
     )
+
+
+def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
+    """Readings (B, R) of zeros alone, where no signal is zero but without deflection.
+
+    With noise that only grows with the signal they would tell of a contact of no deflection.
+    """
+    noise, size = observer.noise, len(observer.cue.signal_names)
+    graded = noise.reads_signals and not noise.is_categorical
+    if observer.bounded == 1 or not graded or np.any(noise.floors(size)):
+        return np.zeros(len(reading), dtype=bool)
+    return np.asarray((reading == 0).all(axis=1))
+
+
+def _outside(observer: Observer, solution: Solution) -> NDArray[np.bool_]:
+    """Posteriors (B,) that converged, of an observer or at a distance outside the domain."""
+    share = solution.estimates[0].mean / observer.reach[1]
+    outside = (share < domain.CONTACTS[0]) | bool(domain.of_observer(observer))
+    return np.asarray(outside & (solution.status == Status.CONVERGED))
 
 
 def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> None:

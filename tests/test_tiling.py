@@ -1,0 +1,210 @@
+"""The tiling of contacts: posteriors of two unknowns beside sums that share no code with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import weberwhisk as ww
+from weberwhisk import Status
+from weberwhisk.cues import Compliance, ForceMap, Fused, Vibration
+from weberwhisk.fusion import prior_draws
+from weberwhisk.posterior.tiled import TiledObserver
+from weberwhisk.posterior.tiling import TooManyTiles, tiles_of
+from weberwhisk.receptors import GeneralisedWeber, Weber
+
+W = ww.Whisker(50e-3, 100e-6, 5e-6)
+WHISKERS = {
+    "R = 20": W,
+    "R = 1.5": ww.Whisker(50e-3, 100e-6, 100e-6 / 1.5),
+    "cylinder": W.cylinder(),
+    "cone": ww.Whisker(50e-3, 100e-6, 0.0),
+}
+
+
+def table(observer, reading, fine):
+    """ln of the density and the contact at the midpoints of all coordinates that hold mass.
+
+    Nothing is shared with tiles: a scan of all coordinates closes in upon them.
+    """
+    low, high = np.array([-3.5, -25.0]), np.array([3.9, 16.0])
+    for n in (500, 400, 300, 300, fine):
+        axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in zip(low, high, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        log, contact = observer.log_density_and_contact(points, reading)
+        near = log > log.max() - 45
+        for k in range(2):
+            some = np.flatnonzero(near.any(axis=1 - k))
+            step = axes[k][1] - axes[k][0]
+            low[k], high[k] = axes[k][some[0]] - 2 * step, axes[k][some[-1]] + 2 * step
+    return np.exp(log - log.max()), np.where(near[..., None], contact, 0.0)
+
+
+def midpoints(observer, reading):
+    """Mean and sd of r by the midpoint rule, and what half of its nodes change."""
+    weights, contact = table(observer, reading, 700)
+    found = []
+    for part in (np.s_[:, :], np.s_[::2, ::2], np.s_[1::2, 1::2]):
+        weight, r = weights[part], contact[part][..., 0]
+        mean = (weight * r).sum() / weight.sum()
+        found.append((mean, np.sqrt((weight * (r - mean) ** 2).sum() / weight.sum())))
+    (mean, sd), *halves = found
+    return mean, sd, max(max(abs(m - mean), abs(s - sd)) for m, s in halves) / sd
+
+
+def worst(observer, reading):
+    """Of each reading: error of mean or sd over three times the claim, beside midpoint sums."""
+    p = ww.posterior(observer, reading)
+    out = []
+    for i, y in enumerate(reading):
+        mean, sd, known = midpoints(observer, y)
+        if known > 1e-3:
+            continue  # the sums know no better
+        error = max(abs(p.mean[i] - mean), abs(p.sd[i] - sd)) / sd
+        claim = max(p.mean_error[i], p.sd_error[i]) / p.sd[i]
+        out.append((error - known) / (3 * claim))
+    return np.array(out)
+
+
+def contacts(observer, count, seed):
+    """A third of them at the edges: near the base, near the tip, near the fold."""
+    contact = prior_draws(observer, count, seed=seed)
+    rng = np.random.default_rng(seed)
+    r, theta = contact.T
+    limit = ww.flick_past(observer.whisker, r).deflection_angle
+    share, edge = theta / limit, rng.integers(0, 9, count)
+    length = observer.whisker.length
+    r = np.where(edge == 0, rng.uniform(0.01, 0.05, count) * length, r)
+    r = np.where(edge == 1, rng.uniform(0.95, 0.999, count) * length, r)
+    share = np.where(edge == 2, rng.uniform(0.97, 0.9999, count), share)
+    theta = share * ww.flick_past(observer.whisker, r).deflection_angle
+    return np.stack([r, theta], axis=-1)
+
+
+def hunt(name, k, count, seed):
+    observer = ww.Observer(WHISKERS[name], ForceMap(), Weber(k))
+    contact = contacts(observer, count, seed)
+    return worst(observer, observer.read(contact, seed=seed + 1))
+
+
+@pytest.mark.parametrize(("name", "k"), [("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)])
+def test_no_number_is_off_by_more_than_three_times_its_claim(name, k):
+    off = hunt(name, k, 12, 7)
+    assert len(off) > 8
+    assert off.max() < 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WHISKERS)
+@pytest.mark.parametrize("k", [0.02, 0.06, 0.15, 0.3, 0.5])
+def test_no_number_of_a_thousand_is_off_by_more_than_three_times_its_claim(name, k):
+    off = hunt(name, k, 50, 11)
+    assert len(off) > 35
+    assert off.max() < 1
+
+
+def test_the_ridge_that_was_half_a_per_cent_off_with_a_claim_of_nothing():
+    """A cylinder's map knows M² = 2EI·Fx alone: means were 0.004 to 3.4 sd off."""
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 100e-6), ForceMap(), Weber(0.1))
+    reading = np.array([[4.62435215e-06, 3.89807979e-05]])
+    assert worst(observer, reading).max() < 1
+    tight = ww.posterior(observer, reading, tolerance=1e-4)
+    wide = ww.posterior(observer, reading)
+    assert abs(tight.mean[0] - wide.mean[0]) < 1e-3 * wide.sd[0]
+
+
+@pytest.mark.parametrize("k", [0.03, 0.1])
+def test_fusions_miss_no_mode(k):
+    """Force map and vibration of a blunt whisker: r was 6 sd off and converged."""
+    map_, vibration = ForceMap(), Vibration(3)
+    cue = Fused(map_, vibration)
+    noise = cue.joint(Weber(k), vibration.noise(k, 0.05))
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 100e-6 / 1.5), cue, noise)
+    contact = prior_draws(observer, 8, seed=5)
+    off = worst(observer, observer.read(contact, seed=6))
+    assert len(off) > 4
+    assert off.max() < 1
+
+
+def test_one_reading_and_many_have_the_same_posterior():
+    """Tiles of a reading's own are those of the whole tiling near it."""
+    observer = ww.Observer(W, ForceMap())
+    readings = observer.read(prior_draws(observer, 200, seed=1), seed=2)
+    many = ww.posterior(observer, readings)
+    for i in range(3):
+        one = ww.posterior(observer, readings[i])
+        assert one.mean == pytest.approx(many.mean[i], rel=0, abs=1e-4 * one.sd)
+        assert one.sd == pytest.approx(many.sd[i], rel=1e-4)
+
+
+@pytest.mark.parametrize("unknown", ["radial_distance", "deflection_angle"])
+@pytest.mark.parametrize("k", [0.05, 0.3])
+def test_quantiles_are_those_of_a_table_of_contacts(k, unknown):
+    observer = ww.Observer(W, ForceMap(), Weber(k))
+    readings = observer.read([[20e-3, 0.2], [40e-3, 0.1], [45e-3, 0.05]], seed=4)
+    p = ww.posterior(observer, readings)
+    probability = np.array([0.025, 0.5, 0.975])
+    found = p.quantile(probability, of=unknown)
+    axis = observer.unknowns.index(unknown)
+    for i, reading in enumerate(readings):
+        weight, contact = table(observer, reading, 1000)
+        value = contact[..., axis]
+        if axis == 0:  # one distance a row
+            value, weight = value.max(axis=1), weight.sum(axis=1)
+        value, weight = value.ravel(), weight.ravel()
+        order = np.argsort(value)
+        cumulative = np.cumsum(weight[order]) - weight[order] / 2
+        exact = np.interp(probability, cumulative / weight.sum(), value[order])
+        width = p.estimates[unknown].sd[i]
+        # The table's own steps are of some 0.01 sd.
+        np.testing.assert_allclose(found[i], exact, rtol=0, atol=0.01 * width)
+
+
+def test_draws_have_the_posteriors_moments():
+    observer = ww.Observer(W, ForceMap(), Weber(0.3))
+    p = ww.posterior(observer, observer.read([35e-3, 0.2], seed=4))
+    draws = np.asarray(p.to_arviz(draws=2000, seed=1).posterior["radial_distance"])
+    assert draws.mean() == pytest.approx(p.mean, abs=0.03 * p.sd)
+    assert draws.std() == pytest.approx(p.sd, rel=0.03)
+
+
+@pytest.mark.parametrize("reading", [[0.0, 0.0], [-0.0, 0.0]])
+def test_a_reading_of_nothing_is_no_contact(reading):
+    """It gave 31 ± 9 mm, with a word about the tolerance."""
+    p = ww.posterior(ww.Observer(W, ForceMap()), reading)
+    assert p.status == Status.NO_CONTACT
+    assert np.isnan(p.mean)
+    assert "no contact" in p.status.message
+    floor = GeneralisedWeber(0.1, floor=[1e-7, 1e-5])
+    assert np.isfinite(ww.posterior(ww.Observer(W, ForceMap(), floor), reading).mean)
+
+
+def test_a_posterior_outside_the_domain_says_so():
+    inside = ww.Observer(W, Compliance())
+    p = ww.posterior(inside, inside.read(30e-3, seed=1))
+    assert (p.status, p.outside_domain) == (Status.CONVERGED, "")
+    sharp = ww.Observer(W, Compliance(), Weber(1e-3))
+    p = ww.posterior(sharp, sharp.read(30e-3, seed=1))
+    assert p.status == Status.OUTSIDE_DOMAIN
+    assert "a Weber fraction of 0.001" in p.outside_domain
+    with pytest.warns(UserWarning, match="did you pass mN"):
+        near = ww.posterior(inside, inside.signals([[0.2e-3]])[0][0])
+    assert near.status == Status.OUTSIDE_DOMAIN
+    assert "of the reach" in near.outside_domain
+
+
+def test_too_many_tiles_are_refused():
+    observer = ww.Observer(W, ForceMap(), Weber(0.01))
+    with pytest.raises(TooManyTiles):
+        tiles_of(observer, 3.0, most=2000)
+
+
+def test_finer_tiles_change_nothing():
+    observer = ww.Observer(W.cylinder(), ForceMap(), Weber(0.1))
+    reading = observer.read(contacts(observer, 20, 3), seed=3)
+    coarse, fine = (
+        TiledObserver(observer, tiles_of(observer, n, reading), n).moments(reading)
+        for n in (5.5, 3)
+    )
+    assert np.abs(coarse.mean / fine.mean - 1).max() < 1e-3
+    assert np.abs(coarse.sd / fine.sd - 1).max() < 2e-3

@@ -1,0 +1,249 @@
+"""Posteriors of several unknowns by tilings: which one serves which readings, and how far.
+
+Many readings share one tiling of all contacts, kept with the observer and certified when it is
+made, by a finer one. A few readings, and those that the whole tiling does not serve (none of its
+tiles is near, or the mass is on hardly a node), get tiles of their own, finer until two of them
+agree.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..observer import Observer
+from ..receptors import Seed
+from ..threads import on_threads
+from .densities import refuse_impossible
+from .marginals import draws, quantiles
+from .result import Estimate, Status
+from .solution import Array, Solution, is_outside, is_unidentified
+from .tiled import Moments, TiledObserver
+from .tiling import Index, TooManyTiles, expected_tiles, tiles_of
+
+#: Error of mean and sd, over the sd, above which a posterior is called imprecise.
+TOLERANCE = 1e-2
+#: An error, in sds, from which the imprecision of a ridge is worse news than the ridge.
+LOST = 0.3
+
+
+def longest(tolerance: float) -> float:
+    """Length of tiles, in sd, for a tolerance.
+
+    Errors of 3000 readings over the whole reach, k = 0.03 to 0.3: at 5.5 sd r.m.s. 1e-4 and at most
+    2e-3 of the sd, at 4 sd 6e-6 and 1e-4.
+    """
+    return float(5.5 if tolerance > 2e-3 else 3.9 * min(1.0, (tolerance / 1e-4) ** 0.1))
+
+
+class _Found(NamedTuple):
+    """Moments of some readings (n,), by tiles, and the errors of mean and sd in sds, (n, U)."""
+
+    rows: Index
+    tiled: TiledObserver
+    moments: Moments
+    error: Array
+
+
+def by_tiles(
+    observer: Observer, reading: Array, tolerance: float | None, progress: Any
+) -> Solution:
+    """The posteriors of readings (B, R)."""
+    wanted = tolerance or TOLERANCE
+    length = longest(wanted)
+    found: list[_Found] = []
+    left = np.arange(len(reading))
+    # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
+    if len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
+        whole = _whole(observer, length)
+        if whole is not None:
+            served, left = _by_whole(observer, reading, whole, wanted)
+            found.append(served)
+    pieces = [left[i : i + 64] for i in range(0, len(left), 64)]
+    for own in on_threads(lambda rows: _by_own(observer, reading, rows, length, wanted), pieces):
+        found += own
+        if progress:
+            progress(sum(len(f.rows) for f in found), len(reading))
+    if progress:
+        progress(len(reading), len(reading))
+    return _solution(observer, reading, found, wanted)
+
+
+#: Most tiles of a whole tiling: 2 kB each.
+MOST_TILES = 80_000
+#: Readings by which a tiling is certified.
+CERTIFYING = 128
+
+
+class _Whole(NamedTuple):
+    """A tiling of all contacts, and what errors (U,) its mean and sd have, in sds."""
+
+    tiled: TiledObserver
+    error: Array
+
+
+@lru_cache(maxsize=8)
+def _whole(observer: Observer, length: float) -> _Whole | None:
+    """An observer's whole tiling, if it does not take too many tiles.
+
+    The errors are half more than the largest of `CERTIFYING` readings of contacts drawn from the
+    prior, beside tiles finer by a third.
+    """
+    try:
+        tiled = TiledObserver(observer, tiles_of(observer, length, most=MOST_TILES), length)
+    except TooManyTiles:
+        return None
+    rng = np.random.default_rng(20261122)
+    weight = np.exp(tiled.log_weight - tiled.log_weight.max()).ravel()
+    node = rng.choice(len(weight), CERTIFYING, p=weight / weight.sum())
+    signals = tiled.tiles.nodes.signals
+    reading = observer.noise.sample(signals.reshape(-1, signals.shape[-1])[node], rng)
+    tiles = tiles_of(observer, length / 1.4, reading, deep=False)
+    fine = TiledObserver(observer, tiles, length / 1.4)
+    moments = tiled.moments(reading)
+    error = _difference(moments, fine.moments(reading))[_served(tiled, reading, moments)]
+    return _Whole(tiled, np.maximum(1.5 * error.max(axis=0, initial=0.0), 5e-5))
+
+
+def _difference(one: Moments, other: Moments) -> Array:
+    """By how much means and sds differ, whichever is more, (B, U), in sds of the other."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.abs(one.mean - other.mean) / other.sd
+        return np.maximum(mean, np.abs(one.sd / other.sd - 1))
+
+
+def _by_whole(
+    observer: Observer, reading: Array, whole: _Whole, wanted: float
+) -> tuple[_Found, Index]:
+    """What the whole tiling finds, and which readings it does not serve."""
+    tiled, error = whole
+    parts = [slice(i, i + 1024) for i in range(0, len(reading), 1024)]
+    found = on_threads(lambda part: tiled.moments(reading[part]), parts)
+    moments = Moments._make(np.concatenate(column) for column in zip(*found, strict=True))
+    served = np.asarray(_served(tiled, reading, moments) & bool((error <= wanted).all()))
+    errors = np.broadcast_to(error, (int(served.sum()), len(error)))
+    rows = np.arange(len(reading))
+    return _of(served, rows, tiled, moments, errors), np.flatnonzero(~served)
+
+
+def _served(tiled: TiledObserver, reading: Array, moments: Moments) -> NDArray[np.bool_]:
+    """Of which readings (B,) the sums over a whole tiling are to be believed."""
+    served = np.isfinite(moments.sd).all(axis=1) & (moments.rough < 1e-4)
+    served &= moments.share < 0.35  # else it is narrower than its reading should be
+    # Far from all contacts the density is not as wide as the tiles expect.
+    low, high = tiled.observer.noise.interval(_at_best(tiled, moments), 6.5)
+    return np.asarray(served & ((low <= reading) & (reading <= high)).all(axis=1))
+
+
+def _at_best(tiled: TiledObserver, moments: Moments) -> Array:
+    """The signals at the node of highest density."""
+    signals = tiled.tiles.nodes.signals
+    return np.asarray(signals.reshape(-1, signals.shape[-1])[moments.best])
+
+
+def _by_own(
+    observer: Observer,
+    reading: Array,
+    rows: Index,
+    length: float,
+    wanted: float,
+    *,
+    deep: bool = False,
+    everywhere: bool = False,
+) -> list[_Found]:
+    """Tiles of some readings' own, finer and finer until they agree with the coarser ones."""
+
+    def tiled(length: float) -> tuple[TiledObserver, Moments]:
+        tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=everywhere)
+        found = TiledObserver(observer, tiles, length, everywhere=everywhere)
+        return found, found.moments(reading[rows])
+
+    out: list[_Found] = []
+    try:
+        coarse, moments = tiled(length)
+    except TooManyTiles:
+        if len(rows) > 1:
+            for half in np.array_split(rows, 2):
+                out += _by_own(observer, reading, half, length, wanted, deep=deep)
+        return out
+    far = ~np.isfinite(moments.sd).all(axis=1)
+    if everywhere:
+        refuse_impossible(reading[rows], moments.log_evidence)
+    else:
+        for row in rows[far]:  # far from all contacts
+            one = np.array([row])
+            out += _by_own(observer, reading, one, length, wanted, deep=True, everywhere=True)
+    hidden = (moments.rough > 1e-5) & ~far & (not deep)
+    for row in rows[hidden]:  # where hardly any contacts are
+        out += _by_own(observer, reading, np.array([row]), length, wanted, deep=True)
+    rows, moments = rows[~far & ~hidden], Moments._make(c[~far & ~hidden] for c in moments)
+    start = length
+    error = np.full(moments.mean.shape, np.inf)
+    while rows.size and length > start / 1.5**3.5:
+        length /= 1.5
+        try:
+            fine, beside = tiled(length)
+        except TooManyTiles:
+            break
+        error = np.maximum(_difference(moments, beside), 2e-5)
+        good = np.asarray((error <= wanted).all(axis=1))
+        out.append(_of(good, rows, coarse, moments, error[good]))
+        rows, error, coarse = rows[~good], error[~good], fine
+        moments = Moments._make(column[~good] for column in beside)
+    out.append(_of(np.ones(len(rows), dtype=bool), rows, coarse, moments, error))
+    return out
+
+
+def _of(
+    some: NDArray[np.bool_], rows: Index, tiled: TiledObserver, moments: Moments, error: Array
+) -> _Found:
+    return _Found(rows[some], tiled, Moments._make(c[some] for c in moments), error)
+
+
+def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: float) -> Solution:
+    found = [f for f in found if f.rows.size]
+    dim, count = len(observer.unknowns), len(reading)
+    mean, sd, error = np.full((3, count, dim), np.nan)
+    log_evidence = np.full(count, np.nan)
+    status = np.full(count, Status.CONVERGED, dtype=np.int64)
+    signals = np.ones((count, len(observer.cue.signal_names)))
+    contact = np.ones((count, dim))
+    for part in found:
+        rows, moments, nodes = part.rows, part.moments, part.tiled.tiles.nodes
+        mean[rows], sd[rows], error[rows] = moments.mean, moments.sd, part.error
+        log_evidence[rows] = moments.log_evidence
+        signals[rows] = _at_best(part.tiled, moments)
+        contact[rows] = nodes.contact.reshape(-1, dim)[moments.best]
+    known = np.isfinite(sd).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        status[~(error <= wanted).all(axis=1)] = Status.IMPRECISE
+        precise = (error < LOST).all(axis=1)
+    some = np.flatnonzero(known)
+    ridge = np.zeros(count, dtype=bool)
+    ridge[some] = is_unidentified(observer, contact[some])
+    status[ridge & ((status != Status.IMPRECISE) | precise)] = Status.UNIDENTIFIED
+    right = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED)) & known
+    status[right & is_outside(observer.noise, reading, signals)] = Status.IMPROBABLE_READING
+    status[~known] = Status.IMPRECISE
+
+    def quantile_of(p: Array, unknown: int) -> Array:
+        out = np.full((count, len(p)), np.nan)
+        for part in found:
+            out[part.rows], _ = quantiles(part.tiled, reading[part.rows], p, unknown)
+        return out
+
+    def draws_of(number: int, seed: Seed) -> Array:
+        rng = np.random.default_rng(seed)
+        x = np.full((count, 4 * number, dim), np.nan)
+        for part in found:
+            x[part.rows] = draws(part.tiled, reading[part.rows], 4 * number, rng)
+        return observer.contact(x)[0].reshape(count, 4, number, dim)
+
+    estimates = [
+        Estimate(mean[:, i], sd[:, i], error[:, i] * sd[:, i], error[:, i] * sd[:, i])
+        for i in range(dim)
+    ]
+    return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
