@@ -34,7 +34,7 @@ from weberwhisk.design import (
     lattice,
     taper,
 )
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 LAPSE, BIAS_SD, EXPECTED = 0.03, 0.3, 0.1
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)

@@ -49,6 +49,7 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.fusion import prior_draws
+from weberwhisk.output import Run
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -58,7 +59,6 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
-from weberwhisk.runs import Run
 
 Array = np.ndarray
 HERE = Path(__file__).parent

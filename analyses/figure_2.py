@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 Array = NDArray[np.float64]
 

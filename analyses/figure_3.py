@@ -30,7 +30,7 @@ from weberwhisk.mechanics.muscle import (
     MuscleCurve,
     moment_balance,
 )
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 Array = NDArray[np.float64]
 

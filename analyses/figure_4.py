@@ -17,7 +17,7 @@ from command import options
 from weberwhisk.commands import figure
 from weberwhisk.commands.quickstart import moment_dominated
 from weberwhisk.jnd import weber_propagation
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 from weberwhisk.surveys import SEED, WHISKER, K
 
 #: Moment-dominated JND/(kL) by r/L, at these deflections; NaN: past the fold.

@@ -16,6 +16,7 @@ from command import options
 from matplotlib.figure import Figure
 
 from weberwhisk import figures
+from weberwhisk.output import Run
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,
@@ -26,7 +27,6 @@ from weberwhisk.receptors import (
     SpikeCount,
     Weber,
 )
-from weberwhisk.runs import Run
 
 LOWEST, HIGHEST = 1e-8, 1e-5
 POPULATION = SpikeCount(Afferents(75, LOWEST, HIGHEST), Afferents(25, 100 * LOWEST, 100 * HIGHEST))

@@ -41,7 +41,7 @@ from weberwhisk.behaviour import Trials
 from weberwhisk.charts import beams, fits, posteriors
 from weberwhisk.charts.timing import timed
 from weberwhisk.mechanics import closed_form
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 HERE = Path(__file__).parent
 Array = np.ndarray

@@ -34,7 +34,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from weberwhisk import figures
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 HERE = Path(__file__).parent
 SEED = 20110166

@@ -22,8 +22,8 @@ import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.mechanics.objects import Sweep, contour, cylinder, peg, sweep
 from weberwhisk.mechanics.touch import Body
+from weberwhisk.output import Run
 from weberwhisk.receptors import Weber
-from weberwhisk.runs import Run
 from weberwhisk.sweeping import SweepFilter, Track, follow
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)

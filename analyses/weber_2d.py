@@ -17,7 +17,7 @@ import pandas as pd
 from command import options
 
 from weberwhisk.commands import figure
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 from weberwhisk.surveys import SEED, K
 
 

@@ -21,7 +21,7 @@ from weberwhisk import _checks, cli
 from weberwhisk._terminal import new_app, progress, run_app
 from weberwhisk.commands.figure import CHARTS
 from weberwhisk.commands.options import SCENES
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 WHISKER = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
 SOFT = [*WHISKER, "--youngs-modulus-gpa", "3"]
@@ -402,7 +402,7 @@ import signal, sys, typer
 from pathlib import Path
 from weberwhisk._terminal import new_app, run_app
 from weberwhisk.commands.options import SCENES
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 app = new_app()
 

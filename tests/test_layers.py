@@ -57,19 +57,18 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd": ("posterior",),
     "fusion": ("jnd", "sweeping"),
     "threads": (),
-    "campaign": ("threads",),
+    "campaign": ("threads", "output"),
     "jnd_surface": ("jnd", "campaign"),
     "surveys": ("fusion",),
-    "written": (),
-    "behaviour": ("fusion", "campaign", "written"),
+    "output": (),
+    "behaviour": ("fusion", "campaign", "output"),
     "design": ("behaviour",),
     "charts": ("behaviour",),
     "figures": ("design", "charts"),
-    "runs": ("written",),
-    "planning": ("figures", "runs"),
+    "planning": ("figures",),
     "": ("planning", "jnd_surface"),
     "_terminal": ("campaign",),
-    "commands": ("", "charts", "surveys", "runs", "_terminal"),
+    "commands": ("", "charts", "surveys", "output", "_terminal"),
     "cli": ("commands",),
 }
 ONLY_IN = {
@@ -221,7 +220,7 @@ def test_the_table_goes_one_way() -> None:
         ("whisker.py", "__import__('weberwhisk.jnd')", "imports weberwhisk.jnd"),
         ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
         ("_checks.py", "from .whisker import Whisker", "_checks.py imports weberwhisk.whisker"),
-        ("runs.py", "from .figures import x", "runs.py imports weberwhisk.figures"),
+        ("output.py", "from .figures import x", "output.py imports weberwhisk.figures"),
         ("cues/force_map.py", "from ..observer import x", "imports weberwhisk.observer"),
         (
             "mechanics/contact.py",
@@ -273,8 +272,8 @@ def test_a_good_tree_passes(tmp_path: Path) -> None:
         "posterior/engine.py": "import emcee, arviz.stats\nfrom .. import _checks\nfrom . import x",
         "posterior/x.py": "from weberwhisk.observer import Observer",
         "figures.py": "def f():\n    import matplotlib.pyplot",
-        "runs.py": "from . import __version__",
-        "cli.py": "import weberwhisk as ww\nfrom . import runs, figures",
+        "output.py": "from . import __version__",
+        "cli.py": "import weberwhisk as ww\nfrom . import output, figures",
     }
     assert offences(_fake(tmp_path, files)) == []
 

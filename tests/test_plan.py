@@ -43,7 +43,7 @@ from weberwhisk.design import (
 from weberwhisk.design.exports import bpod_table, own_table, psychopy_tables
 from weberwhisk.design.plan_file import plan_of
 from weberwhisk.design.preregistration import preregistration
-from weberwhisk.written import csv_text
+from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
 OFFSETS = [-3e-3, -2e-3, -1e-3, 1e-3, 2e-3, 3e-3]

@@ -17,8 +17,8 @@ import pandas as pd
 import pytest
 
 import weberwhisk
-from weberwhisk import runs
-from weberwhisk.runs import Run, atomic_write, to_json
+from weberwhisk import output
+from weberwhisk.output import Run, atomic_write, to_json
 
 TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
 
@@ -206,6 +206,35 @@ def test_unwritable_out_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         make(tmp_path / "out")
 
 
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("when", ["table", "file", "move"])
+def test_a_full_disk_names_the_folder_that_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, named: bool, when: str
+) -> None:
+    """It named a hidden path, or ended in a traceback where the system gave no name."""
+    out = tmp_path / "out"
+    make(out)
+    before = tree(tmp_path)
+
+    def refuse(self: Path, *arguments: object, **options: object) -> None:
+        if when != "move" or str(self).endswith(".run.json"):
+            raise OSError(28, "No space left on device", *[str(self)] * named)
+        write(self, *arguments, **options)  # type: ignore[arg-type]
+
+    write = Path.write_text
+    monkeypatch.setattr(Path, "write_bytes" if when == "file" else "write_text", refuse)
+    with pytest.raises(
+        ValueError, match=r"cannot be written \(No space left on device\); make"
+    ) as e:
+        if when == "file":
+            with Run(out, "bend", {}) as run:
+                atomic_write(run.path("plan.json"), "{}")
+        make(out, 2.0)
+    assert repr(str(out)) in str(e.value)
+    assert "unfinished" not in str(e.value)
+    assert tree(tmp_path) == before
+
+
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
@@ -229,7 +258,7 @@ KILLED = """
 import os, signal, sys
 import pandas as pd
 from pathlib import Path
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 out, last = sys.argv[1], int(sys.argv[2])
 calls = 0
@@ -288,7 +317,7 @@ def test_killed_at_any_step_leaves_the_old_or_the_new(tmp_path: Path, there: boo
     else:
         pytest.fail("the command never ended")
     assert seen == ({"old", "new"} if there else {"old"})
-    assert last == (8 if there else 1), "the steps that were meant to be cut short"
+    assert last == (9 if there else 1), "the steps that were meant to be cut short"
 
 
 def test_interrupt_waits_for_the_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,15 +393,15 @@ def test_to_json_is_strict_json() -> None:
 
 
 def test_a_missing_package_is_recorded_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "_RECORDED_PACKAGES", ("no-such-package",))
-    assert runs._versions()["no-such-package"] is None
+    monkeypatch.setattr(output, "_RECORDED_PACKAGES", ("no-such-package",))
+    assert output._versions()["no-such-package"] is None
 
 
 RACING = """
 import sys
 import time
 import pandas as pd
-from weberwhisk.runs import Run
+from weberwhisk.output import Run
 
 out, value = sys.argv[1], float(sys.argv[2])
 names = ("bend", "second", "third")[: 3 if value == 1 else 2]

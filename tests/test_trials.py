@@ -21,7 +21,7 @@ from weberwhisk.behaviour import (
     read_trials,
     simulate_trials,
 )
-from weberwhisk.written import csv_text
+from weberwhisk.output import csv_text
 
 GOOD = "stimulus_1,stimulus_2,choice\n1,1.1,1\n1,0.9,0\n"
 

@@ -12,8 +12,7 @@ import pandas as pd
 from .design.exports import bpod_table, own_table, psychopy_tables
 from .design.plan_file import plan_json
 from .design.preregistration import preregistration
-from .runs import Run, atomic_write
-from .written import csv_text
+from .output import Run, atomic_write, csv_text
 
 if TYPE_CHECKING:
     from .design import Plan
@@ -47,7 +46,7 @@ def write_plan(
     Raises
     ------
     ValueError
-        As `weberwhisk.runs.Run`: where the folder cannot be written or holds files of others.
+        As `weberwhisk.output.Run`: where the folder cannot be written or holds files of others.
 
     Examples
     --------

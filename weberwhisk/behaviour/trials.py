@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..written import atomic_write, csv_text
+from ..output import atomic_write, csv_text
 from .checking import rows_in_words
 from .tasks import Task
 

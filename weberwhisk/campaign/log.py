@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
@@ -19,9 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
-from filelock import FileLock, Timeout
+from filelock import Timeout
 
 from .. import __version__
+from ..output import locked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,25 +33,6 @@ FORMAT = 1
 def versions() -> dict[str, str]:
     """What the bits of a result hang on."""
     return {"weberwhisk": __version__, "numpy": np.__version__, "scipy": version("scipy")}
-
-
-@contextmanager
-def locked(path: Path, seconds: float = -1.0) -> Iterator[None]:
-    """Let no other process in; the system lifts the lock however this one ends.
-
-    Raises
-    ------
-    filelock.Timeout
-        If it is held after so many seconds; a negative number waits for ever.
-    """
-    lock = FileLock(path, timeout=seconds)
-    with lock:
-        try:
-            yield
-        finally:
-            # While it is held: who comes now makes a file of their own, and who waits notices.
-            with suppress(OSError):
-                path.unlink()
 
 
 class Log:

@@ -12,7 +12,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import a_seed, numbers
-from ..runs import Run
+from ..output import Run
 from .options import (
     BaseRadiusOption,
     DistanceOption,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .._terminal import progress
-from ..runs import Run, to_json
+from ..output import Run, to_json
 from .options import JsonOption, wrote
 
 

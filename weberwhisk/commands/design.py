@@ -18,8 +18,8 @@ from ..design import Animals, Constraints, Goal, Plan
 from ..design.experiment import WIDE
 from ..design.exports import in_millimetres
 from ..design.preregistration import assumptions, offsets_in_words
+from ..output import Run, to_json
 from ..planning import fill
-from ..runs import Run, to_json
 from .options import (
     AngleOption,
     BaseRadiusOption,

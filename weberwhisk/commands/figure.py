@@ -11,7 +11,7 @@ import typer
 import weberwhisk as ww
 
 from .. import _checks, surveys
-from ..runs import Run, to_json
+from ..output import Run, to_json
 from .jnd import in_millimetres, jnd_table, lines_and_points
 from .options import (
     BaseRadiusOption,

@@ -17,7 +17,7 @@ from .._terminal import numbers
 from ..behaviour import CuePercept, FitStatus
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.io import load_table
-from ..runs import Run, atomic_write, to_json
+from ..output import Run, atomic_write, to_json
 from .comparisons import compared
 from .distance import ReceptorsOption, distance_percept
 from .options import (

@@ -13,7 +13,7 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import numbers, progress
 from ..jnd import criterion_factor, weber_propagation
-from ..runs import Run
+from ..output import Run
 from .options import (
     AngleOption,
     BaseRadiusOption,

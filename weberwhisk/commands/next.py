@@ -17,7 +17,7 @@ from ..behaviour import CuePercept, IdentityPercept
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import Session, converse
 from ..design.staircases import RULES
-from ..runs import Run
+from ..output import Run
 from .distance import distance_percept
 from .options import (
     AngleOption,

@@ -17,7 +17,7 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
-from ..runs import Run, to_json
+from ..output import Run, to_json
 
 if TYPE_CHECKING:
     import pandas as pd

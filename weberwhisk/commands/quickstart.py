@@ -16,7 +16,7 @@ from .. import _checks, surveys
 from .._terminal import progress
 from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
-from ..runs import Run, atomic_write, to_json
+from ..output import Run, atomic_write, to_json
 from .jnd import in_millimetres, jnd_table, lines_and_points
 from .options import JsonOption, SeedOption, describe, number_option, whisker_line, wrote
 

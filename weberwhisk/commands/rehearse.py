@@ -12,7 +12,7 @@ import weberwhisk as ww
 
 from ..campaign import all_cores
 from ..design import plan_json, read_plan
-from ..runs import Run, atomic_write, to_json
+from ..output import Run, atomic_write, to_json
 from .options import (
     JsonOption,
     OutOption,

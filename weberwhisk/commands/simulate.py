@@ -13,8 +13,7 @@ from .._terminal import numbers
 from ..behaviour.effects import effect_valued
 from ..behaviour.export import data_package, describe_table
 from ..behaviour.simulate import SIGNED_OFFSETS
-from ..runs import Run, atomic_write, to_json
-from ..written import csv_text
+from ..output import Run, atomic_write, csv_text, to_json
 from .distance import ReceptorsOption, distance_percept
 from .options import (
     AngleOption,

@@ -15,7 +15,7 @@ import pandas as pd
 
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
-from ..written import csv_text
+from ..output import csv_text
 from . import expectation
 from .analysis import Finding, analyse
 from .exports import own_table
