@@ -223,13 +223,15 @@ def test_a_full_disk_names_the_folder_that_was_asked_for(
 
     write = Path.write_text
     monkeypatch.setattr(Path, "write_bytes" if when == "file" else "write_text", refuse)
-    with pytest.raises(
-        ValueError, match=r"cannot be written \(No space left on device\); make"
-    ) as e:
-        if when == "file":
-            with Run(out, "bend", {}) as run:
+
+    def fill() -> None:
+        with Run(out, "bend", {}) as run:
+            if when == "file":
                 atomic_write(run.path("plan.json"), "{}")
-        make(out, 2.0)
+            run.table("bend", TABLE)
+
+    with pytest.raises(ValueError, match=r"written \(No space left on device\); make") as e:
+        fill()
     assert repr(str(out)) in str(e.value)
     assert "unfinished" not in str(e.value)
     assert tree(tmp_path) == before
