@@ -73,18 +73,19 @@ AS_BELIEVED = BiasScales(np.ones(1), 1.0)
 
 
 def scaled_prior(priors: Priors, bias: Array, step: Array, scales: Array) -> Array:
-    """Log prior mass of even nodes of a bias for each scale, (..., B, S).
+    """Log prior mass of nodes of a bias for each scale, (..., B, S).
 
     Parameters
     ----------
     bias : ndarray, shape (..., B)
-    step : ndarray, shape (...)
+    step : ndarray, shape (..., B)
+        Widths of the nodes.
     scales : ndarray, shape (S,)
     """
     sd = priors.moments("bias")[1]
-    width = np.maximum(scales, NARROWEST * step[..., None] / sd)[..., None, :]
+    width = np.maximum(scales, NARROWEST * step[..., None] / sd)
     density = priors.log_density("bias", bias[..., None] / width) - np.log(width)
-    return np.asarray(density + np.log(step)[..., None, None])
+    return np.asarray(density + np.log(step)[..., None])
 
 
 def likely_scales(models: Sequence[WeberModel], draws: Sequence[Draws], prior: Any) -> BiasScales:

@@ -20,57 +20,57 @@ Array = NDArray[np.float64]
 
 FAR = 40.0  # logits beyond which a P is as good as 0 or 1
 KNOTS = np.linspace(-FAR, FAR, 1601)
-SHARE = 0.1  # of the logit's own sd between table entries: errors of 3e-4 a pair, mostly common
 
 
-class DispersedAnswers:
-    """Log-likelihood of overdispersed answers by group, for lapses on a sheet of nodes (S,).
+class BetaBinomial:
+    """Log-likelihood of overdispersed answers of the cells of one bias.
 
     Parameters
     ----------
     model : WeberModel
         With the effect `Overdispersion`.
-    low, high : ndarray, shape (S,)
-        Lapses as the task sees them.
+    cells : ndarray of int, shape (C,)
+    share : float
+        Of the logit's own sd between table entries: at 0.1 errors are 3e-4 a pair, mostly common.
     """
 
-    def __init__(self, model: WeberModel, low: Array, high: Array) -> None:
-        self.model = model
-        self.slope, self.low = np.maximum(1 - low - high, 0.0), np.maximum(low, 1e-300)
-        self.high = np.maximum(high, 1e-300)
+    def __init__(self, model: WeberModel, cells: NDArray[np.intp], share: float = 0.1) -> None:
+        self.model, self.cells = model, cells
         columns = np.delete(model.columns, model.dispersed or 0, axis=0)
         felt = [np.broadcast_to(a, model.group.shape) for a in model.percepts]
-        keys = np.column_stack([model.group, *felt, *columns])
-        _, self.first, self.pair = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        self.pair = self.pair.reshape(-1)
-        answers = max(float(np.bincount(self.pair, model.cells.n).max(initial=1.0)), 1.0)
-        count = int(np.ceil(2 * FAR * max(np.sqrt(answers) / SHARE / 2, 50.0)))
+        keys = np.column_stack([*felt, *columns])[cells]
+        _, self.first, pair = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        self.pair = pair.reshape(-1)
+        answers = max(float(np.bincount(self.pair, model.cells.n[cells]).max(initial=1.0)), 1.0)
+        count = int(np.ceil(2 * FAR * max(np.sqrt(answers) / share / 2, 50.0)))
         self.fine = np.linspace(-FAR, FAR, count + 1)
-        self.start = np.arange(self.first.size)[:, None] * self.fine.size
         self.tables: dict[float, Array] = {}
 
-    def __call__(self, d: Array, pushed: Array, effects: Array) -> Array:
-        """Shape (r, B, G, S) from decision variables (r, 1, C, 1) and biases (r, B, C, X)."""
-        up, down = self.model.task.chance(d[:, :, self.first], pushed[:, :, self.first])
+    def __call__(self, up: Array, down: Array, low: Array, high: Array, rho: Array) -> Array:
+        """At chances without lapses (C, P, B), lapses (Lo, Hi), and ρ (P,): (P, B, Lo, Hi)."""
+        up, down = (a[self.first][..., None, None] for a in (up, down))
+        slope = np.maximum(1 - low - high, 0.0)
         # log P − log(1 − P), neither of them by subtraction.
-        place = np.log((self.slope * up + self.low) / (self.slope * down + self.high))
+        place = np.log(
+            (slope * up + np.maximum(low, 1e-300)) / (slope * down + np.maximum(high, 1e-300))
+        )
         place = (np.clip(place, -FAR, FAR) + FAR) * ((self.fine.size - 1) / (2 * FAR))
         left = np.minimum(place.astype(np.intp), self.fine.size - 2)
         place -= left
-        left += self.start
-        out = np.empty(place.shape)
-        for row, rho in enumerate(effects[:, self.model.dispersed]):
-            table = self._table(float(rho))
-            below = np.take(table, left[row])
-            out[row] = below + place[row] * (np.take(table, left[row] + 1) - below)
-        return np.asarray(self.model.membership[self.first].T @ out)
+        left += (np.arange(self.first.size) * self.fine.size)[:, None, None, None, None]
+        out = np.empty(place.shape[1:])
+        for row, one in enumerate(rho):
+            table = self._table(float(one))
+            below = np.take(table, left[:, row])
+            out[row] = (below + place[:, row] * (np.take(table, left[:, row] + 1) - below)).sum(0)
+        return out
 
     def _table(self, rho: float) -> Array:
         """Log-likelihood of every pair's answers over the logits, one pair after another."""
         if rho not in self.tables:
             # A pair's P at the knots, (K, C), each cell with the answers of its session.
             p, q = expit(KNOTS)[:, None], expit(-KNOTS)[:, None]
-            cells = self.model.beta_binomial(p, q, np.array(rho))
+            cells = self.model.beta_binomial(p, q, np.array(rho))[:, self.cells]
             pairs = np.zeros((KNOTS.size, self.first.size))
             np.add.at(pairs.T, self.pair, cells.T)
             self.tables[rho] = CubicSpline(KNOTS, pairs)(self.fine).T.ravel()

@@ -10,11 +10,11 @@ import numpy as np
 from .. import _checks
 from ..threads import one_blas_thread
 from .effects import Effect, check_effects
+from .integrate import refined
 from .likelihood import WeberModel, gather
 from .percepts import NOISES, Percept, chosen_percept, percept_for, refuse_unfelt, unit_percepts
 from .posteriors import GridPosterior, WeberPosterior
 from .priors import priors_for
-from .refinement import refined
 from .result import WeberFit
 from .trials import Trials, check_trials
 from .verdict import verdict

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,9 +12,10 @@ from scipy.special import logsumexp
 
 from ..threads import one_blas_thread
 from .criticism import check_fit
-from .likelihood import WeberModel
+from .integrate import Grid, integrate, refined
+from .integrate.batch import over_fractions
+from .lapses import lapse_prior, score_prior
 from .posteriors import GridPosterior
-from .quadrature import Grid, adapt, evaluate, integrate, lapse_prior
 
 if TYPE_CHECKING:
     from .result import WeberFit
@@ -82,7 +83,7 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
         raise ValueError("the Weber fraction is fixed; give it a prior to test Weber's law.")
     rows = []
     for standard, part in model.by_standard():
-        own = GridPosterior(part.merged(), integrate(part.merged()), 0)
+        own = GridPosterior(part.merged(), refined(part.merged()), 0)
         low, median, high = own.quantile("weber_fraction", [0.025, 0.5, 0.975])
         rows.append(
             {
@@ -98,59 +99,48 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
 
 
 def _separate_evidence(fit: WeberFit, grid: Grid) -> float:
-    """Log evidence of one k per standard, with the lapses (and a shared bias) in common."""
-    model = fit.model
-    if fit.bias != "shared" or not model.free_bias:
-        return _over_lapses(model, grid)
-    # A shared bias ties the standards together: fix it, and integrate over it last.
-    own = GridPosterior(model, grid, 0)
-    middle, sd = own.mean("bias"), own.sd("bias")
-    nodes = middle + sd * np.linspace(-8, 8, 25)
-    table = [
-        _over_lapses(replace(model, priors=replace(model.priors, bias=float(b))), grid)
-        for b in nodes
-    ]
-    return float(
-        logsumexp(np.array(table) + model.priors.bias.logpdf(nodes)) + np.log(nodes[1] - nodes[0])
-    )
-
-
-def _over_lapses(model: WeberModel, grid: Grid) -> float:
-    """Given the lapses the standards are independent: each is integrated alone, at each lapse."""
-    parts = [
-        (part.merged(), _wide(integrate(part.merged()).axes[0])) for _, part in model.by_standard()
-    ]
-    low, high = (_wide(axis) for axis in grid.axes[1:])
-    offsets = np.linspace(-8, 8, 17) if model.free_bias else np.zeros(1)
-    reference = grid.reference
+    """Log evidence of one k per standard, with the lapses (and a shared bias) in common: given
+    these the standards are independent, and each is integrated alone."""
+    model, bias = fit.model, None
+    axes = [_wider(axis) for axis in grid.axes[1:]]
+    if fit.bias == "shared" and model.free_bias:
+        scores, mass = (
+            np.concatenate([a.ravel() for a in part]) for part in zip(*grid.biases[0], strict=True)
+        )
+        middle = float(scores @ mass)
+        sd = float(np.sqrt(mass @ (scores - middle) ** 2))
+        bias = middle + sd * np.linspace(-8.0, 8.0, 25)
+    stretches = model.stretches[-2:]
     for _ in range(8):
-        prior = lapse_prior(model, low, high)
-        total = prior.copy()
-        for part, k_axis in parts:
+        prior = lapse_prior(model, *axes)
+        total = prior[None] if bias is None else prior + score_prior(bias)[:, None, None]
+        for _, part in model.by_standard():
+            part = part.merged()
             # The same lapses, in the coordinate that suits the part's number of trials.
-            own = [
+            low, high = (
                 theirs.coordinate(ours.score(t)) if t.size > 1 else t
-                for theirs, ours, t in zip(
-                    part.stretches[-2:], model.stretches[-2:], (low, high), strict=True
-                )
-            ]
-            # Impossible lapses give -inf from -inf, and the axes may end in equal coordinates.
-            with np.errstate(invalid="ignore", divide="ignore"):
-                joint = evaluate(part, (k_axis, *own), offsets, reference, True).joint
-                inner = logsumexp(joint, axis=0) + np.log(k_axis[1] - k_axis[0])
-                inner -= lapse_prior(part, *own)
-            total += np.where(np.isfinite(prior), inner, -np.inf)
-        ends = [s.ends for s in model.stretches[-2:]]
-        wider = adapt(total[None], 1, low, ends[0]), adapt(total[None], 2, high, ends[1])
-        if wider[0] is low and wider[1] is high:
+                for theirs, ours, t in zip(part.stretches[-2:], stretches, axes, strict=True)
+            )
+            total = total + over_fractions(part, (low, high), bias)
+        density = np.exp(total - total.max()).sum(axis=0)
+        open_ends = [
+            _is_open(density.sum(axis=1 - i), axis, stretch.ends[1])
+            for i, (axis, stretch) in enumerate(zip(axes, stretches, strict=True))
+        ]
+        if not any(open_ends):
             break
-        low, high = wider
-    return float(logsumexp(total) + sum(np.log(a[1] - a[0]) for a in (low, high) if a.size > 1))
+        axes = [_wider(a) if is_open else a for a, is_open in zip(axes, open_ends, strict=True)]
+    step = [a[1] - a[0] for a in (*axes, np.zeros(1) if bias is None else bias) if a.size > 1]
+    return float(logsumexp(total) + np.log(step).sum())
 
 
-def _wide(axis: Array) -> Array:
-    """The same axis, half as far again on either side."""
+def _is_open(density: Array, axis: Array, end: float, edge: float = 5e-4) -> bool:
+    """Whether the density hangs over the last node, and there is more beyond."""
+    return axis.size > 1 and axis[-1] < end and bool(density[-1] > edge * density.max())
+
+
+def _wider(axis: Array) -> Array:
+    """The same axis, carried on by a quarter of its nodes."""
     if axis.size == 1:
         return axis
-    step, more = axis[1] - axis[0], axis.size // 4
-    return axis[0] + step * np.arange(-more, axis.size + more)
+    return axis[0] + (axis[1] - axis[0]) * np.arange(axis.size + max(axis.size // 4, 2))

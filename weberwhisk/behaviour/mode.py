@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from .likelihood import Draws, WeberModel
-from .priors import REACH, Priors
-from .tasks import Task
+from .priors import REACH
 
 Array = NDArray[np.float64]
 
@@ -121,27 +118,3 @@ def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
     k, effects, low, high = lead_values(model, z)
     one = Draws(k[None], low[None], high[None], own[None], effects[None])
     return {name: float(value[0]) for name, value in one.named(model).items()}
-
-
-@lru_cache(maxsize=64)
-def log_lapses_possible(task: Task, priors: Priors) -> float:
-    """Log prior mass of the lapses that leave the curve rising: λ_lo + λ_hi < 1."""
-    z = np.linspace(-REACH, REACH, 181)
-    values, scores = [], []
-    for name in ("lapse_low", "lapse_high"):
-        free = name in task.lapses and not priors.is_fixed(name)
-        scores.append(z if free else np.zeros(1))
-        values.append(priors.value(name, scores[-1]) * (name in task.lapses))
-    low, high = task.asymptotes(values[0][:, None], values[1][None, :])
-    weight = np.exp(log_score_prior(scores[0][:, None], scores[1], priors.lapse_correlation))
-    rising = np.broadcast_to(low + high < 1, weight.shape)
-    return float(np.log(weight[rising].sum() / weight.sum()))
-
-
-def log_score_prior(low: Array, high: Array, correlation: float) -> Array:
-    """Log prior density of the scores of both lapses (broadcasts), each of one value if fixed."""
-    free = [int(a.size > 1) for a in (low, high)]
-    rho = correlation if all(free) else 0.0
-    square = free[0] * low**2 + free[1] * high**2 - 2 * rho * low * high
-    norm = 0.5 * sum(free) * np.log(2 * np.pi) + 0.5 * np.log1p(-(rho**2))
-    return np.asarray(-0.5 * square / (1 - rho**2) - norm)

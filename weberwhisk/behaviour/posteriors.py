@@ -11,12 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.special import logsumexp
 
+from .integrate.grid import Grid, Tolerance, density_of, integrate, log_marginal
+from .integrate.windows import bias_at
+from .lapses import log_lapses_possible
 from .likelihood import Draws, WeberModel
-from .mode import lead_values, log_lapses_possible, map_point, score_precision
-from .quadrature import CHUNK, Grid, evaluate, log_marginal
-from .refinement import density_of
+from .mode import lead_values, map_point, score_precision
 
 Array = NDArray[np.float64]
+
+GIVEN_BIAS = 0.2  # what half the lapse nodes may miss at each bias
 
 
 class WeberPosterior(Protocol):
@@ -99,7 +102,7 @@ class GridPosterior:
         if name in self.model.lead:
             place = self.model.lead.index(name)
             axis = self.grid.axes[place]
-            fine, density = density_of(axis, log_marginal(self.grid, place))
+            fine, density = density_of(axis, log_marginal(self.grid.joint, place))
             values = self.model.at(name, fine)
         else:
             values, density = self._bias_density(self.model.group_names.index(name))
@@ -107,30 +110,31 @@ class GridPosterior:
         return values, cdf / cdf[-1], density / density.sum()
 
     @cached_property
-    def _fine_bias(self) -> Grid:
-        """The grid with twice the bias nodes: integrals do without them, interpolation does not."""
-        g = self.grid
-        if g.centre.shape[1] > 1:  # nodes that follow the lapses are plenty already
-            return g
-        finer = np.linspace(g.offsets[0], g.offsets[-1], 2 * g.offsets.size - 1)
-        return evaluate(self.model, g.axes, finer, g.reference)
+    def _grid_of_biases(self) -> Grid:
+        """The grid, finer in the lapses where each bias by itself leaves these little room."""
+        if self.grid.given_bias < GIVEN_BIAS or np.isinf(self.grid.error):
+            return self.grid
+        finer = integrate(self.model, Tolerance(given_bias=GIVEN_BIAS))
+        return finer if np.isfinite(finer.error) else self.grid
 
     def _bias_density(self, group: int) -> tuple[Array, Array]:
         """Density of one bias: the mixture over k of its conditionals, each a spline."""
-        g = self._fine_bias
-        mass = g.bias_mass[..., group].reshape(-1, g.offsets.size)
-        held = mass.sum(axis=1) > 1e-7 * mass.sum(axis=1).max()
-        mass, centre, spread = (
-            mass[held],
-            g.centre[..., group].reshape(-1)[held],
-            g.spread[..., group].reshape(-1)[held],
-        )
+        blocks = self._grid_of_biases.biases[group]
+        most = max(mass.sum(axis=1).max() for _, mass in blocks)
         # One conditional alone must be as fine as the common axis; many fill it in between them.
-        factor = 32 if len(mass) < 100 else 8
-        finer = np.linspace(g.offsets[0], g.offsets[-1], factor * (g.offsets.size - 1) + 1)
-        log_mass = np.log(np.maximum(mass, 1e-40))
-        weight = np.exp(CubicSpline(g.offsets, log_mass, axis=1)(finer)).ravel()
-        place = (centre[:, None] + spread[:, None] * finer).ravel()
+        factor = 32 if sum(len(nodes) for nodes, _ in blocks) < 100 else 8
+        places, weights = [], []
+        for nodes, mass in blocks:
+            held = mass.sum(axis=1) > 1e-7 * most
+            if not held.any():
+                continue
+            count = nodes.shape[1]
+            finer = np.linspace(0, count - 1, factor * (count - 1) + 1)
+            log_mass = np.log(np.maximum(mass[held], 1e-40))
+            weights.append(np.exp(CubicSpline(np.arange(count), log_mass, axis=1)(finer)).ravel())
+            score = nodes[held, :1] + (nodes[held, 1:2] - nodes[held, :1]) * finer
+            places.append(bias_at(self.model, score).ravel())
+        place, weight = np.concatenate(places), np.concatenate(weights)
         keep = weight > 1e-12 * weight.max()
         place, weight = place[keep], weight[keep]
         fine = np.linspace(place.min(), place.max(), 801)
@@ -155,7 +159,10 @@ class GridPosterior:
         return float(np.sqrt(weight @ (values - weight @ values) ** 2))
 
     def score_curve(self) -> tuple[Array, Array]:
-        return self.grid.axes[0], log_marginal(self.grid, 0)
+        log_density = log_marginal(self.grid.joint, 0)
+        held = np.flatnonzero(np.isfinite(log_density))
+        span = slice(held[0], held[-1] + 1)
+        return self.grid.axes[0][span], log_density[span]
 
     def mode(self) -> dict[str, float]:
         at = np.unravel_index(int(np.argmax(self.grid.joint)), self.grid.joint.shape)
@@ -233,7 +240,7 @@ class GridPosterior:
         bias = centre[:, None, :] + spread[:, None, :] * t[:, None]
         step = spread * (t[1] - t[0] if t.size > 1 else 1.0)
         log_mass = np.empty(bias.shape)
-        rows = max(1, CHUNK // (t.size * max(m.cells.n.size, 1)))
+        rows = max(1, 40_000 // (t.size * max(m.cells.n.size, 1)))
         for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
             cells = m.cell_log_likelihood(
                 k[i, None], low[i, None], high[i, None], bias[i], effects[i, None]

@@ -9,9 +9,9 @@ import pandas as pd
 from scipy import stats
 
 from ..threads import one_blas_thread
+from .integrate import refined
 from .likelihood import WeberModel
 from .posteriors import GridPosterior, WeberPosterior
-from .quadrature import integrate
 
 # What one might believe instead: an animal that never lapses, seldom, or often.
 BELIEFS = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
@@ -39,7 +39,7 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
             changed: dict[str, Any] = dict.fromkeys(free, belief)
             priors = replace(model.priors, **changed)
             other = replace(model, priors=priors).merged()
-            grid = GridPosterior(other, integrate(other), 0)
+            grid = GridPosterior(other, refined(other), 0)
             rows.append((words, *grid.quantile("weber_fraction", [0.5, 0.025, 0.975])))
     table = pd.DataFrame(rows, columns=["lapses", "weber_fraction", "lower", "upper"])
     table["change"] = table["weber_fraction"] / own[0] - 1

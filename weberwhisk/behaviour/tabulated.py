@@ -149,7 +149,9 @@ def _bias_nodes(
     offsets = np.arange(-np.ceil(far), np.ceil(far) + 1)
     fine = np.linspace(offsets[0], offsets[-1], FINER * (offsets.size - 1) + 1)
     between = centre[..., None] + spread[..., None] * fine  # (K, G, F)
-    prior = scaled_prior(model.priors, between, spread / FINER, scales)
+    prior = scaled_prior(
+        model.priors, between, np.broadcast_to((spread / FINER)[..., None], between.shape), scales
+    )
     bias = centre[:, None, :] + spread[:, None, :] * offsets[:, None]
     return bias, CubicSpline(offsets, np.eye(offsets.size))(fine), np.exp(prior)
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .integrate import integrate
 from .likelihood import WeberModel
 from .posteriors import WeberPosterior
-from .quadrature import integrate
 from .status import FitStatus
 
 Array = NDArray[np.float64]

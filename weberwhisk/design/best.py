@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..behaviour.quadrature import lapse_prior, score_prior
+from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..behaviour.lapses import lapse_prior
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.quadrature import lapse_prior
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

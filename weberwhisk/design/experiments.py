@@ -18,8 +18,8 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
+from ..behaviour.lapses import score_prior
 from ..behaviour.priors import Priors
-from ..behaviour.quadrature import score_prior
 from ..threads import one_blas_thread
 from .coding import decode
 from .goals import Animals

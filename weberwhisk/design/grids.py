@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts
-from ..behaviour.quadrature import lapse_prior, score_prior
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
 from .. import _checks
+from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts, unit_percepts
-from ..behaviour.quadrature import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .boxes import passes

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..behaviour.bias_scale import AS_BELIEVED, BiasScales, scaled_prior
+from ..behaviour.lapses import score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors
-from ..behaviour.quadrature import score_prior
 from .boxes import (
     CUT,
     LAPSE_STEP,

@@ -1,0 +1,326 @@
+"""Log-likelihoods on nodes, block by block: tables of log P, and matrix products.
+
+All data sets of one design share their stimuli: the log-probability of every answer at every node
+is tabulated once, and the log-likelihood of all of them is counts @ table. A block is one outer
+node and many data sets, or many outer nodes and one data set. Biases are taken out group by group,
+as they are independent given the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ..bias_scale import scaled_prior
+from ..dispersion import BetaBinomial
+from ..lapses import lapse_prior, score_prior
+from ..likelihood import WeberModel
+from ..priors import TINY
+from .windows import FAR_LAPSE, Steps, Windows, bias_at, least_bias_sds, no_lapse, outer_signals
+
+Array = NDArray[np.float64]
+Values = NDArray[Any]
+Indices = NDArray[np.intp]
+
+TOGETHER = 64  # data sets that meet the same nodes
+VALUES = 200_000  # of a table, with one data set: a few of this size stay in the cache
+LEAST = {np.dtype(np.float32): 1e-30, np.dtype(np.float64): TINY}  # of a probability
+NOTHING = -1e5  # log of what cannot be
+
+
+@dataclass(frozen=True)
+class Group:
+    """One bias in a block: its nodes (P, B), the log-density there (P, B, Lo, Hi, r), and the
+    highest of it over the nodes (P, Lo, Hi, r)."""
+
+    nodes: Array
+    values: Values
+    top: Values
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some data sets, `rows`, at some outer nodes, with about the same windows.
+
+    `low` and `high` are nodes of the lapses, `log_like` (P, Lo, Hi, r) log-likelihoods with the
+    biases integrated, at their highest, or (S, P, Lo, Hi, r) integrated for S scales.
+    """
+
+    outer: Indices
+    rows: Indices
+    low: slice
+    high: slice
+    log_like: Values
+    groups: list[Group]
+
+
+class Nodes:
+    """What is evaluated in one pass: nodes of all axes, tables of the answers there.
+
+    Parameters
+    ----------
+    model : WeberModel
+        Its cells say how many trials there are.
+    windows : Windows
+    steps : Steps
+    counts : ndarray, shape (R, C)
+        Answers counted, of the trials of every cell; they need not be whole.
+    lapses : tuple of ndarray, optional
+        Rising coordinates of both lapses; by default even ones over the windows.
+    """
+
+    def __init__(
+        self,
+        model: WeberModel,
+        windows: Windows,
+        steps: Steps,
+        counts: Array,
+        dtype: DTypeLike = np.float32,
+        lapses: tuple[Array, Array] | None = None,
+    ) -> None:
+        self.model, self.steps, self.dtype = model, steps, np.dtype(dtype)
+        self.outer = windows.outer(steps.outer)
+        self.lapses = windows.lapses(steps.lapse) if lapses is None else lapses
+        self.first, self.last = windows.at(self.outer)
+        self.d, self.weight = outer_signals(model, self.outer)
+        values = [model.at(n, a) for n, a in zip(model.lead[-2:], self.lapses, strict=True)]
+        low, high = model.lapses(values[0][:, None], values[1][None])
+        lost = np.maximum(low + high, 1.0)  # nodes past the edge stand for places just before it
+        shape = self.lapses[0].size, self.lapses[1].size
+        self.low, self.high = (np.broadcast_to(a / lost, shape) for a in (low, high))
+        self.groups = [np.flatnonzero(model.group == g) for g in range(model.n_groups)]
+        self.bias_step = self._bias_steps()
+        n = model.cells.n
+        self.sides, self.answers = [], []
+        for c in self.groups:
+            sides = [counts[:, c], n[c] - counts[:, c]]
+            some = [np.flatnonzero(s.any(axis=0)) for s in sides]
+            given = [s[:, i] for s, i in zip(sides, some, strict=True)]
+            part = np.hstack([*given, np.ones((len(counts), 1))]) * steps.power
+            self.sides.append(some)
+            self.answers.append(part.T.astype(self.dtype, order="C"))
+        self.dispersed = None
+        if model.dispersed is not None:
+            self.dispersed = [BetaBinomial(model, c) for c in self.groups]
+            self.answers = [np.ones((1, 1), dtype=self.dtype)] * len(self.groups)
+            scores = np.meshgrid(*self.outer, indexing="ij")[model.dispersed + 1].ravel()
+            self.rho = model.value(model.effects[model.dispersed].name, scores)
+
+    def _bias_steps(self) -> Array:
+        """Steps of every group's bias at each outer node, (M, G)."""
+        if not self.model.free_bias:
+            return np.ones((len(self.d), self.model.n_groups))
+        low, high = self.first[2:], self.last[2:]
+        span = np.linspace(low[np.isfinite(low)].min(), high[np.isfinite(high)].max(), 49)
+        # Effects hardly change it: those in the middle tell.
+        size = self.outer[0].size
+        middle = np.arange(len(self.d)).reshape(size, -1)[:, len(self.d) // size // 2]
+        sds = least_bias_sds(self.model, self.d[middle], self.weight[middle], span)
+        return np.repeat(self.steps.bias * sds, len(self.d) // size, axis=0)
+
+    @property
+    def size(self) -> float:
+        """Values in all, about, for one data set."""
+        widths = self.last - self.first  # (2 + G, M, R)
+        inside = np.isfinite(widths[0])
+        counts = [
+            np.where(inside, widths[i] / (a[1] - a[0]) + 1, 0.0) if a.size > 1 else inside * 1.0
+            for i, a in enumerate(self.lapses)
+        ]
+        total = 0.0
+        for g, cells in enumerate(self.groups):
+            biases = np.where(inside, widths[2 + g], 0.0) / self.bias_step[:, g, None] + 1
+            total += float((counts[0] * counts[1] * biases).sum()) * cells.size
+        return total / max(widths.shape[2], 1)
+
+    def blocks(self, *, highest: bool = False, scales: Array | None = None) -> Iterator[Block]:
+        """All blocks: with biases integrated, at their highest, or integrated for each scale."""
+        for outer in self._outer_chunks():
+            inside = np.isfinite(self.first[0, outer]).any(axis=0)
+            rows = np.flatnonzero(inside)
+            if not rows.size:
+                continue
+            first, last = (s[:, outer][..., rows] for s in (self.first, self.last))
+            # Outer nodes where a data set has nothing do not widen its window.
+            low, high = first.min(axis=1), last.max(axis=1)  # (2 + G, r)
+            spans = [_spans(a, low[i], high[i]) for i, a in enumerate(self.lapses)]
+            nodes = [
+                self._biases(outer, g, first[2 + g], last[2 + g]) for g in range(len(self.groups))
+            ]
+            if len(outer) == 1:
+                spans += [_spans(b[0], low[2 + g], high[2 + g]) for g, b in enumerate(nodes)]
+            else:
+                whole = [np.array([[0], [b.shape[1]]]) for b in nodes]
+                spans += [np.repeat(w, rows.size, axis=1) for w in whole]
+            order = np.lexsort((spans[1][0], spans[0][0]))
+            rows, spans = rows[order], [s[:, order] for s in spans]
+            all_of = [_slice(s) for s in spans]
+            tables = [
+                self._table(outer, g, b[:, all_of[2 + g]], all_of[:2]) for g, b in enumerate(nodes)
+            ]
+            for some in (slice(j, j + TOGETHER) for j in range(0, rows.size, TOGETHER)):
+                yield self._block(outer, rows[some], nodes, tables, all_of,
+                                  [_slice(s[:, some]) for s in spans], highest, scales)  # fmt: skip
+
+    def _outer_chunks(self) -> Iterator[Indices]:
+        """One outer node at a time, or with one data set as many as fill a table."""
+        inside = np.flatnonzero(np.isfinite(self.first[0]).any(axis=1))
+        if self.first.shape[2] > 1 or not inside.size:
+            yield from inside[:, None]
+            return
+        first, last = self.first[:, inside, 0], self.last[:, inside, 0]
+        size = np.full(inside.size, 2.0 * max(c.size for c in self.groups) + 1)
+        for i, axis in enumerate(self.lapses):
+            step = axis[1] - axis[0] if axis.size > 1 else 1.0
+            size *= (last[i] - first[i]) / step + 2
+        size *= ((last[2:] - first[2:]) / self.bias_step[inside].T + 1).max(axis=0)
+        start = 0
+        while start < inside.size:
+            largest = np.maximum.accumulate(size[start:]) * np.arange(1, inside.size - start + 1)
+            stop = start + max(int(np.searchsorted(largest, VALUES)), 1)
+            yield inside[start:stop]
+            start = stop
+
+    def _biases(self, outer: Indices, g: int, first: Array, last: Array) -> Array:
+        """Nodes of a bias at each outer node, (P, B)."""
+        low, high, step = first.min(axis=1), last.max(axis=1), self.bias_step[outer, g]
+        count = int(np.ceil((high - low) / step - 1e-9).max()) + 1
+        return np.asarray(low[:, None] + step[:, None] * np.arange(count))
+
+    def _table(self, outer: Indices, g: int, bias: Array, spans: list[slice]) -> Values:
+        """Log-probabilities of the answers that were given, and of the bias, (N, P, B, Lo, Hi)."""
+        model, cells = self.model, self.groups[g]
+        low, high = self.low[spans[0], spans[1]], self.high[spans[0], spans[1]]
+        log_bias = score_prior(bias) if model.free_bias else np.zeros(bias.shape)
+        log_bias, bias = log_bias[..., None, None], bias_at(model, bias)
+        d, weight = (a[np.ix_(outer, cells)].T[..., None] for a in (self.d, self.weight))
+        both = model.task.chance(d, weight * bias)  # (C, P, B)
+        if self.dispersed is not None:
+            own = self.dispersed[g](*both, low, high, self.rho[outer])
+            return np.asarray(self.steps.power * (own + log_bias)[None])
+        slope = np.maximum(1 - low - high, 0.0).astype(self.dtype)
+        some = self.sides[g]
+        ends = np.cumsum([0, *(s.size for s in some)])
+        table = np.empty((ends[-1] + 1, *bias.shape, *low.shape), dtype=self.dtype)
+        for side, lapse, i, at in zip(both, (low, high), some, (0, 1), strict=True):
+            part = table[ends[at] : ends[at + 1]]
+            np.multiply(side[i].astype(self.dtype)[..., None, None], slope, out=part)
+            part += lapse.astype(self.dtype)
+        logs = table[:-1]
+        np.log(np.maximum(logs, LEAST[self.dtype], out=logs), out=logs)
+        table[-1] = log_bias
+        return table
+
+    def _block(
+        self,
+        outer: Indices,
+        rows: Indices,
+        nodes: list[Array],
+        tables: list[Values],
+        whole: list[slice],
+        spans: list[slice],
+        highest: bool,
+        scales: Array | None,
+    ) -> Block:
+        joint: Any = 0.0
+        groups = []
+        for g, table in enumerate(tables):
+            own = spans[2 + g]
+            cut = [
+                slice(s.start - w.start, s.stop - w.start)
+                for s, w in zip(spans, whole, strict=True)
+            ]
+            part = table[:, :, cut[2 + g], cut[0], cut[1]]
+            values = part.reshape(len(part), -1).T @ self.answers[g][:, rows]
+            values = values.reshape(*part.shape[1:], rows.size)
+            if scales is not None:
+                values -= part[-1][..., None]  # the prior of the bias is another for each scale
+                joint = joint + self._by_scale(
+                    values, nodes[g][:, own], self.bias_step[outer, g], scales
+                )
+                continue
+            top = values.max(axis=1)
+            if not highest:
+                step = self.bias_step[outer, g] if self.model.free_bias else np.ones(outer.size)
+                values -= top[:, None]
+                np.exp(values, out=values)
+                total = np.log(values.sum(axis=1))
+                total += np.log(step).astype(self.dtype)[:, None, None, None]
+                joint = joint + top + total
+            else:
+                joint = joint + top
+            groups.append(Group(nodes[g][:, own], values, top))
+        return Block(outer, rows, spans[0], spans[1], joint, groups)
+
+    def _by_scale(self, log_like: Values, bias: Array, step: Array, scales: Array) -> Values:
+        """Biases (P, B) integrated, for each scale of their prior, (S, P, Lo, Hi, r)."""
+        if not self.model.free_bias:
+            return np.asarray(log_like.max(axis=1)[None])
+        if bias.shape[1] > 1:
+            log_like, bias, step = with_middles(log_like), with_middles(bias), 0.5 * step
+        half = 0.5 * step[:, None]
+        width = bias_at(self.model, bias + half) - bias_at(self.model, bias - half)
+        weights = scaled_prior(self.model.priors, bias_at(self.model, bias), width, scales)
+        weights = np.exp(weights)  # (P, F, S)
+        top = log_like.max(axis=1)
+        log_like = log_like - top[:, None]
+        like = np.exp(log_like, out=log_like).reshape(*bias.shape, -1)
+        total = np.swapaxes(weights, 1, 2).astype(self.dtype) @ like  # (P, S, X)
+        total = np.log(np.maximum(total, LEAST[self.dtype])).reshape(len(bias), -1, *top.shape[1:])
+        return np.asarray(np.swapaxes(total, 0, 1) + top)
+
+
+def _spans(axis: Array, low: Array, high: Array) -> Indices:
+    """First node within a window, and the one after the last, (2, r)."""
+    first = np.clip(np.searchsorted(axis, low - 1e-9), 0, axis.size - 1)
+    last = np.clip(np.searchsorted(axis, high + 1e-9), 0, axis.size - 1)
+    return np.array([first, last + 1])
+
+
+def _slice(spans: Indices) -> slice:
+    return slice(int(spans[0].min()), int(spans[1].max()))
+
+
+def with_middles(values: Values) -> Values:
+    """Columns (P, B, ...) with others between them: cubic interpolation, quadratic at the ends."""
+    count = values.shape[1]
+    out = np.empty((values.shape[0], 2 * count - 1, *values.shape[2:]), dtype=values.dtype)
+    out[:, ::2] = values
+    out[:, 1::2] = 0.5 * (values[:, 1:] + values[:, :-1])
+    if count > 2:
+        bend = values[:, 2:] - 2 * values[:, 1:-1] + values[:, :-2]  # second differences
+        out[:, 3::2] -= bend / 16
+        out[:, 1:-2:2] -= bend / 16
+        out[:, 1] -= bend[:, 0] / 16
+        out[:, -2] -= bend[:, -1] / 16
+    return out
+
+
+def lapse_weights(model: WeberModel, low: Array, high: Array) -> Array:
+    """Log prior probability of the lapse nodes, (Lo, Hi).
+
+    A first node so low that no trial is lost stands for everything below it.
+    """
+    pair = [with_tail(model, n, a) for n, a in zip(model.lead[-2:], (low, high), strict=True)]
+    weights = np.exp(lapse_prior(model, *pair))
+    for i, (whole, axis) in enumerate(zip(pair, (low, high), strict=True)):
+        weights *= axis[1] - axis[0] if axis.size > 1 else 1.0
+        weights = np.add.reduceat(
+            weights, np.r_[0, whole.size - axis.size + 1 : whole.size], axis=i
+        )
+    with np.errstate(divide="ignore"):
+        return np.log(weights)
+
+
+def with_tail(model: WeberModel, name: str, axis: Array) -> Array:
+    """The nodes of a lapse carried on below the first, where that is none at all."""
+    if axis.size == 1 or axis[0] > no_lapse(model, name) + 1e-9:
+        return axis
+    stretch = model.stretches[model.lead.index(name)]
+    step = axis[1] - axis[0]
+    below = max(int((axis[0] - float(stretch.coordinate(FAR_LAPSE[0] - 1.0))) / step), 0)
+    return axis[0] + step * np.arange(-below, axis.size)
