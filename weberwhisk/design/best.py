@@ -20,6 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..behaviour.integrate.batch import log_sum
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
@@ -29,7 +30,6 @@ from .hypotheses import Hypothesis
 from .power_analysis import asked
 from .precision import Precision
 from .scheme import Constraints, Scheme, difference_sd, easy_share
-from .tables import log_sum
 
 Array = NDArray[np.float64]
 

@@ -18,15 +18,15 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
+from ..behaviour.integrate import likelihood, marginal
 from ..behaviour.lapses import score_prior
 from ..behaviour.priors import Priors
 from ..threads import one_blas_thread
 from .coding import decode
 from .goals import Animals
 from .hypotheses import Hypothesis
-from .populations import HELD, LAPSE_STEP, populations
+from .populations import HELD, bias_scales, populations, steps_of
 from .scheme import Scheme
-from .tables import likelihood, marginal
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
             evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
             found.append((evidence.reshape(len(some), -1).sum(axis=1), quantiles[: len(some)]))
         else:
-            table = likelihood(model, flat, LAPSE_STEP, HELD)
+            table = likelihood(model, flat, steps_of(model), bias_scales(model), HELD)
             mu, by_median, evidence = populations(model, table, counts.shape[1])
             found.append((evidence, np.exp(_integrated(mu, by_median)[1])))
             # Nodes are shared: more data sets together spread over more of them, by half or so.

@@ -16,16 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
 from .. import _checks
+from ..behaviour.integrate.batch import batch_steps, zoomed
+from ..behaviour.integrate.windows import bias_at
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts, unit_percepts
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
-from .boxes import passes
 from .goals import Animals
 from .hypotheses import Hypothesis, told_apart
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
-from .tables import boxes_of
 
 Array = NDArray[np.float64]
 
@@ -159,13 +159,13 @@ def believed(
         ends = [(-REACH, REACH)] + [
             tuple(stretch.coordinate([-REACH, REACH])) for stretch in model.stretches[-2:]
         ]
-        mean, sd = model.priors.moments("bias") if model.free_bias else (0.0, 0.0)
-        biases = [(mean - REACH * sd, mean + REACH * sd)]
+        biases = [(-REACH, REACH)]
     else:
         model = hypothesis.model(before)
         assert truth is not None
         counts = expected_counts(truth, before, animals)[0, 0]
-        ends, biases = _range(model, counts)
+        ends = _range(model, counts)
+        ends, biases = ends[:3], ends[3:]
     k_axis, low_axis, high_axis = (
         np.linspace(float(end[0]), float(end[1]), n) if free else np.zeros(1)
         for end, n, free in zip(
@@ -181,13 +181,13 @@ def believed(
     known: dict[float | None, tuple[Array, Array, Array, Array]] = {}
     groups = []
     for group, end in enumerate(biases):
-        bias = np.linspace(*end, NODES[2]) if model.free_bias else np.array([model.fixed_bias()])
+        bias, log_bias = _bias_nodes(model, end)
         cells = np.flatnonzero(model.group == group)
         part = model.subset(model.cells.standard[cells[0]]) if model.n_groups > 1 else model
         p, q = part.probability(k[:, None], lo, hi, bias[:, None, None, None])  # (B, K, L, C)
         x, n = counts[cells], model.cells.n[cells]
         log_like = np.log(p) @ x + np.log(q) @ (n - x)
-        log_like += model.log_bias_prior(bias)[:, None, None]
+        log_like += log_bias[:, None, None]
         groups.append((bias, log_like))
     alone = [np.logaddexp.reduce(log_like, axis=0) for _, log_like in groups]
     joint = log_prior + sum(alone)
@@ -195,12 +195,8 @@ def believed(
     for group, (bias, log_like) in enumerate(groups):
         known[_standard(model, group)] = (bias, *_by_bias(log_like - alone[group] + joint, lost))
     if None not in known:
-        bias, _ = groups[0]
-        if model.free_bias:
-            mean, sd = model.priors.moments("bias")
-            bias = np.linspace(mean - REACH * sd, mean + REACH * sd, NODES[2])
-        log_bias = model.log_bias_prior(bias)[:, None, None]
-        known[None] = (bias, *_by_bias(log_bias + joint, lost))
+        bias, log_bias = _bias_nodes(model, (-REACH, REACH))
+        known[None] = (bias, *_by_bias(log_bias[:, None, None] + joint, lost))
     return Belief(hypothesis, k, known)
 
 
@@ -271,6 +267,12 @@ def _by_bias(log_mass: Array, lost: tuple[Array, Array]) -> tuple[Array, Array, 
     return of_bias.T, low.T, high.T
 
 
+def _bias_nodes(model: WeberModel, ends: tuple[float, float]) -> tuple[Array, Array]:
+    """A bias at even scores of its prior, and the log prior density of these."""
+    score = np.linspace(*ends, NODES[2]) if model.free_bias else np.zeros(1)
+    return bias_at(model, score), score_prior(score)
+
+
 def _standard(model: WeberModel, group: int) -> float | None:
     """The standard of a group; None for what is not of any standard."""
     own = np.unique(model.cells.standard[model.group == group])
@@ -287,13 +289,9 @@ def _silent(hypothesis: Hypothesis) -> WeberModel:
     return WeberModel(hypothesis.asked, felt, cells, hypothesis.priors, group, names)
 
 
-def _range(
-    model: WeberModel, counts: Array
-) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """Where the posterior lies: ends of the axes of k and the lapses, and of each bias."""
-    steps = passes(model)
-    boxes = boxes_of(model, counts[None], [*steps, steps[-1]])
-    low, high = boxes.low[:, :, 0].min(axis=1), boxes.high[:, :, 0].max(axis=1)
-    rest = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
-    of_k = float(boxes.ends[0][0]), float(boxes.ends[1][0])
-    return [of_k, *rest[:2]], rest[2:]
+def _range(model: WeberModel, counts: Array) -> list[tuple[float, float]]:
+    """Where the posterior lies: ends of the axes of k and the lapses, and of each bias's score."""
+    windows = zoomed(model, counts[None], batch_steps(model), 7.5)
+    low, high = windows.low[:, :, 0].min(axis=1), windows.high[:, :, 0].max(axis=1)
+    of_k = float(windows.ends[0, 0, 0]), float(windows.ends[0, 1, 0])
+    return [of_k, *((float(a), float(b)) for a, b in zip(low, high, strict=True))]

@@ -16,17 +16,24 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
-from ..behaviour.bias_scale import BiasScales
+from ..behaviour.bias_scale import AS_BELIEVED, BiasScales
+from ..behaviour.integrate.batch import (
+    Likelihood,
+    batch_steps,
+    carried_on,
+    log_sum,
+    narrowest_bias,
+)
+from ..behaviour.integrate.blocks import NOTHING, with_tail
+from ..behaviour.integrate.windows import Steps
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors
-from .boxes import with_tail
-from .tables import NOTHING, Likelihood, carried_on, log_sum
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 LAPSE_STEP = 0.6  # of the nodes of the lapses, between which likelihoods are linear
-HELD = 10.0  # nats under an animal's best, to which its likelihood is tabulated
+HELD = 7.5  # nats under an animal's best, to which its likelihood is tabulated, and some more
 FINER_LAPSE, FINER_K = 4, 3  # nodes between those of a lapse, and of k
 SPREADS = 10  # Gauss–Legendre nodes of the spread of ln k between animals
 BIAS_SCALES = 7  # even nodes of the factor of the biases, over where it may be
@@ -99,6 +106,20 @@ def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Arr
         out[i] = log_sum(log_weight[:, None] + given, 0)
     step = fractions.mu[1] - fractions.mu[0]
     return fractions.mu, out, log_sum(out, 1) + np.log(step)
+
+
+def steps_of(model: WeberModel) -> Steps:
+    """Steps of the tables: those of biases also serve priors narrower than a single fit's."""
+    return batch_steps(model, lapse=LAPSE_STEP, bias=0.95)
+
+
+def bias_scales(model: WeberModel, step: float = 0.5, far: float = 1e-6) -> BiasScales:
+    """Scales of the biases at which likelihoods are tabulated: so far apart, in asinh, and up to
+    where the prior leaves so little."""
+    if not model.free_bias:
+        return AS_BELIEVED
+    last = float(PRIORS.bias_scale.isf(far))
+    return BiasScales.between(0.0, last, narrowest_bias(model), step)
 
 
 def _cropped(found: Likelihood, own: NDArray[np.float32]) -> tuple[tuple[slice, ...], Indices]:

@@ -30,8 +30,8 @@ def zoomed(
     cut: float,
     *,
     finer: float = 2.0,
-    nodes: float = 30.0,
-    slack: float = 4.0,
+    nodes: float = 12.0,
+    slack: float = 2.5,
 ) -> Windows:
     """Windows of every data set, of all that is no more than `cut` nats under its best node.
 
@@ -53,7 +53,7 @@ def zoomed(
     spans += [windows.high[i].max() - windows.low[i].min() for i in (0, 1)]
     coarsest = max(
         [s / step for s, step in zip(spans, [*steps.outer, *steps.lapse], strict=True)]
-        + [(windows.high[2] - windows.low[2]).max() / _narrowest_bias(model) / steps.bias]
+        + [(windows.high[2] - windows.low[2]).max() / narrowest_bias(model) / steps.bias]
     )
     zooms = max(int(np.ceil(np.log(coarsest / nodes) / np.log(finer))), 0)
     for power in finer ** (-2.0 * np.arange(zooms, -1, -1)):
@@ -61,8 +61,8 @@ def zoomed(
     return windows
 
 
-def _narrowest_bias(model: WeberModel) -> float:
-    """The least sd that any bias can have given the rest."""
+def narrowest_bias(model: WeberModel) -> float:
+    """The least sd that the score of any bias can have given the rest."""
     few = [np.linspace(-2.0, 2.0, 9) * f for f in model.free[:1]]
     d, weight = outer_signals(model, [*few, *[np.zeros(1)] * len(model.effects)])
     return float(least_bias_sds(model, d, weight, np.linspace(-2.0, 2.0, 9)).min())
@@ -137,7 +137,7 @@ def outer_prior(axes: Sequence[Array]) -> Array:
     return total
 
 
-def batch_steps(model: WeberModel, k: float = 2.8, lapse: float = 1.4, bias: float = 1.9) -> Steps:
+def batch_steps(model: WeberModel, k: float = 2.5, lapse: float = 1.5, bias: float = 2.0) -> Steps:
     """Steps for many data sets, those of k and of biases in the least sd they can have: log
     evidences err by some 0.01, and k is interpolated."""
     return Steps(1.0, k * least_sds(model), np.full(2, lapse), bias)
@@ -150,7 +150,7 @@ def _zoom_steps(steps: Steps) -> Steps:
     )
 
 
-def marginal(model: WeberModel, counts: Array, cut: float = 7.5) -> tuple[Array, Array]:
+def marginal(model: WeberModel, counts: Array, cut: float = 5.0) -> tuple[Array, Array]:
     """Scores of k (K,), and the log-likelihoods (R, K) there, biases and lapses integrated.
 
     Parameters
@@ -243,7 +243,7 @@ def over_fractions(
     """
     counts, least = model.cells.count[None], least_sds(model)
     steps = Steps(1.0, 1.3 * least, np.full(2, 1.0), 1.3)
-    found = zoomed(model, counts, replace(steps, outer=2.5 * least, bias=2.5), cut)
+    found = zoomed(model, counts, replace(steps, outer=2.5 * least, bias=2.5), cut, slack=4.0)
     low, high = found.low.copy(), found.high.copy()
     for i, axis in enumerate(lapses):
         low[i, np.isfinite(low[i])], high[i, np.isfinite(high[i])] = axis[0], axis[-1]

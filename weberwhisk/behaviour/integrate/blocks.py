@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Values = NDArray[Any]
 Indices = NDArray[np.intp]
 
-TOGETHER = 64  # data sets that meet the same nodes
+TOGETHER = 96  # data sets that meet the same nodes
 VALUES = 200_000  # of a table, with one data set: a few of this size stay in the cache
 LEAST = {np.dtype(np.float32): 1e-30, np.dtype(np.float64): TINY}  # of a probability
 NOTHING = -1e5  # log of what cannot be
