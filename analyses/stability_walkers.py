@@ -1,12 +1,12 @@
-"""The part of `stability.py` that starts emcee's walkers badly, and takes its grid away.
+"""The part of `stability.py` that starts emcee's walkers badly, and takes its mixture away.
 
 A user cannot place walkers: here the engine's own start is replaced by one ball, as small and as
 far off as the hunt likes, for all ensembles, so that they agree with each other. Plain emcee is the
-engine without the proposals from a grid, by stretch and differential evolution alone. Whatever they
+engine without the mixture's proposals, by stretch and differential evolution alone. Whatever they
 say they have converged on is held against the same sums as any posterior.
 
 Of several peaks plain emcee knows the one in whose reach all its ensembles start, and nothing it
-can measure says that there is a higher one: that is what the engine's grid is for, with which it is
+can measure says that there is a higher one: that is what the mixture is for, with which it is
 tried, and plain emcee is not.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 import stability_posteriors as posteriors
 from hunting import Axis, Domain, Fate, Judged
 
-from weberwhisk.posterior import walkers
+from weberwhisk.posterior import emcee
 from weberwhisk.posterior.ensemble import default_moves, recommended_walkers
 
 Array = np.ndarray
@@ -43,23 +43,23 @@ PLAIN_STEPS = (3000, 2000)
 
 @contextmanager
 def changed(start: Array | None, width: float, *, plain: bool) -> Iterator[None]:
-    """The engine with another start, and without its grid where it is plain."""
-    own = walkers._start, walkers._moves, walkers.MOST_STEPS
+    """The engine with another start, and without its mixture where it is plain."""
+    own = emcee._start, emcee._moves, emcee.MOST_STEPS, emcee.STAGES
 
-    def ball(density, mode, rng):
-        count, dim = mode.x.shape
-        shape = (count, walkers.ENSEMBLES, recommended_walkers(dim), dim)
+    def ball(density, mixture, mode, rng):
+        count, dim = mode.shape
+        shape = (count, 4, recommended_walkers(dim), dim)
         return start[:dim] + width * rng.standard_normal(shape)
 
     try:
         if start is not None:
-            walkers._start = ball
+            emcee._start = ball
         if plain:
-            walkers._moves = lambda o, *given: default_moves(len(o.unknowns))
-            walkers.MOST_STEPS = PLAIN_STEPS
+            emcee._moves = lambda mixture, dim: default_moves(dim)
+            emcee.MOST_STEPS, emcee.STAGES = PLAIN_STEPS, ()
         yield
     finally:
-        walkers._start, walkers._moves, walkers.MOST_STEPS = own
+        emcee._start, emcee._moves, emcee.MOST_STEPS, emcee.STAGES = own
 
 
 def judge(case: Case, name: str, *, plain: bool) -> Judged:

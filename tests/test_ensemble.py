@@ -9,9 +9,10 @@ import emcee
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import special
+from scipy import special, stats
 
 from weberwhisk.coordinates import FARTHEST
+from weberwhisk.posterior.emcee import Mixture, _start
 from weberwhisk.posterior.ensemble import (
     MoveMaker,
     StackedSample,
@@ -19,15 +20,13 @@ from weberwhisk.posterior.ensemble import (
     sample_stacked,
 )
 from weberwhisk.posterior.grid import integrate
-from weberwhisk.posterior.mode import Mode
 from weberwhisk.posterior.moves import (
     StackedDifferentialEvolution,
-    StackedGrid,
+    StackedMixture,
     StackedStretch,
+    student_t,
 )
-from weberwhisk.posterior.nodes import Nodes
 from weberwhisk.posterior.run import Shortfall
-from weberwhisk.posterior.walkers import _start
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
@@ -475,41 +474,32 @@ def gamma_logs(x: Array, index: NDArray[np.intp]) -> Array:
 
 
 GAMMA = np.array([3.0, 8.0])
-CENTRE = np.stack([np.log(GAMMA) + 0.3, np.full(2, 0.2)], axis=1)
-ROOT = np.eye(2) * np.stack([1.5 / np.sqrt(GAMMA), np.full(2, 1.3)], axis=1)[:, None]
+CENTRE = np.stack([np.log(GAMMA)[:, None] + [0.3, -1.0, 0.6], np.full((2, 3), 0.2)], axis=2)
+ROOT = np.array([[0.6, 0.0], [0.2, 1.3]]) * np.array([1.0, 0.5, 2.0])[:, None, None]
+MIXTURE = (CENTRE, np.stack([ROOT, ROOT]), np.array([[0.5, 0.2, 0.3], [0.6, 0.3, 0.1]]))
 
 
-@pytest.mark.parametrize("tolerance", [0.5, 0.01])
-def test_grid_proposals_leave_a_density_as_it_is(tolerance: float) -> None:
-    grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=tolerance, keep_points=True)
-    assert grid.nodes is not None
-    start = CENTRE[:, None, None] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 6, 2))
-    guess = partial(StackedGrid, nodes=grid.nodes)
+def test_mixture_proposals_leave_a_density_as_it_is() -> None:
+    start = CENTRE[:, None, :1] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 6, 2))
+    guess = partial(StackedMixture, *MIXTURE)
     fit = sample_stacked(gamma_logs, start, seed=4, moves=[(guess, 1.0)], indexed=True)
     assert fit.converged.all()
-    assert fit.tau.max() < 3  # nearly independent draws
     mean, sd = special.digamma(GAMMA), np.sqrt(special.polygamma(1, GAMMA))
     assert np.all(np.abs(fit.mean[:, 0] - mean) < 4 * fit.mcse_mean[:, 0])
     assert np.all(np.abs(fit.sd[:, 0] - sd) < 4 * fit.mcse_sd[:, 0])
     assert np.all(np.abs(fit.sd[:, 1] - 1) < 4 * fit.mcse_sd[:, 1])
 
 
-@pytest.mark.parametrize("beside", [False, True], ids=["whole", "last beside the grid"])
-def test_grid_proposals_are_drawn_from_the_density_they_claim(beside: bool) -> None:
-    grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=0.5, keep_points=True)
-    assert grid.nodes is not None
-    last = [last_beside(nodes) for nodes in grid.nodes] if beside else None
-    move = StackedGrid(800, np.random.default_rng(2), nodes=grid.nodes, last=last, wide=0.3)
+def test_mixture_proposals_are_drawn_from_the_density_they_claim() -> None:
+    move = StackedMixture(*MIXTURE, 800, np.random.default_rng(2))
     move.begin(2, 800)
     # E[1/q(x)] over draws of q that land in a box is the volume of the box.
-    index, half = np.arange(2), np.array([0.7, 1.5, 0.5])[: 2 + beside]
-    centre = np.column_stack([CENTRE, np.full(2, 0.1)])[:, : 2 + beside]
+    half = np.array([0.7, 1.5])
     inverse = []
     for _ in range(200):
         x, claimed = move.draw(400)
-        np.testing.assert_allclose(claimed, move.log_density(x, index), rtol=1e-10)
-        inside = (np.abs(x - centre[:, None]) < half).all(axis=-1)
-        inverse.append(np.where(inside, np.exp(-move.log_density(x, index)), 0.0))
+        inside = (np.abs(x - CENTRE[:, :1]) < half).all(axis=-1)
+        inverse.append(np.where(inside, np.exp(-claimed), 0.0))
     values = np.concatenate(inverse, axis=1)
     error = values.std(axis=1) / np.sqrt(values.shape[1])
     volume = np.prod(2 * half)
@@ -517,44 +507,27 @@ def test_grid_proposals_are_drawn_from_the_density_they_claim(beside: bool) -> N
     assert np.all(np.abs(values.mean(axis=1) - volume) < 4 * error)
 
 
-def last_beside(nodes: Nodes) -> Array:
-    """Sd, mean and its slopes of a last coordinate that goes with the first two, at the nodes."""
-    mean = (0.5 * nodes.points[:, 0] - 0.2 * nodes.points[:, 1] ** 2).reshape(nodes.shape)
-    slopes = [np.gradient(mean, axis=k).ravel() for k in range(2)]
-    return np.stack([np.full(mean.size, 0.4), mean.ravel(), *slopes], axis=-1)
+def test_the_mixtures_students_are_scipys() -> None:
+    rng = np.random.default_rng(3)
+    for dim in (1, 2, 3):
+        x, centre = rng.normal(size=(1, 5, dim)), rng.normal(size=(1, 2, dim))
+        root = np.tril(rng.normal(size=(1, 2, dim, dim))) + 2 * np.eye(dim)
+        ours = student_t(x, centre, np.linalg.inv(root))
+        for k in range(2):
+            shape = root[0, k] @ root[0, k].T
+            theirs = stats.multivariate_t(centre[0, k], shape, df=4 + dim % 2).pdf(x[0])
+            np.testing.assert_allclose(ours[0, :, k], theirs, rtol=1e-10)
 
 
-def test_a_last_coordinate_beside_the_grid_is_sampled_with_the_others() -> None:
-    """Its mean bends as the grid's second coordinate does; the moments are exact."""
-
-    def logs(x: Array, index: NDArray[np.intp]) -> Array:
-        mean = 0.5 * x[..., 0] - 0.2 * x[..., 1] ** 2
-        return gamma_logs(x[..., :2], index) - 0.5 * ((x[..., 2] - mean) / 0.4) ** 2
-
-    grid = integrate(gamma_logs, CENTRE, ROOT, tolerance=0.2, keep_points=True)
-    assert grid.nodes is not None
-    guess = partial(StackedGrid, nodes=grid.nodes, last=list(map(last_beside, grid.nodes)))
-    centre = np.column_stack([CENTRE, np.zeros(2)])
-    start = centre[:, None, None] + 0.3 * np.random.default_rng(1).normal(size=(2, 4, 8, 3))
-    fit = sample_stacked(logs, start, seed=5, moves=[(guess, 1.0)], indexed=True)
-    assert fit.converged.all()
-    assert fit.acceptance.min() > 0.75
-    assert fit.tau.max() < 3
-    mean = 0.5 * special.digamma(GAMMA) - 0.2
-    sd = np.sqrt(0.25 * special.polygamma(1, GAMMA) + 0.2**2 * 2 + 0.4**2)
-    assert np.all(np.abs(fit.mean[:, 2] - mean) < 4 * fit.mcse_mean[:, 2])
-    assert np.all(np.abs(fit.sd[:, 2] - sd) < 4 * fit.mcse_sd[:, 2])
-
-
-@pytest.mark.parametrize("centre", [4.9, 5.3], ids=["next to the end", "past it"])
-def test_walkers_start_inside_where_the_mode_is_at_the_end_of_the_reach(centre: float) -> None:
+def test_walkers_start_inside_where_the_mode_is_at_the_end_of_the_reach() -> None:
     """Contacts end at x₁ = ±FARTHEST, and a ridge's walkers start as far as 3 from its mode."""
 
     def density(x: Array, index: NDArray[np.intp]) -> Array:
         return np.where(np.abs(x[..., 0]) < FARTHEST, -0.5 * x[..., 1] ** 2, -np.inf)
 
-    mode = Mode(np.array([[centre, 0.0]]), np.zeros(1), 4 * np.eye(2)[None])
-    start = _start(density, mode, np.random.default_rng(1))
+    mode = np.array([[4.9, 0.0]])
+    mixture = Mixture(mode[:, None], 2 * np.eye(2)[None, None], np.ones((1, 1)))
+    start = _start(density, mixture, mode, np.random.default_rng(1))
     assert np.isfinite(density(start.reshape(1, -1, 2), np.arange(1))).all()
 
 

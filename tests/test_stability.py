@@ -213,6 +213,7 @@ def test_an_odd_reading_has_its_posterior_where_it_is_least_odd(reading: list[fl
     assert abs(p.sd - sd) < 1e-4 * sd
 
 
+@pytest.mark.filterwarnings("ignore:.*did you pass mN")
 def test_a_posterior_beyond_the_last_panel_is_imprecise() -> None:
     """A log-normal reading from 1e-9 of the reach: quadrature ends at 1e-8, and said nothing."""
     observer = Observer(W, cues.Compliance(), receptors.LogNormal(0.5))

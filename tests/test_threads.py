@@ -14,7 +14,7 @@ from weberwhisk.behaviour import IdentityPercept, fit_population, fit_weber, sim
 from weberwhisk.campaign import all_cores
 from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
-from weberwhisk.posterior import walkers
+from weberwhisk.posterior import emcee
 
 
 def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,7 +31,7 @@ def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -
 def test_nor_does_it_change_one_of_emcee(monkeypatch: pytest.MonkeyPatch) -> None:
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
     readings = observer.read(np.linspace(15e-3, 40e-3, 12)[:, None], seed=1)
-    monkeypatch.setattr(walkers, "STACKED", 4)
+    monkeypatch.setitem(emcee.sample.__kwdefaults__, "stacked", 4)
     found = []
     for count in (1, 3):
         monkeypatch.setattr(threads, "thread_count", lambda count=count: count)

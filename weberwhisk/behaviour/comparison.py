@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from .. import _checks
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
-from ..posterior.loo import pointwise_loo
+from ..posterior.arviz_io import pointwise_loo
 from ..receptors import Weber
 from ..whisker import Whisker
 from .criticism import _Rows, check_fit

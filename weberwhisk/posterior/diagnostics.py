@@ -1,9 +1,9 @@
-"""R-hat, effective sample size and autocorrelation time of many posteriors at once.
+"""R-hat and Monte Carlo errors of many posteriors at once.
 
-ArviZ computes these for one posterior at a time, in more time than a small posterior takes to
+ArviZ computes R-hat for one posterior at a time, in more time than a small posterior takes to
 sample. Here they are batched: arrays of shape ``(..., chain, draw)`` give results of shape
-``(...)``. `rhat` and `ess` follow Vehtari et al. (2021, Bayesian Analysis 16, 667) and agree with
-`arviz.rhat` and `arviz.ess` to rounding; `integrated_time` agrees with `emcee.autocorr`.
+``(...)``. `rhat` follows Vehtari et al. (2021, Bayesian Analysis 16, 667) and agrees with
+`arviz.rhat` to rounding.
 
 The chains must be independent of one another. The walkers of one emcee ensemble are not: a chain
 here is a whole ensemble.
@@ -18,8 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft, special
 
 Array = NDArray[np.float64]
-
-FEWEST_DRAWS = 4  # as in ArviZ: below this a split chain has no variance to speak of
 
 
 def split(x: ArrayLike) -> Array:
@@ -98,73 +96,17 @@ def rhat(x: ArrayLike) -> Array:
     >>> bool(rhat(x[0] * np.array([[1.0], [1.0], [1.0], [2.0]])) > 1.05)   # one chain is wider
     True
     """
-    halves = split(_checked(x, fewest_chains=2))
+    x = np.asarray(x, dtype=float)
+    # As in ArviZ: with fewer draws a split chain has no variance to speak of.
+    if x.ndim < 2 or x.shape[-2] < 2 or x.shape[-1] < 4:
+        raise ValueError(
+            f"Draws must have shape (..., chain, draw) with at least 2 chains of 4 draws, got "
+            f"{x.shape}; put the draws on the last axis."
+        )
+    halves = split(x)
     folded = np.abs(halves - np.median(halves, axis=(-2, -1), keepdims=True))
     bulk, tail = (_classic_rhat(rank_normalise(v)) for v in (halves, folded))
     return np.where(np.isfinite(halves).all(axis=(-2, -1)), np.maximum(bulk, tail), np.nan)
-
-
-def ess(x: ArrayLike, *, rank: bool = True) -> Array:
-    """Effective number of draws behind the bulk (default) or behind the mean.
-
-    Parameters
-    ----------
-    x : array_like, shape (..., chain, draw)
-    rank : bool
-        True: of the rank-normalised draws, ArviZ's ``method="bulk"``; False: of the draws as
-        they are, ``method="mean"``.
-
-    Returns
-    -------
-    array, shape (...)
-        NaN where a draw is not finite.
-
-    Examples
-    --------
-    >>> x = np.random.default_rng(1).normal(size=(4, 1000))
-    >>> 3000 < float(ess(x)) < 5000
-    True
-    """
-    halves = split(_checked(x, fewest_chains=1))
-    z = rank_normalise(halves) if rank else halves
-    chains, n = z.shape[-2:]
-    covariance = autocovariance(z)
-    within = covariance[..., 0].mean(axis=-1) * n / (n - 1.0)
-    total = within * (n - 1.0) / n + z.mean(axis=-1).var(axis=-1, ddof=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rho = 1.0 - (within[..., None] - covariance.mean(axis=-2)) / total[..., None]
-    rho[..., 0] = 1.0
-    count = chains * n
-    size = count / np.maximum(_geyer_time(rho), 1.0 / np.log10(count))
-    constant = np.ptp(z, axis=(-2, -1)) < np.finfo(float).resolution
-    size = np.where(constant, count, size)
-    return np.where(np.isfinite(halves).all(axis=(-2, -1)), size, np.nan)
-
-
-def integrated_time(x: ArrayLike, *, window: float = 5.0) -> Array:
-    """Integrated autocorrelation time, from the autocorrelation averaged over chains.
-
-    Parameters
-    ----------
-    x : array_like, shape (..., chain, draw)
-    window : float
-        Sokal's c: the sum stops at the first lag that exceeds c times its own value.
-
-    Returns
-    -------
-    array, shape (...)
-        In draws. Not a number where a chain never moves.
-
-    Examples
-    --------
-    >>> x = np.random.default_rng(1).normal(size=(4, 4000))
-    >>> round(float(integrated_time(x)), 1)
-    1.0
-    """
-    covariance = autocovariance(x)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rho = (covariance / covariance[..., :1]).mean(axis=-2)
-    return windowed_time(rho, window=window)
 
 
 def windowed_time(rho: Array, *, window: float = 5.0) -> Array:
@@ -233,16 +175,6 @@ def autocovariance(x: ArrayLike, *, centre: ArrayLike | None = None) -> Array:
     return np.asarray(fft.irfft(power, n=size, axis=-1)[..., :n] / n)
 
 
-def _checked(x: ArrayLike, *, fewest_chains: int) -> Array:
-    x = np.asarray(x, dtype=float)
-    if x.ndim < 2 or x.shape[-2] < fewest_chains or x.shape[-1] < FEWEST_DRAWS:
-        raise ValueError(
-            f"Draws must have shape (..., chain, draw) with at least {fewest_chains} chain(s) of "
-            f"{FEWEST_DRAWS} draws, got {x.shape}; put the draws on the last axis."
-        )
-    return x
-
-
 def _classic_rhat(x: Array) -> Array:
     """Gelman and Rubin's R-hat of ``(..., chain, draw)``."""
     n = x.shape[-1]
@@ -251,26 +183,6 @@ def _classic_rhat(x: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.sqrt((between / within + n - 1) / n)
     return result
-
-
-def _geyer_time(rho: Array) -> Array:
-    """Geyer's initial monotone sequence estimate of the integrated time, as Stan and ArviZ do it.
-
-    Sums of neighbouring autocorrelations are positive and fall with the lag in any reversible
-    chain: add them while they are positive, none larger than the one before, then the first
-    even term beyond.
-    """
-    n = rho.shape[-1]
-    last = max((n + 1) // 2 - 2, 0)  # the last pair that ArviZ's loop reads
-    pairs = rho[..., 0 : 2 * last + 1 : 2] + rho[..., 1 : 2 * last + 2 : 2]
-    spent = pairs <= 0
-    spent[..., -1] = True
-    stop = spent.argmax(axis=-1)
-    before = np.arange(pairs.shape[-1]) < stop[..., None]
-    total = np.where(before, np.minimum.accumulate(pairs, axis=-1), 0.0).sum(axis=-1)
-    beyond = np.take_along_axis(rho, 2 * stop[..., None], axis=-1)[..., 0]
-    kept = (beyond > 0) | (np.take_along_axis(pairs, stop[..., None], axis=-1)[..., 0] >= 0)
-    return np.asarray(-1.0 + 2.0 * total + np.where(kept, beyond, 0.0))
 
 
 @lru_cache(maxsize=32)

@@ -29,9 +29,6 @@ from weberwhisk.posterior.run import Run
 Seed = int | np.random.SeedSequence | np.random.Generator
 MoveMaker = Callable[[int, np.random.Generator], StackedMove]
 
-FEWEST_ENSEMBLES, FEWEST_STEPS = 4, 64
-FIRST_CHECK, GROWTH = 96, (1.2, 1.5)  # steps before the first judgement; growth to the next
-
 
 @dataclass(frozen=True)
 class StackedSample:
@@ -195,16 +192,14 @@ def sample_stacked(
         raise ValueError(f"precision must lie between 0 and 1, got {precision}; 0.02 is usual.")
     posteriors, _, walkers, dim = places.shape
     most = np.broadcast_to(max_steps, posteriors)
-    if most.min() < FEWEST_STEPS:
-        raise ValueError(
-            f"max_steps must be at least {FEWEST_STEPS}, got {most.min()}; 20000 is usual."
-        )
+    if most.min() < 64:
+        raise ValueError(f"max_steps must be at least 64, got {most.min()}; 20000 is usual.")
     rng = np.random.default_rng(seed)
     chosen = [(make(walkers, rng), weight) for make, weight in moves or default_moves(dim)]
     run = Run(log_density, places, chosen, rng, functions, indexed, max(keep // walkers, 8))
     fields: dict[str, NDArray] = {}
     done = np.zeros(posteriors, dtype=bool)
-    check = max(FIRST_CHECK, 2 * run.selected)
+    check = max(96, 2 * run.selected)
     while not done.all():
         waiting = ~done[run.alive]
         run.advance(min(check, most[run.alive[waiting]].min()))
@@ -222,7 +217,7 @@ def sample_stacked(
         if waiting.any():
             # As soon as a quarter of them may be ready: judging is not free, nor is waiting.
             soon = np.quantile(np.nan_to_num(needed[waiting], nan=np.inf), 0.25, method="lower")
-            check = int(np.clip(soon, *np.multiply(GROWTH, run.steps)))
+            check = int(np.clip(soon, 1.2 * run.steps, 1.5 * run.steps))
         if indexed and fresh.any():
             run.leave(~fresh)
     return StackedSample(**fields)
@@ -237,9 +232,9 @@ def _checked_start(start: ArrayLike) -> Array:
             "E ensembles of each of B posteriors."
         )
     _, ensembles, walkers, dim = places.shape
-    if ensembles < FEWEST_ENSEMBLES:
+    if ensembles < 4:
         raise ValueError(
-            f"start must hold at least {FEWEST_ENSEMBLES} independent ensembles, got {ensembles}; "
+            f"start must hold at least 4 independent ensembles, got {ensembles}; "
             "convergence is judged by how far they agree."
         )
     if walkers % 2 or walkers < 2 * dim + 2:

@@ -13,14 +13,6 @@ from weberwhisk.posterior import diagnostics
 from weberwhisk.posterior.densities import checked_density
 from weberwhisk.posterior.moves import Array, StackedMove
 
-RHAT_LIMIT = 1.01  # Vehtari et al. (2021)
-TIMES = 160.0  # autocorrelation times in all ensembles together; emcee advises 50 for one
-LEAST_ACCEPTANCE = 0.05
-HEAVY = 4.0  # kurtosis above which the precision asked for is tightened by √2
-FAR = 1e4  # sds from where squares are summed about, above which digits are lost
-DRIFT = 3.0  # standard errors between early and late steps that still count as burnt in
-PIECE, STORED = 32, 1024  # steps in one call of emcee; steps on record before they are halved
-
 
 class Shortfall(IntFlag):
     """Why a posterior's sample is not to be relied on; 0 is converged, reasons add up."""
@@ -109,13 +101,16 @@ class Run:
             )
         return extra.reshape(b, n, e, w, extra.shape[-1]).swapaxes(0, 1)
 
-    def advance(self, steps: int) -> None:
-        """Run emcee until at least `steps` have been made in all."""
+    def advance(self, steps: int, *, piece: int = 32, stored: int = 1024) -> None:
+        """Run emcee until at least `steps` have been made in all.
+
+        In pieces of so many steps; when so many are on record they are halved.
+        """
         self.moved[:] = 0
         self.checked = self.steps
         coords, series = [self.coords], [self.series]
         while self.steps < steps:
-            length = max(PIECE, self.batch)
+            length = max(piece, self.batch)
             sampler = emcee.EnsembleSampler(
                 *self.state.coords.shape, self.density, moves=self.moves, vectorize=True
             )
@@ -126,7 +121,7 @@ class Run:
             chain = sampler.get_chain().reshape(length, *self.moved.shape, -1)
             coords.append(chain[self.batch - 1 :: self.batch])
             series.append(self.summed(chain))
-            if sum(map(len, coords)) >= max(STORED, 4 * self.selected):
+            if sum(map(len, coords)) >= max(stored, 4 * self.selected):
                 coords = [np.concatenate(coords)[1::2]]
                 series = [_batched(np.concatenate(series, axis=-1), 2)]
                 self.batch *= 2
@@ -153,11 +148,22 @@ class Run:
             state.coords[rows], log_prob=state.log_prob[rows], random_state=state.random_state
         )
 
-    def judge(self, precision: float, *, every: bool) -> dict[str, NDArray]:
+    def judge(
+        self,
+        precision: float,
+        *,
+        every: bool,
+        rhat_limit: float = 1.01,
+        times: float = 160.0,
+        least_acceptance: float = 0.05,
+        heavy: float = 4.0,
+    ) -> dict[str, NDArray]:
         """Every field of `StackedSample` for the posteriors still running.
 
-        What takes the draws (kurtosis, R-hat) is worked out where nothing else is wrong, or for
-        `every` posterior.
+        R-hat is held to Vehtari et al. (2021); a run to so many autocorrelation times in all
+        ensembles together (emcee advises 50 for one); where the kurtosis is `heavy` the precision
+        asked for is tightened by √2. What takes the draws (kurtosis, R-hat) is worked out where
+        nothing else is wrong, or for `every` posterior.
         """
         self.recentre()
         burn = self.burn_in()
@@ -168,12 +174,12 @@ class Run:
         out["acceptance"] = self.moved.mean(axis=(1, 2)) / (self.steps - self.checked)
         out["steps"] = np.full(len(burn), self.steps)
         out["burn_in"] = burn * self.batch
-        times = TIMES / self.shape[0]
+        times /= self.shape[0]
         fault = np.zeros(len(burn), dtype=np.int64)
         fault |= Shortfall.SHORT * ~(self.steps >= times * out["tau"]).all(axis=1)
         fault |= Shortfall.IMPRECISE * ~(_excess(out, precision) <= 1).all(axis=1)
         fault |= Shortfall.STUCK * (self.moved == 0).any(axis=(1, 2))
-        fault |= Shortfall.ACCEPTANCE * (out["acceptance"] < LEAST_ACCEPTANCE)
+        fault |= Shortfall.ACCEPTANCE * (out["acceptance"] < least_acceptance)
         # The steps at which these two would be met, if nothing but their number changed.
         short = np.maximum(times * out["tau"], self.steps * _excess(out, precision) ** 2)
         out["needed"] = short.max(axis=1)
@@ -182,22 +188,22 @@ class Run:
         tight, rhat = np.full(out["mean"].shape, precision), np.full(out["mean"].shape, np.nan)
         if asked.size:
             rhat[asked] = diagnostics.rhat(np.moveaxis(values, -1, 1))
-            tight[asked] = precision * np.where(_kurtosis(values) > HEAVY, np.sqrt(0.5), 1.0)
-        fault[asked] |= Shortfall.RHAT * ~(rhat[asked] < RHAT_LIMIT).all(axis=1)
+            tight[asked] = precision * np.where(_kurtosis(values) > heavy, np.sqrt(0.5), 1.0)
+        fault[asked] |= Shortfall.RHAT * ~(rhat[asked] < rhat_limit).all(axis=1)
         fault |= Shortfall.IMPRECISE * ~(_excess(out, tight) <= 1).all(axis=1)
         kept = np.full((len(burn), *values.shape[1:]), np.nan)
         kept[asked] = values
         return out | {"shortfall": fault, "rhat": rhat, "values": kept}
 
     def recentre(self) -> None:
-        """Sum about the draws themselves where walkers started thousands of sds away.
+        """Sum about the draws themselves where walkers started 10 000 sds away: digits are lost.
 
         The steps on record stand for all of them, where these are averaged in batches.
         """
         late = self.series[..., self.series.shape[-1] // 2 :]
         first, second = late.mean(axis=(-2, -1))
         least = np.maximum(second - first**2, (np.finfo(float).eps * self.origin) ** 2)
-        rows = np.flatnonzero((first**2 > FAR**2 * least).any(axis=1))
+        rows = np.flatnonzero((first**2 > 1e8 * least).any(axis=1))
         if rows.size:
             self.origin[rows] += first[rows]
             values = self.columns(self.coords[:, rows]) - self.origin[rows, None, None]
@@ -205,7 +211,7 @@ class Run:
             self.series[:, rows] = np.stack(both).transpose(0, 2, 4, 3, 1)
 
     def burn_in(self) -> NDArray[np.intp]:
-        """The shortest of n/8, n/4 and n/2 batches after which no drift is left."""
+        """The shortest of n/8, n/4 and n/2 batches after which no drift of 3 errors is left."""
         n = self.series.shape[-1]
         late = self.series[..., n // 2 :]
         pieces = _batched(late, late.shape[-1] // 8)
@@ -216,7 +222,7 @@ class Run:
             early = self.series[..., cut : cut + (n - cut) // 4]
             gap = early.mean(axis=(-2, -1)) - late.mean(axis=(-2, -1))
             share = 1.0 + late.shape[-1] / early.shape[-1]
-            settled &= (gap**2 <= DRIFT**2 * noise * share).all(axis=(0, 2))
+            settled &= (gap**2 <= 9.0 * noise * share).all(axis=(0, 2))
             burn[settled] = cut
         return burn
 

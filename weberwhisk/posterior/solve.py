@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 from warnings import warn
@@ -22,7 +22,7 @@ from .solution import Array, Solution, of_nothing
 #: Each method's module and function; imported when first asked for, as emcee is heavy.
 _METHODS = {
     "quadrature": ("quadrature", "quadrature"),
-    "emcee": ("walkers", "sample"),
+    "emcee": ("emcee", "sample"),
     "laplace": ("laplace", "laplace"),
 }
 
@@ -45,6 +45,7 @@ def posterior(
     *,
     seed: Seed = None,
     tolerance: float | None = None,
+    moves: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Posterior:
     """The posterior of a contact given readings of its signals.
@@ -64,6 +65,11 @@ def posterior(
     tolerance : float, optional
         Error of mean and sd asked for, over the sd. Default 1e-6 (quadrature in one dimension),
         1e-2 (in two; 1e-4 at some five times the cost), 2 % and 3 % (emcee).
+    moves : {"independent", "grid"}, optional
+        Of emcee. The default owes nothing to quadrature, which it can so check: differential
+        evolution and stretches inside each ensemble, and draws from a mixture of Student's t that
+        starts from a scatter of the prior with the Fisher information, and learns from draws.
+        ``"grid"`` lets the mixture learn from quadrature's draws instead: quicker to converge.
     progress : callable, optional
         Called with (posteriors done, posteriors in all).
 
@@ -95,6 +101,10 @@ def posterior(
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])
     solve = getattr(import_module(f".{module}", __package__), function)
+    if moves is not None:
+        if method != "emcee":
+            raise ValueError(f'moves are of emcee, got {moves!r}; write method="emcee".')
+        solve = partial(solve, moves=moves)
     _keep_memory()
 
     def solved(observer: Observer, rows: Array) -> Solution:

@@ -1,0 +1,83 @@
+"""emcee where it is known to fail in silence: several peaks, ridges, shelves, bent tails."""
+
+import numpy as np
+import pytest
+from cue_checks import brute_force
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk.cues import Compliance, ForceMap, Fused, Vibration
+from weberwhisk.posterior import Status
+from weberwhisk.receptors import Weber
+
+W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+CYLINDER = W.cylinder()
+#: Two modes of a vibration leave two distances; a poor map does not tell which.
+TWO = Fused(Vibration(2), ForceMap())
+
+
+class TwoPlaces:
+    """A prior of two narrow places, 100 sds apart."""
+
+    parts = ((0.3, stats.norm(10e-3, 0.3e-3)), (0.7, stats.norm(40e-3, 0.3e-3)))
+
+    def support(self):
+        return 0.0, 50e-3
+
+    def pdf(self, r):
+        return sum(share * part.pdf(r) for share, part in self.parts)
+
+    def logpdf(self, r):
+        with np.errstate(divide="ignore"):
+            return np.log(self.pdf(r))
+
+
+#: Observer, contacts of which readings are taken.
+CASES = {
+    "two places": (
+        ww.Observer(W, Compliance(), Weber(0.9), {"radial_distance": TwoPlaces()}),
+        [[15e-3]] * 4,
+    ),
+    "two distances": (ww.Observer(W, TWO, TWO.joint(Weber(0.1), Weber(1.5))), [[20e-3, 0.2]] * 4),
+    "shelf": (ww.Observer(W, Compliance(), Weber(0.3)), [[47.5e-3]] * 4),
+    "ridge": (ww.Observer(CYLINDER, ForceMap(), Weber(0.1)), [[25e-3, 0.4]] * 3),
+    "bent tail": (ww.Observer(W, ForceMap(), Weber(0.1)), [[4e-3, 0.7], [5e-3, 0.85]]),
+    "near the fold": (ww.Observer(W, ForceMap(), Weber(0.1)), [[35e-3, 0.42]] * 3),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_wrong_sd_is_called_converged(case):
+    observer, contact = CASES[case]
+    readings = observer.read(np.array(contact), seed=1)
+    p = ww.posterior(observer, readings, "emcee", seed=2)
+    points = 200_000 if len(observer.unknowns) == 1 else 250_000
+    exact = np.array([brute_force(observer, y, points=points) for y in readings])
+    off = np.maximum(np.abs(p.mean - exact[:, 0]) / exact[:, 1], np.abs(p.sd / exact[:, 1] - 1))
+    # Outside the domain (k above 0.6) converged posteriors say that instead.
+    said = [Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN]
+    reliable = np.isin(p.status, said)
+    assert reliable.any()
+    assert np.all(off[reliable] < 0.1)
+    assert (p.status == Status.UNIDENTIFIED).all() == (case == "ridge")
+
+
+@pytest.mark.parametrize("cue", [Compliance(), ForceMap()], ids=repr)
+def test_proposals_from_the_grid_are_an_option(cue):
+    observer = ww.Observer(W, cue)
+    contact = [30e-3, 0.2][: len(observer.unknowns)]
+    readings = observer.read(np.array([contact] * 3), seed=1)
+    own, grid = (
+        ww.posterior(observer, readings, "emcee", seed=2, moves=m) for m in ("independent", "grid")
+    )
+    exact = ww.posterior(observer, readings)
+    for p in (own, grid):
+        assert np.all(p.status == Status.CONVERGED)
+        assert np.all(np.abs(p.mean - exact.mean) < 5 * p.mean_error)
+    assert np.all(own.mean != grid.mean)
+    for moves, method, words in (
+        ("grid", "quadrature", "moves are of emcee"),
+        ("snooker", "emcee", "moves 'snooker' is unknown"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            ww.posterior(observer, readings, method, moves=moves)
