@@ -50,6 +50,21 @@ DATASETS: dict[str, dict[str, Any]] = {
             "task": "2AFC",
         },
     },
+    "weights_both_orders": {
+        "title": "Lifted weights: the standard comes first in half of the trials, and the second "
+        "weight is preferred",
+        "unit": "gram",
+        "seed": 20110176,
+        "truth": {
+            "weber_fraction": 0.12,
+            "lapse_low": 0.02,
+            "lapse_high": 0.02,
+            "bias": 0.4,
+            "standards": [50.0, 100.0],
+            "trials_per_level": 40,
+            "order": "random",
+        },
+    },
     "weights_percent_correct": {
         "title": "The odd one of three, scored right or wrong",
         "unit": "gram",
