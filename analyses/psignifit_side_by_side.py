@@ -73,6 +73,16 @@ def data(kind: str, name: str, sets: int) -> tuple[animals.Design, Array, Array]
     return design, count, truth[0]
 
 
+def bracketed(kind: str, name: str, sets: int) -> NDArray[np.bool_]:
+    """Whether the animal's own answers, lapses and bias included, cross 25 and 75 %, (sets,)."""
+    if kind == "cell":
+        return np.ones(sets, dtype=bool)
+    design, _, (k, low, high, bias) = animals.population(KINDS[kind], int(name), sets)
+    rise = norm.cdf(design.drive / k[:, None] + bias[:, None])
+    p = low[:, None] + (1 - low - high)[:, None] * rise
+    return (p.min(axis=1) < 0.25) & (p.max(axis=1) > 0.75)
+
+
 def make(path: Path, cells: int, each: int) -> None:
     """What the table of psignifit's answers lacks."""
     kept = (
@@ -100,6 +110,7 @@ def side_by_side(kept: pd.DataFrame, kind: str, names: list[str]) -> dict[str, A
     """Errors of both on the sets that psignifit has answered."""
     both: dict[str, list[Array]] = {"psignifit": [], "weberwhisk": []}
     truth: list[Array] = []
+    inside: list[NDArray[np.bool_]] = []
     times: dict[str, list[float]] = {"psignifit": [], "weberwhisk": []}
     for name in names:
         own = kept[(kept["kind"] == kind) & (kept["name"] == name)].sort_values("set")
@@ -108,6 +119,7 @@ def side_by_side(kept: pd.DataFrame, kind: str, names: list[str]) -> dict[str, A
         at = own["set"].to_numpy()
         design, count, k = data(kind, name, int(at.max()) + 1)
         truth.append(k[at])
+        inside.append(bracketed(kind, name, int(at.max()) + 1)[at])
         both["psignifit"].append(own[["k", "lower", "upper"]].to_numpy(float))
         times["psignifit"] += own["seconds"].tolist()
         start = time.process_time()
@@ -115,20 +127,21 @@ def side_by_side(kept: pd.DataFrame, kind: str, names: list[str]) -> dict[str, A
         times["weberwhisk"].append((time.process_time() - start) / at.size)
     k = np.concatenate(truth)
     return {
-        "sets": k.size,
+        "bracketed": np.concatenate(inside),
         **{tool: np.concatenate(rows) / k[:, None] for tool, rows in both.items()},
         "seconds": {tool: float(np.mean(t)) for tool, t in times.items()},
     }
 
 
-def lines_of(title: str, found: dict[str, Any]) -> list[str]:
-    """Two rows of the table; the bias is that of the median."""
+def lines_of(title: str, found: dict[str, Any], bracketed: bool | None = None) -> list[str]:
+    """Two rows of the table, of some sets or all; the bias is that of the median."""
     out = []
     for tool in ("weberwhisk", "psignifit"):
-        relative = found[tool]
+        which = slice(None) if bracketed is None else found["bracketed"] == bracketed
+        relative = found[tool][which]
         inside = (relative[:, 1] < 1) & (relative[:, 2] > 1)
         out.append(
-            f"| {title} | {tool} | {found['sets']} | "
+            f"| {title} | {tool} | {len(relative)} | "
             f"{100 * np.sqrt(np.mean((relative[:, 0] - 1) ** 2)):.1f} | "
             f"{np.sqrt(np.mean(np.log(relative[:, 0]) ** 2)):.3f} | "
             f"{100 * (np.median(relative[:, 0]) - 1):+.1f} | {100 * inside.mean():.1f} | "
@@ -151,14 +164,16 @@ def report(kept: pd.DataFrame) -> str:
         above += [name] if ours > theirs else []
     for kind, part in KINDS.items():
         found = side_by_side(kept, kind, [str(n) for n in range(8)])
-        lines += lines_of(f"animals and designs, {part}", found)
+        for words, which in (("levels bracket 25 and 75 %", True), ("they do not", False)):
+            lines += lines_of(f"animals and designs, {part}: {words}", found, which)
     return TEXT.format(table="\n".join(lines), above="; ".join(above) or "none")
 
 
 TEXT = """# The same data fitted by weberwhisk and by psignifit
 
 Made by `psignifit_side_by_side.py`, psignifit 4.3 at its defaults with equal asymptotes; the cells
-are single animals, the last rows the population of `lapse_prior.py`. Lapses are 0.02 at each end
+are single animals, the last rows the population of `lapse_prior.py`, those apart whose answers
+(lapses and bias included) do not cross 25 and 75 % at the levels shown. Lapses are 0.02 at each end
 where nothing else is said. Both tools had the same answers.
 
 {table}

@@ -43,7 +43,7 @@ def test_what_was_chosen_is_the_default() -> None:
 
 @pytest.mark.parametrize("name", ["k 0.1, 297 trials to ±0.30", "k 0.2, 297 trials to ±0.30"])
 def test_the_plain_grid_gives_what_the_fit_gives(name: str) -> None:
-    design, count, _ = script.cell(name, 12)
+    design, count, _ = script.cell(name, 6)
     fits = np.array([beside.our_answer(design, row)[0] for row in count])
     # Nodes of 0.12 in ln k, and sixteen for each lapse.
     np.testing.assert_allclose(by_grid(design, count), fits, rtol=0.03)
@@ -84,6 +84,23 @@ def test_over_animals_and_designs_the_default_loses_less_than_the_one_before(par
     assert now < 0.3
 
 
+@pytest.mark.parametrize("kind", beside.KINDS)
+def test_no_further_than_psignifit_over_animals_whose_thresholds_are_bracketed(
+    kind: str, psignifit: pd.DataFrame
+) -> None:
+    ours, theirs = [], []
+    for number in range(8):
+        own = psignifit[(psignifit["kind"] == kind) & (psignifit["name"] == str(number))]
+        at = own["set"].to_numpy()
+        design, count, k = beside.data(kind, str(number), 400)
+        inside = beside.bracketed(kind, str(number), 400)[at]
+        at = at[inside]
+        ours.append(np.log(by_grid(design, count[at]) / k[at]))
+        theirs.append(np.log(own["k"].to_numpy()[inside] / k[at]))
+    loss = [np.sqrt(np.mean(np.concatenate(errors) ** 2)) for errors in (ours, theirs)]
+    assert loss[0] <= loss[1]
+
+
 @pytest.mark.slow
 def test_the_same_by_the_fit_itself_in_full(psignifit: pd.DataFrame) -> None:
     for name in CELLS:
@@ -92,7 +109,7 @@ def test_the_same_by_the_fit_itself_in_full(psignifit: pd.DataFrame) -> None:
         assert ours <= theirs, name
     for kind in beside.KINDS:
         found = beside.side_by_side(psignifit, kind, [str(n) for n in range(8)])
-        log = {
-            t: np.sqrt(np.mean(np.log(found[t][:, 0]) ** 2)) for t in ("weberwhisk", "psignifit")
-        }
+        tools = ("weberwhisk", "psignifit")
+        inside = found["bracketed"]
+        log = {t: np.sqrt(np.mean(np.log(found[t][inside, 0]) ** 2)) for t in tools}
         assert log["weberwhisk"] <= log["psignifit"]

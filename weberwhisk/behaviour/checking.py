@@ -16,8 +16,6 @@ from .. import _checks
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-TOO_NEAR = 0.002  # of the whisker's length: if nothing is felt beyond, the unit is not metres
-
 
 def rows_in_words(rows: ArrayLike) -> str:
     """Rows in words, the first below the header being 1.
@@ -94,7 +92,8 @@ class TableCheck:
                     f"radial distance {values[off][0]:g} m is beyond the whisker's length of "
                     f"{whisker.length:g} m; write distances in metres.",
                 )
-            elif np.nanmax(values, initial=0.0) < TOO_NEAR * whisker.length and not low.any():
+            # Nothing beyond 0.2 % of the length: the unit is not metres.
+            elif np.nanmax(values, initial=0.0) < 0.002 * whisker.length and not low.any():
                 self.add(
                     column,
                     np.isfinite(values),

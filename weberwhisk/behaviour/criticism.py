@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-REPEATS = 1000  # draws that a check is averaged over
-FEWER = 250  # the same, where every trial is looked at
-#: Draws times rows that are in memory together.
-NUMBERS_AT_ONCE = 2_000_000
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
 
@@ -47,7 +43,7 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
         `z`: their difference in binomial standard errors.
     """
     c = model.cells
-    expected = _probability(model, draws.thinned(REPEATS))[0].mean(axis=0)
+    expected = _probability(model, draws.thinned(1000))[0].mean(axis=0)
     labels = {name: getattr(c, name) for name in ("standard", "stimulus_1", "stimulus_2")}
     return pd.DataFrame(labels | _compared(c.n, c.count, c.n * expected, expected * (1 - expected)))
 
@@ -61,7 +57,7 @@ def misfit(model: WeberModel, draws: Draws) -> float:
     c = model.cells
     if not c.n.size:
         return 1.0
-    few = draws.thinned(REPEATS)
+    few = draws.thinned(1000)
     p, q = _probability(model, few)
     again = model.simulate(few, np.random.default_rng(0))
     spread = c.n * p * q
@@ -99,7 +95,7 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         _checks.one_of("column", column, map(str, rows.frame.columns))
-    p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0].mean(axis=0)[rows.cell]
+    p = _probability(fit.model, fit.posterior.draws().thinned(1000))[0].mean(axis=0)[rows.cell]
     table = rows.frame[list(columns)].assign(
         n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
     )
@@ -126,7 +122,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     True
     """
     gathered, cell = _Rows.of(fit).gathered()
-    p = _probability(fit.model, fit.posterior.draws().thinned(REPEATS))[0][:, cell]
+    p = _probability(fit.model, fit.posterior.draws().thinned(1000))[0][:, cell]
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
@@ -168,13 +164,13 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     rows = _Rows.of(fit)
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
-    draws = fit.posterior.draws().thinned(FEWER)
+    draws = fit.posterior.draws().thinned(250)  # every trial is looked at
     by_cell = _probability(fit.model, draws)
     rng = _checks.generator(seed)
     statistics = rows.statistics()
     # (seen, made) of every statistic; few draws at a time where there are many rows.
     values: dict[str, list[tuple[Array, Array]]] = {name: [] for name in statistics}
-    stride = max(NUMBERS_AT_ONCE // rows.n.size, 1)
+    stride = max(2_000_000 // rows.n.size, 1)  # numbers that are in memory together
     for start in range(0, len(by_cell[0]), stride):
         p, q = (side[start : start + stride, rows.cell] for side in by_cell)
         again = rng.binomial(rows.n.astype(np.int64), np.clip(p, 0, 1)).astype(float)

@@ -13,9 +13,6 @@ from .verdict import too_few_kinds
 if TYPE_CHECKING:
     from .result import WeberFit
 
-SENSITIVE = 0.05  # relative change of k under other lapse priors from which on it is told
-MISFIT = 0.01  # posterior-predictive p below which the curve is said to miss the data
-
 
 def report(fit: WeberFit) -> str:
     """The report of a fit, a paragraph a question."""
@@ -61,14 +58,15 @@ def _answer(fit: WeberFit) -> str:
     return "\n".join(lines)
 
 
-def _limits(fit: WeberFit) -> str:
+def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
+    """What the data cannot say; the curve misses them below that posterior-predictive p."""
     lines = ["What they cannot say.", *fit.notes]
     if fit.unit:
         lines.append(
             "The unit of the logarithm is unknown, so the Weber fraction is counted per unit of "
             "the column, in the form that holds for small steps; log_unit= would make it a ratio."
         )
-    if fit.misfit < MISFIT:
+    if fit.misfit < least_p:
         worst = fit.residuals().sort_values("z", key=np.abs).iloc[-1]
         lines.append(
             f"The curve misses the data (posterior-predictive p = {fit.misfit:.2g}), most at "
@@ -76,7 +74,7 @@ def _limits(fit: WeberFit) -> str:
             f"{worst['observed']:.2f} seen, {worst['expected']:.2f} expected. "
             f"The interval above takes the model for granted and is too narrow.{_remedy(fit)}"
         )
-    lines += _failed_checks(fit)
+    lines += _failed_checks(fit, least_p)
     lines += _sensitivity(fit)
     if _poor(fit):
         lines.append(
@@ -88,22 +86,22 @@ def _limits(fit: WeberFit) -> str:
     return "\n".join(lines)
 
 
-def _failed_checks(fit: WeberFit) -> list[str]:
+def _failed_checks(fit: WeberFit, least_p: float) -> list[str]:
     """What the data have too much of, but for the misfit, which has its own sentence."""
     table = criticism.checks(fit).drop(index="levels", errors="ignore")
     return [
         f"The data show what a stationary observer does not ({name}, posterior-predictive "
         f"p = {row['p']:.2g}); try {row['remedy']}."
-        for name, row in table[table["p"] < MISFIT].iterrows()
+        for name, row in table[table["p"] < least_p].iterrows()
     ]
 
 
-def _sensitivity(fit: WeberFit) -> list[str]:
+def _sensitivity(fit: WeberFit, least: float = 0.05) -> list[str]:
     """How far the answer hangs on what is believed about lapses."""
     if not fit.status.ok:
         return []
     change = fit.lapse_sensitivity["change"]
-    if change.abs().max() < SENSITIVE:
+    if change.abs().max() < least:
         return []
     return [
         "What is believed about lapses moves the Weber fraction: by "

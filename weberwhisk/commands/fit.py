@@ -45,6 +45,7 @@ AS_OPTIONS = (
     (r"choice_labels value", "the stimulus of --label"),
     (r"choice_labels", "--label"),
     (r"scale='log'", "--scale log"),
+    (r"log_unit= would", "--log-unit would"),
     (r"log_unit=", "--log-unit "),
     (r"""bias=["']per standard["']""", "--bias 'per standard'"),
     (r"bias='(\w+)'", r"--bias \1"),
