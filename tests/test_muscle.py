@@ -125,8 +125,8 @@ def test_balance_is_the_root_that_scipy_finds(curve):
 @pytest.mark.parametrize("curve", MuscleCurve)
 def test_every_outcome_of_figure_3c_by_plain_sampling(curve):
     """Below the dashed line the whisker flicks past; above it the range of whisking ends."""
-    share = np.append(np.linspace(0.3, 0.96, 23), [0.99, 1.01])
-    impact = np.radians(np.linspace(30, 150, 31))[:, None]
+    share = np.append(np.linspace(0.3, 0.96, 15), [0.99, 1.01])
+    impact = np.radians(np.linspace(30, 150, 16))[:, None]
     b = moment_balance(W, share * W.length, impact, curve=curve)
     limit = elastica.flick_past(W, share * W.length)
     flick = np.nan_to_num(limit.deflection_angle)
@@ -157,7 +157,7 @@ def test_every_outcome_of_figure_3c_by_plain_sampling(curve):
     assert all(outcome.message for outcome in Balance)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.7])
+@pytest.mark.parametrize("share", [0.7])
 def test_the_fold_and_the_moment_peak_end_the_two_kinds_of_flick_past(share):
     """Imposed angle: the largest angle of any force. Limited moment: the largest moment."""
     r, most = share * W.length, 700 if share == 0.5 else 200
@@ -167,19 +167,6 @@ def test_the_fold_and_the_moment_peak_end_the_two_kinds_of_flick_past(share):
     assert limit.deflection_angle == pytest.approx(fold, rel=1e-9)
     assert limit.at_moment_peak.normalised_moment == pytest.approx(peak, rel=1e-9)
     assert limit.at_moment_peak.deflection_angle < limit.deflection_angle
-
-
-def test_flick_past_under_a_limited_muscle_is_where_it_can_no_more_be_balanced():
-    """The gain at which a balance first exists, against SciPy's smallest muscle over moment."""
-    r = 0.7 * W.length
-
-    def ratio(force):
-        moment, theta = pressed(r, force)
-        return pull(IMPACT + theta) / 0.625 / moment
-
-    need = extreme(ratio, (20, 110))
-    outcomes = [moment_balance(W, r, IMPACT, gain=need * (1 + d)).outcome for d in (1e-9, -1e-9)]
-    assert outcomes == [Balance.BALANCED, Balance.FLICKED_PAST]
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_a_thin_cylinder_is_a_peg_and_a_thick_one_meets_its_own_geometry():
     thin = sweep(W, cylinder(35e-3, -1e-8, 1e-8), angles).bending.moment
     np.testing.assert_allclose(thin[1:], elastica.press(W, 35e-3, angles[1:]).moment, rtol=1e-5)
     centre, radius = np.array([30e-3, -5e-3]), 5e-3
-    s = sweep(W, cylinder(*centre, radius), np.radians(np.arange(-5, 55, 5)))
+    s = sweep(W, cylinder(*centre, radius), np.radians(np.arange(-5, 60, 10)))
     held = s.bending.held
     out = s.contact[held] - centre
     np.testing.assert_allclose(np.hypot(*out.T), radius, rtol=1e-8)
@@ -71,7 +71,7 @@ def test_a_thin_cylinder_is_a_peg_and_a_thick_one_meets_its_own_geometry():
 
 def test_a_wall_is_met_with_the_tip_then_with_the_flank():
     """Tip first, at acos(h/L) from the normal; then flush, the whisker's end along the wall."""
-    s = sweep(W, wall(0.0, -30e-3, 0.0), np.radians(np.arange(30, 100, 1.0)))
+    s = sweep(W, wall(0.0, -30e-3, 0.0), np.radians(np.arange(30, 100, 4.0)))
     assert s.first_contact == pytest.approx(np.arcsin(30 / 50), abs=1e-9)
     held = s.bending.held
     np.testing.assert_allclose(s.contact[held][:, 1], -30e-3, atol=1e-10)
@@ -91,7 +91,7 @@ def test_a_wall_is_met_with_the_tip_then_with_the_flank():
 def test_a_tilted_wall_is_the_level_one_seen_from_a_turned_frame():
     """Frame-invariance: turning wall and base together changes nothing at the base."""
     turn = np.radians(-20)
-    angles = np.radians(np.arange(40, 80, 10.0))
+    angles = np.radians([40.0, 65.0])
     level = sweep(W, wall(0.0, -30e-3, 0.0), np.r_[0.5, angles])
     foot = 30e-3 * np.array([np.sin(turn), -np.cos(turn)])
     tilted = sweep(W, wall(*foot, turn), np.r_[0.5, angles] - turn)

@@ -18,9 +18,9 @@ angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `receptors
 """
 
 from .events import Events
-from .gaussian import Gaussian, GeneralisedWeber, NearMiss, Saturating, Weber
+from .gaussian import Gaussian, GeneralisedWeber, Saturating, Weber
 from .joint import Joint
-from .log_normal import LogNormal
+from .other_laws import LogNormal, NearMiss
 from .protocol import Array, Component, ReceptorNoise, Seed
 from .spike_count import Afferents, SpikeCount
 

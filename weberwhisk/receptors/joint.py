@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 from typing import Any
 
@@ -80,16 +81,15 @@ class Joint(ReceptorNoise):
 
     def components(self, signals: int) -> tuple[Component, ...]:
         """The models, those of a joint one among them one by one."""
+        return self._components
+
+    @cached_property
+    def _components(self) -> tuple[Component, ...]:
         out, row, column = [], 0, 0
         for noise, size in zip(self.noises, self.sizes, strict=True):
             for own, s, r in noise.components(size):
-                out.append(
-                    Component(
-                        own,
-                        slice(column + s.start, column + s.stop),
-                        slice(row + r.start, row + r.stop),
-                    )
-                )
+                signals = slice(column + s.start, column + s.stop)
+                out.append(Component(own, signals, slice(row + r.start, row + r.stop)))
             row, column = row + noise.reading_size(size), column + size
         return tuple(out)
 
@@ -106,13 +106,15 @@ class Joint(ReceptorNoise):
 
     def weber_fractions(self, signals: int) -> Array:
         """Those of the models, (S,)."""
-        pairs = zip(self.noises, self.sizes, strict=True)
-        return np.concatenate([noise.weber_fractions(size) for noise, size in pairs])
+        every = [
+            c.noise.weber_fractions(c.signals.stop - c.signals.start) for c in self._components
+        ]
+        return np.concatenate(every)
 
     def floors(self, signals: int) -> Array:
         """Those of the models, (S,)."""
-        pairs = zip(self.noises, self.sizes, strict=True)
-        return np.concatenate([noise.floors(size) for noise, size in pairs])
+        every = [c.noise.floors(c.signals.stop - c.signals.start) for c in self._components]
+        return np.concatenate(every)
 
     def with_weber_fraction(self, weber_fraction: ArrayLike) -> Joint:
         """The same models with another Weber fraction, one or one for each signal."""
@@ -137,55 +139,47 @@ class Joint(ReceptorNoise):
         place, step = (np.concatenate(side, axis=-1) for side in zip(*both, strict=True))
         return place, step
 
-    def _signals(self, signals: ArrayLike) -> list[Array]:
-        """The signals of each model, (..., S_i)."""
+    def parts(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
+        """Each component with its own signals, (..., S_i)."""
         array = np.asarray(signals, dtype=float)
         if array.shape[-1] != sum(self.sizes):
             raise ValueError(
                 f"This noise is of {sum(self.sizes)} signals, got {array.shape[-1]}; "
                 "write sizes that add up to the cue's signals."
             )
-        return np.split(array, np.cumsum(self.sizes)[:-1], axis=-1)
+        return [(c.noise, array[..., c.signals]) for c in self._components]
 
-    def parts(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
-        """Each model with its own signals, (..., S_i)."""
-        return list(zip(self.noises, self._signals(signals), strict=True))
-
-    def _readings(self, reading: ArrayLike) -> list[Array]:
-        """The readings of each model, (..., R_i)."""
-        counts = [n.reading_size(s) for n, s in zip(self.noises, self.sizes, strict=True)]
-        return np.split(np.asarray(reading, dtype=float), np.cumsum(counts)[:-1], axis=-1)
-
-    def each(
-        self, function: Callable[[ReceptorNoise, Array], Array], signals: ArrayLike
-    ) -> list[Array]:
-        """A function of every model and its signals."""
-        return [function(noise, part) for noise, part in self.parts(signals)]
+    def apart(
+        self, reading: ArrayLike, signals: ArrayLike
+    ) -> list[tuple[ReceptorNoise, Array, Array]]:
+        """Each component with its own readings, (..., R_i), and signals, (..., S_i)."""
+        array = np.asarray(reading, dtype=float)
+        own = [array[..., c.readings] for c in self._components]
+        return [(n, y, s) for y, (n, s) in zip(own, self.parts(signals), strict=True)]
 
     def reading_size(self, signals: int) -> int:
         """The readings of all models."""
-        pairs = zip(self.noises, self.sizes, strict=True)
-        return sum(noise.reading_size(size) for noise, size in pairs)
+        return self._components[-1].readings.stop
 
     def mean(self, signals: ArrayLike) -> Array:
         """Mean of the readings, (..., R)."""
-        return np.concatenate(self.each(lambda n, s: n.mean(s), signals), axis=-1)
+        return np.concatenate([n.mean(s) for n, s in self.parts(signals)], axis=-1)
 
     def sd(self, signals: ArrayLike) -> Array:
         """Standard deviation of each number of a reading, (..., R)."""
-        return np.concatenate(self.each(lambda n, s: n.sd(s), signals), axis=-1)
+        return np.concatenate([n.sd(s) for n, s in self.parts(signals)], axis=-1)
 
     def jacobian(self, signals: ArrayLike) -> Array:
         """d mean/d signal, (..., R, S): one block a model."""
-        return _blocks(self.each(lambda n, s: n.jacobian(s), signals))
+        return _blocks([n.jacobian(s) for n, s in self.parts(signals)])
 
     def covariance(self, signals: ArrayLike) -> Array:
         """Covariance of the readings, (..., R, R): one block a model."""
-        return _blocks(self.each(lambda n, s: n.covariance(s), signals))
+        return _blocks([n.covariance(s) for n, s in self.parts(signals)])
 
     def fisher(self, signals: ArrayLike) -> Array:
         """Fisher information about the signals, (..., S, S): one block a model."""
-        return _blocks(self.each(lambda n, s: n.fisher(s), signals))
+        return _blocks([n.fisher(s) for n, s in self.parts(signals)])
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
         """Readings outside are rarer than those `width` sd from a Gaussian's mean, (..., R)."""
@@ -193,47 +187,30 @@ class Joint(ReceptorNoise):
         low, high = (np.concatenate(side, axis=-1) for side in zip(*ends, strict=True))
         return low, high
 
-    def apart(
-        self, reading: ArrayLike, signals: ArrayLike
-    ) -> list[tuple[ReceptorNoise, Array, Array]]:
-        """Each model with its own readings, (..., R_i), and signals, (..., S_i)."""
-        return list(zip(self.noises, self._readings(reading), self._signals(signals), strict=True))
-
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln p(reading | signals), shape (...): the sum over the models."""
         first, *others = (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals))
-        for value in others:
-            first = first + value
-        return first
+        return sum(others, start=first)
 
     def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
         """`log_likelihood` at a table of signals (P, ..., S): the sum over the models."""
-        parts = [
-            (readings, noise.prepared(signals[..., own]))
-            for noise, own, readings in self.components(signals.shape[-1])
-        ]
+        parts = [(c.readings, c.noise.prepared(signals[..., c.signals])) for c in self._components]
 
         def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
-            values = (part(reading[:, columns], index) for columns, part in parts)
-            total = next(values)
-            for value in values:
-                total += value
-            return total
+            first, *others = (part(reading[:, columns], index) for columns, part in parts)
+            return sum(others, start=first)
 
         return log_likelihood
 
     def log_likelihoods(self, reading: Array, signals: Array) -> Array:
         """`log_likelihood` of readings (B, R) at signals (N, S), (B, N): summed over models."""
-        values = (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals))
-        total = next(values)
-        for value in values:
-            total += value
-        return total
+        first, *others = (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals))
+        return sum(others, start=first)
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., R)."""
         rng = np.random.default_rng(seed)
-        return np.concatenate(self.each(lambda n, s: n.sample(s, rng), signals), axis=-1)
+        return np.concatenate([n.sample(s, rng) for n, s in self.parts(signals)], axis=-1)
 
 
 def _blocks(matrices: list[Array]) -> Array:

@@ -1,4 +1,4 @@
-"""Log-normal receptor noise: Weber's law with a spread that never crosses zero."""
+"""Two laws beside Weber's own: log-normal readings, and the near-miss."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import positive
+from .._checks import number, positive
 from .gaussian import Gaussian, checked_correlation
 from .protocol import Array, ReceptorNoise, Seed
 
@@ -164,3 +164,67 @@ class LogNormal(ReceptorNoise):
         """Mean of the logs, (..., S)."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.abs(signals)) - 0.5 * self.sigma**2)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NearMiss(Gaussian):
+    """The near-miss to Weber's law: sd = k·I₀·(|I|/I₀)ᵐ.
+
+    McGill & Goldberg (1968), Perception & Psychophysics 4, 105: for the intensity (energy) of
+    tones the logarithm of the JND grows by 9/10 of that of the intensity, so that the Weber
+    fraction falls slowly. No exponent is known for whiskers. m = 1 is Weber's law, m = 0 would be
+    constant noise.
+
+    Parameters
+    ----------
+    weber_fraction : float or sequence of float
+        k, the Weber fraction at the reference; one for all signals or one each.
+    exponent : float
+        m. If m belongs to an energy, that of its amplitude is 2m − 1.
+    reference : float or sequence of float
+        I₀, in the unit of each signal.
+    correlation : float
+        Correlation between signals, −1 to 1.
+
+    Raises
+    ------
+    ValueError
+        For a Weber fraction, exponent or reference that is not positive, a correlation outside
+        −1 … 1.
+
+    Examples
+    --------
+    >>> noise = NearMiss(0.1, exponent=0.9, reference=1e-6)
+    >>> noise.weber_fraction_at([1e-6, 1e-5]).round(4)
+    array([0.1   , 0.0794])
+    """
+
+    weber_fraction: Any = 0.1
+    _: KW_ONLY
+    exponent: float = 0.9
+    reference: Any
+    correlation: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("exponent", self.exponent, "write 1 for Weber's law")
+        self._set(
+            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
+            exponent=number("exponent", self.exponent, "write 1 for Weber's law"),
+            reference=positive("reference", self.reference, "write it in the signal's unit"),
+            correlation=checked_correlation(self.correlation),
+        )
+
+    def weber_fraction_at(self, signals: ArrayLike) -> Array:
+        """sd/|signal|, (..., S)."""
+        ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.weber_fraction * ratio ** (self.exponent - 1))
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """k·I₀·(|I|/I₀)ᵐ, (..., S)."""
+        ratio = np.abs(np.asarray(signals, dtype=float)) / self.reference
+        return np.asarray(self.weber_fraction * self.reference * ratio**self.exponent)
+
+    def slopes(self, signals: Array) -> tuple[Array, Array]:
+        slope = self.exponent * self.weber_fraction_at(signals) * np.sign(signals)
+        return np.ones_like(signals), slope
