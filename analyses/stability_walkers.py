@@ -55,7 +55,7 @@ def changed(start: Array | None, width: float, *, plain: bool) -> Iterator[None]
         if start is not None:
             emcee._start = ball
         if plain:
-            emcee._moves = lambda mixture, dim: default_moves(dim)
+            emcee._moves = lambda mixture, dim, share: default_moves(dim)
             emcee.MOST_STEPS, emcee.STAGES = PLAIN_STEPS, ()
         yield
     finally:

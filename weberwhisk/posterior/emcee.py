@@ -91,7 +91,7 @@ def sample(
                 density,
                 _start(density, mixture, mode[todo], rng),
                 seed=rng,
-                moves=_moves(mixture, dim),
+                moves=_moves(mixture, dim, 9.0 if moves == "grid" else 1.0),
                 functions=lambda x: observer.contact(x)[0],
                 precision=precision,
                 # Twice as many draws as it takes when they are independent.
@@ -148,10 +148,14 @@ def _solution(
     return Solution(estimates, status.astype(np.int8), evidence, quantile_of, draws_of)
 
 
-def _moves(mixture: Mixture, dim: int) -> list[tuple[MoveMaker, float]]:
-    """Half of the steps are local: they find what the mixture misses, and it learns of it."""
+def _moves(mixture: Mixture, dim: int, share: float) -> list[tuple[MoveMaker, float]]:
+    """Draws from a mixture, so many times as often as local steps.
+
+    Half of the steps are local where it starts from the prior: they find what it misses, and it
+    learns of that. With six draws to a step three sds of 128 were 10 to 16 % off unsaid.
+    """
     local = default_moves(dim)
-    return [(partial(StackedMixture, *mixture), sum(share for _, share in local)), *local]
+    return [(partial(StackedMixture, *mixture), share * sum(s for _, s in local)), *local]
 
 
 def fisher_mixture(
