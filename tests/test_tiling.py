@@ -145,6 +145,7 @@ def test_quantiles_are_those_of_a_table_of_contacts(k, unknown):
     p = ww.posterior(observer, readings)
     probability = np.array([0.025, 0.5, 0.975])
     found = p.quantile(probability, of=unknown)
+    claimed = p.quantile_error(probability, of=unknown)
     axis = observer.unknowns.index(unknown)
     for i, reading in enumerate(readings):
         weight, contact = table(observer, reading, 1000)
@@ -158,6 +159,7 @@ def test_quantiles_are_those_of_a_table_of_contacts(k, unknown):
         width = p.estimates[unknown].sd[i]
         # The table's own steps are of some 0.01 sd.
         np.testing.assert_allclose(found[i], exact, rtol=0, atol=0.01 * width)
+        assert np.all(claimed[i] < 0.01 * width)
 
 
 def test_draws_have_the_posteriors_moments():

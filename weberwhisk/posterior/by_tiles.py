@@ -230,10 +230,23 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     status[~known] = Status.IMPRECISE
 
     def quantile_of(p: Array, unknown: int) -> Array:
-        out = np.full((count, len(p)), np.nan)
+        return both(p, unknown)[0]
+
+    def quantile_error_of(p: Array, unknown: int) -> Array:
+        return both(p, unknown)[1]
+
+    def both(p: Array, unknown: int) -> tuple[Array, Array]:
+        """Quantiles (B, Q) and their errors: of reading them off, and of the tiles' sums.
+
+        A share of the mass as large as the error of the mean may lie on the wrong side: the
+        quantile moves by that over the density, which in the tails is as p(1 − p) of 1/sd, about.
+        """
+        value, off = np.full((2, count, len(p)), np.nan)
         for part in found:
-            out[part.rows], _ = quantiles(part.tiled, reading[part.rows], p, unknown)
-        return out
+            rows = part.rows
+            value[rows], off[rows] = quantiles(part.tiled, reading[rows], p, unknown)
+        tails = error[:, unknown, None] * sd[:, unknown, None] / (4 * p * (1 - p))
+        return value, off + tails
 
     def draws_of(number: int, seed: Seed) -> Array:
         rng = np.random.default_rng(seed)
@@ -246,4 +259,11 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         Estimate(mean[:, i], sd[:, i], error[:, i] * sd[:, i], error[:, i] * sd[:, i])
         for i in range(dim)
     ]
-    return Solution(estimates, status.astype(np.int8), log_evidence, quantile_of, draws_of)
+    return Solution(
+        estimates,
+        status.astype(np.int8),
+        log_evidence,
+        quantile_of,
+        draws_of,
+        quantile_error_of,
+    )

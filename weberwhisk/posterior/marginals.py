@@ -18,6 +18,17 @@ _X, _W = legendre.leggauss(ORDER)
 _TO_LEGENDRE = np.linalg.inv(legendre.legvander(_X, ORDER - 1))
 #: Rules for part of a line and, where lines are cut at different places, across them.
 _PART_X, _PART_W = legendre.leggauss(8)
+_PART_BASIS = _PART_X ** np.arange(ORDER)[:, None]
+_TO_POWERS = (
+    np.stack(
+        [
+            np.pad(legendre.leg2poly(row), (0, ORDER - 1 - k))
+            for k, row in enumerate([np.eye(k + 1)[k] for k in range(ORDER)])
+        ],
+        axis=1,
+    )
+    @ _TO_LEGENDRE
+)
 _ACROSS_X, _ACROSS_W = legendre.leggauss(16)
 _TO_ACROSS = legendre.legvander(_ACROSS_X, ORDER - 1) @ _TO_LEGENDRE
 #: ln of a weight, below the highest of its tile, that counts as none.
@@ -38,6 +49,13 @@ class Lines:
         self._boxes, self._contact = tiled.tiles.boxes, tiled.tiles.nodes.contact
         #: Whether lines are cut at different places: the angle, whose axis turns with distance.
         self.sheared = unknown == 1 < tiled.observer.bounded
+        dim = self._boxes.low.shape[1]
+        #: How many lines are cut alike, and coefficients of ln of the weight along them (n, …).
+        self._count = len(_ACROSS_X) if self.sheared else 1
+        self._ready = np.zeros(len(self.row), dtype=bool)
+        across = ORDER ** (dim - 2) * len(_ACROSS_X) if self.sheared else ORDER ** (dim - 1)
+        self._powers = np.empty((len(self.row), across, ORDER))
+        self._scale_of, self._whole = np.empty((2, len(self.row)))
         if self.sheared:
             self._scale = self._scales()
         value = self._contact[self.tile, :, unknown]
@@ -105,45 +123,48 @@ class Lines:
         low, high = self._boxes.low[tile, unknown], self._boxes.high[tile, unknown]
         return np.asarray(np.clip((x - low[:, None]) / (high - low)[:, None], 0.0, 1.0))
 
-    def _partial(self, pairs: Index, t: Array) -> tuple[Array, Array]:
-        """The mass of tiles (n,) below the fractions t, and all of it, by finer rules."""
+    def _prepare(self, pairs: Index) -> None:
+        """Work out the powers of pairs that have been without."""
+        pairs = pairs[~self._ready[pairs]]
+        if not pairs.size:
+            return
+        self._ready[pairs] = True
         dim = self._boxes.low.shape[1]
         weight = self._weight[pairs].reshape(len(pairs), *(ORDER,) * dim)
         weight = np.moveaxis(weight, self.unknown + 1, -1)
         rule = _W / 2
-        across = np.array(1.0)
-        for _ in range(dim - 1):
-            across = np.multiply.outer(across, rule)
         with np.errstate(divide="ignore"):
             log = np.log(weight) - np.log(rule)
         top = log.reshape(len(pairs), -1).max(axis=1)
         log = np.maximum(log - top[:, *(None,) * dim], _NONE)
-        if self.sheared:
-            log -= np.log(across)[..., None]
+        if self.sheared:  # as many lines as it takes where each is cut at a place of its own
+            log -= np.log(rule)[:, *(None,) * (dim - 1)]
             log = np.moveaxis(_TO_ACROSS @ np.moveaxis(log, 1, -2), -2, 1)
-            share = np.multiply.outer(_ACROSS_W / 2, across[0] * 2 / _W[0])
-            # Lines of one distance are cut alike.
-            log += np.log(share)[..., None]
-            count = len(_ACROSS_W)
-        else:
-            count = 1
-        log = log.reshape(len(pairs), count, -1, ORDER)
-        scale = np.exp(top) / self._total[self.row[pairs]]
-        coefficients = log @ _TO_LEGENDRE.T
-        out = []
-        for end in (t, np.ones((1, 1))):
-            x = end[..., None] * (_PART_X + 1) - 1
-            basis = legendre.legvander(x, ORDER - 1)  # (n, count, 8, ORDER)
-            value = coefficients @ np.swapaxes(basis, -1, -2)
-            part = np.exp(np.minimum(value, 30.0)).sum(axis=2) @ (_PART_W / 2)
-            out.append(scale * (part * end).sum(axis=1))
-        return out[0], out[1]
+            log += np.log(_ACROSS_W / 2)[:, *(None,) * (dim - 1)]
+        self._powers[pairs] = log.reshape(len(pairs), -1, ORDER) @ _TO_POWERS.T
+        scale = self._scale_of[pairs] = np.exp(top) / self._total[self.row[pairs]]
+        whole = np.exp(np.minimum(self._powers[pairs] @ _PART_BASIS, 30.0)) @ (_PART_W / 2)
+        self._whole[pairs] = scale * whole.sum(axis=1)
+
+    def _partial(self, pairs: Index, t: Array) -> tuple[Array, Array]:
+        """The mass of tiles (n,) below the fractions t, and all of it, by finer rules."""
+        self._prepare(pairs)
+        powers = self._powers[pairs].reshape(len(pairs), self._count, -1, ORDER)
+        scale = self._scale_of[pairs]
+        x = (t[..., None] * (_PART_X + 1) - 1)[:, :, None]
+        value = powers[..., -1, None] * x
+        for k in range(ORDER - 2, 0, -1):
+            value += powers[..., k, None]
+            value *= x
+        value += powers[..., 0, None]
+        part = (np.exp(np.minimum(value, 30.0)) @ (_PART_W / 2)).sum(axis=2)
+        return scale * (part * t).sum(axis=1), self._whole[pairs]
 
 
 def quantiles(
     tiled: TiledObserver, reading: Array, probability: Array, unknown: int
 ) -> tuple[Array, Array]:
-    """Quantiles (B, Q) of an unknown for readings (B, R), and what the rules make of them."""
+    """Quantiles (B, Q) of an unknown for readings (B, R), and their errors by these rules."""
     parts = [
         _quantiles(tiled, reading[i : i + TOGETHER], probability, unknown)
         for i in range(0, len(reading), TOGETHER)
@@ -182,7 +203,8 @@ def _quantile(lines: Lines, p: float) -> tuple[Array, Array]:
             usual = (slope > 0.1 * density) & (slope < 10 * density)
             density = np.where(live & usual, slope, density)
             following = asked - f / density
-            error = np.where(live, off / density, error)
+            # A probability known so well leaves the quantile known as well as its density says.
+            error = np.where(live, (off + np.abs(f)) / density, error)
         inside = (following >= low) & (following <= high)
         following = np.where(inside & (step % 8 < 7), following, (low + high) / 2)
         near = np.abs(f) < 1e-4 * min(p, 1 - p)

@@ -94,6 +94,7 @@ class Posterior:
     log_evidence: Any
     quantile_of: Callable[[Array, int], Array]  # (Q,) and which unknown → (B, Q)
     draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
+    quantile_error_of: Callable[[Array, int], Array] | None = None
 
     @cached_property
     def outcome(self) -> Any:
@@ -157,6 +158,30 @@ class Posterior:
         values = self.quantile_of(np.atleast_1d(p), self.observer.unknowns.index(of))
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
+
+    def quantile_error(self, probability: Any, *, of: str = "radial_distance") -> Any:
+        """Estimated errors of `quantile`, in its unit and of its shape.
+
+        NaN where the method does not know them: so far, quadrature of two unknowns does.
+
+        Raises
+        ------
+        ValueError
+            For a probability outside 0 to 1.
+
+        Examples
+        --------
+        >>> from weberwhisk import Observer, Whisker, cues, posterior
+        >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap())
+        >>> p = posterior(observer, observer.read([30e-3, 0.2], seed=1))
+        >>> bool(p.quantile_error(0.975) < 0.01 * p.sd)
+        True
+        """
+        shape = np.shape(self.quantile(probability, of=of))
+        if self.quantile_error_of is None:
+            return np.full(shape, np.nan)[()]
+        p = np.atleast_1d(np.asarray(probability, dtype=float))
+        return np.reshape(self.quantile_error_of(p, self.observer.unknowns.index(of)), shape)[()]
 
     def interval(self, mass: float = 0.95, *, of: str = "radial_distance") -> Any:
         """Equal-tailed interval: lower and upper end along the last axis.

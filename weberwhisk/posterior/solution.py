@@ -31,6 +31,8 @@ class Solution(NamedTuple):
     log_evidence: Array
     quantile_of: Callable[[Array, int], Array]
     draws_of: Callable[[int, Seed], Array]
+    #: Errors of the quantiles, where the method knows them.
+    quantile_error_of: Callable[[Array, int], Array] | None = None
 
     def of(self, rows: NDArray[np.intp]) -> Solution:
         """The same for readings some of which come again and again."""
@@ -50,6 +52,10 @@ class Solution(NamedTuple):
             out[known] = values
             return out
 
+        def of_known(p: Array, unknown: int) -> Array:
+            assert self.quantile_error_of is not None
+            return self.quantile_error_of(p, unknown)
+
         status = np.full(len(known), Status.NOT_A_READING, dtype=np.int8)
         status[known] = self.status
         return Solution(
@@ -58,6 +64,7 @@ class Solution(NamedTuple):
             put(self.log_evidence),
             lambda p, unknown: put(self.quantile_of(p, unknown)),
             lambda count, seed: put(self.draws_of(count, seed)),
+            self.quantile_error_of and (lambda p, unknown: put(of_known(p, unknown))),
         )
 
 

@@ -142,6 +142,7 @@ def posterior(
         shaped(solution.log_evidence),
         solution.quantile_of,
         solution.draws_of,
+        solution.quantile_error_of,
     )
 
 

@@ -31,11 +31,13 @@ ORDER = 6
 #: ln of the share of the prior below which a box is not cut further and, `LEFT_OUT` below that,
 #: left out: of all contacts, over the share of an average tile; and where readings are followed
 #: anywhere.
-ROUGH, LEFT_OUT, DEEP = -12.0, -5.0, -80.0
+ROUGH, LEFT_OUT, DEEP = -14.0, -6.0, -80.0
 #: ln of the share of the prior down to which a kink or an edge is closed in.
 KINK = -11.0
 #: A reading may lie so many sd from the signals of a box, and (in ln) so far below the best.
 WINDOW, NEGLIGIBLE = 7.0, 18.0
+#: Tiles are followed further, so that what else is followed with a reading changes nothing.
+SAFE = 8.0
 #: Boxes worked on together.
 CHUNK = 1024
 
@@ -372,5 +374,5 @@ def _followed(
         log = observer.noise.log_likelihood(reading[r, None], nodes.signals[b])
         top = (log + nodes.log_weight[b]).max(axis=1)
         np.maximum.at(best, r, top)
-        out[b[top + unseen[b] > best[r] - NEGLIGIBLE]] = True
+        out[b[top + unseen[b] > best[r] - NEGLIGIBLE - SAFE]] = True
     return out
