@@ -188,7 +188,7 @@ def _by_own(
             fine, beside = tiled(length)
         except TooManyTiles:
             break
-        error = np.maximum(_difference(moments, beside), 2e-5)
+        error = np.maximum(2 * _difference(moments, beside), min(5e-5, wanted / 2))
         good = np.asarray((error <= wanted).all(axis=1))
         out.append(_of(good, rows, coarse, moments, error[good]))
         rows, error, coarse = rows[~good], error[~good], fine
