@@ -105,7 +105,7 @@ class Size:
 
 
 FULL = Size(24, IDENTITIES, (0, 1, 2), OBJECTS, BULK, RODS)
-SHORT = Size(6, ("C2",), (1,), ("peg",), 100, 2)
+SHORT = Size(4, ("C2",), (1,), ("peg",), 40, 1)
 
 
 @dataclass(frozen=True)

@@ -220,9 +220,14 @@ def test_residuals_outside_the_band_are_marked() -> None:
     np.testing.assert_array_equal(marked.get_ydata(), [2.5, -3.0])
 
 
-def test_shrinkage_shows_every_animal_twice_and_labels_apart() -> None:
-    trials, _ = ww.simulate_population(4, trials_per_level=6, spread=0.8, seed=2)
-    fit = ww.fit_population(trials)
+@pytest.fixture(scope="module")
+def population() -> ww.PopulationFit:
+    trials, _ = ww.simulate_population(3, trials_per_level=6, spread=0.8, seed=2)
+    return ww.fit_population(trials)
+
+
+def test_shrinkage_shows_every_animal_twice_and_labels_apart(population: ww.PopulationFit) -> None:
+    fit = population
     ax = figures.shrinkage(fit)
     table = fit.subjects.sort_values("alone")
     drawn = [bars.lines[0].get_xdata() for bars in ax.containers]
@@ -235,15 +240,13 @@ def test_shrinkage_shows_every_animal_twice_and_labels_apart() -> None:
     assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
 
 
-def test_names_that_no_font_shows_are_drawn(tmp_path: Path) -> None:
+def test_names_that_no_font_shows_are_drawn(
+    tmp_path: Path, population: ww.PopulationFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Missing glyphs warn, and warnings are errors here; a pair of dollars would be a formula."""
-    trials, _ = ww.simulate_population(3, trials_per_level=6, seed=2)
     names = ["\x1b[31mred\x07", "\U0001f400 鼠\u200b", r"a$\frac{$ " + 60 * "b"]
-    table = trials.frame.copy()
-    known = dict(zip(table["subject"].unique(), names, strict=True))
-    fit = ww.fit_population(trials)
-    fit.subjects["subject"] = fit.subjects["subject"].map(known)
-    ax = figures.shrinkage(fit)
+    monkeypatch.setitem(population.subjects, "subject", names)
+    ax = figures.shrinkage(population)
     figures.figure_of(ax).savefig(tmp_path / "one.png")
     figures.figure_of(ax).savefig(tmp_path / "one.svg")
     drawn = {label.get_text() for label in ax.get_yticklabels()}

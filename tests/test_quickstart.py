@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from pathlib import Path
 
@@ -20,11 +22,18 @@ FIGURES = ("jnd_curve", "jnd_surface", "rat_psychometric")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The output of a short run."""
-    out = tmp_path_factory.mktemp("quick") / "out"
-    assert run_app(cli.app, ["quickstart", "--draws", "12", "--out", str(out)]) == 0
-    return out
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """The output of a short run into the folder of its name, and what it printed."""
+    there, out, err = tmp_path_factory.mktemp("quick"), io.StringIO(), io.StringIO()
+    given = ["quickstart", "--identity", "D1", "--draws", "12"]
+    with contextlib.chdir(there), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        assert run_app(cli.app, given) == 0
+    return there / "quickstart", out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def folder(run: tuple[Path, str, str]) -> Path:
+    return run[0]
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +52,7 @@ def test_it_leaves_every_file(folder: Path) -> None:
 
 
 def test_the_curve_is_of_the_whisker_named(folder: Path, numbers: dict) -> None:
-    whisker = ww.Whisker.from_identity("C2")
+    whisker = ww.Whisker.from_identity("D1")
     table = pd.read_csv(folder / "jnd_curve.csv").set_index("whisker")
     for name, apex in (("tapered", whisker.apex_distance), ("cylinder", np.inf)):
         rows = table.loc[name]
@@ -108,17 +117,12 @@ def test_the_text_says_what_was_found(folder: Path, numbers: dict) -> None:
     assert "nan" not in text
 
 
-def test_it_says_on_the_terminal_what_it_wrote(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run_app(cli.app, ["quickstart", "--identity", "D1", "--draws", "2", "--seed", "5"]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    folder = tmp_path / "quickstart"
-    assert (folder / "quickstart.txt").read_text("utf-8") in printed.out
-    assert f"Written to {folder}: " in printed.out
-    assert "D1 whisker" in printed.out
+def test_it_says_on_the_terminal_what_it_wrote(run: tuple[Path, str, str]) -> None:
+    folder, out, err = run
+    assert err == ""
+    assert (folder / "quickstart.txt").read_text("utf-8") in out
+    assert f"Written to {folder}: " in out
+    assert "D1 whisker" in out
 
 
 @pytest.mark.parametrize(("misfit", "word"), [(0.0, "miss"), (0.05, "barely meet"), (0.5, "meet")])

@@ -265,7 +265,7 @@ def measure_jnds(*, full: bool = False) -> pd.DataFrame:
         observer = Observer(WHISKER, cue, receptors.Weber(K))
         angle = 0.1 if "deflection_angle" in observer.unknowns else None
         contact = np.stack([r, np.full(r.size, 0.1)], axis=-1)[:, : len(observer.unknowns)]
-        exact = jnd_curve(observer, r, angle, n_readings=4000 if full else 300, seed=99)
+        exact = jnd_curve(observer, r, angle, n_readings=4000 if full else 150, seed=99)
         truth = exact["posterior"].to_numpy()
         doubt = float(np.sqrt(np.mean((exact["posterior_error"] / truth) ** 2)))
 
@@ -282,7 +282,7 @@ def measure_jnds(*, full: bool = False) -> pd.DataFrame:
         ]
         for method, counts in (
             ("quadrature", (10, 30, 100, 300, 1000) if full else (10, 100)),
-            ("emcee", (10, 30, 100, 300) if full else (10, 30)),
+            ("emcee", (10, 30, 100, 300) if full else (10,)),
         ):
             calls += [(f"posteriors, {method}", n, partial(curve, n, method)) for n in counts]
         shared = {"part": "jnds", "scene": scene}
