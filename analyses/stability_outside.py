@@ -59,6 +59,7 @@ def judge(case: Case, *, inferred: bool) -> Judged:
     return Judged(fate, excess, shown)
 
 
-DOMAINS = [Domain("contacts outside", AXES, lambda case: judge(case, inferred=False))]
-if hasattr(Status, "OUTSIDE_DOMAIN"):
-    DOMAINS.append(Domain("posteriors outside", AXES, lambda case: judge(case, inferred=True)))
+DOMAINS = [
+    Domain("contacts outside", AXES, lambda case: judge(case, inferred=False)),
+    Domain("posteriors outside", AXES, lambda case: judge(case, inferred=True)),
+]
