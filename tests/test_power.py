@@ -13,7 +13,20 @@ import weberwhisk as ww
 from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
 from weberwhisk.behaviour.percepts import IdentityPercept
 from weberwhisk.behaviour.priors import PopulationPriors
-from weberwhisk.design import Animals, Goal, Hypothesis, Scheme, cues, noises, taper, with_priors
+from weberwhisk.design import (
+    Animals,
+    Constraints,
+    Goal,
+    Hypothesis,
+    Plan,
+    Scheme,
+    cues,
+    lattice,
+    noises,
+    taper,
+    trial_lists,
+    with_priors,
+)
 from weberwhisk.design.experiments import Fitted, compare, fit, simulate
 from weberwhisk.design.power_analysis import _probit, reaches, sized, smallest
 
@@ -450,3 +463,71 @@ def test_the_report_says_where_intervals_of_k_miss():
 def test_what_cannot_be_is_refused_in_a_sentence(wrong, words):
     with pytest.raises(ValueError, match=words):
         wrong()
+
+
+WRONG = (
+    None,
+    "x",
+    3.5,
+    np.nan,
+    np.inf,
+    -1,
+    [],
+    {},
+    object(),
+    float,
+    b"x",
+    [None],
+    np.zeros((2, 2)),
+)
+PLAN = {
+    "scheme": Scheme([20e-3], [-2e-3, 2e-3], 4), "hypotheses": [TAPERED],
+    "goal": Goal(half_width=0.2),
+}  # fmt: skip
+FEW = {"goal": Goal(half_width=0.2), "runs": 2}
+
+
+@pytest.mark.parametrize(
+    ("call", "taken"),
+    [
+        (lambda w: Goal(bayes_factor=10, share=w), ()),
+        (lambda w: Goal(half_width=w), ()),
+        (lambda w: Animals(lapse=w), ()),
+        (lambda w: Constraints(nearest=w), (3.5,)),
+        (lambda w: Constraints(farthest=w), (3.5, np.inf)),
+        (lambda w: Constraints(easy_share=w), ()),
+        (lambda w: Scheme([20e-3], w), ()),
+        (lambda w: Scheme([20e-3], [2e-3], w), ()),
+        (lambda w: Scheme.spaced(w, [20e-3]), ()),
+        (lambda w: Scheme.spaced(TAPERED.percept, w), ()),
+        (lambda w: Hypothesis("a", w), ()),
+        (lambda w: Hypothesis("a", TAPERED.percept, w), ()),
+        (taper, ()),
+        (lambda w: noises(w, [1.0, 2.0]), ()),
+        (lambda w: noises(TAPERED.percept, w), ()),
+        (lambda w: Plan(**PLAN | {"scheme": w}), ()),
+        (lambda w: Plan(**PLAN | {"hypotheses": w}), ()),
+        (lambda w: Plan(**PLAN | {"goal": w}), ()),
+        (lambda w: Plan(**PLAN | {"animals": w}), ()),
+        (lambda w: Plan(**PLAN | {"seed": w}), ()),
+        (lambda w: Plan(**PLAN | {"trials_per_session": w}), ()),
+        (lambda w: trial_lists(w, seed=1), ()),
+        (lambda w: trial_lists(PLAN["scheme"], seed=w), ()),
+        (lambda w: ww.power(w, [TAPERED], runs=2), ()),
+        (lambda w: ww.power(PLAN["scheme"], w, runs=2), ()),
+        (lambda w: ww.power(PLAN["scheme"], [TAPERED], **FEW | {"trials": [w]}), ()),
+        (lambda w: ww.power(PLAN["scheme"], [TAPERED], **FEW | {"runs": w}), ()),
+        (lambda w: smallest(PLAN["scheme"], [TAPERED], **FEW | {"most": w}), (None,)),
+        (lambda w: lattice(w, 20e-3), ()),
+        (lambda w: ww.read_plan(w), ("x", b"x")),
+    ],
+)  # fmt: skip
+def test_wrong_types_are_refused_in_a_sentence(call, taken):
+    """None, text, infinity, NaN, lists and classes ended in errors of Python's and NumPy's."""
+    for wrong in WRONG:
+        if any(wrong is one for one in taken):
+            continue
+        with pytest.raises(ValueError, match=r"\w") as error:
+            call(wrong)
+        place = error.traceback[-1].path
+        assert "weberwhisk" in str(place), (wrong, error.value)

@@ -80,6 +80,13 @@ def kind(name: str, value: object, wanted: str, having: str, hint: str) -> None:
         raise ValueError(f"{name} must be {wanted}, got {shown(value)}; {hint}.")
 
 
+def several(name: str, value: object, hint: str) -> list[Any]:
+    """`value` as a list, refused where it is one thing or text."""
+    if isinstance(value, str | bytes | type) or not isinstance(value, Iterable):
+        raise ValueError(f"{name} must be a list, got {shown(value)}; {hint}.")
+    return list(value)
+
+
 def generator(seed: Any) -> np.random.Generator:
     """The random generator of a seed."""
     try:

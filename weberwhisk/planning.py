@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from . import _checks
 from .design.exports import bpod_table, own_table, psychopy_tables
 from .design.plan_file import plan_json
 from .design.preregistration import preregistration
@@ -59,6 +60,7 @@ def write_plan(
     ...     sorted(path.name for path in write_plan(plan, folder).glob("p*.csv"))
     ['planned_jnds.csv', 'planned_levels.csv', 'psychopy_s1_001.csv']
     """
+    _checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
     with Run(out, "design", dict(inputs or {}), plan.seed) as run:
         fill(run, plan)
     assert run.out_dir is not None

@@ -96,6 +96,7 @@ def analyse(
     >>> analyse(trials, [tapered, cylindrical]).favoured(10)
     'tapered'
     """
+    _checks.kind("trials", trials, "Trials", "frame", "write read_trials(file), say")
     if unit != 1.0:
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)

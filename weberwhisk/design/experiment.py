@@ -122,6 +122,12 @@ def plan_experiment(
     10.0
     """
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
+    for name, value in (("goal", goal), ("expected", expected), ("constraints", constraints)):
+        kind = {"goal": Goal, "expected": Animals, "constraints": Constraints}[name]
+        if value is not None and not isinstance(value, kind):
+            raise ValueError(
+                f"{name} must be {kind.__name__}, got {_checks.shown(value)}; leave it out, say."
+            )
     aim = goal or Goal(bayes_factor=10.0)
     limits, likely = constraints or Constraints(step=STEP), expected or Animals()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)

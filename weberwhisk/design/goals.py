@@ -37,7 +37,8 @@ class Animals:
 
     def __post_init__(self) -> None:
         _checks.positive("weber_fraction", self.weber_fraction, "write for example 0.1")
-        for name in ("spread", "lapse", "bias_spread"):
+        for name in ("weber_fraction", "spread", "lapse", "bias_spread"):
+            _checks.number(name, getattr(self, name), "write for example 0.03")
             _checks.non_negative(name, getattr(self, name), "write for example 0.03")
         if self.lapse >= 0.5:
             raise ValueError(f"lapse must be below 0.5, got {self.lapse:g}; write 0.03, say.")
@@ -86,6 +87,9 @@ class Goal:
                 "A goal is a Bayes factor or the width of an interval, got "
                 f"{'both' if self.bayes_factor else 'neither'}; write Goal(bayes_factor=10), say."
             )
+        for name in ("bayes_factor", "half_width", "share"):
+            if getattr(self, name) is not None or name == "share":
+                _checks.number(name, getattr(self, name), "write one such as 0.2")
         if self.bayes_factor is not None and not self.bayes_factor > 1:
             raise ValueError(
                 f"bayes_factor must be above 1, got {self.bayes_factor:g}; write 10, say."

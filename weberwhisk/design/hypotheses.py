@@ -60,6 +60,8 @@ class Hypothesis:
     task: str = "2AFC"
 
     def __post_init__(self) -> None:
+        _checks.kind("percept", self.percept, "a percept", "unit_sd", "give IdentityPercept(), say")
+        _checks.kind("priors", self.priors, "Priors", "moments", "give Priors(...), or leave it")
         _checks.one_of("bias", self.bias, BIASES)
         if self.bias != "none" and not task_named(self.task).has_bias:
             raise ValueError(
@@ -117,6 +119,7 @@ def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
     >>> [h.name for h in taper(Whisker(50e-3, 100e-6, 5e-6))]
     ['tapered', 'cylindrical']
     """
+    _whisker(whisker)
     if whisker.tip_radius >= whisker.base_radius:
         raise ValueError(
             f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
@@ -147,6 +150,7 @@ def cues(
     >>> [h.name for h in cues(Whisker(50e-3, 100e-6, 5e-6), 0.1)]
     ['compliance', 'moment–axial-force map']
     """
+    _whisker(whisker)
     return (
         Hypothesis(
             "compliance", CuePercept(Observer(whisker, Compliance(), Weber(1.0))), **options
@@ -178,7 +182,12 @@ def noises(percept: Percept, standards: ArrayLike, **options: Any) -> tuple[Hypo
     >>> constant.percept.typical
     2.0
     """
-    sd = percept.unit_sd(np.atleast_1d(np.asarray(standards, dtype=float)))
+    _checks.kind("percept", percept, "a percept", "unit_sd", "give hypothesis.percept, say")
+    at = np.atleast_1d(_checks.finite("standards", standards, "give two distances or more"))
+    refuse_out_of_reach(percept, at, "standard")
+    sd = percept.unit_sd(at)
+    if sd.size < 2:
+        raise ValueError(f"standards must be two or more, got {sd.size}; give some far apart.")
     if np.ptp(sd) <= 1e-9 * sd.max():
         raise ValueError(
             f"the percept has the same noise, {sd.max():g}, at all {sd.size} standards, so the two "
@@ -199,7 +208,9 @@ def told_apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     ValueError
         For none, names given twice, or different tasks.
     """
-    given = tuple(hypotheses)
+    given = tuple(_checks.several("hypotheses", hypotheses, "write taper(whisker), say"))
+    for h in given:
+        _checks.kind("a hypothesis", h, "a Hypothesis", "percept", "write taper(whisker), say")
     names = [h.name for h in given]
     if not given:
         raise ValueError("a design needs a hypothesis, got none; write taper(whisker), say.")
@@ -215,4 +226,10 @@ def told_apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
 
 def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypothesis, ...]:
     """The same hypotheses with other priors, by parameter: `lapse_low=scipy.stats.beta(1, 19)`."""
-    return tuple(replace(h, priors=replace(h.priors, **changes)) for h in hypotheses)
+    return tuple(replace(h, priors=replace(h.priors, **changes)) for h in told_apart(hypotheses))
+
+
+def _whisker(whisker: Whisker) -> None:
+    _checks.kind(
+        "whisker", whisker, "a Whisker", "tip_radius", 'write Whisker.from_identity("C2"), say'
+    )

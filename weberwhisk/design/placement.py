@@ -75,6 +75,7 @@ class TrialLog:
 
     def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme) -> None:
         self.hypotheses = told_apart(hypotheses)
+        _checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(percept, 20e-3), say")
         self.scheme = scheme
         self._rows: list[tuple[float, float, float, float]] = []
 
@@ -86,7 +87,7 @@ class TrialLog:
     def _pair(self, standard: float, comparison: float) -> Pair:
         """What was shown; its standard is the nearest of the scheme's."""
         for name, value in (("standard", standard), ("comparison", comparison)):
-            _checks.finite(name, value, "give what was shown")
+            _checks.number(name, value, "give what was shown")
         nominal = min(self.scheme.standards, key=lambda s: abs(s - standard))
         return float(standard), float(comparison), nominal
 
@@ -197,7 +198,7 @@ class BayesianPlacer(TrialLog):
             raise ValueError(
                 "one hypothesis cannot be told from others; give two, such as taper(whisker)."
             )
-        if not 0 <= float(_checks.finite("easy_share", easy_share, "write 0.1, say")) < 1:
+        if not 0 <= _checks.number("easy_share", easy_share, "write 0.1, say") < 1:
             raise ValueError(
                 f"easy_share must lie between 0 and 1, got {easy_share:g}; write 0.1, say."
             )
@@ -404,6 +405,7 @@ def lattice(
     >>> lattice(IdentityPercept(), 1.0, each_side=3, largest=0.5).comparisons
     ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
     """
+    _checks.kind("percept", percept, "a percept", "unit_sd", "give hypothesis.percept, say")
     low, high = percept.domain
     # A range of distances begins at 0; other stimuli, such as logarithms, need not.
     limits = constraints or Constraints(farthest=high)

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import pandas as pd
 
+from .. import _checks
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from ..output import csv_text
@@ -70,6 +71,19 @@ class Plan:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hypotheses", told_apart(self.hypotheses))
+        for name, kind in (
+            ("scheme", Scheme), ("goal", Goal), ("animals", Animals), ("constraints", Constraints),
+            ("title", str),
+        ):  # fmt: skip
+            if not isinstance(getattr(self, name), kind):
+                raise ValueError(
+                    f"{name} must be a {kind.__name__}, got {_checks.shown(getattr(self, name))}; "
+                    "make one first."
+                )
+        for name in ("trials_per_session", "longest_run", "seed"):
+            least = {"longest_run": 2, "seed": 0}.get(name, 1)
+            whole = _checks.whole(name, getattr(self, name), "write 300, say", least=least)
+            object.__setattr__(self, name, whole)
         first = self.hypotheses[0]
         if first.task not in ("2AFC", "2IFC"):
             raise ValueError(

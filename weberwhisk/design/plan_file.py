@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .. import __version__
+from .. import __version__, _checks
 from .coding import checked, decode, encode
 from .hypotheses import Hypothesis
 from .plan import Plan
@@ -40,6 +40,7 @@ def plan_json(plan: Plan) -> str:
     ValueError
         For a plan whose hypotheses have no such form: a cue of one's own, say.
     """
+    _checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
     own = {f.name: getattr(plan, f.name) for f in fields(plan)}
     power = own.pop("power")
     record = {
@@ -77,6 +78,8 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     >>> again.fingerprint == plan.fingerprint
     True
     """
+    if not isinstance(path, str | os.PathLike):
+        raise ValueError(f"path must name a file, got {_checks.shown(path)}; write plan.json, say.")
     return plan_of(Path(path).read_bytes(), os.fspath(path))
 
 

@@ -171,8 +171,16 @@ def power(
     True
     """
     given, aim = asked(hypotheses, goal)
-    likely = expected or Animals()
-    named = [h.name for h in given] if truths is None else list(truths)
+    _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
+    likely = Animals() if expected is None else expected
+    _checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
+    for name, given_sizes in (("trials", trials), ("animals", animals), ("lapses", lapses)):
+        if given_sizes is not None:
+            for size in _checks.several(name, given_sizes, "write [20], say"):
+                _checks.number(name, size, "write 20, say")
+    named = [h.name for h in given]
+    if truths is not None:
+        named = _checks.several("truths", truths, f"write {named}, say")
     for name in named:
         _checks.one_of("truth", name, [h.name for h in given])
     _checks.whole("runs", runs, "write 1000")
@@ -240,7 +248,7 @@ def smallest(
     """
     _checks.one_of("vary", vary, MOST)
     given, aim = asked(hypotheses, goal)
-    end = MOST[vary] if most is None else most
+    end = MOST[vary] if most is None else _checks.whole("most", most, "write 100, say")
     visited: dict[int, Power] = {}
 
     def visit(size: int, runs: int, *seeds: int) -> Power:
@@ -335,6 +343,8 @@ def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
 
 def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:
     given = told_apart(hypotheses)
+    if goal is not None:
+        _checks.kind("goal", goal, "a Goal", "share", "write Goal(half_width=0.2), say")
     aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
     if aim.bayes_factor is not None and len(given) < 2:
         raise ValueError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,7 +71,8 @@ class Scheme:
             raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
         _checks.whole("animals", animals, "write 20")
         rows = _rows("offsets", offsets, at.size)
-        counts = [[trials] * len(row) for row in rows] if np.isscalar(trials) else None
+        one = np.isscalar(trials) or not isinstance(trials, Iterable)
+        counts = [[trials] * len(row) for row in rows] if one else None
         counts = counts or _rows("trials", trials, at.size)  # type: ignore[arg-type]
         for i, (row, n) in enumerate(zip(rows, counts, strict=True)):
             if not row:
@@ -135,12 +136,16 @@ class Scheme:
         >>> scheme.offsets
         ((-0.002, 0.002),)
         """
+        _checks.kind("percept", percept, "a percept", "unit_sd", "give hypothesis.percept, say")
         at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
+        if not at.size:
+            raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
+        _checks.non_negative("step", _checks.number("step", step, "write 0"), "write 0, or 1e-5")
         _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
         at = np.unique(_snapped(at, step))
         refuse_out_of_reach(percept, at, "standard")
         sd = weber_fraction * difference_sd(percept, at)
-        z = _checks.finite("levels", levels, "write for example [-2, -1, 1, 2]")
+        z = np.ravel(_checks.finite("levels", levels, "write for example [-2, -1, 1, 2]"))
         rows = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
         rows = [np.unique([float(f"{o:.12g}") for o in row]) for row in rows]
         for s, row in zip(at, rows, strict=True):
@@ -237,8 +242,14 @@ class Constraints:
     easy_proportion: float = 0.95
 
     def __post_init__(self) -> None:
+        for name in ("nearest", "step", "easy_share", "easy_proportion"):
+            _checks.number(name, getattr(self, name), "give 0, say")
         _checks.non_negative("nearest", self.nearest, "give m, such as 5e-3")
         _checks.non_negative("step", self.step, "give m, such as 0.1e-3, or 0")
+        if not isinstance(self.farthest, float | int | np.number):
+            raise ValueError(
+                f"farthest must be a number, got {_checks.shown(self.farthest)}; give m, or inf."
+            )
         if not self.nearest < self.farthest:
             raise ValueError(
                 f"farthest must lie beyond nearest, got {self.farthest:g} and {self.nearest:g}, "
@@ -358,7 +369,9 @@ def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stim
     ValueError
         Naming the farthest offender and by how much it is off.
     """
-    at = np.atleast_1d(np.asarray(stimulus, dtype=float))
+    at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
+    if not at.size:
+        raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
     low, high = percept.domain
 
     def said(value: float) -> str:
@@ -416,7 +429,7 @@ def _snapped(distance: ArrayLike, step: float) -> Array:
 
 def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
     """One row a standard: as given, or the same for all."""
-    given = list(values)
+    given = _checks.several(name, values, "write for example [-2e-3, 2e-3]")
     if given and all(np.ndim(v) == 0 for v in given):
         return [list(given) for _ in range(count)]
     if len(given) != count or any(np.ndim(v) != 1 for v in given):

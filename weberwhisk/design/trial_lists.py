@@ -70,7 +70,10 @@ def trial_lists(
     >>> table.groupby(["subject", "session"])["greater"].value_counts().unique().tolist()
     [10]
     """
+    _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
     _checks.whole("trials_per_session", trials_per_session, "write 300, say")
+    if not isinstance(seed, np.random.SeedSequence):
+        _checks.whole("seed", seed, "write 1, say", least=0)
     _checks.whole("longest_run", longest_run, "write 5, say", least=2)
     levels = scheme.cells()
     alike = levels.standard == levels.stimulus_2
@@ -79,7 +82,7 @@ def trial_lists(
             f"A comparison equal to its standard, {levels.standard[alike][0]:g}, has no right "
             "answer to reward; leave the offset 0 out."
         )
-    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(int(seed))
     parts = []
     for i in range(scheme.animals):  # as `spawn` would, without counting it up
         own = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
