@@ -6,7 +6,7 @@ from cue_checks import keeps_the_protocol, small_noise_limit
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import ForceMap, SpaceMap
+from weberwhisk.cues import ForceMap, LateralSlip, SpaceMap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import rod
@@ -55,3 +55,31 @@ def test_where_there_is_no_contact_the_outcome_says_so():
     contact, outcome = SpaceMap().contact(cylinder, [0.0, signals[0]], signals[1])
     assert outcome == Outcome.OUT_OF_REACH
     assert np.isnan(contact).all()
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [[20e-3, 0.2, np.nan], [np.nan, 0.2, 0.1], [0.0, 0.2, 0.1], [20e-3, 3.0, 0.1]],
+)
+def test_what_is_no_contact_has_an_outcome_and_no_signals(contact):
+    """A direction that is no number was held with NaN among its signals, the base with infinity."""
+    for cue, place in ((SpaceMap(), contact), (ForceMap(), contact[:2])):
+        signals, outcome = cue.signals(W, np.array(place))
+        assert np.isfinite(signals).all() == (outcome == Outcome.HELD)
+        assert np.isfinite(signals).any() == (outcome == Outcome.HELD)
+
+
+@pytest.mark.parametrize("bad", [np.inf, -np.inf, np.nan])
+def test_readings_that_are_no_numbers_have_no_contact(bad):
+    place, outcome = SpaceMap().contact(W, [[bad, 1e-6], [1e-6, 2e-6]], [1e-5, bad])
+    assert np.isnan(place).all()
+    assert (outcome == Outcome.OUT_OF_REACH).all()
+
+
+def test_readings_of_the_wrong_shape_or_kind_are_refused():
+    for cue, words in ((SpaceMap(), "moment"), (ForceMap(), "signals"), (LateralSlip(), "signals")):
+        more = (1e-5,) if isinstance(cue, SpaceMap) else ()
+        with pytest.raises(ValueError, match=f"{words} must have 2 numbers"):
+            cue.contact(W, [1e-6], *more)
+        with pytest.raises(ValueError, match=f"{words} must be a number"):
+            cue.contact(W, ["a", 1.0], *more)

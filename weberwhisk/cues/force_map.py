@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import one_or_more, positive_number
+from .._checks import numbers, one_or_more, positive_number
 from ..mechanics import closed_form, ladder
 from ..mechanics.contact import Outcome
 from ..mechanics.surface import base_signals
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, straight
+from .protocol import Array, Cue, Felt, readings, straight
 from .reach import reach_at
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -141,10 +141,11 @@ class ForceMap(Cue):
             For any other set of signals: more than the unknowns have no exact inverse, and a force
             alone at a known angle has several.
         """
-        wanted = np.asarray(signals, dtype=float)
+        wanted = numbers("signals", signals, "give the base signals in SI units")
         if self.deflection_angle is not None and self.signal_names == ("moment",):
             contact = self._bisect(whisker, wanted)
         elif self.deflection_angle is None and len(self.signal_names) == 2:
+            wanted = readings("signals", wanted, 2)
             order = np.argsort(self._columns)  # as the closed form has them
             ordered = ForceMap([self.signal_names[i] for i in order])
             contact = ordered._solve(whisker, wanted[..., order], steps)

@@ -13,7 +13,7 @@ from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, straight
+from .protocol import Array, Cue, Felt, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,7 +151,7 @@ class LateralSlip(Cue):
             `HELD`; `STUCK` where only the distance can be told; `OUT_OF_REACH` for a moment too
             small for the whisker and a direction too far out of the plane.
         """
-        wanted = np.asarray(signals, dtype=float)
+        wanted = readings("signals", signals, 2)
         rate, direction = wanted[..., 0], wanted[..., 1]
         tilt = np.sign(direction) * (np.abs(direction) + self.friction_angle)
         r = closed_form.distance_from_moment(

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import shown
+from .._checks import numbers, shown
 from .._values import Value
 from ..receptors import ReceptorNoise, Weber
 from ..whisker import Whisker
@@ -146,6 +146,23 @@ def straight(whisker: Any) -> None:
             f"Cues are for straight whiskers so far, got curvature "
             f"{float(np.max(np.abs(whisker.curvature))):g} 1/m; write curvature=0."
         )
+
+
+def readings(name: str, value: Any, count: int) -> Array:
+    """`value` as an array (..., count) for an inverse; what is infinite has none, and becomes NaN.
+
+    Raises
+    ------
+    ValueError
+        For text and for another number of values along the last axis.
+    """
+    array = numbers(name, value, "give the base signals in SI units")
+    if array.ndim == 0 or array.shape[-1] != count:
+        raise ValueError(
+            f"{name} must have {count} numbers along the last axis, got shape {array.shape}; "
+            "give one for each signal."
+        )
+    return np.where(np.isfinite(array), array, np.nan)
 
 
 def a_cue(value: Any) -> Cue:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._checks import numbers
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .force_map import SIGNALS, ForceMap
-from .protocol import Array, Cue, Felt
+from .protocol import Array, Cue, Felt, readings
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,9 +44,7 @@ class SpaceMap(Cue):
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment, axial and transverse force, and the two directions, (..., 5); outcome."""
         contact = np.asarray(contact, dtype=float)
-        sizes, outcome = self.all_but_last.signals(whisker, contact[..., :2], model=model)
-        turn = np.where(outcome == Outcome.HELD, contact[..., 2], np.nan)[..., None]
-        return np.concatenate([sizes, turn, turn], axis=-1), outcome
+        return self.given(whisker, contact[..., :2], model=model)(contact[..., 2])
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
@@ -54,13 +53,15 @@ class SpaceMap(Cue):
         sizes, outcome = self.all_but_last.signals(whisker, contact, model=model)
         signals = np.empty((*outcome.shape, 5))
         signals[..., :3] = sizes
-        lost = outcome != Outcome.HELD
 
         def turned(azimuth: Array) -> Felt:
             out = signals.copy()
             out[..., 3:] = azimuth[..., None]
-            out[lost] = np.nan
-            return out, outcome
+            # A direction that is no number is none of a contact.
+            off = (outcome == Outcome.HELD) & ~np.isfinite(azimuth)
+            found = np.where(off, np.int8(Outcome.OUT_OF_REACH), outcome) if off.any() else outcome
+            out[found != Outcome.HELD] = np.nan
+            return out, found
 
         return turned
 
@@ -100,9 +101,10 @@ class SpaceMap(Cue):
         outcome : array of int
             As of `ForceMap.contact`; `OUT_OF_REACH` for every reading on a cylinder.
         """
-        about = np.asarray(moment, dtype=float)
+        about = readings("moment", moment, 2)
         size = np.hypot(about[..., 0], about[..., 1])
-        pair = np.stack(np.broadcast_arrays(size, axial_force), axis=-1)
+        axial = numbers("axial_force", axial_force, "give newtons")
+        pair = np.stack(np.broadcast_arrays(size, axial), axis=-1)
         place, outcome = ForceMap().contact(whisker, pair)
         turn = np.where(outcome == Outcome.HELD, np.arctan2(-about[..., 0], about[..., 1]), np.nan)
         return np.concatenate([place, turn[..., None]], axis=-1), outcome

@@ -83,14 +83,14 @@ class Surface:
             lateral /= r
             out[:, 1] = lateral * deflection_angle * ((1.5 - v) / (1 - v)) * axial
             out[:, 2] = lateral * transverse
-        held = theta <= limit
+        held = (theta <= limit) & (r > 0)
         outcome = np.zeros(r.size, dtype=np.int8)
         if not held.all():
             out[~held] = np.nan
             outcome[~held] = np.where(
                 r > self._limit.tip_from, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST
             )[~held]
-            outcome[np.isnan(limit)] = Outcome.OUT_OF_REACH
+            outcome[np.isnan(limit) | ~(r > 0)] = Outcome.OUT_OF_REACH
         return out, outcome
 
 
