@@ -30,7 +30,7 @@ class Observer:
     whisker : Whisker
         One whisker: its fields are numbers, not arrays.
     cue : Cue
-        How distance is felt; see `weberwhisk.cues`.
+        How distance is sensed; see `weberwhisk.cues`.
     noise : ReceptorNoise
         Default the cue's own, which is Weber's law with k = 0.1 wherever signals are forces.
     prior : mapping of name to frozen SciPy distribution, optional
@@ -46,7 +46,7 @@ class Observer:
     ------
     ValueError
         For anything but a whisker, a cue, noise and a mapping of priors, whisker fields that are
-        arrays, chances of events with noise of something else or the other way round, a prior of
+        arrays, probabilities with noise of signals or the other way round, a prior of
         something that is not unknown, a prior that has no overlap with the whisker's reach.
 
     Notes

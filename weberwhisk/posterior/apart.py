@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
-from ..receptors import Joint, ReceptorNoise, Seed
+from ..receptors import ReceptorNoise, Seed
 from .grid import GridPosterior, integrate
 from .result import Estimate, Status
 from .solution import Array, Solution, is_outside
@@ -37,26 +37,16 @@ class Factors(NamedTuple):
 
 def factors_of(observer: Observer) -> Factors | None:
     """How the posterior comes apart, if it does."""
-    cue, noise = getattr(observer.cue, "all_but_last", None), observer.noise
-    if cue is None or not isinstance(noise, Joint):
+    cue = getattr(observer.cue, "all_but_last", None)
+    if cue is None:
         return None
-    split = int(np.searchsorted(np.cumsum(noise.sizes), len(cue.signal_names)))
-    own, rest = noise.sizes[: split + 1], noise.sizes[split + 1 :]
-    if sum(own) != len(cue.signal_names):
+    own, size = len(cue.signal_names), len(observer.cue.signal_names)
+    noise, rest = observer.noise.part(size, 0, own), observer.noise.part(size, own, size)
+    if noise is None or rest is None:
         return None  # the noise of some signals of either kind is one
     prior = {name: observer.prior[name] for name in cue.unknowns if name in observer.prior}
-    first = Observer(
-        observer.whisker,
-        cue,
-        _joined(noise.noises[: split + 1], own),
-        prior,
-        model=observer.model,
-    )
-    return Factors(first, _joined(noise.noises[split + 1 :], rest), sum(rest))
-
-
-def _joined(noises: tuple[ReceptorNoise, ...], sizes: tuple[int, ...]) -> ReceptorNoise:
-    return noises[0] if len(noises) == 1 else Joint(noises, sizes)
+    first = Observer(observer.whisker, cue, noise, prior, model=observer.model)
+    return Factors(first, rest, size - own)
 
 
 def solve_apart(solve: Solve, observer: Observer, factors: Factors, reading: Array) -> Solution:

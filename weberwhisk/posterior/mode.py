@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from ..observer import Observer
-from ..receptors import Joint, ReceptorNoise
-from ..receptors.gaussian import Gaussian
 from ..threads import on_threads
 from .densities import refuse_impossible
 from .solution import is_improbable
@@ -190,23 +188,11 @@ def _coarse(
     signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
 
     def density(reading: Array) -> Array:
-        table = _log_likelihoods(observer.noise, reading, signals)
+        table = observer.noise.log_likelihoods(reading, signals)
         table += log_prior
         return table
 
     return grid, density, shape
-
-
-def _log_likelihoods(noise: ReceptorNoise, reading: Array, signals: Array) -> Array:
-    """ln p(reading | signals) of readings (B, R) at signals (N, S), (B, N)."""
-    if isinstance(noise, Joint):
-        first, *others = (_log_likelihoods(*part) for part in noise.apart(reading, signals))
-        for value in others:
-            first += value
-        return first
-    if isinstance(noise, Gaussian):
-        return noise.log_likelihoods(reading, signals)
-    return noise.log_likelihood(reading[:, None], signals)
 
 
 def _second(

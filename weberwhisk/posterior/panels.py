@@ -8,7 +8,6 @@ could have come from.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -20,8 +19,6 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from ..receptors import Events, Joint, ReceptorNoise
-from ..receptors.gaussian import Gaussian
 from .densities import refuse_impossible
 from .solution import IMPROBABLE
 
@@ -163,11 +160,11 @@ class Panels:
         log_prior = np.where(held, log_prior, -np.inf).reshape(x.shape)
         self.log_weight = log_prior + np.log(self.half[:, None] * KRONROD)
         #: ln p of a reading as good as the mean, about: what a middle's own is held against.
-        spread = _spread(observer.noise, signals[:, 7])[1]
+        spread = observer.noise.resolution(signals[:, 7])[1]
         self._usual = -np.log(np.maximum(spread, 1e-300) * np.sqrt(2 * np.pi)).sum(axis=-1)
         #: ln p(reading | each node) and ln p(reading | each middle), for readings and panels.
-        self._at_nodes = prepared(observer.noise, signals)
-        self._at_middle = prepared(observer.noise, signals[:, 7])
+        self._at_nodes = observer.noise.prepared(signals)
+        self._at_middle = observer.noise.prepared(signals[:, 7])
         self._plausible = _Window(*observer.noise.interval(signals, WINDOW))
         low, high = observer.noise.interval(signals, IMPROBABLE)
         #: What readings each panel makes probable, (panels, R).
@@ -196,7 +193,7 @@ class Panels:
         contact, _ = self.observer.contact(x.reshape(-1, 1))
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
-        mean, sd = _spread(self.observer.noise, np.where(held[:, None], signals, 1.0))
+        mean, sd = self.observer.noise.resolution(np.where(held[:, None], signals, 1.0))
         features = np.concatenate([mean / sd, np.log(sd)], axis=-1)
         features = np.where(held[:, None], features, 0.0).reshape(*x.shape, -1)
         # The readings' way across the panel in units of their sd: the length in JNDs.
@@ -245,7 +242,7 @@ class Panels:
 
     def moments(self, reading: Array, *, rows: int = 128) -> PanelMoments:
         """Moments of r for readings (B, S)."""
-        if isinstance(self.observer.noise, Events) and len(reading) > 1:
+        if self.observer.noise.is_categorical and len(reading) > 1:
             # Few things can happen: each is weighed once.
             reading, back = np.unique(reading, axis=0, return_inverse=True)
             of_each = self._in_parts(reading, rows)
@@ -330,33 +327,6 @@ class Panels:
 def panels_of(observer: Observer) -> Panels:
     """The panels of an observer, kept for its next readings."""
     return Panels(observer)
-
-
-def _spread(noise: ReceptorNoise, signals: Array) -> tuple[Array, Array]:
-    """Mean and sd of the readings of signals (n, S), (n, R) each.
-
-    Of events, whose chances may come near 0 and 1, what has an sd of one everywhere.
-    """
-    if isinstance(noise, Joint):
-        parts = zip(*(_spread(*part) for part in noise.parts(signals)), strict=True)
-        mean, sd = (np.concatenate(side, axis=-1) for side in parts)
-        return mean, sd
-    if isinstance(noise, Events):
-        mean = noise.stabilised(signals)
-        return mean, np.ones_like(mean)
-    return noise.mean(signals), noise.sd(signals)
-
-
-def prepared(noise: ReceptorNoise, signals: Array) -> Callable[[Array, Index], Array]:
-    """ln p(reading | signals of a panel), for readings (n, R) and panels (n,)."""
-    if isinstance(noise, Gaussian | Events):
-        return noise.prepared(signals)
-
-    def log_likelihood(reading: Array, panel: Index) -> Array:
-        apart = (len(reading), *(1,) * (signals.ndim - 2), -1)
-        return noise.log_likelihood(reading.reshape(apart), signals[panel])
-
-    return log_likelihood
 
 
 def _pairs(first: Index, last: Index) -> tuple[Index, Index, Index]:

@@ -15,7 +15,6 @@ from .densities import taken_apart
 from .grid import GridPosterior, integrate
 from .lattice import Array, Index, LatticeMoments, OnTiles, Tiled, integrate_on_lattice
 from .mode import Mode
-from .panels import prepared
 from .result import Status
 from .solution import mode_root
 
@@ -109,7 +108,7 @@ class AllUnknowns(Engine):
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
         log_prior = np.where(held, log_prior, -np.inf)
-        likelihood = prepared(self.observer.noise, np.where(held[..., None], signals, 1.0))
+        likelihood = self.observer.noise.prepared(np.where(held[..., None], signals, 1.0))
         values = np.where(held[:, None], np.moveaxis(contact, -1, 1), 0.0)
 
         def density(row: Index, tile: Index) -> tuple[Array, Array]:
