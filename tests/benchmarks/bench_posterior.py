@@ -13,6 +13,7 @@ import numpy as np
 import weberwhisk as ww
 from weberwhisk import Status
 from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.fusion import prior_draws
 from weberwhisk.receptors import Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -82,6 +83,36 @@ def main() -> None:
             ratio = p.sd / exact.sd[:count] - 1
             error = np.sqrt(np.mean(ratio[good] ** 2)) if good.any() else np.nan
             line(f"2-D {method}, k = {k}", rate, bar, error, good.mean())
+    whole_reach()
+
+
+def whole_reach() -> None:
+    """Force map over the whole reach, whose bars are 100 µs (250 at k = 0.3), 300 µs at 1e-4.
+
+    On old code run it with PYTHONPATH set to that.
+    """
+    print("\nforce map, 3000 contacts drawn from the prior; µs each, error beside tolerance=1e-4")
+    for k in (0.03, 0.1, 0.3):
+        observer = ww.Observer(W, ForceMap(), Weber(k))
+        readings = observer.read(prior_draws(observer, 3000, seed=1), seed=2)
+        start = time.process_time()
+        ww.posterior(observer, readings)
+        first = time.process_time() - start
+        p, rate = timed(observer, readings, "quadrature")
+        fine, fine_rate = timed(observer, readings, "quadrature", tolerance=1e-4)
+        start = time.process_time()
+        p.interval(0.95)
+        interval = (time.process_time() - start) / len(readings)
+        off = np.maximum(np.abs(p.mean - fine.mean) / fine.sd, np.abs(p.sd / fine.sd - 1))
+        print(
+            f"k = {k}: {1e6 / rate:.0f} ({first:.1f} s the first time), "
+            f"{1e6 / fine_rate:.0f} at 1e-4, interval {1e6 * interval:.0f}; "
+            f"error at most {off.max():.1e}, r.m.s. {np.sqrt(np.mean(off**2)):.1e}"
+        )
+    observer = ww.Observer(W, ForceMap(), Weber(0.1))
+    start = time.process_time()
+    ww.jnd_curve(observer, np.linspace(5e-3, 45e-3, 40), np.radians(8), seed=1)
+    print(f"JND curve, 40 distances of 200 readings: {time.process_time() - start:.2f} s of CPU")
 
 
 if __name__ == "__main__":
