@@ -892,20 +892,17 @@ def test_numerosity(subject: str) -> None:
 @pytest.mark.slow
 def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None:
     """Two proportions for four parameters, and an animal that prefers another answer at each
-    standard: the default fit gives up, and its report says what to do instead."""
+    standard: one bias misses the data, and the report says so and what to do instead."""
     trials = load_rat_auditory()
     shared, own = fit_weber(trials), fit_weber(trials, bias="per standard")
-    assert shared.status is FitStatus.NOT_CONVERGED
+    assert shared.misfit < 0.001
     said = shared.report()
     for part in (
         "of 2 kinds",
         "parameters are 4",
+        "what is believed beforehand decides",
+        "The curve misses the data",
         'Try bias="per standard"',
-        "given up",
-        "believe lapses to be few",
-        'or fit bias="per standard"',
-        "fit_population(trials, sessions=True)",
-        "other method would give up as well",
     ):
         assert part in said  # fmt: skip
     # What it says to do instead works.
@@ -916,7 +913,6 @@ def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None
     assert pooled.population is not None
     low, high = pooled.interval()
     assert 0.1 < low < high < 3
-    assert json.loads(shared.to_json())["error"] is None
     assert own.status is FitStatus.DETERMINED
     assert own.log_evidence > shared.log_evidence + 50  # type: ignore[operator]
 
