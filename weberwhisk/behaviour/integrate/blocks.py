@@ -264,6 +264,7 @@ class Nodes:
             log_like, bias, step = with_middles(log_like), with_middles(bias), 0.5 * step
         half = 0.5 * step[:, None]
         width = bias_at(self.model, bias + half) - bias_at(self.model, bias - half)
+        width = np.maximum(width, 1e-9)  # past the prior's reach biases stand still
         weights = scaled_prior(self.model.priors, bias_at(self.model, bias), width, scales)
         weights = np.exp(weights)  # (P, F, S)
         top = log_like.max(axis=1)
