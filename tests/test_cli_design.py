@@ -120,7 +120,7 @@ def test_a_rehearsal_broken_off_goes_on(
         (["--standard-mm", "nan"], "--standard-mm must be finite, got nan; give millimetres"),
         (["--nearest-mm", "inf"], "--nearest-mm must be finite, got inf; give millimetres"),
         (["--farthest-mm", "nan"], "--farthest-mm must lie beyond --nearest-mm, got nan and 0"),
-        (["--bayes-factor", "nan"], "--bayes-factor must be above 1, got nan"),
+        (["--bayes-factor", "nan"], "--bayes-factor must be finite, got nan"),
         (["--nearest-mm", "30", "--farthest-mm", "20"],
          "--farthest-mm must lie beyond --nearest-mm, got 20 and 30"),
         (["--half-width", "0.2", "--cue", "force-map", "--deflection-angle-deg", "60"], "flicked"),
