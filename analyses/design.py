@@ -19,13 +19,13 @@ from matplotlib.figure import Figure
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.design import Animals, Power, Scheme, information, taper
+from weberwhisk.design import Power, Scheme, SubjectPopulation, information, taper
 from weberwhisk.output import Run
 
 WHISKER = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 PLACES = np.array([0.3, 0.6, 0.9]) * WHISKER.length
 #: One animal with k = 0.1 and lapses of 3 % a side.
-ANIMAL = Animals(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
+ANIMAL = SubjectPopulation(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
 TRIALS = [3, 5, 10, 20, 40]
 SEED = 20110166
 

@@ -15,11 +15,11 @@ from weberwhisk import cues as kinds
 from weberwhisk.behaviour import CuePercept
 from weberwhisk.behaviour.percepts import IdentityPercept
 from weberwhisk.design import (
-    Animals,
     Constraints,
     Goal,
     Hypothesis,
     Scheme,
+    SubjectPopulation,
     best_scheme,
     information,
     noises,
@@ -103,7 +103,7 @@ def test_information_is_the_expected_gain_of_brute_force(standard, offset):
 def test_information_after_trials_is_that_of_brute_force():
     """Draws from the priors, weighted by the likelihood of the answers expected before."""
     before = Scheme([15e-3], [-3e-3, 3e-3], 6)
-    animal = Animals(0.1, 0.0, 0.03, 0.0)
+    animal = SubjectPopulation(0.1, 0.0, 0.03, 0.0)
     table = information(
         (TAPERED,), [15e-3, 45e-3], [2e-3], after=before, expected=animal
     ).set_index("standard")  # fmt: skip
@@ -188,7 +188,7 @@ def test_any_cue_has_information_and_what_is_not_felt_has_none():
 
 def test_no_exchange_and_no_other_pair_of_standards_is_better():
     """A problem small enough to try everything."""
-    animals, limits = Animals(), Constraints(nearest=8e-3, farthest=46e-3)
+    animals, limits = SubjectPopulation(), Constraints(nearest=8e-3, farthest=46e-3)
     goal = Goal(bayes_factor=10)
     sites = _sites((TAPERED, CYLINDRICAL), limits, animals, 1)[::3]
     search = _Search((TAPERED, CYLINDRICAL), sites, animals, goal, limits, 1, 60)
@@ -204,7 +204,7 @@ def test_no_exchange_and_no_other_pair_of_standards_is_better():
 
 
 def test_the_sketch_judges_as_the_fit_does():
-    animals, limits = Animals(), Constraints(nearest=8e-3, farthest=46e-3)
+    animals, limits = SubjectPopulation(), Constraints(nearest=8e-3, farthest=46e-3)
     sites = _sites((TAPERED, CYLINDRICAL), limits, animals, 3)
     search = _Search(
         (TAPERED, CYLINDRICAL), sites, animals, Goal(bayes_factor=10), limits, 3, 20
@@ -266,7 +266,7 @@ def test_the_best_scheme_for_k_needs_no_more_trials_than_a_plain_one():
 def test_expected_intervals_are_those_of_fits():
     """Of the answers expected of every animal, where there are enough for a normal posterior."""
     scheme = Scheme.spaced(TAPERED.percept, [15e-3, 40e-3], trials=200, levels=WIDE)
-    cells, animals = scheme.cells(), Animals()
+    cells, animals = scheme.cells(), SubjectPopulation()
     precision = Precision(TAPERED, cells.standard, cells.stimulus_2, animals)
     told = precision.half_widths(np.arange(cells.n.size), 200)
     drawn = animals.draw(told.size, PRECISION_SEED)

@@ -28,12 +28,12 @@ from weberwhisk.behaviour.population import draw_animals, simulate_responses
 from weberwhisk.cues import ForceMap
 from weberwhisk.design import (
     LEVELS,
-    Animals,
     Constraints,
     Goal,
     Hypothesis,
     Plan,
     Scheme,
+    SubjectPopulation,
     cues,
     noises,
     plan_json,
@@ -285,7 +285,7 @@ def plan() -> Plan:
         levels=LEVELS,
         trials=6,
         animals=2,
-        expected=Animals(0.12, 0.2, 0.02, 0.1),
+        expected=SubjectPopulation(0.12, 0.2, 0.02, 0.1),
         constraints=Constraints(5e-3, 27e-3, 1e-5, 0.2),
         trials_per_session=60,
         longest_run=4,
@@ -506,9 +506,9 @@ def test_what_cannot_be_planned_is_refused(options: dict[str, Any], sentence: st
         (lambda: Goal(bayes_factor=1), "bayes_factor must be above 1"),
         (lambda: Goal(half_width=20), "half_width must lie between 0 and 1, got 20"),
         (lambda: Goal(10, share=1), "share must lie between 0 and 1, got 1"),
-        (lambda: Animals(0), "weber_fraction must be above zero"),
-        (lambda: Animals(lapse=0.5), "lapse must be below 0.5"),
-        (lambda: Animals(spread=-1), "spread must not be negative"),
+        (lambda: SubjectPopulation(0), "weber_fraction must be above zero"),
+        (lambda: SubjectPopulation(lapse=0.5), "lapse must be below 0.5"),
+        (lambda: SubjectPopulation(spread=-1), "spread must not be negative"),
     ],
 )
 def test_goals_and_animals_that_make_no_sense_are_refused(
@@ -698,3 +698,14 @@ def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
     assert "half-width is below 25 %" in " ".join(preregistration(alone).split())
     pooled = replace(plan, together=True)
     assert "All animals are fitted together" in " ".join(preregistration(pooled).split())
+
+
+def test_old_names_are_taken_for_a_release(plan: Plan) -> None:
+    from weberwhisk import design
+
+    old = plan_json(plan).replace('"is": "SubjectPopulation"', '"is": "Animals"')
+    assert old != plan_json(plan)
+    assert plan_of(old).fingerprint == plan.fingerprint
+    for name, new in (("Animals", "SubjectPopulation"), ("Finding", "AnalysisResult")):
+        with pytest.warns(DeprecationWarning, match=new):
+            assert getattr(design, name) is getattr(design, new)

@@ -14,12 +14,12 @@ from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
 from weberwhisk.behaviour.percepts import IdentityPercept
 from weberwhisk.behaviour.priors import PopulationPriors
 from weberwhisk.design import (
-    Animals,
     Constraints,
     Goal,
     Hypothesis,
     Plan,
     Scheme,
+    SubjectPopulation,
     cues,
     lattice,
     noises,
@@ -33,7 +33,7 @@ from weberwhisk.design.power_analysis import _probit, reaches, sized, smallest
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
 #: One animal as it is, no two alike in nothing.
-ALIKE = Animals(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
+ALIKE = SubjectPopulation(0.1, spread=0.0, lapse=0.03, bias_spread=0.0, lapses_vary=False)
 LENGTH, APEX = 50e-3, 50e-3 / (1 - 1 / 20)
 
 
@@ -180,7 +180,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_an_experiment_is_fitted_as_fit_weber_fits_it(case):
     hypothesis, scheme = CASES[case]
-    counts, _ = simulate(hypothesis, scheme, Animals(), 16, np.random.default_rng(5))
+    counts, _ = simulate(hypothesis, scheme, SubjectPopulation(), 16, np.random.default_rng(5))
     fitted = fit(hypothesis, scheme, counts)
     for i in range(4):
         own = fit_weber(
@@ -207,7 +207,7 @@ def test_a_known_weber_fraction_has_no_interval():
 def test_animals_share_a_population_as_fit_population_has_it():
     """Evidence and intervals, also of animals that tell little, whose lapses the others tell."""
     scheme = design((0.3, 0.9), 8).with_animals(3)
-    counts, _ = simulate(TAPERED, scheme, Animals(), 1, np.random.default_rng(3))
+    counts, _ = simulate(TAPERED, scheme, SubjectPopulation(), 1, np.random.default_rng(3))
     frames = [trials_of(scheme, counts[0, a], subject=f"s{a}").frame for a in range(3)]
     pooled = Trials(pd.concat(frames, ignore_index=True), task_named("2AFC"))
     factors = []
@@ -226,7 +226,11 @@ def test_animals_share_a_population_as_fit_population_has_it():
 def test_more_animals_narrow_the_interval_but_not_below_their_spread():
     rng = np.random.default_rng(1)
     width = [
-        np.median(fit(TAPERED, s, simulate(TAPERED, s, Animals(spread=0.5), 12, rng)[0]).half_width)
+        np.median(
+            fit(
+                TAPERED, s, simulate(TAPERED, s, SubjectPopulation(spread=0.5), 12, rng)[0]
+            ).half_width
+        )
         for s in (design((0.3, 0.6), 20).with_animals(n) for n in (2, 8))
     ]
     assert width[1] < 0.7 * width[0]
@@ -236,7 +240,7 @@ def test_more_animals_narrow_the_interval_but_not_below_their_spread():
 def test_intervals_cover_what_the_prior_draws():
     """Rank statistics of draws from the prior: 95 % intervals hold 95 %, whatever the design."""
     scheme = design((0.3, 0.9), 10)
-    believed = Animals(spread=0.0, lapses_vary=True, lapse=0.05, bias_spread=1.0)
+    believed = SubjectPopulation(spread=0.0, lapses_vary=True, lapse=0.05, bias_spread=1.0)
     (hypothesis,) = with_priors(
         [TAPERED], lapse_low=beta(2, 38), lapse_high=beta(2, 38), lapse_correlation=0.0,
     )  # fmt: skip
@@ -298,7 +302,7 @@ def test_biases_are_covered_however_they_spread(animals, runs, spread):
     """Biases count in sds, which grow with k: with a fixed prior, closer PSEs would lower k."""
     scheme = design((0.3, 0.9), 8).with_animals(animals)
     rng = np.random.default_rng(11)
-    counts, k = simulate(TAPERED, scheme, Animals(bias_spread=spread), runs, rng)
+    counts, k = simulate(TAPERED, scheme, SubjectPopulation(bias_spread=spread), runs, rng)
     assert covered(TAPERED, scheme, counts, k) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / runs)
 
 
@@ -329,7 +333,7 @@ def test_assurance_is_the_mean_of_power_over_the_prior():
     at = [
         ww.power(
             scheme, hypotheses, truths=["tapered"], runs=96, seed=i,
-            expected=Animals(float(k), 0.0, 0.03, 0.0, lapses_vary=False),
+            expected=SubjectPopulation(float(k), 0.0, 0.03, 0.0, lapses_vary=False),
         ).table["power"][0]
         for i, k in enumerate(lognorm(0.8, scale=0.1).ppf((np.arange(7) + 0.5) / 7))
     ]  # fmt: skip
@@ -383,7 +387,7 @@ def test_the_smallest_number_of_animals():
     found = smallest(
         design((0.3, 0.9), 10), with_priors([TAPERED], lapse_low=0.03, lapse_high=0.03),
         goal=Goal(half_width=0.35, share=0.5), vary="animals", runs=48, seed=2,
-        expected=Animals(spread=0.2, lapse=0.03, lapses_vary=False),
+        expected=SubjectPopulation(spread=0.2, lapse=0.03, lapses_vary=False),
     )  # fmt: skip
     assert 2 <= found.scheme.animals <= 30
     assert "animals" in found.report()
@@ -394,10 +398,10 @@ def test_populations_are_shared_out_and_fit_into_memory(monkeypatch):
     from weberwhisk.design import experiments, power_analysis
 
     scheme = design((0.2, 0.6), 40).with_animals(3)
-    chunks = power_analysis._chunks(scheme, [TAPERED], Animals(), "tapered", 512, False)
+    chunks = power_analysis._chunks(scheme, [TAPERED], SubjectPopulation(), "tapered", 512, False)
     assert len(chunks) >= 8
     assert sum(chunk["runs"] for chunk in chunks) == 512
-    counts, _ = simulate(TAPERED, scheme, Animals(), 14, np.random.default_rng(1))
+    counts, _ = simulate(TAPERED, scheme, SubjectPopulation(), 14, np.random.default_rng(1))
     sizes: list[int] = []
 
     def watched(*given):
@@ -492,7 +496,7 @@ FEW = {"goal": Goal(half_width=0.2), "runs": 2}
     [
         (lambda w: Goal(bayes_factor=10, share=w), ()),
         (lambda w: Goal(half_width=w), ()),
-        (lambda w: Animals(lapse=w), ()),
+        (lambda w: SubjectPopulation(lapse=w), ()),
         (lambda w: Constraints(nearest=w), (3.5,)),
         (lambda w: Constraints(farthest=w), (3.5, np.inf)),
         (lambda w: Constraints(easy_share=w), ()),

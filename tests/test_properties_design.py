@@ -18,7 +18,6 @@ import weberwhisk as ww
 from weberwhisk import campaign
 from weberwhisk.behaviour import IdentityPercept, fit_population, simulate_population
 from weberwhisk.design import (
-    Animals,
     BayesianPlacer,
     Goal,
     Hypothesis,
@@ -26,6 +25,7 @@ from weberwhisk.design import (
     Scheme,
     Session,
     Staircase,
+    SubjectPopulation,
     lattice,
     next_trial,
     power,
@@ -148,7 +148,7 @@ def test_a_plan_reads_back(scheme: Scheme, seed: int) -> None:
     )
     assume(max(scheme.standards) + np.max(np.concatenate(scheme.offsets)) < 48e-3)
     hypotheses = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
-    plan = Plan(scheme, hypotheses, Goal(bayes_factor=10), Animals(0.07), seed=seed)
+    plan = Plan(scheme, hypotheses, Goal(bayes_factor=10), SubjectPopulation(0.07), seed=seed)
     again = plan_of(plan_json(plan))
     assert again.fingerprint == plan.fingerprint
     assert plan_json(again) == plan_json(plan)

@@ -18,12 +18,12 @@ from weberwhisk.behaviour.comparison import ConstantNoise
 from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.behaviour.simulate import simulate_trials
 from weberwhisk.design import (
-    Animals,
     Goal,
     Hypothesis,
     Plan,
     Rehearsal,
     Scheme,
+    SubjectPopulation,
     analyse,
     taper,
 )
@@ -137,7 +137,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     With other priors coverage is not promised: where offsets are small, lapses and k explain each
     other's errors, and the default prior of the lapses (mean 9 %) takes 10 % off k on average.
     """
-    expected = Animals(0.12, 0.5, 0.03, 0.2)
+    expected = SubjectPopulation(0.12, 0.5, 0.03, 0.2)
     lapse = beta(2, 2 / 0.03 - 2)
     priors = Priors(lognorm(0.5, scale=0.12), lapse, lapse, norm(0, 0.2), lapse_correlation=0.0)
     percept = taper(C2)[0].percept

@@ -18,18 +18,18 @@ import numpy as np
 
 import weberwhisk as ww
 from weberwhisk.behaviour import fit_weber, simulate_trials
-from weberwhisk.design import Animals, Hypothesis, Scheme, power, smallest, taper
+from weberwhisk.design import Hypothesis, Scheme, SubjectPopulation, power, smallest, taper
 from weberwhisk.design.experiments import compare, simulate
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PLACES = [15e-3, 30e-3, 45e-3]
 ANIMALS = {
-    "one animal as it is": Animals(0.1, 0.0, 0.03, 0.0, lapses_vary=False),
-    "animals that differ": Animals(),
+    "one animal as it is": SubjectPopulation(0.1, 0.0, 0.03, 0.0, lapses_vary=False),
+    "animals that differ": SubjectPopulation(),
 }
 
 
-def engine(hypotheses: tuple[Hypothesis, ...], animals: Animals, count: int) -> float:
+def engine(hypotheses: tuple[Hypothesis, ...], animals: SubjectPopulation, count: int) -> float:
     """Experiments a CPU second."""
     scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)
     start = time.process_time()
@@ -39,7 +39,7 @@ def engine(hypotheses: tuple[Hypothesis, ...], animals: Animals, count: int) -> 
 
 
 def together(
-    hypotheses: tuple[Hypothesis, ...], animals: Animals, count: int
+    hypotheses: tuple[Hypothesis, ...], animals: SubjectPopulation, count: int
 ) -> tuple[float, float]:
     """Experiments a second of `power` on two worker processes: in all, and once they have begun."""
     scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)

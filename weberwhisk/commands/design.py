@@ -14,7 +14,7 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import numbers
 from ..campaign import all_cores
-from ..design import Animals, Constraints, Goal, Plan
+from ..design import Constraints, Goal, Plan, SubjectPopulation
 from ..design.experiment import WIDE
 from ..design.exports import in_millimetres
 from ..design.preregistration import assumptions, offsets_in_words
@@ -163,7 +163,7 @@ def design(
             trials=trials,
             animals=animals,
             find=find,
-            expected=Animals(weber_fraction, spread, lapse),
+            expected=SubjectPopulation(weber_fraction, spread, lapse),
             constraints=_constraints(nearest_mm, farthest_mm, step_mm, easy_share),
             trials_per_session=trials_per_session,
             together=False if apart else None,

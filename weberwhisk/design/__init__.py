@@ -4,10 +4,11 @@ The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses
 runs, a placer chooses each trial from what the ones before have told.
 """
 
-from .analysis import Finding, analyse
+from .._deprecated import renamed_names
+from .analysis import AnalysisResult, analyse
 from .best import Best, best_scheme
 from .experiment import plan_experiment
-from .goals import Animals, Goal
+from .goals import Goal, SubjectPopulation
 from .hypotheses import Hypothesis, cues, noises, taper, with_priors
 from .information import information
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
@@ -22,11 +23,10 @@ from .trial_lists import trial_lists
 
 __all__ = [
     "LEVELS",
-    "Animals",
+    "AnalysisResult",
     "BayesianPlacer",
     "Best",
     "Constraints",
-    "Finding",
     "Goal",
     "Hypothesis",
     "Placer",
@@ -38,6 +38,7 @@ __all__ = [
     "Session",
     "Smallest",
     "Staircase",
+    "SubjectPopulation",
     "TrialLog",
     "analyse",
     "best_scheme",
@@ -56,3 +57,5 @@ __all__ = [
     "trial_lists",
     "with_priors",
 ]
+
+__getattr__ = renamed_names(__name__, {"Animals": "SubjectPopulation", "Finding": "AnalysisResult"})

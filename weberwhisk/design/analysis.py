@@ -20,7 +20,7 @@ STIMULI = ["standard", "stimulus_1", "stimulus_2"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class AnalysisResult:
     """What the planned analysis finds in a table of trials.
 
     Parameters
@@ -66,7 +66,7 @@ def analyse(
     *,
     together: bool = False,
     unit: float = 1.0,
-) -> Finding:
+) -> AnalysisResult:
     """Fit every hypothesis to the trials, and weigh them.
 
     Parameters
@@ -104,7 +104,7 @@ def analyse(
     return (_pooled if together else _apart)(trials, given)
 
 
-def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> Finding:
+def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
     rows: list[dict[str, Any]] = []
     evidence: dict[str, list[float | None]] = {h.name: [] for h in hypotheses}
     left_out = []
@@ -119,10 +119,10 @@ def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> Finding:
         for h, fit in zip(hypotheses, fits, strict=True):
             evidence[h.name].append(fit.log_evidence)
     total = {name: float(np.sum(np.array(values, float))) for name, values in evidence.items()}
-    return Finding(pd.DataFrame(rows), total, tuple(left_out))
+    return AnalysisResult(pd.DataFrame(rows), total, tuple(left_out))
 
 
-def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> Finding:
+def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
     if len(trials.subjects) < 2:
         raise ValueError(
             f"{trials.source}: animals are fitted together where there are two or more, got "
@@ -137,7 +137,7 @@ def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> Finding:
             fits[h.name] = fit_population(trials.select(subject=kept), **_options(h))
     rows = [_row(h, "population", fits[h.name]) for h in hypotheses]
     evidence = {name: fit.log_evidence if kept else 0.0 for name, fit in fits.items()}
-    return Finding(pd.DataFrame(rows), evidence, tuple(left_out))
+    return AnalysisResult(pd.DataFrame(rows), evidence, tuple(left_out))
 
 
 def _names_left_out(fit: PopulationFit) -> set[str]:

@@ -25,7 +25,7 @@ from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate
-from .goals import Animals, Goal
+from .goals import Goal, SubjectPopulation
 from .hypotheses import Hypothesis
 from .power_analysis import asked
 from .precision import Precision
@@ -62,7 +62,7 @@ def best_scheme(
     *,
     goal: Goal | None = None,
     constraints: Constraints | None = None,
-    expected: Animals | None = None,
+    expected: SubjectPopulation | None = None,
     standards: int = 3,
     pairs: int = 3,
     trials: int = 360,
@@ -78,7 +78,7 @@ def best_scheme(
     goal : Goal, optional
         Whether to go for the Bayes factor (by default with two hypotheses) or the interval of k.
     constraints : Constraints, optional
-    expected : Animals, optional
+    expected : SubjectPopulation, optional
         The animal whose answers are expected.
     standards, pairs : int
         How many standards, and how many offsets on either side of each.
@@ -105,7 +105,7 @@ def best_scheme(
     True
     """
     given, aim = asked(hypotheses, goal)
-    limits, likely = constraints or Constraints(), expected or Animals()
+    limits, likely = constraints or Constraints(), expected or SubjectPopulation()
     for name, number in (("standards", standards), ("pairs", pairs), ("trials", trials)):
         _checks.whole(name, number, "write 3")
     each = trials // (2 * pairs * standards)
@@ -164,7 +164,7 @@ class _Search:
         self,
         hypotheses: Sequence[Hypothesis],
         sites: list[_Site],
-        animals: Animals,
+        animals: SubjectPopulation,
         goal: Goal,
         limits: Constraints,
         pairs: int,
@@ -284,7 +284,9 @@ class _Search:
 class _Sketch:
     """One hypothesis on a fixed grid: log-probabilities of all positions, tabulated once."""
 
-    def __init__(self, hypothesis: Hypothesis, sites: list[_Site], animals: Animals) -> None:
+    def __init__(
+        self, hypothesis: Hypothesis, sites: list[_Site], animals: SubjectPopulation
+    ) -> None:
         s1, s2, self.first = _positions(sites)
         self.count = [s.sizes.size for s in sites]
         model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
@@ -329,7 +331,7 @@ class _Sketch:
 
 
 def _sites(
-    hypotheses: Sequence[Hypothesis], limits: Constraints, animals: Animals, pairs: int
+    hypotheses: Sequence[Hypothesis], limits: Constraints, animals: SubjectPopulation, pairs: int
 ) -> list[_Site]:
     """The standards and offsets that every hypothesis and constraint allows."""
     felt = hypotheses[0].percept

@@ -16,7 +16,7 @@ from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..receptors import GeneralisedWeber, Weber
 from ..whisker import Whisker
-from .goals import Animals, Goal
+from .goals import Goal, SubjectPopulation
 from .hypotheses import Hypothesis
 from .scheme import Constraints, Scheme
 
@@ -39,13 +39,14 @@ NOUNS: dict[type, str] = {
     Scheme: "standards:numbers offsets:numbers trials:numbers animals",
     Constraints: "nearest farthest:limits step easy_share easy_proportion",
     Goal: "bayes_factor:number|null half_width:number|null share",
-    Animals: "weber_fraction spread lapse bias_spread lapses_vary:flag",
+    SubjectPopulation: "weber_fraction spread lapse bias_spread lapses_vary:flag",
 }
 #: Parts of a noun that are one of several nouns, or a number or distribution.
 KINDS = {
     "percept": "CuePercept|IdentityPercept|LogPercept|LogAxisPercept|ConstantNoise",
     "prior": "number|distribution",
 }
+OLD = {"Animals": "SubjectPopulation"}  # names in plans of version 0.1
 KIND = "is"  # the key that says which noun a mapping is
 MOST = 1e30  # no number of a plan is beyond
 
@@ -109,7 +110,8 @@ def decode(value: Any) -> Any:
     parts = {name: decode(item) for name, item in value.items() if name != KIND}
     if KIND not in value:
         return parts
-    noun = next((noun for noun in NOUNS if noun.__name__ == value[KIND]), None)
+    name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
+    noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:
         return _frozen(value[KIND], parts)
     kinds = {name: kind for name, _, kind in _parts(noun)}

@@ -17,7 +17,7 @@ from ..observer import Observer
 from ..receptors import Weber
 from ..whisker import Whisker
 from .best import best_scheme
-from .goals import Animals, Goal
+from .goals import Goal, SubjectPopulation
 from .hypotheses import Hypothesis, taper
 from .plan import Plan
 from .power_analysis import power, sized, smallest
@@ -45,7 +45,7 @@ def plan_experiment(
     trials: int | None = None,
     animals: int = 1,
     find: str | None = None,
-    expected: Animals | None = None,
+    expected: SubjectPopulation | None = None,
     constraints: Constraints | None = None,
     trials_per_session: int = 300,
     longest_run: int = 5,
@@ -87,7 +87,7 @@ def plan_experiment(
     find : {"trials", "animals", "nothing"}, optional
         What is made as small as the goal allows: by default the trials where they are not given,
         and nothing where they are. For "animals" the search starts at `animals`.
-    expected : Animals, optional
+    expected : SubjectPopulation, optional
         What the animals are expected to be like.
     constraints : Constraints, optional
         What rig and animal allow; pole steps of 10 µm by default.
@@ -123,13 +123,13 @@ def plan_experiment(
     """
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
     for name, value in (("goal", goal), ("expected", expected), ("constraints", constraints)):
-        kind = {"goal": Goal, "expected": Animals, "constraints": Constraints}[name]
+        kind = {"goal": Goal, "expected": SubjectPopulation, "constraints": Constraints}[name]
         if value is not None and not isinstance(value, kind):
             raise ValueError(
                 f"{name} must be {kind.__name__}, got {_checks.shown(value)}; leave it out, say."
             )
     aim = goal or Goal(bayes_factor=10.0)
-    limits, likely = constraints or Constraints(step=STEP), expected or Animals()
+    limits, likely = constraints or Constraints(step=STEP), expected or SubjectPopulation()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
     wanted = _what_to_find(find, trials, scheme)
     if best:

@@ -23,7 +23,7 @@ from ..behaviour.lapses import score_prior
 from ..behaviour.priors import Priors
 from ..threads import one_blas_thread
 from .coding import decode
-from .goals import Animals
+from .goals import SubjectPopulation
 from .hypotheses import Hypothesis
 from .populations import HELD, bias_scales, populations, steps_of
 from .scheme import Scheme
@@ -58,7 +58,7 @@ class Fitted:
 def simulate(
     hypothesis: Hypothesis,
     scheme: Scheme,
-    animals: Animals,
+    animals: SubjectPopulation,
     runs: int,
     rng: np.random.Generator,
     *,
@@ -71,7 +71,7 @@ def simulate(
     hypothesis : Hypothesis
         The truth.
     scheme : Scheme
-    animals : Animals
+    animals : SubjectPopulation
         What they are like; each experiment draws its own.
     runs : int
     rng : Generator
@@ -89,7 +89,7 @@ def simulate(
     --------
     >>> from weberwhisk.behaviour import IdentityPercept
     >>> weber = Hypothesis("Weber", IdentityPercept())
-    >>> counts, k = simulate(weber, Scheme([1.0], [-0.1, 0.1]), Animals(), 5,
+    >>> counts, k = simulate(weber, Scheme([1.0], [-0.1, 0.1]), SubjectPopulation(), 5,
     ...                      np.random.default_rng(1))
     >>> counts.shape, k.shape
     ((5, 1, 2), (5,))

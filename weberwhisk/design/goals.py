@@ -12,7 +12,7 @@ from ..behaviour.population import draw_animals
 
 
 @dataclass(frozen=True)
-class Animals:
+class SubjectPopulation:
     """What the animals are expected to be like.
 
     Parameters

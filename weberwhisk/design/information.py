@@ -23,7 +23,7 @@ from ..behaviour.likelihood import WeberModel
 from ..behaviour.percepts import UnitPercepts, unit_percepts
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
-from .goals import Animals
+from .goals import SubjectPopulation
 from .hypotheses import Hypothesis, told_apart
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
 
@@ -41,7 +41,7 @@ def information(
     offsets: ArrayLike,
     *,
     after: Scheme | None = None,
-    expected: Animals | None = None,
+    expected: SubjectPopulation | None = None,
     jnd_at: float | None = None,
 ) -> pd.DataFrame:
     """Expected information of one trial at every standard and offset.
@@ -59,7 +59,7 @@ def information(
         What has been run before: the parameters are then known as well as they are expected to be
         after it, averaged over each hypothesis being the truth. By default nothing has, and beliefs
         are the priors.
-    expected : Animals, optional
+    expected : SubjectPopulation, optional
         The animal whose answers are expected before; its Weber fraction and lapses.
     jnd_at : float, optional
         Distance of the JND asked for, m; by default the middle standard.
@@ -95,7 +95,7 @@ def information(
     for h in given:
         refuse_out_of_reach(h.percept, at, "standard")
     place = float(np.sort(at)[at.size // 2]) if jnd_at is None else float(jnd_at)
-    likely = expected or Animals()
+    likely = expected or SubjectPopulation()
     truths: Sequence[Hypothesis | None] = given if after is not None else [None]
     parts = []
     for truth in truths:
@@ -149,7 +149,10 @@ class Belief:
 
 
 def believed(
-    hypothesis: Hypothesis, after: Scheme | None, truth: Hypothesis | None, animals: Animals
+    hypothesis: Hypothesis,
+    after: Scheme | None,
+    truth: Hypothesis | None,
+    animals: SubjectPopulation,
 ) -> Belief:
     """What is known of an observer after the answers that the truth is expected to give."""
     before = after if after is not None else Scheme([1.0], [0.0], 1)
@@ -200,7 +203,7 @@ def believed(
     return Belief(hypothesis, k, known)
 
 
-def expected_counts(truth: Hypothesis, scheme: Scheme, animals: Animals) -> Array:
+def expected_counts(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Array:
     """Answers of an expected animal on average, (1, 1, C): without bias, and not whole."""
     model = truth.model(scheme)
     k, lapse = np.array([animals.weber_fraction]), np.array([animals.lapse])

@@ -18,9 +18,9 @@ from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from ..output import csv_text
 from . import expectation
-from .analysis import Finding, analyse
+from .analysis import AnalysisResult, analyse
 from .exports import own_table
-from .goals import Animals, Goal
+from .goals import Goal, SubjectPopulation
 from .hypotheses import Hypothesis, told_apart
 from .scheme import Constraints, Scheme
 from .trial_lists import sessions_needed, trial_lists
@@ -37,7 +37,7 @@ class Plan:
     hypotheses : sequence of Hypothesis
         As they will be fitted; the first is what is expected.
     goal : Goal
-    animals : Animals
+    animals : SubjectPopulation
         What they are expected to be like.
     constraints : Constraints
     trials_per_session, longest_run : int
@@ -60,7 +60,7 @@ class Plan:
     scheme: Scheme
     hypotheses: Sequence[Hypothesis]
     goal: Goal
-    animals: Animals = field(default_factory=Animals)
+    animals: SubjectPopulation = field(default_factory=SubjectPopulation)
     constraints: Constraints = field(default_factory=Constraints)
     trials_per_session: int = 300
     longest_run: int = 5
@@ -72,8 +72,8 @@ class Plan:
     def __post_init__(self) -> None:
         object.__setattr__(self, "hypotheses", told_apart(self.hypotheses))
         for name, kind in (
-            ("scheme", Scheme), ("goal", Goal), ("animals", Animals), ("constraints", Constraints),
-            ("title", str),
+            ("scheme", Scheme), ("goal", Goal), ("animals", SubjectPopulation),
+            ("constraints", Constraints), ("title", str),
         ):  # fmt: skip
             if not isinstance(getattr(self, name), kind):
                 raise ValueError(
@@ -162,7 +162,7 @@ class Plan:
 
     # -- what is done with the data ---------------------------------------------------------------
 
-    def analyse(self, trials: Trials, *, unit: float = 1.0) -> Finding:
+    def analyse(self, trials: Trials, *, unit: float = 1.0) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
         return analyse(trials, self.hypotheses, together=self.together, unit=unit)
 

@@ -24,7 +24,7 @@ FILE = {
     "plan": "dict", "power": "dict|null",
 }  # fmt: skip
 PARTS = {
-    "scheme": "Scheme", "hypotheses": "list", "goal": "Goal", "animals": "Animals",
+    "scheme": "Scheme", "hypotheses": "list", "goal": "Goal", "animals": "SubjectPopulation",
     "constraints": "Constraints", "trials_per_session": "number", "longest_run": "number",
     "together": "flag", "seed": "number", "title": "text",
 }  # fmt: skip

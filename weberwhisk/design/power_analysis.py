@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 from .. import _checks, campaign
 from .coding import encode
 from .experiments import experiments
-from .goals import Animals, Goal
+from .goals import Goal, SubjectPopulation
 from .hypotheses import Hypothesis, told_apart
 from .scheme import Scheme
 
@@ -105,7 +105,7 @@ def power(
     hypotheses: Sequence[Hypothesis],
     *,
     goal: Goal | None = None,
-    expected: Animals | None = None,
+    expected: SubjectPopulation | None = None,
     trials: Sequence[int] | None = None,
     animals: Sequence[int] | None = None,
     lapses: Sequence[float] | None = None,
@@ -131,7 +131,7 @@ def power(
         To be told apart; one alone for the interval of its k.
     goal : Goal, optional
         By default a Bayes factor above 10 in 80 % of experiments, or with one hypothesis ±20 %.
-    expected : Animals, optional
+    expected : SubjectPopulation, optional
         What the animals are like: every experiment draws its own.
     trials, animals : sequence of int, optional
         Sizes: trials of the comparison shown most, others in proportion; and numbers of animals.
@@ -162,7 +162,7 @@ def power(
     Examples
     --------
     >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Animals, Scheme, taper
+    >>> from weberwhisk.design import SubjectPopulation, Scheme, taper
     >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
     >>> scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3])
     >>> found = power(scheme, hypotheses, trials=[5, 40], truths=["tapered"], runs=64, seed=1)
@@ -172,7 +172,7 @@ def power(
     """
     given, aim = asked(hypotheses, goal)
     _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
-    likely = Animals() if expected is None else expected
+    likely = SubjectPopulation() if expected is None else expected
     _checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
     for name, given_sizes in (("trials", trials), ("animals", animals), ("lapses", lapses)):
         if given_sizes is not None:
@@ -357,7 +357,7 @@ def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goa
 def _chunks(
     scheme: Scheme,
     hypotheses: Sequence[Hypothesis],
-    animals: Animals,
+    animals: SubjectPopulation,
     truth: str,
     runs: int,
     assurance: bool,

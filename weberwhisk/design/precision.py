@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..behaviour.trials import Cells
-from .goals import Animals
+from .goals import SubjectPopulation
 from .hypotheses import Hypothesis
 
 Array = NDArray[np.float64]
@@ -32,21 +32,25 @@ class Precision:
         True, and fitted.
     standards, comparisons : array_like, shape (C,)
         All positions there are to choose from, m.
-    animals : Animals
+    animals : SubjectPopulation
         So many are drawn from them, the same for every choice.
 
     Examples
     --------
     >>> from weberwhisk.behaviour import IdentityPercept
     >>> weber = Hypothesis("Weber", IdentityPercept())
-    >>> told = Precision(weber, [1.0, 1.0, 1.0], [0.8, 1.0, 1.2], Animals())
+    >>> told = Precision(weber, [1.0, 1.0, 1.0], [0.8, 1.0, 1.2], SubjectPopulation())
     >>> middle, sides = (np.median(told.half_widths(at, 50)) for at in ([1], [0, 2]))
     >>> bool(sides < middle)
     True
     """
 
     def __init__(
-        self, hypothesis: Hypothesis, standards: ArrayLike, comparisons: ArrayLike, animals: Animals
+        self,
+        hypothesis: Hypothesis,
+        standards: ArrayLike,
+        comparisons: ArrayLike,
+        animals: SubjectPopulation,
     ) -> None:
         s1, s2 = (np.asarray(a, dtype=float) for a in (standards, comparisons))
         model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
