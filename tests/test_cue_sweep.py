@@ -118,7 +118,10 @@ def swept_wall(depth):
     return PUSH[held[1:]], full.bending.radial_distance[held], full.bending.moment[held]
 
 
-@pytest.mark.parametrize("depth", [2.5e-3, 5e-3, 10e-3])
+@pytest.mark.parametrize(
+    "depth",
+    [pytest.param(d, marks=[pytest.mark.slow] * (d != 5e-3)) for d in (2.5e-3, 5e-3, 10e-3)],
+)
 def test_walls_that_the_tip_meets_are_followed(depth):
     """Their contacts run inwards at 0.3 L/depth per rad at first, and ever slower."""
     push, r, moment = swept_wall(depth)
