@@ -193,8 +193,8 @@ def test_a_cylinders_pair_leaves_the_contact_open_and_a_third_signal_closes_it()
     ("call", "words"),
     [
         (lambda: ForceMap(["momnt"]), "did you mean 'moment'"),
-        (lambda: ForceMap([]), "one signal or more, each once"),
-        (lambda: ForceMap(["moment", "moment"]), "one signal or more, each once"),
+        (lambda: ForceMap([]), "one or more, each once"),
+        (lambda: ForceMap(["moment", "moment"]), "one or more, each once"),
         (lambda: ForceMap(deflection_angle=-0.1), "deflection_angle must be above zero"),
         (lambda: ALL.contact(W, [1e-6, 1e-5, 1e-5]), "no unique contact"),
         (lambda: KNOWN[1].contact(W, [1e-6]), "no unique contact"),

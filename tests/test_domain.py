@@ -26,13 +26,6 @@ def test_a_slip_of_units_is_refused_with_a_hint(fields, words):
         ww.Whisker(*fields)
 
 
-def test_degrees_are_refused_with_a_hint():
-    w = ww.Whisker(*GOOD)
-    with pytest.raises(ValueError, match="did you pass degrees"):
-        ww.press(w, 20e-3, 20.0)
-    assert ww.press(w, 20e-3, np.pi).outcome != ww.Outcome.HELD
-
-
 @pytest.mark.parametrize(
     ("fields", "words"),
     [

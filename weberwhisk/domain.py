@@ -39,7 +39,7 @@ READING_SDS = 8.0
 
 
 def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
-    """Refuse whiskers that can only be a slip of units: longer than 2 m, or wider than long.
+    """Refuse whiskers that can only be a slip of units: longer than 20 m, or wider than long.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
     ValueError: A whisker of 41 m is none: did you pass millimetres? Write 0.041 for 41 mm.
     """
     longest = float(np.max(length))
-    if longest > 10 * LENGTHS[1]:
+    if longest > 100 * LENGTHS[1]:
         raise ValueError(
             f"A whisker of {longest:g} m is none: did you pass millimetres? "
             f"Write {longest / 1e3:g} for {longest:g} mm."

@@ -164,11 +164,6 @@ def press(
     """
     r = positive("radial_distance", radial_distance, _METRES)
     theta = finite("deflection_angle", deflection_angle, _RADIANS)
-    if np.any(np.abs(theta) > 2 * np.pi):
-        raise ValueError(
-            f"deflection_angle must be within a turn, got {np.max(np.abs(theta)):g} rad: did you "
-            "pass degrees? Write np.radians(20), say."
-        )
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     turn = finite("roll", roll, _NO_ROLL)
     weighed = tolerance is not None or weber_fraction is not None or cue is not None
