@@ -108,6 +108,7 @@ def test_no_answer_stays_right_for_longer_than_allowed(half: int, longest: int, 
 @given(whiskers(), st.lists(floats(0.1, 0.9), min_size=1, max_size=2, unique=True), POWERS)
 def test_spaced_offsets_know_no_unit(w: ww.Whisker, places: list[float], size: float) -> None:
     assume(w.tip_radius < 0.9 * w.base_radius)
+    assume(size * w.length < 2.0)  # longer ones are refused as a slip of units
     assume(len({round(p, 2) for p in places}) == len(places))
     at = np.array(places) * w.length
     options = {"weber_fraction": 0.05, "levels": [-1.0, -0.5, 0.5, 1.0]}
