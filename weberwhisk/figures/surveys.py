@@ -90,12 +90,14 @@ def _where_it_works(
     place = rows["place"].to_numpy()
     ax.plot(np.where(works, place, np.nan), np.full(place.size, height), **look)
     ax.text(0.0, height + 0.12, name, fontsize=SMALL, color=look["color"], va="bottom")
-    for outcome, lost in rows[~works].groupby("outcome", sort=False):
+    for line, (outcome, lost) in enumerate(rows[~works].groupby("outcome", sort=False)):
         ends = lost["place"].min(), lost["place"].max()
         ax.plot(ends, (height, height), ":", color="0.5", linewidth=1)
         x, side = (ends[1], "right") if ends[1] > 0.7 else (ends[0], "left")
         words = str(outcome).split(":")[0]
-        ax.text(x, height - 0.18, words, fontsize=SMALL, color="0.3", va="top", ha=side)
+        ax.text(
+            x, height - 0.16 - 0.28 * line, words, fontsize=SMALL, color="0.3", va="top", ha=side
+        )
 
 
 def _outcome_looks() -> dict[str, dict[str, Any]]:
