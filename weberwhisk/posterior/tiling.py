@@ -16,7 +16,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
+from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -40,6 +40,10 @@ WINDOW, NEGLIGIBLE = 7.0, 18.0
 SAFE = 8.0
 #: Boxes worked on together.
 CHUNK = 1024
+
+
+#: The last two Legendre coefficients of values at the nodes of an axis.
+_TAIL = np.linalg.inv(legvander(leggauss(ORDER)[0], ORDER - 1))[-2:]
 
 
 class TooManyTiles(Exception):
@@ -80,7 +84,7 @@ class Nodes(NamedTuple):
 
     `log_weight` is ln of prior and rule; `low` and `high` (n, R) bound the readings that a box
     makes plausible; `lengths` (n, d) are those of the boxes, in sd; `kink` (n,) says which
-    have one.
+    have one, and `bent` (n, d) along which axes the signals are no polynomial.
     """
 
     contact: Array
@@ -90,6 +94,7 @@ class Nodes(NamedTuple):
     high: Array
     lengths: Array
     kink: NDArray[np.bool_]
+    bent: NDArray[np.bool_]
 
     def of(self, rows: NDArray[np.bool_]) -> Nodes:
         """Those of some boxes."""
@@ -151,8 +156,8 @@ def tiles_of(
             boxes, nodes = boxes.of(live), nodes.of(live)
             parts = np.clip(np.ceil(nodes.lengths / length), 1, 4).astype(np.intp)
             mass = nodes.log_weight.max(axis=1) - total
-            kink = nodes.kink & (mass > KINK)
-            parts[kink] = np.maximum(parts[kink], 2)
+            cut = nodes.bent | (nodes.kink & (mass > KINK))[:, None]
+            parts[cut] = np.maximum(parts[cut], 2)
             parts[boxes.high - boxes.low < 1e-6] = 1
             parts[mass < rough] = 1
             whole = (parts == 1).all(axis=1)
@@ -297,7 +302,27 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
     blind = np.asarray(observer.noise.uninformative(signals)).reshape(*held.shape, -1)
     mixed = np.logical_and(blind.any(axis=1), ~blind.all(axis=1))
     kink = np.asarray(partly | np.any(mixed, axis=1))
-    return Nodes(contact, log_weight, signals, low - beyond, high + beyond, lengths, kink)
+    bent = _bent(observer, signals, held)
+    return Nodes(contact, log_weight, signals, low - beyond, high + beyond, lengths, kink, bent)
+
+
+def _bent(
+    observer: Observer, signals: Array, held: NDArray[np.bool_], *, most: float = 0.03
+) -> NDArray[np.bool_]:
+    """Along which axes (n, d) the signals of boxes are no polynomial, as told by its last terms.
+
+    So it is at the node of a vibration, whose size is felt and not its sign: tilings of two lengths
+    may agree there, and both be wrong. `most` is in sd; each halving halves what a kink leaves.
+    """
+    dim = round(np.log(held.shape[1]) / np.log(ORDER))
+    place, step = observer.noise.resolution(signals)
+    scaled = place / step.min(axis=1, keepdims=True)
+    scaled = scaled.reshape(len(held), *(ORDER,) * dim, -1)
+    out = np.repeat(np.all(held, axis=1, keepdims=True), dim, axis=1)
+    for axis in range(dim):
+        tail = np.abs(np.moveaxis(scaled, axis + 1, -1) @ _TAIL.T).sum(axis=-1)
+        out[:, axis] &= tail.reshape(len(held), -1).max(axis=1) > most
+    return out
 
 
 def _lengths(observer: Observer, contact: Array, signals: Array, held: NDArray[np.bool_]) -> Array:
