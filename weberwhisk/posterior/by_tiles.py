@@ -72,7 +72,7 @@ def by_tiles(
     return _solution(observer, reading, found, wanted)
 
 
-#: Most tiles of a whole tiling: 2 kB each.
+#: Most tiles of a whole tiling of two unknowns: 2 kB each, and six times that of three.
 MOST_TILES = 80_000
 #: Readings by which a tiling is certified.
 CERTIFYING = 128
@@ -93,7 +93,8 @@ def _whole(observer: Observer, length: float) -> _Whole | None:
     prior, beside tiles finer by a third.
     """
     try:
-        tiled = TiledObserver(observer, tiles_of(observer, length, most=MOST_TILES), length)
+        most = MOST_TILES // 6 ** (len(observer.unknowns) - 2)
+        tiled = TiledObserver(observer, tiles_of(observer, length, most=most), length)
     except TooManyTiles:
         return None
     rng = np.random.default_rng(20261122)

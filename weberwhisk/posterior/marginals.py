@@ -29,7 +29,9 @@ _TO_POWERS = (
     )
     @ _TO_LEGENDRE
 )
-_ACROSS_X, _ACROSS_W = legendre.leggauss(16)
+#: Lines across are many: near the fold a value cuts a tile at some of them and passes by the rest.
+#: The upper end of 95 % was 0.041 sd off with 16, 0.003 with 64.
+_ACROSS_X, _ACROSS_W = legendre.leggauss(64)
 _TO_ACROSS = legendre.legvander(_ACROSS_X, ORDER - 1) @ _TO_LEGENDRE
 #: ln of a weight, below the highest of its tile, that counts as none.
 _NONE = -80.0
@@ -62,7 +64,7 @@ class Lines:
         self.least, self.most = value.min(axis=1), value.max(axis=1)
 
     def _scales(self) -> tuple[float, Array, Array]:
-        """`angle_scale` at the lines across the tiles that there are: (T, 16) each."""
+        """`angle_scale` at the lines across the tiles that there are: (T, lines)."""
         tiles = np.unique(self.tile)
         first = self._contact[tiles, :: ORDER ** (self._boxes.low.shape[1] - 1), 0]
         low, *both = self.observer.space.angle_scale(first)
@@ -105,9 +107,10 @@ class Lines:
         out = summed(np.where(below, self.mass, 0.0), self.row, self.count)
         error = np.zeros(self.count)
         if some.size:
-            part, whole = self._partial(some, self._cut(self.tile[some], v[some]))
+            part, whole, missed = self._partial(some, self._cut(self.tile[some], v[some]))
             out += summed(part, self.row[some], self.count)
             error += np.abs(summed(whole - self.mass[some], self.row[some], self.count))
+            error += np.sqrt(summed(missed**2, self.row[some], self.count))
         return out, error
 
     def _cut(self, tile: Index, value: Array) -> Array:
@@ -146,8 +149,12 @@ class Lines:
         whole = np.exp(np.minimum(self._powers[pairs] @ _PART_BASIS, 30.0)) @ (_PART_W / 2)
         self._whole[pairs] = scale * whole.sum(axis=1)
 
-    def _partial(self, pairs: Index, t: Array) -> tuple[Array, Array]:
-        """The mass of tiles (n,) below the fractions t, and all of it, by finer rules."""
+    def _partial(self, pairs: Index, t: Array) -> tuple[Array, Array, Array]:
+        """The mass of tiles (n,) below the fractions t, and all of it, by finer rules.
+
+        And how far off that may be: by a fifth of what is between two lines of which one is cut and
+        the other is not (8 times what it was near the fold at k = 0.03 with a half).
+        """
         self._prepare(pairs)
         powers = self._powers[pairs].reshape(len(pairs), self._count, -1, ORDER)
         scale = self._scale_of[pairs]
@@ -158,7 +165,10 @@ class Lines:
             value *= x
         value += powers[..., 0, None]
         part = (np.exp(np.minimum(value, 30.0)) @ (_PART_W / 2)).sum(axis=2)
-        return scale * (part * t).sum(axis=1), self._whole[pairs]
+        below, cut = part * t, (t > 0).astype(int) + (t >= 1)
+        apart = np.where(np.diff(cut, axis=1) != 0, np.abs(np.diff(below, axis=1)), 0.0)
+        missed = 0.2 * scale * apart.max(axis=1, initial=0.0)
+        return scale * below.sum(axis=1), self._whole[pairs], missed
 
 
 def quantiles(

@@ -31,7 +31,7 @@ TOGETHER = 2048
 def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
-    if len(observer.unknowns) == 2:
+    if len(observer.unknowns) == 2 or _is_fusion_of_two(observer):
         return by_tiles(observer, reading, tolerance, progress)
     if len(observer.unknowns) > 1:
         return _several(observer, reading, tolerance, progress)
@@ -53,6 +53,17 @@ def quadrature(
 
     estimate = Estimate(m.mean, m.sd, m.mean_error, m.sd_error)
     return Solution([estimate], status.astype(np.int8), m.log_evidence, quantile_of, draws_of)
+
+
+def _is_fusion_of_two(observer: Observer) -> bool:
+    """Whether cues of distance and an unknown of its own each are fused.
+
+    Such as forces and bearings: a ridge of one in another, on which climbs from a few starts missed
+    the peak (by 5.7 sd, and called it converged), and lattices the ends (by 0.02 to 0.08 sd).
+    """
+    cues = getattr(observer.cue, "cues", ())
+    own = [name for cue in cues for name in cue.unknowns[1:]]
+    return len(observer.unknowns) == 3 and len(own) == 2 and all(len(c.unknowns) < 3 for c in cues)
 
 
 def _several(

@@ -29,8 +29,7 @@ Index = NDArray[np.intp]
 #: Nodes along each axis of a tile.
 ORDER = 6
 #: ln of the share of the prior below which a box is not cut further and, `LEFT_OUT` below that,
-#: left out: of all contacts, over the share of an average tile; and where readings are followed
-#: anywhere.
+#: left out: of all contacts, over the share of an average tile; where readings are followed.
 ROUGH, LEFT_OUT, DEEP = -14.0, -6.0, -80.0
 #: ln of the share of the prior down to which a kink or an edge is closed in.
 KINK = -11.0
@@ -42,7 +41,6 @@ SAFE = 8.0
 CHUNK = 1024
 
 
-#: The last two Legendre coefficients of values at the nodes of an axis.
 _TAIL = np.linalg.inv(legvander(leggauss(ORDER)[0], ORDER - 1))[-2:]
 
 
@@ -113,7 +111,7 @@ def tiles_of(
     length: float,
     reading: Array | None = None,
     *,
-    most: int = 120_000,
+    most: int | None = None,
     everywhere: bool = False,
     deep: bool = True,
 ) -> Tiles:
@@ -125,8 +123,8 @@ def tiles_of(
     length : float
         Longest tile, in sd.
     reading : array, shape (B, R), optional
-    most : int
-        Most boxes.
+    most : int, optional
+        Most boxes: 120 000 in two dimensions, 20 000 in three.
     everywhere : bool
         Look for readings far from all contacts, too.
     deep : bool
@@ -137,7 +135,7 @@ def tiles_of(
     TooManyTiles
         Where it would take more.
     """
-    total = trunk_mass(observer)
+    total, most = trunk_mass(observer), most or 720_000 // ORDER ** (len(observer.unknowns) - 1)
     deep = deep and reading is not None
     rough = DEEP if deep else ROUGH - np.log(expected_tiles(observer, length))
     best = None if reading is None else np.full(len(reading), -np.inf)
@@ -316,10 +314,9 @@ def _bent(
     """
     dim = round(np.log(held.shape[1]) / np.log(ORDER))
     place, step = observer.noise.resolution(signals)
-    scaled = place / step.min(axis=1, keepdims=True)
-    scaled = scaled.reshape(len(held), *(ORDER,) * dim, -1)
+    scaled = (place / step.min(axis=1, keepdims=True)).reshape(len(held), *(ORDER,) * dim, -1)
     out = np.repeat(np.all(held, axis=1, keepdims=True), dim, axis=1)
-    for axis in range(dim):
+    for axis in range(dim):  # by the last two Legendre coefficients
         tail = np.abs(np.moveaxis(scaled, axis + 1, -1) @ _TAIL.T).sum(axis=-1)
         out[:, axis] &= tail.reshape(len(held), -1).max(axis=1) > most
     return out
