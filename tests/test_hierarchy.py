@@ -22,7 +22,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.bias_scale import BiasScales
-from weberwhisk.behaviour.hierarchy import integrate_population
+from weberwhisk.behaviour.hierarchy import _zoomed, integrate_population
 from weberwhisk.behaviour.members import Members, Work
 from weberwhisk.behaviour.population import joined
 from weberwhisk.behaviour.tabulated import tabulate
@@ -68,6 +68,54 @@ def work_of(trials: Trials, sessions: bool, priors: object = KNOWN) -> Work:
 
 
 # -- the integrals --------------------------------------------------------------------------------
+
+
+def test_nodes_between_cut_offs_are_interpolated_within_them() -> None:
+    """A spline through logs that drop by hundreds put all mass beside the drop.
+
+    A normal cut off two sds below its mean and the nodes' exact quantiles; then two nodes alone.
+    """
+    place = np.linspace(-4.0, 4.0, 23)
+    for cut in (-2.0, -0.9, 0.5):
+        log = np.where(place < cut, -690.0, -0.5 * place**2)
+        fine, x = np.exp(_zoomed(log, [24])), _zoomed(place, [24])
+        first = place[place >= cut][0]
+        exact = stats.truncnorm(first, np.inf).ppf([0.025, 0.5, 0.975])
+        below = np.cumsum(fine) / fine.sum()
+        # A cell with a drop is a whole one of its node's or none: half of it is not told.
+        np.testing.assert_allclose(np.interp([0.025, 0.5, 0.975], below, x), exact, atol=0.06)
+    few = np.array([-690.0, -690.0, -5.0, -4.0, -690.0, -690.0])
+    assert _zoomed(few, [5]).max() < -3.5 + 1e-9
+
+
+def test_a_prior_of_spreads_that_ends_above_zero_is_integrated_from_there() -> None:
+    trials, _ = animals(2)
+    prior = PopulationPriors(spread=stats.uniform(0.2, 0.4))
+    fit = fit_population(trials, priors=KNOWN, population=prior)
+    low, middle, high = fit.quantile("spread", [0.025, 0.5, 0.975])
+    # By brute force: each animal's likelihood, averaged over the normal, on nodes of its own.
+    k, mu, tau = np.linspace(-7, 2, 1201), np.linspace(-5, 0, 101), np.linspace(0.2, 0.6, 81)
+    z = (k[:, None, None] - mu[:, None]) / tau
+    normal = np.exp(-0.5 * z**2) / tau
+    log_post = stats.norm.logpdf(mu, np.log(0.1), np.log(3.0))[:, None] + np.zeros(tau.size)
+    for subject in trials.subjects:
+        seen = likelihood(trials.select(subject=subject), k)
+        log_post = log_post + np.log(np.tensordot(np.exp(seen - seen.max()), normal, 1))
+    mass = np.exp(log_post - log_post.max())
+    mass[:, [0, -1]] *= 0.5
+    below = np.cumsum(mass.sum(axis=0))
+    below -= 0.5 * mass.sum(axis=0)
+    exact = np.interp(np.array([0.025, 0.5, 0.975]) * mass.sum(), below, tau)
+    np.testing.assert_allclose([low, middle, high], exact, atol=0.005)
+    assert fit.status is not PopulationStatus.NOT_CONVERGED
+
+
+def test_a_prior_that_ends_between_nodes_is_said_not_to_converge() -> None:
+    trials, _ = animals(2)
+    believed = Priors(weber_fraction=stats.uniform(0.03, 0.07), lapse_low=0.02, lapse_high=0.02)
+    assert fit_population(trials, priors=believed).status is PopulationStatus.NOT_CONVERGED
+    wide = Priors(weber_fraction=stats.uniform(1e-4, 5.0), lapse_low=0.02, lapse_high=0.02)
+    assert fit_population(trials, priors=wide).status is not PopulationStatus.NOT_CONVERGED
 
 
 def test_a_table_integrates_to_the_evidence_of_one_animal() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import warnings
 from typing import Any
@@ -11,10 +12,12 @@ import pandas as pd
 import pytest
 from analysis_scripts import load
 from cue_checks import moments_by_midpoints
+from scipy import stats
+from scipy.special import ndtr
 
 import weberwhisk as ww
 from weberwhisk import Observer, Outcome, Status, Whisker, cues, receptors
-from weberwhisk.behaviour import fit_weber, read_trials
+from weberwhisk.behaviour import Priors, fit_weber, read_trials
 from weberwhisk.mechanics import rod
 
 hunting = load("hunting")
@@ -297,6 +300,32 @@ def test_the_referee_of_populations_knows_how_widely_biases_spread() -> None:
     """
     judged = judged_population(0.100006, 0.298386, 0.000136, 1.5, 2.0, 10.466767, 0.23543, 0.575198)
     assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
+
+
+@pytest.mark.parametrize("lapses", [(0.3, 20.0), (1.0, 20.0), (0.7, 60.0), (0.7, 8.0)])
+def test_a_populations_weber_fraction_is_that_of_weighed_draws_whatever_its_lapses(
+    lapses: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two animals of k = 0.1 had a population of 0.0054 to 0.0055 where lapses are rare.
+
+    Populations far below were impossible instead of unlikely, and a spline between nodes overshot
+    that cliff by hundreds of nats.
+    """
+    populations, prior = load("stability_populations"), stats.beta(*lapses)
+    numbers = 0.100006, 0.298386, 0.000136, 1.5, 2.0, 10.466767, 0.23543, 0.575198
+    score = np.linspace(-9.0, 9.0, 4001)
+    drawn = score, prior.ppf(ndtr(score))
+    monkeypatch.setattr(populations, "_lapses", lambda: drawn)
+    believed = Priors(lapse_low=prior, lapse_high=prior)
+    monkeypatch.setattr(
+        populations,
+        "fit_population",
+        functools.partial(populations.fit_population, priors=believed),
+    )
+    case = zip(populations.AXES, numbers, strict=True)
+    judged = populations.judge({name: np.array([value]) for name, value in case})
+    assert judged.fate[0] in (hunting.Fate.RIGHT, hunting.Fate.WARNED)
+    assert judged.seen["of_weber_fraction"][0] < 0.05
 
 
 def test_a_point_past_half_a_turn_is_not_come_at_from_behind() -> None:

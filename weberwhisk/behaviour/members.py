@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from .bias_scale import AS_BELIEVED, BiasScales
 from .tabulated import Table
@@ -72,11 +73,19 @@ class Work:
         return (weight * mean).sum(axis=1) / sum_of_weights, 1 / np.sqrt(sum_of_weights)
 
     def kernel(self, centre: Array, spread: Array) -> Array:
-        """Probability of each node of ln k under normals, (X, ...)."""
+        """Probability of each node of ln k under normals, (X, ...).
+
+        The end nodes stand for all beyond them, where a likelihood goes on as it was: populations
+        out there are unlikely by their prior, and not impossible.
+        """
         # A normal narrower than the nodes is as wide as they are: a fifth of what any member tells.
         width = np.maximum(spread, 0.8 * self.step)
         z = (self.x.reshape(-1, *[1] * np.ndim(centre)) - centre) / width
-        return np.exp(-0.5 * z**2) * (self.step / (width * np.sqrt(2 * np.pi)))
+        out: Array = np.exp(-0.5 * z**2) * (self.step / (width * np.sqrt(2 * np.pi)))
+        half = 0.5 * self.step / width
+        out[0] += ndtr(z[0] - half)
+        out[-1] += ndtr(-z[-1] - half)
+        return out
 
     def within(self, session_spread: float) -> Array | None:
         """The kernel of sessions about their animal's ln k, (X, X); none where they are one."""
