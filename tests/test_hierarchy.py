@@ -112,7 +112,7 @@ def test_a_prior_of_spreads_that_ends_above_zero_is_integrated_from_there() -> N
 
 def test_a_prior_that_ends_between_nodes_is_said_not_to_converge() -> None:
     trials, _ = animals(2)
-    believed = Priors(weber_fraction=stats.uniform(0.03, 0.07), lapse_low=0.02, lapse_high=0.02)
+    believed = Priors(weber_fraction=stats.uniform(0.03, 0.09), lapse_low=0.02, lapse_high=0.02)
     assert fit_population(trials, priors=believed).status is PopulationStatus.NOT_CONVERGED
     wide = Priors(weber_fraction=stats.uniform(1e-4, 5.0), lapse_low=0.02, lapse_high=0.02)
     assert fit_population(trials, priors=wide).status is not PopulationStatus.NOT_CONVERGED
