@@ -47,12 +47,25 @@ def quadrature(
     def quantile_of(p: Array, unknown: int) -> Array:
         return panels.quantiles(reading, p)
 
+    def quantile_error_of(p: Array, unknown: int) -> Array:
+        """The panels' own estimate, as a share of mass that may lie on the wrong side; and what
+        cubics between nodes miss: 5e-6 sd at most beside sums, k = 0.03 to 0.3.
+        """
+        return np.asarray(m.sd[:, None] * (1e-5 + error[:, None] / (4 * p * (1 - p))))
+
     def draws_of(count: int, seed: Seed) -> Array:
         u = _stratified(len(reading), count, seed)
         return panels.quantiles(reading, u).reshape(len(reading), 4, -1, 1)
 
     estimate = Estimate(m.mean, m.sd, m.mean_error, m.sd_error)
-    return Solution([estimate], status.astype(np.int8), m.log_evidence, quantile_of, draws_of)
+    return Solution(
+        [estimate],
+        status.astype(np.int8),
+        m.log_evidence,
+        quantile_of,
+        draws_of,
+        quantile_error_of,
+    )
 
 
 def _is_fusion_of_two(observer: Observer) -> bool:

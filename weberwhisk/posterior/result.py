@@ -162,7 +162,7 @@ class Posterior:
     def quantile_error(self, probability: Any, *, of: str = "radial_distance") -> Any:
         """Estimated errors of `quantile`, in its unit and of its shape.
 
-        NaN where the method does not know them: so far, quadrature of two unknowns does.
+        NaN where the method does not know them: quadrature of one and of two unknowns does.
 
         Raises
         ------
