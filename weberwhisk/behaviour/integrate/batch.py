@@ -55,7 +55,8 @@ def zoomed(
         [s / step for s, step in zip(spans, [*steps.outer, *steps.lapse], strict=True)]
         + [(windows.high[2] - windows.low[2]).max() / narrowest_bias(model) / steps.bias]
     )
-    zooms = max(int(np.ceil(np.log(coarsest / nodes) / np.log(finer))), 0)
+    # Nothing to zoom into where all is known, or within a few steps.
+    zooms = int(np.ceil(np.log(max(coarsest / nodes, 1.0)) / np.log(finer)))
     for power in finer ** (-2.0 * np.arange(zooms, -1, -1)):
         windows = _pass(model, counts, windows, steps.at(power), power * cut + slack)
     return windows
