@@ -61,7 +61,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_surface": ("jnd", "campaign"),
     "surveys": ("fusion",),
     "output": (),
-    "behaviour": ("fusion", "campaign", "output"),
+    "behaviour": ("fusion", "campaign", "output", "domain"),
     "design": ("behaviour",),
     "charts": ("behaviour",),
     "figures": ("design", "charts"),

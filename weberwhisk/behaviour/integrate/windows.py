@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from ...domain import FITTED_WEBER_FRACTIONS
 from ..likelihood import WeberModel
 from ..priors import REACH
 
@@ -204,11 +205,16 @@ def no_lapse(model: WeberModel, name: str, lost: float = 0.01) -> float:
 
 
 def least_sds(model: WeberModel) -> Array:
-    """The least sd that each outer score can have given the rest, whatever the answers."""
+    """The least sd that each outer score can have given the rest, whatever the answers.
+
+    An effect is known the better the less noise there is, without end: so of effects, whatever
+    the answers and for a Weber fraction within the domain.
+    """
     free = np.array(model.free[:-2])
     out = np.ones(free.size)
     few = [np.linspace(-6.0, 6.0, 121), *[np.array([-1.5, 0.0, 1.5])] * (free.size - 1)]
     axes = [a if f else np.zeros(1) for a, f in zip(few, free, strict=True)]
+    inside = axes[0][model.value(model.lead[0], axes[0]) >= FITTED_WEBER_FRACTIONS[0]]
     h, biases = 1e-3, bias_at(model, np.zeros(1))
     if np.any(biases != 0):  # a criterion that lies to one side: elsewhere it may tell more
         biases = bias_at(model, np.linspace(-1.0, 1.0, 3))[:, None, None]
@@ -216,6 +222,8 @@ def least_sds(model: WeberModel) -> Array:
         sides = []
         for s in (h, -h):
             moved = [a + s * (i == e) for i, a in enumerate(axes)]
+            if e and inside.size:
+                moved[0] = inside
             d, weight = outer_signals(model, moved)
             sides.append(model.task.chance(d, weight * biases)[0])
         told = information_of(model.cells.n, sides, 2 * h).sum(axis=-1)
