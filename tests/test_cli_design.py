@@ -96,10 +96,12 @@ def test_a_rehearsal_broken_off_goes_on(
     monkeypatch.setattr(rehearsal, "one_experiment", breaks)
     assert run_app(cli.app, command) == 130
     (stream,) = out.iterdir()
-    assert len(stream.read_text().splitlines()) == 3  # a header and two experiments
+    # A header and two experiments, or one: quick ones go together, and are kept together.
+    kept = len(stream.read_text().splitlines()) - 1
+    assert kept in (1, 2)
     calls.clear()
     assert run_app(cli.app, command) == 0
-    assert len(calls) == 2
+    assert len(calls) == 4 - kept
     monkeypatch.undo()
     assert not stream.exists()
     expected = ww.rehearse(ww.read_plan(folder / "plan.json"), 2, seed=1).table

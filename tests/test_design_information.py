@@ -305,7 +305,7 @@ def test_impossible_constraints_are_named_with_by_how_much(options, words):
         (lambda: information([TAPERED], [10e-3, 20e-3], np.zeros((3, 2))), "3 rows for 2"),
         (lambda: information([TAPERED], [10e-3], [np.nan]), "must be finite"),
         (lambda: information([], [10e-3], [1e-3]), "needs a hypothesis"),
-        (lambda: noises(IdentityPercept(), [1.0]), "the same noise"),
+        (lambda: noises(IdentityPercept(), [1.0, 1.0]), "the same noise"),
         (lambda: taper(WHISKER.cylinder()), "no taper to test"),
         (lambda: Constraints(nearest=2e-2, farthest=1e-2), "0.01 short"),
         (lambda: Scheme([10e-3], [1e-3], 0), "got 0"),

@@ -28,6 +28,7 @@ from weberwhisk.design import (
     lattice,
     next_trial,
     taper,
+    with_priors,
 )
 from weberwhisk.figures import placements
 
@@ -199,8 +200,10 @@ def test_the_lapses_do_not_draw_trials_to_the_extremes(near, easy):
     scheme = lattice(PLAIN.percept, 1.0)
     extremes = scheme.comparisons[0][0], scheme.comparisons[0][-1]
     shares = {}
+    vague = {name: stats.beta(0.3, 3.0) for name in ("lapse_low", "lapse_high")}
+    (unsure,) = with_priors([PLAIN], **vague)
     for goal in ("weber_fraction", "everything"):
-        placer = BayesianPlacer(PLAIN, scheme, goal=goal, easy_share=0.0, seed=4)
+        placer = BayesianPlacer(unsure, scheme, goal=goal, easy_share=0.0, seed=4)
         answer = animal(PLAIN, seed=4)
         for comparison in [0.8, 0.9, 1.1, 1.2] * near + [*extremes] * (easy // 2):
             placer.record(1.0, comparison, answer(1.0, comparison))
@@ -317,7 +320,7 @@ def test_information_saves_trials():
     """k twice what was expected: a narrower interval than constant stimuli for the expected k."""
     constant = Scheme.spaced(PLAIN.percept, [1.0], weber_fraction=0.1)
     halves = {"information": [], "constant": []}
-    for seed in range(5):
+    for seed in range(16):
         placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=seed)
         session(placer, 120, animal(PLAIN, seed=seed, k=0.2))
         low, high = placer.interval()
@@ -328,7 +331,7 @@ def test_information_saves_trials():
         )  # fmt: skip
         low, high = fit_weber(trials).interval()
         halves["constant"].append((high - low) / (high + low))
-    assert np.mean(halves["information"]) < 0.8 * np.mean(halves["constant"])
+    assert np.median(halves["information"]) < 0.8 * np.median(halves["constant"])
 
 
 def test_information_about_the_taper_tells_it_sooner():

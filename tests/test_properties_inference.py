@@ -151,7 +151,9 @@ def test_posteriors_know_no_unit(
     other = ww.Observer(w, observer.cue, observer.noise)
     forces = np.array([size**3] + [size**2] * (reading.shape[-1] - 1)) * stiff
     one, two = ww.posterior(observer, reading), ww.posterior(other, reading * forces)
-    np.testing.assert_array_equal(one.status, two.status)
+    # The domain of lengths has a unit; nothing else has.
+    inside = (one.status != Status.OUTSIDE_DOMAIN) & (two.status != Status.OUTSIDE_DOMAIN)
+    np.testing.assert_array_equal(one.status[inside], two.status[inside])
     for name in ("mean", "sd"):
         off = np.abs(getattr(one, name) - getattr(two, name) / size)
         confessed = getattr(one, f"{name}_error") + getattr(two, f"{name}_error") / size

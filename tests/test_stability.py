@@ -194,9 +194,10 @@ def test_laplace_counts_what_lies_beyond_its_grid() -> None:
     signals, _ = observer.signals([r, push])
     reading = signals + np.array([0.694296, -0.933758]) * observer.noise.sd(signals)
     rough, exact = (ww.posterior(observer, reading, m) for m in ("laplace", "quadrature"))
-    assert exact.status == Status.CONVERGED
+    assert exact.status == Status.OUTSIDE_DOMAIN  # k of 0.003
+    assert exact.mean_error < 0.01 * exact.sd
     assert abs(rough.mean - exact.mean) > 0.25 * exact.sd
-    assert rough.status == Status.NOT_GAUSSIAN
+    assert rough.status != Status.CONVERGED
 
 
 @pytest.mark.parametrize(
@@ -463,7 +464,8 @@ def test_the_sum_that_judges_two_unknowns_knows_which_rows_it_lost(
     case = {"distance": distance, "push": push, "k": k, "off_1": off[0], "off_2": off[1]}
     domain = DOMAINS["quadrature, axial force dominates"]
     judged = domain.judge({name: np.array([value]) for name, value in case.items()})
-    assert judged.fate[0] in (hunting.Fate.UNJUDGED, hunting.Fate.RIGHT)
+    # Warned: one of its Weber fractions lies outside the domain.
+    assert judged.fate[0] in (hunting.Fate.UNJUDGED, hunting.Fate.RIGHT, hunting.Fate.WARNED)
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def run(
     >>> from weberwhisk.jnd_surface import jnd_rows
     >>> tap = {"whisker": {"length": 50e-3, "base_radius": 1e-4, "tip_radius": 5e-6},
     ...        "radial_distance": [5e-3], "deflection_angle": None,
-    ...        "method": "quadrature", "criterion": "d'=1", "draws": 4}
+    ...        "method": "quadrature", "criterion": "d'=1", "n_readings": 4}
     >>> table = run(jnd_rows, [tap | {"weber_fraction": k} for k in (0.05, 0.1)], seed=1)
     >>> (table["closed_form"] * 1e3).round(3).tolist()
     [0.226, 0.453]

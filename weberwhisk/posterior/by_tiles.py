@@ -158,7 +158,7 @@ def _by_own(
     """Tiles of some readings' own, finer and finer until they agree with the coarser ones."""
 
     def tiled(length: float) -> tuple[TiledObserver, Moments]:
-        tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=everywhere)
+        tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=deep)
         found = TiledObserver(observer, tiles, length, everywhere=everywhere)
         return found, found.moments(reading[rows])
 
@@ -214,6 +214,9 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     contact = np.ones((count, dim))
     for part in found:
         rows, moments, nodes = part.rows, part.moments, part.tiled.tiles.nodes
+        if not len(nodes.signals):  # no contact explains these readings at all
+            status[rows] = Status.IMPROBABLE_READING
+            continue
         mean[rows], sd[rows], error[rows] = moments.mean, moments.sd, part.error
         log_evidence[rows] = moments.log_evidence
         signals[rows] = _at_best(part.tiled, moments)
@@ -228,7 +231,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     status[ridge & ((status != Status.IMPRECISE) | precise)] = Status.UNIDENTIFIED
     right = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED)) & known
     status[right & is_outside(observer.noise, reading, signals)] = Status.IMPROBABLE_READING
-    status[~known] = Status.IMPRECISE
+    status[~known & (status != Status.IMPROBABLE_READING)] = Status.IMPRECISE
 
     def quantile_of(p: Array, unknown: int) -> Array:
         return both(p, unknown)[0]
