@@ -241,7 +241,8 @@ def test_a_killed_chart_leaves_nothing_or_the_whole(tmp_path: Path) -> None:
         made = {path.name for path in folder.iterdir()} if folder.exists() else set()
         if made or wait is None:
             assert made == {
-                "beams.csv", "posteriors.csv", "fits.csv", "growth.csv", "jnds.csv", "chart.run.json",
+                "beams.csv", "posteriors.csv", "fits.csv", "growth.csv", "jnds.csv",
+                "chart.run.json",
                 "speed_accuracy.png", "speed_accuracy.svg",
                 "fits_and_growth.png", "fits_and_growth.svg",
             }  # fmt: skip
