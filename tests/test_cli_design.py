@@ -82,11 +82,12 @@ def test_a_rehearsal_broken_off_goes_on(
     from weberwhisk.design import rehearsal
 
     calls: list[int] = []
+    resumed: list[int] = []
     whole = rehearsal.one_experiment
 
     def breaks(chunk: dict[str, object], seed: object) -> pd.DataFrame:
         calls.append(1)
-        if len(calls) == 3:
+        if len(calls) == 3 and not resumed:
             raise KeyboardInterrupt
         return whole(chunk, seed)  # type: ignore[arg-type]
 
@@ -100,6 +101,7 @@ def test_a_rehearsal_broken_off_goes_on(
     kept = len(stream.read_text().splitlines()) - 1
     assert kept in (1, 2)
     calls.clear()
+    resumed.append(1)
     assert run_app(cli.app, command) == 0
     assert len(calls) == 4 - kept
     monkeypatch.undo()

@@ -31,6 +31,13 @@ class TwoPlaces:
         with np.errstate(divide="ignore"):
             return np.log(self.pdf(r))
 
+    def cdf(self, r):
+        return sum(share * part.cdf(r) for share, part in self.parts)
+
+    def ppf(self, p):
+        r = np.concatenate([np.linspace(*part.interval(1 - 1e-15), 2001) for _, part in self.parts])
+        return np.interp(p, self.cdf(r), r)
+
 
 #: Observer, contacts of which readings are taken.
 CASES = {

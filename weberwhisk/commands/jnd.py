@@ -26,6 +26,7 @@ from .options import (
     OutOption,
     SeedOption,
     TipRadiusOption,
+    enough_draws,
     show,
     the_scene,
     the_whisker,
@@ -99,6 +100,7 @@ def jnd(
         _checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
     else:
         asked = np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6)
+    enough_draws(draws)
     for name in ("out", "as_json", "seed"):
         inputs.pop(name)
     with Run(out, "jnd", inputs, seed) as run:

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+def enough_draws(draws: int) -> None:
+    """Refuse fewer readings than an sd needs, by the option's name."""
+    if draws < 2:
+        raise ValueError(f"--draws needs at least two noisy readings, got {draws}; write 200, say.")
+
+
 def number_option(name: str, text: str) -> Any:
     """An option that takes one number, with its help."""
     return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)

@@ -18,7 +18,15 @@ from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
 from .jnd import in_millimetres, jnd_table, lines_and_points
-from .options import JsonOption, SeedOption, describe, number_option, whisker_line, wrote
+from .options import (
+    JsonOption,
+    SeedOption,
+    describe,
+    enough_draws,
+    number_option,
+    whisker_line,
+    wrote,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,6 +68,7 @@ def quickstart(
     Takes under a minute, writes everything into one folder, and says in plain words what came out.
     """
     _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
+    enough_draws(draws)
     whisker = ww.Whisker.from_identity(identity)
     inputs = {"identity": identity, "weber_fraction": weber_fraction, "draws": draws}
     with Run(out, "quickstart", inputs, seed) as run:
