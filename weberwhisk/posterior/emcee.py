@@ -154,7 +154,7 @@ def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> NDA
     """Of which posteriors of one unknown (B,), their mass being apart, walkers missed some.
 
     No diagnostic of the walkers sees a peak where none of them is, so all peaks are summed up
-    beside them: two of 40 readings of two modes of vibration had an sd ten times too small.
+    beside them: one of 40 readings of two modes of vibration had an sd ten times too small.
     """
     nodes, missing = over_all_peaks(observer, reading)
     for row, grid in nodes.items():
