@@ -251,7 +251,9 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
         ) from None
     # The readers of all these formats raise whatever their libraries do at a broken file.
     except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1] or type(error).__name__
+        reason = " ".join(str(error).split()).rstrip(".").split(". ")[-1]
+        if not reason.isprintable() or not 0 < len(reason) <= 200:  # some quote the file's bytes
+            reason = type(error).__name__
         raise ValueError(
             f"{path.name}: not readable as a table ({reason}); save it as CSV."
         ) from None
