@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import Status
+from weberwhisk import Status, cues
 from weberwhisk.cues import AngleSideAngle, Compliance, ForceMap, Fused, Vibration
 from weberwhisk.fusion import prior_draws
 from weberwhisk.posterior.tiled import TiledObserver
@@ -306,6 +306,21 @@ def test_a_reading_of_nothing_is_no_contact(reading):
     assert "no contact" in p.status.message
     floor = GeneralisedWeber(0.1, floor=[1e-7, 1e-5])
     assert np.isfinite(ww.posterior(ww.Observer(W, ForceMap(), floor), reading).mean)
+
+
+@pytest.mark.parametrize(
+    ("cue", "reading"),
+    [
+        (Compliance(), [0.0]),
+        (ForceMap(["moment"], deflection_angle=0.1), [0.0]),
+        (cues.LateralSlip(), [0.0, 0.0]),
+        (cues.UnknownStiffness(Compliance()), [0.0]),
+        (cues.SpaceMap(), [0.0, 0.0, 0.3]),
+    ],
+)
+def test_no_signal_is_no_contact_whatever_is_unknown(cue, reading):
+    """One unknown said 41 mm and improbable; a bearing beside no force, 50 mm and unidentified."""
+    assert ww.posterior(ww.Observer(W, cue), reading).status == Status.NO_CONTACT
 
 
 def test_a_posterior_outside_the_domain_says_so():

@@ -53,7 +53,7 @@ _MESSAGES = {
     Status.NOT_CONVERGED: "the walkers have not converged",
     Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
     Status.NOT_A_READING: "not a reading: a number of it is missing or infinite",
-    Status.NO_CONTACT: "no contact: every signal is zero, and none is zero in a contact",
+    Status.NO_CONTACT: "no contact: signals are zero that no contact leaves at zero",
     Status.OUTSIDE_DOMAIN: "outside the domain: see outside_domain",
 }
 

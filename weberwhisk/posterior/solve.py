@@ -78,7 +78,7 @@ def posterior(
     -------
     Posterior
         With a `Status` for every reading; `NOT_A_READING`, and NaN, where a number is missing, and
-        `NO_CONTACT` where all are zero and no contact makes that.
+        `NO_CONTACT` where all are zero that have no noise without a signal.
 
     Raises
     ------
@@ -147,15 +147,15 @@ def posterior(
 
 
 def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
-    """Readings (B, R) of zeros alone, where no signal is zero but without deflection.
+    """Readings (B, R) that are zero wherever noise only grows with the signal: no contact's.
 
-    With noise that only grows with the signal they would tell of a contact of no deflection.
+    Such noise has no zeros but of a signal that is zero, and not all are but without deflection.
     """
-    noise, size = observer.noise, len(observer.cue.signal_names)
-    graded = noise.reads_signals and not noise.is_categorical
-    if observer.bounded == 1 or not graded or np.any(noise.floors(size)):
+    noise = observer.noise
+    if not noise.reads_signals or noise.is_categorical:
         return np.zeros(len(reading), dtype=bool)
-    return np.asarray((reading == 0).all(axis=1))
+    graded = noise.floors(len(observer.cue.signal_names)) == 0
+    return np.asarray(graded.any() & (reading[:, graded] == 0).all(axis=1))
 
 
 def _outside(observer: Observer, solution: Solution) -> NDArray[np.bool_]:
