@@ -315,7 +315,7 @@ def test_a_reading_of_nothing_is_no_contact(reading):
         (ForceMap(["moment"], deflection_angle=0.1), [0.0]),
         (cues.LateralSlip(), [0.0, 0.0]),
         (cues.UnknownStiffness(Compliance()), [0.0]),
-        (cues.SpaceMap(), [0.0, 0.0, 0.3]),
+        (cues.SpaceMap(), [0.0, 0.0, 0.0, 0.3, 0.1]),
     ],
 )
 def test_no_signal_is_no_contact_whatever_is_unknown(cue, reading):

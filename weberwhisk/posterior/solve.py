@@ -151,10 +151,10 @@ def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
 
     Such noise has no zeros but of a signal that is zero, and not all are but without deflection.
     """
-    noise = observer.noise
-    if not noise.reads_signals or noise.is_categorical:
+    noise, size = observer.noise, len(observer.cue.signal_names)
+    if not noise.reads_signals or noise.is_categorical or reading.shape[1] != size:
         return np.zeros(len(reading), dtype=bool)
-    graded = noise.floors(len(observer.cue.signal_names)) == 0
+    graded = noise.floors(size) == 0
     return np.asarray(graded.any() & (reading[:, graded] == 0).all(axis=1))
 
 
