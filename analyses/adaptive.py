@@ -23,7 +23,7 @@ from command import options
 
 import weberwhisk as ww
 from weberwhisk import campaign, figures
-from weberwhisk.behaviour import IdentityPercept, response_probability
+from weberwhisk.behaviour import IdentityEncoding, response_probability
 from weberwhisk.design import (
     BayesianPlacer,
     Hypothesis,
@@ -71,16 +71,16 @@ class Constant(TrialLog):
 def scene(part: str, method: str, seed: int) -> Any:
     """The placer of one experiment."""
     if part == "estimation":
-        hypotheses = [Hypothesis("Weber", IdentityPercept(), bias="shared")]
+        hypotheses = [Hypothesis("Weber", IdentityEncoding(), bias="shared")]
         standards = np.array([1.0])
-        scheme = lattice(IdentityPercept(), standards)
+        scheme = lattice(IdentityEncoding(), standards)
     else:
         hypotheses = list(taper(WHISKER))
         standards = np.array(PLACES) * WHISKER.length
-        levels = [lattice(h.percept, standards, each_side=10).offsets for h in hypotheses]
+        levels = [lattice(h.encoding, standards, each_side=10).offsets for h in hypotheses]
         scheme = Scheme(standards, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
     if method == "constant":
-        expected = Scheme.spaced(hypotheses[0].percept, standards, weber_fraction=EXPECTED)
+        expected = Scheme.spaced(hypotheses[0].encoding, standards, weber_fraction=EXPECTED)
         return Constant(hypotheses, expected, seed)
     if method.startswith("1-up"):
         return Staircase(hypotheses[0], scheme, rule=method, seed=seed)
@@ -101,7 +101,7 @@ def experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFr
         trial = placer.next()
         chance = response_probability(
             truth.asked,
-            truth.percept,
+            truth.encoding,
             trial.standard,
             trial.comparison,
             weber_fraction=chunk["weber_fraction"],

@@ -35,7 +35,7 @@ def tell(points: int) -> dict[str, pd.DataFrame]:
     hypotheses = taper(WHISKER)
     standards = np.linspace(0.1, 0.9, points) * WHISKER.length
     offsets = np.linspace(-8e-3, 8e-3, 2 * points + 1)
-    before = Scheme.spaced(hypotheses[0].percept, PLACES[[0, 2]], trials=10)
+    before = Scheme.spaced(hypotheses[0].encoding, PLACES[[0, 2]], trials=10)
     return {
         when: information(hypotheses, standards, offsets, after=scheme, expected=ANIMAL)
         for when, scheme in (("before", None), ("after 120 trials", before))
@@ -55,7 +55,7 @@ def draw_information(tables: dict[str, pd.DataFrame]) -> Figure:
 def grow(runs: int) -> Power:
     """Power against trials, whichever is true."""
     hypotheses = taper(WHISKER)
-    scheme = Scheme.spaced(hypotheses[0].percept, PLACES)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES)
     return ww.power(scheme, hypotheses, trials=TRIALS, expected=ANIMAL, runs=runs, seed=SEED)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from command import ANALYSES, options
 
 from weberwhisk import Observer, Whisker, cues
-from weberwhisk.behaviour import CuePercept, Trials, simulate_population, simulate_trials
+from weberwhisk.behaviour import CueEncoding, Trials, simulate_population, simulate_trials
 from weberwhisk.behaviour.export import data_package, describe_table
 
 #: Radial distances are in millimetres.
@@ -170,10 +170,10 @@ DATASETS: dict[str, dict[str, Any]] = {
 }
 
 
-def percept_of(name: str) -> CuePercept | None:
+def encoding_of(name: str) -> CueEncoding | None:
     """How the stimuli of a data set are felt, where there is a whisker."""
     whisker = DATASETS[name].get("whisker")
-    return whisker and CuePercept(Observer(WHISKERS[whisker], cues.Compliance()), unit=1e-3)
+    return whisker and CueEncoding(Observer(WHISKERS[whisker], cues.Compliance()), unit=1e-3)
 
 
 def make(name: str) -> tuple[Trials, dict[str, Any]]:
@@ -183,7 +183,7 @@ def make(name: str) -> tuple[Trials, dict[str, Any]]:
     if entry.get("population"):
         trials, animals = simulate_population(**truth, seed=entry["seed"])
         return trials, truth | {"animals": animals.to_dict("records")}
-    return simulate_trials(**truth, percept=percept_of(name), seed=entry["seed"]), truth
+    return simulate_trials(**truth, encoding=encoding_of(name), seed=entry["seed"]), truth
 
 
 def resource(name: str, trials: Trials, truth: dict[str, Any]) -> dict[str, Any]:

@@ -72,18 +72,18 @@ def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: P
         "rehearsal.svg", "rehearse.run.json",
     }  # fmt: skip
     table = pd.read_csv(out / "rehearsal.csv")
-    expected = ww.rehearse(ww.read_plan(folder / "plan.json"), 2, seed=1).table
+    expected = ww.simulate_study(ww.read_plan(folder / "plan.json"), 2, seed=1).table
     pd.testing.assert_frame_equal(table, expected)
 
 
 def test_a_rehearsal_broken_off_goes_on(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from weberwhisk.design import rehearsal
+    from weberwhisk.design import simulated_study
 
     calls: list[int] = []
     resumed: list[int] = []
-    whole = rehearsal.one_experiment
+    whole = simulated_study.one_experiment
 
     def breaks(chunk: dict[str, object], seed: object) -> pd.DataFrame:
         calls.append(1)
@@ -94,7 +94,7 @@ def test_a_rehearsal_broken_off_goes_on(
     breaks.__module__, breaks.__qualname__ = whole.__module__, whole.__qualname__
     out = tmp_path / "rehearsal"
     command = [*REHEARSE, str(folder / "plan.json"), "--out", str(out)]
-    monkeypatch.setattr(rehearsal, "one_experiment", breaks)
+    monkeypatch.setattr(simulated_study, "one_experiment", breaks)
     assert run_app(cli.app, command) == 130
     (stream,) = out.iterdir()
     # A header and two experiments, or one: quick ones go together, and are kept together.
@@ -106,7 +106,7 @@ def test_a_rehearsal_broken_off_goes_on(
     assert len(calls) == 4 - kept
     monkeypatch.undo()
     assert not stream.exists()
-    expected = ww.rehearse(ww.read_plan(folder / "plan.json"), 2, seed=1).table
+    expected = ww.simulate_study(ww.read_plan(folder / "plan.json"), 2, seed=1).table
     pd.testing.assert_frame_equal(pd.read_csv(out / "rehearsal.csv"), expected)
 
 

@@ -11,9 +11,9 @@ from scipy.special import logsumexp, ndtr
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import (
-    CuePercept,
-    IdentityPercept,
-    LogAxisPercept,
+    CueEncoding,
+    IdentityEncoding,
+    LogAxisEncoding,
     compare,
     compare_cues,
     compare_drift,
@@ -34,10 +34,10 @@ KNOWN = {"lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
 
 def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
     trials = simulate_trials(weber_fraction=0.15, standards=[1.0, 3.0], trials_per_level=6, seed=2)
-    felt = {"weber": IdentityPercept(), "constant": ConstantNoise(IdentityPercept(), 2.0)}
+    felt = {"weber": IdentityEncoding(), "constant": ConstantNoise(IdentityEncoding(), 2.0)}
     tables = [
         compare(
-            {n: fit_weber(trials, percept=p, priors=KNOWN, seed=seed) for n, p in felt.items()}
+            {n: fit_weber(trials, encoding=p, priors=KNOWN, seed=seed) for n, p in felt.items()}
         ).table
         for seed in range(6)
     ]
@@ -78,9 +78,13 @@ def test_counts_and_single_trials_compare_alike() -> None:
     ("made_by", "best"), [("weber", "Weber noise"), ("constant", "constant noise")]
 )
 def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
-    percept = IdentityPercept() if made_by == "weber" else ConstantNoise(IdentityPercept(), 2.0)
+    encoding = IdentityEncoding() if made_by == "weber" else ConstantNoise(IdentityEncoding(), 2.0)
     trials = simulate_trials(
-        percept=percept, weber_fraction=0.12, standards=[1.0, 2.0, 4.0], trials_per_level=25, seed=4
+        encoding=encoding,
+        weber_fraction=0.12,
+        standards=[1.0, 2.0, 4.0],
+        trials_per_level=25,
+        seed=4,
     )
     found = compare_noise(trials)
     assert found.table.index[0] == best
@@ -108,9 +112,9 @@ def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
 @pytest.mark.parametrize(("whisker", "best"), [(TAPERED, "tapered"), (CYLINDER, "cylindrical")])
 def test_the_papers_prediction_tells_whiskers_apart(whisker: Whisker, best: str) -> None:
     # peers.md: 360 trials at these standards give a Bayes factor above 10 in most runs.
-    percept = CuePercept(Observer(whisker, cues.Compliance()), unit=1e-3)
+    encoding = CueEncoding(Observer(whisker, cues.Compliance()), unit=1e-3)
     trials = simulate_trials(
-        percept=percept, weber_fraction=0.1, standards=[15.0, 30.0, 45.0],
+        encoding=encoding, weber_fraction=0.1, standards=[15.0, 30.0, 45.0],
         offsets=[-0.09, -0.06, -0.03, 0.03, 0.06, 0.09], trials_per_level=40, seed=6,
     )  # fmt: skip
     table = compare_taper(trials, TAPERED, unit=1e-3).table
@@ -120,9 +124,9 @@ def test_the_papers_prediction_tells_whiskers_apart(whisker: Whisker, best: str)
 
 def test_cues_are_told_apart() -> None:
     angle = np.radians(10)
-    percept = CuePercept(Observer(TAPERED, cues.ForceMap()), angle, unit=1e-3)
+    encoding = CueEncoding(Observer(TAPERED, cues.ForceMap()), angle, unit=1e-3)
     trials = simulate_trials(
-        percept=percept, weber_fraction=0.1, standards=[10.0, 25.0, 38.0],
+        encoding=encoding, weber_fraction=0.1, standards=[10.0, 25.0, 38.0],
         offsets=[-0.2, -0.1, -0.05, 0.05, 0.1], trials_per_level=40, seed=7,
     )  # fmt: skip
     table = compare_cues(trials, TAPERED, deflection_angle=angle, unit=1e-3).table
@@ -141,9 +145,9 @@ def test_misuse_is_refused_in_one_sentence() -> None:
         compare({"a": fit, "b": fit_weber(trials, effects=[Overdispersion()])})
     with pytest.raises(ValueError, match="no taper to test"):
         compare_taper(trials, CYLINDER)
-    log = simulate_trials(percept=LogAxisPercept(), weber_fraction=0.1, seed=10)
+    log = simulate_trials(encoding=LogAxisEncoding(), weber_fraction=0.1, seed=10)
     with pytest.raises(ValueError, match="noise is constant as it stands"):
-        compare_noise(log, percept=LogAxisPercept())
+        compare_noise(log, encoding=LogAxisEncoding())
 
 
 def test_a_fit_by_sampling_has_no_evidence_but_a_prediction() -> None:

@@ -30,11 +30,11 @@ def test_regenerating_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_the_fit_is_what_the_package_says(entry: dict) -> None:
     truth = entry["truth"]
     trials = read_trials(FOLDER / entry["path"], task=entry["task"])
-    percept = load("make_synthetic").percept_of(Path(entry["path"]).stem)
+    encoding = load("make_synthetic").encoding_of(Path(entry["path"]).stem)
     animals = truth.get("animals", [truth])
     for animal in animals:
         own = trials.select(subject=animal["subject"]) if "subject" in animal else trials
-        fit = fit_weber(own, percept=percept)
+        fit = fit_weber(own, encoding=encoding)
         if entry["status"]:
             assert fit.status is FitStatus[entry["status"]]
         if "drift" in truth:

@@ -12,8 +12,8 @@ from scipy.stats import beta, lognorm, norm
 
 import weberwhisk as ww
 from weberwhisk import cues as kinds
-from weberwhisk.behaviour import CuePercept
-from weberwhisk.behaviour.percepts import IdentityPercept
+from weberwhisk.behaviour import CueEncoding
+from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.design import (
     Constraints,
     Goal,
@@ -125,7 +125,7 @@ def test_information_after_trials_is_that_of_brute_force():
 def test_information_is_the_mean_log_posterior_ratio_of_simulated_answers():
     """E ln(p(k | y)/p(k)), the other way round: answers first, then their posteriors."""
     (known,) = with_priors(
-        [Hypothesis("a", IdentityPercept(), bias="none")], lapse_low=0.02, lapse_high=0.02,
+        [Hypothesis("a", IdentityEncoding(), bias="none")], lapse_low=0.02, lapse_high=0.02,
         weber_fraction=lognorm(0.5, scale=0.2),
     )  # fmt: skip
     wanted = information([known], [1.0], [0.2])["weber_fraction"][0]
@@ -145,7 +145,7 @@ def test_information_is_the_mean_log_posterior_ratio_of_simulated_answers():
 def test_information_is_the_slope_of_what_is_expected_to_be_known():
     """One trial more, in place of its expectation: the drop of the entropy of k, by differences."""
     (known,) = with_priors(
-        [Hypothesis("a", IdentityPercept(), bias="none")], lapse_low=0.02, lapse_high=0.02
+        [Hypothesis("a", IdentityEncoding(), bias="none")], lapse_low=0.02, lapse_high=0.02
     )
     x = np.linspace(-6, 6, 6001)
 
@@ -166,7 +166,7 @@ def test_information_is_the_slope_of_what_is_expected_to_be_known():
 
 
 def test_what_is_known_already_is_not_told_again():
-    before = Scheme.spaced(TAPERED.percept, [15e-3, 42e-3], trials=20)
+    before = Scheme.spaced(TAPERED.encoding, [15e-3, 42e-3], trials=20)
     fresh, after = (
         information((TAPERED, CYLINDRICAL), [15e-3, 30e-3, 42e-3], [1.5e-3], after=scheme)
         for scheme in (None, before)
@@ -177,7 +177,7 @@ def test_what_is_known_already_is_not_told_again():
 
 
 def test_any_cue_has_information_and_what_is_not_felt_has_none():
-    lapsing = Hypothesis("map", CuePercept(ww.Observer(WHISKER, kinds.ForceMap()), 0.1))
+    lapsing = Hypothesis("map", CueEncoding(ww.Observer(WHISKER, kinds.ForceMap()), 0.1))
     table = information([lapsing], [20e-3, 44e-3], [-1e-3, 1e-3, 8e-3])
     assert np.isnan(table["weber_fraction"].to_numpy()).tolist() == [False] * 5 + [True]
     assert (table["weber_fraction"].dropna() > 0).all()
@@ -232,13 +232,13 @@ def test_the_best_scheme_beats_a_plain_one_in_simulation():
         (TAPERED, CYLINDRICAL), constraints=limits, standards=2, pairs=2, trials=180
     )
     best = chosen.scheme
-    limits.check(best, TAPERED.percept)
+    limits.check(best, TAPERED.encoding)
     # The value is what four in five experiments reach, by simulation.
     assert chosen.value == chosen.table["value"].max()
     other = ww.power(best, (TAPERED, CYLINDRICAL), runs=512, seed=9).runs
     reached = other.groupby("truth")["log_bayes_factor"].quantile(0.2).min()
     assert abs(chosen.value - reached) < 0.6
-    plain = Scheme.spaced(TAPERED.percept, [15e-3, 25e-3, 35e-3], trials=10)
+    plain = Scheme.spaced(TAPERED.encoding, [15e-3, 25e-3, 35e-3], trials=10)
     assert best.n_trials <= plain.n_trials == 180
     found = [
         ww.power(s, (TAPERED, CYLINDRICAL), runs=96, seed=1).table["power"].min()
@@ -253,7 +253,7 @@ def test_the_best_scheme_for_k_needs_no_more_trials_than_a_plain_one():
     best = best_scheme([TAPERED], goal=goal, trials=540, constraints=limits).scheme
     places = [15e-3, 30e-3, 45e-3]
     plain, narrow = (
-        Scheme.spaced(TAPERED.percept, places, trials=30, levels=levels)
+        Scheme.spaced(TAPERED.encoding, places, trials=30, levels=levels)
         for levels in (WIDE, (0.3, 0.6, 0.9))
     )
     found = [smallest(s, [TAPERED], goal=goal, runs=64, seed=1) for s in (best, plain)]
@@ -265,7 +265,7 @@ def test_the_best_scheme_for_k_needs_no_more_trials_than_a_plain_one():
 
 def test_expected_intervals_are_those_of_fits():
     """Of the answers expected of every animal, where there are enough for a normal posterior."""
-    scheme = Scheme.spaced(TAPERED.percept, [15e-3, 40e-3], trials=200, levels=WIDE)
+    scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 40e-3], trials=200, levels=WIDE)
     cells, animals = scheme.cells(), SubjectPopulation()
     precision = Precision(TAPERED, cells.standard, cells.stimulus_2, animals)
     told = precision.half_widths(np.arange(cells.n.size), 200)
@@ -305,12 +305,12 @@ def test_impossible_constraints_are_named_with_by_how_much(options, words):
         (lambda: information([TAPERED], [10e-3, 20e-3], np.zeros((3, 2))), "3 rows for 2"),
         (lambda: information([TAPERED], [10e-3], [np.nan]), "must be finite"),
         (lambda: information([], [10e-3], [1e-3]), "needs a hypothesis"),
-        (lambda: noises(IdentityPercept(), [1.0, 1.0]), "the same noise"),
+        (lambda: noises(IdentityEncoding(), [1.0, 1.0]), "the same noise"),
         (lambda: taper(WHISKER.cylinder()), "no taper to test"),
         (lambda: Constraints(nearest=2e-2, farthest=1e-2), "0.01 short"),
         (lambda: Scheme([10e-3], [1e-3], 0), "got 0"),
         (lambda: Scheme.spaced(OF_THE_MAP, [49e-3]), "flicked past: the whisker holds"),
-        (lambda: Constraints(farthest=40e-3).check(Scheme([39e-3], [2e-3]), TAPERED.percept),
+        (lambda: Constraints(farthest=40e-3).check(Scheme([39e-3], [2e-3]), TAPERED.encoding),
          "by 1 mm"),
     ],
 )  # fmt: skip
@@ -319,7 +319,7 @@ def test_bad_input_is_refused_in_a_sentence(wrong, words):
         wrong()
 
 
-OF_THE_MAP = CuePercept(ww.Observer(WHISKER, kinds.ForceMap()), np.radians(20))
+OF_THE_MAP = CueEncoding(ww.Observer(WHISKER, kinds.ForceMap()), np.radians(20))
 
 
 def test_the_script_writes_its_figures_and_tables(tmp_path):

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from weberwhisk.behaviour import (
     FitStatus,
-    IdentityPercept,
+    IdentityEncoding,
     Trials,
     fit_weber,
     read_trials,
@@ -228,7 +228,7 @@ def test_the_past_is_that_of_the_session_and_fades(half_life: float | None) -> N
     read = read_trials(silent)
     f = read.frame
     usual = f.loc[f["count"].notna(), ["stimulus_1", "stimulus_2"]].to_numpy().mean()
-    found = PastContraction(half_life=half_life).column(read, IdentityPercept()) + usual
+    found = PastContraction(half_life=half_life).column(read, IdentityEncoding()) + usual
     exact = past_of(f, half_life or np.inf)
     first = np.isnan(exact)
     assert first.sum() == SESSIONS

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from weberwhisk.behaviour import (
     FitStatus,
-    LogPercept,
+    LogEncoding,
     PopulationStatus,
     Priors,
     Trials,
@@ -30,7 +30,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
-from weberwhisk.behaviour.percepts import IdentityPercept
+from weberwhisk.behaviour.encodings import IdentityEncoding
 
 ENDS = [0.025, 0.5, 0.975]
 
@@ -45,7 +45,7 @@ def expected_counts(
     s2: np.ndarray, n: int, k: float, lapse: float = 0.0, bias: float = 0.0
 ) -> list[int]:
     p = response_probability(
-        task_named("2AFC"), IdentityPercept(), 1.0, s2, weber_fraction=k, lapse_low=lapse,
+        task_named("2AFC"), IdentityEncoding(), 1.0, s2, weber_fraction=k, lapse_low=lapse,
         lapse_high=lapse, bias=bias,
     )  # fmt: skip
     return np.round(n * p).astype(int).tolist()
@@ -329,7 +329,7 @@ def test_psychometric_band(fit: WeberFit) -> None:
     assert (band["median"] < band["upper"]).all()
     assert band["median"].is_monotonic_increasing
     truth = response_probability(
-        task_named("2AFC"), IdentityPercept(), 1.0, band["comparison"], weber_fraction=0.1,
+        task_named("2AFC"), IdentityEncoding(), 1.0, band["comparison"], weber_fraction=0.1,
         lapse_low=0.02, lapse_high=0.05, bias=0.3,
     )  # fmt: skip
     assert ((band["lower"] < truth) & (truth < band["upper"])).all()
@@ -691,7 +691,7 @@ def test_an_unknown_log_unit_scales_the_answer_and_says_so() -> None:
     assert "log_unit=" in one.report()
     known = fit_weber(read_trials(frame, scale="log", log_unit=0.01))
     assert known.unit == ""
-    assert isinstance(known.percept, LogPercept)
+    assert isinstance(known.encoding, LogEncoding)
     # For small steps the two are the same noise, but for the prior on k.
     assert known.weber_fraction == pytest.approx(0.01 * one.weber_fraction, rel=0.15)
 
@@ -804,7 +804,7 @@ def test_a_ridge_between_bias_and_lapses_is_integrated() -> None:
         ({"priors": {"lapse_low": "small"}}, "the prior of lapse_low must be a number"),
         ({"priors": {"lapse_low": stats.norm(0, 1)}}, "must lie between 0 and 1"),
         ({"priors": {"weber_fraction": stats.norm(0, 1)}}, "must lie above zero"),
-        ({"percept": IdentityPercept(), "observer": object()}, "both given"),
+        ({"encoding": IdentityEncoding(), "observer": object()}, "both given"),
     ],
 )
 def test_unknown_names_and_bad_priors_are_refused(options: dict, part: str) -> None:

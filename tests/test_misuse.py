@@ -12,8 +12,8 @@ from scipy import stats
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import (
-    CuePercept,
-    IdentityPercept,
+    CueEncoding,
+    IdentityEncoding,
     PercentCorrect,
     PopulationPriors,
     Priors,
@@ -44,7 +44,7 @@ ANIMALS = simulate_population(2, trials_per_level=3, seed=1)[0]
 TABLE = TRIALS.table()
 FIT = fit_weber(TRIALS)
 WHISKER = Whisker(50e-3, 100e-6, 5e-6)
-TASK, SELF = task_named("2AFC"), IdentityPercept()
+TASK, SELF = task_named("2AFC"), IdentityEncoding()
 A_WEBER_FIT = "must be a WeberFit, got .*; write fit_weber"
 
 
@@ -97,18 +97,18 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
         "population must be PopulationPriors",
     ),
     (lambda: fit_population(ANIMALS, priors={"weber_fraction": 0.1}), "a population learns them"),
-    # Percepts, observers, whiskers.
-    (fitted(percept="log"), r"got 'log'; write IdentityPercept\(\)"),
-    (fitted(percept=IdentityPercept), "got the class IdentityPercept"),
+    # Encodings, observers, whiskers.
+    (fitted(encoding="log"), r"got 'log'; write IdentityEncoding\(\)"),
+    (fitted(encoding=IdentityEncoding), "got the class IdentityEncoding"),
     (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
     (fitted(observer=WHISKER), "must be an Observer, got"),
-    (lambda: CuePercept("C2"), "must be an Observer"),  # type: ignore[arg-type]
+    (lambda: CueEncoding("C2"), "must be an Observer"),  # type: ignore[arg-type]
     (lambda: compare_taper(TRIALS, "C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
     (
         lambda: compare_cues(TRIALS, WHISKER, deflection_angle="a"),  # type: ignore[arg-type]
         "deflection_angle must be a number",
     ),
-    (lambda: CuePercept(Observer(WHISKER, cues.Compliance()), unit=0), "unit must be above zero"),
+    (lambda: CueEncoding(Observer(WHISKER, cues.Compliance()), unit=0), "unit must be above zero"),
     # Settings of a fit, and what is asked of it.
     (fitted(bias=0), "bias 0 is unknown"),
     (fitted(method=1), "method 1 is unknown"),
@@ -136,7 +136,7 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (simulated(offsets=[]), r"one row of numbers, got shape \(0,\)"),
     (simulated(offsets=[[0.1], [0.2]]), r"one row of numbers, got shape \(2, 1\)"),
     (simulated(comparisons=np.ones((1, 1, 2))), r"comparisons has shape \(1, 1, 2\)"),
-    (simulated(percept="log"), "percept must be a Percept"),
+    (simulated(encoding="log"), "encoding must be an Encoding"),
     (simulated(seed="x"), "seed must be"),
     (lambda: simulate_population("a", seed=1), "subjects must be a whole number"),  # type: ignore[arg-type]
     (lambda: simulate_population(3, spread=[1, 2], seed=1), "spread must be one number"),  # type: ignore[arg-type]
@@ -164,7 +164,7 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: threshold(TASK, SELF, [1, 2], 0.75, weber_fraction=0.1), "must be one number, got 2"),  # type: ignore[arg-type]
     (
         lambda: response_probability(TASK, 3.0, 1.0, 1.1, weber_fraction=0.1),
-        "percept must be a Percept, got 3.0; write IdentityPercept",
+        "encoding must be an Encoding, got 3.0; write IdentityEncoding",
     ),
     (
         lambda: response_probability(TASK, SELF, {}, 1.1, weber_fraction=0.1),
@@ -189,12 +189,12 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (read(scale="log", log_unit=[]), "log_unit must be one number, got 0"),
     (lambda: FIT.interval([]), "mass must be one number"),
     (
-        lambda: simulate_responses(3.0, pd.DataFrame(), percept=SELF, seed=1),
+        lambda: simulate_responses(3.0, pd.DataFrame(), encoding=SELF, seed=1),
         "table must be a DataFrame with columns subject, standard",
     ),
     (
         lambda: simulate_responses(
-            TRIALS.frame.assign(subject="a"), pd.DataFrame(), percept=SELF, seed=1
+            TRIALS.frame.assign(subject="a"), pd.DataFrame(), encoding=SELF, seed=1
         ),
         "animals must be a DataFrame with columns subject, weber_fraction",
     ),

@@ -11,9 +11,9 @@ from scipy.integrate import quad
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
-    CuePercept,
-    IdentityPercept,
-    LogPercept,
+    CueEncoding,
+    IdentityEncoding,
+    LogEncoding,
     Priors,
     fit_weber,
     response_probability,
@@ -33,7 +33,7 @@ from weberwhisk.design import (
 from weberwhisk.figures import placements
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
-PLAIN = Hypothesis("Weber", IdentityPercept(), bias="shared")
+PLAIN = Hypothesis("Weber", IdentityEncoding(), bias="shared")
 QUIET = Priors(lapse_low=0.02, lapse_high=0.02)
 
 
@@ -43,7 +43,7 @@ def animal(h: Hypothesis, seed: int, k: float = 0.1, lapse: float = 0.03, bias: 
 
     def answer(standard: float, comparison: float) -> int:
         chance = response_probability(
-            h.asked, h.percept, standard, comparison, weber_fraction=k,
+            h.asked, h.encoding, standard, comparison, weber_fraction=k,
             lapse_low=lapse, lapse_high=lapse, bias=bias,
         )  # fmt: skip
         return int(rng.random() < chance[0])
@@ -61,9 +61,9 @@ def session(placer: Any, n: int, answer: Any) -> Any:
 # -- the belief is the fit's posterior -----------------------------------------------------------
 
 TAPER = taper(W)
-KNOWN = Hypothesis("known", IdentityPercept(), Priors(lapse_low=0.01, lapse_high=0.0, bias=0.1),
+KNOWN = Hypothesis("known", IdentityEncoding(), Priors(lapse_low=0.01, lapse_high=0.0, bias=0.1),
                    bias="shared")  # fmt: skip
-CORRECT = Hypothesis("percent correct", IdentityPercept(), bias="none", task="3AFC percent correct")
+CORRECT = Hypothesis("correct", IdentityEncoding(), bias="none", task="3AFC percent correct")
 
 
 @pytest.mark.parametrize(
@@ -71,17 +71,17 @@ CORRECT = Hypothesis("percent correct", IdentityPercept(), bias="none", task="3A
     [
         ([PLAIN], [1.0], 20),
         ([PLAIN], [1.0], 300),
-        ([Hypothesis("Weber", IdentityPercept())], [0.5, 2.0], 150),
+        ([Hypothesis("Weber", IdentityEncoding())], [0.5, 2.0], 150),
         ([KNOWN], [1.0], 100),
         ([CORRECT], [1.0], 100),
-        ([Hypothesis("log", LogPercept(), bias="shared")], [0.0], 60),
+        ([Hypothesis("log", LogEncoding(), bias="shared")], [0.0], 60),
         (TAPER, [0.3 * W.length, 0.8 * W.length], 120),
     ],
     ids=["few", "many", "biases", "known", "percent correct", "log", "whisker"],
 )
 def test_the_belief_agrees_with_the_fit_of_the_same_trials(hypotheses, standards, n):
     """Quantiles of k to a twentieth of the posterior sd, and the evidence to 5 %."""
-    scheme = lattice(hypotheses[-1].percept, standards)
+    scheme = lattice(hypotheses[-1].encoding, standards)
     placer = BayesianPlacer(hypotheses, scheme, seed=2)
     session(placer, n, animal(hypotheses[0], seed=n, bias=0.2 * hypotheses[0].asked.has_bias))
     for name, fit in placer.fits().items():
@@ -94,7 +94,7 @@ def test_the_belief_agrees_with_the_fit_of_the_same_trials(hypotheses, standards
 
 
 def test_probabilities_are_those_of_the_evidence():
-    placer = BayesianPlacer(TAPER, lattice(TAPER[1].percept, [15e-3, 40e-3]), seed=2)
+    placer = BayesianPlacer(TAPER, lattice(TAPER[1].encoding, [15e-3, 40e-3]), seed=2)
     session(placer, 40, animal(TAPER[0], seed=3))
     log = np.array([fit.log_evidence for fit in placer.fits().values()])
     share = 1 / (1 + np.exp(log[1] - log[0]))
@@ -103,7 +103,7 @@ def test_probabilities_are_those_of_the_evidence():
 
 
 def test_what_was_shown_counts_and_not_what_was_proposed():
-    shown = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=2)
+    shown = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), seed=2)
     for comparison, choice in ((1.123, 1), (0.9, 0), (1.05, 1)):
         shown.next()
         shown.record(1.01, comparison, choice)
@@ -116,7 +116,7 @@ def test_what_was_shown_counts_and_not_what_was_proposed():
 
 
 def test_no_answer_teaches_nothing_and_is_kept():
-    placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=2)
+    placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), seed=2)
     before = placer.interval()
     for none in (None, float("nan")):
         placer.record(1.0, 1.1, none)
@@ -130,7 +130,7 @@ def test_no_answer_teaches_nothing_and_is_kept():
 
 def test_information_is_the_integral_that_it_says():
     """k alone unknown: I = H(∫ p π) − ∫ H(p) π by SciPy's quadrature and the textbook's Φ."""
-    h = Hypothesis("k alone", IdentityPercept(), QUIET, bias="none")
+    h = Hypothesis("k alone", IdentityEncoding(), QUIET, bias="none")
     scheme = Scheme([2.0], [[-1.0, -0.3, 0.02, 0.1, 0.5, 1.5]])
     found = BayesianPlacer(h, scheme, seed=1).information()
     prior = stats.lognorm(np.log(3.0), scale=0.1)
@@ -155,7 +155,7 @@ def test_information_is_the_integral_that_it_says():
 def test_lapses_and_bias_are_integrated_out(goal):
     """Brute force: draws of all parameters from their priors, and means over them."""
     priors = Priors(lapse_low=stats.beta(2, 18), lapse_high=stats.beta(1, 9), lapse_correlation=0)
-    tapered, cylinder = (Hypothesis(h.name, h.percept, priors, bias="shared") for h in taper(W))
+    tapered, cylinder = (Hypothesis(h.name, h.encoding, priors, bias="shared") for h in taper(W))
     scheme = Scheme([40e-3], [[-20e-3, -4e-3, -1e-3, 1e-3, 3e-3, 9e-3]])
     found = BayesianPlacer([tapered, cylinder], scheme, goal=goal, seed=1).information()
     rng = np.random.default_rng(5)
@@ -171,7 +171,7 @@ def test_lapses_and_bias_are_integrated_out(goal):
     for h in (tapered, cylinder):
         p = np.array([
             response_probability(
-                h.asked, h.percept, 40e-3, scheme.comparisons[0],
+                h.asked, h.encoding, 40e-3, scheme.comparisons[0],
                 weber_fraction=0.1 * 3.0**z, lapse_low=low, lapse_high=high, bias=bias,
             )
             for z in nodes
@@ -197,7 +197,7 @@ def test_the_lapses_do_not_draw_trials_to_the_extremes(near, easy):
 
     Before that the other does too, and rightly: a lapse not known is a poor k or none.
     """
-    scheme = lattice(PLAIN.percept, 1.0)
+    scheme = lattice(PLAIN.encoding, 1.0)
     extremes = scheme.comparisons[0][0], scheme.comparisons[0][-1]
     shares = {}
     vague = {name: stats.beta(0.3, 3.0) for name in ("lapse_low", "lapse_high")}
@@ -214,7 +214,7 @@ def test_the_lapses_do_not_draw_trials_to_the_extremes(near, easy):
 
 
 def test_nearly_as_good_trials_are_drawn_at_random_and_replayed():
-    scheme = lattice(PLAIN.percept, 1.0)
+    scheme = lattice(PLAIN.encoding, 1.0)
     placer = session(BayesianPlacer(PLAIN, scheme, seed=3), 30, animal(PLAIN, seed=1))
     bits = placer.information()
     trial = placer.next()
@@ -233,7 +233,7 @@ def test_nearly_as_good_trials_are_drawn_at_random_and_replayed():
 
 
 def test_easy_trials_are_mixed_in():
-    scheme = lattice(PLAIN.percept, [1.0, 3.0])
+    scheme = lattice(PLAIN.encoding, [1.0, 3.0])
     placer = BayesianPlacer(PLAIN, scheme, easy_share=0.3, seed=6)
     answer, easy = animal(PLAIN, seed=1), []
     for _ in range(120):
@@ -247,7 +247,7 @@ def test_easy_trials_are_mixed_in():
 
 
 def test_a_standard_may_be_asked_for():
-    placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, [1.0, 3.0]), seed=6)
+    placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, [1.0, 3.0]), seed=6)
     assert placer.next(3.0).standard == 3.0
     assert placer.next().standard == 3.0
     assert placer.next(1.0).standard == 1.0
@@ -256,7 +256,7 @@ def test_a_standard_may_be_asked_for():
 
 
 def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
-    placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), width=0.5, most=300, seed=1)
+    placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), width=0.5, most=300, seed=1)
     answer, n = animal(PLAIN, seed=1), 0
     while not placer.finished:
         trial = placer.next()
@@ -266,7 +266,7 @@ def test_stops_when_the_interval_is_narrow_or_the_trials_are_many():
     assert "is narrow enough" in placer.finished
     assert 20 < n < 300
     assert (high - low) / (high + low) < 0.55
-    few = session(BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), most=3, seed=1), 3, answer)
+    few = session(BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), most=3, seed=1), 3, answer)
     assert few.finished == "there are 3 trials, as many as wanted"
 
 
@@ -290,7 +290,7 @@ def test_two_down_one_up_by_hand():
 @pytest.mark.parametrize(("rule", "share"), [("1-up/2-down", 0.7071), ("1-up/3-down", 0.7937)])
 def test_rules_settle_where_they_should(rule, share):
     """Share of right answers at the turning levels of an animal that does not lapse."""
-    scheme = lattice(PLAIN.percept, 1.0, each_side=40)
+    scheme = lattice(PLAIN.encoding, 1.0, each_side=40)
     found = []
     for seed in range(12):
         staircase = Staircase(PLAIN, scheme, rule=rule, seed=seed)
@@ -302,7 +302,7 @@ def test_rules_settle_where_they_should(rule, share):
 
 
 def test_a_staircase_ends_and_its_trials_are_fitted():
-    scheme = lattice(PLAIN.percept, [1.0, 2.0])
+    scheme = lattice(PLAIN.encoding, [1.0, 2.0])
     staircase = Staircase(PLAIN, scheme, turns=4, seed=2)
     answer = animal(PLAIN, seed=3)
     while not staircase.finished:
@@ -318,10 +318,10 @@ def test_a_staircase_ends_and_its_trials_are_fitted():
 
 def test_information_saves_trials():
     """k twice what was expected: a narrower interval than constant stimuli for the expected k."""
-    constant = Scheme.spaced(PLAIN.percept, [1.0], weber_fraction=0.1)
+    constant = Scheme.spaced(PLAIN.encoding, [1.0], weber_fraction=0.1)
     halves = {"information": [], "constant": []}
     for seed in range(16):
-        placer = BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0), seed=seed)
+        placer = BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0), seed=seed)
         session(placer, 120, animal(PLAIN, seed=seed, k=0.2))
         low, high = placer.interval()
         halves["information"].append((high - low) / (high + low))
@@ -337,7 +337,7 @@ def test_information_saves_trials():
 def test_information_about_the_taper_tells_it_sooner():
     """Natural log Bayes factors after 90 trials: placed for the hypothesis, and for k."""
     standards = np.array([0.3, 0.6, 0.9]) * W.length
-    levels = [lattice(h.percept, standards, each_side=8).offsets for h in TAPER]
+    levels = [lattice(h.encoding, standards, each_side=8).offsets for h in TAPER]
     scheme = Scheme(standards, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
     found = {}
     for goal in ("hypothesis", "weber_fraction"):
@@ -355,7 +355,7 @@ def test_information_about_the_taper_tells_it_sooner():
 
 
 def test_bad_input_in_one_sentence():
-    scheme = lattice(PLAIN.percept, 1.0)
+    scheme = lattice(PLAIN.encoding, 1.0)
     for options, words in (
         ({"goal": "k"}, "goal 'k' is unknown"),
         ({"goal": "hypothesis"}, "one hypothesis cannot be told from others"),
@@ -390,21 +390,21 @@ def test_bad_input_in_one_sentence():
 
 
 def test_a_lattice_stays_where_the_animal_and_the_pole_can_go():
-    percept = CuePercept(ww.Observer(W, ww.cues.Compliance(), ww.receptors.Weber(1.0)), unit=1e-3)
-    scheme = lattice(percept, [10.0, 30.0], Constraints(5.0, 40.0, 0.5))
+    encoding = CueEncoding(ww.Observer(W, ww.cues.Compliance(), ww.receptors.Weber(1.0)), unit=1e-3)
+    scheme = lattice(encoding, [10.0, 30.0], Constraints(5.0, 40.0, 0.5))
     levels = np.concatenate(scheme.comparisons)
     assert levels.min() >= 5
     assert levels.max() <= 40
     assert np.allclose(levels / 0.5, np.round(levels / 0.5))
     assert not np.any(np.isin(levels, [10.0, 30.0]))
-    assert max(lattice(percept, [48.0]).comparisons[0]) < 50
+    assert max(lattice(encoding, [48.0]).comparisons[0]) < 50
     with pytest.raises(ValueError, match="standard 40 is left without comparisons on both sides"):
-        lattice(percept, [40.0], Constraints(5.0, 40.0))
+        lattice(encoding, [40.0], Constraints(5.0, 40.0))
     with pytest.raises(ValueError, match="standard 60 mm is off the whisker"):
-        lattice(percept, [60.0])
+        lattice(encoding, [60.0])
 
 
 def test_the_figure_shows_every_trial():
-    placer = session(BayesianPlacer(PLAIN, lattice(PLAIN.percept, 1.0)), 9, animal(PLAIN, seed=1))
+    placer = session(BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0)), 9, animal(PLAIN, seed=1))
     ax = placements(placer)
     assert sum(len(line.get_xdata()) for line in ax.lines[:2]) == 9

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from weberwhisk import Whisker, figures, plan_experiment, read_plan, write_plan
-from weberwhisk.behaviour import IdentityPercept, Priors, read_trials
+from weberwhisk.behaviour import IdentityEncoding, Priors, read_trials
 from weberwhisk.behaviour.population import draw_animals, simulate_responses
 from weberwhisk.cues import ForceMap
 from weberwhisk.design import (
@@ -255,7 +255,7 @@ def test_answers_to_a_list_have_the_probabilities_of_their_observers() -> None:
             "bias": [0.0, 0.3],
         }
     )
-    trials = simulate_responses(table, animals, percept=IdentityPercept(), seed=1)
+    trials = simulate_responses(table, animals, encoding=IdentityEncoding(), seed=1)
     for row in animals.itertuples():
         for s1, s2 in ((1.0, 1.1), (1.1, 1.0)):
             own = trials.frame.query("subject == @row.subject and stimulus_1 == @s1")
@@ -270,7 +270,7 @@ def test_an_animal_without_truth_is_refused() -> None:
         columns=lambda name: name.removesuffix("_mm")
     )
     with pytest.raises(ValueError, match="truth about s2 is not given"):
-        simulate_responses(table, draw_animals(1, seed=1), percept=IdentityPercept(), seed=1)
+        simulate_responses(table, draw_animals(1, seed=1), encoding=IdentityEncoding(), seed=1)
 
 
 # -- plans ---------------------------------------------------------------------------------------
@@ -313,7 +313,7 @@ def test_a_plan_comes_back_from_its_file_to_the_byte(plan: Plan, tmp_path: Path)
     [
         taper(Whisker.from_identity("C2"), bias="shared"),
         cues(Whisker.from_identity("C2"), 0.1, priors=Priors(lapse_low=0.02, bias=norm(0.1, 2.0))),
-        noises(taper(Whisker.from_identity("C2"))[0].percept, [0.01, 0.02]),
+        noises(taper(Whisker.from_identity("C2"))[0].encoding, [0.01, 0.02]),
     ],
     ids=["taper", "cues", "noises"],
 )
@@ -325,8 +325,8 @@ def test_any_hypotheses_come_back_with_their_plan(hypotheses: tuple[Hypothesis, 
         assert (one.name, one.bias, one.noise, one.task) == (
             other.name, other.bias, other.noise, other.task,
         )  # fmt: skip
-        for call in ("mean", "unit_sd"):
-            mine, theirs = (getattr(h.percept, call)(cells.stimulus_2) for h in (one, other))
+        for call in ("mean", "sd_per_weber_fraction"):
+            mine, theirs = (getattr(h.encoding, call)(cells.stimulus_2) for h in (one, other))
             np.testing.assert_array_equal(mine, theirs)
         score = np.linspace(-3, 3, 7)
         for name in ("weber_fraction", "lapse_low", "lapse_high", "bias"):
@@ -405,8 +405,8 @@ HYPOTHESIS = "plan", "hypotheses", 0
         ((*HYPOTHESIS, "priors", "weber_fraction", "args", 0), -1),
         ((*HYPOTHESIS, "priors", "weber_fraction", "kwds", "scale"), 0),
         ((*HYPOTHESIS, "priors", "bias", "args", 0), None),
-        ((*HYPOTHESIS, "percept", "observer", "cue", "tap_angle"), [1]),
-        ((*HYPOTHESIS, "percept", "observer", "whisker", "length"), None),
+        ((*HYPOTHESIS, "encoding", "observer", "cue", "tap_angle"), [1]),
+        ((*HYPOTHESIS, "encoding", "observer", "whisker", "length"), None),
         (("plan", "hypotheses"), [1]),
         (("plan", "title"), None),
         (("plan", "animals"), 0.5),
@@ -584,10 +584,10 @@ def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
     animal = pd.DataFrame(
         [{"subject": "s1", "weber_fraction": k, "lapse_low": lapse, "lapse_high": lapse, "bias": 0}]
     )
-    percept = plan.hypotheses[0].percept
+    encoding = plan.hypotheses[0].encoding
     found = []
     for seed in range(30):
-        answers = simulate_responses(plan.trials, animal, percept=percept, seed=seed)
+        answers = simulate_responses(plan.trials, animal, encoding=encoding, seed=seed)
         row = plan.analyse(answers).estimates.iloc[0]
         found.append((row["weber_fraction"], row["upper"] - row["lower"]))
     middle, width = np.array(found).T
@@ -703,9 +703,12 @@ def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:
 def test_old_names_are_taken_for_a_release(plan: Plan) -> None:
     from weberwhisk import design
 
-    old = plan_json(plan).replace('"is": "SubjectPopulation"', '"is": "Animals"')
-    assert old != plan_json(plan)
-    assert plan_of(old).fingerprint == plan.fingerprint
+    # Written by 0.1.0 itself: it checks its own trial lists.
+    old = Path(__file__).parent / "data" / "plan_0.1.0.json"
+    assert {"CuePercept", "Animals", "percept"} <= set(re.findall(r"\w+", old.read_text()))
+    again = read_plan(old)
+    assert again.hypotheses[0].encoding.direction == -1
+    assert '"encoding"' in plan_json(again)
     for name, new in (("Animals", "SubjectPopulation"), ("Finding", "AnalysisResult")):
         with pytest.warns(DeprecationWarning, match=new):
             assert getattr(design, name) is getattr(design, new)

@@ -11,7 +11,7 @@ from scipy.stats import beta, lognorm, norm
 
 import weberwhisk as ww
 from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
-from weberwhisk.behaviour.percepts import IdentityPercept
+from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.behaviour.priors import PopulationPriors
 from weberwhisk.design import (
     Constraints,
@@ -39,7 +39,7 @@ LENGTH, APEX = 50e-3, 50e-3 / (1 - 1 / 20)
 
 def design(places, trials):
     """The issue's own: ±0.6, 1.2, 2.0 sd of the tapered prediction."""
-    return Scheme.spaced(TAPERED.percept, np.multiply(places, LENGTH), trials=trials)
+    return Scheme.spaced(TAPERED.encoding, np.multiply(places, LENGTH), trials=trials)
 
 
 # -- a referee that shares no code with the package ----------------------------------------------
@@ -154,25 +154,25 @@ def trials_of(scheme, counts, task="2AFC", subject=None):
     return Trials(frame, task_named(task))
 
 
-WEBER = Hypothesis("Weber", IdentityPercept())
+WEBER = Hypothesis("Weber", IdentityEncoding())
 CASES = {
     "tapered, few trials": (TAPERED, design((0.3, 0.9), 5)),
     "cylinder, many trials": (CYLINDRICAL, design((0.3, 0.6, 0.9), 100)),
     "force map": (cues(WHISKER, 0.1)[1], design((0.3, 0.8), 20)),
     "constant noise": (
-        noises(IdentityPercept(), [1.0, 3.0])[1], Scheme([1.0, 3.0], [-0.4, -0.2, 0.2, 0.4]),
+        noises(IdentityEncoding(), [1.0, 3.0])[1], Scheme([1.0, 3.0], [-0.4, -0.2, 0.2, 0.4]),
     ),
-    "shared bias": (Hypothesis("a", IdentityPercept(), bias="shared"),
+    "shared bias": (Hypothesis("a", IdentityEncoding(), bias="shared"),
                     Scheme([1.0, 2.0], [-0.3, -0.1, 0.1, 0.3])),
-    "no bias": (Hypothesis("a", IdentityPercept(), bias="none"),
+    "no bias": (Hypothesis("a", IdentityEncoding(), bias="none"),
                 Scheme([1.0, 2.0], [-0.3, -0.1, 0.1, 0.3])),
     "known lapses": (with_priors([WEBER], lapse_low=0.03, lapse_high=0.03)[0],
                      Scheme([1.0], [-0.3, -0.1, 0.1, 0.3])),
     "another prior": (with_priors([WEBER], weber_fraction=lognorm(0.3, scale=0.12))[0],
                       Scheme([1.0], [-0.3, -0.1, 0.1, 0.3])),
-    "yes/no": (Hypothesis("a", IdentityPercept(), task="yes/no"),
+    "yes/no": (Hypothesis("a", IdentityEncoding(), task="yes/no"),
                Scheme([1.0], [-0.2, 0.1, 0.2, 0.3])),
-    "percent correct": (Hypothesis("a", IdentityPercept(), task="3AFC percent correct",
+    "percent correct": (Hypothesis("a", IdentityEncoding(), task="3AFC percent correct",
                                    bias="none"), Scheme([1.0], [0.05, 0.1, 0.2, 0.5])),
 }  # fmt: skip
 
@@ -184,7 +184,7 @@ def test_an_experiment_is_fitted_as_fit_weber_fits_it(case):
     fitted = fit(hypothesis, scheme, counts)
     for i in range(4):
         own = fit_weber(
-            trials_of(scheme, counts[i, 0], hypothesis.task), percept=hypothesis.percept,
+            trials_of(scheme, counts[i, 0], hypothesis.task), encoding=hypothesis.encoding,
             priors=hypothesis.priors, bias=hypothesis.bias,
         )  # fmt: skip
         low, high = own.interval(0.95)
@@ -213,7 +213,7 @@ def test_animals_share_a_population_as_fit_population_has_it():
     factors = []
     for hypothesis in (TAPERED, CYLINDRICAL):
         fitted = fit(hypothesis, scheme, counts)
-        own = fit_population(pooled, percept=hypothesis.percept, bias="per standard")
+        own = fit_population(pooled, encoding=hypothesis.encoding, bias="per standard")
         low, high = own.interval(0.95)
         assert fitted.log_evidence[0] == pytest.approx(own.log_evidence, abs=0.3)
         assert np.log(fitted.quantiles[0]) == pytest.approx(
@@ -503,12 +503,12 @@ FEW = {"goal": Goal(half_width=0.2), "runs": 2}
         (lambda w: Scheme([20e-3], w), ()),
         (lambda w: Scheme([20e-3], [2e-3], w), ()),
         (lambda w: Scheme.spaced(w, [20e-3]), ()),
-        (lambda w: Scheme.spaced(TAPERED.percept, w), ()),
+        (lambda w: Scheme.spaced(TAPERED.encoding, w), ()),
         (lambda w: Hypothesis("a", w), ()),
-        (lambda w: Hypothesis("a", TAPERED.percept, w), ()),
+        (lambda w: Hypothesis("a", TAPERED.encoding, w), ()),
         (taper, ()),
         (lambda w: noises(w, [1.0, 2.0]), ()),
-        (lambda w: noises(TAPERED.percept, w), ()),
+        (lambda w: noises(TAPERED.encoding, w), ()),
         (lambda w: Plan(**PLAN | {"scheme": w}), ()),
         (lambda w: Plan(**PLAN | {"hypotheses": w}), ()),
         (lambda w: Plan(**PLAN | {"goal": w}), ()),

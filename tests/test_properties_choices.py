@@ -17,8 +17,8 @@ import weberwhisk as ww
 from weberwhisk.behaviour import (
     TASKS,
     FitStatus,
-    IdentityPercept,
-    LogPercept,
+    IdentityEncoding,
+    LogEncoding,
     Trials,
     fit_weber,
     read_trials,
@@ -44,14 +44,14 @@ def test_chances_are_chances_in_any_unit(
 ) -> None:
     task, (first, ratio) = TASKS[name], pairs
     observer = {"weber_fraction": k, "lapse_low": low, "lapse_high": high, "bias": bias}
-    p = response_probability(task, IdentityPercept(), first, first * ratio, **observer)
+    p = response_probability(task, IdentityEncoding(), first, first * ratio, **observer)
     assert ((p >= 0) & (p <= 1)).all()
     elsewhere = response_probability(
-        task, IdentityPercept(), first * unit, first * ratio * unit, **observer
+        task, IdentityEncoding(), first * unit, first * ratio * unit, **observer
     )
     np.testing.assert_allclose(p, elsewhere, rtol=1e-12)
     logs = response_probability(
-        task, LogPercept(), np.log(first), np.log(first * ratio), **observer
+        task, LogEncoding(), np.log(first), np.log(first * ratio), **observer
     )
     np.testing.assert_allclose(p, logs, rtol=1e-6, atol=1e-9)
 
@@ -61,7 +61,7 @@ def test_swapped_intervals_have_the_other_answer(
     pairs: np.ndarray, k: float, low: float, high: float, bias: float
 ) -> None:
     first, ratio = pairs
-    task, felt = TASKS["2AFC"], IdentityPercept()
+    task, felt = TASKS["2AFC"], IdentityEncoding()
     one = response_probability(
         task,
         felt,
@@ -91,7 +91,7 @@ def test_chances_rise_with_the_difference(
 ) -> None:
     levels = standard * np.linspace(1.0, 4.0, 25)
     p = response_probability(
-        TASKS[name], IdentityPercept(), standard, levels, weber_fraction=k, lapse_high=lapse
+        TASKS[name], IdentityEncoding(), standard, levels, weber_fraction=k, lapse_high=lapse
     )
     assert (np.diff(p) >= -1e-12).all()
 
@@ -103,10 +103,10 @@ def test_the_threshold_has_its_proportion(
     task = TASKS[name]
     guess = task.guess_rate or 0.0
     wanted = guess + proportion * (1 - guess)
-    at = threshold(task, IdentityPercept(), standard, wanted, weber_fraction=k)
+    at = threshold(task, IdentityEncoding(), standard, wanted, weber_fraction=k)
     assert not np.isnan(at)
     if np.isfinite(at) and at > 0 and abs(at / standard - 1) > 1e-6:
-        p = response_probability(task, IdentityPercept(), standard, at, weber_fraction=k)
+        p = response_probability(task, IdentityEncoding(), standard, at, weber_fraction=k)
         np.testing.assert_allclose(p, wanted, atol=1e-6)
 
 

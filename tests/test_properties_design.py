@@ -16,7 +16,7 @@ from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
 
 import weberwhisk as ww
 from weberwhisk import campaign
-from weberwhisk.behaviour import IdentityPercept, fit_population, simulate_population
+from weberwhisk.behaviour import IdentityEncoding, fit_population, simulate_population
 from weberwhisk.design import (
     BayesianPlacer,
     Goal,
@@ -37,7 +37,7 @@ from weberwhisk.design.plan_file import plan_json, plan_of
 SEEDS = st.integers(0, 2**32 - 1)
 #: A placer, a plan or a population costs tens of milliseconds: a third of the examples.
 few = settings(max_examples=max(settings.default.max_examples // 3, 4))
-FELT = Hypothesis("Weber", IdentityPercept(), bias="shared")
+FELT = Hypothesis("Weber", IdentityEncoding(), bias="shared")
 
 
 @st.composite
@@ -113,7 +113,7 @@ def test_spaced_offsets_know_no_unit(w: ww.Whisker, places: list[float], size: f
     at = np.array(places) * w.length
     options = {"weber_fraction": 0.05, "levels": [-1.0, -0.5, 0.5, 1.0]}
     one, other = (
-        Scheme.spaced(taper(whisker)[0].percept, at * unit, **options)
+        Scheme.spaced(taper(whisker)[0].encoding, at * unit, **options)
         for whisker, unit in ((w, 1.0), (scaled(w, size), size))
     )
     np.testing.assert_allclose(other.standards, np.array(one.standards) * size, rtol=1e-6)
@@ -129,7 +129,7 @@ def test_spaced_offsets_know_no_unit(w: ww.Whisker, places: list[float], size: f
 @given(st.integers(3, 8), SEEDS)
 def test_power_grows_with_trials_and_repeats(few_trials: int, seed: int) -> None:
     hypotheses = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
-    scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3])
+    scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3])
     options = {"goal": Goal(bayes_factor=3), "truths": ["tapered"], "runs": 48, "seed": seed}
     found = power(scheme, hypotheses, trials=[few_trials, 12 * few_trials], **options)
     few_, many = found.table["power"]
@@ -183,7 +183,7 @@ def test_a_placer_knows_no_unit_and_narrows(
 
 def _scaled_lattice(unit: float) -> Scheme:
     """Trials of one standard, in a unit."""
-    plain = lattice(FELT.percept, 16.0, each_side=6)
+    plain = lattice(FELT.encoding, 16.0, each_side=6)
     return Scheme([16.0 * unit], [[offset * unit for offset in row] for row in plain.offsets])
 
 
@@ -192,7 +192,7 @@ def _scaled_lattice(unit: float) -> Scheme:
 def test_a_session_torn_anywhere_proposes_the_same_trial(
     answers: list[int | None], seed: int
 ) -> None:
-    scheme = lattice(FELT.percept, 20.0, each_side=4)
+    scheme = lattice(FELT.encoding, 20.0, each_side=4)
 
     def placer() -> BayesianPlacer:
         return BayesianPlacer(FELT, scheme, seed=seed)
@@ -213,7 +213,7 @@ def test_a_session_torn_anywhere_proposes_the_same_trial(
 @few
 @given(st.lists(st.sampled_from([0, 1]), min_size=1, max_size=30), SEEDS)
 def test_a_staircase_stays_on_its_ladder(answers: list[int], seed: int) -> None:
-    scheme = lattice(FELT.percept, 20.0, each_side=4)
+    scheme = lattice(FELT.encoding, 20.0, each_side=4)
     stairs = Staircase(FELT, scheme, seed=seed)
     for choice in answers:
         trial = stairs.next()
@@ -226,7 +226,7 @@ def test_a_staircase_stays_on_its_ladder(answers: list[int], seed: int) -> None:
 @given(SEEDS, st.integers(1, 3))
 def test_the_next_trial_after_a_table_is_one_of_the_scheme(seed: int, each: int) -> None:
     trials = ww.simulate_trials(trials_per_level=each, seed=seed)
-    scheme = lattice(FELT.percept, 1.0, each_side=5)
+    scheme = lattice(FELT.encoding, 1.0, each_side=5)
     found = next_trial(trials, FELT, scheme, seed=1)
     assert found.trial == trials.n_trials + 1
     assert found == next_trial(trials, FELT, scheme, seed=1)

@@ -12,8 +12,8 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import beta, lognorm, norm
 
-from weberwhisk import Whisker, plan_experiment, rehearse
-from weberwhisk.behaviour import IdentityPercept, Priors, fit_population
+from weberwhisk import Whisker, plan_experiment, simulate_study
+from weberwhisk.behaviour import IdentityEncoding, Priors, fit_population
 from weberwhisk.behaviour.comparison import ConstantNoise
 from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.behaviour.simulate import simulate_trials
@@ -21,13 +21,13 @@ from weberwhisk.design import (
     Goal,
     Hypothesis,
     Plan,
-    Rehearsal,
     Scheme,
+    SimulatedStudy,
     SubjectPopulation,
     analyse,
     taper,
 )
-from weberwhisk.design.rehearsal import NEITHER, wilson
+from weberwhisk.design.simulated_study import NEITHER, wilson
 from weberwhisk.figures import rehearsed
 
 C2 = Whisker.from_identity("C2")
@@ -47,33 +47,33 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(plan: Plan, stream: Path) -> Rehearsal:
-    return rehearse(plan, 3, seed=2, out=stream)
+def found(plan: Plan, stream: Path) -> SimulatedStudy:
+    return simulate_study(plan, 3, seed=2, out=stream)
 
 
 def test_a_rehearsal_is_the_same_again_and_goes_on_where_it_was(
-    plan: Plan, found: Rehearsal, stream: Path, tmp_path: Path
+    plan: Plan, found: SimulatedStudy, stream: Path, tmp_path: Path
 ) -> None:
     lines = stream.read_bytes().splitlines(keepends=True)
     file = tmp_path / "runs.jsonl"
     file.write_bytes(b"".join(lines[:4]) + lines[4][:40])  # killed while it wrote the fourth
     done: list[float] = []
-    again = rehearse(plan, 3, seed=2, out=file, progress=done.append)
+    again = simulate_study(plan, 3, seed=2, out=file, progress=done.append)
     pd.testing.assert_frame_equal(again.table, found.table)
     assert done == [3, 1, 1, 1]
     # More runs leave the first ones as they are.
-    fewer = rehearse(plan, 1, seed=2)
+    fewer = simulate_study(plan, 1, seed=2)
     pd.testing.assert_frame_equal(fewer.table, found.table.iloc[:2])
 
 
-def test_a_row_is_what_the_plan_finds_in_that_experiment(plan: Plan, found: Rehearsal) -> None:
+def test_a_row_is_what_the_plan_finds_in_that_experiment(plan: Plan, found: SimulatedStudy) -> None:
     """Run 2 under the cylinder, made by hand from its seed."""
     row = found.table.iloc[3]
     assert (row["truth"], row["run"]) == ("cylindrical", 2)
     of_animals, of_answers = np.random.SeedSequence(2, spawn_key=(3,)).spawn(2)
     animals = plan.animals.draw(1, of_animals)
     cylinder = plan.hypotheses[1]
-    answers = simulate_responses(plan.trials, animals, percept=cylinder.percept, seed=of_answers)
+    answers = simulate_responses(plan.trials, animals, encoding=cylinder.encoding, seed=of_answers)
     finding = plan.analyse(answers)
     estimate = finding.of("cylindrical").iloc[0]
     assert row["weber_fraction"] == estimate["weber_fraction"]
@@ -86,8 +86,8 @@ def test_a_row_is_what_the_plan_finds_in_that_experiment(plan: Plan, found: Rehe
 def test_the_bayes_factor_is_the_integral_that_it_says() -> None:
     """Against one-dimensional integrals by SciPy, lapses known and no bias; two animals."""
     hypotheses = [
-        Hypothesis("Weber", IdentityPercept(), KNOWN, bias="none"),
-        Hypothesis("constant", ConstantNoise(IdentityPercept(), 2.0), KNOWN, bias="none"),
+        Hypothesis("Weber", IdentityEncoding(), KNOWN, bias="none"),
+        Hypothesis("constant", ConstantNoise(IdentityEncoding(), 2.0), KNOWN, bias="none"),
     ]
     offsets = [-0.5, -0.2, 0.2, 0.5]
     parts = [
@@ -104,7 +104,8 @@ def test_the_bayes_factor_is_the_integral_that_it_says() -> None:
         total = 0.0
         for part in parts:
             c = part.cells()
-            sd = hypothesis.percept.unit_sd(c.stimulus_1), hypothesis.percept.unit_sd(c.stimulus_2)
+            unit = hypothesis.encoding.sd_per_weber_fraction
+            sd = unit(c.stimulus_1), unit(c.stimulus_2)
 
             def likelihood(log_k: float, c: object = c, sd: tuple[object, object] = sd) -> float:
                 k = np.exp(log_k)
@@ -121,9 +122,9 @@ def test_the_bayes_factor_is_the_integral_that_it_says() -> None:
 def test_what_cannot_be_told_apart_stays_undecided() -> None:
     """At one standard, a tapered whisker and a cylinder of another k are nearly one observer."""
     tapered, cylindrical = taper(C2)
-    scheme = Scheme.spaced(tapered.percept, [10e-3], trials=20)
+    scheme = Scheme.spaced(tapered.encoding, [10e-3], trials=20)
     plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
-    found = rehearse(plan, 4, seed=1)
+    found = simulate_study(plan, 4, seed=1)
     assert (found.table["conclusion"] == NEITHER).all()
     assert found.table["log_bayes_factor"].abs().max() < np.log(3)
     assert (found.summary()["undecided"] == 1).all()
@@ -140,11 +141,11 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     expected = SubjectPopulation(0.12, 0.5, 0.03, 0.2)
     lapse = beta(2, 2 / 0.03 - 2)
     priors = Priors(lognorm(0.5, scale=0.12), lapse, lapse, norm(0, 0.2), lapse_correlation=0.0)
-    percept = taper(C2)[0].percept
-    scheme = Scheme.spaced(percept, PLACES, weber_fraction=0.12, levels=LEVELS, trials=20)
-    hypothesis = Hypothesis("tapered", percept, priors, bias="shared")
+    encoding = taper(C2)[0].encoding
+    scheme = Scheme.spaced(encoding, PLACES, weber_fraction=0.12, levels=LEVELS, trials=20)
+    hypothesis = Hypothesis("tapered", encoding, priors, bias="shared")
     plan = Plan(scheme, [hypothesis], Goal(half_width=0.45), expected)
-    found = rehearse(plan, 60, seed=4)
+    found = simulate_study(plan, 60, seed=4)
     assert found.table["covered"].sum() >= 51
     assert (found.table["conclusion"] == "").all()
     summary = found.summary().iloc[0]
@@ -168,14 +169,14 @@ def test_a_summary_counts_the_table(plan: Plan) -> None:
             "reached": [1.0] * 7 + [0.0] * 3 + [1.0] * 10,
         }
     )
-    seen = Rehearsal(plan, table).summary()
+    seen = SimulatedStudy(plan, table).summary()
     expected = {"reached": 0.7, "right": 0.7, "wrong": 0.1, "undecided": 0.2, "covered": 0.9}
     assert seen.loc["tapered", list(expected)].to_dict() == pytest.approx(expected)
     assert seen.loc["tapered", "error"] == pytest.approx(np.sqrt(0.7 * 0.3 / 10))
     assert seen.loc["cylindrical", ["wrong", "undecided", "error"]].tolist() == [0, 0, 0]
     assert seen["bias"].tolist() == pytest.approx([0.1, 0.1])
     assert seen["half_width"].tolist() == [0.3, 0.4]
-    report = Rehearsal(plan, table).report()
+    report = SimulatedStudy(plan, table).report()
     assert "right in 70 %, wrong in 10 % and open in 20 %" in report
 
 
@@ -195,7 +196,7 @@ def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
         "C2", standards=PLACES, levels=LEVELS, trials=15, animals=2, together=False, runs=0
     )
     truth = plan.animals.draw(2, 1)
-    answers = simulate_responses(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
+    answers = simulate_responses(plan.trials, truth, encoding=plan.hypotheses[0].encoding, seed=1)
     frame = answers.frame.copy()
     second = frame["subject"] == "s2"
     frame.loc[second, "count"] = 1 - frame.loc[second, "count"]
@@ -208,12 +209,12 @@ def test_an_animal_that_answers_the_wrong_way_round_is_left_out() -> None:
 
 def test_animals_fitted_together_are_fitted_as_a_population() -> None:
     tapered = taper(C2)[0]
-    scheme = Scheme.spaced(tapered.percept, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
+    scheme = Scheme.spaced(tapered.encoding, [10e-3, 30e-3], levels=[-2, 2], trials=8, animals=2)
     plan = Plan(scheme, [tapered], Goal(half_width=0.5), together=True)
     truth = plan.animals.draw(2, 1)
-    answers = simulate_responses(plan.trials, truth, percept=tapered.percept, seed=1)
+    answers = simulate_responses(plan.trials, truth, encoding=tapered.encoding, seed=1)
     finding = plan.analyse(answers)
-    whole = fit_population(answers, percept=tapered.percept, bias="per standard")
+    whole = fit_population(answers, encoding=tapered.encoding, bias="per standard")
     row = finding.estimates.iloc[0]
     assert row["subject"] == "population"
     assert (row["lower"], row["upper"]) == whole.interval(0.95)
@@ -222,14 +223,14 @@ def test_animals_fitted_together_are_fitted_as_a_population() -> None:
 
 def test_data_in_millimetres_say_the_same(plan: Plan) -> None:
     truth = plan.animals.draw(1, 1)
-    answers = simulate_responses(plan.trials, truth, percept=plan.hypotheses[0].percept, seed=1)
+    answers = simulate_responses(plan.trials, truth, encoding=plan.hypotheses[0].encoding, seed=1)
     names = ["standard", "stimulus_1", "stimulus_2"]
     frame = answers.frame.assign(**{n: (answers.frame[n] * 1e3).round(6) for n in names})
     one, other = plan.analyse(answers), plan.analyse(replace(answers, frame=frame), unit=1e-3)
     assert other.log_evidence == pytest.approx(one.log_evidence, abs=1e-4)
 
 
-def test_the_figure_shows_every_run(found: Rehearsal) -> None:
+def test_the_figure_shows_every_run(found: SimulatedStudy) -> None:
     ax = rehearsed(found)
     labels = ax.get_legend_handles_labels()[1]
     assert labels == ["tapered", "cylindrical"]
@@ -240,4 +241,4 @@ def test_the_figure_shows_every_run(found: Rehearsal) -> None:
 
 def test_no_runs_are_refused(plan: Plan) -> None:
     with pytest.raises(ValueError, match="runs must be a whole number of 1 or more, got 0"):
-        rehearse(plan, 0)
+        simulate_study(plan, 0)

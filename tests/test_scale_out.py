@@ -17,7 +17,7 @@ from weberwhisk.design import Scheme, smallest, taper
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PAIR = taper(WHISKER)
-SCHEME = Scheme.spaced(PAIR[0].percept, [15e-3, 45e-3], trials=4)
+SCHEME = Scheme.spaced(PAIR[0].encoding, [15e-3, 45e-3], trials=4)
 
 
 def test_power_and_recovery(cluster: str) -> None:

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from weberwhisk._terminal import run_app
-from weberwhisk.behaviour import IdentityPercept, fit_weber
+from weberwhisk.behaviour import IdentityEncoding, fit_weber
 from weberwhisk.campaign.log import read_lines
 from weberwhisk.cli import app
 from weberwhisk.design import BayesianPlacer, Hypothesis, Session, lattice
 from weberwhisk.design.session import converse
 
-H = Hypothesis("Weber", IdentityPercept(), bias="shared")
-SCHEME = lattice(H.percept, [20.0])
+H = Hypothesis("Weber", IdentityEncoding(), bias="shared")
+SCHEME = lattice(H.encoding, [20.0])
 
 
 def placer(**options: Any) -> BayesianPlacer:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from weberwhisk.behaviour import (
-    LogPercept,
+    LogEncoding,
     WeberFit,
     effects,
     fit_weber,
@@ -74,8 +74,8 @@ def test_missing_answers() -> None:
     assert trials.frame["count"].isna().sum() == trials.n_missing
 
 
-def test_a_log_percept_makes_a_log_table() -> None:
-    trials = simulate_trials(percept=LogPercept(2.0), standards=[-1.0, 1.0], seed=4)
+def test_a_log_encoding_makes_a_log_table() -> None:
+    trials = simulate_trials(encoding=LogEncoding(2.0), standards=[-1.0, 1.0], seed=4)
     assert (trials.scale, trials.log_unit) == ("log", 2.0)
     assert trials.frame["stimulus_2"].min() == pytest.approx(-1.3)
 
@@ -99,7 +99,7 @@ def test_a_log_percept_makes_a_log_table() -> None:
         ({"task": "4AFC percnt correct"}, "did you mean '4AFC percent correct'"),
         ({"noise": "white"}, "noise 'white' is unknown"),
         ({"bias": np.inf}, "bias must be finite"),
-        ({"percept": LogPercept(), "observer": object()}, "both given"),
+        ({"encoding": LogEncoding(), "observer": object()}, "both given"),
         ({"drift": -0.5}, "drift goes from the first session to the last, got sessions=1"),
         ({"bias_drift": np.nan, "sessions": 3}, "bias_drift must be finite"),
         ({"weber_fraction": [0.1, 0.2], "sessions": 3}, r"shape \(2,\) for 3 sessions"),
@@ -196,7 +196,7 @@ def test_impossible_populations_are_refused(options: dict, part: str) -> None:
 
 
 def test_tables_of_different_kinds_are_not_joined() -> None:
-    linear, log = simulate_trials(seed=1), simulate_trials(percept=LogPercept(), seed=1)
+    linear, log = simulate_trials(seed=1), simulate_trials(encoding=LogEncoding(), seed=1)
     assert len(joined([linear, linear])) == 2 * len(linear)
     with pytest.raises(ValueError, match="tables of 2 kinds"):
         joined([linear, log])

@@ -9,26 +9,26 @@ from scipy.integrate import quad
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
-    CuePercept,
-    IdentityPercept,
-    LogAxisPercept,
-    LogPercept,
+    CueEncoding,
+    IdentityEncoding,
+    LogAxisEncoding,
+    LogEncoding,
     fit_weber,
     response_probability,
     simulate_trials,
     task_named,
     threshold,
 )
-from weberwhisk.behaviour.percepts import refuse_unfelt, unit_percepts
+from weberwhisk.behaviour.encodings import refuse_unencoded, unit_encodings
 from weberwhisk.commands.options import SCENES
 
 TWO = task_named("2AFC")
-MAGNITUDE = IdentityPercept()
+MAGNITUDE = IdentityEncoding()
 Z75 = stats.norm.ppf(0.75)
 
 
-def compliance(whisker: ww.Whisker, tap_angle: float = 0.0) -> CuePercept:
-    return CuePercept(ww.Observer(whisker, ww.cues.Compliance(tap_angle=tap_angle)))
+def compliance(whisker: ww.Whisker, tap_angle: float = 0.0) -> CueEncoding:
+    return CueEncoding(ww.Observer(whisker, ww.cues.Compliance(tap_angle=tap_angle)))
 
 
 CONE, CYLINDER = (ww.Whisker(0.05, 1e-4, tip) for tip in (0.0, 1e-4))
@@ -96,12 +96,12 @@ def test_bias_is_in_sds_of_the_decision_variable() -> None:
 def test_log_form_knows_only_the_ratio() -> None:
     d = np.array([-0.5, -0.1, 0.2, 0.7])
     k = 0.15
-    own = response_probability(TWO, LogPercept(), 3.0, 3.0 + d, weber_fraction=k)
+    own = response_probability(TWO, LogEncoding(), 3.0, 3.0 + d, weber_fraction=k)
     formula = stats.norm.cdf((np.exp(d) - 1) / (k * np.sqrt(1 + np.exp(2 * d))))
     np.testing.assert_allclose(own, formula, rtol=1e-12)
     np.testing.assert_allclose(own, probability(7.0, 7.0 * np.exp(d), weber_fraction=k), rtol=1e-12)
     decades = response_probability(
-        TWO, LogPercept(np.log(10)), 0.0, d / np.log(10), weber_fraction=k
+        TWO, LogEncoding(np.log(10)), 0.0, d / np.log(10), weber_fraction=k
     )
     np.testing.assert_allclose(own, decades, rtol=1e-12)
 
@@ -110,7 +110,7 @@ def test_equal_variance_forms() -> None:
     d, k = np.array([-0.2, 0.3]), 0.15
     linear = probability(2.0, 2.0 * (1 + d), weber_fraction=k, noise="equal-variance")
     np.testing.assert_allclose(linear, stats.norm.cdf(d / (np.sqrt(2) * k)), rtol=1e-12)
-    log = response_probability(TWO, LogAxisPercept(), 1.0, 1.0 + d, weber_fraction=k)
+    log = response_probability(TWO, LogAxisEncoding(), 1.0, 1.0 + d, weber_fraction=k)
     np.testing.assert_allclose(log, stats.norm.cdf(d / (np.sqrt(2) * k)), rtol=1e-12)
 
 
@@ -186,12 +186,12 @@ def test_equal_variance_moves_the_pse_of_an_unbiased_observer() -> None:
 def test_compliance_asymmetry_changes_sign_at_half_the_length() -> None:
     """theory.md: k = 0.2, r = 0.9 L: 0.933 and 1.088 of the linear 75 % JND."""
     length, k = 0.05, 0.2
-    percept = compliance(CONE)
+    encoding = compliance(CONE)
 
     def ratios(at: float) -> tuple[float, float]:
         r = at * length
         linear = Z75 * np.sqrt(2) * k * r * (1 - at)
-        out, back = (float(threshold(TWO, percept, r, p, weber_fraction=k)) for p in (0.75, 0.25))
+        out, back = (float(threshold(TWO, encoding, r, p, weber_fraction=k)) for p in (0.75, 0.25))
         return (out - r) / linear, (r - back) / linear
 
     assert ratios(0.9) == pytest.approx((0.933, 1.088), abs=6e-4)
@@ -200,16 +200,16 @@ def test_compliance_asymmetry_changes_sign_at_half_the_length() -> None:
     assert half == pytest.approx(0.0, abs=1e-9)
 
 
-def test_cue_percept_knows_which_way_its_signal_goes() -> None:
-    percept = compliance(CYLINDER)
-    assert percept.direction == -1
-    assert percept.domain == (0.0, 0.05)
+def test_cue_encoding_knows_which_way_its_signal_goes() -> None:
+    encoding = compliance(CYLINDER)
+    assert encoding.direction == -1
+    assert encoding.domain == (0.0, 0.05)
     force_map = ww.Observer(ww.Whisker(0.05, 1e-4, 5e-6), ww.cues.ForceMap())
-    assert CuePercept(force_map, 0.1).direction == 1
+    assert CueEncoding(force_map, 0.1).direction == 1
     with pytest.raises(ValueError, match="needs the deflection angle"):
-        CuePercept(force_map)
+        CueEncoding(force_map)
     # A cylinder's compliance signal goes as 1/r, so its curve is that of the magnitude, turned.
-    cylinder = response_probability(TWO, percept, 0.02, [0.016, 0.025], weber_fraction=0.2)
+    cylinder = response_probability(TWO, encoding, 0.02, [0.016, 0.025], weber_fraction=0.2)
     plain = probability(1.0, [0.8, 1.25], weber_fraction=0.2)
     np.testing.assert_allclose(cylinder, plain, rtol=1e-12)
 
@@ -217,17 +217,17 @@ def test_cue_percept_knows_which_way_its_signal_goes() -> None:
 def test_two_signals_are_carried_to_distance() -> None:
     """At small angle the map's JND is (A−r)(3A−2r)/(2A−r)·√5/2 for k_M = k_F."""
     whisker = ww.Whisker(0.05, 1e-4, 5e-6)
-    percept = CuePercept(ww.Observer(whisker, ww.cues.ForceMap()), deflection_angle=1e-5)
+    encoding = CueEncoding(ww.Observer(whisker, ww.cues.ForceMap()), deflection_angle=1e-5)
     a, r = whisker.apex_distance, np.array([0.02, 0.025])
     jnd = (a - r) * (3 * a - 2 * r) / (2 * a - r) * np.sqrt(5) / 2
-    p = response_probability(TWO, percept, *r, weber_fraction=0.2)
+    p = response_probability(TWO, encoding, *r, weber_fraction=0.2)
     assert p == pytest.approx(stats.norm.cdf(0.005 / (0.2 * np.hypot(*jnd))), rel=1e-6)
 
 
 def test_a_cylinders_map_cannot_be_judged_by() -> None:
-    percept = CuePercept(ww.Observer(CYLINDER, ww.cues.ForceMap()), deflection_angle=0.1)
+    encoding = CueEncoding(ww.Observer(CYLINDER, ww.cues.ForceMap()), deflection_angle=0.1)
     with pytest.raises(ValueError, match="these signals cannot tell distance"):
-        refuse_unfelt(percept, [0.02, 0.03])
+        refuse_unencoded(encoding, [0.02, 0.03])
 
 
 R = np.array([0.02, 0.025])
@@ -237,7 +237,7 @@ WHISKER = ww.Whisker(0.05, 1e-4, 5e-6)
 def chance_by(noise: ww.receptors.ReceptorNoise, k: float = 0.2) -> tuple[float, np.ndarray]:
     """Chance of "second greater" by the compliance cue, and both its signals."""
     observer = ww.Observer(WHISKER, ww.cues.Compliance(), noise)
-    p = response_probability(TWO, CuePercept(observer), *R, weber_fraction=k)
+    p = response_probability(TWO, CueEncoding(observer), *R, weber_fraction=k)
     return float(p[0]), observer.signals(R[:, None])[0][:, 0]
 
 
@@ -262,34 +262,34 @@ def test_receptors_of_every_kind_in_the_likelihood() -> None:
         assert chance_by(noise)[0] == pytest.approx(stats.norm.cdf(d), abs=1e-12), noise
 
 
-def test_a_hard_ceiling_gives_no_percept_and_a_soft_one_does() -> None:
+def test_a_hard_ceiling_gives_no_encoding_and_a_soft_one_does() -> None:
     _, (m1, m2) = chance_by(ww.receptors.Weber(1.0))
     hard = ww.receptors.GeneralisedWeber(0.1, floor=0.0, ceiling=(m1 + m2) / 2)
     observer = ww.Observer(WHISKER, ww.cues.Compliance(), hard)
     with pytest.raises(ValueError, match=r"1 of 2 stimuli.*0\.02 \(the receptors are saturated"):
-        refuse_unfelt(CuePercept(observer), R)
+        refuse_unencoded(CueEncoding(observer), R)
     soft = ww.receptors.Saturating(0.1, ceiling=(m1 + m2) / 2)
-    refuse_unfelt(CuePercept(ww.Observer(WHISKER, ww.cues.Compliance(), soft)), R)
+    refuse_unencoded(CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance(), soft)), R)
 
 
 @pytest.mark.parametrize("cue", sorted(SCENES))
-def test_every_cue_is_a_percept_of_distance_with_its_own_jnd(cue: str) -> None:
+def test_every_cue_is_an_encoding_of_distance_with_its_own_jnd(cue: str) -> None:
     observer = ww.Observer(WHISKER, SCENES[cue](WHISKER))
     angle = 0.1 if "deflection_angle" in observer.unknowns else None
     if cue in ("vibrissa-length", "comparative-length"):
         with pytest.raises(ValueError, match="reports events, all or none"):
-            CuePercept(observer, angle)
+            CueEncoding(observer, angle)
         return
-    percept = CuePercept(observer, angle)
-    assert percept.direction == 1  # distance itself, or the balance angle, which grows with it
+    encoding = CueEncoding(observer, angle)
+    assert encoding.direction == 1  # distance itself, or the balance angle, which grows with it
     contact = R[:, None] if angle is None else np.stack([R, [angle, angle]], axis=-1)
     jnd = ww.jnd.weber_propagation(observer, observer.at_middle(contact))
-    if cue == "balance-of-moments":  # one signal: the angle is the percept
+    if cue == "balance-of-moments":  # one signal: the angle is the encoding
         jnd = observer.noise.sd(observer.signals(contact)[0])[:, 0]
     # At the receptors' own Weber fraction, 0.1, the noise is their own.
     first = observer.noise.weber_fractions(len(observer.cue.signal_names))
-    k = first[first > 0][0] if percept.has_weber_fraction else 0.123
-    found = np.hypot(k * percept.unit_sd(R), percept.floor_sd(R))
+    k = first[first > 0][0] if encoding.has_weber_fraction else 0.123
+    found = np.hypot(k * encoding.sd_per_weber_fraction(R), encoding.floor_sd(R))
     np.testing.assert_allclose(found, jnd, rtol=1e-6)
 
 
@@ -302,19 +302,19 @@ def test_choices_by_angles_have_no_weber_fraction_to_fit() -> None:
 
 def test_millimetres_are_metres() -> None:
     observer = ww.Observer(CONE, ww.cues.Compliance())
-    a = response_probability(TWO, CuePercept(observer), 0.02, 0.025, weber_fraction=0.2)
-    b = response_probability(TWO, CuePercept(observer, unit=1e-3), 20, 25, weber_fraction=0.2)
+    a = response_probability(TWO, CueEncoding(observer), 0.02, 0.025, weber_fraction=0.2)
+    b = response_probability(TWO, CueEncoding(observer, unit=1e-3), 20, 25, weber_fraction=0.2)
     assert a == pytest.approx(b, rel=1e-12)
 
 
 def test_distances_without_a_signal_are_refused_with_their_outcome() -> None:
     whisker = ww.Whisker(0.05, 1e-4, 5e-6)
-    percept = compliance(whisker, float(ww.flick_past(whisker, 0.04).deflection_angle))
+    encoding = compliance(whisker, float(ww.flick_past(whisker, 0.04).deflection_angle))
     with pytest.raises(ValueError, match=r"1 of 2 stimuli.*0\.045 \(flicked past"):
-        refuse_unfelt(percept, [0.03, 0.045])
+        refuse_unencoded(encoding, [0.03, 0.045])
     # A threshold inside the reach is still found beside the part that gives no signal.
-    assert 0.03 < threshold(TWO, percept, 0.03, 0.75, weber_fraction=0.1) < 0.04
-    assert np.isinf(threshold(TWO, percept, 0.039, 0.99, weber_fraction=0.3))
+    assert 0.03 < threshold(TWO, encoding, 0.03, 0.75, weber_fraction=0.1) < 0.04
+    assert np.isinf(threshold(TWO, encoding, 0.039, 0.99, weber_fraction=0.3))
 
 
 def test_simulated_choices_follow_the_curve() -> None:
@@ -325,7 +325,7 @@ def test_simulated_choices_follow_the_curve() -> None:
     )  # fmt: skip
     cells = trials.cells()
     p = response_probability(
-        TWO, CuePercept(observer), cells.stimulus_1, cells.stimulus_2, weber_fraction=0.15
+        TWO, CueEncoding(observer), cells.stimulus_1, cells.stimulus_2, weber_fraction=0.15
     )
     z = (cells.count / cells.n - p) / np.sqrt(p * (1 - p) / cells.n)
     assert np.abs(z).max() < 3.5
@@ -335,4 +335,4 @@ def test_unknown_names_are_refused() -> None:
     with pytest.raises(ValueError, match="did you mean '2AFC'"):
         task_named("2AFCC")
     with pytest.raises(ValueError, match="did you mean 'weber'"):
-        unit_percepts(MAGNITUDE, 1.0, 1.0, 1.0, "webber")
+        unit_encodings(MAGNITUDE, 1.0, 1.0, 1.0, "webber")

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import weberwhisk as ww
 from weberwhisk import threads
-from weberwhisk.behaviour import IdentityPercept, fit_population, fit_weber, simulate_population
+from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, simulate_population
 from weberwhisk.campaign import all_cores
 from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
@@ -69,7 +69,7 @@ def test_fits_and_designs_keep_blas_to_one_thread() -> None:
     """Six animals took eight times as long where BLAS had two threads on a busy machine."""
     seen = []
 
-    class Watched(IdentityPercept):
+    class Watched(IdentityEncoding):
         def mean(self, stimulus: np.ndarray) -> np.ndarray:
             blas = [p for p in threadpool_info() if p["user_api"] == "blas"]
             seen.append(max(p["num_threads"] for p in blas))
@@ -79,8 +79,8 @@ def test_fits_and_designs_keep_blas_to_one_thread() -> None:
     scheme, watched = Scheme([1.0], [-0.2, 0.2], 4), Hypothesis("a", Watched())
     with threadpool_limits(2, user_api="blas"):
         for work in (
-            lambda: fit_weber(trials.select(subject="s1"), percept=Watched()),
-            lambda: fit_population(trials, percept=Watched()),
+            lambda: fit_weber(trials.select(subject="s1"), encoding=Watched()),
+            lambda: fit_population(trials, encoding=Watched()),
             lambda: fit(watched, scheme, np.ones((1, 1, 2))),
             lambda: information([watched], [1.0], [0.1]),
         ):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
-    from .design import plan_experiment, power, read_plan, rehearse
+    from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor, jnd_curve
     from .jnd_surface import jnd_sweep
@@ -103,7 +103,7 @@ _HOME = {
     "plan_experiment": "design",
     "power": "design",
     "read_plan": "design",
-    "rehearse": "design",
+    "simulate_study": "design",
     "write_plan": "planning",
 }
 __all__ = [
@@ -148,10 +148,10 @@ __all__ = [
     "read_plan",
     "read_trials",
     "receptors",
-    "rehearse",
     "rest_angle",
     "signal_jacobian",
     "simulate_population",
+    "simulate_study",
     "simulate_trials",
     "sticking",
     "sweep",
@@ -159,7 +159,10 @@ __all__ = [
 ]
 
 
-_renamed = renamed_names(__name__, {"Rung": "Model", "choose_rung": "choose_model"})
+_renamed = renamed_names(
+    __name__,
+    {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"},
+)
 
 
 def __getattr__(name: str) -> Any:

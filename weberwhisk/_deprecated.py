@@ -6,7 +6,9 @@ import functools
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar, cast
+
+Called = TypeVar("Called", bound=Callable[..., Any])
 
 
 def renamed_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
@@ -35,7 +37,7 @@ def renamed_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], An
     return __getattr__
 
 
-def renamed_arguments(**renamed: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def renamed_arguments(**renamed: str) -> Callable[[Called], Called]:
     """A decorator: keyword arguments ``old="new"`` are still taken.
 
     Examples
@@ -47,7 +49,7 @@ def renamed_arguments(**renamed: str) -> Callable[[Callable[..., Any]], Callable
     3
     """
 
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+    def decorate(function: Called) -> Called:
         @functools.wraps(function)
         def wrapper(*args: Any, **kwargs: Any) -> Any:
             for old in renamed.keys() & kwargs.keys():
@@ -55,7 +57,7 @@ def renamed_arguments(**renamed: str) -> Callable[[Callable[..., Any]], Callable
                 kwargs[renamed[old]] = kwargs.pop(old)
             return function(*args, **kwargs)
 
-        return wrapper
+        return cast(Called, wrapper)
 
     return decorate
 

@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 import weberwhisk as ww
-from weberwhisk.behaviour import IdentityPercept, response_probability
+from weberwhisk.behaviour import IdentityEncoding, response_probability
 from weberwhisk.design import BayesianPlacer, Hypothesis, Scheme, Staircase, lattice, taper
 
 TRIALS = 300
@@ -32,7 +32,7 @@ def timed(name: str, make: object, sessions: int) -> None:
             trial = placer.next()
             middle = time.process_time()
             p = response_probability(
-                h.asked, h.percept, trial.standard, trial.comparison,
+                h.asked, h.encoding, trial.standard, trial.comparison,
                 weber_fraction=0.1, lapse_low=0.03, lapse_high=0.03,
             )  # fmt: skip
             choice, again = int(rng.random() < p[0]), time.process_time()
@@ -54,13 +54,13 @@ def timed(name: str, make: object, sessions: int) -> None:
 
 def main() -> None:
     sessions = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    one = Hypothesis("Weber", IdentityPercept(), bias="shared")
-    several = Hypothesis("Weber", IdentityPercept())
+    one = Hypothesis("Weber", IdentityEncoding(), bias="shared")
+    several = Hypothesis("Weber", IdentityEncoding())
     pair = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
     places = np.array([15e-3, 30e-3, 45e-3])
-    levels = [lattice(h.percept, places, each_side=10).offsets for h in pair]
+    levels = [lattice(h.encoding, places, each_side=10).offsets for h in pair]
     both = Scheme(places, [sorted({*a, *b}) for a, b in zip(*levels, strict=True)])
-    single, triple = lattice(one.percept, 1.0), lattice(one.percept, [0.5, 1.0, 2.0])
+    single, triple = lattice(one.encoding, 1.0), lattice(one.encoding, [0.5, 1.0, 2.0])
     for name, make in (
         ("k, one standard", lambda s: BayesianPlacer(one, single, seed=s)),
         ("k, three standards, a bias each", lambda s: BayesianPlacer(several, triple, seed=s)),

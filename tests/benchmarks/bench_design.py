@@ -31,7 +31,7 @@ ANIMALS = {
 
 def engine(hypotheses: tuple[Hypothesis, ...], animals: SubjectPopulation, count: int) -> float:
     """Experiments a CPU second."""
-    scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, trials=28)
     start = time.process_time()
     counts, _ = simulate(hypotheses[0], scheme, animals, count, np.random.default_rng(1))
     compare(hypotheses, hypotheses[0].name, scheme, counts)
@@ -42,7 +42,7 @@ def together(
     hypotheses: tuple[Hypothesis, ...], animals: SubjectPopulation, count: int
 ) -> tuple[float, float]:
     """Experiments a second of `power` on two worker processes: in all, and once they have begun."""
-    scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, trials=28)
     done: list[tuple[float, float]] = []
     start = time.perf_counter()
     power(
@@ -56,14 +56,14 @@ def together(
 
 def loop(hypotheses: tuple[Hypothesis, ...], count: int) -> float:
     """The named alternative: `simulate_trials` and `fit_weber`, one experiment after another."""
-    scheme = Scheme.spaced(hypotheses[0].percept, PLACES, trials=28)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES, trials=28)
     start = time.process_time()
     for seed in range(count):
         trials = simulate_trials(
-            percept=hypotheses[0].percept, standards=PLACES, comparisons=scheme.comparisons,
+            encoding=hypotheses[0].encoding, standards=PLACES, comparisons=scheme.comparisons,
             trials_per_level=28, lapse_low=0.03, lapse_high=0.03, seed=seed,
         )  # fmt: skip
-        fits = [fit_weber(trials, percept=h.percept, bias="per standard") for h in hypotheses]
+        fits = [fit_weber(trials, encoding=h.encoding, bias="per standard") for h in hypotheses]
         _ = fits[0].log_evidence - fits[1].log_evidence, fits[0].interval(0.95)
     return count / (time.process_time() - start)
 
@@ -83,7 +83,7 @@ def main() -> None:
             "they have begun",
             flush=True,
         )
-    scheme = Scheme.spaced(hypotheses[0].percept, PLACES)
+    scheme = Scheme.spaced(hypotheses[0].encoding, PLACES)
     start = time.perf_counter()
     found = smallest(scheme, hypotheses, workers=2)
     print(found.report())

@@ -1,9 +1,10 @@
 """Trial tables, tasks, simulated observers, and Weber fractions fitted to choices.
 
-The argument, a room each: a `Task` and a `Percept` make the psychometric function; `Trials` are
+The argument, a room each: a `Task` and an `Encoding` make the psychometric function; `Trials` are
 read or simulated; `fit_weber` makes a `WeberFit` of them.
 """
 
+from .._deprecated import renamed_names
 from .comparison import (
     Comparison,
     compare,
@@ -13,10 +14,10 @@ from .comparison import (
     compare_taper,
 )
 from .criticism import checks, quantile_residuals, residuals_by
+from .encodings import CueEncoding, Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding
 from .fit import fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
-from .percepts import CuePercept, IdentityPercept, LogAxisPercept, LogPercept, Percept
 from .population import simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
@@ -30,13 +31,13 @@ from .trials import Trials
 __all__ = [
     "TASKS",
     "Comparison",
-    "CuePercept",
+    "CueEncoding",
+    "Encoding",
     "FitStatus",
-    "IdentityPercept",
-    "LogAxisPercept",
-    "LogPercept",
+    "IdentityEncoding",
+    "LogAxisEncoding",
+    "LogEncoding",
     "PercentCorrect",
-    "Percept",
     "PopulationFit",
     "PopulationPriors",
     "PopulationStatus",
@@ -66,3 +67,14 @@ __all__ = [
     "threshold",
     "weber_law_test",
 ]
+
+__getattr__ = renamed_names(
+    __name__,
+    {
+        "CuePercept": "CueEncoding",
+        "IdentityPercept": "IdentityEncoding",
+        "LogAxisPercept": "LogAxisEncoding",
+        "LogPercept": "LogEncoding",
+        "Percept": "Encoding",
+    },
+)

@@ -1,10 +1,10 @@
 """How widely the biases of a population spread: a factor of their prior in a single fit.
 
-Biases count in sds of the difference between percepts, which grow with k: PSEs that lie closer
-together than a prior expects speak for a small k, a little in one animal, and with every animal
-more. So a population's biases are those of the prior all times one factor, which is learnt. What a
-change of k does to all biases, the factor undoes: the pull is gone, whatever the prior's shape and
-also where the animals share a bias.
+Biases count in sds of the difference between the two signals, which grow with k: PSEs that lie
+closer together than a prior expects speak for a small k, a little in one animal, and with every
+animal more. So a population's biases are those of the prior all times one factor, which is learnt.
+What a change of k does to all biases, the factor undoes: the pull is gone, whatever the prior's
+shape and also where the animals share a bias.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .priors import Priors
 Array = NDArray[np.float64]
 
 STEP = 0.35  # between nodes, in asinh(scale / unit): log-likelihoods of one bias err by 1e-3 there
-NARROWEST = 0.8  # of the step of the bias nodes: narrower a density of biases is not told from none
+NARROWEST = 0.8  # of the step of the bias nodes: a narrower density cannot be seen on them
 MARGIN = 2.0  # by what factor a scale may be off that was guessed from the animals one by one
 LIKELY = 20.0  # nats under the best guess, where scales are left out
 FAR = 1e-12  # of the scale's prior, beyond which it is not looked for
@@ -112,7 +112,7 @@ def likely_scales(models: Sequence[WeberModel], draws: Sequence[Draws], prior: A
     last = float(prior.isf(FAR))
     unit = float(np.sqrt(variance.min()) / sd)
     scales = BiasScales.between(0.0, last, unit, STEP / 4).nodes
-    told = norm.logpdf(seen, scales[:, None] * mean, np.hypot(scales[:, None] * sd, noise))
-    total = np.sum(told, axis=1)
+    log_density = norm.logpdf(seen, scales[:, None] * mean, np.hypot(scales[:, None] * sd, noise))
+    total = np.sum(log_density, axis=1)
     kept = scales[total > total.max() - LIKELY]
     return BiasScales.between(kept[0] / MARGIN, min(kept[-1] * MARGIN, last), unit)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from .. import _checks
+from .._deprecated import renamed_arguments, renamed_attribute
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.arviz_io import pointwise_loo
@@ -24,8 +25,8 @@ from ..receptors import Weber
 from ..whisker import Whisker
 from .criticism import _Rows, check_fit
 from .effects import Drift, Effect, Floor, check_effects
+from .encodings import CueEncoding, Encoding, chosen_encoding, encoding_for
 from .fit import fit_weber
-from .percepts import CuePercept, Percept, chosen_percept, percept_for
 from .result import WeberFit
 from .trials import Trials, check_trials
 
@@ -177,19 +178,20 @@ def _by_answer(fit: WeberFit, cell: NDArray[np.intp]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ConstantNoise:
-    """A percept whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
+    """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
 
     `typical` is a signal of middling strength, so that k remains a fraction.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> ConstantNoise(IdentityPercept(), 2.0).unit_sd([1.0, 4.0])
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> ConstantNoise(IdentityEncoding(), 2.0).sd_per_weber_fraction([1.0, 4.0])
     array([2., 2.])
     """
 
-    base: Percept
+    base: Encoding
     typical: float
+    unit_sd = renamed_attribute("ConstantNoise", "unit_sd", "sd_per_weber_fraction")
 
     @property
     def direction(self) -> int:
@@ -202,14 +204,15 @@ class ConstantNoise:
     def mean(self, stimulus: ArrayLike) -> Array:
         return self.base.mean(stimulus)
 
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return np.full(np.shape(stimulus), self.typical)
 
 
+@renamed_arguments(percept="encoding")
 def compare_noise(
     trials: Trials,
     *,
-    percept: Percept | None = None,
+    encoding: Encoding | None = None,
     effects: Sequence[Effect] = (),
     **options: Any,
 ) -> Comparison:
@@ -219,7 +222,7 @@ def compare_noise(
     ----------
     trials : Trials
         At several standards: at one alone the three are hardly to be told apart.
-    percept : Percept, optional
+    encoding : Encoding, optional
     effects : sequence of Effect, optional
         Of all three.
     **options
@@ -239,9 +242,10 @@ def compare_noise(
     """
     check_trials(trials)
     check_effects(effects)
-    felt = chosen_percept(percept, None) or percept_for(trials.scale, trials.log_unit, "weber")
+    encoded = chosen_encoding(encoding, None)
+    encoded = encoded or encoding_for(trials.scale, trials.log_unit, "weber")
     cells = trials.cells()
-    noisiness = felt.unit_sd(np.concatenate([cells.stimulus_1, cells.stimulus_2]))
+    noisiness = encoded.sd_per_weber_fraction(np.concatenate([cells.stimulus_1, cells.stimulus_2]))
     if noisiness.size and np.ptp(noisiness) <= 1e-9 * noisiness.max():
         raise ValueError(
             f"{trials.source}: on this scale noise is constant as it stands; give magnitudes, or "
@@ -250,12 +254,12 @@ def compare_noise(
     typical = float(np.exp(np.mean(np.log(noisiness)))) if noisiness.size else 1.0
     return compare(
         {
-            "Weber noise": fit_weber(trials, percept=felt, effects=effects, **options),
+            "Weber noise": fit_weber(trials, encoding=encoded, effects=effects, **options),
             "generalised Weber noise": fit_weber(
-                trials, percept=felt, effects=[*effects, Floor()], **options
+                trials, encoding=encoded, effects=[*effects, Floor()], **options
             ),
             "constant noise": fit_weber(
-                trials, percept=ConstantNoise(felt, typical), effects=effects, **options
+                trials, encoding=ConstantNoise(encoded, typical), effects=effects, **options
             ),
         }
     )
@@ -320,11 +324,11 @@ def compare_taper(
     _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
     if whisker.tip_radius >= whisker.base_radius:
         raise ValueError("the whisker has no taper to test; give one whose tip is thinner.")
-    felt = {
-        name: CuePercept(Observer(w, Compliance(), Weber(1.0)), unit=unit)
+    encoded = {
+        name: CueEncoding(Observer(w, Compliance(), Weber(1.0)), unit=unit)
         for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
     }
-    return compare({name: fit_weber(trials, percept=p, **options) for name, p in felt.items()})
+    return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})
 
 
 def compare_cues(
@@ -359,10 +363,10 @@ def compare_cues(
     >>> compare_cues(trials, whisker, deflection_angle=0.1).table.index[0]
     'compliance'
     """
-    felt = {
-        "compliance": CuePercept(Observer(whisker, Compliance(), Weber(1.0)), unit=unit),
-        "moment–axial-force map": CuePercept(
+    encoded = {
+        "compliance": CueEncoding(Observer(whisker, Compliance(), Weber(1.0)), unit=unit),
+        "moment–axial-force map": CueEncoding(
             Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle, unit
         ),
     }
-    return compare({name: fit_weber(trials, percept=p, **options) for name, p in felt.items()})
+    return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})

@@ -210,7 +210,7 @@ class _Rows:
         by_row = [frame[name].to_numpy(float) for name in names]
         by_cell = [getattr(cells, name) for name in names]
         for effect, column in zip(model.effects, model.columns, strict=True):
-            own = effect.column(fit.trials, fit.percept)
+            own = effect.column(fit.trials, fit.encoding)
             by_row.append(np.zeros(len(frame)) if own is None else own)
             by_cell.append(column)
         keys = np.column_stack([np.concatenate(pair) for pair in zip(by_cell, by_row, strict=True)])
@@ -234,7 +234,7 @@ class _Rows:
         """Statistics of residuals (D, R) and their variances, each with a remedy."""
         pairs = _codes(self.cell)
         out: dict[str, tuple[Any, str]] = {
-            "levels": (_squares(pairs), "another noise, percept, or bias per standard")
+            "levels": (_squares(pairs), "another noise, encoding, or bias per standard")
         }
         sessions = None
         if "session" in self.frame:

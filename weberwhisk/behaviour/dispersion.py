@@ -37,8 +37,8 @@ class BetaBinomial:
     def __init__(self, model: WeberModel, cells: NDArray[np.intp], share: float = 0.1) -> None:
         self.model, self.cells = model, cells
         columns = np.delete(model.columns, model.dispersed or 0, axis=0)
-        felt = [np.broadcast_to(a, model.group.shape) for a in model.percepts]
-        keys = np.column_stack([*felt, *columns])[cells]
+        encoded = [np.broadcast_to(a, model.group.shape) for a in model.encodings]
+        keys = np.column_stack([*encoded, *columns])[cells]
         _, self.first, pair = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         self.pair = pair.reshape(-1)
         answers = max(float(np.bincount(self.pair, model.cells.n[cells]).max(initial=1.0)), 1.0)

@@ -8,11 +8,19 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._deprecated import renamed_arguments
 from ..threads import one_blas_thread
 from .effects import Effect, check_effects
+from .encodings import (
+    NOISES,
+    Encoding,
+    chosen_encoding,
+    encoding_for,
+    refuse_unencoded,
+    unit_encodings,
+)
 from .integrate import refined
 from .likelihood import WeberModel, gather
-from .percepts import NOISES, Percept, chosen_percept, percept_for, refuse_unfelt, unit_percepts
 from .posteriors import GridPosterior, WeberPosterior
 from .priors import priors_for
 from .result import WeberFit
@@ -25,10 +33,11 @@ MOST_BY_QUADRATURE = 5  # parameters; one more costs a sampler less than a grid
 
 
 @one_blas_thread
+@renamed_arguments(percept="encoding")
 def fit_weber(
     trials: Trials,
     *,
-    percept: Percept | None = None,
+    encoding: Encoding | None = None,
     observer: Any = None,
     bias: str | None = None,
     noise: str = "weber",
@@ -43,12 +52,12 @@ def fit_weber(
     ----------
     trials : Trials
         From `read_trials` or `simulate_trials`; one subject, any number of standards.
-    percept : Percept, optional
-        How a stimulus is felt. By default the magnitude itself, or its logarithm where the table is
-        on a log scale.
+    encoding : Encoding, optional
+        How a stimulus is encoded. By default the magnitude itself, or its logarithm
+        where the table is on a log scale.
     observer : Observer, optional
         A whisker and a cue, where stimuli are radial distances: short for
-        `percept=CuePercept(observer)`.
+        `encoding=CueEncoding(observer)`.
     bias : {"none", "shared", "per standard"}, optional
         "shared" by default; percent-correct tasks have none. Of yes/no, go/no-go and
         same–different tasks it is the criterion.
@@ -87,7 +96,7 @@ def fit_weber(
     True
     """
     _checks.one_of("noise", noise, NOISES)
-    model, felt, chosen = build_model(trials, percept, observer, bias, noise, priors, effects)
+    model, encoded, chosen = build_model(trials, encoding, observer, bias, noise, priors, effects)
     by_itself = "quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee"
     used = by_itself if method is None else method
     _checks.one_of("method", used, METHODS)
@@ -102,7 +111,7 @@ def fit_weber(
         posterior = GridPosterior(fewer, refined(fewer), int(rng.integers(2**63)))
     status, notes = verdict(model, posterior)
     return WeberFit(
-        trials, model, felt, noise, chosen, used, posterior, status, (*trials.notes, *notes)
+        trials, model, encoded, noise, chosen, used, posterior, status, (*trials.notes, *notes)
     )
 
 
@@ -112,14 +121,14 @@ def _dimensions(model: WeberModel) -> int:
 
 def build_model(
     trials: Trials,
-    percept: Percept | None,
+    encoding: Encoding | None,
     observer: Any,
     bias: str | None,
     noise: str,
     priors: Any,
     effects: Sequence[Effect] = (),
-) -> tuple[WeberModel, Percept, str]:
-    """The model of a fit, its percept, and the bias chosen."""
+) -> tuple[WeberModel, Encoding, str]:
+    """The model of a fit, its encoding, and the bias chosen."""
     check_trials(trials)
     check_effects(effects)
     if len(trials.subjects) > 1:
@@ -129,9 +138,9 @@ def build_model(
             "one with "
             f"trials.select(subject={trials.subjects[0]!r})."
         )
-    felt = chosen_percept(percept, observer)
-    if felt is None:
-        felt = percept_for(trials.scale, trials.log_unit, noise)
+    encoded = chosen_encoding(encoding, observer)
+    if encoded is None:
+        encoded = encoding_for(trials.scale, trials.log_unit, noise)
     task = trials.task
     by_itself = "shared" if task.has_bias else "none"
     chosen = by_itself if bias is None else bias
@@ -140,9 +149,9 @@ def build_model(
         raise ValueError(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
         )
-    cells, columns = gather(trials, tuple(effects), felt)
-    refuse_unfelt(felt, np.concatenate([cells.stimulus_1, cells.stimulus_2, cells.standard]))
-    both = unit_percepts(felt, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
+    cells, columns = gather(trials, tuple(effects), encoded)
+    refuse_unencoded(encoded, np.concatenate([cells.stimulus_1, cells.stimulus_2, cells.standard]))
+    both = unit_encodings(encoded, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
     if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
         raise ValueError(
             "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
@@ -165,4 +174,4 @@ def build_model(
     unit_known = trials.scale == "linear" or trials.log_unit is not None
     believed = priors_for(priors, cells, unit_known, task, by_name)
     model = WeberModel(task, both, cells, believed, group, names, bound, columns)
-    return model, felt, chosen
+    return model, encoded, chosen

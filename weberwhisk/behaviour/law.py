@@ -110,7 +110,7 @@ def _separate_evidence(fit: WeberFit, grid: Grid) -> float:
         middle = float(scores @ mass)
         sd = float(np.sqrt(mass @ (scores - middle) ** 2))
         bias = middle + sd * np.linspace(-8.0, 8.0, 25)
-    stretches = model.stretches[-2:]
+    transforms = model.transforms[-2:]
     for _ in range(8):
         prior = lapse_prior(model, *axes)
         total = prior[None] if bias is None else prior + score_prior(bias)[:, None, None]
@@ -119,13 +119,13 @@ def _separate_evidence(fit: WeberFit, grid: Grid) -> float:
             # The same lapses, in the coordinate that suits the part's number of trials.
             low, high = (
                 theirs.coordinate(ours.score(t)) if t.size > 1 else t
-                for theirs, ours, t in zip(part.stretches[-2:], stretches, axes, strict=True)
+                for theirs, ours, t in zip(part.transforms[-2:], transforms, axes, strict=True)
             )
             total = total + over_fractions(part, (low, high), bias)
         density = np.exp(total - total.max()).sum(axis=0)
         open_ends = [
-            _is_open(density.sum(axis=1 - i), axis, stretch.ends[1])
-            for i, (axis, stretch) in enumerate(zip(axes, stretches, strict=True))
+            _is_open(density.sum(axis=1 - i), axis, transform.ends[1])
+            for i, (axis, transform) in enumerate(zip(axes, transforms, strict=True))
         ]
         if not any(open_ends):
             break

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
 from .effects import Effect, Overdispersion
-from .percepts import Percept, Signals, UnitPercepts
+from .encodings import Encoding, Signals, UnitEncodings
+from .lapses import PLAIN, LapseTransform, lapse_transform
 from .priors import TINY, Priors
-from .stretch import PLAIN, Stretch, stretch_for
 from .tasks import Task
 from .trials import Cells, Trials
 
@@ -62,7 +62,7 @@ class WeberModel:
     Parameters
     ----------
     task : Task
-    percepts : UnitPercepts
+    encodings : UnitEncodings
         Of every cell; arrays (C,).
     cells : Cells
     priors : Priors
@@ -77,7 +77,7 @@ class WeberModel:
     """
 
     task: Task
-    percepts: UnitPercepts
+    encodings: UnitEncodings
     cells: Cells
     priors: Priors
     group: NDArray[np.intp]
@@ -124,27 +124,27 @@ class WeberModel:
         return self.priors.value(name, scores)
 
     @cached_property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def transforms(self) -> tuple[LapseTransform, ...]:
         """The coordinate of each lead parameter for a grid: its score, but for lapses."""
-        told = float(self.cells.n.sum()) / 3
+        answers = float(self.cells.n.sum()) / 3
         return tuple(
-            stretch_for(self.priors.of(name), told) if is_lapse and free else PLAIN
+            lapse_transform(self.priors.of(name), answers) if is_lapse and free else PLAIN
             for name, free in zip(self.lead, self.free, strict=True)
             for is_lapse in [name in self.lapse_names]
         )
 
     def at(self, name: str, coordinate: ArrayLike) -> Array:
         """A lead parameter at a coordinate of the grid."""
-        return self.value(name, self.stretches[self.lead.index(name)].score(coordinate))
+        return self.value(name, self.transforms[self.lead.index(name)].score(coordinate))
 
     @cached_property
     def membership(self) -> Array:
         """(C, G): 1 where a cell belongs to a group."""
         return np.equal.outer(self.group, np.arange(self.n_groups)).astype(float)
 
-    def felt(self, k: Array, effects: Array | None = None) -> Signals:
+    def encoded(self, k: Array, effects: Array | None = None) -> Signals:
         """Both signals of every cell, (..., C), with Weber fraction (...) and effects (..., E)."""
-        felt = self.percepts.felt(k)
+        encoded = self.encodings.encoded(k)
         if self.effects and effects is None:
             raise ValueError(
                 f"the model has effects ({', '.join(e.name for e in self.effects)}) and got no "
@@ -152,8 +152,8 @@ class WeberModel:
             )
         for i, (effect, column) in enumerate(zip(self.effects, self.columns, strict=True)):
             assert effects is not None
-            felt = effect.apply(felt, effects[..., i, None], column)
-        return felt
+            encoded = effect.apply(encoded, effects[..., i, None], column)
+        return encoded
 
     def lapses(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Asymptotes as the task sees them; `low` is ignored where the task has none."""
@@ -188,7 +188,7 @@ class WeberModel:
             Both computed without subtraction from 1, so neither loses its tail.
         """
         low, high = (a[..., None] for a in self.lapses(low, high))
-        d, weight = self.task.decide(self.felt(k, effects))
+        d, weight = self.task.decide(self.encoded(k, effects))
         up, down = self.task.chance(d, weight * bias[..., self.group])
         return (
             np.maximum(low * down + (1 - high) * up, TINY),
@@ -244,7 +244,7 @@ class WeberModel:
 
     def bias_mode(
         self,
-        felt: tuple[Array, Array | float],
+        encoded: tuple[Array, Array | float],
         low: Array,
         high: Array,
         start: Array | None = None,
@@ -260,7 +260,7 @@ class WeberModel:
         low, high : ndarray, shape (...)
             Lapses.
         """
-        d, weight = felt
+        d, weight = encoded
         shape = (*np.broadcast_shapes(d.shape[:-1], low.shape, high.shape), self.n_groups)
         if not self.free_bias:
             return np.full(shape, self.fixed_bias()), np.ones(shape)
@@ -294,7 +294,7 @@ class WeberModel:
         Under Weber's law every standard repeats the same few ratios. Effects and floors know the
         scale, and leave the cells as they are.
         """
-        p = self.percepts
+        p = self.encodings
         if self.effects or p.has_floor:
             return self
         key = np.column_stack([(p.mean_2 - p.mean_1) / p.sd_1, p.sd_2 / p.sd_1])
@@ -305,7 +305,7 @@ class WeberModel:
         c = self.cells
         return replace(
             self,
-            percepts=UnitPercepts(np.zeros(first.size), np.ones(first.size), gap, ratio),
+            encodings=UnitEncodings(np.zeros(first.size), np.ones(first.size), gap, ratio),
             cells=Cells(
                 c.stimulus_1[first],
                 c.stimulus_2[first],
@@ -322,7 +322,7 @@ class WeberModel:
         groups = np.unique(self.group[keep])
         return replace(
             self,
-            percepts=self.percepts.of(keep),
+            encodings=self.encodings.of(keep),
             cells=self.cells.of(standard),
             group=np.searchsorted(groups, self.group[keep]),
             group_names=tuple(self.group_names[g] for g in groups) if self.group_names else (),
@@ -335,9 +335,9 @@ class WeberModel:
             yield float(standard), self.subset(float(standard))
 
 
-def gather(trials: Trials, effects: tuple[Effect, ...], percept: Percept) -> tuple[Cells, Array]:
+def gather(trials: Trials, effects: tuple[Effect, ...], encoding: Encoding) -> tuple[Cells, Array]:
     """Trials in cells, those apart that differ in what an effect goes with; columns (E, C)."""
-    named = [e.column(trials, percept) for e in effects]
+    named = [e.column(trials, encoding) for e in effects]
     if all(c is None for c in named):
         cells = trials.cells()
         return cells, np.zeros((len(effects), cells.n.size))

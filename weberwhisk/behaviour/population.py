@@ -12,7 +12,8 @@ from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
 
 from .. import _checks
-from .percepts import Percept, refuse_unfelt
+from .._deprecated import renamed_arguments
+from .encodings import Encoding, checked_encoding, refuse_unencoded
 from .psychometric import response_probability
 from .simulate import simulate_trials
 from .tasks import task_named
@@ -21,6 +22,7 @@ from .trials import LABELS, Trials, check_trials, notes_of
 Array = NDArray[np.float64]
 
 
+@renamed_arguments(percept="encoding")
 def simulate_population(
     subjects: int,
     *,
@@ -53,7 +55,7 @@ def simulate_population(
     sessions : int
     seed : int, SeedSequence or Generator
     **design
-        As for `simulate_trials`: standards, offsets, trials_per_level, percept, task, …
+        As for `simulate_trials`: standards, offsets, trials_per_level, encoding, task, …
 
     Returns
     -------
@@ -187,11 +189,12 @@ NEEDED = {
 TRUTH = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 
 
+@renamed_arguments(percept="encoding")
 def simulate_responses(
     table: pd.DataFrame,
     animals: pd.DataFrame,
     *,
-    percept: Percept,
+    encoding: Encoding,
     noise: str = "weber",
     missing: float = 0.0,
     task: str = "2AFC",
@@ -209,7 +212,7 @@ def simulate_responses(
     animals : DataFrame
         The truth, as from `draw_animals`: a row for each `subject`, or each of its sessions where
         there is a column `session`.
-    percept : Percept
+    encoding : Encoding
     noise : {"weber", "equal-variance"}
     missing : float
         Share of trials without an answer.
@@ -224,13 +227,13 @@ def simulate_responses(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> table = pd.DataFrame({"subject": "s1", "standard": 1.0, "stimulus_1": [1.0, 1.5],
     ...                       "stimulus_2": [1.5, 1.0]})
     >>> animal = pd.DataFrame([{"subject": "s1", "weber_fraction": 0.01, "lapse_low": 0.0,
     ...                         "lapse_high": 0.0, "bias": 0.0}])
-    >>> simulate_responses(table, animal, percept=IdentityPercept(), seed=1).frame["count"].tolist()
-    [1.0, 0.0]
+    >>> simulate_responses(table, animal, encoding=IdentityEncoding(), seed=1).frame["count"].values
+    array([1., 0.])
     """
     asked = task_named(task)
     share = _checks.number("missing", missing, "write for example 0.02")
@@ -242,7 +245,7 @@ def simulate_responses(
                 f"{name} must be a DataFrame with columns {', '.join(NEEDED[name])}, got "
                 f"{f'none called {min(lacking)}' if hasattr(frame, 'columns') else frame!r}."
             )
-    _checks.kind("percept", percept, "a Percept", "unit_sd", "write IdentityPercept(), say")
+    checked_encoding(encoding)
     keys = [name for name in ("subject", "session") if name in animals]
     truth = table[keys].merge(animals, how="left", on=keys, validate="many_to_one")
     unknown = truth["weber_fraction"].isna().to_numpy()
@@ -252,13 +255,13 @@ def simulate_responses(
     rng = _checks.generator(seed)
     columns = ("standard", "stimulus_1", "stimulus_2")
     standard, s1, s2 = (table[name].to_numpy(float) for name in columns)
-    refuse_unfelt(percept, np.concatenate([s1, s2, standard]))
+    refuse_unencoded(encoding, np.concatenate([s1, s2, standard]))
     p = np.empty(len(table))
     for _, own in truth.groupby(list(TRUTH), sort=False):
         rows = own.index.to_numpy()
         k, lapse_low, lapse_high, bias = (float(own[name].iloc[0]) for name in TRUTH)
         p[rows] = response_probability(
-            asked, percept, s1[rows], s2[rows], standard=standard[rows], weber_fraction=k,
+            asked, encoding, s1[rows], s2[rows], standard=standard[rows], weber_fraction=k,
             lapse_low=lapse_low, lapse_high=lapse_high, bias=bias, noise=noise,
         )  # fmt: skip
     # Uniform numbers alone: the streams of the other distributions may change between versions.

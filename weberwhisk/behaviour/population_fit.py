@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._deprecated import renamed_arguments
 from ..posterior.arviz_io import to_arviz
 from ..threads import one_blas_thread
 from .bias_scale import likely_scales
@@ -203,11 +204,12 @@ def _ends(mass: float) -> list[float]:
 
 
 @one_blas_thread
+@renamed_arguments(percept="encoding")
 def fit_population(
     trials: Trials,
     *,
     sessions: bool = False,
-    percept: Any = None,
+    encoding: Any = None,
     observer: Any = None,
     bias: str | None = None,
     noise: str = "weber",
@@ -233,7 +235,7 @@ def fit_population(
         subject are one animal's.
     sessions : bool
         Let the Weber fraction of an animal vary between sessions.
-    percept, observer, bias, noise, priors
+    encoding, observer, bias, noise, priors
         As for `fit_weber`, the same for all animals.
     population : PopulationPriors, optional
     seed : int
@@ -280,7 +282,7 @@ def fit_population(
             "the Weber fraction of every animal was fixed, and a population learns them; leave it "
             "out of priors, or fix the lapses alone."
         )
-    options = {"percept": percept, "observer": observer, "bias": bias, "noise": noise}
+    options = {"encoding": encoding, "observer": observer, "bias": bias, "noise": noise}
     fits = {
         labels: fit_weber(part, priors=believed, method="quadrature", seed=seed, **options)
         if part.n_trials

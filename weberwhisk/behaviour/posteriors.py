@@ -211,7 +211,7 @@ class GridPosterior:
 
     def _scores(self, t: Array) -> Array:
         """Scores at grid coordinates, (..., lead)."""
-        columns = [s.score(t[..., i]) for i, s in enumerate(self.model.stretches)]
+        columns = [s.score(t[..., i]) for i, s in enumerate(self.model.transforms)]
         return np.stack(columns, axis=-1)
 
     def _log_density(self, t: Array, free: list[int]) -> Array:
@@ -226,7 +226,7 @@ class GridPosterior:
         prior += 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * len(free) * np.log(2 * np.pi)
         prior -= log_lapses_possible(self.model.task, self.model.priors)
         for i in free:
-            prior += np.log(self.model.stretches[i].slope(t[:, i]))
+            prior += np.log(self.model.transforms[i].slope(t[:, i]))
         return np.asarray(logsumexp(log_mass, axis=1).sum(axis=1) + prior + possible)
 
     def _conditional(
@@ -235,8 +235,8 @@ class GridPosterior:
         """Log mass of bias nodes given the rest, (M, B, G); the nodes; their steps (M, G)."""
         m = self.model
         t = np.linspace(-half_width, half_width, nodes) if m.free_bias else np.zeros(1)
-        felt = np.broadcast_arrays(*m.task.decide(m.felt(k, effects)))
-        centre, spread = m.bias_mode((felt[0], felt[1]), low, high)
+        encoded = np.broadcast_arrays(*m.task.decide(m.encoded(k, effects)))
+        centre, spread = m.bias_mode((encoded[0], encoded[1]), low, high)
         bias = centre[:, None, :] + spread[:, None, :] * t[:, None]
         step = spread * (t[1] - t[0] if t.size > 1 else 1.0)
         log_mass = np.empty(bias.shape)

@@ -50,7 +50,7 @@ class Priors:
       high. `WeberFit.lapse_sensitivity` shows how far a fit hangs on it; animals or sessions fitted
       together (`fit_population`) learn their lapses from each other. State what you know of the
       animal.
-    - `bias`: standard normal in sds of the difference between the percepts. The proportion of
+    - `bias`: standard normal in sds of the difference between the two signals. The proportion of
       "second greater" between equal stimuli is then uniform between 0 and 1. It is also the
       `criterion` of yes/no tasks; that of the same–different task is log-normal, median 1.3.
     - `effects`: by name; each effect of a fit brings its own (see `weberwhisk.behaviour.effects`).

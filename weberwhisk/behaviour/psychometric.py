@@ -9,16 +9,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._deprecated import renamed_arguments
 from .effects import Effect, check_valued
-from .percepts import Percept, UnitPercepts, refuse_outside, unit_percepts
+from .encodings import (
+    Encoding,
+    UnitEncodings,
+    checked_encoding,
+    refuse_outside,
+    unit_encodings,
+)
 from .tasks import Task
 
 Array = NDArray[np.float64]
 
 
+@renamed_arguments(percept="encoding")
 def response_probability(
     task: Task,
-    percept: Percept,
+    encoding: Encoding,
     stimulus_1: ArrayLike,
     stimulus_2: ArrayLike,
     *,
@@ -34,7 +42,7 @@ def response_probability(
 
     Parameters
     ----------
-    task, percept
+    task, encoding
         What was asked, and how a stimulus is felt.
     stimulus_1, stimulus_2 : array_like, shape (C,)
         In the stimulus's own unit.
@@ -42,7 +50,7 @@ def response_probability(
         Sets the noise of the equal-variance form; `stimulus_1` where not given.
     weber_fraction, lapse_low, lapse_high, bias : array_like, shape (...)
         Parameters of the observer; they broadcast with one another. Bias is in sds of the
-        difference between the two percepts, positive towards "second greater"; for tasks that have
+        difference between the two signals, positive towards "second greater"; for tasks that have
         one it is the criterion (see the task).
     effects : sequence of (effect, value), optional
         Effects bound to a table, and their parameters (...); in the middle of a session's course
@@ -55,8 +63,8 @@ def response_probability(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept, task_named
-    >>> response_probability(task_named("2AFC"), IdentityPercept(), 1.0, [0.9, 1.0, 1.1],
+    >>> from weberwhisk.behaviour import IdentityEncoding, task_named
+    >>> response_probability(task_named("2AFC"), IdentityEncoding(), 1.0, [0.9, 1.0, 1.1],
     ...                      weber_fraction=0.1).round(3)
     array([0.229, 0.5  , 0.749])
     """
@@ -67,10 +75,10 @@ def response_probability(
     )
     if standard is not None:
         standard = _checks.finite("standard", standard, hint)
-    _check_observer(task, percept, bias, effects)
+    _check_observer(task, encoding, bias, effects)
     _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
-    refuse_outside(percept, np.concatenate([s1, s2], axis=None))
-    cells = unit_percepts(percept, s1, s2, s1 if standard is None else standard, noise)
+    refuse_outside(encoding, np.concatenate([s1, s2], axis=None))
+    cells = unit_encodings(encoding, s1, s2, s1 if standard is None else standard, noise)
     up, down = _chance(task, cells, weber_fraction, bias, effects)
     lapses = [
         _checks.non_negative(name, value, "write 0.02, say")[..., None]
@@ -82,25 +90,25 @@ def response_probability(
     return low * down + (1 - high) * up
 
 
-def _check_observer(task: Task, percept: Percept, bias: ArrayLike, effects: Any) -> None:
+def _check_observer(task: Task, encoding: Encoding, bias: ArrayLike, effects: Any) -> None:
     _checks.kind("task", task, "a Task", "decide", "write task_named('2AFC'), say")
-    _checks.kind("percept", percept, "a Percept", "unit_sd", "write IdentityPercept(), say")
+    checked_encoding(encoding)
     _checks.finite("bias", bias, "write for example 0")
     check_valued(effects)
 
 
 def _chance(
     task: Task,
-    cells: UnitPercepts,
+    cells: UnitEncodings,
     k: ArrayLike,
     bias: ArrayLike,
     effects: Sequence[tuple[Effect, ArrayLike]],
 ) -> tuple[Array, Array]:
     """Chance of the answer and of the other, without lapses, (..., C)."""
-    felt = cells.felt(k)
+    encoded = cells.encoded(k)
     for effect, value in effects:
-        felt = effect.apply(felt, np.asarray(value, dtype=float)[..., None], 0.0)
-    d, weight = task.decide(felt)
+        encoded = effect.apply(encoded, np.asarray(value, dtype=float)[..., None], 0.0)
+    d, weight = task.decide(encoded)
     return task.chance(d, weight * np.asarray(bias, dtype=float)[..., None])
 
 
@@ -128,9 +136,10 @@ def check_proportion(task: Task, proportion: float) -> float:
     return value
 
 
+@renamed_arguments(percept="encoding")
 def threshold(
     task: Task,
-    percept: Percept,
+    encoding: Encoding,
     standard: float,
     proportion: float,
     *,
@@ -142,7 +151,7 @@ def threshold(
 ) -> Array:
     """The comparison at which an observer that never lapses answers with that proportion.
 
-    Solved by bisection to machine precision, whatever the percept. Infinite (or the edge's own
+    Solved by bisection to machine precision, whatever the encoding. Infinite (or the edge's own
     side: −inf, or 0 for magnitudes) where no comparison reaches it: under Weber noise Φ never
     passes Φ(1/k), so a poor observer has no 90 % point.
 
@@ -166,12 +175,12 @@ def threshold(
     --------
     The closed form for magnitudes, q = k z: (1 + q√(2 − q²))/(1 − q²).
 
-    >>> from weberwhisk.behaviour import IdentityPercept, task_named
-    >>> point = threshold(task_named("2AFC"), IdentityPercept(), 1.0, 0.75, weber_fraction=0.2)
+    >>> from weberwhisk.behaviour import IdentityEncoding, task_named
+    >>> point = threshold(task_named("2AFC"), IdentityEncoding(), 1.0, 0.75, weber_fraction=0.2)
     >>> round(float(point), 5)
     1.21196
     """
-    _check_observer(task, percept, bias, effects)
+    _check_observer(task, encoding, bias, effects)
     check_proportion(task, proportion)
     _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
     values = [np.asarray(v, dtype=float) for _, v in effects]
@@ -180,11 +189,11 @@ def threshold(
     )
     bound = [(effect, value) for (effect, _), value in zip(effects, values, strict=True)]
     standard = _checks.number("standard", standard, "give one stimulus")
-    refuse_outside(percept, standard)
+    refuse_outside(encoding, standard)
 
     def above(comparison: Array) -> Array:
         with np.errstate(all="ignore"):
-            cells = unit_percepts(percept, standard, comparison, standard, noise)
+            cells = unit_encodings(encoding, standard, comparison, standard, noise)
             return _chance(task, cells, k, shift, bound)[0] - proportion
 
     if rises_on_both_sides(task):
@@ -193,7 +202,7 @@ def threshold(
     else:
         upward_at = above(np.array([standard]))[..., 0] < 0
         sign = np.where(upward_at, 1.0, -1.0)[..., None]
-    up, down = _ladder(percept, standard, +1), _ladder(percept, standard, -1)
+    up, down = _ladder(encoding, standard, +1), _ladder(encoding, standard, -1)
     rungs = np.where(upward_at[..., None], up, down)
     # The side that nobody is on is not looked at: the ladders are most of the work.
     seen = [above(side) if some else 0.0 for side, some in (
@@ -211,7 +220,7 @@ def threshold(
         far = sign * above(middle) >= 0
         inner, outer = np.where(far, inner, middle), np.where(far, middle, outer)
     answer = 0.5 * (inner + outer)[..., 0]
-    return np.where(beyond.any(axis=-1), answer, np.where(upward_at, np.inf, percept.domain[0]))
+    return np.where(beyond.any(axis=-1), answer, np.where(upward_at, np.inf, encoding.domain[0]))
 
 
 def rises_on_both_sides(task: Task) -> bool:
@@ -219,9 +228,9 @@ def rises_on_both_sides(task: Task) -> bool:
     return task.bias_name is None or task.name == "same-different"
 
 
-def _ladder(percept: Percept, standard: float, sign: int) -> Array:
+def _ladder(encoding: Encoding, standard: float, sign: int) -> Array:
     """Comparisons from the standard to the edge of what can be felt, close at both ends."""
-    low, high = percept.domain
+    low, high = encoding.domain
     edge = high if sign > 0 else low
     if np.isfinite(edge):
         share = np.concatenate([np.linspace(0, 0.99, 199), 1 - np.geomspace(0.009, 1e-12, 60)])

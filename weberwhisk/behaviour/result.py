@@ -12,12 +12,13 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._deprecated import renamed_attribute
 from . import criticism, report
 from . import psychometric as curve
 from .criticism import predicted, prior_draws
 from .effects import Effect
+from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
-from .percepts import Percept, refuse_outside
 from .posteriors import WeberPosterior
 from .sensitivity import lapse_sensitivity
 from .status import FitStatus
@@ -51,13 +52,15 @@ class WeberFit:
 
     trials: Trials = field(repr=False)
     model: WeberModel = field(repr=False)
-    percept: Percept = field(repr=False)
+    encoding: Encoding = field(repr=False)
     noise: str
     bias: str
     method: str
     posterior: WeberPosterior = field(repr=False)
     status: FitStatus
     notes: tuple[str, ...] = ()
+
+    percept = renamed_attribute("WeberFit", "percept", "encoding")
 
     @property
     def weber_fraction(self) -> float:
@@ -200,7 +203,7 @@ class WeberFit:
                 ks = self.posterior.quantile("weber_fraction", np.concatenate([at, even]))
                 points = self._point(float(s), proportion, ks, 0.0, None, upward)
                 ends, sample = np.sort(points[: at.size]), points[at.size :]
-            edge = self.percept.domain[0]
+            edge = self.encoding.domain[0]
             rows.append(
                 {
                     "standard": float(s),
@@ -226,7 +229,7 @@ class WeberFit:
     ) -> Array:
         return curve.threshold(
             self.model.task,
-            self.percept,
+            self.encoding,
             standard,
             proportion,
             weber_fraction=k,
@@ -258,7 +261,7 @@ class WeberFit:
             `comparison`, `median`, `lower`, `upper`: proportions.
         """
         levels = np.atleast_1d(_checks.finite("comparisons", comparisons, "give one or several"))
-        refuse_outside(self.percept, levels)
+        refuse_outside(self.encoding, levels)
         if standard is None:
             if self.trials.standards.size != 1:
                 raise ValueError(
@@ -276,7 +279,7 @@ class WeberFit:
         d = self.posterior.draws().thinned(1000)
         return curve.response_probability(
             self.model.task,
-            self.percept,
+            self.encoding,
             s1,
             s2,
             standard=np.full(s1.shape, standard),
@@ -368,7 +371,7 @@ class WeberFit:
                 "bias": self.bias,
                 "effects": list(self.effects),
                 "method": self.method,
-                "percept": type(self.percept).__name__,
+                "encoding": type(self.encoding).__name__,
             },
         }
 

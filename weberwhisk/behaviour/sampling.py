@@ -102,11 +102,11 @@ def sample(
     if dim == 0:
         raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
     of_scores = score_precision(model)
-    stretches = [model.stretches[i] for i in free]
-    ends = np.array([s.ends for s in stretches]).reshape(-1, 2).T
+    transforms = [model.transforms[i] for i in free]
+    ends = np.array([s.ends for s in transforms]).reshape(-1, 2).T
 
     def scores_of(theta: Array) -> Array:
-        columns = [s.score(theta[..., i]) for i, s in enumerate(stretches)]
+        columns = [s.score(theta[..., i]) for i, s in enumerate(transforms)]
         return np.stack(columns, axis=-1) if columns else theta[..., :0]
 
     def unpack(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -126,8 +126,8 @@ def sample(
         possible = (sum(model.lapses(low, high)) < 1) & inside
         out = model.log_likelihood(k, low, high, bias, effects)
         out = out - 0.5 * np.einsum("...i,ij,...j->...", scores, of_scores, scores)
-        for i, stretch in enumerate(stretches):
-            out = out + np.log(stretch.slope(t[..., i]))
+        for i, transform in enumerate(transforms):
+            out = out + np.log(transform.slope(t[..., i]))
         if n_bias:
             out = out + model.log_bias_prior(bias).sum(axis=-1)
         return np.where(possible, out, -np.inf)
@@ -137,7 +137,7 @@ def sample(
     scores, bias = mode
     root = np.linalg.cholesky(np.linalg.inv(information))
     walkers = max(64, 4 * dim)
-    at = [s.coordinate(z) for s, z in zip(stretches, scores[free], strict=True)]
+    at = [s.coordinate(z) for s, z in zip(transforms, scores[free], strict=True)]
     centre = np.r_[at, bias if n_bias else ()]
     # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
     for _ in range(60):
@@ -146,7 +146,7 @@ def sample(
         centre[: free.size] *= 0.9
     per_score = np.ones(dim)
     at = centre[: free.size]
-    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(stretches, at, strict=True)]
+    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(transforms, at, strict=True)]
     start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
     # A start outside the support is pulled towards the mode until it is inside.
     for _ in range(60):

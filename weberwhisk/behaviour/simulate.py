@@ -12,17 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import beta
 
 from .. import _checks
+from .._deprecated import renamed_arguments
 from .effects import Effect, History, Overdispersion, check_valued
-from .percepts import (
-    IdentityPercept,
-    LogAxisPercept,
-    LogPercept,
-    Percept,
-    UnitPercepts,
-    chosen_percept,
+from .encodings import (
+    Encoding,
+    IdentityEncoding,
+    LogAxisEncoding,
+    LogEncoding,
+    UnitEncodings,
+    chosen_encoding,
     refuse_outside,
-    refuse_unfelt,
-    unit_percepts,
+    refuse_unencoded,
+    unit_encodings,
 )
 from .psychometric import response_probability
 from .tasks import task_named
@@ -34,6 +35,7 @@ ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())
 
 
+@renamed_arguments(percept="encoding")
 def simulate_trials(
     *,
     weber_fraction: ArrayLike = 0.1,
@@ -46,7 +48,7 @@ def simulate_trials(
     bias: ArrayLike = 0.0,
     drift: float = 0.0,
     bias_drift: float = 0.0,
-    percept: Percept | None = None,
+    encoding: Encoding | None = None,
     observer: Any = None,
     noise: str = "weber",
     effects: Sequence[tuple[Effect, float]] = (),
@@ -64,7 +66,7 @@ def simulate_trials(
     weber_fraction : float, or array_like of shape (sessions,)
         Noise sd of each signal over its mean; one for each session where it is not the same.
     standards : array_like, shape (S,)
-        Magnitudes, logarithms (with a log percept) or radial distances in metres; stimulus 1, but
+        Magnitudes, logarithms (with a log encoding) or radial distances in metres; stimulus 1, but
         where `order` has it otherwise.
     offsets : array_like, optional
         Comparisons relative to each standard: standard × (1 + offset), or standard + offset on a
@@ -76,14 +78,14 @@ def simulate_trials(
     lapse_low, lapse_high : float
         Share of answers lost at either end.
     bias : float or array_like, shape (S,)
-        In sds of the difference between the percepts, positive towards "second greater".
+        In sds of the difference between the two signals, positive towards "second greater".
     drift, bias_drift : float
         A learning animal: how far ln k and the bias go from the first session to the last, in
         equal steps; their mean over the sessions is what is given above.
-    percept : Percept, optional
+    encoding : Encoding, optional
         How a stimulus is felt, any cue and any noise; the magnitude itself by default.
     observer : Observer, optional
-        A whisker and a cue: short for `percept=CuePercept(observer)`.
+        A whisker and a cue: short for `encoding=CueEncoding(observer)`.
     noise : {"weber", "equal-variance"}
     effects : sequence of (Effect, float)
         What else moves the answers, with the value of its parameter: `[(History(), 0.5)]`; see
@@ -142,8 +144,8 @@ def simulate_trials(
     sessions = _checks.whole("sessions", sessions, "write 10, say")
     if subject is not None and not isinstance(subject, str | int):
         raise ValueError(f"subject must be a name, got {_checks.shown(subject)}; write 'r1', say.")
-    felt = chosen_percept(percept, observer) or IdentityPercept()
-    is_log = isinstance(felt, (LogPercept, LogAxisPercept))
+    encoded = chosen_encoding(encoding, observer) or IdentityEncoding()
+    is_log = isinstance(encoded, (LogEncoding, LogAxisEncoding))
     base = np.atleast_1d(
         _checks.finite("standards", standards, "give one stimulus or several")
     ).ravel()
@@ -159,8 +161,8 @@ def simulate_trials(
     shift = np.broadcast_to(shift, base.shape)
     fraction, wander = _course(weber_fraction, sessions, drift, bias_drift)
     stimuli = np.concatenate([base, levels.ravel()])
-    refuse_outside(felt, stimuli)
-    refuse_unfelt(felt, stimuli)
+    refuse_outside(encoded, stimuli)
+    refuse_unencoded(encoded, stimuli)
 
     rng = _checks.generator(seed)
     first, second = np.repeat(base, levels.shape[1]), levels.ravel()
@@ -171,7 +173,7 @@ def simulate_trials(
         [
             response_probability(
                 asked,
-                felt,
+                encoded,
                 first[own],
                 second[own],
                 standard=s0[own],
@@ -213,14 +215,14 @@ def simulate_trials(
             "count": answer[place],
         }
     )
-    unit = felt.log_unit if isinstance(felt, (LogPercept, LogAxisPercept)) else None
+    unit = encoded.log_unit if isinstance(encoded, (LogEncoding, LogAxisEncoding)) else None
     scale = "log" if is_log else "linear"
     trials = Trials(frame, asked, scale, unit, "simulated trials", notes_of(frame))
     if not effects:
         return trials
     moved = responses_with_effects(
         trials,
-        felt,
+        encoded,
         weber_fraction=fraction[course % len(fraction)],
         lapse_low=lapse_low,
         lapse_high=lapse_high,
@@ -288,7 +290,7 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
 
 def responses_with_effects(
     trials: Trials,
-    percept: Percept,
+    encoding: Encoding,
     *,
     weber_fraction: Array,
     lapse_low: float,
@@ -310,21 +312,22 @@ def responses_with_effects(
     pairs, which = np.unique(rows, axis=0, return_inverse=True)
     which = which.reshape(-1)
     n = np.bincount(which, ~silent).astype(float)
-    both = unit_percepts(percept, pairs[:, 0], pairs[:, 1], pairs[:, 2], noise)
+    both = unit_encodings(encoding, pairs[:, 0], pairs[:, 1], pairs[:, 2], noise)
     bound = [(e.bound(both, n), float(value)) for e, value in effects]
     own = both.of(which)
-    scaled = UnitPercepts(
+    scaled = UnitEncodings(
         own.mean_1, weber_fraction * own.sd_1, own.mean_2, weber_fraction * own.sd_2, *own[4:]
     )
-    columns = [e.column(trials, percept) for e, _ in bound]
+    columns = [e.column(trials, encoding) for e, _ in bound]
 
     def probability(before: float) -> Array:
         """Of the answer counted, after the other answer (-1), none (0), or itself (1)."""
-        felt = scaled.felt(1.0)
+        encoded = scaled.encoded(1.0)
         for (effect, value), column in zip(bound, columns, strict=True):
             goes_with = before if isinstance(effect, History) else column
-            felt = effect.apply(felt, np.array([value]), 0.0 if goes_with is None else goes_with)
-        d, weight = task.decide(felt)
+            of_trial = 0.0 if goes_with is None else goes_with
+            encoded = effect.apply(encoded, np.array([value]), of_trial)
+        d, weight = task.decide(encoded)
         up, down = task.chance(d, weight * bias)
         low, high = task.asymptotes(np.array(lapse_low), np.array(lapse_high))
         p = np.asarray(low * down + (1 - high) * up)

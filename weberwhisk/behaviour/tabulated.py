@@ -137,13 +137,14 @@ def _bias_nodes(
     if not model.free_bias:
         bias = np.full((k.size, 1, model.n_groups), model.fixed_bias())
         return bias, np.ones((1, 1)), np.ones((k.size, model.n_groups, 1, scales.size))
-    felt = model.task.decide(model.felt(k))
+    encoded = model.task.decide(model.encoded(k))
     at = [np.quantile(v, [0.5, 0.002, 0.998]) for v in (draws.lapse_low, draws.lapse_high)]
-    (centre, spread), *others = (model.bias_mode(felt, lo, hi) for lo, hi in zip(*at, strict=True))
+    modes = [model.bias_mode(encoded, lo, hi) for lo, hi in zip(*at, strict=True)]
+    (centre, spread), *others = modes
     # The nodes must also serve other lapses than the likeliest, and wider biases than believed.
     far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in others) + NARROW_REACH
     if scales[-1] > 1:
-        c, wide = _widened(model, scales[-1]).bias_mode(felt, at[0][0], at[1][0])
+        c, wide = _widened(model, scales[-1]).bias_mode(encoded, at[0][0], at[1][0])
         reach = float(np.max((np.abs(c - centre) + WIDE_REACH * wide) / spread))
         far = max(far, min(reach, FARTHEST))
     offsets = np.arange(-np.ceil(far), np.ceil(far) + 1)

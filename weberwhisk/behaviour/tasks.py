@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from .. import _checks
-from .percepts import Signals
+from .encodings import Signals
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Task(Protocol):
     def guess_rate(self) -> float | None:
         """Proportion of the answer at chance, None where lapses on either side set it."""
 
-    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
+    def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
         """Decision variable d (..., C), and what a bias of 1 adds to it."""
 
     def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
@@ -96,8 +96,8 @@ class SignedChoice(_Compared):
 
     Examples
     --------
-    >>> from weberwhisk.behaviour.percepts import IdentityPercept, unit_percepts
-    >>> cell = unit_percepts(IdentityPercept(), [1.0], [1.1], [1.0])
+    >>> from weberwhisk.behaviour.encodings import IdentityEncoding, unit_encodings
+    >>> cell = unit_encodings(IdentityEncoding(), [1.0], [1.1], [1.0])
     >>> SignedChoice().decide(cell.felt(0.1))[0].round(4)
     array([0.6727])
     """
@@ -106,9 +106,9 @@ class SignedChoice(_Compared):
     response: str = "choice"
     answer: str = '"second greater"'
 
-    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, push = felt
-        return (m2 - m1) / np.hypot(s1, s2) + push, 1.0
+    def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, shift = encoded
+        return (m2 - m1) / np.hypot(s1, s2) + shift, 1.0
 
 
 @dataclass(frozen=True)
@@ -143,17 +143,17 @@ class PercentCorrect(_Compared):
     def guess_rate(self) -> float:  # type: ignore[override]
         return 1.0 / self.alternatives
 
-    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, push = felt
+    def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, shift = encoded
         gap = np.abs(m2 - m1)
         if self.alternatives == 2:
-            return gap / np.hypot(s1, s2) + push, 0.0
+            return gap / np.hypot(s1, s2) + shift, 0.0
         # The trapezoid rule converges exponentially here: 1e-14 with these nodes.
         weights = np.exp(-0.5 * NODES**2)
         margin = gap[..., None] + np.asarray(s2)[..., None] * NODES
         others = log_ndtr(margin / np.asarray(s1)[..., None])
         missed = -np.expm1((self.alternatives - 1) * others)
-        return -ndtri(missed @ (weights / weights.sum())) + push, 0.0
+        return -ndtri(missed @ (weights / weights.sum())) + shift, 0.0
 
     def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
         return lapse_high / (self.alternatives - 1), lapse_high
@@ -171,8 +171,8 @@ class YesNo(_Compared):
 
     Examples
     --------
-    >>> from weberwhisk.behaviour.percepts import IdentityPercept, unit_percepts
-    >>> cell = unit_percepts(IdentityPercept(), [1.0], [1.0674], [1.0], "equal-variance")
+    >>> from weberwhisk.behaviour.encodings import IdentityEncoding, unit_encodings
+    >>> cell = unit_encodings(IdentityEncoding(), [1.0], [1.0674], [1.0], "equal-variance")
     >>> d, weight = YesNo().decide(cell.felt(0.1))
     >>> YesNo().chance(d, weight * 0.0)[0].round(3)
     array([0.75])
@@ -183,9 +183,9 @@ class YesNo(_Compared):
     answer: str = '"yes"'
     bias_name: str | None = "criterion"
 
-    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, push = felt
-        return (m2 - m1) / s2 + push, -s1 / s2
+    def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, shift = encoded
+        return (m2 - m1) / s2 + shift, -s1 / s2
 
 
 @dataclass(frozen=True)
@@ -207,10 +207,10 @@ class SameDifferent(_Compared):
     answer: str = '"different"'
     bias_name: str | None = "criterion"
 
-    def decide(self, felt: Signals) -> tuple[Array, Array | float]:
-        m1, s1, m2, s2, push = felt
+    def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
+        m1, s1, m2, s2, shift = encoded
         spread = np.hypot(s1, s2)
-        return np.abs(m2 - m1) / spread + push, -np.sqrt(2.0) * s1 / spread
+        return np.abs(m2 - m1) / spread + shift, -np.sqrt(2.0) * s1 / spread
 
     def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
         # Below zero there is no criterion: every pair differs.

@@ -48,7 +48,7 @@ def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tu
 
 def _notes(model: WeberModel) -> tuple[str, ...]:
     cells, notes = model.cells, []
-    gap = np.abs(model.percepts.mean_2 - model.percepts.mean_1)
+    gap = np.abs(model.encodings.mean_2 - model.encodings.mean_1)
     if cells.n.size and not np.any(gap > 0):
         notes.append(
             "All comparisons equal their standard: no difference was ever put to the animal."
@@ -70,7 +70,7 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
         and not _one_sided(model)
         and np.all(
             np.where(
-                model.percepts.mean_2 == model.percepts.mean_1, True, (share == 0) | (share == 1)
+                model.encodings.mean_2 == model.encodings.mean_1, True, (share == 0) | (share == 1)
             )
         )
         and np.any(gap > 0)
@@ -86,7 +86,7 @@ def too_few_kinds(model: WeberModel) -> bool:
 
 def _kinds(model: WeberModel) -> int:
     """How many proportions the observer could give: pairs that differ in d by a tenth or more."""
-    d = np.sort(model.task.decide(model.percepts.felt(np.float64(1.0)))[0])
+    d = np.sort(model.task.decide(model.encodings.encoded(np.float64(1.0)))[0])
     return 1 + int((np.diff(d) > ALIKE * np.abs(d).max()).sum())
 
 
@@ -101,7 +101,7 @@ def _one_sided(model: WeberModel) -> bool:
     c = model.cells
     if model.task.guess_rate is not None or c.n.size < 2 or c.count.sum() not in (0, c.n.sum()):
         return False
-    d = model.task.decide(model.percepts.felt(np.float64(1.0)))[0]
+    d = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
     return bool(np.ptp(d) > 0 and (model.task.bias_name == "criterion" or d.min() < 0 < d.max()))
 
 
@@ -109,7 +109,7 @@ def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
     """Whether the opposite answers would be far more probable, judged by the evidence."""
     c = model.cells
     if model.task.guess_rate is None:
-        drive = model.task.decide(model.percepts.felt(np.float64(1.0)))[0]
+        drive = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
         suspect = drive @ (c.count - c.n * (c.count.sum() / c.n.sum())) < 0
     else:
         suspect = c.count.sum() < model.task.guess_rate * c.n.sum()

@@ -9,7 +9,7 @@ import pandas as pd
 import weberwhisk as ww
 
 from .. import _checks
-from ..behaviour import CuePercept, compare_cues, compare_drift, compare_noise, compare_taper
+from ..behaviour import CueEncoding, compare_cues, compare_drift, compare_noise, compare_taper
 
 NAMES = ("noise", "drift", "law", "taper", "cues")
 
@@ -17,7 +17,7 @@ NAMES = ("noise", "drift", "law", "taper", "cues")
 def compared(
     name: str, fit: ww.WeberFit, whisker: ww.Whisker | None, priors: dict[str, Any] | None
 ) -> tuple[pd.DataFrame, str]:
-    """A table and a verdict on the trials of a fit, with its percept, bias and priors."""
+    """A table and a verdict on the trials of a fit, with its encoding, bias and priors."""
     _checks.one_of("--compare", name, NAMES)
     trials = fit.trials
     options: dict[str, Any] = {"bias": fit.bias, "priors": priors}
@@ -25,25 +25,25 @@ def compared(
         test = fit.weber_law_test()
         return test.by_standard, test.report()
     if name == "noise":
-        found = compare_noise(trials, percept=fit.percept, **options)
+        found = compare_noise(trials, encoding=fit.encoding, **options)
     elif name == "drift":
-        found = compare_drift(trials, percept=fit.percept, noise=fit.noise, **options)
+        found = compare_drift(trials, encoding=fit.encoding, noise=fit.noise, **options)
     else:
-        if whisker is None or not isinstance(fit.percept, CuePercept):
+        if whisker is None or not isinstance(fit.encoding, CueEncoding):
             raise ValueError(
                 f"--compare {name} needs a whisker to feel with, got none; write --identity C2, or "
                 "a shape."
             )
         if name == "taper":
-            found = compare_taper(trials, whisker, unit=fit.percept.unit, **options)
+            found = compare_taper(trials, whisker, unit=fit.encoding.unit, **options)
         else:
-            if fit.percept.deflection_angle is None:
+            if fit.encoding.deflection_angle is None:
                 raise ValueError(
                     "--compare cues needs the deflection angle of the contacts; write "
                     "--cue force-map --deflection-angle-deg 10, say."
                 )
             found = compare_cues(
-                trials, whisker, deflection_angle=fit.percept.deflection_angle,
-                unit=fit.percept.unit, **options,
+                trials, whisker, deflection_angle=fit.encoding.deflection_angle,
+                unit=fit.encoding.unit, **options,
             )  # fmt: skip
     return found.table.reset_index(), found.report()

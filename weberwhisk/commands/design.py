@@ -173,7 +173,7 @@ def design(
             workers=all_cores(workers, scheduler),
             scheduler=scheduler,
             progress=_quiet if as_json else None,
-            **_felt(cue, deflection_angle_deg),
+            **_encoded(cue, deflection_angle_deg),
         )
         fill(run, plan)
     if as_json:
@@ -224,16 +224,16 @@ def _standards(texts: list[str] | None) -> NDArray[np.float64] | None:
     return _checks.positive("--standard-mm", at, "give millimetres, such as 10,20") * 1e-3
 
 
-def _felt(cue: str | None, angles_deg: list[str] | None) -> dict[str, Any]:
+def _encoded(cue: str | None, angles_deg: list[str] | None) -> dict[str, Any]:
     if cue is None and not angles_deg:
         return {}
-    felt, angles = the_cue(cue, angles_deg)
+    encoded, angles = the_cue(cue, angles_deg)
     if angles.size > 1:
         raise ValueError(
             f"Choices are made at one deflection angle, got {angles.size} values of "
             "--deflection-angle-deg; give one."
         )
-    return {"cue": felt, "deflection_angle": angles[0] if angles.size else None}
+    return {"cue": encoded, "deflection_angle": angles[0] if angles.size else None}
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from ..behaviour import CuePercept
+from ..behaviour import CueEncoding
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
 from .options import SCENES, the_scene, the_whisker
 
@@ -40,15 +40,15 @@ RECEPTORS: dict[str, _Model] = {
 PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(1.0), "log-normal": LogNormal(0.1)}
 
 
-def distance_percept(
+def distance_encoding(
     shape: tuple[str | None, float | None, float | None, float | None, float | None],
     cue: str | None,
     angles_deg: list[str] | None,
     receptors: str | None = None,
     *,
     fitted: bool = True,
-) -> tuple[CuePercept | None, ww.Whisker | None]:
-    """The percept and the whisker that the options describe; None where they name no whisker.
+) -> tuple[CueEncoding | None, ww.Whisker | None]:
+    """The encoding and the whisker that the options describe; None where they name no whisker.
 
     With `fitted` the answers must tell of a Weber fraction.
     """
@@ -81,13 +81,13 @@ def distance_percept(
             f"The cue {cue} has receptors of its own, got --receptors {receptors}; leave it out, "
             "or write --cue force-map."
         )
-    percept = CuePercept(observer, angle, unit=1e-3)
-    if fitted and not percept.has_weber_fraction:
+    encoding = CueEncoding(observer, angle, unit=1e-3)
+    if fitted and not encoding.has_weber_fraction:
         raise ValueError(
             f"The noise of the cue {cue} is that of angles, a constant: there is no Weber fraction "
             "to find; write --cue compliance, say."
         )
-    return percept, whisker
+    return encoding, whisker
 
 
 def _receptors(text: str, observer: ww.Observer, angle: float | None) -> ReceptorNoise:

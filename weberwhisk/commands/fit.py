@@ -14,12 +14,12 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
-from ..behaviour import CuePercept, FitStatus
+from ..behaviour import CueEncoding, FitStatus
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.io import load_table
 from ..output import Run, atomic_write, to_json
 from .comparisons import compared
-from .distance import ReceptorsOption, distance_percept
+from .distance import ReceptorsOption, distance_encoding
 from .options import (
     AngleOption,
     BaseRadiusOption,
@@ -168,12 +168,12 @@ def fit(
     """
     inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    percept, whisker = distance_percept(shape, cue, deflection_angle_deg, receptors)
-    trials = _trials(file, column, label, task, scale, log_unit, percept)
+    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
+    trials = _trials(file, column, label, task, scale, log_unit, encoding)
     together = together or by_session
     trials = _selected(trials, subject, session, together)
-    if percept is not None:
-        _refuse_metres(trials, percept)
+    if encoding is not None:
+        _refuse_metres(trials, encoding)
     priors = _lapse_priors(lapse_prior, trials)
     if together:
         if effect or comparison or method:
@@ -183,7 +183,7 @@ def fit(
             )
         options = {
             "sessions": by_session,
-            "percept": percept,
+            "encoding": encoding,
             "bias": bias,
             "noise": noise,
             "priors": priors,
@@ -193,7 +193,7 @@ def fit(
     effects = [effect_named(name) for name in effect or ()]
     with Run(out, "fit", inputs, seed) as run:
         result = ww.fit_weber(
-            trials, percept=percept, bias=bias, noise=noise, effects=effects, priors=priors,
+            trials, encoding=encoding, bias=bias, noise=noise, effects=effects, priors=priors,
             method=method, seed=seed,
         )  # fmt: skip
         summary = result.summary().reset_index()
@@ -211,7 +211,7 @@ def fit(
             if result.status is not FitStatus.NO_TRIALS:
                 from .. import figures
 
-                drawn = figures.psychometrics(result, unit="mm" if percept else "")
+                drawn = figures.psychometrics(result, unit="mm" if encoding else "")
                 run.figure("psychometric", figures.figure_of(drawn))
     if as_json:
         print(to_json(answer))
@@ -229,12 +229,12 @@ def _trials(
     task: str | None,
     scale: str,
     log_unit: float | None,
-    percept: CuePercept | None,
+    encoding: CueEncoding | None,
 ) -> ww.Trials:
     if not file.is_file():
         raise ValueError(f"{str(file)!r} is not a file; give the path of a table of trials.")
     columns = _pairs("--column", column, "choice=response")
-    if percept is not None:
+    if encoding is not None:
         columns = _with_millimetres(file) | columns
         if scale != "linear":
             raise ValueError(
@@ -365,10 +365,10 @@ def _sessions(text: str) -> list[int | str]:
     return wanted
 
 
-def _refuse_metres(trials: ww.Trials, percept: CuePercept) -> None:
+def _refuse_metres(trials: ww.Trials, encoding: CueEncoding) -> None:
     """Distances in metres would be taken for contacts at the base, and give an answer."""
     values = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
-    length = percept.domain[1]
+    length = encoding.domain[1]
     if values.max() < 0.002 * length:
         raise ValueError(
             f"{trials.source}: no distance is above {values.max():.3g} mm on a whisker of "

@@ -13,12 +13,12 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
-from ..behaviour import CuePercept, IdentityPercept
+from ..behaviour import CueEncoding, IdentityEncoding
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import Session, converse
 from ..design.staircases import RULES
 from ..output import Run
-from .distance import distance_percept
+from .distance import distance_encoding
 from .options import (
     AngleOption,
     BaseRadiusOption,
@@ -91,16 +91,16 @@ def next_trials(
     if farthest == float("inf"):
         inputs["farthest"] = None
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    percept, whisker = distance_percept(shape, cue, deflection_angle_deg)
-    name = "--standard" if percept is None else "--standard-mm"
-    texts = standard if percept is None else standard_mm
-    if not texts or (standard if percept is not None else standard_mm):
+    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
+    name = "--standard" if encoding is None else "--standard-mm"
+    texts = standard if encoding is None else standard_mm
+    if not texts or (standard if encoding is not None else standard_mm):
         raise ValueError(f"{name} says what is compared with, got none; write {name} 20, say.")
     at = numbers(name, texts)
     limits = Constraints(nearest, farthest, step)
-    placer = _placer(goal, percept, whisker, at, limits, bias.replace("-", " "), task,
+    placer = _placer(goal, encoding, whisker, at, limits, bias.replace("-", " "), task,
                      easy_share, width_percent, most, seed)  # fmt: skip
-    unit = "" if percept is None else "_mm"
+    unit = "" if encoding is None else "_mm"
     with Run(out, "next", inputs, seed) as run, Session(placer, log, inputs) as session:
         for line in converse(session, sys.stdin, unit):
             print(line, flush=True)
@@ -115,7 +115,7 @@ def next_trials(
 
 def _placer(
     goal: str,
-    percept: CuePercept | None,
+    encoding: CueEncoding | None,
     whisker: ww.Whisker | None,
     standards: np.ndarray,
     limits: Constraints,
@@ -129,20 +129,21 @@ def _placer(
     """What the options ask for."""
     _checks.one_of("--goal", goal, METHODS)
     how: dict[str, Any] = {"bias": bias, "task": task}
-    felt = percept or IdentityPercept()
-    hypotheses = [Hypothesis("Weber", felt, **how)]
-    scheme = lattice(felt, standards, limits)
+    encoded = encoding or IdentityEncoding()
+    hypotheses = [Hypothesis("Weber", encoded, **how)]
+    scheme = lattice(encoded, standards, limits)
     if goal in RULES:
         return Staircase(hypotheses[0], scheme, rule=goal, most=most, seed=seed)
     if goal == "taper":
-        if percept is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
+        if encoding is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
             raise ValueError(
                 "--goal taper tells a tapered whisker from a cylinder, got none; write "
                 "--identity C2, say."
             )
-        observer = ww.Observer(whisker.cylinder(), percept.observer.cue, percept.observer.noise)
-        other = CuePercept(observer, percept.deflection_angle, percept.unit)
-        hypotheses = [Hypothesis("tapered", felt, **how), Hypothesis("cylindrical", other, **how)]
+        observer = ww.Observer(whisker.cylinder(), encoding.observer.cue, encoding.observer.noise)
+        other = CueEncoding(observer, encoding.deflection_angle, encoding.unit)
+        named = {"tapered": encoded, "cylindrical": other}
+        hypotheses = [Hypothesis(name, of_it, **how) for name, of_it in named.items()]
         rows = zip(scheme.offsets, lattice(other, standards, limits).offsets, strict=True)
         scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in rows])
     return BayesianPlacer(

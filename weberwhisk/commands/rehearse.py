@@ -38,7 +38,7 @@ def rehearse(
 ) -> None:
     """Simulate a planned experiment, fit it as planned, and count how often it ends right.
 
-    With --out a rehearsal that was broken off goes on where it was when the command is given again.
+    With --out a study that was broken off goes on where it was when the command is given again.
     """
     if not file.is_file():
         raise ValueError(
@@ -48,7 +48,7 @@ def rehearse(
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
     with Run(out, "rehearse", inputs, seed) as run:
         stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
-        found = ww.rehearse(
+        found = ww.simulate_study(
             plan,
             runs,
             seed=seed,

@@ -14,7 +14,7 @@ from ..behaviour.effects import effect_valued
 from ..behaviour.export import data_package, describe_table
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..output import Run, atomic_write, csv_text, to_json
-from .distance import ReceptorsOption, distance_percept
+from .distance import ReceptorsOption, distance_encoding
 from .options import (
     AngleOption,
     BaseRadiusOption,
@@ -112,20 +112,20 @@ def simulate(
     """
     inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
     shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    percept, whisker = distance_percept(shape, cue, deflection_angle_deg, receptors, fitted=False)
-    fittable = percept is None or percept.has_weber_fraction
-    if percept is None and standard_mm:
+    encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
+    fittable = encoding is None or encoding.has_weber_fraction
+    if encoding is None and standard_mm:
         raise ValueError(
             "--standard-mm needs a whisker to feel with, got none; write --identity C2, or "
             "--standard for magnitudes."
         )
-    if percept is not None and (standard or not standard_mm):
+    if encoding is not None and (standard or not standard_mm):
         raise ValueError(
             f"Distances felt through a whisker are given by --standard-mm, got "
             f"{'--standard' if standard else 'none'}; write --standard-mm 20, say."
         )
-    base = numbers("--standard-mm" if percept else "--standard", standard_mm or standard or ["1"])
-    _checks.positive("--standard-mm" if percept else "--standard", base, "write 20, say")
+    base = numbers("--standard-mm" if encoding else "--standard", standard_mm or standard or ["1"])
+    _checks.positive("--standard-mm" if encoding else "--standard", base, "write 20, say")
     levels = numbers("--offset", offset) if offset else None
     effects = [effect_valued(text) for text in effect or ()]
     truth: dict[str, Any] = {
@@ -140,7 +140,7 @@ def simulate(
             "standards": base,
             "offsets": levels,
             "trials_per_level": trials_per_level,
-            "percept": percept,
+            "encoding": encoding,
             "order": order,
             "sessions": sessions,
             "drift": drift,
@@ -155,7 +155,7 @@ def simulate(
         else:
             trials, animals = ww.simulate_population(subjects, spread=spread, **design)
         table = trials.table()
-        if percept is not None:
+        if encoding is not None:
             names = ("standard", "stimulus_1", "stimulus_2")
             table = table.rename(columns={name: f"{name}_mm" for name in names})
         run.table("trials", table)
@@ -179,7 +179,7 @@ def simulate(
             entry = describe_table(
                 "trials",
                 table,
-                unit="mm" if percept else "",
+                unit="mm" if encoding else "",
                 title="Simulated choices",
                 truth=known,
             )
@@ -193,11 +193,11 @@ def simulate(
             free |= {e.name: value for e, value in effects}
             exact = ww.fit_weber(
                 trials,
-                percept=percept,
+                encoding=encoding,
                 effects=[e for e, _ in effects],
                 priors={"weber_fraction": weber_fraction, **free},
             )
-            unit = "mm" if percept else ""
+            unit = "mm" if encoding else ""
             drawn = figures.psychometrics(exact, unit=unit)
             run.figure("trials", figures.figure_of(drawn))
     if as_json:

@@ -15,9 +15,9 @@ from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next
 from .plan import Plan
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, Smallest, power, smallest
-from .rehearsal import Rehearsal, rehearse
 from .scheme import LEVELS, Constraints, Scheme
 from .session import Session
+from .simulated_study import SimulatedStudy, simulate_study
 from .staircases import Staircase
 from .trial_lists import trial_lists
 
@@ -33,9 +33,9 @@ __all__ = [
     "Plan",
     "Power",
     "Proposal",
-    "Rehearsal",
     "Scheme",
     "Session",
+    "SimulatedStudy",
     "Smallest",
     "Staircase",
     "SubjectPopulation",
@@ -51,11 +51,19 @@ __all__ = [
     "plan_json",
     "power",
     "read_plan",
-    "rehearse",
+    "simulate_study",
     "smallest",
     "taper",
     "trial_lists",
     "with_priors",
 ]
 
-__getattr__ = renamed_names(__name__, {"Animals": "SubjectPopulation", "Finding": "AnalysisResult"})
+__getattr__ = renamed_names(
+    __name__,
+    {
+        "Animals": "SubjectPopulation",
+        "Finding": "AnalysisResult",
+        "Rehearsal": "SimulatedStudy",
+        "rehearse": "simulate_study",
+    },
+)

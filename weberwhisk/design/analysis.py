@@ -14,7 +14,7 @@ from ..behaviour.fit import fit_weber
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
-from .hypotheses import Hypothesis, told_apart
+from .hypotheses import Hypothesis, check_distinct
 
 STIMULI = ["standard", "stimulus_1", "stimulus_2"]
 
@@ -74,12 +74,12 @@ def analyse(
     trials : Trials
         With a column `subject` where there are several animals.
     hypotheses : sequence of Hypothesis
-        Each is fitted with its own percept, priors, bias and noise.
+        Each is fitted with its own encoding, priors, bias and noise.
     together : bool
         Fit all animals at once, each learning from the others (`fit_population`). Otherwise each is
         fitted by itself (`fit_weber`), and evidence multiplies over animals.
     unit : float
-        Unit of the stimuli in the percepts' own: 1e-3 where the table is in millimetres.
+        Unit of the stimuli in the encodings' own: 1e-3 where the table is in millimetres.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def analyse(
     >>> from weberwhisk import Whisker, simulate_trials
     >>> from weberwhisk.design import taper
     >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> trials = simulate_trials(percept=tapered.percept, standards=[15e-3, 30e-3, 45e-3],
+    >>> trials = simulate_trials(encoding=tapered.encoding, standards=[15e-3, 30e-3, 45e-3],
     ...     offsets=[-0.1, -0.05, 0.05, 0.1], trials_per_level=60, subject="s1", seed=2)
     >>> analyse(trials, [tapered, cylindrical]).favoured(10)
     'tapered'
@@ -100,7 +100,7 @@ def analyse(
     if unit != 1.0:
         frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
         trials = replace(trials, frame=frame)
-    given = told_apart(hypotheses)
+    given = check_distinct(hypotheses)
     return (_pooled if together else _apart)(trials, given)
 
 
@@ -146,7 +146,7 @@ def _names_left_out(fit: PopulationFit) -> set[str]:
 
 
 def _options(hypothesis: Hypothesis) -> dict[str, Any]:
-    names = ("percept", "priors", "bias", "noise")
+    names = ("encoding", "priors", "bias", "noise")
     return {name: getattr(hypothesis, name) for name in names}
 
 

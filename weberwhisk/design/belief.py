@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
+from ..behaviour.encodings import UnitEncodings
+from ..behaviour.lapses import lapse_transform
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.percepts import UnitPercepts
 from ..behaviour.priors import TINY
-from ..behaviour.stretch import stretch_for
 from ..behaviour.trials import Cells
 from .grids import FAR, Axes, Grid
 from .hypotheses import Hypothesis
@@ -52,8 +52,8 @@ class Belief:
         model = _told(hypothesis.model(candidates), LEAST_TOLD)
         self._seen: dict[Pair, list[int]] = {}
         pairs = zip(candidates.stimulus_1, candidates.stimulus_2, candidates.standard, strict=True)
-        self._felt: dict[Pair, UnitPercepts] = {
-            (float(s1), float(s2), float(s)): model.percepts.of(np.array([i]))
+        self._encoded: dict[Pair, UnitEncodings] = {
+            (float(s1), float(s2), float(s)): model.encodings.of(np.array([i]))
             for i, (s1, s2, s) in enumerate(pairs)
         }
         self._standards = np.unique(candidates.standard)
@@ -61,10 +61,10 @@ class Belief:
         wide = {n: (-FAR, FAR, size) if free[n] else (0.0, 0.0, 1) for n, size in NODES.items()}
         for name in ("lapse_low", "lapse_high"):  # their coordinates, made now and kept
             for doublings in range(3, MOST_DOUBLINGS * free[name]):
-                stretch_for(model.priors.of(name), 2.0**doublings)
+                lapse_transform(model.priors.of(name), 2.0**doublings)
         low, high = (
-            _even(stretch.coordinate(wide[name][:2]), wide[name][2])
-            for name, stretch in zip(model.lead[-2:], model.stretches[-2:], strict=True)
+            _even(transform.coordinate(wide[name][:2]), wide[name][2])
+            for name, transform in zip(model.lead[-2:], model.transforms[-2:], strict=True)
         )
         k, bias = (_even(wide[name][:2], wide[name][2]) for name in ("weber_fraction", "bias"))
         self._building: Iterator[Grid | None] | None = None
@@ -93,7 +93,7 @@ class Belief:
             for pair in left[:PAIRS]:
                 before, seen = inside.get(pair, [0, 0]), self._seen[pair]
                 new = [n - b for n, b in zip(seen, before, strict=True)]
-                grid.put(self.feel(pair), self._group(pair), new)
+                grid.put(self.encode(pair), self._group(pair), new)
                 inside[pair] = list(seen)
             if len(left) <= PAIRS // 2:
                 if closed == len(axes.bias):
@@ -108,17 +108,17 @@ class Belief:
             return 0
         return int(np.searchsorted(self._standards, pair[2]))
 
-    def feel(self, pair: Pair) -> UnitPercepts:
-        """Both percepts of a trial; refuses what cannot be felt."""
-        if pair not in self._felt:
+    def encode(self, pair: Pair) -> UnitEncodings:
+        """Both encoded stimuli of a trial; refuses what cannot be felt."""
+        if pair not in self._encoded:
             cell = Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0)))
-            self._felt[pair] = self.hypothesis.model(cell).percepts
-        return self._felt[pair]
+            self._encoded[pair] = self.hypothesis.model(cell).encodings
+        return self._encoded[pair]
 
     def absorb(self, pair: Pair, answer: int) -> None:
         """Learn from one trial."""
         self._seen.setdefault(pair, [0, 0])[answer] += 1
-        self._grid.multiply(self.feel(pair), self._group(pair), answer)
+        self._grid.multiply(self.encode(pair), self._group(pair), answer)
         if self._building is not None:
             grid = next(self._building)
             if grid is not None:
@@ -169,12 +169,12 @@ class Belief:
             return None
         k, low, high, *bias = (_better(*one) for one in kept)
         # The coordinate of a lapse goes with how many trials tell of it.
-        before = self._grid.model.stretches[-2:]
+        before = self._grid.model.transforms[-2:]
         trials = sum(map(sum, self._seen.values()))
         model = _told(self._grid.model, max(trials, LEAST_TOLD))
         low, high = (
             _even(new.coordinate(was.score(axis[[0, -1]])), axis.size)
-            for axis, was, new in zip((low, high), before, model.stretches[-2:], strict=True)
+            for axis, was, new in zip((low, high), before, model.transforms[-2:], strict=True)
         )
         return model, Axes(k, low, high, tuple(bias))
 

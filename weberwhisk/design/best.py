@@ -294,7 +294,7 @@ class _Sketch:
         self.k = model.value("weber_fraction", self.scores)
         axes = [
             s.coordinate(np.linspace(-1.2, 2.2, NODES[1])) if free else np.zeros(1)
-            for s, free in zip(model.stretches[-2:], model.free[-2:], strict=True)
+            for s, free in zip(model.transforms[-2:], model.free[-2:], strict=True)
         ]
         low, high = (model.at(n, a) for n, a in zip(model.lead[-2:], axes, strict=True))
         lo, hi = (a.ravel() for a in np.meshgrid(low, high, indexing="ij"))
@@ -334,9 +334,9 @@ def _sites(
     hypotheses: Sequence[Hypothesis], limits: Constraints, animals: SubjectPopulation, pairs: int
 ) -> list[_Site]:
     """The standards and offsets that every hypothesis and constraint allows."""
-    felt = hypotheses[0].percept
-    low = max(limits.nearest, max(h.percept.domain[0] for h in hypotheses))
-    high = min(limits.farthest, min(h.percept.domain[1] for h in hypotheses))
+    encoded = hypotheses[0].encoding
+    low = max(limits.nearest, max(h.encoding.domain[0] for h in hypotheses))
+    high = min(limits.farthest, min(h.encoding.domain[1] for h in hypotheses))
     if not (np.isfinite(high) and low < high):
         raise ValueError(
             f"the range of {limits.nearest:g} to {limits.farthest:g} leaves nothing that can be "
@@ -346,21 +346,21 @@ def _sites(
     at = np.unique(limits.positions(np.linspace(low, high, PLACES + 2)[1:-1]))
     out = []
     for s in at[(at > low) & (at < high)]:
-        if not all(_felt(h, np.array([s])).all() for h in hypotheses):
+        if not all(_encoded(h, np.array([s])).all() for h in hypotheses):
             continue
-        one = animals.weber_fraction * float(difference_sd(felt, s))
+        one = animals.weber_fraction * float(difference_sd(encoded, s))
         sizes = np.unique(limits.positions(LEVELS * one))
         sizes = sizes[sizes > 0]
         inside = (s - sizes > low) & (s + sizes < high)
         inside &= (s - sizes >= limits.nearest) & (s + sizes <= limits.farthest)
         sizes = sizes[inside]
         for h in hypotheses:
-            sizes = sizes[_felt(h, s - sizes) & _felt(h, s + sizes)]
+            sizes = sizes[_encoded(h, s - sizes) & _encoded(h, s + sizes)]
         if sizes.size < pairs:
             continue
         easy = [
             easy_share(
-                Scheme([s], [-d, d], 1), felt, animals.weber_fraction, limits.easy_proportion
+                Scheme([s], [-d, d], 1), encoded, animals.weber_fraction, limits.easy_proportion
             )
             for d in sizes
         ]
@@ -368,9 +368,9 @@ def _sites(
     return out
 
 
-def _felt(hypothesis: Hypothesis, at: Array) -> NDArray[np.bool_]:
-    percept = hypothesis.percept
-    return np.isfinite(percept.mean(at)) & np.isfinite(percept.unit_sd(at))
+def _encoded(hypothesis: Hypothesis, at: Array) -> NDArray[np.bool_]:
+    encoding = hypothesis.encoding
+    return np.isfinite(encoding.mean(at)) & np.isfinite(encoding.sd_per_weber_fraction(at))
 
 
 def _refuse_too_hard(sites: list[_Site], limits: Constraints, standards: int, pairs: int) -> None:

@@ -10,7 +10,7 @@ from scipy.stats.distributions import rv_frozen
 
 from .. import _checks
 from ..behaviour.comparison import ConstantNoise
-from ..behaviour.percepts import CuePercept, IdentityPercept, LogAxisPercept, LogPercept
+from ..behaviour.encodings import CueEncoding, IdentityEncoding, LogAxisEncoding, LogEncoding
 from ..behaviour.priors import Priors
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
@@ -29,13 +29,13 @@ NOUNS: dict[type, str] = {
     Weber: "weber_fraction:numbers correlation:numbers",
     GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
     Observer: "whisker:Whisker cue:Compliance|ForceMap noise:Weber|GeneralisedWeber",
-    CuePercept: "observer:Observer deflection_angle:number|null unit",
-    IdentityPercept: "",
-    LogPercept: "log_unit",
-    LogAxisPercept: "log_unit",
-    ConstantNoise: "base:percept typical",
+    CueEncoding: "observer:Observer deflection_angle:number|null unit",
+    IdentityEncoding: "",
+    LogEncoding: "log_unit",
+    LogAxisEncoding: "log_unit",
+    ConstantNoise: "base:encoding typical",
     Priors: "weber_fraction:prior lapse_low:prior lapse_high:prior bias:prior lapse_correlation",
-    Hypothesis: "name:text percept:percept priors:Priors bias:text noise:text task:text",
+    Hypothesis: "name:text encoding:encoding priors:Priors bias:text noise:text task:text",
     Scheme: "standards:numbers offsets:numbers trials:numbers animals",
     Constraints: "nearest farthest:limits step easy_share easy_proportion",
     Goal: "bayes_factor:number|null half_width:number|null share",
@@ -43,10 +43,18 @@ NOUNS: dict[type, str] = {
 }
 #: Parts of a noun that are one of several nouns, or a number or distribution.
 KINDS = {
-    "percept": "CuePercept|IdentityPercept|LogPercept|LogAxisPercept|ConstantNoise",
+    "encoding": "CueEncoding|IdentityEncoding|LogEncoding|LogAxisEncoding|ConstantNoise",
     "prior": "number|distribution",
 }
-OLD = {"Animals": "SubjectPopulation"}  # names in plans of version 0.1
+#: Names in plans of version 0.1.
+OLD = {
+    "Animals": "SubjectPopulation",
+    "CuePercept": "CueEncoding",
+    "IdentityPercept": "IdentityEncoding",
+    "LogPercept": "LogEncoding",
+    "LogAxisPercept": "LogAxisEncoding",
+    "percept": "encoding",
+}
 KIND = "is"  # the key that says which noun a mapping is
 MOST = 1e30  # no number of a plan is beyond
 
@@ -61,8 +69,8 @@ def encode(value: Any) -> Any:
 
     Examples
     --------
-    >>> encode(LogPercept(0.5))
-    {'is': 'LogPercept', 'log_unit': 0.5}
+    >>> encode(LogEncoding(0.5))
+    {'is': 'LogEncoding', 'log_unit': 0.5}
     >>> encode(stats.beta(0.3, 3))
     {'is': 'beta', 'args': [0.3, 3], 'kwds': {}}
     """
@@ -96,12 +104,12 @@ def decode(value: Any) -> Any:
 
     Examples
     --------
-    >>> decode(encode(LogPercept(0.5)))
-    LogPercept(log_unit=0.5, direction=1, domain=(-inf, inf))
-    >>> decode({"is": "LogPercept", "log_unit": None})
+    >>> decode(encode(LogEncoding(0.5)))
+    LogEncoding(log_unit=0.5, direction=1, domain=(-inf, inf))
+    >>> decode({"is": "LogEncoding", "log_unit": None})
     Traceback (most recent call last):
         ...
-    ValueError: log_unit of LogPercept must be number, got None
+    ValueError: log_unit of LogEncoding must be number, got None
     """
     if isinstance(value, list):
         return [decode(item) for item in value]
@@ -110,6 +118,7 @@ def decode(value: Any) -> Any:
     parts = {name: decode(item) for name, item in value.items() if name != KIND}
     if KIND not in value:
         return parts
+    parts = {OLD.get(name, name): item for name, item in parts.items()}
     name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
     noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:

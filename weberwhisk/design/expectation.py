@@ -36,21 +36,21 @@ def expected_trials(
     ----------
     scheme : Scheme
     truth : Hypothesis
-        What the animal is: its percept, noise and task.
+        What the animal is: its encoding, noise and task.
     weber_fraction, lapse : float
         Of the animal; lapses on either side.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> weber = Hypothesis("Weber", IdentityPercept())
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber = Hypothesis("Weber", IdentityEncoding())
     >>> trials = expected_trials(Scheme([1.0], [-0.2, 0.2], 50), weber, 0.1, 0.02)
     >>> trials.frame["count"].round(1).tolist()
     [3.8, 44.2]
     """
     cells = scheme.cells()
     share = response_probability(
-        truth.asked, truth.percept, cells.stimulus_1, cells.stimulus_2, noise=truth.noise,
+        truth.asked, truth.encoding, cells.stimulus_1, cells.stimulus_2, noise=truth.noise,
         weber_fraction=weber_fraction, lapse_low=lapse, lapse_high=lapse,
     )  # fmt: skip
     frame = pd.DataFrame(
@@ -68,7 +68,7 @@ def expected_trials(
 def fitted(trials: Trials, hypothesis: Hypothesis) -> WeberFit:
     """A hypothesis fitted to a table, as the plan's analysis fits it to each animal."""
     return fit_weber(
-        trials, percept=hypothesis.percept, priors=hypothesis.priors, bias=hypothesis.bias,
+        trials, encoding=hypothesis.encoding, priors=hypothesis.priors, bias=hypothesis.bias,
         noise=hypothesis.noise, method="quadrature",
     )  # fmt: skip
 
@@ -104,7 +104,7 @@ def expected_curves(fits: Sequence[tuple[str, WeberFit]]) -> pd.DataFrame:
             own = fit.trials.frame.query("standard == @standard")["stimulus_2"]
             low, high = own.min(), own.max()
             margin = 0.1 * (high - low) or 0.05 * standard
-            edge = fit.percept.domain
+            edge = fit.encoding.domain
             at = np.linspace(
                 max(low - margin, edge[0] + 0.02 * (low - edge[0])),
                 min(high + margin, edge[1] - 0.02 * (edge[1] - high)),
@@ -180,4 +180,4 @@ def expected_jnds_by_standard(
 
 def jnd_of_one(fit: WeberFit, stimulus: Array, criterion: str) -> Array:
     """The JND for a Weber fraction of 1, in the stimulus's unit."""
-    return criterion_factor(criterion) * difference_sd(fit.percept, stimulus) / np.sqrt(2.0)
+    return criterion_factor(criterion) * difference_sd(fit.encoding, stimulus) / np.sqrt(2.0)

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from ..behaviour.percepts import CuePercept
+from ..behaviour.encodings import CueEncoding
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..observer import Observer
@@ -148,10 +148,10 @@ def plan_experiment(
             )
         scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
     if scheme is None:
-        percept = given[0].percept
-        at = np.asarray(PLACES) * percept.domain[1] if standards is None else standards
+        encoding = given[0].encoding
+        at = np.asarray(PLACES) * encoding.domain[1] if standards is None else standards
         scheme = Scheme.spaced(
-            percept, at, weber_fraction=likely.weber_fraction, levels=levels,
+            encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
             trials=START if trials is None else trials, animals=animals, step=limits.step,
         )  # fmt: skip
     own: dict[str, Any] = {
@@ -235,4 +235,4 @@ def _hypotheses(
             )
         return taper(whisker)
     observer = Observer(whisker, cue or Compliance(), Weber(1.0))
-    return [Hypothesis("expected observer", CuePercept(observer, deflection_angle))]
+    return [Hypothesis("expected observer", CueEncoding(observer, deflection_angle))]

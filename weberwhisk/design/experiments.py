@@ -87,8 +87,8 @@ def simulate(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> weber = Hypothesis("Weber", IdentityPercept())
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber = Hypothesis("Weber", IdentityEncoding())
     >>> counts, k = simulate(weber, Scheme([1.0], [-0.1, 0.1]), SubjectPopulation(), 5,
     ...                      np.random.default_rng(1))
     >>> counts.shape, k.shape
@@ -128,8 +128,8 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> weber, scheme = Hypothesis("Weber", IdentityPercept()), Scheme([1.0], [-0.1, 0.1], 50)
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber, scheme = Hypothesis("Weber", IdentityEncoding()), Scheme([1.0], [-0.1, 0.1], 50)
     >>> low, middle, high = fit(weber, scheme, np.array([[[12.0, 38.0]]])).quantiles[0]
     >>> bool(low < 0.1 < high)
     True

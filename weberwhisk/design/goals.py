@@ -24,7 +24,7 @@ class SubjectPopulation:
     lapse : float
         Share of trials lost on either side; its mean, where `lapses_vary`.
     bias_spread : float
-        Standard deviation of the animals' biases, in sds of the difference between two percepts.
+        Standard deviation of the animals' biases, in sds of the difference between the two signals.
     lapses_vary : bool
         Whether each animal has lapses of its own, from Beta(2, 2/lapse − 2), or all have the same.
     """

@@ -1,6 +1,6 @@
 """A grid over one observer's parameters, and the probabilities of answers at its nodes.
 
-Axes are normal scores of the Weber fraction and of the biases, and the stretched scores of both
+Axes are normal scores of the Weber fraction and of the biases, and the transformed scores of both
 lapses, as in `behaviour.quadrature`. Given the rest, biases of several standards are independent: a
 grid each.
 """
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..behaviour.encodings import UnitEncodings
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.percepts import UnitPercepts
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Grid:
         self._ends = [np.stack([self.slope, lapse]) for lapse in (self.high, self.low)]
         self._least_ends = [np.add(e, [[0.0], [LEAST]]).astype(np.float32) for e in self._ends]
         self.lapse_moments = np.stack([np.ones_like(self.low), self.low, self.slope])
-        self.lapse_ends = [s.coordinate([-FAR, FAR]) for s in model.stretches[-2:]]
+        self.lapse_ends = [s.coordinate([-FAR, FAR]) for s in model.transforms[-2:]]
         lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
         self.prior = (
             np.exp(score_prior(axes.k))[:, None] * step_of(axes.k)
@@ -76,16 +76,16 @@ class Grid:
     def see_candidates(self) -> None:
         """Tabulate the answers to all pairs that may be put, of the next group."""
         g = len(self.up)
-        self.up.append(self._sides(self.model.percepts.of(self.model.group == g), g)[0])
+        self.up.append(self._sides(self.model.encodings.of(self.model.group == g), g)[0])
 
-    def put(self, percepts: UnitPercepts, group: int, counts: list[int]) -> None:
+    def put(self, encodings: UnitEncodings, group: int, counts: list[int]) -> None:
         """Answers to a pair of stimuli, so many of each."""
         if group < len(self.values):
             for answer, times in enumerate(counts):
                 for _ in range(times):
-                    self.multiply(percepts, group, answer)
+                    self.multiply(encodings, group, answer)
             return
-        sides = self._sides(percepts, group)[::-1]
+        sides = self._sides(encodings, group)[::-1]
         for side, ends, times in zip(sides, self._least_ends, counts, strict=True):
             if times:
                 chance = _with_lapses(side.astype(np.float32), ends)
@@ -103,9 +103,9 @@ class Grid:
         self.values.append(np.exp(log, out=log).astype(float))
         self.by_group.append(self._over_bias(len(self.values) - 1))
 
-    def multiply(self, percepts: UnitPercepts, group: int, answer: int) -> None:
+    def multiply(self, encodings: UnitEncodings, group: int, answer: int) -> None:
         """Learn from one answer."""
-        side = self._sides(percepts, group)[1 - answer]
+        side = self._sides(encodings, group)[1 - answer]
         self.values[group] *= _with_lapses(side, self._ends[answer])
         self.by_group[group] = self._over_bias(group)
         top = float(self.by_group[group].max())
@@ -114,10 +114,10 @@ class Grid:
             self.by_group[group] /= top
             self.log[group] += float(np.log(top))
 
-    def _sides(self, percepts: UnitPercepts, group: int) -> tuple[Array, Array]:
+    def _sides(self, encodings: UnitEncodings, group: int) -> tuple[Array, Array]:
         """Chance of the answer and of the other, without lapses, (K, B, C)."""
         task = self.model.task
-        d, weight = np.broadcast_arrays(*task.decide(percepts.felt(self.k)))
+        d, weight = np.broadcast_arrays(*task.decide(encodings.encoded(self.k)))
         return task.chance(d[:, None], weight[:, None] * self.bias[group][:, None])
 
     def _over_bias(self, group: int) -> Array:

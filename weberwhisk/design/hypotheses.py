@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._deprecated import renamed_arguments, renamed_attribute
 from ..behaviour.comparison import ConstantNoise
+from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, unit_encodings
 from ..behaviour.fit import BIASES
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.percepts import CuePercept, Percept, unit_percepts
 from ..behaviour.priors import DEFAULTS, Priors
 from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import Cells
@@ -33,8 +34,8 @@ class Hypothesis:
     Parameters
     ----------
     name : str
-    percept : Percept
-        How a stimulus is felt: any cue, whisker and receptor noise, through `CuePercept`.
+    encoding : Encoding
+        How a stimulus is encoded: any cue, whisker and receptor noise, through `CueEncoding`.
     priors : Priors
         Of the Weber fraction, the lapses, and the bias (PSE) of every standard: those of the fit.
     bias : {"none", "shared", "per standard"}
@@ -46,21 +47,23 @@ class Hypothesis:
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> scheme = Scheme([1.0, 2.0], [-0.2, 0.2])
-    >>> Hypothesis("Weber", IdentityPercept()).model(scheme).names
+    >>> Hypothesis("Weber", IdentityEncoding()).model(scheme).names
     ('weber_fraction', 'lapse_low', 'lapse_high', 'bias[1]', 'bias[2]')
     """
 
     name: str
-    percept: Percept
+    encoding: Encoding
     priors: Priors = DEFAULTS
     bias: str = "per standard"
     noise: str = "weber"
     task: str = "2AFC"
 
+    percept = renamed_attribute("Hypothesis", "percept", "encoding")
+
     def __post_init__(self) -> None:
-        _checks.kind("percept", self.percept, "a percept", "unit_sd", "give IdentityPercept(), say")
+        checked_encoding(self.encoding)
         _checks.kind("priors", self.priors, "Priors", "moments", "give Priors(...), or leave it")
         _checks.one_of("bias", self.bias, BIASES)
         if self.bias != "none" and not task_named(self.task).has_bias:
@@ -91,9 +94,9 @@ class Hypothesis:
         """
         cells = scheme.cells() if isinstance(scheme, Scheme) else scheme
         for what, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
-            refuse_out_of_reach(self.percept, at, what)
-        felt = unit_percepts(
-            self.percept, cells.stimulus_1, cells.stimulus_2, cells.standard, self.noise
+            refuse_out_of_reach(self.encoding, at, what)
+        encoded = unit_encodings(
+            self.encoding, cells.stimulus_1, cells.stimulus_2, cells.standard, self.noise
         )
         label = self.asked.bias_name or "bias"
         names: tuple[str, ...] = (label,) if self.bias == "shared" else ()
@@ -101,7 +104,12 @@ class Hypothesis:
         if self.bias == "per standard":
             levels, group = np.unique(cells.standard, return_inverse=True)
             names = tuple(f"{label}[{s:g}]" for s in levels)
-        return WeberModel(self.asked, felt, cells, self.priors, group, names)
+        return WeberModel(self.asked, encoded, cells, self.priors, group, names)
+
+
+Hypothesis.__init__ = renamed_arguments(percept="encoding")(  # type: ignore[method-assign]
+    Hypothesis.__init__
+)
 
 
 def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
@@ -126,7 +134,7 @@ def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
             f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
         )
     tapered, cylindrical = (
-        Hypothesis(name, CuePercept(Observer(w, Compliance(), Weber(1.0))), **options)
+        Hypothesis(name, CueEncoding(Observer(w, Compliance(), Weber(1.0))), **options)
         for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
     )
     return tapered, cylindrical
@@ -153,54 +161,57 @@ def cues(
     _whisker(whisker)
     return (
         Hypothesis(
-            "compliance", CuePercept(Observer(whisker, Compliance(), Weber(1.0))), **options
+            "compliance", CueEncoding(Observer(whisker, Compliance(), Weber(1.0))), **options
         ),
         Hypothesis(
             "moment–axial-force map",
-            CuePercept(Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle),
+            CueEncoding(Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle),
             **options,
         ),
     )
 
 
-def noises(percept: Percept, standards: ArrayLike, **options: Any) -> tuple[Hypothesis, Hypothesis]:
+@renamed_arguments(percept="encoding")
+def noises(
+    encoding: Encoding, standards: ArrayLike, **options: Any
+) -> tuple[Hypothesis, Hypothesis]:
     """Weber noise against noise that is the same at every stimulus.
 
     Parameters
     ----------
-    percept : Percept
+    encoding : Encoding
     standards : array_like
-        The constant sd is k × the geometric mean of the percept's sds there, so that both models
+        The constant sd is k × the geometric mean of the encoding's sds there, so that both models
         mean the same by k.
     **options
         Of both hypotheses.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> constant = noises(IdentityPercept(), [1.0, 4.0])[1]
-    >>> constant.percept.typical
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> constant = noises(IdentityEncoding(), [1.0, 4.0])[1]
+    >>> constant.encoding.typical
     2.0
     """
-    _checks.kind("percept", percept, "a percept", "unit_sd", "give hypothesis.percept, say")
+    checked_encoding(encoding)
     at = np.atleast_1d(_checks.finite("standards", standards, "give two distances or more"))
-    refuse_out_of_reach(percept, at, "standard")
-    sd = percept.unit_sd(at)
+    refuse_out_of_reach(encoding, at, "standard")
+    sd = encoding.sd_per_weber_fraction(at)
     if sd.size < 2:
         raise ValueError(f"standards must be two or more, got {sd.size}; give some far apart.")
     if np.ptp(sd) <= 1e-9 * sd.max():
         raise ValueError(
-            f"the percept has the same noise, {sd.max():g}, at all {sd.size} standards, so the two "
-            "kinds of noise are one; give standards far apart."
+            f"the encoding has the same noise, {sd.max():g}, at all {sd.size} standards, so the "
+            "two kinds of noise are one; give standards far apart."
         )
     typical = float(np.exp(np.mean(np.log(sd))))
     return (
-        Hypothesis("Weber noise", percept, **options),
-        Hypothesis("constant noise", ConstantNoise(percept, typical), **options),
+        Hypothesis("Weber noise", encoding, **options),
+        Hypothesis("constant noise", ConstantNoise(encoding, typical), **options),
     )
 
 
-def told_apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Hypotheses that can be compared: names and predictions differ, and the task is one.
 
     Raises
@@ -210,7 +221,7 @@ def told_apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """
     given = tuple(_checks.several("hypotheses", hypotheses, "write taper(whisker), say"))
     for h in given:
-        _checks.kind("a hypothesis", h, "a Hypothesis", "percept", "write taper(whisker), say")
+        _checks.kind("a hypothesis", h, "a Hypothesis", "encoding", "write taper(whisker), say")
     names = [h.name for h in given]
     if not given:
         raise ValueError("a design needs a hypothesis, got none; write taper(whisker), say.")
@@ -226,7 +237,9 @@ def told_apart(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
 
 def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypothesis, ...]:
     """The same hypotheses with other priors, by parameter: `lapse_low=scipy.stats.beta(1, 19)`."""
-    return tuple(replace(h, priors=replace(h.priors, **changes)) for h in told_apart(hypotheses))
+    return tuple(
+        replace(h, priors=replace(h.priors, **changes)) for h in check_distinct(hypotheses)
+    )
 
 
 def _whisker(whisker: Whisker) -> None:

@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
 from .. import _checks
+from ..behaviour.encodings import UnitEncodings, unit_encodings
 from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.integrate.windows import bias_at
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
-from ..behaviour.percepts import UnitPercepts, unit_percepts
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .goals import SubjectPopulation
-from .hypotheses import Hypothesis, told_apart
+from .hypotheses import Hypothesis, check_distinct
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
 
 Array = NDArray[np.float64]
@@ -78,13 +78,13 @@ def information(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> weber = Hypothesis("Weber", IdentityPercept())
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber = Hypothesis("Weber", IdentityEncoding())
     >>> table = information([weber], [1.0], [0.0, 0.1, 0.2, 0.4])
     >>> int(table["weber_fraction"].argmax())
     2
     """
-    given = told_apart(hypotheses)
+    given = check_distinct(hypotheses)
     at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
     rows = np.atleast_2d(_checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
     if len(rows) not in (1, at.size):
@@ -93,7 +93,7 @@ def information(
         )
     rows = np.broadcast_to(rows, (at.size, rows.shape[1]))
     for h in given:
-        refuse_out_of_reach(h.percept, at, "standard")
+        refuse_out_of_reach(h.encoding, at, "standard")
     place = float(np.sort(at)[at.size // 2]) if jnd_at is None else float(jnd_at)
     likely = expected or SubjectPopulation()
     truths: Sequence[Hypothesis | None] = given if after is not None else [None]
@@ -135,11 +135,11 @@ class Belief:
         own = next(iter(self.known)) if shared else standard
         bias, mass, low, high = self.known.get(own, self.known[None])
         model = self.hypothesis.asked
-        felt = unit_percepts(
-            self.hypothesis.percept, np.full(comparisons.shape, standard), comparisons,
+        encoded = unit_encodings(
+            self.hypothesis.encoding, np.full(comparisons.shape, standard), comparisons,
             np.full(comparisons.shape, standard), self.hypothesis.noise,
         )  # fmt: skip
-        d, weight = model.decide(felt.felt(self.k))
+        d, weight = model.decide(encoded.encoded(self.k))
         weight = np.broadcast_to(weight, d.shape)
         up, down = model.chance(d[:, None], weight[:, None] * bias[:, None])  # (K, B, J)
         p = low[..., None] * down + (1 - high)[..., None] * up
@@ -160,7 +160,7 @@ def believed(
         model = _silent(hypothesis)
         counts = np.zeros(1)
         ends = [(-REACH, REACH)] + [
-            tuple(stretch.coordinate([-REACH, REACH])) for stretch in model.stretches[-2:]
+            tuple(transform.coordinate([-REACH, REACH])) for transform in model.transforms[-2:]
         ]
         biases = [(-REACH, REACH)]
     else:
@@ -220,23 +220,23 @@ def entropy(p: Array) -> Array:
 def _of_standard(beliefs: list[Belief], standard: float, comparisons: Array, place: float) -> Array:
     """The three informations at the comparisons of a standard, (3, J) bits."""
     out = np.full((3, comparisons.size), np.nan)
-    felt = np.ones(comparisons.size, dtype=bool)
+    encoded = np.ones(comparisons.size, dtype=bool)
     for b in beliefs:
-        low, high = b.hypothesis.percept.domain
+        low, high = b.hypothesis.encoding.domain
         inside = (comparisons > low) & (comparisons < high)
         safe = np.where(inside, comparisons, standard)
-        felt &= inside & np.isfinite(b.hypothesis.percept.unit_sd(safe))
-    if not felt.any():
+        encoded &= inside & np.isfinite(b.hypothesis.encoding.sd_per_weber_fraction(safe))
+    if not encoded.any():
         return out
-    answers = [b.answers(standard, comparisons[felt]) for b in beliefs]
+    answers = [b.answers(standard, comparisons[encoded]) for b in beliefs]
     mean = np.stack([mass @ p for mass, p in answers])  # (M, J)
     about_k = np.mean(
         [entropy(m) - mass @ entropy(p) for m, (mass, p) in zip(mean, answers, strict=True)], axis=0
     )
     about_hypothesis = entropy(mean.mean(axis=0)) - entropy(mean).mean(axis=0)
-    log_jnd = [np.log(b.k * float(difference_sd(b.hypothesis.percept, place))) for b in beliefs]
+    log_jnd = [np.log(b.k * float(difference_sd(b.hypothesis.encoding, place))) for b in beliefs]
     about_jnd = _shared(log_jnd, answers)
-    out[:, felt] = about_k, about_jnd, about_hypothesis
+    out[:, encoded] = about_k, about_jnd, about_hypothesis
     return np.maximum(out, 0.0)
 
 
@@ -286,10 +286,10 @@ def _silent(hypothesis: Hypothesis) -> WeberModel:
     """The model of no trials: its priors alone."""
     one, none = np.ones(1), np.zeros(1)
     names = () if hypothesis.bias == "none" else ("bias",)
-    felt = UnitPercepts(one, one, one, one)
+    encoded = UnitEncodings(one, one, one, one)
     cells = Cells(one, one, one, none, none)
     group = np.zeros(1, dtype=np.intp)
-    return WeberModel(hypothesis.asked, felt, cells, hypothesis.priors, group, names)
+    return WeberModel(hypothesis.asked, encoded, cells, hypothesis.priors, group, names)
 
 
 def _range(model: WeberModel, counts: Array) -> list[tuple[float, float]]:

@@ -18,12 +18,19 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._deprecated import renamed_arguments
+from ..behaviour.encodings import (
+    Encoding,
+    LogAxisEncoding,
+    LogEncoding,
+    checked_encoding,
+    gives_signal,
+)
 from ..behaviour.fit import fit_weber
-from ..behaviour.percepts import LogAxisPercept, LogPercept, Percept
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from .belief import Belief, Pair, entropy
-from .hypotheses import Hypothesis, told_apart
+from .hypotheses import Hypothesis, check_distinct
 from .scheme import Constraints, Scheme, difference_sd, refuse_out_of_reach
 
 Array = NDArray[np.float64]
@@ -41,7 +48,7 @@ class Proposal:
     trial : int
         From 1.
     standard, comparison : float
-        Stimulus 1 and stimulus 2, in the percept's unit.
+        Stimulus 1 and stimulus 2, in the encoding's unit.
     easy : bool
         Put in to keep the animal working.
     information : float
@@ -74,8 +81,8 @@ class TrialLog:
     """The trials so far, as a fit takes them."""
 
     def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme) -> None:
-        self.hypotheses = told_apart(hypotheses)
-        _checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(percept, 20e-3), say")
+        self.hypotheses = check_distinct(hypotheses)
+        _checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(encoding, 20e-3), say")
         self.scheme = scheme
         self._rows: list[tuple[float, float, float, float]] = []
 
@@ -119,8 +126,8 @@ class TrialLog:
                 "count": rows[:, 3],
             }
         )
-        percept = self.hypotheses[0].percept
-        unit = percept.log_unit if isinstance(percept, (LogPercept, LogAxisPercept)) else None
+        encoding = self.hypotheses[0].encoding
+        unit = encoding.log_unit if isinstance(encoding, (LogEncoding, LogAxisEncoding)) else None
         scale = "linear" if unit is None else "log"
         return Trials(frame, self.hypotheses[0].asked, scale, unit, "trials placed")
 
@@ -128,7 +135,7 @@ class TrialLog:
         """The trials fitted under each hypothesis, as any other trials are."""
         trials = self.trials()
         return {
-            h.name: fit_weber(trials, percept=h.percept, bias=h.bias, noise=h.noise,
+            h.name: fit_weber(trials, encoding=h.encoding, bias=h.bias, noise=h.noise,
                               priors=h.priors)
             for h in self.hypotheses
         }  # fmt: skip
@@ -171,9 +178,9 @@ class BayesianPlacer(TrialLog):
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> h = Hypothesis("Weber", IdentityPercept())
-    >>> placer = BayesianPlacer(h, lattice(h.percept, 1.0), seed=1)
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> h = Hypothesis("Weber", IdentityEncoding())
+    >>> placer = BayesianPlacer(h, lattice(h.encoding, 1.0), seed=1)
     >>> trial = placer.next()
     >>> placer.record(trial.standard, trial.comparison, 1)
     >>> low, high = placer.interval()
@@ -318,7 +325,7 @@ class BayesianPlacer(TrialLog):
         Parameters
         ----------
         standard, comparison : float
-            Stimulus 1 and stimulus 2, in the percept's unit.
+            Stimulus 1 and stimulus 2, in the encoding's unit.
         choice : {0, 1, None}
             1 is the answer that the task counts, "second greater" say; None for no answer.
 
@@ -329,7 +336,7 @@ class BayesianPlacer(TrialLog):
         """
         pair = self._pair(standard, comparison)
         for belief in self.beliefs.values():
-            belief.feel(pair)
+            belief.encode(pair)
         answer = self._note(pair, choice)
         self._proposal = None
         if answer is not None:
@@ -357,9 +364,9 @@ def next_trial(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept, simulate_trials
-    >>> h = Hypothesis("Weber", IdentityPercept())
-    >>> next_trial(simulate_trials(trials_per_level=2, seed=1), h, lattice(h.percept, 1.0)).trial
+    >>> from weberwhisk.behaviour import IdentityEncoding, simulate_trials
+    >>> h = Hypothesis("Weber", IdentityEncoding())
+    >>> next_trial(simulate_trials(trials_per_level=2, seed=1), h, lattice(h.encoding, 1.0)).trial
     19
     """
     placer = BayesianPlacer(hypotheses, scheme, **options)
@@ -370,8 +377,9 @@ def next_trial(
     return placer.next()
 
 
+@renamed_arguments(percept="encoding")
 def lattice(
-    percept: Percept,
+    encoding: Encoding,
     standards: ArrayLike,
     constraints: Constraints | None = None,
     *,
@@ -383,9 +391,9 @@ def lattice(
 
     Parameters
     ----------
-    percept : Percept
+    encoding : Encoding
         Says how large an offset is: offsets are multiples of the sd of the difference between two
-        percepts that an animal with k = 1 would have (`difference_sd`).
+        encodings that an animal with k = 1 would have (`difference_sd`).
     standards : array_like
     constraints : Constraints, optional
         What falls outside the range is left out, the rest put on the nearest step.
@@ -401,28 +409,29 @@ def lattice(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> lattice(IdentityPercept(), 1.0, each_side=3, largest=0.5).comparisons
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> lattice(IdentityEncoding(), 1.0, each_side=3, largest=0.5).comparisons
     ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
     """
-    _checks.kind("percept", percept, "a percept", "unit_sd", "give hypothesis.percept, say")
-    low, high = percept.domain
+    checked_encoding(encoding)
+    low, high = encoding.domain
     # A range of distances begins at 0; other stimuli, such as logarithms, need not.
     limits = constraints or Constraints(farthest=high)
     nearest = limits.nearest if constraints else -np.inf
     given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
     at = np.unique(limits.positions(given))
-    refuse_out_of_reach(percept, at, "standard")
+    refuse_out_of_reach(encoding, at, "standard")
     ratios = np.geomspace(smallest, largest, each_side)
     rows = []
     for s in at:
-        steps = ratios * float(difference_sd(percept, s))
+        steps = ratios * float(difference_sd(encoding, s))
         levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
         levels = np.array([float(f"{v:.6g}") for v in levels])
         inside = (levels >= nearest) & (levels <= limits.farthest)
         levels = levels[inside & (levels > low) & (levels < high)]
-        felt = np.isfinite(percept.mean(levels)) & np.isfinite(percept.unit_sd(levels))
-        levels = np.unique(levels[felt & (np.abs(levels - s) > 1e-9 * abs(s))])
+        levels = np.unique(
+            levels[gives_signal(encoding, levels) & (np.abs(levels - s) > 1e-9 * abs(s))]
+        )
         if not (np.any(levels < s) and np.any(levels > s)):
             raise ValueError(
                 f"standard {s:g} is left without comparisons on both sides, between "

@@ -21,7 +21,7 @@ from . import expectation
 from .analysis import AnalysisResult, analyse
 from .exports import own_table
 from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis, told_apart
+from .hypotheses import Hypothesis, check_distinct
 from .scheme import Constraints, Scheme
 from .trial_lists import sessions_needed, trial_lists
 
@@ -70,7 +70,7 @@ class Plan:
     power: pd.DataFrame | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hypotheses", told_apart(self.hypotheses))
+        object.__setattr__(self, "hypotheses", check_distinct(self.hypotheses))
         for name, kind in (
             ("scheme", Scheme), ("goal", Goal), ("animals", SubjectPopulation),
             ("constraints", Constraints), ("title", str),
@@ -97,7 +97,7 @@ class Plan:
             )
         if self.together and self.scheme.animals < 2:
             raise ValueError("One animal cannot be fitted together with others; give two or more.")
-        self.constraints.check(self.scheme, first.percept, self.animals.weber_fraction)
+        self.constraints.check(self.scheme, first.encoding, self.animals.weber_fraction)
         for hypothesis in self.hypotheses:
             hypothesis.model(self.scheme)  # refuses what this one cannot feel
 
@@ -150,7 +150,7 @@ class Plan:
         """Expected JND curves with the predicted interval of one animal, by hypothesis."""
         cells = self.scheme.cells()
         low, high = cells.stimulus_2.min(), cells.stimulus_2.max()
-        edge = self.hypotheses[0].percept.domain[1]
+        edge = self.hypotheses[0].encoding.domain[1]
         return expectation.expected_jnds(
             self.expected_fits, 0.5 * low, high + 0.5 * (min(edge, 2 * high) - high)
         )

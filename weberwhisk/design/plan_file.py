@@ -111,7 +111,7 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
         now = plan.fingerprint  # lays out the lists, which may be impossible
         for hypothesis in plan.hypotheses:
             with np.errstate(all="ignore"):
-                seen = hypothesis.model(plan.scheme).felt(np.ones(1))
+                seen = hypothesis.model(plan.scheme).encoded(np.ones(1))
             if not all(np.isfinite(part).all() for part in seen):
                 raise ValueError(f"{hypothesis.name!r} feels nothing finite of these levels")
     except RecursionError:

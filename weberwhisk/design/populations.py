@@ -145,7 +145,7 @@ def _bias_scales(
     # With likely lapses, and every animal's k its own.
     usual = lapses.flat[:, int(np.argmax(lapses.log_prior))]
     top = values.max(axis=(0, 2, 3), keepdims=True)
-    told = np.log(np.exp(values - top).sum(axis=2) @ usual + LEAST)  # (S, A)
+    log_likelihood = np.log(np.exp(values - top).sum(axis=2) @ usual + LEAST)  # (S, A)
     prior = PRIORS.bias_scale
 
     def log_density(at: Array) -> Array:
@@ -156,7 +156,7 @@ def _bias_scales(
 
     last = float(np.arcsinh(scales.nodes[-1] / scales.unit))
     at = np.linspace(0.0, last, 128)
-    total = scales.onto(scales.unit * np.sinh(at)) @ told.sum(axis=1) + log_density(at)
+    total = scales.onto(scales.unit * np.sinh(at)) @ log_likelihood.sum(axis=1) + log_density(at)
     likely = at[total > total.max() - CUT]
     nodes = np.linspace(
         max(likely[0] - 2 * at[1], 0.0), min(likely[-1] + 2 * at[1], last), BIAS_SCALES
@@ -180,9 +180,9 @@ def _of_one(
     top = values.max(axis=(1, 2), keepdims=True)
     like = np.maximum(np.exp(values - top) @ lapses.flat, LEAST)  # (A, K, J)
     # What lapses there are, whatever k: then the rest for these populations alone.
-    told = np.log(like.sum(axis=1)).sum(axis=0) + lapses.log_prior
-    kept = np.flatnonzero(told > told.max() - CUT)
-    best = int(np.flatnonzero(kept == told.argmax())[0])
+    log_likelihood = np.log(like.sum(axis=1)).sum(axis=0) + lapses.log_prior
+    kept = np.flatnonzero(log_likelihood > log_likelihood.max() - CUT)
+    best = int(np.flatnonzero(kept == log_likelihood.argmax())[0])
     some = like[..., kept].astype(float)
     log_like = np.full((animals, log_k.size, kept.size), -np.inf)
     np.log(some, out=log_like[:, k[0] : k[-1] + 1], where=some > 1e3 * LEAST)
@@ -247,13 +247,13 @@ def _between(model: WeberModel, name: str, axis: Array) -> tuple[Array, Array, A
     """Fine scores (F,), their width, and what each takes of every node, (F, N)."""
     if axis.size == 1:
         return np.zeros(1), np.ones(1), np.ones((1, 1))
-    stretch = model.stretches[model.lead.index(name)]
+    transform = model.transforms[model.lead.index(name)]
     below = with_tail(model, name, axis)
     step = (axis[1] - axis[0]) / FINER_LAPSE
     fine = np.arange(below[0], axis[-1] + 0.5 * step, step)
     # Below the first node, where there is none, the likelihood is that of none.
     share = np.stack([np.interp(fine, axis, one) for one in np.eye(axis.size)], axis=1)
-    return stretch.score(fine), stretch.slope(fine) * step, share
+    return transform.score(fine), transform.slope(fine) * step, share
 
 
 def _fractions(model: WeberModel, x: Array, animals: int) -> _Fractions:

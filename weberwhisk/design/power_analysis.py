@@ -18,7 +18,7 @@ from .. import _checks, campaign
 from .coding import encode
 from .experiments import experiments
 from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis, told_apart
+from .hypotheses import Hypothesis, check_distinct
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
@@ -164,7 +164,7 @@ def power(
     >>> from weberwhisk import Whisker
     >>> from weberwhisk.design import SubjectPopulation, Scheme, taper
     >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3])
+    >>> scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3])
     >>> found = power(scheme, hypotheses, trials=[5, 40], truths=["tapered"], runs=64, seed=1)
     >>> few, many = found.table["power"]
     >>> few < many
@@ -241,7 +241,7 @@ def smallest(
     >>> from weberwhisk import Whisker
     >>> from weberwhisk.design import Scheme, taper
     >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3], trials=20)
+    >>> scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3], trials=20)
     >>> found = smallest(scheme, hypotheses, runs=64, truths=["tapered"], seed=1)
     >>> 5 < found.size < 40
     True
@@ -342,7 +342,7 @@ def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
 
 
 def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:
-    given = told_apart(hypotheses)
+    given = check_distinct(hypotheses)
     if goal is not None:
         _checks.kind("goal", goal, "a Goal", "share", "write Goal(half_width=0.2), say")
     aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))

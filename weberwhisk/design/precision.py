@@ -37,8 +37,8 @@ class Precision:
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> weber = Hypothesis("Weber", IdentityPercept())
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber = Hypothesis("Weber", IdentityEncoding())
     >>> told = Precision(weber, [1.0, 1.0, 1.0], [0.8, 1.0, 1.2], SubjectPopulation())
     >>> middle, sides = (np.median(told.half_widths(at, 50)) for at in ([1], [0, 2]))
     >>> bool(sides < middle)

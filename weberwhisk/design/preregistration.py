@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..behaviour.comparison import ConstantNoise
-from ..behaviour.percepts import CuePercept, Percept
+from ..behaviour.encodings import CueEncoding, Encoding
 from ..cues import Compliance, ForceMap
 from ..cues.protocol import Cue
 from .plan import Plan
@@ -48,13 +48,13 @@ def preregistration(plan: Plan) -> str:
 def assumptions(plan: Plan) -> list[str]:
     """What the expected numbers hang on, a sentence each."""
     animals, first = plan.animals, plan.hypotheses[0]
-    easy = easy_share(plan.scheme, first.percept, animals.weber_fraction)
+    easy = easy_share(plan.scheme, first.encoding, animals.weber_fraction)
     lines = [
         f"Weber fraction of the animals: median {animals.weber_fraction:g}, ln k with an sd of "
         f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
         f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
-        f"{animals.bias_spread:g} between animals, in sds of the difference between two percepts.",
-        f"Distance is felt through {described(first.percept)}.",
+        f"{animals.bias_spread:g} between animals, in sds of the difference of the two signals.",
+        f"Distance is encoded through {described(first.encoding)}.",
         "Noise is independent from trial to trial, k is the same in all sessions, and the two "
         "stimuli are felt alike.",
         f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
@@ -62,20 +62,20 @@ def assumptions(plan: Plan) -> list[str]:
     return lines
 
 
-def described(percept: Percept) -> str:
-    """What a percept is, in words."""
-    if isinstance(percept, ConstantNoise):
-        return f"{described(percept.base)}, with the same noise at every distance"
-    if not isinstance(percept, CuePercept):
-        return f"{type(percept).__name__}"
-    whisker, cue = percept.observer.whisker, percept.observer.cue
+def described(encoding: Encoding) -> str:
+    """What an encoding is, in words."""
+    if isinstance(encoding, ConstantNoise):
+        return f"{described(encoding.base)}, with the same noise at every distance"
+    if not isinstance(encoding, CueEncoding):
+        return f"{type(encoding).__name__}"
+    whisker, cue = encoding.observer.whisker, encoding.observer.cue
     shape = "cylindrical" if whisker.radius_ratio == 1 else "tapered"
     radii = f"{whisker.base_radius / UM:.3g}"
     if shape == "tapered":
         radii += f" to {whisker.tip_radius / UM:.3g}"
     return (
         f"a {shape} whisker ({whisker.length / MM:.3g} mm long, radius {radii} µm) by its "
-        f"{_cue_in_words(cue, percept.deflection_angle)}"
+        f"{_cue_in_words(cue, encoding.deflection_angle)}"
     )
 
 
@@ -106,7 +106,7 @@ def offsets_in_words(offsets: Sequence[float]) -> str:
 def _question(plan: Plan) -> str:
     names = [h.name for h in plan.hypotheses]
     each = "; ".join(
-        f"({i}) {h.name}: distance is felt through {described(h.percept)}"
+        f"({i}) {h.name}: distance is encoded through {described(h.encoding)}"
         for i, h in enumerate(plan.hypotheses, 1)
     )
     asked = (

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from .. import _checks
-from ..behaviour.percepts import CuePercept, Percept
+from .._deprecated import renamed_arguments
+from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, gives_signal
 from ..behaviour.trials import Cells
 from ..mechanics import flick_past
 
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 #: Trials of one experiment at most: what is listed must fit the memory.
 MOST_TRIALS = 10_000_000
-#: Levels of a default design, in sds of the expected difference between the two percepts.
+#: Levels of a default design, in sds of the expected difference between the two signals.
 LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)
 
 
@@ -31,7 +32,7 @@ class Scheme:
     Parameters
     ----------
     standards : sequence of float, length S
-        Stimulus 1: radial distances in m (or whatever unit the percept has).
+        Stimulus 1: radial distances in m (or whatever unit the encoding has).
     offsets : sequence of float, or of S sequences
         Comparison − standard, signed, in the same unit; one row for all standards or one each.
     trials : int, or sequences of int like `offsets`
@@ -100,9 +101,10 @@ class Scheme:
             )
 
     @classmethod
+    @renamed_arguments(percept="encoding")
     def spaced(
         cls,
-        percept: Percept,
+        encoding: Encoding,
         standards: ArrayLike,
         *,
         weber_fraction: float = 0.1,
@@ -115,13 +117,13 @@ class Scheme:
 
         Parameters
         ----------
-        percept : Percept
+        encoding : Encoding
             How a stimulus is expected to be felt.
         standards : array_like, shape (S,)
         weber_fraction : float
             Of the expected animal.
         levels : array_like
-            In sds of the difference between two percepts: at ±1 the animal is right in 84 %.
+            In sds of the difference between the two signals: at ±1 the animal is right in 84 %.
         trials, animals
             As for `Scheme`.
         step : float
@@ -130,31 +132,32 @@ class Scheme:
         Examples
         --------
         >>> from weberwhisk import Observer, Whisker, cues
-        >>> from weberwhisk.behaviour import CuePercept
-        >>> percept = CuePercept(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance()))
-        >>> scheme = Scheme.spaced(percept, [30e-3], levels=[-1, 1], step=0.5e-3)
+        >>> from weberwhisk.behaviour import CueEncoding
+        >>> encoding = CueEncoding(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance()))
+        >>> scheme = Scheme.spaced(encoding, [30e-3], levels=[-1, 1], step=0.5e-3)
         >>> scheme.offsets
         ((-0.002, 0.002),)
         """
-        _checks.kind("percept", percept, "a percept", "unit_sd", "give hypothesis.percept, say")
+        checked_encoding(encoding)
         at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
         if not at.size:
             raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
         _checks.non_negative("step", _checks.number("step", step, "write 0"), "write 0, or 1e-5")
         _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
         at = np.unique(_snapped(at, step))
-        refuse_out_of_reach(percept, at, "standard")
-        sd = weber_fraction * difference_sd(percept, at)
+        refuse_out_of_reach(encoding, at, "standard")
+        sd = weber_fraction * difference_sd(encoding, at)
         z = np.ravel(_checks.finite("levels", levels, "write for example [-2, -1, 1, 2]"))
         rows = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
         rows = [np.unique([float(f"{o:.12g}") for o in row]) for row in rows]
         for s, row in zip(at, rows, strict=True):
             if row.size < np.size(z):
-                one = weber_fraction * float(difference_sd(percept, s))
+                one = weber_fraction * float(difference_sd(encoding, s))
                 raise ValueError(
-                    f"steps of {in_words(percept, step)} are too coarse at standard "
-                    f"{in_words(percept, s)}: {np.size(z)} levels fall on {row.size}, as one sd is "
-                    f"{in_words(percept, one)}; take finer steps, fewer levels or another standard."
+                    f"steps of {in_words(encoding, step)} are too coarse at standard "
+                    f"{in_words(encoding, s)}: {np.size(z)} levels fall on {row.size}, as one "
+                    f"sd is {in_words(encoding, one)}; take finer steps, fewer levels or another "
+                    "standard."
                 )
         return cls(at, rows, trials, animals)
 
@@ -269,13 +272,14 @@ class Constraints:
         """Distances moved to the nearest position that the pole has."""
         return _snapped(distance, self.step)
 
-    def check(self, scheme: Scheme, percept: Percept, weber_fraction: float = 0.1) -> None:
+    @renamed_arguments(percept="encoding")
+    def check(self, scheme: Scheme, encoding: Encoding, weber_fraction: float = 0.1) -> None:
         """Refuse a scheme that breaks a constraint.
 
         Parameters
         ----------
         scheme : Scheme
-        percept : Percept
+        encoding : Encoding
             How the animal is expected to feel a stimulus; says what can be felt, and what is easy.
         weber_fraction : float
             Of the expected animal.
@@ -288,7 +292,7 @@ class Constraints:
         cells = scheme.cells()
 
         def said(value: float) -> str:
-            return in_words(percept, value)
+            return in_words(encoding, value)
 
         ends = f"{said(self.nearest)} to {said(self.farthest)}"
         for name, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
@@ -310,8 +314,8 @@ class Constraints:
                     f"{name} {said(at[worst])} lies between two steps of {said(self.step)}, off by "
                     f"{said(off[worst])}; write {said(float(self.positions(at[worst])))}."
                 )
-            refuse_out_of_reach(percept, at, name)
-        share = easy_share(scheme, percept, weber_fraction, self.easy_proportion)
+            refuse_out_of_reach(encoding, at, name)
+        share = easy_share(scheme, encoding, weber_fraction, self.easy_proportion)
         if share < self.easy_share:
             raise ValueError(
                 f"{100 * share:.3g} % of the trials are easy (right in "
@@ -320,48 +324,51 @@ class Constraints:
             )
 
 
+@renamed_arguments(percept="encoding")
 def easy_share(
-    scheme: Scheme, percept: Percept, weber_fraction: float, proportion: float = 0.95
+    scheme: Scheme, encoding: Encoding, weber_fraction: float, proportion: float = 0.95
 ) -> float:
     """Share of trials that an animal of this Weber fraction gets right that often, lapses aside.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> easy_share(Scheme([1.0], [-0.5, -0.1, 0.1, 0.5]), IdentityPercept(), 0.1)
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> easy_share(Scheme([1.0], [-0.5, -0.1, 0.1, 0.5]), IdentityEncoding(), 0.1)
     0.5
     """
     cells = scheme.cells()
-    score = np.abs(decision_variable(percept, cells.standard, cells.stimulus_2)) / weber_fraction
+    score = np.abs(decision_variable(encoding, cells.standard, cells.stimulus_2)) / weber_fraction
     return float(cells.n[score >= ndtri(proportion)].sum() / cells.n.sum())
 
 
-def decision_variable(percept: Percept, standard: ArrayLike, comparison: ArrayLike) -> Array:
-    """Difference between the two percepts in its own sds, for a Weber fraction of 1."""
+@renamed_arguments(percept="encoding")
+def decision_variable(encoding: Encoding, standard: ArrayLike, comparison: ArrayLike) -> Array:
+    """Difference between the two encodings in its own sds, for a Weber fraction of 1."""
     s, c = np.asarray(standard, dtype=float), np.asarray(comparison, dtype=float)
-    gap = percept.direction * (percept.mean(c) - percept.mean(s))
-    return gap / np.hypot(percept.unit_sd(s), percept.unit_sd(c))
+    gap = encoding.direction * (encoding.mean(c) - encoding.mean(s))
+    return gap / np.hypot(encoding.sd_per_weber_fraction(s), encoding.sd_per_weber_fraction(c))
 
 
-def difference_sd(percept: Percept, standard: ArrayLike) -> Array:
-    """Offset that moves the difference between two percepts by one of its sds, for k = 1.
+@renamed_arguments(percept="encoding")
+def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
+    """Offset that moves the difference between the two signals by one of its sds, for k = 1.
 
     √2 σ(s)/|μ′(s)|, the small-offset limit: for a tapered whisker's compliance √2 r (1 − r/A).
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> difference_sd(IdentityPercept(), [1.0, 2.0]).round(6)
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> difference_sd(IdentityEncoding(), [1.0, 2.0]).round(6)
     array([1.414214, 2.828427])
     """
     s = np.asarray(standard, dtype=float)
-    low, high = percept.domain
+    low, high = encoding.domain
     h = 1e-5 * np.minimum(np.where(s != 0, np.abs(s), 1.0), np.minimum(s - low, high - s))
-    slope = (percept.mean(s + h) - percept.mean(s - h)) / (2 * h)
-    return np.asarray(np.sqrt(2.0) * percept.unit_sd(s) / np.abs(slope))
+    slope = (encoding.mean(s + h) - encoding.mean(s - h)) / (2 * h)
+    return np.asarray(np.sqrt(2.0) * encoding.sd_per_weber_fraction(s) / np.abs(slope))
 
 
-def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stimulus") -> None:
+def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
     """Refuse what the whisker cannot feel: past its tip, past its base, or flicked past.
 
     Raises
@@ -372,10 +379,10 @@ def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stim
     at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
     if not at.size:
         raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
-    low, high = percept.domain
+    low, high = encoding.domain
 
     def said(value: float) -> str:
-        return in_words(percept, value)
+        return in_words(encoding, value)
 
     if at.max() >= high:
         raise ValueError(
@@ -387,15 +394,15 @@ def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stim
             f"{name} {said(at.min())} is off the whisker, by {said(low - at.min())} before its "
             f"base at {said(low)}; stay well inside."
         )
-    felt = np.isfinite(percept.mean(at)) & np.isfinite(percept.unit_sd(at))
-    if felt.all():
+    encoded = gives_signal(encoding, at)
+    if encoded.all():
         return
-    worst = float(at[~felt].max())
-    why = percept.outcome(worst) if isinstance(percept, CuePercept) else "it gives no signal"
-    if not isinstance(percept, CuePercept) or percept.deflection_angle is None:
+    worst = float(at[~encoded].max())
+    why = encoding.outcome(worst) if isinstance(encoding, CueEncoding) else "it gives no signal"
+    if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
         raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
-    whisker, unit = percept.observer.whisker, percept.unit
-    angle = np.degrees(percept.deflection_angle)
+    whisker, unit = encoding.observer.whisker, encoding.unit
+    angle = np.degrees(encoding.deflection_angle)
     limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
     if limit >= angle:
         raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
@@ -408,18 +415,18 @@ def refuse_out_of_reach(percept: Percept, stimulus: ArrayLike, name: str = "stim
     )
 
 
-def in_words(percept: Percept, length: float) -> str:
+def in_words(encoding: Encoding, length: float) -> str:
     """A stimulus with its unit: millimetres where it is a distance along a whisker.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
-    >>> in_words(IdentityPercept(), 0.06)
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> in_words(IdentityEncoding(), 0.06)
     '0.06'
     """
-    if not isinstance(percept, CuePercept):
+    if not isinstance(encoding, CueEncoding):
         return f"{length:.4g}"
-    return f"{1e3 * percept.unit * length:.4g} mm"
+    return f"{1e3 * encoding.unit * length:.4g} mm"
 
 
 def _snapped(distance: ArrayLike, step: float) -> Array:

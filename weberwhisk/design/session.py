@@ -40,11 +40,11 @@ class Session:
     Examples
     --------
     >>> import tempfile
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> from weberwhisk.design import BayesianPlacer, Hypothesis, lattice
-    >>> file, h = tempfile.mkdtemp() + "/rat1.jsonl", Hypothesis("Weber", IdentityPercept())
+    >>> file, h = tempfile.mkdtemp() + "/rat1.jsonl", Hypothesis("Weber", IdentityEncoding())
     >>> def fresh():
-    ...     return BayesianPlacer(h, lattice(h.percept, 1.0), seed=1)
+    ...     return BayesianPlacer(h, lattice(h.encoding, 1.0), seed=1)
     >>> with Session(fresh(), file) as session:
     ...     for choice in (1, 0, None, 1):
     ...         trial = session.next()
@@ -140,9 +140,9 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> from weberwhisk.design import Hypothesis, Scheme, Staircase
-    >>> staircase = Staircase(Hypothesis("Weber", IdentityPercept()),
+    >>> staircase = Staircase(Hypothesis("Weber", IdentityEncoding()),
     ...                       Scheme([20.0], [[-4.0, -2.0, 2.0, 4.0]]), most=2, seed=1)
     >>> answers = ["1", "2", '{"choice": 0, "comparison_mm": 23.9}']
     >>> with Session(staircase, None) as session:

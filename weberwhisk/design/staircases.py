@@ -52,9 +52,9 @@ class Staircase(TrialLog):
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> scheme = Scheme([1.0], [[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]])
-    >>> staircase = Staircase(Hypothesis("Weber", IdentityPercept()), scheme, seed=1)
+    >>> staircase = Staircase(Hypothesis("Weber", IdentityEncoding()), scheme, seed=1)
     >>> offsets = []
     >>> for _ in range(6):
     ...     trial = staircase.next()
@@ -153,8 +153,8 @@ class Staircase(TrialLog):
 
     def _difficulty(self, pair: Sequence[float]) -> float:
         """|d| of a trial for a Weber fraction of 1."""
-        percept = self.hypotheses[0].percept
-        return float(np.abs(decision_variable(percept, [pair[0]], [pair[1]]))[0])
+        encoding = self.hypotheses[0].encoding
+        return float(np.abs(decision_variable(encoding, [pair[0]], [pair[1]]))[0])
 
     @property
     def weber_fraction(self) -> float:

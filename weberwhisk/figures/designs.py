@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from ..design import Plan, TrialLog
     from ..design.power_analysis import Power
-    from ..design.rehearsal import Rehearsal
+    from ..design.simulated_study import SimulatedStudy
 
 #: What the columns of `information_map` are about.
 ABOUT = {"weber_fraction": "k", "jnd": "the JND", "hypothesis": "the hypothesis"}
@@ -53,9 +53,9 @@ def information_map(
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> from weberwhisk.design import Hypothesis, information as bits
-    >>> table = bits([Hypothesis("Weber", IdentityPercept())], [1e-3, 2e-3], [-1e-4, 0.0, 1e-4])
+    >>> table = bits([Hypothesis("Weber", IdentityEncoding())], [1e-3, 2e-3], [-1e-4, 0.0, 1e-4])
     >>> information_map(table).get_xlabel()
     'Standard (mm)'
     """
@@ -88,7 +88,7 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
     >>> from weberwhisk import Whisker, power
     >>> from weberwhisk.design import Scheme, taper
     >>> hypotheses = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> scheme = Scheme.spaced(hypotheses[0].percept, [15e-3, 45e-3])
+    >>> scheme = Scheme.spaced(hypotheses[0].encoding, [15e-3, 45e-3])
     >>> found = power(scheme, hypotheses, trials=[5, 10], truths=["tapered"], runs=16, seed=1)
     >>> power_curve(found).get_ylabel()
     'Power'
@@ -249,7 +249,7 @@ def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
 
 
 @styled
-def rehearsed(result: Rehearsal, ax: Axes | None = None) -> Axes:
+def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
     """What came out of every rehearsed experiment, truth by truth.
 
     With hypotheses to compare: the Bayes factor for the truth, cumulated over the runs, and the
@@ -258,10 +258,10 @@ def rehearsed(result: Rehearsal, ax: Axes | None = None) -> Axes:
     Examples
     --------
     >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Plan, Scheme, rehearse, taper
+    >>> from weberwhisk.design import Goal, Plan, Scheme, simulate_study, taper
     >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, -1e-3, 1e-3, 2e-3])
     >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
-    >>> rehearsed(rehearse(plan, 2, seed=1)).get_ylabel()
+    >>> rehearsed(simulate_study(plan, 2, seed=1)).get_ylabel()
     'Share of experiments'
     """
     ax = axes_or_new(ax)

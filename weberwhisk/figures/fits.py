@@ -135,7 +135,7 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
     if x.size:
         reach = [min(x.min(), standard - origin), max(x.max(), standard - origin)]
         margin = 0.08 * (reach[1] - reach[0]) or 0.1 * abs(standard) or 0.1
-        lowest, highest = fit.percept.domain
+        lowest, highest = fit.encoding.domain
         edges = np.clip(
             [reach[0] - margin + origin, reach[1] + margin + origin],
             lowest + 1e-6 * margin if np.isfinite(lowest) else lowest,

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..percepts import Percept, Signals, UnitPercepts
+from ..encodings import Encoding, Signals, UnitEncodings
 from ..trials import Trials
 
 Array = NDArray[np.float64]
@@ -30,16 +30,16 @@ class Effect(Protocol):
     def neutral(self) -> float:
         """The value at which there is no effect."""
 
-    def bound(self, percepts: UnitPercepts, n: Array) -> Effect:
+    def bound(self, encodings: UnitEncodings, n: Array) -> Effect:
         """The effect with its scale taken from the stimuli of the table, `n` trials of each."""
 
-    def column(self, trials: Trials, percept: Percept) -> Array | None:
+    def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         """What the effect goes with, a number a row; None where the stimuli are all of it.
 
         Zero stands for a trial like any other, where a curve is drawn or a threshold is told.
         """
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         """The signals with the effect, (..., C), for a parameter (..., 1)."""
 
 
@@ -48,10 +48,10 @@ class Plain:
 
     neutral: float = 0.0
 
-    def bound(self, percepts: UnitPercepts, n: Array) -> Any:
+    def bound(self, encodings: UnitEncodings, n: Array) -> Any:
         return self
 
-    def column(self, trials: Trials, percept: Percept) -> Array | None:
+    def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         return None
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ... import _checks
-from ..percepts import Percept, Signals, UnitPercepts
+from ..encodings import Encoding, Signals, UnitEncodings
 from ..trials import Trials
 from .effect import NORMAL, Plain, needs_order, needs_rows, session_block
 
@@ -28,9 +28,9 @@ class Drift(Plain):
     Examples
     --------
     >>> from weberwhisk import simulate_trials
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> trials = simulate_trials(sessions=3, trials_per_level=1, seed=1)
-    >>> Drift().column(trials, IdentityPercept())
+    >>> Drift().column(trials, IdentityEncoding())
     array([-0.5, -0.5, -0.5,  0. ,  0. ,  0. ,  0.5,  0.5,  0.5])
     """
 
@@ -38,14 +38,14 @@ class Drift(Plain):
     name: str = "drift"
     of_log: bool = False
 
-    def column(self, trials: Trials, percept: Percept) -> Array:
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
         sessions, place = sessions_of(trials, "Drift")
         course = np.log1p(np.arange(len(sessions))) if self.of_log else np.arange(len(sessions))
         return (course / course[-1] - 0.5)[place]
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         factor = np.exp(value * column)
-        return felt._replace(sd_1=felt.sd_1 * factor, sd_2=felt.sd_2 * factor)
+        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +57,9 @@ class Step(Plain):
     Examples
     --------
     >>> from weberwhisk import simulate_trials
-    >>> from weberwhisk.behaviour import IdentityPercept
+    >>> from weberwhisk.behaviour import IdentityEncoding
     >>> trials = simulate_trials(sessions=3, trials_per_level=1, seed=1)
-    >>> Step(at=2).name, Step(at=2).column(trials, IdentityPercept())
+    >>> Step(at=2).name, Step(at=2).column(trials, IdentityEncoding())
     ('step[2]', array([0., 0., 0., 1., 1., 1., 1., 1., 1.]))
     """
 
@@ -70,14 +70,14 @@ class Step(Plain):
     def name(self) -> str:
         return f"step[{self.at}]"
 
-    def column(self, trials: Trials, percept: Percept) -> Array:
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
         sessions, place = sessions_of(trials, "Step")
         _checks.one_of("the session of a Step", str(self.at), map(str, sessions))
         return (place >= [str(s) for s in sessions].index(str(self.at))).astype(float)
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         factor = np.exp(value * column)
-        return felt._replace(sd_1=felt.sd_1 * factor, sd_2=felt.sd_2 * factor)
+        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
 
 
 def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
@@ -112,14 +112,16 @@ class Floor(Plain):
     prior: Any = None
     name: str = "floor"
 
-    def bound(self, percepts: UnitPercepts, n: Array) -> Floor:
-        typical = _typical(percepts, "A floor")
+    def bound(self, encodings: UnitEncodings, n: Array) -> Floor:
+        typical = _typical(encodings, "A floor")
         if self.prior is not None:
             return self
         return replace(self, prior=stats.lognorm(np.log(4.0), scale=0.03 * typical))
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
-        return felt._replace(sd_1=np.hypot(felt.sd_1, value), sd_2=np.hypot(felt.sd_2, value))
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(
+            sd_1=np.hypot(signals.sd_1, value), sd_2=np.hypot(signals.sd_2, value)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,18 +137,20 @@ class NearMiss(Plain):
     neutral: float = 1.0
     typical: float = 1.0
 
-    def bound(self, percepts: UnitPercepts, n: Array) -> NearMiss:
-        return replace(self, typical=_typical(percepts, "A near-miss exponent"))
+    def bound(self, encodings: UnitEncodings, n: Array) -> NearMiss:
+        return replace(self, typical=_typical(encodings, "A near-miss exponent"))
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
-        one, two = ((np.abs(m) / self.typical) ** (value - 1) for m in (felt.mean_1, felt.mean_2))
-        return felt._replace(sd_1=felt.sd_1 * one, sd_2=felt.sd_2 * two)
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        one, two = (
+            (np.abs(m) / self.typical) ** (value - 1) for m in (signals.mean_1, signals.mean_2)
+        )
+        return signals._replace(sd_1=signals.sd_1 * one, sd_2=signals.sd_2 * two)
 
 
-def _typical(percepts: UnitPercepts, what: str) -> float:
+def _typical(encodings: UnitEncodings, what: str) -> float:
     """Geometric mean of the signals; refused where all are equally noisy."""
-    sds = np.concatenate([percepts.sd_1, percepts.sd_2])
-    means = np.abs(np.concatenate([percepts.mean_1, percepts.mean_2]))
+    sds = np.concatenate([encodings.sd_1, encodings.sd_2])
+    means = np.abs(np.concatenate([encodings.mean_1, encodings.mean_2]))
     if not sds.size:
         return 1.0
     if np.ptp(sds) <= 1e-9 * sds.max() or np.any(means == 0):
@@ -168,11 +172,11 @@ class FirstIntervalNoise(Plain):
     prior: Any = NORMAL[0.4]
     name: str = "memory"
 
-    def column(self, trials: Trials, percept: Percept) -> None:
+    def column(self, trials: Trials, encoding: Encoding) -> None:
         needs_order(trials, "FirstIntervalNoise")
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
-        return felt._replace(sd_1=felt.sd_1 * np.exp(value))
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(sd_1=signals.sd_1 * np.exp(value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +191,11 @@ class Overdispersion(Plain):
     prior: Any = _RHO
     name: str = "overdispersion"
 
-    def column(self, trials: Trials, percept: Percept) -> Array | None:
+    def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         return None if not trials.sessions else sessions_of(trials, "")[1].astype(float)
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
-        return felt
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,18 +212,18 @@ class Contraction(Plain):
     name: str = "contraction"
     centre: float = 0.0
 
-    def bound(self, percepts: UnitPercepts, n: Array) -> Contraction:
+    def bound(self, encodings: UnitEncodings, n: Array) -> Contraction:
         total = float(n.sum())
-        mean = (percepts.mean_1 + percepts.mean_2) @ n / (2 * total) if total else 0.0
+        mean = (encodings.mean_1 + encodings.mean_2) @ n / (2 * total) if total else 0.0
         return replace(self, centre=float(mean))
 
-    def column(self, trials: Trials, percept: Percept) -> Array | None:
+    def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         needs_order(trials, "Contraction")
         return None
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         usual = self.centre + column
-        return felt._replace(mean_1=felt.mean_1 + value * (usual - felt.mean_1))
+        return signals._replace(mean_1=signals.mean_1 + value * (usual - signals.mean_1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +238,11 @@ class PastContraction(Contraction):
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityPercept, read_trials
+    >>> from weberwhisk.behaviour import IdentityEncoding, read_trials
     >>> import pandas as pd
     >>> table = pd.DataFrame({"stimulus_1": [1.0, 2.0, 4.0], "stimulus_2": [3.0, 2.0, 6.0],
     ...                       "choice": [1, 0, 1]})
-    >>> PastContraction().column(read_trials(table), IdentityPercept()).round(1) + 3  # their mean
+    >>> PastContraction().column(read_trials(table), IdentityEncoding()).round(1) + 3  # their mean
     array([1., 2., 2.])
     """
 
@@ -249,12 +253,12 @@ class PastContraction(Contraction):
         if self.half_life is not None:
             _checks.positive("half_life", self.half_life, "give trials, such as 20")
 
-    def column(self, trials: Trials, percept: Percept) -> Array:
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, "PastContraction")
         needs_rows(trials, "PastContraction")
         frame = trials.frame
         first, second = (
-            percept.direction * percept.mean(frame[c].to_numpy(float))
+            encoding.direction * encoding.mean(frame[c].to_numpy(float))
             for c in ("stimulus_1", "stimulus_2")
         )
         middle = (first + second) / 2
@@ -271,7 +275,7 @@ class PastContraction(Contraction):
 
 @dataclass(frozen=True, eq=False)
 class ComparisonBias(Plain):
-    """A push towards the comparison, whichever interval it came in; sds of the difference.
+    """A shift towards the comparison, whichever interval it came in; sds of the difference.
 
     Where the standard takes turns between the intervals this is told apart from the order effect,
     which is the `bias`.
@@ -280,20 +284,20 @@ class ComparisonBias(Plain):
     prior: Any = NORMAL[1.0]
     name: str = "comparison_bias"
 
-    def column(self, trials: Trials, percept: Percept) -> Array:
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, "ComparisonBias")
         s1, s2, standard = (
             trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "standard")
         )
         return np.sign(np.abs(s2 - standard) - np.abs(s1 - standard))
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
-        return felt._replace(push=felt.push + value * column)
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(shift=signals.shift + value * column)
 
 
 @dataclass(frozen=True, eq=False)
 class History(Plain):
-    """A push towards the answer given on the trial before; sds of the difference.
+    """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a
     missing answer, has none.
@@ -302,7 +306,7 @@ class History(Plain):
     prior: Any = NORMAL[0.5]
     name: str = "history"
 
-    def column(self, trials: Trials, percept: Percept) -> Array:
+    def column(self, trials: Trials, encoding: Encoding) -> Array:
         needs_order(trials, "History")
         needs_rows(trials, "History")
         frame = trials.frame
@@ -311,5 +315,5 @@ class History(Plain):
         answer[np.diff(session_block(frame), prepend=-1) != 0] = 0.0
         return answer
 
-    def apply(self, felt: Signals, value: Array, column: Array | float) -> Signals:
-        return felt._replace(push=felt.push + value * column)
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(shift=signals.shift + value * column)

@@ -321,7 +321,7 @@ def with_tail(model: WeberModel, name: str, axis: Array) -> Array:
     """The nodes of a lapse carried on below the first, where that is none at all."""
     if axis.size == 1 or axis[0] > no_lapse(model, name) + 1e-9:
         return axis
-    stretch = model.stretches[model.lead.index(name)]
+    transform = model.transforms[model.lead.index(name)]
     step = axis[1] - axis[0]
-    below = max(int((axis[0] - float(stretch.coordinate(FAR_LAPSE[0] - 1.0))) / step), 0)
+    below = max(int((axis[0] - float(transform.coordinate(FAR_LAPSE[0] - 1.0))) / step), 0)
     return axis[0] + step * np.arange(-below, axis.size)

@@ -104,9 +104,9 @@ def even(low: float, high: float, step: float) -> Array:
 def everything(model: WeberModel, count: int) -> Windows:
     """Windows that hold whatever there may be."""
     lapses = [
-        (no_lapse(model, name), float(stretch.coordinate(FAR_LAPSE[1]))) if free else (0.0, 0.0)
-        for name, stretch, free in zip(
-            model.lead[-2:], model.stretches[-2:], model.free[-2:], strict=True
+        (no_lapse(model, name), float(transform.coordinate(FAR_LAPSE[1]))) if free else (0.0, 0.0)
+        for name, transform, free in zip(
+            model.lead[-2:], model.transforms[-2:], model.free[-2:], strict=True
         )
     ]
     bias = (-FAR, FAR) if model.free_bias else (0.0, 0.0)
@@ -198,10 +198,10 @@ def _ends(
 
 def no_lapse(model: WeberModel, name: str, lost: float = 0.01) -> float:
     """Coordinate under which a lapse loses no trial, but so much of one."""
-    stretch = model.stretches[model.lead.index(name)]
+    transform = model.transforms[model.lead.index(name)]
     z = np.linspace(FAR_LAPSE[0], 3.0, 151)
     all_lost = model.value(name, z) * max(float(model.cells.n.sum()), 1.0)
-    return float(stretch.coordinate(z[max(int(np.searchsorted(all_lost, lost)) - 1, 0)]))
+    return float(transform.coordinate(z[max(int(np.searchsorted(all_lost, lost)) - 1, 0)]))
 
 
 def least_sds(model: WeberModel) -> Array:
@@ -226,8 +226,8 @@ def least_sds(model: WeberModel) -> Array:
                 moved[0] = inside
             d, weight = outer_signals(model, moved)
             sides.append(model.task.chance(d, weight * biases)[0])
-        told = information_of(model.cells.n, sides, 2 * h).sum(axis=-1)
-        out[e] = 1 / np.sqrt(told.max(initial=0.0) + 1)
+        informed = information_of(model.cells.n, sides, 2 * h).sum(axis=-1)
+        out[e] = 1 / np.sqrt(informed.max(initial=0.0) + 1)
     return out
 
 
@@ -236,7 +236,7 @@ def outer_signals(model: WeberModel, axes: list[Array] | tuple[Array, ...]) -> t
     values = [model.value(name, a) for name, a in zip(model.lead[:-2], axes, strict=True)]
     k, *effects = (a.ravel() for a in np.meshgrid(*values, indexing="ij"))
     moved = np.stack(effects, axis=-1) if effects else None
-    d, weight = np.broadcast_arrays(*model.task.decide(model.felt(k, moved)))
+    d, weight = np.broadcast_arrays(*model.task.decide(model.encoded(k, moved)))
     return d, weight
 
 
@@ -254,8 +254,8 @@ def least_bias_sds(model: WeberModel, d: Array, weight: Array, span: Array) -> A
         return np.ones((len(d), model.n_groups))
     h, at = 1e-3, span[:, None, None]
     sides = [model.task.chance(d, weight * bias_at(model, at + s))[0] for s in (h, -h)]
-    told = information_of(model.cells.n, sides, 2 * h) @ model.membership  # (B, M, G)
-    return np.asarray(1 / np.sqrt(told.max(axis=0) + 1))
+    informed = information_of(model.cells.n, sides, 2 * h) @ model.membership  # (B, M, G)
+    return np.asarray(1 / np.sqrt(informed.max(axis=0) + 1))
 
 
 def information_of(n: Array, sides: list[Array], between: float) -> Array:

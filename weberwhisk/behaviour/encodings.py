@@ -1,11 +1,12 @@
 """What a stimulus feels like: the mean of its signal, and its noise per unit Weber fraction.
 
-A percept is the only thing a fit knows about a stimulus. Anything with the four members of
-`Percept` will do; the whisker enters through `CuePercept` alone.
+An encoding is the only thing a fit knows about a stimulus. Anything with the four members of
+`Encoding` will do; the whisker enters through `CueEncoding` alone.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -13,14 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .cue_percept import CuePercept
+from .._deprecated import renamed_attribute
+from .cue_encoding import CueEncoding
 
 Array = NDArray[np.float64]
 
 NOISES = ("weber", "equal-variance")
 
 
-class Percept(Protocol):
+class Encoding(Protocol):
     """A stimulus as it is felt: what every observer model asks of it."""
 
     @property
@@ -34,40 +36,41 @@ class Percept(Protocol):
     def mean(self, stimulus: ArrayLike) -> Array:
         """Mean signal at each stimulus."""
 
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         """Noise sd of the signal at each stimulus, for a Weber fraction of 1."""
 
 
 @runtime_checkable
-class FlooredPercept(Percept, Protocol):
-    """A percept with noise that stays where the signal vanishes."""
+class FlooredEncoding(Encoding, Protocol):
+    """An encoding with noise that stays where the signal vanishes."""
 
     def floor_sd(self, stimulus: ArrayLike) -> Array:
         """The part of the noise sd that does not go with the Weber fraction."""
 
 
 @dataclass(frozen=True)
-class IdentityPercept:
+class IdentityEncoding:
     """The magnitude itself, with sd = k × magnitude (Weber noise); any unit, all above zero.
 
     Examples
     --------
-    >>> IdentityPercept().unit_sd([1.0, 2.0])
+    >>> IdentityEncoding().sd_per_weber_fraction([1.0, 2.0])
     array([1., 2.])
     """
 
     direction: int = 1
     domain: tuple[float, float] = (0.0, np.inf)
+    unit_sd = renamed_attribute("IdentityEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def mean(self, stimulus: ArrayLike) -> Array:
         return np.asarray(stimulus, dtype=float)
 
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return np.asarray(stimulus, dtype=float)
 
 
 @dataclass(frozen=True)
-class LogPercept:
+class LogEncoding:
     """A stimulus given by its logarithm: magnitude = exp(log_unit × column), sd = k × magnitude.
 
     An additive constant in the column cancels, as only ratios matter under Weber's law.
@@ -80,13 +83,14 @@ class LogPercept:
 
     Examples
     --------
-    >>> LogPercept().mean([0.0, 0.0])
+    >>> LogEncoding().mean([0.0, 0.0])
     array([1., 1.])
     """
 
     log_unit: float = 1.0
     direction: int = 1
     domain: tuple[float, float] = (-np.inf, np.inf)
+    unit_sd = renamed_attribute("LogEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def __post_init__(self) -> None:
         _checks.positive("log_unit", self.log_unit, "give natural-log units per unit of the column")
@@ -94,26 +98,27 @@ class LogPercept:
     def mean(self, stimulus: ArrayLike) -> Array:
         return np.exp(self.log_unit * np.asarray(stimulus, dtype=float))
 
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return self.mean(stimulus)
 
 
 @dataclass(frozen=True)
-class LogAxisPercept:
+class LogAxisEncoding:
     """The logarithm itself, with one sd everywhere: the textbook equal-variance form.
 
     With `log_unit = 1` the Weber fraction is counted *per unit of the column*: the choice left when
-    that unit is unknown, and the limit of `LogPercept` for steps small against a natural-log unit.
+    that unit is unknown, and the limit of `LogEncoding` for steps small against a natural-log unit.
 
     Examples
     --------
-    >>> LogAxisPercept().unit_sd([-1.0, 1.0])
+    >>> LogAxisEncoding().sd_per_weber_fraction([-1.0, 1.0])
     array([1., 1.])
     """
 
     log_unit: float = 1.0
     direction: int = 1
     domain: tuple[float, float] = (-np.inf, np.inf)
+    unit_sd = renamed_attribute("LogAxisEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def __post_init__(self) -> None:
         _checks.positive("log_unit", self.log_unit, "give natural-log units per unit of the column")
@@ -121,24 +126,43 @@ class LogAxisPercept:
     def mean(self, stimulus: ArrayLike) -> Array:
         return self.log_unit * np.asarray(stimulus, dtype=float)
 
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return np.ones_like(np.asarray(stimulus, dtype=float))
 
 
-def chosen_percept(percept: Percept | None, observer: Any) -> Percept | None:
-    """The percept given, directly or as an observer; None where there is neither."""
-    if percept is not None and observer is not None:
-        raise ValueError("percept and observer were both given; give one of them.")
+def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None:
+    """The encoding given, directly or as an observer; None where there is neither."""
+    if encoding is not None and observer is not None:
+        raise ValueError("encoding and observer were both given; give one of them.")
     if observer is not None:
-        return CuePercept(observer)
-    if percept is not None:
-        _checks.kind("percept", percept, "a Percept", "unit_sd", "write IdentityPercept(), say")
-    return percept
+        return CueEncoding(observer)
+    if encoding is not None:
+        checked_encoding(encoding)
+    return encoding
 
 
-def refuse_outside(percept: Percept, stimulus: ArrayLike) -> None:
+def checked_encoding(encoding: Any) -> None:
+    """Refuse what is no `Encoding`; one written before 0.2 gets its method's new name."""
+    old = getattr(type(encoding), "unit_sd", None)
+    if callable(old):
+        warnings.warn(
+            "unit_sd of an encoding is now sd_per_weber_fraction; the old name goes in 0.3.",
+            DeprecationWarning, stacklevel=3,
+        )  # fmt: skip
+        type(encoding).sd_per_weber_fraction = old
+    hint = "write IdentityEncoding(), say"
+    _checks.kind("encoding", encoding, "an Encoding", "sd_per_weber_fraction", hint)
+
+
+def gives_signal(encoding: Encoding, stimulus: ArrayLike) -> NDArray[np.bool_]:
+    """Whether each stimulus has a signal, and noise."""
+    sd = encoding.sd_per_weber_fraction(stimulus)
+    return np.asarray(np.isfinite(encoding.mean(stimulus)) & np.isfinite(sd))
+
+
+def refuse_outside(encoding: Encoding, stimulus: ArrayLike) -> None:
     """Refuse stimuli that no observer can feel, such as negative magnitudes."""
-    stimuli, (low, high) = np.ravel(np.asarray(stimulus, dtype=float)), percept.domain
+    stimuli, (low, high) = np.ravel(np.asarray(stimulus, dtype=float)), encoding.domain
     outside = ~((stimuli > low) & (stimuli < high))
     if outside.any():
         raise ValueError(
@@ -147,7 +171,7 @@ def refuse_outside(percept: Percept, stimulus: ArrayLike) -> None:
         )
 
 
-def refuse_unfelt(percept: Percept, stimulus: ArrayLike) -> None:
+def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
     """Refuse stimuli that give no signal.
 
     Raises
@@ -156,19 +180,19 @@ def refuse_unfelt(percept: Percept, stimulus: ArrayLike) -> None:
         Naming the first such stimulus, how many there are, and why.
     """
     levels = np.unique(np.asarray(stimulus, dtype=float))
-    felt = np.isfinite(percept.mean(levels)) & np.isfinite(percept.unit_sd(levels))
-    if felt.all():
+    encoded = gives_signal(encoding, levels)
+    if encoded.all():
         return
-    first = float(levels[~felt][0])
-    why = f" ({percept.outcome(first)})" if isinstance(percept, CuePercept) else ""
+    first = float(levels[~encoded][0])
+    why = f" ({encoding.outcome(first)})" if isinstance(encoding, CueEncoding) else ""
     raise ValueError(
-        f"{int((~felt).sum())} of {levels.size} stimuli give no signal, the first being "
+        f"{int((~encoded).sum())} of {levels.size} stimuli give no signal, the first being "
         f"{first:g}{why}; leave those trials out, or change the whisker or the cue."
     )
 
 
-class UnitPercepts(NamedTuple):
-    """The two percepts of each cell, a greater stimulus giving a greater mean; arrays (C,).
+class UnitEncodings(NamedTuple):
+    """The two encoded stimuli of each cell, a greater stimulus giving a greater mean; arrays (C,).
 
     The sds are for a Weber fraction of 1; floors do not go with it, and add in variance.
     """
@@ -180,7 +204,7 @@ class UnitPercepts(NamedTuple):
     floor_1: ArrayLike = 0.0
     floor_2: ArrayLike = 0.0
 
-    def felt(self, weber_fraction: ArrayLike) -> Signals:
+    def encoded(self, weber_fraction: ArrayLike) -> Signals:
         """Both signals with the noise of an observer, (..., C) for a Weber fraction (...)."""
         k = np.asarray(weber_fraction, dtype=float)[..., None]
         sd_1, sd_2 = k * self.sd_1, k * self.sd_2
@@ -193,37 +217,37 @@ class UnitPercepts(NamedTuple):
         """Whether any noise is left at a Weber fraction of nothing."""
         return bool(np.any(self.floor_1) or np.any(self.floor_2))
 
-    def of(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> UnitPercepts:
+    def of(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> UnitEncodings:
         """Some of the cells."""
-        return UnitPercepts(*(np.broadcast_to(a, self.mean_1.shape)[which] for a in self))
+        return UnitEncodings(*(np.broadcast_to(a, self.mean_1.shape)[which] for a in self))
 
 
 class Signals(NamedTuple):
-    """The two noisy signals of each cell: means and sds, and a push towards "second greater".
+    """The two noisy signals of each cell: means and sds, and a shift towards "second greater".
 
-    `push` adds to the decision variable, in its sds. Arrays that broadcast to (..., C).
+    `shift` adds to the decision variable, in its sds. Arrays that broadcast to (..., C).
     """
 
     mean_1: Array
     sd_1: Array
     mean_2: Array
     sd_2: Array
-    push: Array | float = 0.0
+    shift: Array | float = 0.0
 
 
-def unit_percepts(
-    percept: Percept,
+def unit_encodings(
+    encoding: Encoding,
     stimulus_1: ArrayLike,
     stimulus_2: ArrayLike,
     standard: ArrayLike,
     noise: str = "weber",
-) -> UnitPercepts:
-    """Both percepts of every cell.
+) -> UnitEncodings:
+    """Both encoded stimuli of every cell.
 
     Parameters
     ----------
-    percept : Percept
-        How a stimulus is felt.
+    encoding : Encoding
+        How a stimulus is encoded.
     stimulus_1, stimulus_2, standard : array_like, shape (C,)
         In the stimulus's own unit.
     noise : {"weber", "equal-variance"}
@@ -232,36 +256,36 @@ def unit_percepts(
 
     Examples
     --------
-    >>> unit_percepts(IdentityPercept(), [1.0], [1.1], [1.0], "equal-variance").sd_2
+    >>> unit_encodings(IdentityEncoding(), [1.0], [1.1], [1.0], "equal-variance").sd_2
     array([1.])
     """
     _checks.one_of("noise", noise, NOISES)
     s1, s2, s0 = np.broadcast_arrays(
         *(np.asarray(s, float) for s in (stimulus_1, stimulus_2, standard))
     )
-    sign = percept.direction
+    sign = encoding.direction
     if noise == "weber":
-        sd_1, sd_2 = percept.unit_sd(s1), percept.unit_sd(s2)
+        sd_1, sd_2 = encoding.sd_per_weber_fraction(s1), encoding.sd_per_weber_fraction(s2)
     else:
-        sd_1 = sd_2 = percept.unit_sd(s0)
-    means = sign * percept.mean(s1), sign * percept.mean(s2)
-    if not isinstance(percept, FlooredPercept):
-        return UnitPercepts(means[0], sd_1, means[1], sd_2)
-    floors = [percept.floor_sd(s) for s in ((s1, s2) if noise == "weber" else (s0, s0))]
-    return UnitPercepts(means[0], sd_1, means[1], sd_2, *floors)
+        sd_1 = sd_2 = encoding.sd_per_weber_fraction(s0)
+    means = sign * encoding.mean(s1), sign * encoding.mean(s2)
+    if not isinstance(encoding, FlooredEncoding):
+        return UnitEncodings(means[0], sd_1, means[1], sd_2)
+    floors = [encoding.floor_sd(s) for s in ((s1, s2) if noise == "weber" else (s0, s0))]
+    return UnitEncodings(means[0], sd_1, means[1], sd_2, *floors)
 
 
-def percept_for(scale: str, log_unit: float | None, noise: str) -> Percept:
-    """The percept a table of magnitudes calls for, when no whisker stands between.
+def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:
+    """The encoding a table of magnitudes calls for, when no whisker stands between.
 
     Examples
     --------
-    >>> percept_for("log", 1.0, "weber")
-    LogPercept(log_unit=1.0, direction=1, domain=(-inf, inf))
+    >>> encoding_for("log", 1.0, "weber")
+    LogEncoding(log_unit=1.0, direction=1, domain=(-inf, inf))
     """
     _checks.one_of("noise", noise, NOISES)
     if scale == "linear":
-        return IdentityPercept()
+        return IdentityEncoding()
     if log_unit is None or noise == "equal-variance":
-        return LogAxisPercept(1.0 if log_unit is None else log_unit)
-    return LogPercept(log_unit)
+        return LogAxisEncoding(1.0 if log_unit is None else log_unit)
+    return LogEncoding(log_unit)

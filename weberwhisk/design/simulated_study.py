@@ -27,8 +27,8 @@ NEITHER = "undecided"
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """Outcomes of a rehearsed experiment.
+class SimulatedStudy:
+    """Outcomes of an experiment that was simulated.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def wilson(share: float, n: int) -> tuple[float, float]:
     return float(max(middle - reach, 0.0)), float(min(middle + reach, 1.0))
 
 
-def rehearse(
+def simulate_study(
     plan: Plan,
     runs: int = 100,
     *,
@@ -140,7 +140,7 @@ def rehearse(
     scheduler: str | None = None,
     out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Rehearsal:
+) -> SimulatedStudy:
     """Simulate a planned experiment, fit it as the real data will be fitted, and judge it.
 
     Parameters
@@ -156,7 +156,7 @@ def rehearse(
 
     Returns
     -------
-    Rehearsal
+    SimulatedStudy
 
     Raises
     ------
@@ -168,9 +168,9 @@ def rehearse(
     >>> from weberwhisk import Whisker
     >>> from weberwhisk.design import Goal, Scheme, taper
     >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> scheme = Scheme.spaced(tapered.percept, [15e-3, 45e-3], levels=[-2, -1, 1, 2], trials=25)
+    >>> scheme = Scheme.spaced(tapered.encoding, [15e-3, 45e-3], levels=[-2, -1, 1, 2], trials=25)
     >>> plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
-    >>> rehearse(plan, 2, seed=1).table["truth"].tolist()
+    >>> simulate_study(plan, 2, seed=1).table["truth"].tolist()
     ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
     _checks.whole("runs", runs, "write 100")
@@ -182,19 +182,19 @@ def rehearse(
     ]
     table = campaign.run(
         one_experiment, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out,
-        title="Rehearsal", progress=progress,
+        title="Simulated study", progress=progress,
     )  # fmt: skip
-    return Rehearsal(plan, table)
+    return SimulatedStudy(plan, table)
 
 
 def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
-    """One experiment, from animals to conclusion: a row of `Rehearsal.table`."""
+    """One experiment, from animals to conclusion: a row of `SimulatedStudy.table`."""
     plan = _plan(chunk["plan"])
     truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
     of_animals, of_answers = seed.spawn(2)
     animals = plan.animals.draw(plan.scheme.animals, of_animals)
     answers = simulate_responses(
-        plan.trials, animals, percept=truth.percept, noise=truth.noise, task=truth.task,
+        plan.trials, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task,
         seed=of_answers,
     )  # fmt: skip
     found = plan.analyse(answers)

@@ -1,4 +1,4 @@
-"""The whisker as a percept: a radial distance felt through a cue, with its receptors' noise."""
+"""The whisker as an encoding: a radial distance felt through a cue, with its receptors' noise."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._deprecated import renamed_attribute
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -18,13 +19,13 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class CuePercept:
+class CueEncoding:
     """A radial distance felt through a whisker and a cue, with any receptor noise.
 
     One signal (the compliance cue): the two noisy signals are the decision variables, exactly; of
     log-normal noise their logarithms, and of receptors that level off their responses. Several
     signals (the moment–axial-force map): noise is carried to the distance to first order, so the
-    percept is the distance, with the propagated JND as its sd.
+    encoding is the distance, with the propagated JND as its sd.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ class CuePercept:
         noise it is σ, the sd of the logarithm). Whatever noise does not go with a Weber fraction
         is taken as known: a floor, that of an angle, what a prior leaves open of a further
         unknown; exactly where the noise of as many signals as unknowns is uncorrelated. A signal
-        above a hard ceiling gives no percept.
+        above a hard ceiling gives no encoding.
     deflection_angle : float, optional
         rad; of every contact, where the cue does not know it. Any further unknown has its prior's
         median.
@@ -51,13 +52,14 @@ class CuePercept:
     --------
     >>> from weberwhisk import Observer, Whisker, cues
     >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
-    >>> CuePercept(observer, unit=1e-3).direction
+    >>> CueEncoding(observer, unit=1e-3).direction
     -1
     """
 
     observer: Observer
     deflection_angle: float | None = None
     unit: float = 1.0
+    unit_sd = renamed_attribute("CueEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def __post_init__(self) -> None:
         hint = "write Observer(whisker, cues.Compliance()), say"
@@ -85,9 +87,9 @@ class CuePercept:
     def direction(self) -> int:
         if not self._one_signal:
             return 1
-        felt = self.mean(np.linspace(0.02, 0.98, 49) * self.domain[1])
-        felt = felt[np.isfinite(felt)]
-        return 1 if felt.size > 1 and felt[-1] > felt[0] else -1
+        encoded = self.mean(np.linspace(0.02, 0.98, 49) * self.domain[1])
+        encoded = encoded[np.isfinite(encoded)]
+        return 1 if encoded.size > 1 and encoded[-1] > encoded[0] else -1
 
     @property
     def _one_signal(self) -> bool:
@@ -125,16 +127,16 @@ class CuePercept:
     def _fractions(self) -> Array:
         return self.observer.noise.weber_fractions(len(self.observer.cue.signal_names))
 
-    def unit_sd(self, stimulus: ArrayLike) -> Array:
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         noise, k = self.observer.noise, self._fractions
-        felt = self.mean(stimulus)
+        encoded = self.mean(stimulus)
         if not k.any():
-            return np.where(np.isfinite(felt), 0.0, np.nan)
+            return np.where(np.isfinite(encoded), 0.0, np.nan)
         first = float(k[k > 0][0])
         if self._one_signal:
             signals, _ = self._signals(stimulus)
             if noise.gaussian_on == "log":
-                return np.where(np.isfinite(felt), 1.0, np.nan)
+                return np.where(np.isfinite(encoded), 1.0, np.nan)
             return np.asarray(_varied(noise, k.size, 1.0, floor=False).sd(signals)[..., 0] / first)
         own = self.observer.bounded == len(self.observer.unknowns)
         if k.all() and own:
@@ -153,14 +155,14 @@ class CuePercept:
         return np.where(np.isfinite(jnd), jnd, np.nan)
 
     def floor_sd(self, stimulus: ArrayLike) -> Array:
-        """Sd of the noise that does not go with the Weber fraction, carried to the percept."""
+        """Sd of the noise that does not go with the Weber fraction, carried to the encoding."""
         noise, k = self.observer.noise, self._fractions
         if self._one_signal:
             return np.full(np.shape(stimulus), float(noise.floors(1)[0]))
         whole = self._jnd(stimulus, noise)
         if not k.any():
             return whole
-        weber = float(k[k > 0][0]) * self.unit_sd(stimulus)
+        weber = float(k[k > 0][0]) * self.sd_per_weber_fraction(stimulus)
         floor = np.sqrt(np.maximum(whole**2 - weber**2, 0.0))
         return np.where(floor > 1e-7 * whole, floor, 0.0)
 
