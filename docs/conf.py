@@ -1,0 +1,217 @@
+"""Sphinx configuration: ``sphinx-build -W -n docs docs/_build/html`` makes the site.
+
+The pages of the reference are written here from the package itself, so that no public name can be
+left out: a page a module from its ``__all__``, and one for the command line from its help.
+"""
+
+import os
+import re
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from sphinx.util.nodes import make_refnode
+from typer.testing import CliRunner
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(ROOT))
+os.environ["PYTHONPATH"] = str(ROOT)  # the notebooks' kernels import this tree too
+
+import weberwhisk  # noqa: E402
+
+project = "weberwhisk"
+author = "the weberwhisk authors"
+version = release = weberwhisk.__version__
+html_title = "weberwhisk"
+language = "en_GB"
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "myst_nb",
+    "sphinx_design",
+    "sphinx_copybutton",
+]
+root_doc = "index"
+exclude_patterns = ["_build", "_generated/included"]
+templates_path = ["_templates"]
+nitpicky = True
+default_role = "obj"
+
+# Pages that run. A cell that raises is an error of the build.
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_merge_streams = True
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+html_theme = "pydata_sphinx_theme"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_prev_next": True,
+    "header_links_before_dropdown": 8,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "secondary_sidebar_items": ["page-toc"],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
+copyright = "the weberwhisk authors, BSD-3-Clause"
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+autosummary_generate = True
+autosummary_ignore_module_all = False
+autodoc_typehints = "none"  # the docstrings say types, with shapes and units
+numpydoc_show_class_members = False
+numpydoc_attributes_as_param_list = True
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore: Any = "all"  # but for what has a page, below
+
+# -- the reference ---------------------------------------------------------------------------------
+
+#: Modules whose public names are the reference, in the order of the argument.
+MODULES = {
+    "weberwhisk": "What `import weberwhisk as ww` gives",
+    "weberwhisk.mechanics": "Bending, flick-past, sweeps, muscle and vibration",
+    "weberwhisk.cues": "The paper's methods",
+    "weberwhisk.receptors": "Receptor noise",
+    "weberwhisk.posterior": "Posteriors",
+    "weberwhisk.sweeping": "Contacts followed along a sweep",
+    "weberwhisk.behaviour": "Trials, tasks and fits",
+    "weberwhisk.behaviour.effects": "What else moves choices",
+    "weberwhisk.design": "Plans, power and placement",
+    "weberwhisk.campaign": "Long sweeps on cores and clusters",
+    "weberwhisk.figures": "Figures of results",
+}
+
+
+def public_names() -> dict[str, list[str]]:
+    """Names that each module's page documents; each object once, where it is first met."""
+    seen: set[int] = set()
+    pages: dict[str, list[str]] = {}
+    for module_name in MODULES:
+        module = import_module(module_name)
+        names = getattr(module, "__all__", None) or sorted(
+            name
+            for name, value in vars(module).items()
+            if not name.startswith("_") and getattr(value, "__module__", None) == module_name
+        )
+        pages[module_name] = []
+        for name in names:
+            value = getattr(module, name)
+            is_alias = hasattr(value, "__origin__") or hasattr(value, "__args__")
+            if isinstance(value, type(sys)) or is_alias or (callable(value) and id(value) in seen):
+                continue
+            seen.add(id(value))
+            pages[module_name].append(name)
+    return pages
+
+
+def write_reference() -> dict[str, str]:
+    """Write the pages; returns where each object's name is documented, by short and full name."""
+    folder = HERE / "_generated" / "api"
+    folder.mkdir(parents=True, exist_ok=True)
+    places: dict[str, str] = {}
+    lines = ["API", "===", "", "Every public name, from its docstring.", "", ".. toctree::", ""]
+    for module_name, names in public_names().items():
+        title = f"{module_name}: {MODULES[module_name].lower()}".replace("`", "")
+        if module_name == "weberwhisk":
+            title = "weberwhisk: the names to start with"
+        page = [title, "=" * len(title), "", f".. automodule:: {module_name}", ""]
+        page += [f".. currentmodule:: {module_name}", ""]
+        page += [".. autosummary::", "   :toctree: objects", "   :nosignatures:", ""]
+        page += [f"   {name}" for name in names]
+        _write(folder / f"{module_name}.rst", "\n".join(page) + "\n")
+        lines.append(f"   {module_name}")
+        for name in names:
+            value = getattr(import_module(module_name), name)
+            full = f"{module_name}.{name}"
+            places[full] = places.setdefault(name, full)
+            places[full] = full
+            if home := getattr(value, "__module__", None):
+                places.setdefault(f"{home}.{name}", full)
+    _write(folder / "index.rst", "\n".join(lines) + "\n")
+    return places
+
+
+def _write(path: Path, text: str) -> None:
+    """Write where it differs, so that a second build does not make pages again."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+def write_command_line() -> None:
+    """The page of the command line: what ``typer utils docs`` says of it."""
+    from typer.cli import app
+
+    result = CliRunner().invoke(
+        app, ["weberwhisk.cli", "utils", "docs", "--name", "weberwhisk", "--title", "Command line"]
+    )
+    if result.exit_code:
+        raise RuntimeError(f"typer utils docs failed: {result.output}")
+    _write(HERE / "_generated" / "cli.md", result.output)
+
+
+PLACES = write_reference()
+write_command_line()
+numpydoc_xref_aliases = {name: full for name, full in PLACES.items() if "." not in name}
+
+
+def resolve(app: Any, env: Any, node: Any, contnode: Any) -> Any:
+    """Links to names by where they are defined or imported; other code in backticks is code."""
+    target = node["reftarget"].removeprefix("ww.").lstrip(".~")
+    if target.startswith(("python:", "numpy")):  # no page of others' is linked: built off line
+        return contnode
+    if node.get("refdomain") != "py":
+        return None
+    head, _, member = target.rpartition(".")
+    for name, tail in ((target, ""), (head, f".{member}")):
+        for candidate in (name, f"weberwhisk.{name}", f"{node.get('py:module')}.{name}"):
+            full = PLACES.get(candidate)
+            if full is None:
+                continue
+            found = env.domains["py"].objects.get(full + tail)
+            if found is not None:
+                return make_refnode(
+                    app.builder, node["refdoc"], found.docname, found.node_id, contnode, full
+                )
+    if node.get("reftype") == "obj" and (not target.startswith("weberwhisk.") or exists(target)):
+        return nodes.literal(contnode.astext(), contnode.astext())
+    return None
+
+
+def exists(name: str) -> bool:
+    """Whether there is such a module or name, if without a page: else the docstring is stale."""
+    for module_name, _, attribute in ((name, "", ""), name.rpartition(".")):
+        try:
+            module = import_module(module_name)
+        except ImportError:
+            continue
+        return not attribute or hasattr(module, attribute)
+    return False
+
+
+def escape_bars(_app: Any, _what: str, _name: str, _value: Any, _options: Any, lines: Any) -> None:
+    """Absolute values, |x|, are no substitutions."""
+    for i, line in enumerate(lines):
+        if not line.lstrip().startswith((">>>", "...")):
+            parts = re.split(r"(`+[^`]*`+)", line)
+            lines[i] = "".join(p if p.startswith("`") else p.replace("|", r"\|") for p in parts)
+
+
+def setup(app: Any) -> None:
+    """Connect what is above."""
+    app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("missing-reference", resolve)
