@@ -98,7 +98,7 @@ class SignedChoice(_Compared):
     --------
     >>> from weberwhisk.behaviour.encodings import IdentityEncoding, unit_encodings
     >>> cell = unit_encodings(IdentityEncoding(), [1.0], [1.1], [1.0])
-    >>> SignedChoice().decide(cell.felt(0.1))[0].round(4)
+    >>> SignedChoice().decide(cell.encoded(0.1))[0].round(4)
     array([0.6727])
     """
 
@@ -173,7 +173,7 @@ class YesNo(_Compared):
     --------
     >>> from weberwhisk.behaviour.encodings import IdentityEncoding, unit_encodings
     >>> cell = unit_encodings(IdentityEncoding(), [1.0], [1.0674], [1.0], "equal-variance")
-    >>> d, weight = YesNo().decide(cell.felt(0.1))
+    >>> d, weight = YesNo().decide(cell.encoded(0.1))
     >>> YesNo().chance(d, weight * 0.0)[0].round(3)
     array([0.75])
     """
