@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -256,8 +256,54 @@ def test_entry_point(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     assert cli.main() == 2
 
 
+def every_command() -> dict[str, Any]:
+    group: Any = typer.main.get_command(cli.app)
+    context = group.make_context("weberwhisk", ["--version"], resilient_parsing=True)
+    return {name: group.get_command(context, name) for name in cli.COMMANDS}
+
+
+def test_the_list_of_commands_says_what_their_own_help_does() -> None:
+    for name, command in every_command().items():
+        assert cli.COMMANDS[name][1] == command.help.splitlines()[0], name
+        assert command.name == name
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], []])
+def test_nothing_heavy_is_imported_before_a_command_is_used(arguments: list[str]) -> None:
+    heavy = "numpy scipy pandas matplotlib arviz emcee rich h5py distributed weberwhisk.commands"
+    code = (
+        "import sys; from weberwhisk.cli import app, run_app;"
+        f"status = run_app(app, {arguments!r});"
+        f"print([m for m in {heavy.split()!r} if m in sys.modules], status)"
+    )
+    out, err = start(code).communicate()
+    assert (out.splitlines()[-1], err) == ("[] 0", "")
+
+
+def test_completion_lists_commands_without_importing_them() -> None:
+    code = (
+        "import sys; from weberwhisk.cli import main\n"
+        "try: main()\n"
+        "finally: print([m for m in ('numpy', 'weberwhisk.commands') if m in sys.modules])"
+    )
+    asked = {"COMP_WORDS": "weberwhisk re", "COMP_CWORD": "1", "_TYPER_COMPLETE_ARGS": ""}
+    asked |= {"_WEBERWHISK_COMPLETE": "complete_bash"}
+    out, err = start(code, environment=asked).communicate()
+    assert (out.split(), err) == (["rehearse", "[]"], "")
+
+
+def test_help_groups_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(cli.app, ["jnd", "--help"]) == 0
+    printed = capsys.readouterr().out
+    for group, option in (
+        ("Whisker:", "--tip-radius-um"), ("Cue and receptors:", "--cue"), ("Results:", "--json")
+    ):  # fmt: skip
+        section = printed[printed.index(group) :].split("\n\n")[0]
+        assert option in section
+
+
 def test_every_command_has_the_common_options() -> None:
-    commands = typer.main.get_command(cli.app).commands  # type: ignore[attr-defined]
+    commands = every_command()
     assert "bend" in commands
     # What is charted is the same on every machine, and `next` speaks JSON anyway.
     without = {"chart": {"--seed"}, "next": {"--json"}}
@@ -345,19 +391,36 @@ def test_progress_is_for_a_terminal_only(
     assert capsys.readouterr() == ("", "")
 
 
+def test_long_work_without_a_terminal_tells_its_progress_in_lines(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with progress("Posteriors", 4, as_json=False, every=0.0) as advance:
+        for _ in range(4):
+            advance()
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" after")[0] for line in lines] == [
+        f"Posteriors: {share} %" for share in (25, 50, 75, 100)
+    ]
+
+
 # As a process
 
 
 COMMAND = "import sys; from weberwhisk.cli import main; sys.exit(main())"
 
 
-def start(code: str, *arguments: str, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
+def start(
+    code: str,
+    *arguments: str,
+    stdout: int = subprocess.PIPE,
+    environment: dict[str, str] | None = None,
+) -> subprocess.Popen[str]:
     root = str(Path(__file__).parent.parent)
     # As a user's shell starts it: output is buffered when it goes into a pipe.
     usual = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     return subprocess.Popen(
         [sys.executable, "-W", "error", "-c", code, *arguments],
-        env={**usual, "PYTHONPATH": root, "PYTHONIOENCODING": "utf-8"},
+        env={**usual, "PYTHONPATH": root, "PYTHONIOENCODING": "utf-8", **(environment or {})},
         stdin=subprocess.DEVNULL,
         stdout=stdout,
         stderr=subprocess.PIPE,

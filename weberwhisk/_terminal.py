@@ -13,26 +13,86 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
+from typer.core import TyperCommand, TyperGroup
 
 from . import __version__
-from .campaign import CampaignError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+#: Refusals are one sentence, not a box, and a traceback is the whole traceback.
+PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
 
 
-def new_app() -> typer.Typer:
+class GroupedCommand(TyperCommand):
+    """A command whose help lists its options by group (`rich_help_panel`), as plain text."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                own = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                group = getattr(parameter, "rich_help_panel", None) or own
+                groups.setdefault(group, []).append(record)
+        for group, records in groups.items():
+            with formatter.section(group):
+                formatter.write_dl(records)
+
+
+def lazy_app(package: str, commands: Mapping[str, tuple[str, str]]) -> typer.Typer:
+    """A command line whose commands are imported when they are used.
+
+    Parameters
+    ----------
+    package : str
+        The package with a module for each command.
+    commands : mapping of name to function and line of help
+        The module has the command's name.
+    """
+
+    class Lazy(TyperGroup):
+        listing = False
+
+        def __init__(self, **attributes: Any) -> None:
+            super().__init__(**attributes)
+            for name, (_, line) in commands.items():
+                self.add_command(TyperCommand(name, callback=None, short_help=line))
+
+        def get_command(self, ctx: Any, cmd_name: str) -> Any:
+            if self.listing or cmd_name not in commands:
+                return super().get_command(ctx, cmd_name)
+            function, _ = commands[cmd_name]
+            alone = typer.Typer(add_completion=False, **PLAIN)
+            module = import_module(f"{package}.{cmd_name}")
+            alone.command(cmd_name, cls=GroupedCommand)(getattr(module, function))
+            return typer.main.get_command(alone)
+
+        def format_commands(self, ctx: Any, formatter: Any) -> None:
+            with formatter.section("Commands"):
+                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+
+        def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+            self.listing = True
+            try:
+                return super().shell_complete(ctx, incomplete)
+            finally:
+                self.listing = False
+
+    return new_app(Lazy)
+
+
+def new_app(group: type[TyperGroup] | None = None) -> typer.Typer:
     """An empty command line with this module's conventions."""
-    app = typer.Typer(
-        # Refusals are one sentence, not a box, and a traceback is the whole traceback.
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
-        add_completion=False,
-    )
+    app = typer.Typer(cls=group, add_completion=group is not None, **PLAIN)
 
     @app.callback(invoke_without_command=True)
     def weberwhisk(
@@ -68,9 +128,11 @@ def run_app(app: typer.Typer, arguments: Sequence[str]) -> int:
         if not raised_by_weberwhisk(error):
             raise
         return _refuse(str(error))
-    except CampaignError as error:
-        if getattr(error, "__notes__", None):  # the work's own traceback
-            raise
+    except RuntimeError as error:
+        from .campaign import CampaignError
+
+        if not isinstance(error, CampaignError) or getattr(error, "__notes__", None):
+            raise  # a bug, or the work's own traceback
         print("weberwhisk:", error, file=sys.stderr)
         return 1
     except BrokenPipeError:
@@ -116,20 +178,31 @@ def _termination_unwinds() -> Iterator[None]:
 
 
 @contextmanager
-def progress(description: str, total: float, *, as_json: bool) -> Iterator[Callable[..., None]]:
-    """A progress bar on standard error, where somebody is there to see it.
+def progress(
+    description: str, total: float, *, as_json: bool, every: float = 15.0
+) -> Iterator[Callable[..., None]]:
+    """A progress bar on standard error, or without a terminal a line each so many seconds.
 
     Yields a function that takes how much more of `total` has been done, 1 by default.
     """
     from rich.console import Console
     from rich.progress import Progress
 
-    quiet = as_json or not sys.stderr.isatty()
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+    terminal = sys.stderr.isatty()
+    with Progress(
+        console=Console(stderr=True), transient=True, disable=as_json or not terminal
+    ) as bar:
         task = bar.add_task(description, total=total)
+        began = told = time.monotonic()
 
         def advance(done: float = 1.0) -> None:
+            nonlocal told
             bar.advance(task, done)
+            now = time.monotonic()
+            if not terminal and not as_json and now - told >= every:
+                told = now
+                share = bar.tasks[0].percentage
+                print(f"{description}: {share:.0f} % after {now - began:.0f} s", file=sys.stderr)
 
         yield advance
 
@@ -157,6 +230,8 @@ def numbers(option: str, values: Sequence[str]) -> NDArray[np.float64]:
     >>> numbers("--deflection-angle-deg", ["5,10", "20"])
     array([ 5., 10., 20.])
     """
+    import numpy as np
+
     texts = [text.strip() for value in values for text in value.split(",")]
     try:
         return np.array([float(text) for text in texts])

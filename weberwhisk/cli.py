@@ -4,25 +4,41 @@ from __future__ import annotations
 
 import sys
 
-from ._terminal import new_app, run_app
-from .commands import bend, chart, design, figure, fit, jnd, quickstart, rehearse, simulate
-from .commands import next as next_
+from ._terminal import lazy_app, run_app
 
-app = new_app()
-COMMANDS = (
-    quickstart.quickstart,
-    bend.bend,
-    jnd.jnd,
-    simulate.simulate,
-    fit.fit,
-    design.design,
-    rehearse.rehearse,
-    chart.chart,
-    figure.figure,
-)
-for command in COMMANDS:
-    app.command()(command)
-app.command("next")(next_.next_trials)
+#: Each command's function, in the module of its name, and its line of help. A module is imported
+#: when its command is used, so that `--version` and completion do not wait for SciPy.
+COMMANDS = {
+    "quickstart": (
+        "quickstart",
+        "The paper's figures 4a and 4b for a real whisker, and the Weber fraction of a real rat.",
+    ),
+    "bend": ("bend", "Bend a whisker against a point: the forces and moment at its base."),
+    "jnd": (
+        "jnd",
+        "Just noticeable differences of radial distance, by formula, information, posterior.",
+    ),
+    "simulate": ("simulate", "Simulate choices between two stimuli, with the truth beside them."),
+    "fit": ("fit", "Fit the Weber fraction of one observer to a table of choices."),
+    "design": (
+        "design",
+        "Plan an experiment: distances, trials, animals, trial lists, and what to expect of it.",
+    ),
+    "rehearse": (
+        "rehearse",
+        "Simulate a planned experiment, fit it as planned, and count how often it ends right.",
+    ),
+    "next": (
+        "next_trials",
+        "Place trials one by one: a line of JSON out, an answer in.",
+    ),
+    "chart": (
+        "chart",
+        "Chart error against CPU time: beams, posteriors, JND curves and fits, and how each grows.",
+    ),
+    "figure": ("figure", "Charts of what every cue tells of distance; each with its table."),
+}
+app = lazy_app(f"{__package__}.commands", COMMANDS)
 
 
 def main() -> int:

@@ -14,16 +14,15 @@ from .. import _checks
 from .._terminal import a_seed, numbers
 from ..output import Run
 from .options import (
-    BaseRadiusOption,
+    NO_SHAPE,
     DistanceOption,
-    IdentityOption,
     JsonOption,
-    LengthOption,
-    ModulusOption,
     OutOption,
-    TipRadiusOption,
+    Shape,
+    as_asked,
     option,
     show,
+    takes_whisker,
     the_whisker,
 )
 
@@ -42,12 +41,9 @@ _BENDING_COLUMNS = {
 }
 
 
+@takes_whisker
 def bend(
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     radial_distance_mm: DistanceOption = None,
     deflection_angle_deg: Annotated[
         list[str] | None,
@@ -85,21 +81,8 @@ def bend(
     """
     import pandas as pd
 
-    options = {
-        "identity": identity,
-        "length_mm": length_mm,
-        "base_radius_um": base_radius_um,
-        "tip_radius_um": tip_radius_um,
-        "youngs_modulus_gpa": youngs_modulus_gpa,
-        "radial_distance_mm": radial_distance_mm,
-        "deflection_angle_deg": deflection_angle_deg,
-        "arc_length_mm": arc_length_mm,
-        "force_micronewton": force_micronewton,
-        "model": model,
-    }
-    whisker = the_whisker(
-        identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, seed
-    )
+    options = as_asked(locals(), "seed", "out", "as_json", "pd")
+    whisker = the_whisker(shape, seed)
     pairs = {
         ("radial_distance_mm", "deflection_angle_deg"): (radial_distance_mm, deflection_angle_deg),
         ("arc_length_mm", "force_micronewton"): (arc_length_mm, force_micronewton),

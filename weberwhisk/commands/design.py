@@ -21,20 +21,19 @@ from ..design.preregistration import assumptions, offsets_in_words
 from ..output import Run, to_json
 from ..planning import fill
 from .options import (
+    NO_SHAPE,
     AngleOption,
-    BaseRadiusOption,
     CueOption,
-    IdentityOption,
     JsonOption,
-    LengthOption,
-    ModulusOption,
     SchedulerOption,
     SeedOption,
-    TipRadiusOption,
+    Shape,
     WorkersOption,
+    as_asked,
     describe,
     number_option,
     options_named,
+    takes_whisker,
     the_cue,
     the_whisker,
     whisker_line,
@@ -45,12 +44,9 @@ from .options import (
 NOT_ASKED = "out", "as_json", "seed", "workers", "scheduler"
 
 
+@takes_whisker
 def design(
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
     bayes_factor: Annotated[
@@ -145,11 +141,8 @@ def design(
     Writes trial lists for PsychoPy and Bpod, a page to print with expected curves and a text for a
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
-    inputs = {k: v for k, v in locals().items() if k not in NOT_ASKED}
-    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
-    if all(value is None for value in shape):
-        shape = ("C2", *shape[1:])
-    whisker = the_whisker(*shape, None)
+    inputs = as_asked(locals(), *NOT_ASKED)
+    whisker = the_whisker(shape if shape.given else Shape("C2"))
     _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
     with options_named(inputs), Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(

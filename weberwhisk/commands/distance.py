@@ -15,7 +15,7 @@ import weberwhisk as ww
 from .. import _checks
 from ..behaviour import CueEncoding
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
-from .options import SCENES, the_scene, the_whisker
+from .options import SCENES, Shape, the_scene, the_whisker
 
 ReceptorsOption = Annotated[
     str | None,
@@ -41,7 +41,7 @@ PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(1.0), "log-normal": LogNormal(
 
 
 def distance_encoding(
-    shape: tuple[str | None, float | None, float | None, float | None, float | None],
+    shape: Shape,
     cue: str | None,
     angles_deg: list[str] | None,
     receptors: str | None = None,
@@ -52,7 +52,7 @@ def distance_encoding(
 
     With `fitted` the answers must tell of a Weber fraction.
     """
-    if all(value is None for value in shape):
+    if not shape.given:
         options = (("--cue", cue), ("--deflection-angle-deg", angles_deg))
         for name, given in (*options, ("--receptors", receptors)):
             if given:
@@ -60,7 +60,7 @@ def distance_encoding(
                     f"{name} needs a whisker to feel with, got none; write --identity C2, say."
                 )
         return None, None
-    whisker = the_whisker(*shape, None)
+    whisker = the_whisker(shape)
     observer, angles = the_scene(cue, angles_deg, None, whisker)
     if observer.noise.is_categorical:
         raise ValueError(

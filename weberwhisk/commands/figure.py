@@ -14,15 +14,14 @@ from .. import _checks, surveys
 from ..output import Run, to_json
 from .jnd import in_millimetres, jnd_table, lines_and_points
 from .options import (
-    BaseRadiusOption,
-    IdentityOption,
+    NO_SHAPE,
     JsonOption,
-    LengthOption,
-    ModulusOption,
     OutOption,
     SeedOption,
-    TipRadiusOption,
+    Shape,
+    as_asked,
     describe,
+    takes_whisker,
     the_whisker,
     wrote,
 )
@@ -165,15 +164,12 @@ CHARTS: dict[str, Make] = {
 }
 
 
+@takes_whisker
 def figure(
     name: Annotated[
         str | None, typer.Argument(help="Which chart; without it, a list of them.")
     ] = None,
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     short: Annotated[bool, typer.Option("--short", help="Few posteriors: seconds.")] = False,
     seed: SeedOption = surveys.SEED,
     out: OutOption = None,
@@ -183,7 +179,7 @@ def figure(
 
     Without a whisker, of one 50 mm long with radii of 100 and 5 µm; k = 0.1 throughout.
     """
-    inputs = dict(locals())
+    inputs = as_asked(locals())
     if name is None:
         for key, make in CHARTS.items():
             print(f"{key:12} {make.__doc__}")
@@ -193,14 +189,13 @@ def figure(
         raise ValueError(
             f"The figure {name} needs a folder to be written to, got none; write --out {name}."
         )
-    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
     whisker = surveys.WHISKER
-    if any(value is not None for value in shape):
-        whisker = the_whisker(*shape, None)
+    if shape.given:
+        whisker = the_whisker(shape)
     for used in ("out", "seed", "as_json"):
         inputs.pop(used)
     with Run(out, "figure", inputs | {"whisker": describe(whisker)}, seed) as run:
-        made = make(Asked(whisker, short, seed, identity))
+        made = make(Asked(whisker, short, seed, shape.identity))
         for key, table in made.tables.items():
             run.table(key, table)
         run.figure(name, made.chart)

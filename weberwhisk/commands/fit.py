@@ -21,17 +21,16 @@ from ..output import Run, atomic_write, to_json
 from .comparisons import compared
 from .distance import ReceptorsOption, distance_encoding
 from .options import (
+    NO_SHAPE,
     AngleOption,
-    BaseRadiusOption,
     CueOption,
-    IdentityOption,
     JsonOption,
-    LengthOption,
-    ModulusOption,
     OutOption,
     SeedOption,
-    TipRadiusOption,
+    Shape,
+    as_asked,
     number_option,
+    takes_whisker,
     whisker_line,
     wrote,
 )
@@ -59,6 +58,7 @@ AS_OPTIONS = (
 STIMULI = ("standard", "stimulus_1", "stimulus_2", "comparison")
 
 
+@takes_whisker
 def fit(
     file: Annotated[
         Path,
@@ -148,11 +148,7 @@ def fit(
         str | None,
         typer.Option("--method", help="quadrature or emcee.  [default: by the parameters]"),
     ] = None,
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
     receptors: ReceptorsOption = None,
@@ -166,8 +162,7 @@ def fit(
     (1 or 0), or counts n and n_greater or n_correct. With a whisker the stimuli are radial
     distances in millimetres, and the columns may be called stimulus_1_mm and so on.
     """
-    inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
-    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    inputs = as_asked(locals(), "out", "as_json", "seed")
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, encoding)
     together = together or by_session

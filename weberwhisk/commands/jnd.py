@@ -15,19 +15,18 @@ from .._terminal import numbers, progress
 from ..jnd import criterion_factor, weber_propagation
 from ..output import Run
 from .options import (
+    NO_SHAPE,
     AngleOption,
-    BaseRadiusOption,
     CueOption,
     DistanceOption,
-    IdentityOption,
     JsonOption,
-    LengthOption,
-    ModulusOption,
     OutOption,
     SeedOption,
-    TipRadiusOption,
+    Shape,
+    as_asked,
     enough_draws,
     show,
+    takes_whisker,
     the_scene,
     the_whisker,
 )
@@ -51,12 +50,9 @@ LENGTHS = (
 STEP = 4
 
 
+@takes_whisker
 def jnd(
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     cue: CueOption = None,
     weber_fraction: Annotated[
         list[str] | None,
@@ -85,15 +81,13 @@ def jnd(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Just noticeable differences of radial distance: closed form, Fisher information, posterior.
+    """Just noticeable differences of radial distance, by formula, information, posterior.
 
     Without --radial-distance-mm at ten places along the whisker. A contact that the whisker cannot
     hold is part of the answer: its row says what becomes of it.
     """
-    inputs = dict(locals())
-    whisker = the_whisker(
-        identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, None
-    )
+    inputs = as_asked(locals())
+    whisker = the_whisker(shape)
     observer, angles = the_scene(cue, deflection_angle_deg, weber_fraction, whisker)
     if radial_distance_mm:
         asked = numbers("--radial-distance-mm", radial_distance_mm)

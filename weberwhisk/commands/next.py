@@ -20,28 +20,24 @@ from ..design.staircases import RULES
 from ..output import Run
 from .distance import distance_encoding
 from .options import (
+    NO_SHAPE,
     AngleOption,
-    BaseRadiusOption,
     CueOption,
-    IdentityOption,
-    LengthOption,
-    ModulusOption,
     OutOption,
     SeedOption,
+    Shape,
     StandardMmOption,
-    TipRadiusOption,
+    as_asked,
     number_option,
+    takes_whisker,
 )
 
 METHODS = ("weber-fraction", "taper", *RULES)
 
 
+@takes_whisker
 def next_trials(
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
     standard: Annotated[
@@ -81,16 +77,15 @@ def next_trials(
     seed: SeedOption = 1,
     out: OutOption = None,
 ) -> None:
-    """Place trials one by one: a line of JSON out, an answer in, over standard input and output.
+    """Place trials one by one: a line of JSON out, an answer in.
 
     An answer is 1, 0 or null, or {"choice": 1, "comparison_mm": 21.4} where another stimulus was
     shown than was proposed (without a whisker: "comparison"). A line that cannot be used gets
     {"error": ...} and the trial stands. With --log nothing is lost: start the same command again.
     """
-    inputs = {k: v for k, v in locals().items() if k not in ("out", "log")}
+    inputs = as_asked(locals(), "out", "log")
     if farthest == float("inf"):
         inputs["farthest"] = None
-    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
     name = "--standard" if encoding is None else "--standard-mm"
     texts = standard if encoding is None else standard_mm

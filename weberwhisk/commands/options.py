@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -34,33 +36,91 @@ def number_option(name: str, text: str) -> Any:
     return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
 
 
+#: Groups of options in a command's help.
+WHISKER, SIGNALS_OF, RESULTS, WORK = "Whisker", "Cue and receptors", "Results", "Workers"
 # Options that several commands share.
 OutOption = Annotated[
     Path | None,
-    typer.Option("--out", metavar="FOLDER", help="Folder for the tables, figures and record."),
-]
+    typer.Option(
+        "--out", metavar="FOLDER", rich_help_panel=RESULTS,
+        help="Folder for the tables, figures and record.",
+    ),
+]  # fmt: skip
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print the result alone on standard output, as JSON.")
-]
-IdentityOption = Annotated[
-    str | None, typer.Option("--identity", help="A rat's whisker by row and column, such as C2.")
-]
-LengthOption = Annotated[
-    float | None,
-    number_option("--length-mm", "Arc length from base to tip."),
-]
-BaseRadiusOption = Annotated[
-    float | None,
-    number_option("--base-radius-um", "Radius at the base."),
-]
-TipRadiusOption = Annotated[
-    float | None,
-    number_option("--tip-radius-um", "Radius at the tip, 0 for a perfect cone."),
-]
-ModulusOption = Annotated[
-    float | None,
-    number_option("--youngs-modulus-gpa", "Young's modulus.  [default: 3.34]"),
-]
+    bool,
+    typer.Option(
+        "--json", rich_help_panel=RESULTS,
+        help="Print the result alone on standard output, as JSON.",
+    ),
+]  # fmt: skip
+
+
+class Shape(NamedTuple):
+    """Which whisker, as the options of every command say it; None where one is not given."""
+
+    identity: str | None = None
+    length_mm: float | None = None
+    base_radius_um: float | None = None
+    tip_radius_um: float | None = None
+    youngs_modulus_gpa: float | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether any of it was."""
+        return any(value is not None for value in self)
+
+
+NO_SHAPE = Shape()
+
+
+def _number(name: str, text: str) -> Any:
+    return Annotated[
+        float | None,
+        typer.Option(name, parser=a_number, metavar="NUMBER", help=text, rich_help_panel=WHISKER),
+    ]
+
+
+_SHAPE: dict[str, Any] = {
+    "identity": Annotated[
+        str | None,
+        typer.Option(
+            "--identity",
+            help="A rat's whisker by row and column, such as C2.",
+            rich_help_panel=WHISKER,
+        ),
+    ],
+    "length_mm": _number("--length-mm", "Arc length from base to tip."),
+    "base_radius_um": _number("--base-radius-um", "Radius at the base."),
+    "tip_radius_um": _number("--tip-radius-um", "Radius at the tip, 0 for a perfect cone."),
+    "youngs_modulus_gpa": _number("--youngs-modulus-gpa", "Young's modulus.  [default: 3.34]"),
+}
+
+
+def takes_whisker(command: Callable[..., None]) -> Callable[..., None]:
+    """A command with the options of a whisker in the place of its parameter `shape`."""
+    signature = inspect.signature(command, eval_str=True)
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    own = [
+        inspect.Parameter(name, keyword, default=None, annotation=kind)
+        for name, kind in _SHAPE.items()
+    ]
+    rest = [p.replace(kind=keyword) for p in signature.parameters.values() if p.name != "shape"]
+
+    @wraps(command)
+    def run(**options: Any) -> None:
+        command(shape=Shape(*(options.pop(name) for name in _SHAPE)), **options)
+
+    run.__signature__ = signature.replace(parameters=[*own, *rest])  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in (*own, *rest)}
+    return run
+
+
+def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
+    """A command's options for its record, the whisker's one by one."""
+    kept = {name: value for name, value in options.items() if name not in without}
+    return kept.pop("shape")._asdict() | kept
+
+
 StandardMmOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -77,20 +137,26 @@ SeedOption = Annotated[
         "--seed",
         parser=a_seed,
         metavar="NUMBER",
+        rich_help_panel=RESULTS,
         help="Makes the draws repeatable.",
     ),
 ]
 WorkersOption = Annotated[
-    int | None, typer.Option("--workers", help="Processes.  [default: one a core]")
+    int | None,
+    typer.Option("--workers", rich_help_panel=WORK, help="Processes.  [default: one a core]"),
 ]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option("--scheduler", help="A dask.distributed scheduler, tcp://… (extra: cluster)."),
-]
+    typer.Option(
+        "--scheduler", rich_help_panel=WORK,
+        help="A dask.distributed scheduler, tcp://… (extra: cluster).",
+    ),
+]  # fmt: skip
 CueOption = Annotated[
     str | None,
     typer.Option(
         "--cue",
+        rich_help_panel=SIGNALS_OF,
         help="What tells of distance: compliance, force-map, three-forces (transverse force too), "
         "moment (at a known angle), vibration, lateral-slip, space-map, balance-of-moments, "
         "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
@@ -104,6 +170,7 @@ AngleOption = Annotated[
     typer.Option(
         "--deflection-angle-deg",
         metavar="LIST",
+        rich_help_panel=SIGNALS_OF,
         help="Deflection of the contact.  [default: 10 where forces are felt; for compliance 0, "
         "the lightest tap]",
     ),
@@ -209,25 +276,15 @@ def the_noise(texts: list[str] | None, signals: int) -> ww.receptors.Weber:
     return ww.receptors.Weber(fractions if fractions.size > 1 else float(fractions[0]))
 
 
-def the_whisker(
-    identity: str | None,
-    length_mm: float | None,
-    base_radius_um: float | None,
-    tip_radius_um: float | None,
-    youngs_modulus_gpa: float | None,
-    seed: int | None,
-) -> ww.Whisker:
-    """The whisker that the shared options describe."""
+def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
+    """The whisker that the shared options describe; with `seed`, drawn from its identity's."""
+    identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa = shape
     modulus = {}
     if youngs_modulus_gpa is not None:
         _checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
         modulus["youngs_modulus"] = youngs_modulus_gpa * 1e9
-    shape = {
-        "--length-mm": length_mm,
-        "--base-radius-um": base_radius_um,
-        "--tip-radius-um": tip_radius_um,
-    }
-    given = [name for name, value in shape.items() if value is not None]
+    names = [option(name) for name in Shape._fields[1:4]]
+    given = [n for n, value in zip(names, shape[1:4], strict=True) if value is not None]
     if identity is not None:
         if given:
             raise ValueError(
@@ -241,7 +298,7 @@ def the_whisker(
             "--length-mm, --base-radius-um and --tip-radius-um."
         )
     if length_mm is None or base_radius_um is None or tip_radius_um is None:
-        missing = [name for name in shape if name not in given]
+        missing = [name for name in names if name not in given]
         raise ValueError(
             f"The whisker's shape is incomplete, got {' and '.join(given)}; "
             f"write {' and '.join(missing)} as well."

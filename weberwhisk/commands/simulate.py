@@ -16,30 +16,26 @@ from ..behaviour.simulate import SIGNED_OFFSETS
 from ..output import Run, atomic_write, csv_text, to_json
 from .distance import ReceptorsOption, distance_encoding
 from .options import (
+    NO_SHAPE,
     AngleOption,
-    BaseRadiusOption,
     CueOption,
-    IdentityOption,
     JsonOption,
-    LengthOption,
-    ModulusOption,
     OutOption,
     SeedOption,
+    Shape,
     StandardMmOption,
-    TipRadiusOption,
+    as_asked,
     describe,
     number_option,
+    takes_whisker,
     whisker_line,
     wrote,
 )
 
 
+@takes_whisker
 def simulate(
-    identity: IdentityOption = None,
-    length_mm: LengthOption = None,
-    base_radius_um: BaseRadiusOption = None,
-    tip_radius_um: TipRadiusOption = None,
-    youngs_modulus_gpa: ModulusOption = None,
+    shape: Shape = NO_SHAPE,
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
     receptors: ReceptorsOption = None,
@@ -110,8 +106,7 @@ def simulate(
     Stimuli are magnitudes (--standard), or radial distances felt through a whisker (--standard-mm
     with --identity or a shape). `weberwhisk fit` reads the table.
     """
-    inputs = {k: v for k, v in locals().items() if k not in ("out", "as_json", "seed")}
-    shape = (identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa)
+    inputs = as_asked(locals(), "out", "as_json", "seed")
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
     fittable = encoding is None or encoding.has_weber_fraction
     if encoding is None and standard_mm:
