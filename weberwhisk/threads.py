@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from contextvars import ContextVar, copy_context
 from functools import cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from threadpoolctl import ThreadpoolController
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -20,6 +22,17 @@ Arguments = ParamSpec("Arguments")
 
 
 _inside: ContextVar[bool] = ContextVar("inside a thread of on_threads", default=False)
+
+
+def in_browser() -> bool:
+    """Whether this is Python in WebAssembly (Pyodide), which has neither threads nor processes.
+
+    Examples
+    --------
+    >>> in_browser()
+    False
+    """
+    return sys.platform == "emscripten"
 
 
 def core_count() -> int:
@@ -30,6 +43,8 @@ def core_count() -> int:
     >>> core_count() >= 1
     True
     """
+    if in_browser():
+        return 1
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
@@ -49,6 +64,7 @@ def thread_count() -> int:
 def _libraries() -> ThreadpoolController:
     """The libraries of linear algebra, whose own threads spin while they wait for work."""
     import scipy.linalg  # noqa: F401  # its library must be there to be told
+    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
@@ -56,6 +72,8 @@ def _libraries() -> ThreadpoolController:
 def limited_blas() -> AbstractContextManager[Any]:
     """Leave linear algebra one thread within: others would add in another order, and their many
     small products wait for a thread to wake."""
+    if in_browser():
+        return nullcontext()
     return _libraries().limit(limits=1, user_api="blas")
 
 

@@ -11,6 +11,7 @@ import json
 import os
 import sys
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
-from ..threads import core_count
+from ..threads import core_count, in_browser
 from .executor import (
     UNKNOWN,
     Chunk,
@@ -79,7 +80,7 @@ def run(
     seed : int or SeedSequence
     workers : int
         1: this process. More: so many processes; a script that starts them needs
-        ``if __name__ == "__main__":``.
+        ``if __name__ == "__main__":``. In a browser, which has none, all is done serially.
     scheduler : str, optional
         Address of a `dask.distributed` scheduler such as ``tcp://node1:8786``, whose workers have
         the same weberwhisk, NumPy and SciPy.
@@ -122,6 +123,9 @@ def run(
     name = _check_work(work)
     plain = _check_chunks(chunks)
     _checks.whole("workers", workers, "write 2")
+    if workers > 1 and in_browser():
+        warnings.warn("a browser has no processes: the chunks are done serially.", stacklevel=2)
+        workers = 1
     if scheduler is not None and workers != 1:
         raise ValueError(
             f"a cluster has its own workers, got workers={workers} with a scheduler; leave one out."

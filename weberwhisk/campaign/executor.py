@@ -14,7 +14,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
@@ -185,6 +185,8 @@ class Processes:
         self._start()
 
     def _start(self) -> None:
+        from concurrent.futures import ProcessPoolExecutor  # a browser's Python lacks it
+
         # A fresh interpreter: a copy of this one would have its threads' locks, held for ever.
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(self._workers, context, _begin)

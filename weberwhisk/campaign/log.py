@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
-from filelock import Timeout
 
 from .. import __version__
 from ..output import locked
@@ -91,7 +90,7 @@ class Log:
                 self._file = opened.enter_context(open(self.path, "a+b"))
                 lock = self.path.with_name(f".{self.path.name}.lock")
                 opened.enter_context(locked(lock, 0.0))
-            except Timeout:
+            except TimeoutError:
                 raise ValueError(
                     f"{str(self.path)!r} is being written by another process; wait for it, or name "
                     "another file."
