@@ -4,6 +4,7 @@ The pages of the reference are written here from the package itself, so that no 
 left out: a page a module from its ``__all__``, and one for the command line from its help.
 """
 
+import json
 import os
 import re
 import sys
@@ -19,7 +20,9 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(ROOT))
-os.environ["PYTHONPATH"] = str(ROOT)  # the notebooks' kernels import this tree too
+# The notebooks' kernels import this tree too, and find its command.
+os.environ["PYTHONPATH"] = str(ROOT)
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 import weberwhisk  # noqa: E402
 
@@ -164,8 +167,44 @@ def write_command_line() -> None:
     _write(HERE / "_generated" / "cli.md", result.output)
 
 
+def write_gallery() -> None:
+    """A section for each chart of ``weberwhisk figure``, in its quick form."""
+    from weberwhisk.commands.figure import CHARTS
+
+    page = [GALLERY]
+    for name, make in CHARTS.items():
+        says = (make.__doc__ or "").strip()
+        says = says[:1].upper() + says[1:]
+        page.append(f"## {name}\n\n{says}.\n")
+        page.append(f"```{{code-cell}} ipython3\n:tags: [remove-output]\n"
+                    f"!weberwhisk figure {name} --short --out {name}\n```\n")  # fmt: skip
+        page.append("```{code-cell} ipython3\n---\ntags: [remove-input]\n"
+                    f"mystnb:\n  image:\n    alt: {json.dumps(says, ensure_ascii=False)}\n---\n"
+                    f'Image("{name}/{name}.png", width=700)\n```\n')  # fmt: skip
+    _write(HERE / "_generated" / "gallery.md", "\n".join(page))
+
+
+GALLERY = """---
+file_format: mystnb
+kernelspec: {name: python3, display_name: Python 3}
+---
+
+# Gallery
+
+Every figure of `weberwhisk figure`, with the command that makes it. Each folder also has the table
+of what is drawn and a record of what was done. Here is the quick form, `--short`, of few posteriors
+and a coarse grid. Figures of your own results are methods of the results: see the tutorials.
+
+```{code-cell} ipython3
+:tags: [remove-cell]
+import os, tempfile
+from IPython.display import Image
+os.chdir(tempfile.mkdtemp())
+```
+"""
 PLACES = write_reference()
 write_command_line()
+write_gallery()
 numpydoc_xref_aliases = {name: full for name, full in PLACES.items() if "." not in name}
 
 
