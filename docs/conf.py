@@ -42,7 +42,7 @@ extensions = [
     "sphinx_copybutton",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "_generated/included"]
+exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 nitpicky = True
 default_role = "obj"
@@ -52,12 +52,13 @@ nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
+nb_output_stderr = "warn"  # a warning in a cell, of a renamed name say, is one of the build
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
-html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
 html_theme_options = {
     "navigation_with_keys": False,
@@ -123,7 +124,7 @@ def public_names() -> dict[str, list[str]]:
 
 def write_reference() -> dict[str, str]:
     """Write the pages; returns where each object's name is documented, by short and full name."""
-    folder = HERE / "_generated" / "api"
+    folder = HERE / "api"
     folder.mkdir(parents=True, exist_ok=True)
     places: dict[str, str] = {}
     lines = ["API", "===", "", "Every public name, from its docstring.", "", ".. toctree::", ""]
@@ -145,6 +146,9 @@ def write_reference() -> dict[str, str]:
             if home := getattr(value, "__module__", None):
                 places.setdefault(f"{home}.{name}", full)
     _write(folder / "index.rst", "\n".join(lines) + "\n")
+    for stub in (folder / "objects").glob("*.rst"):
+        if stub.stem not in places:  # of a name that is gone
+            stub.unlink()
     return places
 
 
@@ -164,7 +168,7 @@ def write_command_line() -> None:
     )
     if result.exit_code:
         raise RuntimeError(f"typer utils docs failed: {result.output}")
-    _write(HERE / "_generated" / "cli.md", result.output)
+    _write(HERE / "cli.md", result.output)
 
 
 def write_gallery() -> None:
@@ -181,7 +185,7 @@ def write_gallery() -> None:
         page.append("```{code-cell} ipython3\n---\ntags: [remove-input]\n"
                     f"mystnb:\n  image:\n    alt: {json.dumps(says, ensure_ascii=False)}\n---\n"
                     f'Image("{name}/{name}.png", width=700)\n```\n')  # fmt: skip
-    _write(HERE / "_generated" / "gallery.md", "\n".join(page))
+    _write(HERE / "gallery.md", "\n".join(page))
 
 
 GALLERY = """---
