@@ -65,6 +65,7 @@ def integrate(model: WeberModel, tolerance: Tolerance = Tolerance(), most: float
         counts,
         replace(steps, outer=2.5 * least, lapse=np.full(2, 2.0), bias=2.5),
         tolerance.cut,
+        nodes=20.0,
     )
     steps = _fitting(windows, steps)
     grid = None
