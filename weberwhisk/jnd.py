@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from ._checks import finite, generator, one_of, positive, whole
+from ._checks import angle, generator, one_of, positive, whole
 from ._deprecated import renamed_arguments
 from .mechanics.contact import Outcome
 from .observer import Observer
@@ -385,7 +385,7 @@ def _contact(
             f"{observer.cue!r} needs the deflection angle of each contact, got none; "
             "write deflection_angle=np.radians(10), say."
         )
-    theta = finite("deflection_angle", deflection_angle, "give radians, such as 0.2")
+    theta = angle("deflection_angle", deflection_angle, "give radians, such as 0.2")
     if np.any(theta == 0):
         raise ValueError(
             "Without deflection there is no force to feel, got deflection_angle=0; "

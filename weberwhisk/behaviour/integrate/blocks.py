@@ -117,7 +117,7 @@ class Nodes:
         low, high = self.first[2:], self.last[2:]
         ends = np.array([low[np.isfinite(low)].min(), high[np.isfinite(high)].max()])
         width = float(np.ptp(bias_at(self.model, ends)))  # in the sd that one answer leaves
-        span = np.linspace(*ends, int(np.clip(width / 0.4, 4, 48)) + 1)
+        span = np.linspace(ends[0], ends[1], int(np.clip(width / 0.4, 4, 48)) + 1)
         # Effects hardly change it: those in the middle tell.
         size = self.outer[0].size
         middle = np.arange(len(self.d)).reshape(size, -1)[:, len(self.d) // size // 2]
