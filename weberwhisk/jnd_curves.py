@@ -102,8 +102,8 @@ class JNDCurve(Shown):
             if len(angles) > len(self.frame) / 2 > 1:  # contacts of all kinds make no lines
                 return {"": self.frame}
         parts = {}
-        for angle in angles:
-            columns = [r] if angle is None else [r, np.full_like(r, angle)]
+        for at in angles:
+            columns = [r] if at is None else [r, np.full_like(r, at)]
             contact = self.observer.at_middle(np.stack(columns, axis=-1))
             line = pd.DataFrame(
                 {
@@ -117,9 +117,9 @@ class JNDCurve(Shown):
                 }
             )
             rows = self.frame
-            if angle is not None:
-                rows = rows[rows["deflection_angle"] == angle]
-            label = "" if angle is None else f"{np.degrees(angle):.4g}°"
+            if at is not None:
+                rows = rows[rows["deflection_angle"] == at]
+            label = "" if at is None else f"{np.degrees(at):.4g}°"
             both = [line, rows[list(line.columns)]]
             parts[label] = pd.concat(both).dropna(subset=["propagation", "posterior"], how="all")
         return parts
