@@ -1,4 +1,10 @@
-// The search button's visible text, "Search Ctrl+K", is its name; the theme's label hides half of it.
+// Names for what the theme leaves without one, or with half of one, for screen readers.
 for (const button of document.querySelectorAll(".search-button__button")) {
-  button.removeAttribute("aria-label");
+  if (button.innerText.trim()) button.removeAttribute("aria-label"); // "Search Ctrl+K" is its name
+}
+for (const summary of document.querySelectorAll("details > summary")) {
+  const link = summary.closest("li")?.querySelector("a");
+  if (link && !summary.innerText.trim()) {
+    summary.setAttribute("aria-label", `Pages under ${link.innerText.trim()}`);
+  }
 }
