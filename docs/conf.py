@@ -188,6 +188,16 @@ def write_gallery() -> None:
     _write(HERE / "gallery.md", "\n".join(page))
 
 
+def write_project() -> None:
+    """A page for each of the project's own files that there are."""
+    for name in ("CHANGELOG", "CONTRIBUTING", "CODE_OF_CONDUCT"):
+        page = HERE / "project" / f"{name.lower()}.md"
+        if (ROOT / f"{name}.md").exists():
+            _write(page, f"```{{include}} ../../{name}.md\n:relative-docs: .\n```\n")
+        else:
+            page.unlink(missing_ok=True)
+
+
 GALLERY = """---
 file_format: mystnb
 kernelspec: {name: python3, display_name: Python 3}
@@ -209,6 +219,7 @@ os.chdir(tempfile.mkdtemp())
 PLACES = write_reference()
 write_command_line()
 write_gallery()
+write_project()
 numpydoc_xref_aliases = {name: full for name, full in PLACES.items() if "." not in name}
 
 
