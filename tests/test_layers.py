@@ -14,12 +14,11 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_checks`, `_deprecated`, `_display` and `_values`. A folder's modules share its
-# entry, unless they have their own. "" is the package's __init__.
+# its own folder, `_checks`, `_deprecated` and `_values`. A folder's modules share its entry, unless
+# they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
     "_checks": (),
     "_deprecated": (),
-    "_display": (),
     "_values": (),
     "domain": (),
     "whisker": ("domain",),
@@ -42,9 +41,10 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.scene": ("mechanics.rod", "mechanics.elastica"),
     "mechanics.model_choice": ("mechanics.scene",),
     "mechanics.ladder": ("mechanics.model_choice",),
+    "mechanics.planar_surface": ("mechanics.profile", "mechanics.surface"),
+    "mechanics.forward": ("mechanics.ladder", "mechanics.planar_surface"),
     "mechanics": (
-        "mechanics.ladder",
-        "mechanics.surface",
+        "mechanics.forward",
         "mechanics.objects",
         "mechanics.muscle",
         "mechanics.modes",
@@ -59,13 +59,12 @@ TABLE: dict[str, tuple[str, ...]] = {
     "fusion": ("jnd", "sweeping"),
     "threads": (),
     "campaign": ("threads", "output"),
-    "jnd_curves": ("jnd",),
-    "jnd_surface": ("jnd_curves", "campaign"),
-    "surveys": ("fusion", "jnd_curves"),
+    "jnd_surface": ("jnd", "campaign"),
+    "surveys": ("fusion",),
     "output": (),
     "behaviour": ("fusion", "campaign", "output", "domain"),
     "design": ("behaviour",),
-    "charts": ("behaviour", "jnd_curves"),
+    "charts": ("behaviour",),
     "figures": ("design", "charts"),
     "planning": ("figures",),
     "": ("planning", "jnd_surface"),
@@ -101,7 +100,7 @@ def offences(package: Path) -> list[str]:
         for target in sorted({target for target, _ in imported}):
             if target.startswith("/"):  # from outside the package
                 only = ONLY_IN.get(target[1:])
-                if only not in (None, place) and (target, True) in imported:
+                if only not in (None, place):
                     found.append(f"{where} imports {target[1:]}, which belongs in {only} alone.")
             elif _place(target) not in allowed:
                 found.append(f"{where} imports {package.name}.{target}, which is not above it.")
@@ -127,7 +126,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_checks", "_deprecated", "_display", "_values"}
+    own = {place, "_checks", "_deprecated", "_values"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from .cues.protocol import Cue
-from .mechanics.surface import surface_of
+from .mechanics.forward import forward_of
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -102,6 +102,8 @@ class ContactCoordinates:
         x = np.asarray(x, dtype=float)
         low, high = self.reach
         out = np.empty(x.shape)
+        for i in range(self.bounded, x.shape[-1]):
+            out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
         fraction, log_jacobian = constrain_distance(x[..., 0])
         # Rounding must not put a contact on an edge, where there is none.
         out[..., 0] = np.clip(
@@ -109,15 +111,13 @@ class ContactCoordinates:
         )
         log_jacobian += np.log(high - low)
         if self.bounded > 1:
-            low_angle, width = self.angle_range(out[..., 0])
+            low_angle, width = self.angle_range(out[..., 0], out)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 fraction, log_slope = constrain_angle(
                     x[..., 1] - self._log_gain(out[..., 0], width)
                 )
                 out[..., 1] = low_angle + width * fraction
                 log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
-        for i in range(self.bounded, x.shape[-1]):
-            out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
         return out, log_jacobian
 
     def unconstrain(self, contact: ArrayLike) -> Array:
@@ -127,7 +127,7 @@ class ContactCoordinates:
         out = np.empty(contact.shape)
         out[..., 0] = unconstrain_distance((contact[..., 0] - low) / (high - low))
         if self.bounded > 1:
-            low_angle, width = self.angle_range(contact[..., 0])
+            low_angle, width = self.angle_range(contact[..., 0], contact)
             fraction = (contact[..., 1] - low_angle) / width
             out[..., 1] = unconstrain_angle(fraction) + self._log_gain(contact[..., 0], width)
         for i in range(self.bounded, contact.shape[-1]):
@@ -169,23 +169,33 @@ class ContactCoordinates:
             x[:, 1] += self._log_gain(r, self.angle_range(r)[1])
         return x
 
-    def angle_range(self, r: Array) -> tuple[float, Array]:
-        """Lowest deflection angle and width of the range open at each distance."""
-        limit = surface_of(self.whisker).limit(r.reshape(-1)).reshape(r.shape)
+    def angle_range(self, r: Array, contact: Array | None = None) -> tuple[float, Array]:
+        """Lowest deflection angle and width of the range open at each distance.
+
+        Friction and curvature are those of `contact` (..., U); where that lacks them, or without
+        it, the range is the widest there is.
+        """
+        count = len(self.cue.unknowns)
+        if contact is not None and contact.shape[-1] == count:
+            limit = self.cue.forward(self.whisker, contact).limit(r)
+        else:
+            forward = self.cue.forward(self.whisker, np.zeros((*r.shape, count)))
+            limit = np.max([f.limit(r) for f in forward.extremes(5)], axis=0)
         if hasattr(self.cue, "largest_angle"):
             limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)
             limit = np.minimum(limit, high)
-        return low, np.maximum(limit - low, 0.0)
+        return low, np.nan_to_num(np.maximum(limit - low, 0.0))
 
     def _log_gain(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
-        w = self.whisker
+        w = forward_of(self.whisker)
+        room = np.maximum(1 / r - 1 / (w.base.apex_distance * w.reach / w.length), 1e-300)
         # Where a prior leaves no angle there is nothing to carry.
         width = np.maximum(width, np.finfo(float).tiny)
-        return np.asarray(np.log(width * w.length * (1 / r - 1 / w.apex_distance)))
+        return np.asarray(np.log(width * w.length * room))
 
 
 def constrain_distance(y: Array) -> tuple[Array, Array]:

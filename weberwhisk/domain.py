@@ -78,6 +78,7 @@ def of_whisker(whisker: Any) -> tuple[str, ...]:
     >>> of_whisker(Whisker(1e-3, 100e-6, 5e-6))
     ('a length of 1 mm, where whiskers are 2 to 200 mm long',)
     """
+    whisker = getattr(whisker, "whisker", whisker)  # of a profile
     ratio = np.asarray(whisker.radius_ratio)
     ratio = np.where(np.isinf(ratio), 1.0, ratio)
     low, high = (f"{1e3 * end:g}" for end in LENGTHS)

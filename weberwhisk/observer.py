@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import finite, numbers, one_of, shown
+from ._checks import finite, numbers, one_of, positive_number, shown
 from .coordinates import ContactCoordinates, to_normal
 from .cues.protocol import Cue, straight
 from .mechanics.contact import Outcome
+from .mechanics.forward import ForwardModel
+from .mechanics.shape import Profile
 from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
@@ -37,10 +39,14 @@ class Observer:
         Prior of any of the cue's unknowns (``"radial_distance"`` in m, ``"deflection_angle"`` in
         rad). By default these two are flat over every contact that the whisker can hold: up to
         the tip, and up to the angle at which it flicks past; further unknowns have the cue's.
-    model : {"closed_form", "elastica"}, optional
-        The model of the mechanics. By default the elastica, which leaves nothing out on a
-        straight whisker without friction, and of which a table makes signals nearly as cheap as
-        the closed form's: there is nothing to choose. `why` says what the closed form would cost.
+    model : {"closed_form", "elastica", "profile"}, optional
+        The model of the mechanics. By default the cheapest that biases the distance by less than
+        `tolerance` JNDs, anywhere in the reach: the straight elastica, which leaves nothing out on
+        a straight whisker without friction, or else the planar beam, solved once and tabled
+        (`mechanics.planar_surface`), which then costs as little. `model` is then the one chosen,
+        and `why` says why. One that is named solves its equations for every contact anew.
+    tolerance : float
+        Largest bias of the distance in JNDs that a model may bring, where one is chosen.
 
     Raises
     ------
@@ -69,34 +75,58 @@ class Observer:
     prior: Mapping[str, Any] = field(default_factory=dict, repr=False)
     _: KW_ONLY
     model: str | None = field(default=None, repr=False)
+    tolerance: float = field(default=0.1, repr=False)
     #: The change of variables between contacts and coordinates without edges.
     space: ContactCoordinates = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        straight(self.whisker)
         if isinstance(self.cue, type) or not isinstance(self.cue, Cue):
             raise ValueError(
                 f"An observer needs a cue, got {shown(self.cue)}; write cues.Compliance(), say."
             )
+        if not (self.cue.takes_curved and isinstance(self.whisker, Whisker | Profile)):
+            straight(self.whisker)
         if isinstance(self.noise, type) or not isinstance(self.noise, ReceptorNoise | None):
             raise ValueError(
                 f"An observer needs receptor noise, got {shown(self.noise)}; "
                 "write receptors.Weber(0.1), say."
             )
         for name in ("length", "base_radius", "tip_radius", "youngs_modulus", "curvature"):
-            if np.ndim(getattr(self.whisker, name)):
+            value = getattr(getattr(self.whisker, "whisker", self.whisker), name)
+            if np.ndim(value):
                 raise ValueError(
-                    f"An observer has one whisker, got {np.size(getattr(self.whisker, name))} "
+                    f"An observer has one whisker, got {np.size(value)} "
                     f"values of {name}; make one Observer for each."
                 )
         prior = {**self.cue.priors(self.whisker), **_priors(self.prior, self.cue)}
+        set_ = object.__setattr__
+        if isinstance(self.model, _Chosen):  # by an observer that this one is made from
+            set_(self, "model", None)
         if self.model is not None:
             one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
-        set_ = object.__setattr__
+        positive_number("tolerance", self.tolerance, "give a fraction of the JND, such as 0.1")
         set_(self, "noise", self.cue.default_noise() if self.noise is None else self.noise)
         set_(self, "prior", MappingProxyType(prior))
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
         self._check_noise()
+        if self.model is None:
+            set_(self, "model", self._choice())
+
+    def _choice(self) -> _Chosen:
+        """The cheapest model that will do."""
+        forward = self.forward
+        if forward.is_plain:
+            return _Chosen("elastica")
+        if not forward.is_smooth:
+            return _Chosen("profile")
+        return _Chosen("elastica" if self._bias("elastica") < self.tolerance else "profile")
+
+    @property
+    def solver(self) -> str | None:
+        """The model that a cue is told of: none where a table serves."""
+        if isinstance(self.model, _Chosen):
+            return "elastica" if self.model == "elastica" and not self.forward.is_plain else None
+        return self.model
 
     def _check_noise(self) -> None:
         usual = self.cue.default_noise()
@@ -123,7 +153,7 @@ class Observer:
     @cached_property
     def _key(self) -> tuple[Any, ...]:
         priors = [(name, _family(self.prior[name])) for name in sorted(self.prior)]
-        return self.whisker, self.cue, self.noise, tuple(priors), self.model
+        return self.whisker, self.cue, self.noise, tuple(priors), str(self.model), self.solver
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Observer) and self._key == other._key
@@ -132,7 +162,8 @@ class Observer:
         return hash(self._key)
 
     def __reduce__(self) -> Any:  # its mappings are views, which do not pickle
-        return _made, (self.whisker, self.cue, self.noise, dict(self.prior), self.model)
+        made = (self.whisker, self.cue, self.noise, dict(self.prior), self.model, self.tolerance)
+        return _made, made
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -143,6 +174,13 @@ class Observer:
     def bounded(self) -> int:
         """How many unknowns the whisker bounds: the first ones; the rest have priors alone."""
         return self.space.bounded
+
+    @cached_property
+    def forward(self) -> ForwardModel:
+        """What makes signals of contacts: with friction and curvature of the cue's medians."""
+        middle = [float(self.prior[name].median()) for name in self.unknowns[self.bounded :]]
+        contact = np.array([*[0.0] * self.bounded, *middle])
+        return self.cue.forward(self.whisker, contact)
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -163,12 +201,26 @@ class Observer:
         >>> print(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap()).why)
         the elastica models all there is; the closed form is off by up to 10 JND, 0.1 allowed
         """
-        if self.model is not None:
+        if not isinstance(self.model, _Chosen):
             return f"{self.model} was asked for"
+        forward = self.forward
+        if forward.is_plain:
+            return (
+                "the elastica models all there is; the closed form is off by up to "
+                f"{self._bias('closed_form'):.2g} JND, 0.1 allowed"
+            )
+        if not forward.is_smooth:
+            return "the curved planar beam models all there is, and nothing cheaper does"
+        off = f"the straight elastica is off by up to {self._bias('elastica'):.2g} JND"
+        start = "" if self.model == "elastica" else "the curved planar beam models all there is; "
+        return f"{start}{off}, {self.tolerance:g} allowed"
+
+    def _bias(self, model: str) -> float:
+        """Largest bias of the distance, in JNDs, that a model brings at contacts in the reach."""
         x = self.space.spread(np.linspace(0.1, 0.9, 6))
         contact = self.contact(x)[0]
-        exact, outcome = self.signals(contact)
-        rough, held = self.cue.signals(self.whisker, contact, model="closed_form")
+        exact, outcome = self.cue.signals(self.whisker, contact)
+        rough, held = self.cue.signals(self.whisker, contact, model=model)
         known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
         contact, exact, off = contact[known], exact[known], (rough - exact)[known]
         unit = np.maximum(np.abs(contact), 1e-12)
@@ -177,10 +229,7 @@ class Observer:
         prior = self.prior_information(contact) * unit[:, None] * unit[..., None]
         inverse = np.linalg.pinv(weight @ slope + prior, rcond=1e-12, hermitian=True)
         bias = (inverse @ weight @ off[..., None])[:, 0, 0] / np.sqrt(inverse[:, 0, 0])
-        return (
-            "the elastica models all there is; the closed form is off by up to "
-            f"{np.max(np.abs(bias), initial=0.0):.2g} JND, 0.1 allowed"
-        )
+        return float(np.max(np.abs(bias), initial=0.0))
 
     # -- coordinates ---------------------------------------------------------------------------
 
@@ -263,14 +312,14 @@ class Observer:
 
     def signals(self, contact: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Signals (..., S) of a contact (..., U), NaN where not held, and the outcome (...)."""
-        return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.model)
+        return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.solver)
 
     def given(self, contact: Array) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
         """Signals and outcome for values (...) of the last unknown, the others (..., U − 1) given.
 
         What does not depend on it is worked out once.
         """
-        return self.cue.given(self.whisker, np.asarray(contact, dtype=float), model=self.model)
+        return self.cue.given(self.whisker, np.asarray(contact, dtype=float), model=self.solver)
 
     def log_likelihood(self, reading: ArrayLike, contact: ArrayLike) -> Array:
         """ln p(reading | contact), (...); −∞ where the contact is not held."""
@@ -296,7 +345,7 @@ class Observer:
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.signals(contact)
         held = (outcome == Outcome.HELD)[..., None]
-        slope = self.cue.jacobian(self.whisker, contact, model=self.model)
+        slope = self.cue.jacobian(self.whisker, contact, model=self.solver)
         inner = self.noise.fisher(np.where(held, signals, 1.0))
         value = np.swapaxes(slope, -1, -2) @ inner @ slope
         return np.where(held[..., None], value, np.nan)
@@ -378,9 +427,18 @@ class Observer:
 
 
 def _made(
-    whisker: Whisker, cue: Cue, noise: ReceptorNoise, prior: dict[str, Any], model: str | None
+    whisker: Whisker,
+    cue: Cue,
+    noise: ReceptorNoise,
+    prior: dict[str, Any],
+    model: str | None,
+    tolerance: float,
 ) -> Observer:
-    return Observer(whisker, cue, noise, prior, model=model)
+    return Observer(whisker, cue, noise, prior, model=model, tolerance=tolerance)
+
+
+class _Chosen(str):
+    """The name of a model that an observer chose: whoever is made from it chooses again."""
 
 
 def _family(distribution: Any) -> Any:

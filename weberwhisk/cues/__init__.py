@@ -8,6 +8,7 @@ from .force_map import ForceMap
 from .fused import Fused
 from .lateral_slip import LateralSlip
 from .protocol import Cue
+from .rubbing import Friction, UnknownCurvature
 from .space_map import SpaceMap
 from .unknown_stiffness import UnknownStiffness
 from .vibration import Vibration
@@ -21,10 +22,12 @@ __all__ = [
     "ContactAndDetachment",
     "Cue",
     "ForceMap",
+    "Friction",
     "Fused",
     "LateralSlip",
     "SpaceMap",
     "TwoWhiskers",
+    "UnknownCurvature",
     "UnknownStiffness",
     "Vibration",
     "VibrissaLength",

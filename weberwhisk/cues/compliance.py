@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import non_negative_number, positive_number
-from ..mechanics import closed_form, ladder
+from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
+from ..mechanics.forward import forward_of
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, straight
+from .protocol import Array, Cue, Felt
 from .reach import reach_at
 
 
@@ -51,6 +52,7 @@ class Compliance(Cue):
     0.02
     """
 
+    takes_curved = True
     _: KW_ONLY
     tap_angle: float = 0.0
     angular_velocity: float = 1.0
@@ -87,17 +89,16 @@ class Compliance(Cue):
 
     def _stiffness(self, whisker: Whisker, r: Array, model: str | None) -> Felt:
         """Moment for each radian of the tap, N m, and outcome."""
-        if self.tap_angle > 0:
-            bent = ladder.press(whisker, r, self.tap_angle, model=model)
-            return np.asarray(bent.moment / self.tap_angle), np.asarray(bent.outcome, dtype=np.int8)
-        reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)
-        outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
-        value = closed_form.moment(whisker, np.where(reached, r, whisker.length), 1.0)
-        return np.where(reached, value, np.nan), outcome
+        forward = forward_of(whisker, model)
+        if self.tap_angle == 0:
+            return forward.stiffness(r)
+        if forward.is_plain:  # the default model's last digits, by name
+            forward = forward_of(whisker, model or "elastica")
+        signals, outcome = forward.signals(r, np.full_like(r, self.tap_angle))
+        return signals[..., 0] / self.tap_angle, outcome
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment rate, N m/s, and where unknown θ̇, rad/s, (..., S); outcome of a contact."""
-        straight(whisker)
         contact = np.asarray(contact, dtype=float)
         stiffness, outcome = self._stiffness(whisker, contact[..., 0], model)
         velocity = self._velocity(contact)
@@ -111,10 +112,13 @@ class Compliance(Cue):
         """d(Ṁ, θ̇)/d(r, θ̇), (..., S, U): equation (3.3)."""
         contact = np.asarray(contact, dtype=float)
         r = contact[..., 0]
+        forward = forward_of(whisker, model)
+        if not forward.is_plain:
+            return super().jacobian(whisker, contact, model=model)
         if self.tap_angle == 0 or model == "closed_form":
-            slope = -whisker.compliance_constant / r**2
+            slope = -forward.base.compliance_constant / r**2
         else:
-            slope = ladder.signal_jacobian(whisker, r, self.tap_angle)[..., 0, 0] / self.tap_angle
+            slope = forward.jacobian(r, self.tap_angle)[..., 0, 0] / self.tap_angle
         slope = np.asarray(slope * self._velocity(contact))
         if self.velocity_spread == 0:
             return slope[..., None, None]
@@ -133,7 +137,7 @@ class Compliance(Cue):
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the tap angle, m."""
         if self.tap_angle == 0:
-            return float(whisker.length)
+            return forward_of(whisker).reach
         return reach_at(whisker, self.tap_angle, "tap_angle")
 
     def radial_distance(

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import numbers, one_or_more, positive_number
-from ..mechanics import closed_form, ladder
+from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
-from ..mechanics.surface import base_signals
+from ..mechanics.forward import forward_of
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, readings, straight
+from .protocol import Array, Cue, Felt, readings
 from .reach import reach_at
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -34,7 +34,8 @@ class ForceMap(Cue):
     signals : sequence of {"moment", "axial_force", "transverse_force"}
         Which are felt.
     deflection_angle : float, optional
-        θ_d, rad, where it is known; by default it is unknown.
+        θ_d, rad, where it is known; by default it is unknown. On a curved whisker counted from
+        where it first touches: ``press(w, r, rest_angle(w, r) + deflection_angle)``.
 
     Raises
     ------
@@ -56,6 +57,7 @@ class ForceMap(Cue):
     array([0.03, 0.4 ])
     """
 
+    takes_curved = True
     signal_names: tuple[str, ...] = SIGNALS[:2]
     _: KW_ONLY
     deflection_angle: float | None = None
@@ -89,14 +91,7 @@ class ForceMap(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Moment (N m) and forces (N), (..., S), and outcome of a contact (..., U)."""
-        straight(whisker)
-        r, theta = self._place(contact)
-        if model is None:
-            signals, outcome = base_signals(whisker, r, theta)
-        else:
-            bent = ladder.press(whisker, r, theta, model=model)
-            signals = np.stack([getattr(bent, name) for name in SIGNALS], axis=-1)
-            outcome = np.asarray(bent.outcome, dtype=np.int8)
+        signals, outcome = forward_of(whisker, model).signals(*self._place(contact))
         if self._columns == [0, 1]:  # a view, where it will do: the bulk of all work
             return signals[..., :2], outcome
         return signals[..., self._columns], outcome
@@ -104,13 +99,13 @@ class ForceMap(Cue):
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         """Derivatives (..., S, U) of the signals with respect to r and, if unknown, θ_d."""
         r, theta = self._place(contact)
-        slope = (closed_form if model == "closed_form" else ladder).signal_jacobian
-        return slope(whisker, r, theta)[..., self._columns, : len(self.unknowns)]
+        slope = forward_of(whisker, model).jacobian(r, theta)
+        return slope[..., self._columns, : len(self.unknowns)]
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the known angle, m."""
         if self.deflection_angle is None:
-            return float(whisker.length)
+            return forward_of(whisker).reach
         return reach_at(whisker, self.deflection_angle, "deflection_angle")
 
     # -- inverse -------------------------------------------------------------------------------
@@ -165,7 +160,7 @@ class ForceMap(Cue):
         return self.contact(whisker, reading[..., 0] if known else reading)[1]
 
     def _bisect(self, whisker: Whisker, wanted: Array) -> Array:
-        low = np.full(wanted.shape, 1e-9 * float(whisker.length))
+        low = np.full(wanted.shape, 1e-9 * forward_of(whisker).length)
         high = np.full(wanted.shape, self.farthest(whisker))
         ends = [self.signals(whisker, end)[0] for end in (high * (1 - 1e-12), low)]
         inside = (wanted >= ends[0]) & (wanted <= ends[1])
@@ -178,14 +173,16 @@ class ForceMap(Cue):
     def _solve(self, whisker: Whisker, wanted: Array, steps: int) -> Array:
         contact = np.full(wanted.shape, np.nan)
         if self.signal_names == SIGNALS[:2]:
-            start = closed_form.contact_from_signals(whisker, wanted[..., 0], wanted[..., 1])
+            base = forward_of(whisker).base
+            start = closed_form.contact_from_signals(base, wanted[..., 0], wanted[..., 1])
             known = np.isfinite(start[0])
             contact[known] = self._newton(
                 whisker, wanted[known], start[0][known], start[1][known], steps
             )
         # Large angles are far from the closed form: start again from the nearest of a coarse map.
         missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)
-        if np.any(missed) and (np.any(whisker.taper) or self.signal_names != SIGNALS[:2]):
+        tells = not forward_of(whisker).is_plain or np.any(whisker.taper)
+        if np.any(missed) and (tells or self.signal_names != SIGNALS[:2]):
             contact[missed] = self._newton(
                 whisker, wanted[missed], *self._nearest(whisker, wanted[missed]), steps
             )
@@ -195,15 +192,16 @@ class ForceMap(Cue):
         """Of the signals; of the transverse force, which passes through zero, not much less."""
         size = np.abs(wanted)
         if 2 in self._columns[1:]:
-            other = size[..., 0] / (whisker.length if self._columns[0] == 0 else 1.0)
+            other = size[..., 0] / (forward_of(whisker).length if self._columns[0] == 0 else 1.0)
             size[..., 1] = np.maximum(size[..., 1], 0.1 * other)
         return size
 
     def _nearest(self, whisker: Whisker, wanted: Array) -> tuple[Array, Array]:
         """The contact of a coarse map whose signals are nearest in logarithms, (n,) each."""
-        r = np.linspace(0.01, 0.99, 50)[:, None] * whisker.length
+        forward = forward_of(whisker)
+        r = np.linspace(0.01, 0.99, 50)[:, None] * forward.reach
         share = np.sin(np.linspace(0.02, 0.98, 50) * np.pi / 2)
-        theta = share * ladder.flick_past(whisker, r).deflection_angle
+        theta = share * forward.limit(r)
         grid = np.stack(np.broadcast_arrays(r, theta), axis=-1).reshape(-1, 2)
         known = self.signals(whisker, grid)[0]
         sizes = self._size(whisker, wanted)
@@ -215,13 +213,14 @@ class ForceMap(Cue):
 
     def _newton(self, whisker: Whisker, wanted: Array, r: Array, theta: Array, steps: int) -> Array:
         """Newton's method in ln r and ln θ_d. NaN where it fails."""
-        length = float(whisker.length)
+        forward = forward_of(whisker)
+        length, exact = forward.reach, "elastica" if forward.is_plain else None
         r = np.minimum(r, 0.98 * length)
         miss, size = np.full(wanted.shape, np.inf), self._size(whisker, wanted)
         for _ in range(steps):
-            theta = np.minimum(theta, 0.995 * ladder.flick_past(whisker, r).deflection_angle)
+            theta = np.minimum(theta, 0.995 * forward.limit(r))
             point = np.stack([r, theta], axis=-1)
-            miss, slope = _miss(self.signals(whisker, point, model="elastica")[0], wanted, size)
+            miss, slope = _miss(self.signals(whisker, point, model=exact)[0], wanted, size)
             if np.all(np.abs(miss) < 1e-13):
                 break
             (a, b), (c, d) = np.moveaxis(

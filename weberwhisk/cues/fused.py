@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
+from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise
 from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, a_cue
@@ -72,6 +73,18 @@ class Fused(Cue):
 
     def __repr__(self) -> str:
         return f"Fused({', '.join(map(repr, self.cues))})"
+
+    @property
+    def takes_curved(self) -> bool:  # type: ignore[override]
+        """Where all cues do."""
+        return all(cue.takes_curved for cue in self.cues)
+
+    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
+        """With all that any of the cues does not know."""
+        out = forward_of(whisker)
+        for cue in self.cues:
+            out = cue.forward(out, self.part(cue, contact))
+        return out
 
     def part(self, cue: Cue, contact: Array) -> Array:
         """What one cue does not know of a contact (..., U): (..., its own unknowns)."""

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from .._checks import numbers, shown
 from .._values import Value
+from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import ReceptorNoise, Weber
 from ..whisker import Whisker
 
@@ -41,6 +42,8 @@ class Cue(Value):
     bearing), each with a proper prior. Cues are frozen: they compare and hash by value.
     """
 
+    #: Whether curved whiskers will do, profiles, and friction.
+    takes_curved: ClassVar[bool] = False
     #: Where the last unknown has signals of its own, which tell of nothing else: the cue without.
     all_but_last: ClassVar[Cue | None] = None
 
@@ -104,9 +107,16 @@ class Cue(Value):
             columns.append((above - below) / (2 * step[..., i, None]))
         return np.stack(columns, axis=-1)
 
+    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
+        """The mechanics of contacts (..., U): with the friction, say, that is an unknown of theirs.
+
+        Where the angle of contacts is not needed, anything may stand for it.
+        """
+        return forward_of(whisker)
+
     def farthest(self, whisker: Whisker) -> float:
         """Largest radial distance at which the cue works on this whisker, m: the tip."""
-        return float(whisker.length)
+        return forward_of(whisker).reach
 
     def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
         """Largest deflection (...) at which the cue works, rad; infinite where the fold is."""
@@ -126,7 +136,7 @@ class Cue(Value):
 
 
 def straight(whisker: Any) -> None:
-    """Refuse whiskers that no cue takes: curved ones, and profiles.
+    """Refuse whiskers that most cues do not take: curved or rubbing ones, and profiles.
 
     Raises
     ------
@@ -138,13 +148,14 @@ def straight(whisker: Any) -> None:
     """
     if not isinstance(whisker, Whisker):
         raise ValueError(
-            f"A cue needs a Whisker, so far a straight one, got a {type(whisker).__name__}; "
-            "write Whisker(50e-3, 100e-6, 5e-6), say."
+            "This cue needs a Whisker, straight and without friction, got a "
+            f"{type(whisker).__name__}; write Whisker(50e-3, 100e-6, 5e-6), or take ForceMap()."
         )
     if np.any(whisker.curvature):
         raise ValueError(
-            f"Cues are for straight whiskers so far, got curvature "
-            f"{float(np.max(np.abs(whisker.curvature))):g} 1/m; write curvature=0."
+            f"This cue is for straight whiskers, got curvature "
+            f"{float(np.max(np.abs(whisker.curvature))):g} 1/m; write curvature=0, or take "
+            "cues.ForceMap(), Compliance() or BalanceOfMoments(), which take curved ones."
         )
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from ..mechanics import ladder
+from ..mechanics.forward import ForwardModel, forward_of
 from ..whisker import Whisker
 
 
-def reach_at(whisker: Whisker, deflection_angle: float, name: str) -> float:
+def reach_at(whisker: Whisker | ForwardModel, deflection_angle: float, name: str) -> float:
     """Largest radial distance at which an angle is held: the tip, or where it flicks past, m.
 
     Parameters
     ----------
-    whisker : Whisker
+    whisker : Whisker or ForwardModel
     deflection_angle : float
-        rad.
+        From where it first touches, rad.
     name : str
         Of the angle, for the refusal.
 
@@ -31,10 +31,11 @@ def reach_at(whisker: Whisker, deflection_angle: float, name: str) -> float:
     >>> round(reach_at(w, np.radians(24.5732), "tap_angle") / w.length, 5)
     0.7
     """
-    length = float(whisker.length)
+    forward = forward_of(whisker)
+    length = forward.reach
 
     def room(fraction: float) -> float:
-        last = ladder.flick_past(whisker, fraction * length).deflection_angle
+        last = max(f.limit(fraction * length) for f in forward.extremes())
         # The tip of a perfect cone holds no contact at all.
         return float(np.nan_to_num(last)) - deflection_angle
 

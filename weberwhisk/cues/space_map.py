@@ -14,7 +14,7 @@ from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .force_map import SIGNALS, ForceMap
-from .protocol import Array, Cue, Felt, readings
+from .protocol import Array, Cue, Felt, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,6 +50,7 @@ class SpaceMap(Cue):
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], Felt]:
         """The signals as a function of the azimuth (...), the rest of the contact given."""
+        straight(whisker)
         sizes, outcome = self.all_but_last.signals(whisker, contact, model=model)
         signals = np.empty((*outcome.shape, 5))
         signals[..., :3] = sizes

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import one_or_more, positive_number
+from ..mechanics.forward import ForwardModel
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, a_cue
@@ -91,6 +92,15 @@ class UnknownStiffness(Cue):
     def unknowns(self) -> tuple[str, ...]:
         """Those of the cue, and the stiffness."""
         return (*self.cue.unknowns, "stiffness")
+
+    @property
+    def takes_curved(self) -> bool:  # type: ignore[override]
+        """As the cue does."""
+        return self.cue.takes_curved
+
+    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
+        """The cue's."""
+        return self.cue.forward(whisker, contact[..., :-1])
 
     @cached_property
     def _soft(self) -> NDArray[np.bool_]:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._checks import one_of
-from .._display import member
 from ..observer import Observer
 from ..receptors import Seed
 from .apart import factors_of, solve_apart
@@ -128,7 +127,7 @@ def posterior(
         solution.status[given & nothing] = Status.NO_CONTACT
     solution.status[_outside(observer, solution)] = Status.OUTSIDE_DOMAIN
 
-    def shaped(values: NDArray[Any]) -> Any:
+    def shaped(values: Array) -> Any:
         return values[0] if single else values
 
     return Posterior(
@@ -139,7 +138,7 @@ def posterior(
             name: Estimate(*map(shaped, estimate))
             for name, estimate in zip(observer.unknowns, solution.estimates, strict=True)
         },
-        member(Status, shaped(solution.status)),
+        Status(int(solution.status[0])) if single else solution.status,
         shaped(solution.log_evidence),
         solution.quantile_of,
         solution.draws_of,

@@ -1,0 +1,235 @@
+"""Observers of curved and rubbing whiskers: signals, posteriors and the model that they choose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import uniform
+
+import weberwhisk as ww
+from weberwhisk import Observer, Whisker, cues, posterior
+from weberwhisk.cues import Compliance, ForceMap, Friction, Fused, UnknownCurvature
+from weberwhisk.mechanics import profile
+from weberwhisk.mechanics.planar_surface import PlanarSurface
+from weberwhisk.receptors import GeneralisedWeber, Weber
+
+MU = np.arctan(0.48)
+
+
+def whisker(radius_ratio=20.0, curvature=8.0):
+    return Whisker(50e-3, 100e-6, 100e-6 / radius_ratio, 3e9, curvature)
+
+
+def planar_signals(w, r, push, friction=0.0):
+    """Straight from the planar beam, at deflections from rest."""
+    bent = profile.press(w, r, profile.rest_angle(w, r) + push, friction)
+    return np.stack([bent.moment, bent.axial_force, bent.transverse_force], axis=-1), bent.outcome
+
+
+@pytest.mark.parametrize(
+    ("radius_ratio", "curvature", "friction"),
+    [(5, -25, -0.45), (5, 25, 0.45), (20, -8, 0.0), (20, 25, 0.0), (40, 25, -0.45), (1, 8, 0.0)],
+)
+def test_the_surface_is_the_planar_beam(radius_ratio, curvature, friction):
+    """Signals within 2e-5 of the lateral force, the ends of its branches within 1e-4."""
+    w = whisker(radius_ratio, curvature)
+    surface = PlanarSurface(w, (friction, friction))
+    assert surface.error < 2e-5
+    r = np.linspace(0.05, 0.99, 7) * surface.reach()
+    end = profile.flick_past(w, r, friction)
+    limit = surface.limit(r)
+    assert limit == pytest.approx(end.deflection_angle - profile.rest_angle(w, r), rel=1e-4)
+    beyond, outcome = surface(r, limit * 1.001)
+    assert np.isnan(beyond).all()
+    assert np.array_equal(outcome, end.ended_by)
+    assert (surface(r, np.full(r.shape, -1e-3))[1] == ww.Outcome.NO_TOUCH).all()
+    assert (
+        surface(np.array([1.01 * surface.reach()]), np.array([0.1]))[1] == ww.Outcome.OUT_OF_REACH
+    )
+
+
+def test_friction_and_curvature_that_are_unknown_are_axes_of_the_surface():
+    w = whisker(20, 6.0)
+    cue = Friction(UnknownCurvature(ForceMap(ww.cues.force_map.SIGNALS), 1.0))
+    rng = np.random.default_rng(3)
+    contact = np.stack(
+        [
+            rng.uniform(5e-3, 45e-3, 40),
+            rng.uniform(0.01, 0.08, 40),
+            rng.uniform(-3, 3, 40),
+            rng.uniform(-MU, MU, 40),
+        ],
+        axis=-1,
+    )
+    signals, outcome = cue.signals(w, contact)
+    for (r, push, offset, friction), row, held in zip(contact, signals, outcome, strict=True):
+        true, kind = planar_signals(whisker(20, 6.0 + offset), r, push, friction)
+        assert held == kind
+        if held == 0:
+            assert row == pytest.approx(true, abs=5e-5 * np.hypot(*true[1:]))
+
+
+def brute(w, cue, noise, reading, friction=0.0, count=110):
+    """Mean and sd of r by a fine sum over distance and deflection, by the planar beam itself.
+
+    Twice: over all contacts, then over where the mass is.
+    """
+    columns = [("moment", "axial_force", "transverse_force").index(n) for n in cue.signal_names]
+    reach = float(np.max(np.hypot(*profile_tip(w))))
+    low, high = np.array([1e-3 * reach, 0.0]), np.array([reach * (1 - 1e-9), 1.0])
+    for step in range(3):
+        n = count if step == 2 else 50
+        share = (np.arange(n) + 0.5) / n
+        r = low[0] + (high[0] - low[0]) * share
+        end = profile.flick_past(w, r, friction).deflection_angle - profile.rest_angle(w, r)
+        c = low[1] + (high[1] - low[1]) * share  # push = end (1 − (1 − c)²): fine at the fold
+        push = end[:, None] * (1 - (1 - c) ** 2)
+        signals, outcome = planar_signals(w, r[:, None], push, friction)
+        held = outcome == 0
+        log = noise.log_likelihood(reading, np.where(held[..., None], signals, 1.0)[..., columns])
+        log = np.where(held, log, -np.inf) + np.log(end[:, None] * 2 * (1 - c))
+        weight = np.exp(log - log.max())
+        for axis, grid in ((0, r), (1, c)):
+            rows = np.flatnonzero(weight.sum(axis=1 - axis) > 1e-7 * weight.sum())
+            width = (high[axis] - low[axis]) / n
+            low[axis] = max(low[axis], grid[rows[0]] - 2 * width)
+            high[axis] = min(high[axis], grid[rows[-1]] + 2 * width)
+    of_r = weight.sum(axis=1) / weight.sum()
+    mean = of_r @ r
+    return mean, np.sqrt(of_r @ (r - mean) ** 2)
+
+
+def profile_tip(w):
+    return ww.Profile.of(w).law.point(np.array([float(w.length)]))
+
+
+SCENES = [
+    (5, -25.0, 0.0, 0.1),
+    (20, 25.0, 0.0, 0.05),
+    (20, 8.0, -0.45, 0.3),
+    (40, -8.0, 0.45, 0.1),
+]
+
+
+@pytest.mark.parametrize(("radius_ratio", "curvature", "friction", "k"), SCENES)
+def test_posteriors_are_those_of_a_fine_sum_over_the_planar_beam(
+    radius_ratio, curvature, friction, k
+):
+    compare(radius_ratio, curvature, friction, k, seed=1, count=1)
+
+
+def compare(radius_ratio, curvature, friction, k, seed, count):
+    w = whisker(radius_ratio, curvature)
+    cue = ForceMap(("moment", "transverse_force"))
+    # Signals that change sign have a floor: under Weber's law alone zero would be known exactly.
+    noise = GeneralisedWeber(k, floor=[0.0, 0.01 * w.force_scale])
+    observer = Observer(w, Friction(cue, friction), noise)
+    rng = np.random.default_rng(seed)
+    r = rng.uniform(0.2, 0.85, count) * observer.reach[1]
+    push = rng.uniform(0.1, 0.8, count) * observer.angle_range(r)[1]
+    reading = observer.read(np.stack([r, push], axis=-1), seed)
+    found = posterior(observer, reading)
+    for i in range(count):
+        mean, sd = brute(w, cue, noise, reading[i], friction)
+        claim = max(2e-3 * sd, 3 * found.estimates["radial_distance"].mean_error[i])
+        assert abs(found.mean[i] - mean) < claim
+        assert abs(found.sd[i] - sd) < claim
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(25))
+def test_posteriors_over_all_curvatures_and_frictions(seed):
+    rng = np.random.default_rng(seed + 100)
+    ratio, curvature = np.exp(rng.uniform(np.log(5), np.log(40))), rng.uniform(-25, 25)
+    friction, k = rng.uniform(-MU, MU), np.exp(rng.uniform(np.log(0.03), np.log(0.3)))
+    compare(ratio, curvature, friction, k, seed, count=20)
+
+
+def coverage(cue, w, noise, count, seed=5):
+    """The share of 95 % intervals that hold the distance, of contacts drawn from the prior."""
+    from weberwhisk.fusion import prior_draws
+
+    observer = Observer(w, cue, noise)
+    contact = prior_draws(observer, count, seed)
+    found = posterior(observer, observer.read(contact, seed + 1))
+    low, high = np.moveaxis(np.asarray(found.interval(0.95)), -1, 0)
+    return np.mean((low <= contact[:, 0]) & (contact[:, 0] <= high))
+
+
+@pytest.mark.parametrize("curvature", [-20.0, 20.0])
+def test_intervals_hold_the_distance_as_often_as_they_say(curvature):
+    """300 draws: within three standard errors of 95 %."""
+    w = whisker(20, curvature)
+    noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
+    assert coverage(ForceMap(), w, noise, 300) == pytest.approx(0.95, abs=0.038)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("curvature", [-20.0, -5.0, 5.0, 20.0])
+def test_intervals_hold_the_distance_in_2000_draws(curvature):
+    w = whisker(20, curvature)
+    noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
+    assert 0.935 <= coverage(ForceMap(), w, noise, 2000) <= 0.965
+
+
+def test_compliance_of_a_curved_whisker():
+    """The lightest tap gives the slope of the moment; a heavier one what the planar beam says."""
+    w = whisker(20, 12.0)
+    r = np.array([10e-3, 25e-3, 40e-3])
+    for tap in (0.0, 0.05):
+        push = tap or 1e-5
+        true = planar_signals(w, r, push)[0][:, 0] / push
+        signals, _ = Compliance(tap_angle=tap).signals(w, r[:, None])
+        assert signals[:, 0] == pytest.approx(true, rel=2e-5 if tap else 2e-4)
+    observer = Observer(w, Fused(Compliance(), ForceMap()))
+    found = posterior(observer, observer.read([25e-3, 0.1], seed=2))
+    assert abs(found.mean - 25e-3) < 4 * found.sd
+
+
+def test_a_nuisance_that_is_known_after_all_changes_nothing():
+    """A friction angle that is all but known gives the posterior of the one that is known."""
+    w = whisker(20, 8.0)
+    noise = Weber(0.1)
+    known = Observer(w, Friction(Compliance(tap_angle=0.1), -0.2), noise)
+    almost = Observer(
+        w,
+        Friction(Compliance(tap_angle=0.1)),
+        noise,
+        {"friction_angle": uniform(-0.2 - 1e-6, 2e-6)},
+    )
+    reading = known.read(25e-3, seed=3)
+    one, other = posterior(known, reading), posterior(almost, reading)
+    assert other.mean == pytest.approx(one.mean, abs=2e-3 * one.sd)
+    assert other.sd == pytest.approx(one.sd, rel=2e-3)
+
+
+def test_the_observer_chooses_its_model_and_says_why():
+    """The straight elastica where curvature does not matter, the planar beam where it does."""
+    bowed = Observer(whisker(20, 8.0), ForceMap())
+    assert bowed.model == "profile"
+    assert "elastica is off by up to" in bowed.why
+    hardly = Observer(whisker(20, 0.02), ForceMap())
+    assert hardly.model == "elastica"
+    assert ", 0.1 allowed" in hardly.why
+    assert Observer(whisker(20, 0.02), ForceMap(), tolerance=1e-4).model == "profile"
+    assert Observer(whisker(20, 0.0), ForceMap()).model == "elastica"
+    contact = [25e-3, 0.2]
+    straight = Observer(whisker(20, 0.0), ForceMap())
+    assert hardly.signals(contact)[0] == pytest.approx(straight.signals(contact)[0], rel=1e-9)
+    # A model that was chosen is chosen anew for another whisker; one that is named stays.
+    assert replace(hardly, whisker=whisker(20, 8.0)).model == "profile"
+    assert Observer(whisker(20, 8.0), ForceMap(), model="profile").why == "profile was asked for"
+    exact = Observer(whisker(20, 8.0), ForceMap(), model="profile").signals(contact)[0]
+    assert bowed.signals(contact)[0] == pytest.approx(exact, rel=2e-5)
+    assert bowed == Observer(whisker(20, 8.0), ForceMap()) != hardly
+
+
+def test_what_real_observers_refuse():
+    with pytest.raises(ValueError, match="up to 30°"):
+        Friction(ForceMap(), 0.6)
+    with pytest.raises(ValueError, match="straight whiskers without friction"):
+        Friction(cues.Vibration())
+    with pytest.raises(ValueError, match="unknown in"):
+        Friction(Friction(ForceMap()))
+    with pytest.raises(ValueError, match="turn by up to"):
+        Observer(whisker(20, 60.0), ForceMap())

@@ -1,0 +1,247 @@
+"""From a contact to the base signals of one whisker, whatever the whisker and the contact are like.
+
+The one place that cues ask: by the straight elastica's `Surface`, by the planar beam's
+`PlanarSurface` where there is curvature, friction or a profile, or by a model that is named.
+
+A contact is given by its radial distance and its *deflection from rest*: how far the whisker has
+been turned since it first touched at that distance. On a straight whisker that is the deflection
+angle of `press`; on a curved one ``press(whisker, r, rest_angle(whisker, r) + deflection)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._values import Value
+from ..whisker import Whisker
+from . import closed_form, ladder
+from .chebyshev import Array
+from .contact import ROWS, Outcome
+from .shape import Profile, Spiral
+from .surface import Surface, base_signals, surface_of
+
+if TYPE_CHECKING:
+    from .planar_surface import PlanarSurface
+
+NAMES = ("moment", "axial_force", "transverse_force")
+#: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.
+FRICTION_COEFFICIENT = 0.48
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardModel(Value):
+    """One whisker, and what its contacts are like beside where they are.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+    model : {"closed_form", "elastica", "profile"}, optional
+        Which model; by default the elastica of a straight whisker without friction, and the
+        planar beam's `PlanarSurface` of any other. The elastica of a curved one is that of the
+        same taper, deflected by as much from rest.
+    friction : float or array
+        Friction angle, rad, as in `press`; arrays broadcast with the contacts.
+    offset : float or array
+        What is added to the curvature at rest, 1/m.
+    friction_range, offset_range : (float, float), optional
+        Of all that may be asked for; by default what is given.
+
+    Examples
+    --------
+    >>> curved = ForwardModel(Whisker(50e-3, 100e-6, 5e-6, curvature=8.0))
+    >>> signals, outcome = curved.signals(np.array([30e-3]), np.array([0.2]))
+    >>> bent = ladder.press(curved.whisker, 30e-3, curved.rest(np.array([30e-3])) + 0.2)
+    >>> print(np.abs(signals[0, 0] / bent.moment[0] - 1) < 1e-5)
+    True
+    """
+
+    whisker: Any
+    model: str | None = None
+    friction: Any = 0.0
+    offset: Any = 0.0
+    friction_range: tuple[float, float] = (0.0, 0.0)
+    offset_range: tuple[float, float] = (0.0, 0.0)
+
+    # -- what it is like -----------------------------------------------------------------------
+
+    @cached_property
+    def base(self) -> Whisker:
+        """The whisker that sets scales: of a profile, that of its ends."""
+        whisker: Whisker = getattr(self.whisker, "whisker", self.whisker)
+        return whisker
+
+    @property
+    def length(self) -> float:
+        """Arc length, m."""
+        return float(self.base.length)
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """A straight taper without friction, of which the elastica leaves nothing out."""
+        return self.is_smooth and not np.any(self.whisker.curvature)
+
+    @cached_property
+    def is_smooth(self) -> bool:
+        """A linear taper without friction, of a curvature that is known."""
+        known = not any((*self.friction_range, *self.offset_range))
+        return known and isinstance(self.whisker, Whisker)
+
+    @cached_property
+    def surface(self) -> Surface | PlanarSurface:
+        """The table that serves it, made once."""
+        if self.is_plain or self.model in ("elastica", "closed_form"):
+            return surface_of(_straightened(self.base))
+        return planar_surface(self.whisker, self.friction_range, self.offset_range)
+
+    @property
+    def error(self) -> float:
+        """Largest error of the table, over the lateral force."""
+        return getattr(self.surface, "error", 1e-9)
+
+    def rubbing(self, friction: Any, ends: tuple[float, float]) -> ForwardModel:
+        """With friction, rad, between two ends."""
+        return replace(self, friction=friction, friction_range=ends)
+
+    def bowed(self, offset: Any, ends: tuple[float, float]) -> ForwardModel:
+        """With curvature, 1/m, between two ends, added to that at rest."""
+        return replace(self, offset=offset, offset_range=ends)
+
+    def extremes(self, count: int = 3) -> list[ForwardModel]:
+        """Some of all that may be, each with numbers for what is uncertain."""
+        out = []
+        for psi in np.unique(np.linspace(*self.friction_range, count)):
+            for kappa in np.unique(np.linspace(*self.offset_range, count)):
+                out.append(replace(self, friction=float(psi), offset=float(kappa)))
+        return out
+
+    # -- contacts ------------------------------------------------------------------------------
+
+    def _rows(self, r: ArrayLike, *more: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+        """The broadcast shape, and everything flat; what is one number for all stays one."""
+        given = [np.asarray(a, dtype=float) for a in (r, *more, self.friction, self.offset)]
+        shape = np.broadcast_shapes(*(a.shape for a in given))
+        return shape, [
+            np.broadcast_to(a, shape).reshape(-1) if i <= len(more) or a.ndim else a.reshape(1)
+            for i, a in enumerate(given)
+        ]
+
+    def rest(self, r: ArrayLike) -> Array:
+        """Deflection angle at which the whisker at rest touches at a distance (...), rad."""
+        shape, (flat, psi, kappa) = self._rows(r)
+        if self.is_plain:
+            return np.zeros(shape)
+        surface = planar_surface(self.whisker, self.friction_range, self.offset_range)
+        return surface.rest(flat, psi, kappa).reshape(shape)
+
+    def limit(self, r: ArrayLike) -> Array:
+        """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
+        shape, (flat, psi, kappa) = self._rows(r)
+        if isinstance(self.surface, Surface):
+            return self.surface.limit(flat).reshape(shape)
+        return self.surface.limit(flat, psi, kappa).reshape(shape)
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest radial distance of any contact, m: where the tip is at rest."""
+        if isinstance(self.surface, Surface):
+            return self.length
+        return max(self.surface.reach(f.offset) for f in self.extremes())
+
+    def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+        """Moment, axial and transverse force (..., 3), NaN where not held, and outcome (...)."""
+        if self.model is not None and not (self.model == "elastica" and not self.is_plain):
+            return self._solved(r, theta)
+        surface = self.surface
+        if isinstance(surface, Surface):
+            return base_signals(_straightened(self.base), np.asarray(r), np.asarray(theta))
+        shape, (flat, push, psi, kappa) = self._rows(r, theta)
+        out, outcome = np.empty((flat.size, 3)), np.empty(flat.size, dtype=np.int8)
+        for start in range(0, flat.size, ROWS):
+            part = slice(start, start + ROWS)
+            given = (a[part] if a.size > 1 else a for a in (psi, kappa))
+            out[part], outcome[part] = surface(flat[part], push[part], *given)
+        return out.reshape(*shape, 3), outcome.reshape(shape)
+
+    def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+        """By solving the equations of the model that was named, contact by contact."""
+        whisker = self.whisker
+        if np.any(self.offset):
+            law = (whisker if isinstance(whisker, Profile) else Profile.of(whisker)).law
+            assert isinstance(law, Spiral)
+            bent = Spiral(law.base + self.offset, law.rate + 0 * np.asarray(self.offset))
+            whisker = (
+                replace(whisker, curvature=bent.base)
+                if isinstance(whisker, Whisker)
+                else whisker.curved(bent)
+            )
+        theta = np.asarray(theta, dtype=float)
+        if np.any(getattr(whisker, "curvature", 1.0)):
+            from .profile import rest_angle
+
+            theta = theta + rest_angle(whisker, r)
+            if np.isnan(theta).any():
+                held = ~np.isnan(theta)
+                r, theta = np.where(held, r, 0.5 * self.length), np.where(held, theta, np.pi)
+        bent_ = ladder.press(whisker, r, theta, self.friction, model=self.model)
+        signals = np.stack([getattr(bent_, name) for name in NAMES], axis=-1)
+        return signals, np.asarray(bent_.outcome, dtype=np.int8)
+
+    def jacobian(self, r: ArrayLike, theta: ArrayLike) -> Array:
+        """Derivatives (..., 3, 2) of the signals to distance (m) and deflection from rest (rad).
+
+        Of curved whiskers by differences, towards the inside at the edges: good to 1e-6.
+        """
+        if self.model == "closed_form":
+            return closed_form.signal_jacobian(self.base, r, theta)
+        if isinstance(self.surface, Surface):
+            return ladder.signal_jacobian(_straightened(self.base), r, theta)
+        r, theta = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(theta, dtype=float))
+        columns = []
+        for at, to in ((r, (1.0, 0.0)), (theta, (0.0, 1.0))):
+            h = 1e-5 * np.maximum(np.abs(at), 1e-6)
+            sides = [self.signals(r + s * h * to[0], theta + s * h * to[1])[0] for s in (1, 0, -1)]
+            slope = (sides[0] - sides[2]) / (2 * h[..., None])
+            for side, sign in ((0, 1), (2, -1)):  # one-sided at an edge
+                rough = sign * (sides[side] - sides[1]) / h[..., None]
+                slope = np.where(np.isnan(slope), rough, slope)
+            columns.append(slope)
+        return np.stack(columns, axis=-1)
+
+    def stiffness(self, r: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+        """Moment for each radian of the lightest push, N m, and outcome (...)."""
+        r = np.asarray(r, dtype=float)
+        if isinstance(self.surface, Surface):
+            reached = (r > 0) & (r < self.base.apex_distance) & (r <= self.length)
+            value = closed_form.moment(self.base, np.where(reached, r, self.length), 1.0)
+        else:
+            light = 1e-9
+            signals, outcome = self.signals(r, np.full(r.shape, light))
+            reached, value = outcome == Outcome.HELD, signals[..., 0] / light
+        outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        return np.where(reached, value, np.nan), outcome
+
+
+def forward_of(whisker: Any, model: str | None = None) -> ForwardModel:
+    """The forward model of a whisker, or the one that is given in its place."""
+    if isinstance(whisker, ForwardModel):
+        return whisker if model is None else replace(whisker, model=model)
+    return ForwardModel(whisker, model)
+
+
+@lru_cache(maxsize=64)
+def planar_surface(
+    whisker: Whisker | Profile, friction: tuple[float, float], offset: tuple[float, float]
+) -> PlanarSurface:
+    """The surface of a whisker, kept for its next contacts."""
+    from .planar_surface import PlanarSurface
+
+    return PlanarSurface(whisker, friction, offset)
+
+
+def _straightened(whisker: Whisker) -> Whisker:
+    return replace(whisker, curvature=0.0) if np.any(whisker.curvature) else whisker
