@@ -4,6 +4,7 @@ The pages of the reference are written here from the package itself, so that no 
 left out: a page a module from its ``__all__``, and one for the command line from its help.
 """
 
+import json
 import os
 import re
 import sys
@@ -19,7 +20,9 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(ROOT))
-os.environ["PYTHONPATH"] = str(ROOT)  # the notebooks' kernels import this tree too
+# The notebooks' kernels import this tree too, and find its command.
+os.environ["PYTHONPATH"] = str(ROOT)
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 import weberwhisk  # noqa: E402
 
@@ -39,7 +42,7 @@ extensions = [
     "sphinx_copybutton",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "_generated/included"]
+exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 nitpicky = True
 default_role = "obj"
@@ -49,12 +52,13 @@ nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
+nb_output_stderr = "warn"  # a warning in a cell, of a renamed name say, is one of the build
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
-html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
 html_theme_options = {
     "navigation_with_keys": False,
@@ -120,7 +124,7 @@ def public_names() -> dict[str, list[str]]:
 
 def write_reference() -> dict[str, str]:
     """Write the pages; returns where each object's name is documented, by short and full name."""
-    folder = HERE / "_generated" / "api"
+    folder = HERE / "api"
     folder.mkdir(parents=True, exist_ok=True)
     places: dict[str, str] = {}
     lines = ["API", "===", "", "Every public name, from its docstring.", "", ".. toctree::", ""]
@@ -142,6 +146,9 @@ def write_reference() -> dict[str, str]:
             if home := getattr(value, "__module__", None):
                 places.setdefault(f"{home}.{name}", full)
     _write(folder / "index.rst", "\n".join(lines) + "\n")
+    for stub in (folder / "objects").glob("*.rst"):
+        if stub.stem not in places:  # of a name that is gone
+            stub.unlink()
     return places
 
 
@@ -161,11 +168,58 @@ def write_command_line() -> None:
     )
     if result.exit_code:
         raise RuntimeError(f"typer utils docs failed: {result.output}")
-    _write(HERE / "_generated" / "cli.md", result.output)
+    _write(HERE / "cli.md", result.output)
 
 
+def write_gallery() -> None:
+    """A section for each chart of ``weberwhisk figure``, in its quick form."""
+    from weberwhisk.commands.figure import CHARTS
+
+    page = [GALLERY]
+    for name, make in CHARTS.items():
+        says = (make.__doc__ or "").strip()
+        says = says[:1].upper() + says[1:]
+        page.append(f"## {name}\n\n{says}.\n")
+        page.append(f"```{{code-cell}} ipython3\n:tags: [remove-output]\n"
+                    f"!weberwhisk figure {name} --short --out {name}\n```\n")  # fmt: skip
+        page.append("```{code-cell} ipython3\n---\ntags: [remove-input]\n"
+                    f"mystnb:\n  image:\n    alt: {json.dumps(says, ensure_ascii=False)}\n---\n"
+                    f'Image("{name}/{name}.png", width=700)\n```\n')  # fmt: skip
+    _write(HERE / "gallery.md", "\n".join(page))
+
+
+def write_project() -> None:
+    """A page for each of the project's own files that there are."""
+    for name in ("CHANGELOG", "CONTRIBUTING", "CODE_OF_CONDUCT"):
+        page = HERE / "project" / f"{name.lower()}.md"
+        if (ROOT / f"{name}.md").exists():
+            _write(page, f"```{{include}} ../../{name}.md\n:relative-docs: .\n```\n")
+        else:
+            page.unlink(missing_ok=True)
+
+
+GALLERY = """---
+file_format: mystnb
+kernelspec: {name: python3, display_name: Python 3}
+---
+
+# Gallery
+
+Every figure of `weberwhisk figure`, with the command that makes it. Each folder also has the table
+of what is drawn and a record of what was done. Here is the quick form, `--short`, of few posteriors
+and a coarse grid. Figures of your own results are methods of the results: see the tutorials.
+
+```{code-cell} ipython3
+:tags: [remove-cell]
+import os, tempfile
+from IPython.display import Image
+os.chdir(tempfile.mkdtemp())
+```
+"""
 PLACES = write_reference()
 write_command_line()
+write_gallery()
+write_project()
 numpydoc_xref_aliases = {name: full for name, full in PLACES.items() if "." not in name}
 
 

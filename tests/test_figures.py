@@ -32,7 +32,7 @@ def fit() -> ww.WeberFit:
 
 
 def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
-    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1)
+    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).frame
     for options, x_unit, y_unit in (
         ({}, 1e-3, 1e-3),
         ({"length": 50e-3, "weber_fraction": 0.1}, 50e-3, 5e-3),
@@ -53,7 +53,7 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
 
 
 def test_jnd_curve_leaves_out_posteriors_that_are_not_there() -> None:
-    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1)
+    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).frame
     table["posterior"] = np.nan
     assert figures.jnd_lines(table).containers == []
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from weberwhisk import Observer, Whisker, cues
+from weberwhisk import Observer, Whisker, cues, press
 from weberwhisk.behaviour import (
     CueEncoding,
     IdentityEncoding,
@@ -102,6 +102,8 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(encoding=IdentityEncoding), "got the class IdentityEncoding"),
     (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
     (fitted(observer=WHISKER), "must be an Observer, got"),
+    (lambda: press(WHISKER, 20e-3, 20), r"did you pass degrees\? Write np.radians\(20\)"),
+    (lambda: CueEncoding(Observer(WHISKER, cues.ForceMap()), 10.0), "did you pass degrees"),
     (lambda: CueEncoding("C2"), "must be an Observer"),  # type: ignore[arg-type]
     (lambda: compare_taper(TRIALS, "C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
     (

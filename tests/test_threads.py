@@ -65,6 +65,25 @@ def test_numpy_errors_are_raised_or_not_as_the_caller_has_set(
         assert list(threads.on_threads(np.log, np.zeros(3))) == [-np.inf] * 3
 
 
+def test_the_limit_lasts_until_the_last_thread_leaves_it() -> None:
+    """The first to leave took the limit from the others."""
+
+    def most() -> int:
+        return max(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas")
+
+    with threadpool_limits(2, user_api="blas"):
+        before, first, second = most(), threads.limited_blas(), threads.limited_blas()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert most() == 1
+        second.__exit__(None, None, None)
+        assert most() == before
+        with pytest.raises(ZeroDivisionError), threads.limited_blas():
+            1 / 0  # noqa: B018
+        assert most() == before
+
+
 def test_fits_and_designs_keep_blas_to_one_thread() -> None:
     """Six animals took eight times as long where BLAS had two threads on a busy machine."""
     seen = []

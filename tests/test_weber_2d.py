@@ -6,7 +6,8 @@ import pytest
 import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk import surveys as weber_2d
-from weberwhisk.jnd import fisher_jnd, jnd_curve, weber_propagation
+from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.jnd_curves import jnd_curve
 
 W, K = weber_2d.WHISKER, weber_2d.K
 

@@ -6,15 +6,18 @@ posterior → JND → behaviour → fit.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from ._deprecated import renamed_names
+from ._display import Shown
 
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from . import campaign, cues, design, mechanics, receptors
+    from . import behaviour, campaign, cues, design, figures, mechanics, receptors, sweeping
     from .behaviour import (
         Comparison,
         PopulationFit,
@@ -29,7 +32,8 @@ if TYPE_CHECKING:
     )
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
-    from .jnd import convert_jnd, criterion_factor, jnd_curve
+    from .jnd import convert_jnd, criterion_factor
+    from .jnd_curves import JNDCurve, jnd_curve
     from .jnd_surface import jnd_sweep
     from .mechanics import (
         Bending,
@@ -54,63 +58,39 @@ if TYPE_CHECKING:
     from .posterior import Posterior, Status, posterior
     from .whisker import Whisker, identities
 
-# Each public name and its home, imported when it is first used: `import weberwhisk` stays light.
-_HOME = {
-    "Whisker": "whisker",
-    "identities": "whisker",
-    "mechanics": "mechanics",
-    "Bending": "mechanics",
-    "Choice": "mechanics",
-    "FlickPast": "mechanics",
-    "Outcome": "mechanics",
-    "Parabola": "mechanics",
-    "Profile": "mechanics",
-    "Model": "mechanics",
-    "Spiral": "mechanics",
-    "bend": "mechanics",
-    "choose_model": "mechanics",
-    "flick_past": "mechanics",
-    "press": "mechanics",
-    "rest_angle": "mechanics",
-    "signal_jacobian": "mechanics",
-    "sticking": "mechanics",
-    "sweep": "mechanics",
-    "cues": "cues",
-    "receptors": "receptors",
-    "Observer": "observer",
-    "Posterior": "posterior",
-    "Status": "posterior",
-    "posterior": "posterior",
-    "added_information": "fusion",
-    "fused_jnds": "fusion",
-    "information": "fusion",
-    "convert_jnd": "jnd",
-    "criterion_factor": "jnd",
-    "jnd_curve": "jnd",
-    "jnd_sweep": "jnd_surface",
-    "campaign": "campaign",
-    "Comparison": "behaviour",
-    "PopulationFit": "behaviour",
-    "Trials": "behaviour",
-    "WeberFit": "behaviour",
-    "compare": "behaviour",
-    "fit_population": "behaviour",
-    "fit_weber": "behaviour",
-    "read_trials": "behaviour",
-    "simulate_population": "behaviour",
-    "simulate_trials": "behaviour",
-    "design": "design",
-    "plan_experiment": "design",
-    "power": "design",
-    "read_plan": "design",
-    "simulate_study": "design",
-    "write_plan": "planning",
+# Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
+_NAMES = {
+    "whisker": "Whisker identities",
+    "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
+    "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
+    "observer": "Observer",
+    "posterior": "Posterior Status posterior",
+    "fusion": "added_information fused_jnds information",
+    "jnd": "convert_jnd criterion_factor",
+    "jnd_curves": "JNDCurve jnd_curve",
+    "jnd_surface": "jnd_sweep",
+    "behaviour": "Comparison PopulationFit Trials WeberFit compare "
+    "fit_population fit_weber read_trials simulate_population simulate_trials",
+    "design": "plan_experiment power read_plan simulate_study",
+    "planning": "write_plan",
 }
+_MODULES = (
+    "behaviour",
+    "campaign",
+    "cues",
+    "design",
+    "figures",
+    "mechanics",
+    "receptors",
+    "sweeping",
+)
+_HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = [
     "Bending",
     "Choice",
     "Comparison",
     "FlickPast",
+    "JNDCurve",
     "Model",
     "Observer",
     "Outcome",
@@ -124,6 +104,7 @@ __all__ = [
     "WeberFit",
     "Whisker",
     "added_information",
+    "behaviour",
     "bend",
     "campaign",
     "choose_model",
@@ -132,6 +113,7 @@ __all__ = [
     "criterion_factor",
     "cues",
     "design",
+    "figures",
     "fit_population",
     "fit_weber",
     "flick_past",
@@ -155,6 +137,7 @@ __all__ = [
     "simulate_trials",
     "sticking",
     "sweep",
+    "sweeping",
     "write_plan",
 ]
 
@@ -165,15 +148,31 @@ _renamed = renamed_names(
 )
 
 
+class _Package(ModuleType):
+    """This package, whose `posterior` is the function, and not the subpackage of that name."""
+
+    @property
+    def posterior(self) -> Any:
+        return import_module(".posterior", __name__).posterior
+
+    @posterior.setter
+    def posterior(self, subpackage: ModuleType) -> None:
+        """What importing a subpackage does to its parent, and is not wanted here."""
+
+
+sys.modules[__name__].__class__ = _Package
+Shown._load_figures = staticmethod(lambda: import_module(".figures", __name__))
+
+
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f".{name}", __name__)
     if name not in _HOME:
         return _renamed(name)
-    module = import_module(f".{_HOME[name]}", __name__)
-    # A name that is its own home is the module; `posterior` can be called as well.
-    value = module if _HOME[name] == name else getattr(module, name)
+    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOME])
+    return [*__all__, "__version__"]

@@ -28,6 +28,18 @@ def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     return array
 
 
+def angle(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+    """`value` as finite radians of half a turn at most: more is likely to be degrees."""
+    array = finite(name, value, hint)
+    if np.any(beyond := np.abs(array) > np.pi):
+        at = _first(array, beyond)
+        raise ValueError(
+            f"{name} must be radians, between -π and π, got {at}: did you pass degrees? Write "
+            f"np.radians({at})."
+        )
+    return array
+
+
 def positive(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     """`value` as a float array of finite numbers above zero."""
     array = finite(name, value, hint)

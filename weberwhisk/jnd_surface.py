@@ -13,7 +13,8 @@ from . import campaign
 from ._checks import finite, positive
 from ._deprecated import renamed_arguments
 from .cues import Compliance, ForceMap
-from .jnd import SD, criterion_factor, jnd_curve
+from .jnd import SD, criterion_factor
+from .jnd_curves import jnd_curve
 from .observer import Observer
 from .receptors import Weber
 from .whisker import Whisker
@@ -117,6 +118,6 @@ def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
         Weber(chunk["weber_fraction"]),
     )
     how = {name: chunk[name] for name in ("method", "criterion", "n_readings")}
-    table = jnd_curve(observer, chunk["radial_distance"], angle, seed=seed, **how)
+    table = jnd_curve(observer, chunk["radial_distance"], angle, seed=seed, **how).frame
     table.insert(0, "weber_fraction", chunk["weber_fraction"])
     return table

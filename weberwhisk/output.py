@@ -40,7 +40,7 @@ from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -205,14 +205,6 @@ def sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-class Figure(Protocol):
-    """What `Run.figure` needs of a Matplotlib figure."""
-
-    def savefig(self, path: Path, /, **options: Any) -> Any: ...
-
-    def set_layout_engine(self, layout: Any, /) -> Any: ...
-
-
 class Run:
     """One run of a command and the files it makes, as a context manager.
 
@@ -322,7 +314,7 @@ class Run:
         if self.out_dir is not None:
             self.path(f"{name}.csv").write_text(csv_text(table), encoding="utf-8", newline="\n")
 
-    def figure(self, name: str, figure: Figure) -> None:
+    def figure(self, name: str, figure: Any) -> None:
         """Keep a Matplotlib figure as ``<name>.png`` and ``<name>.svg``."""
         if self.out_dir is not None:
             figure.savefig(self.path(f"{name}.png"))

@@ -28,7 +28,8 @@ from .cues import (
 )
 from .cues.force_map import SIGNALS
 from .fusion import added_information
-from .jnd import fisher_jnd, jnd_curve, weber_propagation
+from .jnd import fisher_jnd, weber_propagation
+from .jnd_curves import jnd_curve
 from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.ladder import flick_past, press
@@ -128,7 +129,7 @@ def curves(
     for name, cue in (CUES | {ARRAY: neighbours(whisker, identity)}).items():
         r = np.linspace(0.03, 0.97, points) * whisker.length
         angle = ANGLE if "deflection_angle" in cue.unknowns else None
-        table = jnd_curve(Observer(whisker, cue), r, angle, n_readings=draws, seed=seed)
+        table = jnd_curve(Observer(whisker, cue), r, angle, n_readings=draws, seed=seed).frame
         table.insert(0, "cue", name)
         tables.append(table)
     joined = pd.concat(tables, ignore_index=True)
@@ -198,7 +199,7 @@ def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
     r = np.linspace(0.03, 0.99, points) * whisker.length
     share = np.linspace(0.02, 0.99, points)
     limit = np.asarray(flick_past(whisker, r).deflection_angle)
-    lost = press(whisker, r, limit * 1.05).outcome
+    lost = np.asarray(press(whisker, r, limit * 1.05).outcome)
     beyond = np.array([Outcome(int(k)).message.split(":")[0] for k in lost])
     place, part = (a.ravel() for a in np.meshgrid(np.arange(points), share, indexing="ij"))
     contact = np.stack([r[place], limit[place] * part], axis=-1)
@@ -315,7 +316,7 @@ def false_zero(
     place = PLACE * whisker.length
     table = jnd_curve(
         observer(SLIGHT, K, whisker=whisker), place, theta, n_readings=draws, seed=seed
-    )
+    ).frame
     contact = table[["radial_distance", "deflection_angle"]].to_numpy()
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
     table.insert(4, "linear_jnd", linear)

@@ -8,9 +8,10 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache, wraps
+from threading import Lock
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
@@ -69,12 +70,31 @@ def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def limited_blas() -> AbstractContextManager[Any]:
+_lock = Lock()
+_holders: list[Any] = []  # the limit, once for everyone within it
+
+
+@contextmanager
+def limited_blas() -> Iterator[None]:
     """Leave linear algebra one thread within: others would add in another order, and their many
-    small products wait for a thread to wake."""
+    small products wait for a thread to wake.
+
+    The limit is the whole process's: it ends when the last of those within it leaves, whichever
+    thread that is, or the first to leave would end it for the others.
+    """
     if in_browser():
-        return nullcontext()
-    return _libraries().limit(limits=1, user_api="blas")
+        yield
+        return
+    with _lock:
+        first = not _holders
+        _holders.append(_libraries().limit(limits=1, user_api="blas") if first else _holders[0])
+    try:
+        yield
+    finally:
+        with _lock:
+            limit = _holders.pop()
+            if not _holders:
+                limit.restore_original_limits()
 
 
 def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 
 from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
+from .._display import Shown
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.arviz_io import pointwise_loo
@@ -33,8 +34,8 @@ from .trials import Trials, check_trials
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """Fits of several observers to the same trials, best evidence first in `table`.
 
     Columns of `table`: `log_evidence`; `log_bayes_factor` against the best (natural log);
@@ -53,8 +54,12 @@ class Comparison:
     (np.float64(0.0), True)
     """
 
+    _figure: ClassVar[str] = "comparison"
     table: pd.DataFrame
     fits: Mapping[str, WeberFit] = field(repr=False)
+
+    def _line(self) -> str:
+        return self.report().split("; ")[0].rstrip(".")
 
     def report(self) -> str:
         """The verdict in words."""

@@ -72,7 +72,9 @@ class CueEncoding:
                 "compare; write cues.Compliance(), say."
             )
         if self.deflection_angle is not None:
-            _checks.number("deflection_angle", self.deflection_angle, "give radians, such as 0.2")
+            hint = "give radians, such as 0.2"
+            _checks.number("deflection_angle", self.deflection_angle, hint)
+            _checks.angle("deflection_angle", self.deflection_angle, hint)
         if "deflection_angle" in self.observer.unknowns and self.deflection_angle is None:
             raise ValueError(
                 f"{cue!r} needs the deflection angle of the contacts, got none; "

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_arguments
+from .._display import Shown, interval_text
 from ..posterior.arviz_io import to_arviz
 from ..threads import one_blas_thread
 from .bias_scale import likely_scales
@@ -53,8 +54,8 @@ class PopulationStatus(Enum):
         return self is PopulationStatus.DETERMINED
 
 
-@dataclass(frozen=True, eq=False)
-class PopulationFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class PopulationFit(Shown):
     """A population of animals, and each of them in its light.
 
     `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
@@ -71,6 +72,7 @@ class PopulationFit:
     (['s1', 's2', 's3'], True)
     """
 
+    _figure: ClassVar[str] = "shrinkage"
     status: PopulationStatus
     subjects: pd.DataFrame = field(repr=False)
     sessions: pd.DataFrame | None = field(repr=False)
@@ -152,6 +154,17 @@ class PopulationFit:
     def log_evidence(self) -> float:
         """Natural log of the probability of all the answers; -inf without a population."""
         return -np.inf if self.population is None else self.population.log_evidence
+
+    def _line(self) -> str:
+        animals = f"{len(self.subjects)} animals"
+        if self.population is None:
+            return f"{animals}; {self.status.name}"
+        k = interval_text(self.weber_fraction, *self.interval())
+        spread = float(self.quantile("spread", 0.5))
+        return f"median k = {k}, spread of ln k {spread:.2g}; {animals}; {self.status.name}"
+
+    def _table(self) -> pd.DataFrame:
+        return self.subjects
 
     def to_dict(self) -> dict[str, Any]:
         """Everything a reader needs to use the fit, ready for JSON."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import Protocol
 
 import numpy as np
@@ -175,8 +176,9 @@ class GridPosterior:
     @cached_property
     def _draws(self) -> Draws:
         rng = np.random.default_rng(self.seed)
-        k, effects, low, high = lead_values(self.model, self._scores(self._lead_draws(rng)))
-        return Draws(k, low, high, self._bias_draws(rng, k, effects, low, high), effects)
+        t = self._lead_draws(rng)
+        k, effects, low, high = lead_values(self.model, self._scores(t))
+        return Draws(k, low, high, self._bias_draws(rng, t), effects)
 
     def _lead_draws(self, rng: np.random.Generator) -> Array:
         """Coordinates of k, effects, lapses by rejection, (N, lead): proposed from the grid,
@@ -217,8 +219,8 @@ class GridPosterior:
     def _log_density(self, t: Array, free: list[int]) -> Array:
         """Log density of the coordinates at scattered places, (M,), biases integrated."""
         z = self._scores(t)
-        k, effects, low, high = lead_values(self.model, z)
-        log_mass, _, _ = self._conditional(k, effects, low, high, half_width=8.0, nodes=17)
+        log_mass, _, _ = self._conditional(t, 1)
+        _, _, low, high = lead_values(self.model, z)
         possible = np.where(sum(self.model.lapses(low, high)) < 1, 0.0, -np.inf)
         precision = score_precision(self.model)
         x = z[:, free]
@@ -229,40 +231,49 @@ class GridPosterior:
             prior += np.log(self.model.transforms[i].slope(t[:, i]))
         return np.asarray(logsumexp(log_mass, axis=1).sum(axis=1) + prior + possible)
 
-    def _conditional(
-        self, k: Array, effects: Array, low: Array, high: Array, *, half_width: float, nodes: int
-    ) -> tuple[Array, Array, Array]:
-        """Log mass of bias nodes given the rest, (M, B, G); the nodes; their steps (M, G)."""
+    def _conditional(self, t: Array, finer: int) -> tuple[Array, Array, Array]:
+        """Log mass of bias nodes given the rest, at coordinates (M, lead): (M, B, G); the scores
+        of these nodes, and their steps (M, G). They lie where the grid found the bias to be."""
         m = self.model
-        t = np.linspace(-half_width, half_width, nodes) if m.free_bias else np.zeros(1)
-        encoded = np.broadcast_arrays(*m.task.decide(m.encoded(k, effects)))
-        centre, spread = m.bias_mode((encoded[0], encoded[1]), low, high)
-        bias = centre[:, None, :] + spread[:, None, :] * t[:, None]
-        step = spread * (t[1] - t[0] if t.size > 1 else 1.0)
-        log_mass = np.empty(bias.shape)
-        rows = max(1, 40_000 // (t.size * max(m.cells.n.size, 1)))
+        k, effects, low, high = lead_values(m, self._scores(t))
+        first, last = self._bias_span(t)
+        count = finer * (self.grid.bias_nodes - 1) + 1
+        score = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, count)[:, None]
+        step = (last - first) / max(count - 1, 1)
+        log_mass, bias = np.empty(score.shape), bias_at(m, score)
+        rows = max(1, 40_000 // (count * max(m.cells.n.size, 1)))
         for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
             cells = m.cell_log_likelihood(
                 k[i, None], low[i, None], high[i, None], bias[i], effects[i, None]
             )
             log_mass[i] = cells @ m.membership
         if m.free_bias:
-            log_mass = log_mass + m.log_bias_prior(bias) + np.log(step)[:, None, :]
-        return log_mass, bias, step
+            log_mass += -0.5 * score**2 - 0.5 * np.log(2 * np.pi) + np.log(step)[:, None]
+        return log_mass, score, step
 
-    def _bias_draws(
-        self, rng: np.random.Generator, k: Array, effects: Array, low: Array, high: Array
-    ) -> Array:
+    def _bias_span(self, t: Array) -> tuple[Array, Array]:
+        """Between which scores each bias lies, (M, G), by the outer nodes around."""
+        axes, (low, high) = self.grid.axes[:-2], self.grid.windows
+        shape = [a.size for a in axes]
+        first, last = np.full((2, len(low), len(t)), np.array([np.inf, -np.inf])[:, None, None])
+        for corner in product((0, 1), repeat=len(axes)):
+            at = [
+                np.clip(np.searchsorted(a, x, side="right") - 1 + c, 0, a.size - 1)
+                for a, x, c in zip(axes, t.T, corner, strict=False)
+            ]
+            node = np.ravel_multi_index(at, shape)
+            first, last = np.minimum(first, low[:, node]), np.maximum(last, high[:, node])
+        return first.T, last.T
+
+    def _bias_draws(self, rng: np.random.Generator, t: Array) -> Array:
         if not self.model.free_bias:
-            return np.full((k.size, self.model.n_groups), self.model.fixed_bias())
+            return np.full((len(t), self.model.n_groups), self.model.fixed_bias())
         out = []
-        for part in np.array_split(np.arange(k.size), max(k.size // 500, 1)):
-            log_mass, bias, step = self._conditional(
-                k[part], effects[part], low[part], high[part], half_width=7.0, nodes=57
-            )
+        for part in np.array_split(t, max(len(t) // 500, 1)):
+            log_mass, score, step = self._conditional(part, 4)
             weight = np.cumsum(np.exp(log_mass - log_mass.max(axis=1, keepdims=True)), axis=1)
             wanted = rng.random((len(part), 1, weight.shape[2])) * weight[:, -1:, :]
-            at = np.minimum((weight < wanted).sum(axis=1), bias.shape[1] - 1)
-            node = np.take_along_axis(bias, at[:, None, :], axis=1)[:, 0, :]
+            at = np.minimum((weight < wanted).sum(axis=1), score.shape[1] - 1)
+            node = np.take_along_axis(score, at[:, None, :], axis=1)[:, 0, :]
             out.append(node + step * (rng.random(node.shape) - rng.random(node.shape)))
-        return np.concatenate(out)
+        return bias_at(self.model, np.concatenate(out))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_attribute
+from .._display import Shown, interval_text
 from . import criticism, report
 from . import psychometric as curve
 from .criticism import predicted, prior_draws
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class WeberFit:
+@dataclass(frozen=True, repr=False)
+class WeberFit(Shown):
     """The fit of one observer; everything in it comes from one posterior.
 
     `weber_fraction` is the posterior median. `status` says what the data could tell and travels
@@ -50,6 +51,7 @@ class WeberFit:
     ['standard', 'criterion', 'comparison', 'lower', 'upper']
     """
 
+    _figure: ClassVar[str] = "psychometrics"
     trials: Trials = field(repr=False)
     model: WeberModel = field(repr=False)
     encoding: Encoding = field(repr=False)
@@ -327,6 +329,13 @@ class WeberFit:
     def lapse_sensitivity(self) -> pd.DataFrame:
         """The Weber fraction under other beliefs about lapses, a row a prior."""
         return lapse_sensitivity(self.model, self.posterior)
+
+    def _line(self) -> str:
+        k = f"k = {self.weber_fraction:.3g}, given"
+        if "weber_fraction" in self.parameters:
+            k = f"k = {interval_text(self.weber_fraction, *self.interval())}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{k}{unit}; {self.trials.n_trials} trials, {self.method}; {self.status.name}"
 
     def report(self) -> str:
         """What the data say, what they cannot say, and what to collect next."""

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
-from ..jnd import jnd_curve
+from ..jnd_curves import jnd_curve
 from ..posterior import posterior
 from .posteriors import OBSERVERS, readings
 from .timing import Row

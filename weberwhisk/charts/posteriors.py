@@ -15,7 +15,8 @@ import pandas as pd
 from scipy.integrate import cubature
 
 from .. import cues, receptors
-from ..jnd import fisher_jnd, jnd_curve, weber_propagation
+from ..jnd import fisher_jnd, weber_propagation
+from ..jnd_curves import jnd_curve
 from ..mechanics import flick_past
 from ..mechanics.chebyshev import Array
 from ..observer import Observer
@@ -273,7 +274,7 @@ def measure_jnds(*, full: bool = False) -> pd.DataFrame:
             count: int, method: str, o: Observer = observer, a: float | None = angle
         ) -> Array:
             found = jnd_curve(o, r, a, method=method, n_readings=count, seed=7)
-            return found["posterior"].to_numpy()
+            return np.asarray(found["posterior"])
 
         calls: list[tuple[str, int, Callable[[], Array]]] = [
             ("closed form", 0, partial(weber_propagation, observer, contact, model="closed_form")),

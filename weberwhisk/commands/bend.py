@@ -111,8 +111,8 @@ def bend(
         }
         # What was asked stays as it was written, also where there is no equilibrium.
         columns |= dict(zip(names, (where, much), strict=True))
-        columns["outcome"] = [ww.Outcome(o).name.lower() for o in bending.outcome]
-        columns["model"] = [ww.Model(m).name.lower() for m in bending.model]
+        columns["outcome"] = [ww.Outcome(o).name.lower() for o in np.asarray(bending.outcome)]
+        columns["model"] = [ww.Model(m).name.lower() for m in np.asarray(bending.model)]
         columns["error"] = bending.error
         table = pd.DataFrame(columns)
         run.table("bend", table)
@@ -120,7 +120,7 @@ def bend(
             run.figure("bend", _figure(whisker, where * units[0], much * units[1], names[0], model))
     show(table, run, whisker, as_json=as_json)
     if not as_json:
-        for outcome in sorted({ww.Outcome(o) for o in bending.outcome[~bending.held]}):
+        for outcome in sorted({ww.Outcome(o) for o in np.asarray(bending.outcome)[~bending.held]}):
             print(f"{outcome.message[:1].upper()}{outcome.message[1:]}.")
         if bending.outside_domain:
             print(bending.outside_domain)

@@ -12,7 +12,7 @@ import weberwhisk as ww
 
 from .. import _checks, surveys
 from ..output import Run, to_json
-from .jnd import in_millimetres, jnd_table, lines_and_points
+from .jnd import curve_in_steps
 from .options import (
     NO_SHAPE,
     JsonOption,
@@ -133,9 +133,9 @@ def figure_4a(asked: Asked) -> Made:
     for name, shape in (("tapered", asked.whisker), ("cylinder", asked.whisker.cylinder())):
         observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(surveys.K))
         draws = DRAWS_SHORT if asked.short else 2 * DRAWS
-        table = jnd_table(observer, r, none, "emcee", "d'=1", draws, asked.seed, False, name)
-        tables.append(in_millimetres(table).assign(whisker=name))
-        shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
+        curve = curve_in_steps(observer, r, none, "emcee", "d'=1", draws, asked.seed, False, name)
+        tables.append(curve.table.reset_index().assign(whisker=name))
+        shown[name] = curve
     drawn = figures.jnd_lines(shown, length=asked.whisker.length, weber_fraction=surveys.K)
     joined = pd.concat(tables, ignore_index=True)
     joined.insert(0, "whisker", joined.pop("whisker"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -12,7 +12,6 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers, progress
-from ..jnd import criterion_factor, weber_propagation
 from ..output import Run
 from .options import (
     NO_SHAPE,
@@ -31,21 +30,8 @@ from .options import (
     the_whisker,
 )
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 Array = NDArray[np.float64]
 
-#: Columns of `jnd_curve` that are lengths.
-LENGTHS = (
-    "closed_form",
-    "propagation",
-    "fisher",
-    "posterior",
-    "posterior_error",
-    "estimator",
-    "estimator_error",
-)
 #: Distances in one call of `jnd_curve`: what the progress bar moves by.
 STEP = 4
 
@@ -98,18 +84,17 @@ def jnd(
     for name in ("out", "as_json", "seed"):
         inputs.pop(name)
     with Run(out, "jnd", inputs, seed) as run:
-        table = jnd_table(
+        curve = curve_in_steps(
             observer, asked * 1e-3, angles, method or "quadrature", criterion, draws, seed, as_json
         )
-        written = in_millimetres(table)
+        written = curve.table.reset_index()
         # What was asked stays as it was written.
         written["radial_distance_mm"] = np.tile(asked, max(angles.size, 1))
         run.table("jnd", written)
         if run.out_dir is not None:
             from .. import figures
 
-            lines = lines_and_points(observer, table, angles, criterion)
-            run.figure("jnd", figures.figure_of(figures.jnd_lines(lines)))
+            run.figure("jnd", figures.figure_of(figures.jnd_lines(curve)))
     show(written, run, whisker, as_json=as_json)
     if not as_json:
         print(f"Every column of lengths is a JND of radial distance, criterion {criterion}.")
@@ -125,7 +110,7 @@ def jnd(
                 print(f"{outcome[:1].upper()}{outcome[1:]}.")
 
 
-def jnd_table(
+def curve_in_steps(
     observer: ww.Observer,
     distances: Array,
     angles: Array,
@@ -135,7 +120,7 @@ def jnd_table(
     seed: int,
     as_json: bool,
     description: str = "Posteriors",
-) -> pd.DataFrame:
+) -> ww.JNDCurve:
     """`jnd_curve` in steps, with a progress bar; angles are combined with distances."""
     import pandas as pd
 
@@ -157,48 +142,7 @@ def jnd_table(
                     criterion=criterion,
                     n_readings=draws,
                     seed=own,
-                )
+                ).frame
             )
             advance()
-    return pd.concat(parts, ignore_index=True)
-
-
-def in_millimetres(table: pd.DataFrame) -> pd.DataFrame:
-    """A table of `jnd_curve` in the units of the command line."""
-    written = table.copy()
-    written["radial_distance"] *= 1e3
-    lengths = [name for name in ("side", *LENGTHS) if name in written]
-    written[lengths] *= 1e3
-    angles = [name for name in ("deflection_angle", "bearing") if name in written]
-    written[angles] = np.degrees(written[angles])
-    units = {name: f"{name}_mm" for name in ("radial_distance", *lengths)}
-    return written.rename(columns=units | {name: f"{name}_deg" for name in angles})
-
-
-def lines_and_points(
-    observer: ww.Observer, table: pd.DataFrame, angles: Array, criterion: str
-) -> dict[str, pd.DataFrame]:
-    """What the figure shows: the table's rows, and closed forms in between; a table an angle."""
-    import pandas as pd
-
-    factor = criterion_factor(criterion)
-    r = np.linspace(0.005, 0.999, 200) * observer.whisker.length
-    parts = {}
-    for angle in angles.tolist() or [None]:
-        columns = [r] if angle is None else [r, np.full_like(r, angle)]
-        contact = observer.at_middle(np.stack(columns, axis=-1))
-        line = pd.DataFrame(
-            {
-                "radial_distance": r,
-                "criterion": criterion,
-                "closed_form": factor * weber_propagation(observer, contact, model="closed_form"),
-                "propagation": factor * weber_propagation(observer, contact),
-                "posterior": np.nan,
-                "posterior_error": np.nan,
-            }
-        )
-        rows = table if angle is None else table[table["deflection_angle"] == angle]
-        label = "" if angle is None else f"{np.degrees(angle):.4g}°"
-        both = [line, rows[list(line.columns)]]
-        parts[label] = pd.concat(both).dropna(subset=["propagation", "posterior"], how="all")
-    return parts
+    return ww.JNDCurve(observer, pd.concat(parts, ignore_index=True))

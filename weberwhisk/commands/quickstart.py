@@ -17,7 +17,7 @@ from .._terminal import progress
 from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
-from .jnd import in_millimetres, jnd_table, lines_and_points
+from .jnd import curve_in_steps
 from .options import (
     JsonOption,
     SeedOption,
@@ -109,21 +109,21 @@ def curves(
     for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
         observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
         common = ("d'=1", draws, seed, as_json)
-        table = jnd_table(observer, r, none, "emcee", *common, f"Posteriors, {name} whisker")
-        exact = jnd_table(observer, r, none, "quadrature", *common, "Check by quadrature")
-        written = in_millimetres(table)
+        curve = curve_in_steps(observer, r, none, "emcee", *common, f"Posteriors, {name} whisker")
+        exact = curve_in_steps(observer, r, none, "quadrature", *common, "Check by quadrature")
+        written = curve.table.reset_index()
         written.insert(0, "whisker", name)
         written["posterior_by_quadrature_mm"] = exact["posterior"] * 1e3
         tables.append(written)
-        shown[name] = lines_and_points(observer, table, none, "d'=1")[""]
-        findings[name] = _compared(table, exact, whisker.length * k)
+        shown[name] = curve
+        findings[name] = _compared(curve, exact, whisker.length * k)
     run.table("jnd_curve", pd.concat(tables, ignore_index=True))
     drawn = figures.jnd_lines(shown, length=whisker.length, weber_fraction=k)
     run.figure("jnd_curve", figures.figure_of(drawn))
     return findings
 
 
-def _compared(table: pd.DataFrame, exact: pd.DataFrame, scale: float) -> dict[str, Any]:
+def _compared(table: ww.JNDCurve, exact: ww.JNDCurve, scale: float) -> dict[str, Any]:
     """One whisker's posteriors against the closed form and against quadrature, JND/(kL)."""
     closed, found, error = (
         table[name].to_numpy(float) for name in ("closed_form", "posterior", "posterior_error")
@@ -163,10 +163,12 @@ def jnd_surface(
     with progress("Posteriors, force map", r.size, as_json=as_json) as advance:
         parts = []
         for distance, angle, child in zip(r, theta, own, strict=True):
-            parts.append(ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child))
+            parts.append(
+                ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child).frame
+            )
             advance()
     points = pd.concat(parts, ignore_index=True)
-    run.table("jnd_surface_posteriors", in_millimetres(points))
+    run.table("jnd_surface_posteriors", ww.JNDCurve(observer, points).table.reset_index())
     drawn = figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
     run.figure("jnd_surface", figures.figure_of(drawn))
     scale = whisker.length * k

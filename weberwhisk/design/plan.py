@@ -10,10 +10,12 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import pandas as pd
 
 from .. import _checks
+from .._display import Shown
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from ..output import csv_text
@@ -26,8 +28,8 @@ from .scheme import Constraints, Scheme
 from .trial_lists import sessions_needed, trial_lists
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
     """A planned experiment; everything in it follows from its fields.
 
     Parameters
@@ -57,6 +59,7 @@ class Plan:
         hypothesis.
     """
 
+    _figure: ClassVar[str] = "planned_jnds"
     scheme: Scheme
     hypotheses: Sequence[Hypothesis]
     goal: Goal
@@ -165,6 +168,17 @@ class Plan:
     def analyse(self, trials: Trials, *, unit: float = 1.0) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
         return analyse(trials, self.hypotheses, together=self.together, unit=unit)
+
+    def _line(self) -> str:
+        scheme = self.scheme
+        standards = ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards)
+        return (
+            f"{self.title}; standards {standards} mm; {scheme.n_trials} trials an animal, "
+            f"{scheme.animals} animal{'s' * (scheme.animals > 1)}; goal: {self.goal}"
+        )
+
+    def _table(self) -> pd.DataFrame:
+        return self.jnds_by_standard
 
     def power_in_words(self) -> str:
         """How often the planned size, or the next one looked at, reaches the goal."""

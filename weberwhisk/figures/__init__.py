@@ -7,7 +7,7 @@ line style, so that a figure also reads in grey.
 
 from .._deprecated import renamed_names
 from .charts import fits_and_growth, speed_accuracy
-from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram
+from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
 from .designs import (
     adaptive,
     information_map,
@@ -18,9 +18,9 @@ from .designs import (
     power_curve,
     rehearsed,
 )
-from .fits import pairs, psychometric, psychometrics, residuals, shrinkage
+from .fits import comparison, pairs, psychometric, psychometrics, residuals, shrinkage
 from .page import plan_page
-from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, styled
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
 from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, ridge, weber_2d
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "adaptive",
     "bending",
     "best_cue",
+    "comparison",
     "cue_information",
     "cue_jnds",
     "cue_outcomes",
@@ -48,12 +49,14 @@ __all__ = [
     "planned_power",
     "planned_psychometrics",
     "posterior_histogram",
+    "posteriors",
     "power_curve",
     "psychometric",
     "psychometrics",
     "rehearsed",
     "residuals",
     "ridge",
+    "shown",
     "shrinkage",
     "speed_accuracy",
     "styled",

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from ..jnd_curves import JNDCurve
 from .style import (
     COLOURS,
     DOUBLE,
@@ -20,7 +21,7 @@ from .style import (
     figure_of,
     legend_above,
     look,
-    new_figure,
+    open_figure,
     styled,
 )
 
@@ -55,7 +56,7 @@ def bending(
     Parameters
     ----------
     curves : Bending
-        Arrays (lines, points along each).
+        Arrays (lines, points along each); fewer dimensions are one line, or one point.
     axes : three Axes, optional
     points : Bending, optional
         Contacts to mark, arrays (lines, marks on each).
@@ -75,20 +76,20 @@ def bending(
     3
     """
     if axes is None:
-        axes = list(new_figure(DOUBLE, 2.7).subplots(1, 3))
+        axes = list(open_figure(DOUBLE, 2.7).subplots(1, 3))
     label, unit, name, symbol = _AGAINST[against]
     for ax, (attribute, title, scale) in zip(axes, _SIGNALS, strict=True):
-        for i in range(len(curves.moment)):
-            held = np.isfinite(curves.moment[i])
+        x, y, place = (_rows(curves, which) for which in (against, attribute, name))
+        for i, held in enumerate(np.isfinite(y)):
             if not held.any():  # out of reach: there is no line
                 continue
-            distance = np.max(getattr(curves, name)[i][held])
-            x, y = (getattr(curves, which)[i] for which in (against, attribute))
-            ax.plot(x / unit, y / scale, **look(i), label=f"{symbol} = {distance * 1e3:.4g} mm")
+            text = f"{symbol} = {np.max(place[i][held]) * 1e3:.4g} mm"
+            dot = {"marker": MARKERS[i % len(MARKERS)]} if held.sum() == 1 else {}
+            ax.plot(x[i] / unit, y[i] / scale, **look(i, **dot), label=text)
             if points is not None:
-                x, y = (getattr(points, which)[i] for which in (against, attribute))
+                at = [_rows(points, which)[i] for which in (against, attribute)]
                 marks = {"marker": MARKERS[i % len(MARKERS)], "markerfacecolor": "white"}
-                ax.plot(x / unit, y / scale, **look(i, **marks) | {"linestyle": "none"})
+                ax.plot(at[0] / unit, at[1] / scale, **look(i, **marks) | {"linestyle": "none"})
         ax.set_xlabel(label)
         ax.set_ylabel(title)
     handles, labels = axes[0].get_legend_handles_labels()
@@ -103,10 +104,46 @@ def bending(
     return np.array(axes, dtype=object)
 
 
+def _rows(curves: Bending, name: str) -> NDArray[np.float64]:
+    """A value of every contact, (lines, points)."""
+    values = np.asarray(getattr(curves, name), dtype=float)
+    return values.reshape(-1, values.shape[-1] if values.ndim else 1)
+
+
 _UNKNOWNS = {
     "radial_distance": ("Radial distance (mm)", 1e-3),
     "deflection_angle": ("Deflection angle (degrees)", np.pi / 180),
 }
+
+
+@styled
+def posteriors(
+    result: Posterior, ax: Axes | None = None, *, of: str = "radial_distance", draws: int = 4000
+) -> Axes:
+    """One posterior as `posterior_histogram`; of many, each mean with its 95 % interval, in order.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues, posterior as infer
+    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> posteriors(infer(observer, observer.read([[20e-3], [30e-3]], seed=1))).get_xlabel()
+    'Reading'
+    """
+    if np.ndim(result.reading) < 2:
+        return posterior_histogram(result, ax, of=of, draws=draws)
+    ax = axes_or_new(ax)
+    label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
+    mean = np.asarray(result.estimates[of].mean) / unit
+    low, high = np.moveaxis(np.asarray(result.interval(0.95, of=of)) / unit, -1, 0)
+    ends = mean, np.minimum(low, mean), np.maximum(high, mean)
+    reliable = np.asarray(result.status) == 0
+    for i, (which, name) in enumerate(((reliable, "mean, 95 %"), (~reliable, "see its status"))):
+        if which.any():
+            bars(ax, np.flatnonzero(which), [v[which] for v in ends], i, label=name)
+    ax.set_xlabel("Reading")
+    ax.set_ylabel(label)
+    legend_above(ax)
+    return ax
 
 
 @styled
@@ -147,11 +184,11 @@ def posterior_histogram(
             "infer from one of them."
         )
     ax = axes_or_new(ax)
-    label, unit = _UNKNOWNS[of]
+    label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
     column = result.observer.unknowns.index(of)
     values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
     ax.hist(values, bins=60, density=True, color=COLOURS[4], edgecolor="none")
-    mean = result.estimates[of].mean / unit
+    mean = float(result.estimates[of].mean / unit)
     low, high = np.asarray(result.interval(0.95, of=of)) / unit
     ax.axvline(mean, color=COLOURS[0], label=f"mean {mean:.3g}")
     for end in (low, high):
@@ -167,7 +204,7 @@ def posterior_histogram(
 
 @styled
 def jnd_lines(
-    tables: pd.DataFrame | Mapping[str, pd.DataFrame],
+    tables: JNDCurve | pd.DataFrame | Mapping[str, JNDCurve | pd.DataFrame],
     ax: Axes | None = None,
     *,
     length: float | None = None,
@@ -179,8 +216,8 @@ def jnd_lines(
 
     Parameters
     ----------
-    tables : DataFrame, or mapping of label to DataFrame
-        From `jnd_curve`. Rows whose ``posterior`` is NaN extend the line alone.
+    tables : JNDCurve or DataFrame, or mapping of label to such
+        From `jnd_curve`. Of a table, rows whose ``posterior`` is NaN extend the line alone.
     ax : Axes, optional
     length : float, optional
         Length of the whisker, m. With it both axes are fractions of it and the JND is divided by
@@ -200,10 +237,12 @@ def jnd_lines(
     >>> ax.get_xlabel()
     'Radial distance r (mm)'
     """
-    import pandas as pd
-
     ax = axes_or_new(ax)
-    named = {"": tables} if isinstance(tables, pd.DataFrame) else tables
+    given = tables if isinstance(tables, Mapping) else {"": tables}
+    named: dict[str, pd.DataFrame] = {}
+    for label, one in given.items():
+        parts = one.lines() if isinstance(one, JNDCurve) else {"": one}
+        named |= {", ".join(filter(None, (label, angle))): t for angle, t in parts.items()}
     x_unit = 1e-3 if length is None else length
     y_unit = 1e-3 if length is None else length * weber_fraction
     for i, (label, table) in enumerate(named.items()):

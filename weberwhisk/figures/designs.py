@@ -23,7 +23,7 @@ from .style import (
     figure_of,
     legend_above,
     look,
-    new_figure,
+    open_figure,
     styled,
 )
 
@@ -150,7 +150,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
     if axes is None:
         width = SINGLE if len(standards) == 1 else DOUBLE
         axes = list(
-            new_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
+            open_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
         )
     for ax, standard in zip(axes, standards, strict=True):
         levels = plan.levels.query("standard == @standard")
@@ -304,7 +304,7 @@ def adaptive(
     first, second = tables["estimation"], tables["discrimination"]
     ks = sorted(first["weber_fraction"].unique())
     if axes is None:
-        figure = new_figure(DOUBLE, 2.9)
+        figure = open_figure(DOUBLE, 2.9)
         axes = list(figure.subplots(1, len(ks) + 1))
     methods = list(dict.fromkeys(first["method"]))
     half = (first["high"] - first["low"]) / (first["high"] + first["low"])

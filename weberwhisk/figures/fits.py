@@ -21,14 +21,14 @@ from .style import (
     drawable,
     figure_of,
     legend_above,
-    new_figure,
+    open_figure,
     styled,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..behaviour import PopulationFit, WeberFit
+    from ..behaviour import Comparison, PopulationFit, WeberFit
 
 
 @styled
@@ -79,24 +79,36 @@ def psychometric(
 
 @styled
 def psychometrics(
-    fit: WeberFit, axes: Sequence[Axes] | None = None, *, unit: str = ""
+    fit: WeberFit,
+    axes: Axes | Sequence[Axes] | None = None,
+    *,
+    standard: float | None = None,
+    unit: str = "",
 ) -> NDArray[Any]:
-    """`psychometric` at every standard, in small multiples; returns their axes."""
-    known = fit.trials.standards
-    if axes is None:
-        columns = min(len(known), 4)
-        rows = -(-len(known) // columns)
-        width = SINGLE if columns == 1 else DOUBLE * max(columns, 2) / 4
-        figure = new_figure(width, 0.9 + 1.55 * rows if rows > 1 else 2.6)
-        grid = figure.subplots(rows, columns, sharey=True, sharex=_relative(fit), squeeze=False)
-        axes = list(grid.ravel())
-        for spare in axes[len(known) :]:
-            spare.set_visible(False)
+    """`psychometric` at every standard, or at one, in small multiples; returns their axes."""
+    known = fit.trials.standards if standard is None else np.array([float(standard)])
+    if axes is not None:
+        given = list(np.ravel(np.array(axes, dtype=object)))
+        if len(given) < len(known):
+            raise ValueError(
+                f"There are {len(known)} standards and {len(given)} axes; name one, such as "
+                f"standard={known[0]:g}, or give more."
+            )
+        for ax, s in zip(given, known, strict=False):
+            psychometric(fit, ax, standard=float(s), unit=unit)
+        return np.array(given[: len(known)], dtype=object)
+    columns = max(min(len(known), 4), 1)
+    rows = max(-(-len(known) // columns), 1)
+    width = SINGLE if columns == 1 else DOUBLE * max(columns, 2) / 4
+    figure = open_figure(width, 0.9 + 1.55 * rows if rows > 1 else 2.6)
+    grid = figure.subplots(rows, columns, sharey=True, sharex=_relative(fit), squeeze=False)
+    axes = list(grid.ravel())
+    for spare in axes[len(known) :]:
+        spare.set_visible(False)
     for ax, s in zip(axes, known, strict=False):
         _choices(fit, ax, float(s))
         if len(known) > 1:
             ax.set_title(f"standard {s:.3g}")
-    figure = figure_of(axes)
     figure.supxlabel(_stimulus_label(fit, unit))
     figure.supylabel(_answer_label(fit))
     handles, labels = axes[0].get_legend_handles_labels()
@@ -223,7 +235,7 @@ def pairs(fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800
     names = fit.parameters
     size = len(names)
     if axes is None:
-        figure = new_figure(max(SINGLE, 1.5 * size), max(2.6, 1.4 * size))
+        figure = open_figure(max(SINGLE, 1.5 * size), max(2.6, 1.4 * size))
         axes = list(figure.subplots(size, size, squeeze=False).ravel())
     grid = np.array(axes, dtype=object).reshape(size, size)
     sample = fit.posterior.draws().named(fit.posterior.model)  # type: ignore[attr-defined]
@@ -290,5 +302,36 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel("Weber fraction")
+    legend_above(ax)
+    return ax
+
+
+@styled
+def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
+    """How much worse than the best each observer explains the choices.
+
+    Evidence and trials left out (LOO), in nats; the latter with one standard error.
+
+    Examples
+    --------
+    >>> from weberwhisk import compare, fit_weber, simulate_trials
+    >>> trials = simulate_trials(weber_fraction=0.1, seed=1)
+    >>> none = fit_weber(trials, priors={"lapse_low": 0.0, "lapse_high": 0.0})
+    >>> comparison(compare({"lapses": fit_weber(trials), "none": none})).get_xlabel()
+    'Nats below the best'
+    """
+    table = result.table.iloc[::-1]
+    ax = axes_or_new(ax, SINGLE + 0.4, 1.2 + 0.3 * len(table))
+    y = np.arange(len(table), dtype=float)
+    evidence = table["log_bayes_factor"].to_numpy(float)
+    ax.plot(evidence, y + 0.12, "o", color=COLOURS[0], label="log evidence")
+    ax.errorbar(
+        table["elpd_difference"], y - 0.12, xerr=table["difference_se"], fmt="s",
+        color=COLOURS[1], markersize=3, elinewidth=0.9, label="a trial left out, ± 1 SE",
+    )  # fmt: skip
+    ax.axvline(0, color="0.7", linewidth=0.8, zorder=0)
+    ax.set_yticks(y, [drawable(name, 40) for name in table.index])
+    ax.set_ylim(-0.6, len(table) - 0.4)
+    ax.set_xlabel("Nats below the best")
     legend_above(ax)
     return ax

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from collections.abc import Callable, Iterable
+from contextvars import ContextVar
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -46,6 +49,10 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(draw)
     def drawn(*arguments: P.args, **options: P.kwargs) -> R:
+        if _is_shown():
+            from matplotlib import pyplot
+
+            pyplot.draw_if_interactive()  # loads the backend, whose own parameters are to stay
         with matplotlib.rc_context(_STYLE):
             return draw(*arguments, **options)
 
@@ -72,16 +79,63 @@ def drawable(name: object, longest: int = 24) -> str:
 
 
 class _Figure(Figure):
-    """A figure whose files are the same each time they are made."""
+    """A figure that keeps its style wherever it is drawn, and shows itself in a notebook."""
+
+    def draw(self, renderer: Any) -> None:
+        with matplotlib.rc_context(_STYLE):  # ticks are made as late as this
+            super().draw(renderer)
 
     def savefig(self, fname: Any, **options: Any) -> None:
-        with matplotlib.rc_context(_STYLE | _SAVING):
+        with matplotlib.rc_context(_STYLE | _SAVING):  # the same file each time
             super().savefig(fname, **options)
+
+    def _repr_png_(self) -> bytes:
+        content = io.BytesIO()
+        self.savefig(content, format="png")
+        return content.getvalue()
+
+    def _ipython_display_(self) -> None:
+        """Show it once, also where `pyplot` would show it again at the end of the cell."""
+        from IPython.display import Image, display
+        from matplotlib import pyplot
+
+        width = round(self.get_figwidth() * 110)
+        display(Image(self._repr_png_(), format="png", width=width))
+        pyplot.close(self)
 
 
 def new_figure(width: float = SINGLE, height: float = 2.8) -> Figure:
-    """An empty figure in this module's style, inches."""
+    """An empty figure in this module's style, inches; `pyplot` does not know it."""
     return _Figure(figsize=(width, height), dpi=200, layout="constrained")
+
+
+#: Whether figures that are drawn on are to be shown, see `shown`.
+_SHOWING: ContextVar[bool] = ContextVar("showing", default=False)
+
+
+def _is_shown() -> bool:
+    ipython = sys.modules.get("IPython")
+    return _SHOWING.get() or (ipython is not None and ipython.get_ipython() is not None)
+
+
+def open_figure(width: float = SINGLE, height: float = 2.8) -> Figure:
+    """As `new_figure`; in a notebook, or drawn by `.plot()`, `pyplot` knows it and shows it."""
+    if not _is_shown():
+        return new_figure(width, height)
+    from matplotlib import pyplot
+
+    return pyplot.figure(
+        FigureClass=_Figure, figsize=(width, height), dpi=200, layout="constrained"
+    )
+
+
+def shown(draw: Callable[..., Any], result: object, ax: object, options: dict[str, Any]) -> Figure:
+    """What a result's `.plot()` returns: the figure of one of this package's functions."""
+    token = _SHOWING.set(True)
+    try:
+        return figure_of(draw(result, ax, **options))
+    finally:
+        _SHOWING.reset(token)
 
 
 def look(i: int, **more: Any) -> dict[str, Any]:
@@ -102,10 +156,10 @@ def bars(ax: Axes, x: Any, ends: Iterable[Any], i: int, **more: Any) -> None:
 def axes_or_new(ax: Axes | None, width: float = SINGLE, height: float = 2.8) -> Axes:
     if ax is not None:
         return ax
-    return new_figure(width, height).subplots()
+    return open_figure(width, height).subplots()
 
 
-def figure_of(axes: Any) -> Any:
+def figure_of(axes: Any) -> Figure:
     """The figure that axes, or an array of them, stand in."""
     figure = np.ravel(np.asarray(axes, dtype=object))[0].figure
     assert isinstance(figure, Figure)

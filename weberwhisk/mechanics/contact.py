@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._deprecated import renamed_attribute
+from .._display import Shown, member
 from ..whisker import Whisker
+
+Array = NDArray[np.float64]
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Outcome(IntEnum):
@@ -162,11 +168,12 @@ def _shown(bias: float, allowed: float) -> str:
     return text
 
 
-@dataclass(frozen=True, eq=False)
-class Bending:
+@dataclass(frozen=True, eq=False, repr=False)
+class Bending(Shown):
     """A whisker bent against a point: signals at the base, the contact and its outcome.
 
-    All values have the broadcast shape of the inputs (scalars for scalars), in SI units. Where
+    All values have the broadcast shape of the inputs (scalars for scalars, and an array of the
+    whole numbers behind `Outcome` and `Model` for arrays), in SI units. Where
     there is no equilibrium the numbers are NaN and `outcome` says why. Angles and the
     transverse signals carry the sign of the deflection.
 
@@ -189,22 +196,23 @@ class Bending:
         How the ladder came to the model; none where the model was asked for by name.
     """
 
-    moment: Any
-    axial_force: Any
-    transverse_force: Any
-    radial_distance: Any
-    deflection_angle: Any
-    contact_angle: Any
-    arc_length: Any
-    force: Any
-    outcome: Any
-    model: Any
-    error: Any
+    _figure: ClassVar[str] = "bending"
+    moment: Array
+    axial_force: Array
+    transverse_force: Array
+    radial_distance: Array
+    deflection_angle: Array
+    contact_angle: Array
+    arc_length: Array
+    force: Array
+    outcome: Outcome
+    model: Model
+    error: Array
     whisker: Whisker
     choice: Choice | None = None
 
     @property
-    def why(self) -> Any:
+    def why(self) -> str:
         """Why this model, in words: one sentence, or an array of them."""
         return "it was asked for by name" if self.choice is None else self.choice.why
 
@@ -223,22 +231,50 @@ class Bending:
         return domain.sentence(domain.of_whisker(self.whisker) + domain.of_contact(share, 1.0))
 
     @property
-    def held(self) -> Any:
+    def held(self) -> NDArray[np.bool_]:
         """True where the contact is stable."""
         return np.equal(self.outcome, Outcome.HELD)
 
+    def _line(self) -> str:
+        if np.ndim(self.moment):
+            count, shape = int(np.sum(self.held)), "×".join(map(str, np.shape(self.moment)))
+            models = ", ".join(Model(int(m)).title for m in np.unique(self.model))
+            return f"{shape} contacts, {count} of {np.size(self.moment)} held; {models}"
+        signals = (
+            f"M = {self.moment * 1e6:.4g} µN m, Fx = {self.axial_force * 1e6:.4g} µN, "
+            f"Fy = {self.transverse_force * 1e6:.4g} µN"
+        )
+        place = f"r = {self.radial_distance * 1e3:.4g} mm, "
+        place += f"θ_d = {np.degrees(self.deflection_angle):.4g}°"
+        known = f"{signals} at {place}; " if self.held else ""
+        return f"{known}{Outcome(int(self.outcome)).message}; {Model(int(self.model)).title}"
+
+    def _table(self) -> pd.DataFrame:
+        import pandas as pd
+
+        units = {
+            "radial_distance": ("mm", 1e-3), "deflection_angle": ("deg", np.pi / 180),
+            "moment": ("micronewton_metre", 1e-6), "axial_force": ("micronewton", 1e-6),
+            "transverse_force": ("micronewton", 1e-6),
+        }  # fmt: skip
+        table = pd.DataFrame(
+            {f"{n}_{u}": np.ravel(getattr(self, n)) / scale for n, (u, scale) in units.items()}
+        )
+        names = [Outcome(int(o)).name.lower() for o in np.ravel(self.outcome)]
+        return table.assign(outcome=names)
+
     @property
-    def normalised_moment(self) -> Any:
+    def normalised_moment(self) -> Array:
         """M·L/EI₀, as in the paper's figures."""
         return self.moment / self.whisker.moment_scale
 
     @property
-    def normalised_axial_force(self) -> Any:
+    def normalised_axial_force(self) -> Array:
         """Fx·L²/EI₀."""
         return self.axial_force / self.whisker.force_scale
 
     @property
-    def normalised_radial_distance(self) -> Any:
+    def normalised_radial_distance(self) -> Array:
         """r/L."""
         return self.radial_distance / self.whisker.length
 
@@ -293,8 +329,8 @@ def by_rows(
     }
     return Bending(
         **values,
-        outcome=outcome.reshape(shape) if shape else Outcome(int(outcome[0])),
-        model=np.full(shape, model, dtype=np.int8) if shape else model,
+        outcome=member(Outcome, outcome.reshape(shape)),
+        model=member(Model, np.full(shape, model, dtype=np.int8)),
         error=error.reshape(shape)[()],
         whisker=whisker,
     )

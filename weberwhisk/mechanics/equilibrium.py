@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
+from .._display import member
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
 from .chebyshev import Array, ChebyshevTable, Curve, the_map, unfold
@@ -104,7 +105,7 @@ class Scenes:
                 for name, row in zip(NUMBERS, numbers, strict=True)
             },
             outcome=self.outcome(outcome),
-            model=np.full(shape, Model.PROFILE, dtype=np.int8) if shape else Model.PROFILE,
+            model=member(Model, np.full(shape, Model.PROFILE, dtype=np.int8)),
             error=error.reshape(shape)[()],
             whisker=self.whisker,
         )

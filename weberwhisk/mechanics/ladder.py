@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, one_of, positive
+from .._checks import angle, finite, one_of, positive
 from ..whisker import Whisker
 from . import closed_form, elastica
 from .chebyshev import Array
@@ -163,7 +163,7 @@ def press(
     the curved planar beam models all there is in this scene; nothing cheaper was tried
     """
     r = positive("radial_distance", radial_distance, _METRES)
-    theta = finite("deflection_angle", deflection_angle, _RADIANS)
+    theta = angle("deflection_angle", deflection_angle, _RADIANS)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     turn = finite("roll", roll, _NO_ROLL)
     weighed = tolerance is not None or weber_fraction is not None or cue is not None
@@ -291,7 +291,7 @@ def signal_jacobian(
         As for `bend`.
     """
     r = positive("radial_distance", radial_distance, _METRES)
-    theta = finite("deflection_angle", deflection_angle, _RADIANS)
+    theta = angle("deflection_angle", deflection_angle, _RADIANS)
     tilt = finite("friction_angle", friction_angle, _NO_FRICTION)
     turn = finite("roll", roll, _NO_ROLL)
     name = _model_of(whisker, None, tilt, turn)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite
+from .._display import member
 from ..whisker import Whisker
 from .chebyshev import Array
 from .contact import Bending, Outcome
@@ -158,7 +159,7 @@ def sweep(
         for name, value in vars(b).items()
         if name not in ("outcome", "model", "whisker", "choice")
     }
-    b = replace(b, **numbers, outcome=outcome)
+    b = replace(b, **numbers, outcome=member(Outcome, outcome))
     world = b.deflection_angle - angles
     path = np.stack([b.radial_distance * np.cos(world), b.radial_distance * np.sin(world)], axis=-1)
     return Sweep(angles, b, path, tip, float(begin), float(end), ended)

@@ -222,7 +222,7 @@ def tip_contacts(whisker: Whisker) -> tuple[Array, Array, Array]:
     r = whisker.length * (1 - np.linspace(0.0, 1.0, NODES)[:-1] ** 2)
     theta = np.nan_to_num(surface_of(whisker).limit(r)) * (1 - INSIDE)
     slipped = elastica.press(whisker, r, theta * (1 + 2 * INSIDE)).outcome
-    tip = slipped == Outcome.SLIPPED_OFF_TIP
+    tip = np.equal(slipped, Outcome.SLIPPED_OFF_TIP)
     tip[0] = False
     r, theta = np.r_[whisker.length, r[tip]], np.r_[0.0, theta[tip]]
     beta = elastica.press(whisker, r, theta).contact_angle - theta

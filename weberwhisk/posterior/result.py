@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import domain
 from .._checks import finite
+from .._display import Shown, interval_text, member
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
@@ -58,17 +59,21 @@ _MESSAGES = {
 }
 
 
+#: Of an unknown's moments and quantiles; others are ratios.
+UNITS = {"radial_distance": "m", "deflection_angle": "rad", "side": "m", "bearing": "rad"}
+
+
 class Estimate(NamedTuple):
     """Posterior mean and sd of one unknown, (B,), and the estimated errors of both."""
 
-    mean: Any
-    sd: Any
-    mean_error: Any
-    sd_error: Any
+    mean: Array
+    sd: Array
+    mean_error: Array
+    sd_error: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Shown):
     """The posterior of a contact given a reading, or of many.
 
     With readings of shape (B, S) everything has a leading axis B; with one reading, none.
@@ -86,26 +91,26 @@ class Posterior:
         NaN where the method does not give it (emcee).
     """
 
+    _figure: ClassVar[str] = "posteriors"
     observer: Observer
     reading: Array
     method: str
     estimates: Mapping[str, Estimate]
-    status: Any
-    log_evidence: Any
+    status: Status
+    log_evidence: Array
     quantile_of: Callable[[Array, int], Array]  # (Q,) and which unknown → (B, Q)
     draws_of: Callable[[int, Seed], Array]  # → (B, chain, draw, U)
     quantile_error_of: Callable[[Array, int], Array] | None = None
 
     @cached_property
-    def outcome(self) -> Any:
+    def outcome(self) -> Outcome:
         """What the cue's method, taken by itself and as exact, makes of the reading.
 
         An `Outcome`, or an array of int: `HELD` where it finds a contact; `CONTRADICTORY`,
         `NO_TOUCH`, `PARALLEL` and the like where it fails, while the posterior, which knows that
         readings and whiskers are uncertain, does not.
         """
-        outcome = self.observer.reading_outcome(self.reading)
-        return outcome if self.reading.ndim > 1 else Outcome(int(outcome))
+        return member(Outcome, np.asarray(self.observer.reading_outcome(self.reading)))
 
     @cached_property
     def outside_domain(self) -> str:
@@ -125,26 +130,26 @@ class Posterior:
         return domain.sentence((*domain.of_observer(self.observer), *near))
 
     @property
-    def mean(self) -> Any:
+    def mean(self) -> Array:
         """Posterior mean of the radial distance, m."""
         return self.estimates["radial_distance"].mean
 
     @property
-    def sd(self) -> Any:
+    def sd(self) -> Array:
         """Posterior sd of the radial distance, m."""
         return self.estimates["radial_distance"].sd
 
     @property
-    def mean_error(self) -> Any:
+    def mean_error(self) -> Array:
         """Estimated error of `mean`, m."""
         return self.estimates["radial_distance"].mean_error
 
     @property
-    def sd_error(self) -> Any:
+    def sd_error(self) -> Array:
         """Estimated error of `sd`, m."""
         return self.estimates["radial_distance"].sd_error
 
-    def quantile(self, probability: Any, *, of: str = "radial_distance") -> Any:
+    def quantile(self, probability: Any, *, of: str = "radial_distance") -> Array:
         """Posterior quantiles; probabilities (Q,) add a last axis.
 
         Raises
@@ -159,7 +164,7 @@ class Posterior:
         values = values if p.ndim else values[:, 0]
         return values if self.reading.ndim > 1 else values[0]
 
-    def quantile_error(self, probability: Any, *, of: str = "radial_distance") -> Any:
+    def quantile_error(self, probability: Any, *, of: str = "radial_distance") -> Array:
         """Estimated errors of `quantile`, in its unit and of its shape.
 
         NaN where the method does not know them: quadrature of one and of two unknowns does.
@@ -183,7 +188,7 @@ class Posterior:
         p = np.atleast_1d(np.asarray(probability, dtype=float))
         return np.reshape(self.quantile_error_of(p, self.observer.unknowns.index(of)), shape)[()]
 
-    def interval(self, mass: float = 0.95, *, of: str = "radial_distance") -> Any:
+    def interval(self, mass: float = 0.95, *, of: str = "radial_distance") -> Array:
         """Equal-tailed interval: lower and upper end along the last axis.
 
         Raises
@@ -204,7 +209,7 @@ class Posterior:
             columns = {key: np.atleast_1d(v) for key, v in estimate._asdict().items()}
             rows.append(
                 pd.DataFrame(
-                    {"reading": np.arange(len(low)), "unknown": name}
+                    {"reading": np.arange(len(low)), "unknown": name, "unit": UNITS.get(name, "1")}
                     | columns
                     | {"low_95": low, "high_95": high}
                     | {"status": [Status(int(s)).message for s in np.atleast_1d(self.status)]}
@@ -212,6 +217,17 @@ class Posterior:
                 )
             )
         return pd.concat(rows, ignore_index=True)
+
+    def _line(self) -> str:
+        if self.reading.ndim > 1:
+            good = int(np.sum(np.asarray(self.status) == Status.CONVERGED))
+            return f"{len(self.reading)} readings by {self.method}, {good} of them converged"
+        low, high = 1e3 * self.interval()
+        parts = [f"r = {interval_text(float(1e3 * self.mean), low, high, ' mm')}"]
+        if "deflection_angle" in self.estimates:
+            angle = self.estimates["deflection_angle"]
+            parts.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
+        return f"{', '.join(parts)}, by {self.method}; {self.status.message}"
 
     def to_arviz(self, *, draws: int = 1000, seed: Seed = 0) -> Any:
         """ArviZ data with draws of every unknown (InferenceData on 0.23, DataTree on 1.x).

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._checks import one_of
+from .._display import member
 from ..observer import Observer
 from ..receptors import Seed
 from .apart import factors_of, solve_apart
@@ -127,7 +128,7 @@ def posterior(
         solution.status[given & nothing] = Status.NO_CONTACT
     solution.status[_outside(observer, solution)] = Status.OUTSIDE_DOMAIN
 
-    def shaped(values: Array) -> Any:
+    def shaped(values: NDArray[Any]) -> Any:
         return values[0] if single else values
 
     return Posterior(
@@ -138,7 +139,7 @@ def posterior(
             name: Estimate(*map(shaped, estimate))
             for name, estimate in zip(observer.unknowns, solution.estimates, strict=True)
         },
-        Status(int(solution.status[0])) if single else solution.status,
+        member(Status, shaped(solution.status)),
         shaped(solution.log_evidence),
         solution.quantile_of,
         solution.draws_of,

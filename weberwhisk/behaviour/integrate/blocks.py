@@ -20,7 +20,7 @@ from ..dispersion import BetaBinomial
 from ..lapses import lapse_prior, score_prior
 from ..likelihood import WeberModel
 from ..priors import TINY
-from .windows import FAR_LAPSE, Steps, Windows, bias_at, least_bias_sds, no_lapse, outer_signals
+from .windows import FAR_LAPSE, Steps, Windows, bias_at, least_bias_sds, outer_signals
 
 Array = NDArray[np.float64]
 Values = NDArray[Any]
@@ -115,7 +115,9 @@ class Nodes:
         if not self.model.free_bias:
             return np.ones((len(self.d), self.model.n_groups))
         low, high = self.first[2:], self.last[2:]
-        span = np.linspace(low[np.isfinite(low)].min(), high[np.isfinite(high)].max(), 49)
+        ends = np.array([low[np.isfinite(low)].min(), high[np.isfinite(high)].max()])
+        width = float(np.ptp(bias_at(self.model, ends)))  # in the sd that one answer leaves
+        span = np.linspace(ends[0], ends[1], int(np.clip(width / 0.4, 4, 48)) + 1)
         # Effects hardly change it: those in the middle tell.
         size = self.outer[0].size
         middle = np.arange(len(self.d)).reshape(size, -1)[:, len(self.d) // size // 2]
@@ -319,7 +321,7 @@ def lapse_weights(model: WeberModel, low: Array, high: Array) -> Array:
 
 def with_tail(model: WeberModel, name: str, axis: Array) -> Array:
     """The nodes of a lapse carried on below the first, where that is none at all."""
-    if axis.size == 1 or axis[0] > no_lapse(model, name) + 1e-9:
+    if axis.size == 1 or axis[0] > model.no_lapse[name] + 1e-9:
         return axis
     transform = model.transforms[model.lead.index(name)]
     step = axis[1] - axis[0]

@@ -41,7 +41,9 @@ class Grid:
     `axes`: coordinates of the model's lead: scores of k (K,) and any effects, those of lapse_low
     (Lo,) and lapse_high (Hi,). `joint`: log density of the coordinates, biases integrated,
     (K, ..., Lo, Hi), −inf where nothing was summed. `biases`: for each group scores (P, B) of its
-    bias and the posterior mass of each, in blocks. `log_evidence` is for the sequence of answers;
+    bias and the posterior mass of each, in blocks. `windows` (2, G, M): scores between which each
+    bias lies at each outer node, infinite the wrong way round where nothing was summed, and
+    `bias_nodes` how many nodes were enough there. `log_evidence` is for the sequence of answers;
     `error` estimates its absolute error; `given_bias` is what leaving out every other lapse node
     changes at each bias.
     """
@@ -49,6 +51,8 @@ class Grid:
     axes: tuple[Array, ...]
     joint: Array
     biases: list[list[tuple[Array, Array]]]
+    windows: Array
+    bias_nodes: int
     log_evidence: float
     error: float
     given_bias: float
@@ -65,6 +69,7 @@ def integrate(model: WeberModel, tolerance: Tolerance = Tolerance(), most: float
         counts,
         replace(steps, outer=2.5 * least, lapse=np.full(2, 2.0), bias=2.5),
         tolerance.cut,
+        nodes=20.0,
     )
     steps = _fitting(windows, steps)
     grid = None
@@ -147,7 +152,13 @@ def _summed(at: Nodes, tolerance: Tolerance) -> tuple[Grid, Array]:
         [(nodes, mass * (np.exp(top - reference) / total)) for nodes, mass, top in known]
         for known in parts
     ]
-    grid = Grid(axes, joint, biases, log_evidence, float(error**4), float(given.max()))
+    windows = np.stack([at.first[2:, :, 0], at.last[2:, :, 0]])
+    inside = np.isfinite(windows[0])
+    widths = np.subtract(windows[1], windows[0], where=inside, out=np.zeros(inside.shape))
+    count = int(np.ceil(widths / at.bias_step.T).max(initial=0.0)) + 1
+    grid = Grid(
+        axes, joint, biases, windows, count, log_evidence, float(error**4), float(given.max())
+    )
     return grid, refine
 
 

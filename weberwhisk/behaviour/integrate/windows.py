@@ -104,7 +104,7 @@ def even(low: float, high: float, step: float) -> Array:
 def everything(model: WeberModel, count: int) -> Windows:
     """Windows that hold whatever there may be."""
     lapses = [
-        (no_lapse(model, name), float(transform.coordinate(FAR_LAPSE[1]))) if free else (0.0, 0.0)
+        (model.no_lapse[name], float(transform.coordinate(FAR_LAPSE[1]))) if free else (0.0, 0.0)
         for name, transform, free in zip(
             model.lead[-2:], model.transforms[-2:], model.free[-2:], strict=True
         )
@@ -184,24 +184,15 @@ def _ends(
         return both, both
     full = values > least[:, None]
     gap = (nodes[:, 1] - nodes[:, 0])[:, None]
+    m, r = np.ogrid[: least.shape[0], : least.shape[1]]
     out = []
     for at, step in ((full.argmax(axis=1), -1), (size - 1 - full[:, ::-1].argmax(axis=1), 1)):
-        place = np.take_along_axis(nodes, at, axis=1)
         outside = np.clip(at + step, 0, size - 1)
-        inner, outer = (np.take_along_axis(values, i[:, None], axis=1)[:, 0] for i in (at, outside))
-        outer = np.maximum(np.where(outside == at, -np.inf, outer), least - 20.0)
-        inner = np.maximum(inner, least)  # where nothing is held, whatever
+        outer = np.maximum(np.where(outside == at, -np.inf, values[m, outside, r]), least - 20.0)
+        inner = np.maximum(values[m, at, r], least)  # where nothing is held, whatever
         share = beyond + (inner - least) / np.maximum(inner - outer, 1e-9)
-        out.append(place + step * share * gap)
+        out.append(nodes[m, at] + step * share * gap)
     return out[0], out[1]
-
-
-def no_lapse(model: WeberModel, name: str, lost: float = 0.01) -> float:
-    """Coordinate under which a lapse loses no trial, but so much of one."""
-    transform = model.transforms[model.lead.index(name)]
-    z = np.linspace(FAR_LAPSE[0], 3.0, 151)
-    all_lost = model.value(name, z) * max(float(model.cells.n.sum()), 1.0)
-    return float(transform.coordinate(z[max(int(np.searchsorted(all_lost, lost)) - 1, 0)]))
 
 
 def least_sds(model: WeberModel) -> Array:

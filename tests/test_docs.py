@@ -1,0 +1,44 @@
+"""The commands that the documentation and the README show are commands that there are."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from weberwhisk.cli import app
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def shown() -> list[tuple[str, str]]:
+    """Every line of a shell block that calls the command, with the page that shows it."""
+    lines = []
+    for page in PAGES:
+        for block in re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S):
+            for line in block.splitlines():
+                if line.startswith("weberwhisk "):
+                    lines.append((str(page.relative_to(ROOT)), line))
+    return lines
+
+
+def test_there_are_commands_to_check() -> None:
+    assert len({page for page, _ in shown()}) > 8
+
+
+@pytest.mark.parametrize(("page", "line"), shown())
+def test_commands_have_the_options_that_pages_give_them(page: str, line: str) -> None:
+    """Parsed, not run: an option that is gone or wants another value raises."""
+    words = shlex.split(line, comments=True)[1:]
+    group = typer.main.get_command(app)
+    context = group.make_context("weberwhisk", [], resilient_parsing=True)
+    command = group.get_command(context, words[0])
+    assert command is not None, f"{page} shows {line!r}, and there is no command {words[0]}"
+    a_file = str(ROOT / "pyproject.toml")  # whatever is there
+    command.make_context(
+        words[0], [a_file if w.endswith((".csv", ".nwb", ".json")) else w for w in words[1:]]
+    )

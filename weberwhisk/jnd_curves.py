@@ -1,0 +1,258 @@
+"""JND curves: the just noticeable difference of radial distance, by every route."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._checks import angle, generator, one_of, positive, whole
+from ._deprecated import renamed_arguments
+from ._display import Shown
+from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
+from .mechanics.contact import Outcome
+from .observer import Observer
+from .receptors import Seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+#: Columns of `JNDCurve.frame` that are lengths or angles, beside those that begin with a JND.
+_LENGTHS = ("side", "closed_form", "propagation", "fisher", "posterior", "posterior_error",
+            "estimator", "estimator_error")  # fmt: skip
+_ANGLES = ("deflection_angle", "bearing")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JNDCurve(Shown):
+    """JNDs of radial distance by every route, a row a contact; from `jnd_curve`.
+
+    Attributes
+    ----------
+    observer : Observer
+    frame : DataFrame
+        In SI units: columns ``radial_distance``, ``deflection_angle`` (where the cue needs it),
+        ``criterion``, and in metres ``closed_form`` (small angle), ``propagation`` (by the
+        observer's own model), ``fisher``, ``posterior`` (mean sd of the posteriors) with its Monte
+        Carlo error ``posterior_error``, ``estimator`` (sd of the posterior means: how much one
+        observer's estimate scatters) with ``estimator_error`` (NaN where all readings are the
+        same event); ``unreliable`` (share of posteriors whose status is not `CONVERGED`),
+        ``linear`` (of the first two routes; see `is_linear`) and ``outcome`` (in words). A contact
+        that is not held has NaN. ``curve["posterior"]`` is short for ``curve.frame["posterior"]``.
+    table : DataFrame
+        The same in mm and degrees, with units in its columns' names and the contact as its index.
+    """
+
+    _figure: ClassVar[str] = "jnd_lines"
+    observer: Observer
+    frame: pd.DataFrame = field()
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """What `frame` holds, in mm and degrees by name, with the contact as index."""
+        found = self.frame.copy()
+        lengths = [name for name in ("radial_distance", *_LENGTHS) if name in found]
+        angles = [name for name in _ANGLES if name in found]
+        found[lengths] *= 1e3
+        found[angles] = np.degrees(found[angles])
+        units = {name: f"{name}_mm" for name in lengths} | {name: f"{name}_deg" for name in angles}
+        index = [units[n] for n in ("radial_distance", "deflection_angle") if n in found]
+        return found.rename(columns=units).set_index(index)
+
+    @overload
+    def __getitem__(self, columns: str) -> pd.Series[float]: ...
+    @overload
+    def __getitem__(self, columns: list[str]) -> pd.DataFrame: ...
+    def __getitem__(self, columns: str | list[str]) -> pd.Series[float] | pd.DataFrame:
+        return self.frame[columns]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def _line(self) -> str:
+        held = self.frame[self.frame["posterior"].notna()]
+        if held.empty:
+            return f"{len(self)} contacts, none of them held"
+        mm = 1e3 * held[["radial_distance", "posterior"]]
+        at = [mm.iloc[int(k)] for k in (mm["posterior"].argmin(), mm["posterior"].argmax())]
+        ends = " to ".join(
+            f"{p['posterior']:.3g} mm (at {p['radial_distance']:.3g} mm)" for p in at
+        )
+        bad = int((held["unreliable"] > 0).sum())
+        return (
+            f"JND {ends}, {self.frame['criterion'].iloc[0]}, by posteriors; {len(held)} of "
+            f"{len(self)} contacts held" + (f", {bad} with posteriors to check" if bad else "")
+        )
+
+    def lines(self) -> dict[str, pd.DataFrame]:
+        """What a chart of it shows: its rows, and the lines in between; a table an angle."""
+        import pandas as pd
+
+        criterion = self.frame["criterion"].iloc[0]
+        factor = criterion_factor(criterion)
+        r = np.linspace(0.005, 0.999, 200) * self.observer.whisker.length
+        angles: list[float | None] = [None]
+        if "deflection_angle" in self.frame:
+            angles = list(dict.fromkeys(self.frame["deflection_angle"]))
+            if len(angles) > len(self.frame) / 2 > 1:  # contacts of all kinds make no lines
+                return {"": self.frame}
+        parts = {}
+        for at in angles:
+            columns = [r] if at is None else [r, np.full_like(r, at)]
+            contact = self.observer.at_middle(np.stack(columns, axis=-1))
+            line = pd.DataFrame(
+                {
+                    "radial_distance": r,
+                    "criterion": criterion,
+                    "closed_form": factor
+                    * weber_propagation(self.observer, contact, model="closed_form"),
+                    "propagation": factor * weber_propagation(self.observer, contact),
+                    "posterior": np.nan,
+                    "posterior_error": np.nan,
+                }
+            )
+            rows = self.frame
+            if at is not None:
+                rows = rows[rows["deflection_angle"] == at]
+            label = "" if at is None else f"{np.degrees(at):.4g}°"
+            both = [line, rows[list(line.columns)]]
+            parts[label] = pd.concat(both).dropna(subset=["propagation", "posterior"], how="all")
+        return parts
+
+
+@renamed_arguments(draws="n_readings")
+def jnd_curve(
+    observer: Observer,
+    radial_distance: ArrayLike,
+    deflection_angle: ArrayLike | None = None,
+    *,
+    method: str = "quadrature",
+    criterion: str = SD,
+    n_readings: int = 200,
+    seed: Seed = None,
+) -> JNDCurve:
+    """The JND of radial distance by every route, one row a contact.
+
+    Parameters
+    ----------
+    observer : Observer
+    radial_distance : float or array
+        m.
+    deflection_angle : float or array, optional
+        rad; needed by cues to which the angle is unknown, and broadcast with the distance. Any
+        further unknown has its prior's median.
+    method : {"quadrature", "emcee", "laplace"}
+        How the posteriors are found; see `posterior`.
+    criterion : str
+        See `criterion_factor`.
+    n_readings : int
+        Noisy readings for each contact, two or more.
+    seed : int, SeedSequence or Generator
+        Of the readings and, for emcee, of the walkers.
+
+    Returns
+    -------
+    JNDCurve
+        Its ``table`` is in mm, its ``frame`` in SI units; ``plot()`` draws it.
+
+    Raises
+    ------
+    ValueError
+        For input that is not finite or positive, an unknown criterion or method, a cue that needs
+        a deflection angle, fewer than two readings.
+
+    Notes
+    -----
+    Quadrature works out each posterior to 1e-2 of its sd (to 1e-6 with one unknown), and most of
+    them to a few thousandths. In the mean over the readings that is far below the Monte Carlo
+    error, which for 200 of them is some 1e-2 of the JND.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues
+    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> curve = jnd_curve(observer, [10e-3, 40e-3], n_readings=100, seed=1)
+    >>> curve.table[["closed_form_mm", "fisher_mm"]].round(3)
+                        closed_form_mm  fisher_mm
+    radial_distance_mm
+    10.0                          0.81      0.802
+    40.0                          0.96      0.951
+    """
+    import pandas as pd
+
+    from .posterior import Status, posterior
+
+    one_of("method", method, ("quadrature", "emcee", "laplace"))
+    factor = criterion_factor(criterion)
+    n_readings = whole("n_readings", n_readings, "write 200, say", least=2)
+    contact = _contact(observer, radial_distance, deflection_angle)
+    signals, outcome = observer.signals(contact)
+    held = outcome == Outcome.HELD
+    table = pd.DataFrame(
+        {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
+    )
+    table["closed_form"] = factor * weber_propagation(observer, contact, model="closed_form")
+    table["propagation"] = factor * weber_propagation(observer, contact)
+    table["fisher"] = factor * fisher_jnd(observer, contact)
+    table.loc[~held, ["closed_form", "propagation", "fisher"]] = np.nan
+    columns = ("posterior", "posterior_error", "estimator", "estimator_error", "unreliable")
+    table[list(columns)] = np.nan
+    if held.any():
+        reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
+        readings = observer.noise.sample(np.repeat(signals[held], n_readings, axis=0), reading_seed)
+        result = posterior(observer, readings, method=method, seed=walker_seed)
+        sd, mean = (np.reshape(v, (-1, n_readings)) for v in (result.sd, result.mean))
+        scatter = mean.std(axis=1, ddof=1)
+        # All readings alike, as those of one event may be, tell nothing of their scatter.
+        alike = (
+            np.ptp(readings.reshape(-1, n_readings, readings.shape[-1]), axis=1).max(axis=-1) == 0
+        )
+        scatter = np.where(alike, np.nan, scatter)
+        bad = np.reshape(np.asarray(result.status) != Status.CONVERGED, (-1, n_readings))
+        table.loc[held, list(columns)] = np.stack(
+            [
+                factor * sd.mean(axis=1),
+                factor * sd.std(axis=1, ddof=1) / np.sqrt(n_readings),
+                factor * scatter,
+                factor * scatter / np.sqrt(2 * (n_readings - 1)),
+                bad.mean(axis=1),
+            ],
+            axis=-1,
+        )
+    table["linear"] = is_linear(observer, contact)
+    table["outcome"] = [Outcome(int(o)).message for o in outcome]
+    return JNDCurve(observer, table)
+
+
+def _contact(
+    observer: Observer, radial_distance: ArrayLike, deflection_angle: ArrayLike | None
+) -> Array:
+    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3")
+    if "deflection_angle" not in observer.unknowns:
+        if deflection_angle is not None:
+            raise ValueError(
+                f"{observer.cue!r} has no unknown deflection angle, got one; leave it out."
+            )
+        return observer.at_middle(r.reshape(-1, 1))
+    if deflection_angle is None:
+        raise ValueError(
+            f"{observer.cue!r} needs the deflection angle of each contact, got none; "
+            "write deflection_angle=np.radians(10), say."
+        )
+    theta = angle("deflection_angle", deflection_angle, "give radians, such as 0.2")
+    if np.any(theta == 0):
+        raise ValueError(
+            "Without deflection there is no force to feel, got deflection_angle=0; "
+            "write np.radians(5), say."
+        )
+    return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
+
+
+def _entropy(seed: Seed) -> int | None:
+    """A whole number that stands for any seed."""
+    return None if seed is None else int(generator(seed).integers(2**63))
