@@ -26,7 +26,7 @@ from ..behaviour.trials import Cells
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
+Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
 
 CANDIDATES = 20  # sequences drawn for a block, of which the one balancing history best is taken
 
@@ -101,7 +101,7 @@ def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
     >>> sessions_needed(Scheme([20e-3], [-2e-3, 2e-3], 20).cells(), 25)
     (2, 10)
     """
-    trials = levels.n.astype(np.int64)
+    trials = levels.n.astype(np.intp)
     sessions = -(-int(trials.sum()) // trials_per_session)
     while True:
         blocks = max(-(-int(trials.max()) // 2), sessions)
@@ -116,7 +116,7 @@ def _of_animal(
     levels: Cells, subject: str, per_session: int, longest_run: int, rng: np.random.Generator
 ) -> pd.DataFrame:
     sessions, blocks = sessions_needed(levels, per_session)
-    counts = _dealt(levels.n.astype(np.int64), blocks)
+    counts = _dealt(levels.n.astype(np.intp), blocks)
     session_of = _session_of(blocks, sessions)
     second = _greater_second(counts, levels.standard, rng)
     picked: list[Counts] = []
@@ -161,7 +161,7 @@ def _dealt(trials: Counts, blocks: int) -> Counts:
 
 def _session_of(blocks: int, sessions: int) -> Counts:
     """The session of each block, from 0: as many blocks in each, within one."""
-    return np.arange(blocks, dtype=np.int64) * sessions // blocks
+    return np.arange(blocks, dtype=np.intp) * sessions // blocks
 
 
 def _greater_second(counts: Counts, standard: Array, rng: np.random.Generator) -> Counts:
@@ -170,7 +170,7 @@ def _greater_second(counts: Counts, standard: Array, rng: np.random.Generator) -
     Half of them. An odd trial goes to the side that the level has had less of; levels that have
     had as many of both take sides in turn, standard by standard.
     """
-    lead = np.zeros(counts.shape[1], dtype=np.int64)  # of "second" over "first", by level
+    lead = np.zeros(counts.shape[1], dtype=np.intp)  # of "second" over "first", by level
     out = counts // 2
     for block, odd in enumerate(counts % 2 == 1):
         side = np.where(odd, -lead, 0)
@@ -193,8 +193,8 @@ def _block(
     drawn = [
         _sequence([d.size for d in decks], before, longest_run, rng) for _ in range(CANDIDATES)
     ]
-    sides = np.array(min(drawn, key=lambda s: abs(_excess_repeats([*before, *s]))), dtype=np.int64)
-    level = np.empty(sides.size, dtype=np.int64)
+    sides = np.array(min(drawn, key=lambda s: abs(_excess_repeats([*before, *s]))), dtype=np.intp)
+    level = np.empty(sides.size, dtype=np.intp)
     for side, deck in enumerate(decks, start=1):
         level[sides == side] = deck[_shuffled(deck.size, rng)]
     return level, sides

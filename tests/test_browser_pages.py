@@ -1,0 +1,161 @@
+"""The pages of docs/browser in a headless Chromium, with Pyodide beside them and no network.
+
+Needs playwright (extra `browser`), a Chromium, npm and PyPI; skipped where playwright is not
+installed. ``WEBERWHISK_PYODIDE`` may name a folder with Pyodide unpacked.
+"""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import weberwhisk as ww
+
+sync_api = pytest.importorskip("playwright.sync_api")
+
+ROOT = Path(__file__).parents[1]
+SAMPLE = ROOT / "data_synthetic" / "distance_tapered.csv"
+SLOW = 300_000  # ms; Python and its packages are some 45 MB of WebAssembly to compile
+
+
+class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *said: Any) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The pages, built with Pyodide in their folder, on a port of this machine."""
+    out = tmp_path_factory.mktemp("browser") / "pages"
+    source = os.environ.get("WEBERWHISK_PYODIDE", "registries")
+    build = [sys.executable, ROOT / "docs" / "browser" / "build.py"]
+    subprocess.run([*build, "--out", out, "--pyodide", source], check=True)
+    (out / "bare.html").write_text("a page without our policy")
+    serve = functools.partial(_Quiet, directory=out)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), serve) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A Chromium of the system's, or playwright's own."""
+    path = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
+    arguments = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+    with sync_api.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=path, args=arguments)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(chromium: Any, site: str) -> Iterator[Any]:
+    """A fresh page that fails where it reports an error, or asks anybody else for anything."""
+    page = chromium.new_page()
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    page.on(
+        "request", lambda asked: asked.url.startswith((site, "blob:")) or wrong.append(asked.url)
+    )
+    page.set_default_timeout(SLOW)
+    yield page
+    page.close()
+    assert wrong == []
+
+
+def _estimates(page: Any) -> dict[str, str]:
+    """The first row of the table of estimates, once there is one."""
+    table = "table:has(caption:text-is('Estimates'))"
+    page.wait_for_selector(table)
+    names = page.locator(f"{table} th").all_inner_texts()
+    cells = page.locator(f"{table} tbody tr").first.locator("td").all_inner_texts()
+    return dict(zip(names, cells, strict=True))
+
+
+def test_a_dropped_table_is_fitted_and_k_shown(page: Any, site: str) -> None:
+    page.goto(f"{site}fit.html")
+    page.set_input_files("input[type=file]", SAMPLE)
+    page.wait_for_selector("#menus select")
+    page.click("button:text-is('Fit')")
+    row = _estimates(page)
+    fit = ww.fit_weber(ww.read_trials(SAMPLE))
+    assert row["parameter"] == "weber_fraction"
+    # WebAssembly's arithmetic is not this machine's to the last bit.
+    low, high = fit.interval()
+    for name, value in {"median": fit.weber_fraction, "lower": low, "upper": high}.items():
+        assert float(row[name]) == pytest.approx(value, rel=1e-3)
+    report = page.inner_text("#results .words")
+    assert f"Weber fraction: {fit.weber_fraction:.3g}" in report
+    assert page.locator("#results img").evaluate("image => image.naturalWidth") > 100
+    # The wrong column is refused in a sentence, and the page goes on.
+    page.select_option("select[name=answer]", "trial")
+    page.click("button:text-is('Fit')")
+    page.wait_for_selector("#status.wrong")
+    assert "is not an answer" in page.inner_text("#status")
+
+
+SENDING = """address => Promise.allSettled([
+  fetch(address, { method: "POST", mode: "no-cors", body: "data" }),
+  new Promise((done) => {
+    const post = `fetch("${address}", { method: "POST", mode: "no-cors", body: "data" })`;
+    const source = `${post}.finally(() => postMessage("tried"))`;
+    new Worker(URL.createObjectURL(new Blob([source]))).onmessage = done;
+  }),
+  new Promise((done) => Object.assign(new Image(), { onload: done, onerror: done, src: address })),
+]).then(() => "tried")"""
+
+
+def test_nothing_can_be_sent(chromium: Any, site: str) -> None:
+    """Not by the page, and not by a worker of it, where Python and the data are."""
+    arrived: list[str] = []
+
+    class Elsewhere(_Quiet):
+        def do_GET(self) -> None:
+            arrived.append(self.command)
+            self.send_response(204)
+            self.end_headers()
+
+        do_POST = do_GET
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        for name, hears in (("fit.html", 0), ("bare.html", 3)):
+            page = chromium.new_page()
+            page.goto(site + name)
+            assert page.evaluate(SENDING, f"http://127.0.0.1:{server.server_port}/") == "tried"
+            assert len(arrived) == hears  # a page without the policy can send
+            page.close()
+        server.shutdown()
+
+
+def test_a_slider_moves_the_jnd(page: Any, site: str) -> None:
+    page.goto(f"{site}jnd.html")
+    page.wait_for_selector("#results figure")
+    before = page.inner_text("#results .words")
+    page.locator("input[name=weber_fraction]").fill("0.2")
+    page.wait_for_selector(f"#results .words:not(:text-is({before!r}))")
+    assert page.locator("#results img").count() == 2
+
+
+def test_a_plan_has_the_library_s_levels_and_lists(page: Any, site: str) -> None:
+    page.goto(f"{site}plan.html")
+    page.click("button:text-is('Plan')")
+    with page.expect_download() as kept:
+        page.click("a:text-is('Keep plan.zip')")
+    assert kept.value.suggested_filename == "plan.zip"
+    plan = ww.plan_experiment("C2", trials=20, runs=0)
+    assert page.locator("table:has(caption:text-is('Levels')) tbody tr").count() == len(plan.levels)
+    # The same lists, byte for byte, from another processor.
+    assert plan.fingerprint[:16] in page.inner_text("#results")
