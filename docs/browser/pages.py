@@ -56,10 +56,11 @@ def jnd(fields: Fields) -> Shown:
         curves[name] = ww.jnd_curve(
             observer, distances, criterion=fields["criterion"], n_readings=60, seed=1
         )
-    table = pd.concat([curve.assign(whisker=name) for name, curve in curves.items()])
-    columns = ["whisker", "radial_distance", "closed_form", "posterior", "posterior_error"]
-    table = table[columns].rename(columns={name: f"{name}_mm" for name in columns[1:]})
-    table.iloc[:, 1:] *= 1e3
+    columns = ["radial_distance_mm", "closed_form_mm", "posterior_mm", "posterior_error_mm"]
+    table = pd.concat(
+        {name: curve.table.reset_index()[columns] for name, curve in curves.items()},
+        names=["whisker", None],
+    ).reset_index("whisker")
     middle = {name: np.interp(0.6 * whisker.length, distances, c["posterior"] * 1e3)
               for name, c in curves.items()}  # fmt: skip
     sentence = (
