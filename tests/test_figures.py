@@ -15,6 +15,7 @@ from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import figures
+from weberwhisk.commands import figure
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
@@ -177,39 +178,20 @@ def test_png_has_enough_dots(fit: ww.WeberFit) -> None:
     assert figures.figure_of(figures.psychometric(fit, standard=1.0)).dpi >= 150
 
 
-# analyses/figure_4.py
+# The paper's figure 4a; figure 4b's numbers are in test_paper.py
 
 
-def test_figure_4_remade(tmp_path: Path) -> None:
-    script = load("figure_4")
-    checked = script.make(tmp_path / "out", short=True)
-    assert script.agrees(checked)
-    assert np.isfinite(checked["found"]).sum() == 15
-    made = {path.name for path in (tmp_path / "out").iterdir()}
-    parts = {f"figure_4{part}.{kind}" for part in "ab" for kind in ("csv", "png", "svg")}
-    assert made == parts | {"figure_4b_check.csv", "figure_4.run.json"}
-    curve = pd.read_csv(tmp_path / "out" / "figure_4a.csv")
+@pytest.mark.parametrize(
+    ("short", "close"), [(True, 0.2), pytest.param(False, 0.06, marks=pytest.mark.slow)]
+)
+def test_figure_4a(short: bool, close: float) -> None:
+    curve = figure.figure_4a(figure.Asked(short=short)).tables["figure-4a"]
     tapered = curve[curve["whisker"] == "tapered"]
     r, apex = tapered["radial_distance_mm"], 50 / 0.95
     np.testing.assert_allclose(tapered["closed_form_mm"], 0.1 * r * (1 - r / apex), rtol=1e-9)
+    # In full a twentieth: what the bend of the closed form over one sd makes of its slope.
+    np.testing.assert_allclose(tapered["posterior_mm"], tapered["closed_form_mm"], rtol=close)
     assert (curve["unreliable"] == 0).all()
-
-
-def test_a_wrong_surface_is_noticed() -> None:
-    script = load("figure_4")
-    checked = script.check()
-    checked.loc[3, "found"] += 0.001
-    assert not script.agrees(checked)
-
-
-@pytest.mark.slow
-def test_figure_4a_in_full(tmp_path: Path) -> None:
-    script = load("figure_4")
-    script.make(tmp_path)
-    curve = pd.read_csv(tmp_path / "figure_4a.csv")
-    tapered = curve[curve["whisker"] == "tapered"]
-    # A twentieth: what the bend of the closed form over one sd makes of its slope.
-    np.testing.assert_allclose(tapered["posterior_mm"], tapered["closed_form_mm"], rtol=0.06)
 
 
 def test_residuals_outside_the_band_are_marked() -> None:

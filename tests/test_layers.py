@@ -63,6 +63,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_curves": ("jnd",),
     "jnd_surface": ("jnd_curves", "campaign"),
     "surveys": ("fusion", "jnd_curves"),
+    "paper": ("surveys",),
     "output": (),
     "behaviour": ("fusion", "campaign", "output", "domain"),
     "design": ("behaviour",),
@@ -71,7 +72,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "planning": ("figures",),
     "": ("planning", "jnd_surface"),
     "_terminal": ("campaign",),
-    "commands": ("", "charts", "surveys", "output", "_terminal"),
+    "commands": ("", "charts", "surveys", "paper", "output", "_terminal"),
     "cli": ("commands",),
 }
 ONLY_IN = {

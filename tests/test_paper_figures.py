@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
-from analysis_scripts import load
 
 import weberwhisk as ww
+from weberwhisk._terminal import run_app
+from weberwhisk.cli import app
+from weberwhisk.commands.paper import PANELS
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.paper import balance, claims, contacts
 
+ROOT = Path(__file__).parent.parent
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 IMPACT = np.radians(60)
 
 
-FIGURE_2, FIGURE_3 = load("figure_2"), load("figure_3")
-
-
 def test_2a_the_whiskers_drawn_are_free_of_moment_at_the_contact_and_at_90_degrees():
     """Drawn from the base's signals alone, they end where, and as steep as, the contact says."""
-    for share in FIGURE_2.EXAMPLES:
-        bent = FIGURE_2.loaded(W, np.array(share * W.length), np.array(np.pi / 2))
-        x, y = FIGURE_2.shape(W, bent)
+    for share in contacts.EXAMPLES:
+        bent = contacts.loaded(W, np.array(share * W.length), np.array(np.pi / 2))
+        x, y = contacts.shape(W, bent)
         assert np.hypot(x[-2], y[-2]) == pytest.approx(float(bent.radial_distance), rel=1e-6)
         assert np.arctan2(y[-1] - y[-2], x[-1] - x[-2]) == pytest.approx(np.pi / 2, abs=1e-6)
         lever = [x[-2], y[-2]] @ np.array([bent.transverse_force, bent.axial_force])
@@ -30,7 +34,7 @@ def test_2a_the_whiskers_drawn_are_free_of_moment_at_the_contact_and_at_90_degre
 def test_2bc_the_taper_needs_less_force_for_90_degrees_the_less_the_nearer_to_the_tip():
     arc = np.linspace(0.1, 1.0, 19) * W.length
     taper, cylinder = (
-        FIGURE_2.loaded(w, arc, np.array(np.pi / 2)).force for w in FIGURE_2.WHISKERS.values()
+        contacts.loaded(w, arc, np.array(np.pi / 2)).force for w in contacts.WHISKERS.values()
     )
     assert np.all(taper < cylinder)
     assert np.all(np.diff(taper / cylinder) < 0)
@@ -41,19 +45,19 @@ def test_2de_the_tapered_map_is_one_to_one():
 
     The domain is the paper's, up to a contact angle of 90°, past the folds too.
     """
-    assert set(np.sign(FIGURE_2.map_jacobian(W)).ravel()) == {-1.0}
-    edge = FIGURE_2.map_boundary(W, 120)
+    assert set(np.sign(contacts.map_jacobian(W)).ravel()) == {-1.0}
+    edge = contacts.map_boundary(W, 120)
     assert np.all(np.isfinite(edge))
-    assert FIGURE_2.crossings(edge) == 0
+    assert contacts.crossings(edge) == 0
     # The count sees a crossing where there is one.
-    assert FIGURE_2.crossings(np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])) == 1
+    assert contacts.crossings(np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])) == 1
 
 
 def test_2de_distinct_contacts_have_distinct_signals_by_plain_comparison():
     """All pairs of 1600 contacts: near in both signals only where near as contacts."""
     arc = np.linspace(0.05, 1.0, 40) * W.length
     angle = np.radians(np.linspace(2, 90, 40))[:, None]
-    bent = FIGURE_2.loaded(W, arc, angle)
+    bent = contacts.loaded(W, arc, angle)
     ratio = bent.moment**2 / (2 * W.stiffness * bent.axial_force)
     signals = np.log([bent.normalised_moment, ratio]).reshape(2, -1)
     place = np.indices(ratio.shape).reshape(2, -1)
@@ -64,7 +68,7 @@ def test_2de_distinct_contacts_have_distinct_signals_by_plain_comparison():
 
 def test_2f_the_cylinders_map_is_the_parabola():
     cylinder = W.cylinder()
-    bent = FIGURE_2.loaded(
+    bent = contacts.loaded(
         cylinder,
         np.linspace(0.05, 1, 30) * W.length,
         np.radians(np.linspace(1, 90, 40))[:, None],
@@ -103,7 +107,7 @@ def test_3b_the_angle_of_balance_grows_with_distance_from_any_impact(curve):
 @pytest.mark.parametrize(("curve", "end"), [("printed", 0.6970), ("normalised", 0.6970)])
 def test_3b_the_curve_ends_at_around_70_per_cent(curve, end):
     """§2h: scaled so that it tended to flick past at around 70 %; see also test_muscle."""
-    found = FIGURE_3.curve_end(MuscleCurve(curve))
+    found = balance.curve_end(MuscleCurve(curve))
     assert found == pytest.approx(0.7, abs=0.02)
     assert round(found, 4) == end
 
@@ -122,18 +126,35 @@ def test_3c_flick_past_below_the_dashed_line_and_the_end_of_whisking_above():
     assert not np.any(below[late])
 
 
-def test_both_scripts_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(FIGURE_2, "ARCS", np.linspace(0.05, 1.0, 20))
-    monkeypatch.setattr(FIGURE_2, "DEGREES", np.linspace(0.5, 90.0, 18))
-    monkeypatch.setattr(FIGURE_3, "DISTANCES", np.linspace(0.3, 1.0, 15))
-    monkeypatch.setattr(FIGURE_3, "IMPACTS", np.linspace(30.0, 150.0, 13))
-    monkeypatch.setattr(FIGURE_3, "curve_end", lambda curve: 0.68)  # it has a test of its own
-    two, three = FIGURE_2.make(tmp_path / "2"), FIGURE_3.make(tmp_path / "3")
-    for name, parts in (("2", ["", "_check"]), ("3", ["a", "b", "c", "_check"])):
-        made = {path.name for path in (tmp_path / name).iterdir()}
-        tables = {f"figure_{name}{part}.csv" for part in parts}
-        assert made == tables | {f"figure_{name}.{kind}" for kind in ("png", "svg", "run.json")}
+def test_the_tables_have_what_the_text_says():
+    two = contacts.check(contacts.contacts(contacts.ARCS[::8], contacts.DEGREES[5::6]))
     given = two["expected"].notna()
     np.testing.assert_allclose(two["found"][given], two["expected"][given], atol=1e-12)
-    given = three["paper"].notna() & ~three["claim"].str.contains("end of the curve")
-    np.testing.assert_allclose(three["found"][given], three["paper"][given], atol=5e-3)
+    c = balance.surface(MuscleCurve.NORMALISED, balance.DISTANCES[::10], balance.IMPACTS[::10])
+    three = balance.check(balance.balance_angles(), c)
+    np.testing.assert_allclose(three["found"], three["paper"], atol=5e-3)
+
+
+def test_every_claim_names_a_test_that_is_there():
+    names = [claim.test.split("::") for claim in claims.CLAIMS]
+    for file, name in names:
+        assert re.search(rf"^def {name}\(", (ROOT / file).read_text("utf-8"), re.MULTILINE), name
+    said = " ".join(claim.where for claim in claims.CLAIMS)
+    for equation in ("2.1", "2.2", "2.3", *(f"3.{i}" for i in range(1, 9))):
+        assert f"({equation})" in said
+
+
+def test_the_command_draws_every_panel_and_says_what_it_finds(tmp_path, capsys):
+    """In a folder away from the source, with nothing but the package."""
+    assert run_app(app, ["paper", "--short", "--out", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / "paper.md").read_text("utf-8")
+    places = [text.index(f"({name}.png)") for name in PANELS]
+    assert places == sorted(places)
+    for name in PANELS:
+        assert (tmp_path / "out" / f"{name}.png").stat().st_size > 1e4
+    table = [line for line in text.splitlines() if line.startswith("| ")][1:]
+    assert len(table) == len(claims.CLAIMS)
+    for number in ("0.697 L", "θ_d = 20.8° (α = 59°)", "from 13.50 to 0.21", "0.440 → 0.367"):
+        assert number in text, number
+    assert "True" not in text
+    assert "nan" not in text

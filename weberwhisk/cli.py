@@ -32,6 +32,10 @@ COMMANDS = {
         "next_trials",
         "Place trials one by one: a line of JSON out, an answer in.",
     ),
+    "paper": (
+        "paper",
+        "Every figure of Solomon & Hartmann (2011), and every claim with what we find.",
+    ),
     "chart": (
         "chart",
         "Chart error against CPU time: beams, posteriors, JND curves and fits, and how each grows.",

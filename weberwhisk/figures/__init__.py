@@ -20,6 +20,7 @@ from .designs import (
 )
 from .fits import comparison, pairs, psychometric, psychometrics, residuals, shrinkage
 from .page import plan_page
+from .paper import paper_1d, paper_2, paper_3
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
 from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, ridge, weber_2d
 
@@ -43,6 +44,9 @@ __all__ = [
     "jnd_surface",
     "new_figure",
     "pairs",
+    "paper_1d",
+    "paper_2",
+    "paper_3",
     "placements",
     "plan_page",
     "planned_jnds",

@@ -1,0 +1,122 @@
+"""`weberwhisk paper`: the paper's figures in their order, and its claims with what is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from .. import surveys
+from .._terminal import progress
+from ..cues import Compliance
+from ..mechanics.muscle import MuscleCurve
+from ..output import Run, atomic_write, to_json
+from .figure import Asked, figure_4a, figure_4b
+from .options import JsonOption, SeedOption, wrote
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: The paper's figures in its order, with what each shows.
+PANELS = {
+    "figure-1d": "1d. dM/dθ is monotonic in radial distance.",
+    "figure-2": "2a–f. Large bending of a tapered whisker (radius ratio 20) and a cylinder.",
+    "figure-3": "3a–c. Balance of moments: angle of balance, by distance and impact angle.",
+    "figure-4a": "4a. JND of radial distance by compliance: closed forms, and posteriors.",
+    "figure-4b": "4b. JND by moment and axial force, noise in the moment alone.",
+}
+
+
+def paper(
+    short: Annotated[bool, typer.Option("--short", help="Few posteriors: seconds.")] = False,
+    seed: SeedOption = surveys.SEED,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for figures and paper.md.")
+    ] = Path("paper"),
+    as_json: JsonOption = False,
+) -> None:
+    """Every figure of Solomon & Hartmann (2011), and every claim with what we find.
+
+    Writes figures 1d, 2a-f, 3a-c, 4a and 4b with their tables, and paper.md: each equation and
+    claim, the numbers found now, the test that shows it, and where the sentence ends.
+    """
+    from .. import figures
+    from ..paper import balance, claims, contacts
+
+    inputs = {"radius_ratio": float(surveys.WHISKER.radius_ratio), "short": short}
+    with Run(out, "paper", inputs, seed) as run:
+        with progress("The paper's figures", len(PANELS) + 1, as_json=as_json) as advance:
+            made: dict[str, tuple[dict[str, pd.DataFrame], Any]] = {}
+            rates = moment_rates()
+            drawn = figures.figure_of(figures.paper_1d(rates))
+            made["figure-1d"] = {"figure-1d": rates}, drawn
+            advance()
+            arcs, degrees = (contacts.ARCS, contacts.DEGREES)
+            table = contacts.contacts(arcs, degrees[::3] if short else degrees)
+            chart = figures.paper_2(contacts.examples(), contacts.lines(), table)
+            made["figure-2"] = {"figure-2": table}, chart
+            advance()
+            step = slice(None, None, 5 if short else 1)
+            place, impact = balance.DISTANCES[step], balance.IMPACTS[step]
+            a, b = balance.moments(), balance.balance_angles()
+            c = balance.surface(MuscleCurve.NORMALISED, place, impact)
+            line, angle = balance.dashed_line()
+            edge = (line[step], angle[step])
+            chart = figures.paper_3(a, balance.muscle(), b, c, edge)
+            made["figure-3"] = {"figure-3a": a, "figure-3b": b, "figure-3c": c}, chart
+            advance()
+            for name, make in (("figure-4a", figure_4a), ("figure-4b", figure_4b)):
+                made[name] = make(Asked(short=short, seed=seed))
+                advance()
+            rows = list(claims.rows())
+            advance()
+        for name, (tables, chart) in made.items():
+            for key, each in tables.items():
+                run.table(key, each)
+            run.figure(name, chart)
+        atomic_write(run.path("paper.md"), as_markdown(rows))
+    if as_json:
+        print(to_json({"claims": rows, "files": run.files}))
+        return
+    wrote(run)
+
+
+def moment_rates() -> pd.DataFrame:
+    """Figure 1d: dM/dθ in units of EI/L against r/L, for a cone, R = 20 and a cylinder."""
+    import pandas as pd
+
+    from ..paper.claims import CONE, CYLINDER
+
+    share, tables = np.linspace(0.02, 0.995, 200), []
+    for name, whisker in (
+        ("cone", CONE), ("tapered, R = 20", surveys.WHISKER), ("cylinder", CYLINDER)
+    ):  # fmt: skip
+        rate = Compliance().signals(whisker, share[:, None] * whisker.length)[0][:, 0]
+        columns = {"radial_distance": share, "rate": rate / whisker.moment_scale}
+        tables.append(pd.DataFrame(columns).assign(whisker=name))
+    return pd.concat(tables, ignore_index=True)
+
+
+def as_markdown(rows: list[dict[str, str]]) -> str:
+    """The claims beside what is found, with the figures."""
+    lines = [
+        "# Radial distance and Weber's law, remade",
+        "",
+        "Solomon JH, Hartmann MJZ (2011) *Phil. Trans. R. Soc. B* 366:3049, "
+        "doi:10.1098/rstb.2011.0166. Numbers are computed by `weberwhisk paper`; values called the "
+        "paper's are those of its text. A whisker of 50 mm, radius ratio 20, and k = 0.1 unless "
+        "said otherwise; lengths over L.",
+    ]
+    for name, words in PANELS.items():
+        lines += ["", f"**Figure {words}**", "", f"![{words}]({name}.png)"]
+    lines += [
+        "",
+        "| where | the paper says | we find | where the sentence ends | shown by |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        cells = [row["where"], row["claim"], row["found"], row["limit"] or "–", f"`{row['test']}`"]
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,1 @@
+"""Solomon & Hartmann (2011) remade: its figures' numbers, its equations and its claims."""
