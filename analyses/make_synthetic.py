@@ -16,7 +16,7 @@ from command import ANALYSES, options
 
 from weberwhisk import Observer, Whisker, cues
 from weberwhisk.behaviour import CueEncoding, Trials, simulate_population, simulate_trials
-from weberwhisk.behaviour.export import data_package, describe_table
+from weberwhisk.behaviour.report import data_package, describe_table
 
 #: Radial distances are in millimetres.
 WHISKERS = {

@@ -28,11 +28,11 @@ from weberwhisk.design import (
     with_priors,
 )
 from weberwhisk.design.best import _Search, _sites
+from weberwhisk.design.expectation import SEED as PRECISION_SEED
+from weberwhisk.design.expectation import Precision
 from weberwhisk.design.experiment import WIDE
 from weberwhisk.design.experiments import compare, fit
 from weberwhisk.design.information import expected_counts
-from weberwhisk.design.precision import SEED as PRECISION_SEED
-from weberwhisk.design.precision import Precision
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)

@@ -21,8 +21,8 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.bias_scale import BiasScales
 from weberwhisk.behaviour.hierarchy import _zoomed, integrate_population
+from weberwhisk.behaviour.lapses import BiasScales
 from weberwhisk.behaviour.members import Members, Work
 from weberwhisk.behaviour.population import joined
 from weberwhisk.behaviour.tabulated import tabulate

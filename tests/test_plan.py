@@ -40,9 +40,9 @@ from weberwhisk.design import (
     taper,
     trial_lists,
 )
-from weberwhisk.design.exports import bpod_table, own_table, psychopy_tables
 from weberwhisk.design.plan_file import plan_of
 from weberwhisk.design.preregistration import preregistration
+from weberwhisk.design.trial_lists import bpod_table, own_table, psychopy_tables
 from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]

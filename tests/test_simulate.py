@@ -17,8 +17,8 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.export import data_package, describe_table
 from weberwhisk.behaviour.population import joined
+from weberwhisk.behaviour.report import data_package, describe_table
 
 
 def digest(path: Path) -> str:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from . import _checks
-from .design.exports import bpod_table, own_table, psychopy_tables
 from .design.plan_file import plan_json
 from .design.preregistration import preregistration
+from .design.trial_lists import bpod_table, own_table, psychopy_tables
 from .output import Run, atomic_write, csv_text
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from .priors import PopulationPriors, Priors
 from .psychometric import response_probability, threshold
 from .result import WeberFit
 from .simulate import simulate_trials
-from .status import FitStatus
 from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
+from .verdict import FitStatus
 
 __all__ = [
     "TASKS",

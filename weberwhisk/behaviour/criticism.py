@@ -17,7 +17,7 @@ from scipy.special import bdtr, ndtri
 
 from .. import _checks
 from .likelihood import Draws, WeberModel
-from .mode import lead_values
+from .posteriors import lead_values
 
 if TYPE_CHECKING:
     from .result import WeberFit

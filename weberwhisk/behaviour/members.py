@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from .bias_scale import AS_BELIEVED, BiasScales
+from .lapses import AS_BELIEVED, BiasScales
 from .tabulated import Table
 
 Array = NDArray[np.float64]

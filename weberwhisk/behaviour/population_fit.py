@@ -17,15 +17,15 @@ from .._deprecated import renamed_arguments
 from .._display import Shown, interval_text
 from ..posterior.arviz_io import to_arviz
 from ..threads import one_blas_thread
-from .bias_scale import likely_scales
 from .fit import fit_weber
 from .hierarchy import NAMES, Population, integrate_population
+from .lapses import likely_scales
 from .members import Members
 from .priors import PopulationPriors, Priors, priors_for
 from .result import WeberFit
-from .status import FitStatus
 from .tabulated import tabulate
 from .trials import Trials, check_trials
+from .verdict import FitStatus
 
 Array = NDArray[np.float64]
 

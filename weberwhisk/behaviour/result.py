@@ -21,9 +21,9 @@ from .effects import Effect
 from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
-from .sensitivity import lapse_sensitivity
-from .status import FitStatus
+from .report import lapse_sensitivity
 from .trials import Trials
+from .verdict import FitStatus
 
 if TYPE_CHECKING:
     from .law import WeberLawTest
@@ -390,7 +390,7 @@ class WeberFit(Shown):
 
     def to_arviz(self) -> Any:
         """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data."""
-        from .export import to_arviz
+        from .report import to_arviz
 
         return to_arviz(self)
 

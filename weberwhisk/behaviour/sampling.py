@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from ..posterior.ensemble import sample_stacked
 from .likelihood import Draws, WeberModel
-from .mode import find_mode, lead_values, map_point, score_precision
+from .posteriors import find_mode, lead_values, map_point, score_precision
 from .priors import REACH
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 from scipy.stats import norm
 
-from .bias_scale import scaled_prior
+from .lapses import scaled_prior
 from .likelihood import Draws, WeberModel
 
 Array = NDArray[np.float64]

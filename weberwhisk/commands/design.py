@@ -16,8 +16,8 @@ from .._terminal import numbers
 from ..campaign import all_cores
 from ..design import Constraints, Goal, Plan, SubjectPopulation
 from ..design.experiment import WIDE
-from ..design.exports import in_millimetres
 from ..design.preregistration import assumptions, offsets_in_words
+from ..design.trial_lists import in_millimetres
 from ..output import Run, to_json
 from ..planning import fill
 from .options import (

@@ -15,8 +15,7 @@ from .. import _checks
 from .._terminal import numbers
 from ..behaviour import CueEncoding, IdentityEncoding
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
-from ..design.session import Session, converse
-from ..design.staircases import RULES
+from ..design.session import RULES, Session, converse
 from ..output import Run
 from .distance import distance_encoding
 from .options import (

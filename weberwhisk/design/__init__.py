@@ -8,17 +8,15 @@ from .._deprecated import renamed_names
 from .analysis import AnalysisResult, analyse
 from .best import Best, best_scheme
 from .experiment import plan_experiment
-from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis, cues, noises, taper, with_priors
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .information import information
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, lattice, next_trial
 from .plan import Plan
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, Smallest, power, smallest
 from .scheme import LEVELS, Constraints, Scheme
-from .session import Session
+from .session import Session, Staircase
 from .simulated_study import SimulatedStudy, simulate_study
-from .staircases import Staircase
 from .trial_lists import trial_lists
 
 __all__ = [

@@ -24,11 +24,10 @@ from ..behaviour.integrate.batch import log_sum
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
+from .expectation import Precision
 from .experiments import compare, fit, simulate
-from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis
+from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .power_analysis import asked
-from .precision import Precision
 from .scheme import Constraints, Scheme, difference_sd, easy_share
 
 Array = NDArray[np.float64]

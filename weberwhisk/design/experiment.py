@@ -17,8 +17,7 @@ from ..observer import Observer
 from ..receptors import Weber
 from ..whisker import Whisker
 from .best import best_scheme
-from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis, taper
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
 from .plan import Plan
 from .power_analysis import power, sized, smallest
 from .scheme import Constraints, Scheme

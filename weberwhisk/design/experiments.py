@@ -22,9 +22,8 @@ from ..behaviour.integrate import likelihood, marginal
 from ..behaviour.lapses import score_prior
 from ..behaviour.priors import Priors
 from ..threads import one_blas_thread
-from .coding import decode
-from .goals import SubjectPopulation
-from .hypotheses import Hypothesis
+from .hypotheses import Hypothesis, SubjectPopulation
+from .plan_file import decode
 from .populations import HELD, bias_scales, populations, steps_of
 from .scheme import Scheme
 

@@ -23,8 +23,7 @@ from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
-from .goals import SubjectPopulation
-from .hypotheses import Hypothesis, check_distinct
+from .hypotheses import Hypothesis, SubjectPopulation, check_distinct
 from .scheme import Scheme, difference_sd, refuse_out_of_reach
 
 Array = NDArray[np.float64]

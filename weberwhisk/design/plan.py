@@ -21,11 +21,9 @@ from ..behaviour.trials import Trials
 from ..output import csv_text
 from . import expectation
 from .analysis import AnalysisResult, analyse
-from .exports import own_table
-from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis, check_distinct
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .scheme import Constraints, Scheme
-from .trial_lists import sessions_needed, trial_lists
+from .trial_lists import own_table, sessions_needed, trial_lists
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,11 +10,213 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
+from scipy.stats.distributions import rv_frozen
 
 from .. import __version__, _checks
-from .coding import checked, decode, encode
-from .hypotheses import Hypothesis
+from ..behaviour.comparison import ConstantNoise
+from ..behaviour.encodings import CueEncoding, IdentityEncoding, LogAxisEncoding, LogEncoding
+from ..behaviour.priors import Priors
+from ..cues import Compliance, ForceMap
+from ..observer import Observer
+from ..receptors import GeneralisedWeber, Weber
+from ..whisker import Whisker
+from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .plan import Plan
+from .scheme import Constraints, Scheme
+
+# What each is made of: the names of its arguments, `argument=attribute` where these differ, and
+# after a colon what they may be where that is not one finite number.
+NOUNS: dict[type, str] = {
+    Whisker: "length base_radius tip_radius youngs_modulus curvature density",
+    Compliance: "tap_angle angular_velocity velocity_spread",
+    ForceMap: "signals=signal_names:texts deflection_angle:number|null",
+    Weber: "weber_fraction:numbers correlation:numbers",
+    GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
+    Observer: "whisker:Whisker cue:Compliance|ForceMap noise:Weber|GeneralisedWeber",
+    CueEncoding: "observer:Observer deflection_angle:number|null unit",
+    IdentityEncoding: "",
+    LogEncoding: "log_unit",
+    LogAxisEncoding: "log_unit",
+    ConstantNoise: "base:encoding typical",
+    Priors: "weber_fraction:prior lapse_low:prior lapse_high:prior bias:prior lapse_correlation",
+    Hypothesis: "name:text encoding:encoding priors:Priors bias:text noise:text task:text",
+    Scheme: "standards:numbers offsets:numbers trials:numbers animals",
+    Constraints: "nearest farthest:limits step easy_share easy_proportion",
+    Goal: "bayes_factor:number|null half_width:number|null share",
+    SubjectPopulation: "weber_fraction spread lapse bias_spread lapses_vary:flag",
+}
+#: Parts of a noun that are one of several nouns, or a number or distribution.
+KINDS = {
+    "encoding": "CueEncoding|IdentityEncoding|LogEncoding|LogAxisEncoding|ConstantNoise",
+    "prior": "number|distribution",
+}
+#: Names in plans of version 0.1.
+OLD = {
+    "Animals": "SubjectPopulation",
+    "CuePercept": "CueEncoding",
+    "IdentityPercept": "IdentityEncoding",
+    "LogPercept": "LogEncoding",
+    "LogAxisPercept": "LogAxisEncoding",
+    "percept": "encoding",
+}
+KIND = "is"  # the key that says which noun a mapping is
+MOST = 1e30  # no number of a plan is beyond
+
+
+def encode(value: Any) -> Any:
+    """A noun, and whatever it is made of, in what JSON has.
+
+    Raises
+    ------
+    ValueError
+        For what has no such form: a cue or a receptor of one's own, say.
+
+    Examples
+    --------
+    >>> encode(LogEncoding(0.5))
+    {'is': 'LogEncoding', 'log_unit': 0.5}
+    >>> encode(stats.beta(0.3, 3))
+    {'is': 'beta', 'args': [0.3, 3], 'kwds': {}}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if np.isfinite(value) else str(value)
+    if isinstance(value, list | tuple):
+        return [encode(item) for item in value]
+    if isinstance(value, dict):
+        return {str(key): encode(item) for key, item in value.items()}
+    if hasattr(value, "dist") and hasattr(value, "kwds"):
+        return {KIND: value.dist.name, "args": encode(value.args), "kwds": encode(value.kwds)}
+    if type(value) not in NOUNS:
+        known = ", ".join(noun.__name__ for noun in NOUNS)
+        raise ValueError(f"{value!r} cannot be written to a plan; make it of {known}.")
+    parts = {name: encode(getattr(value, a)) for name, a, _ in _parts(type(value))}
+    return {KIND: type(value).__name__, **parts}
+
+
+def decode(value: Any) -> Any:
+    """What `encode` has written.
+
+    Raises
+    ------
+    ValueError
+        For an unknown noun, parts that are missing, too many or of the wrong kind, or values that
+        the noun refuses.
+
+    Examples
+    --------
+    >>> decode(encode(LogEncoding(0.5)))
+    LogEncoding(log_unit=0.5, direction=1, domain=(-inf, inf))
+    >>> decode({"is": "LogEncoding", "log_unit": None})
+    Traceback (most recent call last):
+        ...
+    ValueError: log_unit of LogEncoding must be number, got None
+    """
+    if isinstance(value, list):
+        return [decode(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    parts = {name: decode(item) for name, item in value.items() if name != KIND}
+    if KIND not in value:
+        return parts
+    parts = {OLD.get(name, name): item for name, item in parts.items()}
+    name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
+    noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
+    if noun is None:
+        return _frozen(value[KIND], parts)
+    kinds = {name: kind for name, _, kind in _parts(noun)}
+    try:
+        return noun(**checked(noun.__name__, parts, kinds))
+    except (TypeError, OverflowError) as error:
+        raise ValueError(f"{noun.__name__} cannot be made of these ({error})") from None
+
+
+def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any, Any]:
+    """Parts of the kinds that they must be, infinite numbers no longer text; none missing or more.
+
+    Raises
+    ------
+    ValueError
+        Naming the part.
+    """
+    for strange in parts.keys() ^ kinds.keys():
+        words = "lacks" if strange in kinds else "has nothing called"
+        raise ValueError(f"{what} {words} {strange!r}")
+    for name, kind in kinds.items():
+        if not any(_is(parts[name], one) for one in KINDS.get(kind, kind).split("|")):
+            wanted = kind.replace("|", " or ")
+            raise ValueError(f"{name} of {what} must be {wanted}, got {_checks.shown(parts[name])}")
+    return {
+        name: _read(parts[name]) if kind.startswith("limit") else parts[name]
+        for name, kind in kinds.items()
+    }
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_read(item) for item in value]
+    return float(value) if isinstance(value, str) else value
+
+
+def _is(value: Any, kind: str) -> bool:
+    match kind:
+        case "null":
+            return value is None
+        case "flag":
+            return isinstance(value, bool)
+        case "text":
+            return isinstance(value, str)
+        case "texts":
+            return _is(value, "text") or _all_are(value, "text")
+        case "number" | "limit":
+            if isinstance(value, str | bool):
+                return kind == "limit" and value in ("inf", "-inf", "nan")
+            return isinstance(value, int | float) and abs(value) < MOST
+        case "numbers" | "limits":
+            return _is(value, kind[:-1]) or _all_are(value, kind)
+        case "distribution":
+            return isinstance(value, rv_frozen)
+        case _:
+            return type(value).__name__ == kind
+
+
+def _all_are(value: Any, kind: str) -> bool:
+    return isinstance(value, list) and all(_is(item, kind) for item in value)
+
+
+def _frozen(name: Any, parts: dict[str, Any]) -> Any:
+    """A SciPy distribution that has quantiles."""
+    distribution = getattr(stats, name, None) if isinstance(name, str) else None
+    if not isinstance(distribution, stats.rv_continuous):
+        raise ValueError(f"{name!r} is nothing that this version knows.")
+    checked(name, parts, {"args": "list", "kwds": "dict"})
+    args, kwds = parts["args"], parts["kwds"]
+    named = dict(enumerate(args)) | kwds
+    checked(name, named, dict.fromkeys(named, "number"))
+    try:
+        made = distribution(*map(float, args), **{key: float(v) for key, v in kwds.items()})
+        with np.errstate(all="ignore"):
+            found = made.ppf([0.02, 0.5, 0.98])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} cannot be made of {args} and {kwds} ({error})") from None
+    if not (np.isfinite(found).all() and (np.diff(found) > 0).all()):
+        raise ValueError(f"{name} has no quantiles with {args} and {kwds}")
+    return made
+
+
+def _parts(noun: type) -> list[tuple[str, str, str]]:
+    """Arguments of a noun, the attributes that hold them, and their kinds."""
+    found = []
+    for part in NOUNS[noun].split():
+        names, _, kind = part.partition(":")
+        name, _, attribute = names.partition("=")
+        found.append((name, attribute or name, kind or "number"))
+    return found
+
 
 FORMAT = "weberwhisk plan"
 VERSION = 1  # of the format

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
-from ..behaviour.bias_scale import AS_BELIEVED, BiasScales
 from ..behaviour.integrate.batch import (
     Likelihood,
     batch_steps,
@@ -26,6 +25,7 @@ from ..behaviour.integrate.batch import (
 )
 from ..behaviour.integrate.blocks import NOTHING, with_tail
 from ..behaviour.integrate.windows import Steps
+from ..behaviour.lapses import AS_BELIEVED, BiasScales
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors
 

@@ -15,10 +15,9 @@ from scipy.special import log_ndtr, ndtri
 from scipy.stats import binomtest
 
 from .. import _checks, campaign
-from .coding import encode
 from .experiments import experiments
-from .goals import Goal, SubjectPopulation
-from .hypotheses import Hypothesis, check_distinct
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
+from .plan_file import encode
 from .scheme import Scheme
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ import pandas as pd
 
 from .. import _checks, campaign
 from ..behaviour.population import simulate_responses
-from ..behaviour.status import FitStatus
+from ..behaviour.verdict import FitStatus
 from .plan import Plan
 from .plan_file import plan_json, plan_of
 

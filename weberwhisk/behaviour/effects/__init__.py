@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
-from .effect import Effect
 from .kinds import (
     ComparisonBias,
     Contraction,
     Drift,
+    Effect,
     FirstIntervalNoise,
     Floor,
     History,

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bias_scale import BiasScales
-from ..lapses import score_prior
+from ..lapses import BiasScales, score_prior
 from ..likelihood import WeberModel
 from .blocks import NOTHING, Nodes, lapse_weights
 from .windows import Steps, Windows, everything, kept, least_bias_sds, least_sds, outer_signals

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ..bias_scale import scaled_prior
 from ..dispersion import BetaBinomial
-from ..lapses import lapse_prior, score_prior
+from ..lapses import lapse_prior, scaled_prior, score_prior
 from ..likelihood import WeberModel
 from ..priors import TINY
 from .windows import FAR_LAPSE, Steps, Windows, bias_at, least_bias_sds, outer_signals
