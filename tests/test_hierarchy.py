@@ -23,9 +23,8 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.hierarchy import _zoomed, integrate_population
 from weberwhisk.behaviour.lapses import BiasScales
-from weberwhisk.behaviour.members import Members, Work
 from weberwhisk.behaviour.population import joined
-from weberwhisk.behaviour.tabulated import tabulate
+from weberwhisk.behaviour.tabulated import Members, Work, tabulate
 from weberwhisk.posterior.ensemble import sample_stacked
 
 Array = NDArray[np.float64]

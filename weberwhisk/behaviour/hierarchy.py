@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import map_coordinates
 
-from .members import Members, Work
 from .priors import PopulationPriors
+from .tabulated import Members, Work
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,15 @@
-"""What is believed of lapses beforehand, and the coordinates that a grid has for them.
+"""What is believed of lapses and biases beforehand, on the coordinates that a grid has for them.
 
 In the normal score z of its prior a lapse near 0 is known from the prior alone, over a width of 1,
 and a large one from the answers, over a width that shrinks with their number. The coordinate t
 counts both: dt² = dz² + N d(2 asin √λ)², with 2 asin √λ the coordinate in which a proportion of N
 answers has an sd of 1/√N. Even nodes in t are then fine where they must be, and nowhere else.
+
+Biases count in sds of the difference between the two signals, which grow with k: PSEs that lie
+closer together than a prior expects speak for a small k, a little in one animal, and with every
+animal more. So a population's biases are those of the prior all times one factor, which is learnt.
+What a change of k does to all biases, the factor undoes: the pull is gone, whatever the prior's
+shape and also where the animals share a bias.
 """
 
 from __future__ import annotations
@@ -19,12 +25,11 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
-from .likelihood import Draws, WeberModel
 from .priors import REACH, Priors, quantiles
 from .tasks import Task
 
 if TYPE_CHECKING:
-    from .likelihood import WeberModel
+    from .likelihood import Draws, WeberModel
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,9 @@ from ..threads import one_blas_thread
 from .fit import fit_weber
 from .hierarchy import NAMES, Population, integrate_population
 from .lapses import likely_scales
-from .members import Members
 from .priors import PopulationPriors, Priors, priors_for
 from .result import WeberFit
-from .tabulated import tabulate
+from .tabulated import Members, tabulate
 from .trials import Trials, check_trials
 from .verdict import FitStatus
 
