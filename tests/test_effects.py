@@ -28,7 +28,7 @@ from weberwhisk.behaviour.effects import (
     FirstIntervalNoise,
     Floor,
     History,
-    NearMiss,
+    NearMissExponent,
     Overdispersion,
     PastContraction,
     Step,
@@ -123,7 +123,7 @@ def answered(name: str, value: float, seed: int, trials: int = 900) -> Trials:
 
 CASES: dict[str, tuple[Effect, float]] = {
     "floor": (Floor(), 0.3),
-    "exponent": (NearMiss(), 0.7),
+    "exponent": (NearMissExponent(), 0.7),
     "contraction": (Contraction(), 0.2),
     "past_contraction": (PastContraction(), 0.2),
     "memory": (FirstIntervalNoise(), 0.8),
@@ -207,7 +207,7 @@ def test_units_do_not_matter(unit: float) -> None:
     columns = ["standard", "stimulus_1", "stimulus_2"]
     table = trials.table()
     other = read_trials(table.assign(**{c: table[c] * unit for c in columns}))
-    for effect in (Floor(), NearMiss(), Contraction()):
+    for effect in (Floor(), NearMissExponent(), Contraction()):
         a, b = (fit_weber(t, effects=[effect], priors=known) for t in (trials, other))
         assert b.weber_fraction == pytest.approx(a.weber_fraction, rel=1e-6)
         scale = unit if effect.name == "floor" else 1.0

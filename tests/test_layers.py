@@ -296,6 +296,7 @@ def test_old_names_of_encodings_and_studies_work_for_a_release() -> None:
         (behaviour, {f"{n}Percept": f"{n}Encoding" for n in ("Identity", "Log", "LogAxis")}),
         (design, {"Rehearsal": "SimulatedStudy", "rehearse": "simulate_study"}),
         (ww, {"rehearse": "simulate_study"}),
+        (behaviour.effects, {"NearMiss": "NearMissExponent"}),
     ):
         for old, new in renamed.items():
             with pytest.warns(DeprecationWarning, match=new):

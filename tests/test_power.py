@@ -27,8 +27,8 @@ from weberwhisk.design import (
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.experiments import Fitted, compare, fit, simulate
-from weberwhisk.design.power_analysis import _probit, reaches, sized, smallest
+from weberwhisk.design.experiments import Fitted, compare, fit, reaches, simulate, sized
+from weberwhisk.design.power_analysis import _probit, smallest
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)

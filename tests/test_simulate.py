@@ -219,7 +219,7 @@ def test_a_data_package_names_every_column() -> None:
 
 MOVED: dict[str, tuple[effects.Effect, float]] = {
     "floor": (effects.Floor(), 0.3),
-    "exponent": (effects.NearMiss(), 0.7),
+    "exponent": (effects.NearMissExponent(), 0.7),
     "contraction": (effects.Contraction(), 0.3),
     "past_contraction": (effects.PastContraction(half_life=20), 0.3),
     "comparison_bias": (effects.ComparisonBias(), 0.6),

@@ -21,7 +21,7 @@ from .encodings import (
 )
 from .integrate import refined
 from .likelihood import WeberModel, gather
-from .posteriors import GridPosterior, WeberPosterior
+from .posteriors import QuadraturePosterior, WeberPosterior
 from .priors import priors_for
 from .result import WeberFit
 from .trials import Trials, check_trials
@@ -108,7 +108,7 @@ def fit_weber(
 
         posterior = sample(fewer, seed=rng)
     else:
-        posterior = GridPosterior(fewer, refined(fewer), int(rng.integers(2**63)))
+        posterior = QuadraturePosterior(fewer, refined(fewer), int(rng.integers(2**63)))
     status, notes = verdict(model, posterior)
     return WeberFit(
         trials, model, encoded, noise, chosen, used, posterior, status, (*trials.notes, *notes)

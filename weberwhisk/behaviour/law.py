@@ -12,10 +12,10 @@ from scipy.special import logsumexp
 
 from ..threads import one_blas_thread
 from .criticism import check_fit
-from .integrate import Grid, integrate, refined
+from .integrate import PosteriorGrid, integrate, refined
 from .integrate.batch import over_fractions
 from .lapses import lapse_prior, score_prior
-from .posteriors import GridPosterior
+from .posteriors import QuadraturePosterior
 
 if TYPE_CHECKING:
     from .result import WeberFit
@@ -83,7 +83,7 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
         raise ValueError("the Weber fraction is fixed; give it a prior to test Weber's law.")
     rows = []
     for standard, part in model.by_standard():
-        own = GridPosterior(part.merged(), refined(part.merged()), 0)
+        own = QuadraturePosterior(part.merged(), refined(part.merged()), 0)
         low, median, high = own.quantile("weber_fraction", [0.025, 0.5, 0.975])
         rows.append(
             {
@@ -98,7 +98,7 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
     return WeberLawTest(grid.log_evidence - _separate_evidence(fit, grid), pd.DataFrame(rows))
 
 
-def _separate_evidence(fit: WeberFit, grid: Grid) -> float:
+def _separate_evidence(fit: WeberFit, grid: PosteriorGrid) -> float:
     """Log evidence of one k per standard, with the lapses (and a shared bias) in common: given
     these the standards are independent, and each is integrated alone."""
     model, bias = fit.model, None

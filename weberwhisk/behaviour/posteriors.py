@@ -1,4 +1,4 @@
-"""What is believed about an observer: marginals, quantiles, and joint draws."""
+"""What is believed about an observer: mode, marginals, quantiles, and joint draws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from .integrate.grid import Grid, Tolerance, density_of, integrate, log_marginal
+from .integrate.grid import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
 from .integrate.windows import bias_at
 from .lapses import log_lapses_possible
 from .likelihood import Draws, WeberModel
@@ -172,11 +172,11 @@ class WeberPosterior(Protocol):
 
 
 @dataclass(frozen=True)
-class GridPosterior:
+class QuadraturePosterior:
     """The posterior integrated by quadrature; draws from it are independent and exact."""
 
     model: WeberModel
-    grid: Grid
+    grid: PosteriorGrid
     seed: int
     n_draws: int = 4000
     chains: int = 4
@@ -221,7 +221,7 @@ class GridPosterior:
         return values, cdf / cdf[-1], density / density.sum()
 
     @cached_property
-    def _grid_of_biases(self) -> Grid:
+    def _grid_of_biases(self) -> PosteriorGrid:
         """The grid, finer in the lapses where each bias by itself leaves these little room."""
         if self.grid.given_bias < GIVEN_BIAS or np.isinf(self.grid.error):
             return self.grid

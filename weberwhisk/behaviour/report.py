@@ -1,4 +1,4 @@
-"""A fit in plain words: what the data say, what they cannot, what to collect next."""
+"""A fit told to others: in plain words, for JSON and ArviZ, and beside other beliefs of lapses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from . import criticism
 from .criticism import prior_draws
 from .integrate import refined
 from .likelihood import Draws, WeberModel
-from .posteriors import GridPosterior, WeberPosterior
+from .posteriors import QuadraturePosterior, WeberPosterior
 from .verdict import FitStatus, too_few_kinds
 
 if TYPE_CHECKING:
@@ -210,12 +210,12 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     own = list(posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
     rows = [("as fitted", *own)]
     free = [n for n in model.lapse_names if n in model.names]
-    if free and "weber_fraction" in model.names and isinstance(posterior, GridPosterior):
+    if free and "weber_fraction" in model.names and isinstance(posterior, QuadraturePosterior):
         for words, belief in BELIEFS.items():
             changed: dict[str, Any] = dict.fromkeys(free, belief)
             priors = replace(model.priors, **changed)
             other = replace(model, priors=priors).merged()
-            grid = GridPosterior(other, refined(other), 0)
+            grid = QuadraturePosterior(other, refined(other), 0)
             rows.append((words, *grid.quantile("weber_fraction", [0.5, 0.025, 0.975])))
     table = pd.DataFrame(rows, columns=["lapses", "weber_fraction", "lower", "upper"])
     table["change"] = table["weber_fraction"] / own[0] - 1
@@ -347,3 +347,47 @@ def data_package(name: str, title: str, resources: Sequence[Mapping[str, Any]]) 
         "licenses": [{"name": "BSD-3-Clause"}],
         "resources": [dict(entry) for entry in resources],
     }
+
+
+def as_dict(fit: WeberFit) -> dict[str, Any]:
+    """Everything a reader needs to use or repeat a fit, ready for JSON."""
+    low, high = fit.interval() if "weber_fraction" in fit.parameters else (fit.weber_fraction,) * 2
+    return {
+        "weber_fraction": fit.weber_fraction,
+        "lower": low,
+        "upper": high,
+        "mass": 0.95,
+        "unit": fit.unit or "ratio",
+        "status": fit.status.name,
+        "message": fit.status.message,
+        "notes": list(fit.notes),
+        "parameters": fit.summary().to_dict(orient="index"),
+        "thresholds": _plain(fit.threshold().to_dict(orient="records")),
+        "lapse_sensitivity": fit.lapse_sensitivity.to_dict(orient="records"),
+        "log_evidence": fit.log_evidence,
+        "error": fit.posterior.error if np.isfinite(fit.posterior.error) else None,
+        "misfit": fit.misfit,
+        "data": {
+            "source": fit.trials.source,
+            "n_trials": fit.trials.n_trials,
+            "n_missing": fit.trials.n_missing,
+            "cells": int(fit.model.cells.n.size),
+            "standards": fit.trials.standards.tolist(),
+        },
+        "settings": {
+            "task": fit.model.task.name,
+            "noise": fit.noise,
+            "bias": fit.bias,
+            "effects": list(fit.effects),
+            "method": fit.method,
+            "encoding": type(fit.encoding).__name__,
+        },
+    }
+
+
+def _plain(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
+    """Infinities as None, which JSON can hold."""
+    return [
+        {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
+        for row in rows
+    ]

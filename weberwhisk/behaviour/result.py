@@ -349,40 +349,9 @@ class WeberFit(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything a reader needs to use or repeat the fit, ready for JSON."""
-        low, high = (
-            self.interval() if "weber_fraction" in self.parameters else (self.weber_fraction,) * 2
-        )
-        return {
-            "weber_fraction": self.weber_fraction,
-            "lower": low,
-            "upper": high,
-            "mass": 0.95,
-            "unit": self.unit or "ratio",
-            "status": self.status.name,
-            "message": self.status.message,
-            "notes": list(self.notes),
-            "parameters": self.summary().to_dict(orient="index"),
-            "thresholds": _plain(self.threshold().to_dict(orient="records")),
-            "lapse_sensitivity": self.lapse_sensitivity.to_dict(orient="records"),
-            "log_evidence": self.log_evidence,
-            "error": self.posterior.error if np.isfinite(self.posterior.error) else None,
-            "misfit": self.misfit,
-            "data": {
-                "source": self.trials.source,
-                "n_trials": self.trials.n_trials,
-                "n_missing": self.trials.n_missing,
-                "cells": int(self.model.cells.n.size),
-                "standards": self.trials.standards.tolist(),
-            },
-            "settings": {
-                "task": self.model.task.name,
-                "noise": self.noise,
-                "bias": self.bias,
-                "effects": list(self.effects),
-                "method": self.method,
-                "encoding": type(self.encoding).__name__,
-            },
-        }
+        from .report import as_dict
+
+        return as_dict(self)
 
     def to_json(self) -> str:
         """`to_dict()` as JSON; an unreachable threshold is null."""
@@ -407,11 +376,3 @@ def _quantiles(sample: Array, at: Array) -> Array:
     if np.isfinite(sample).all():
         return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
     return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
-
-
-def _plain(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
-    """Infinities as None, which JSON can hold."""
-    return [
-        {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
-        for row in rows
-    ]

@@ -1,4 +1,4 @@
-"""What a posterior is worth: did the data move it, and which end of it is the prior's."""
+"""What a fit is worth: did the data move the posterior, and which end of it is the prior's."""
 
 from __future__ import annotations
 

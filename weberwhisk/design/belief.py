@@ -38,7 +38,7 @@ class Axes:
     bias: tuple[Array, ...]
 
 
-class Grid:
+class BeliefGrid:
     """Likelihoods (K, B, L) of every group on its nodes; L are pairs of lapses.
 
     Trials are first `put` in, as many as there are; `close` makes the logarithms a grid, which
@@ -185,7 +185,7 @@ class Belief:
             for name, transform in zip(model.lead[-2:], model.transforms[-2:], strict=True)
         )
         k, bias = (_even(wide[name][:2], wide[name][2]) for name in ("weber_fraction", "bias"))
-        self._building: Iterator[Grid | None] | None = None
+        self._building: Iterator[BeliefGrid | None] | None = None
         *_, grid = self._laid(model, Axes(k, low, high, (bias,) * model.n_groups))
         assert grid is not None
         self._grid = grid
@@ -198,9 +198,9 @@ class Belief:
         """Of the grid as it is."""
         return self._grid.axes
 
-    def _laid(self, model: WeberModel, axes: Axes) -> Iterator[Grid | None]:
+    def _laid(self, model: WeberModel, axes: Axes) -> Iterator[BeliefGrid | None]:
         """A grid on these axes with all trials so far in it, after some rests."""
-        grid = Grid(model, axes)
+        grid = BeliefGrid(model, axes)
         for _ in axes.bias:
             grid.see_candidates()
             yield None

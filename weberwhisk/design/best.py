@@ -20,6 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..behaviour.encodings import difference_sd
 from ..behaviour.integrate.batch import log_sum
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.trials import Cells
@@ -28,7 +29,7 @@ from .expectation import Precision
 from .experiments import compare, fit, simulate
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .power_analysis import asked
-from .scheme import Constraints, Scheme, difference_sd, easy_share
+from .scheme import Constraints, Scheme, easy_share
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What a design should show of an expected animal, before there are data: curves and intervals.
+"""What a design should show of expected animals, before there are data: curves and intervals.
 
 The predicted intervals are those of a fit to the *expected* answers, n·P of every level in place of
 a count (an "Asimov" data set: Cowan, Cranmer, Gross & Vitells 2011, Eur. Phys. J. C 71:1554, §3.2).
@@ -14,13 +14,14 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
+from ..behaviour.encodings import difference_sd
 from ..behaviour.fit import fit_weber
 from ..behaviour.psychometric import response_probability
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Cells, Trials
 from ..jnd import criterion_factor
 from .hypotheses import Hypothesis, SubjectPopulation
-from .scheme import Scheme, difference_sd
+from .scheme import Scheme
 
 Array = NDArray[np.float64]
 

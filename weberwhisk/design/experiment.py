@@ -10,16 +10,25 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from ..behaviour.encodings import CueEncoding
+from .._deprecated import renamed_arguments
+from ..behaviour.encodings import (
+    CueEncoding,
+    Encoding,
+    checked_encoding,
+    difference_sd,
+    gives_signal,
+    refuse_out_of_reach,
+)
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..observer import Observer
 from ..receptors import Weber
 from ..whisker import Whisker
 from .best import best_scheme
+from .experiments import sized
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
 from .plan import Plan
-from .power_analysis import power, sized, smallest
+from .power_analysis import power, smallest
 from .scheme import Constraints, Scheme
 
 #: Where along the whisker the default standards stand, as fractions of its length.
@@ -235,3 +244,68 @@ def _hypotheses(
         return taper(whisker)
     observer = Observer(whisker, cue or Compliance(), Weber(1.0))
     return [Hypothesis("expected observer", CueEncoding(observer, deflection_angle))]
+
+
+@renamed_arguments(percept="encoding")
+def lattice(
+    encoding: Encoding,
+    standards: ArrayLike,
+    constraints: Constraints | None = None,
+    *,
+    each_side: int = 16,
+    smallest: float = 0.01,
+    largest: float = 1.2,
+) -> Scheme:
+    """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
+
+    Parameters
+    ----------
+    encoding : Encoding
+        Says how large an offset is: offsets are multiples of the sd of the difference between two
+        encodings that an animal with k = 1 would have (`difference_sd`).
+    standards : array_like
+    constraints : Constraints, optional
+        What falls outside the range is left out, the rest put on the nearest step.
+    each_side : int
+        Comparisons on either side, at most.
+    smallest, largest : float
+        Offsets, in those sds: about twice the least and the greatest k that may be met.
+
+    Raises
+    ------
+    ValueError
+        Where a standard is left without comparisons on both sides.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> lattice(IdentityEncoding(), 1.0, each_side=3, largest=0.5).comparisons
+    ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
+    """
+    checked_encoding(encoding)
+    low, high = encoding.domain
+    # A range of distances begins at 0; other stimuli, such as logarithms, need not.
+    limits = constraints or Constraints(farthest=high)
+    nearest = limits.nearest if constraints else -np.inf
+    given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
+    at = np.unique(limits.positions(given))
+    refuse_out_of_reach(encoding, at, "standard")
+    ratios = np.geomspace(smallest, largest, each_side)
+    rows = []
+    for s in at:
+        steps = ratios * float(difference_sd(encoding, s))
+        levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
+        levels = np.array([float(f"{v:.6g}") for v in levels])
+        inside = (levels >= nearest) & (levels <= limits.farthest)
+        levels = levels[inside & (levels > low) & (levels < high)]
+        levels = np.unique(
+            levels[gives_signal(encoding, levels) & (np.abs(levels - s) > 1e-9 * abs(s))]
+        )
+        if not (np.any(levels < s) and np.any(levels > s)):
+            raise ValueError(
+                f"standard {s:g} is left without comparisons on both sides, between "
+                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
+                "or widen the range."
+            )
+        rows.append([float(f"{level - s:.12g}") for level in levels])
+    return Scheme(at, rows)

@@ -17,18 +17,21 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
+from scipy.stats import binomtest
 
+from .. import _checks
 from ..behaviour.integrate import likelihood, marginal
 from ..behaviour.lapses import score_prior
 from ..behaviour.priors import Priors
 from ..threads import one_blas_thread
-from .hypotheses import Hypothesis, SubjectPopulation
+from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .plan_file import decode
 from .populations import HELD, bias_scales, populations, steps_of
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
+BY = ["truth", "trials", "animals", "lapse"]  # what experiments are counted by
 QUANTILES = (0.025, 0.5, 0.975)
 FINER = 8  # nodes between those of k, for quantiles
 BATCH = 2048  # data sets at once, of animals alone
@@ -235,3 +238,38 @@ def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
         )
         out[:, i] = fine[at] + step * (q - before) / (after - before)
     return evidence, out
+
+
+def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
+    """The scheme with so many animals, or trials of the comparison shown most."""
+    if vary == "animals":
+        return scheme.with_animals(size)
+    most = max(map(max, scheme.trials))
+    _checks.whole("trials", size, "write 20")
+    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
+    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
+
+
+def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
+    """What `Power.table` holds, of single runs."""
+    met = reaches(runs, goal)
+    rows = []
+    for key, own in runs.groupby(BY, sort=False):
+        count = int(met[own.index].sum())
+        lower, upper = binomtest(count, len(own)).proportion_ci(0.95, "wilson")
+        row = dict(zip(BY, key, strict=True)) | {
+            "runs": len(own), "power": count / len(own), "lower": lower, "upper": upper,
+        }  # fmt: skip
+        for name in ("half_width", "log_bayes_factor"):
+            low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
+            row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
+        off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
+        rows.append(row | {"bias": off, "coverage": own["covers"].mean()})
+    return pd.DataFrame(rows)
+
+
+def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
+    """Which experiments reach the goal."""
+    if goal.bayes_factor is not None:
+        return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
+    return runs["half_width"] < goal.half_width

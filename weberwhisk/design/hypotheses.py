@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
 from ..behaviour.comparison import ConstantNoise
-from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, unit_encodings
+from ..behaviour.encodings import (
+    CueEncoding,
+    Encoding,
+    checked_encoding,
+    refuse_out_of_reach,
+    unit_encodings,
+)
 from ..behaviour.fit import BIASES
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population import draw_animals
@@ -24,7 +30,7 @@ from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..receptors import Weber
 from ..whisker import Whisker
-from .scheme import Scheme, refuse_out_of_reach
+from .scheme import Scheme
 
 Array = NDArray[np.float64]
 

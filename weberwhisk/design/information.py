@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
 from .. import _checks
-from ..behaviour.encodings import UnitEncodings, unit_encodings
+from ..behaviour.encodings import UnitEncodings, difference_sd, refuse_out_of_reach, unit_encodings
 from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.integrate.windows import bias_at
 from ..behaviour.lapses import lapse_prior, score_prior
@@ -24,7 +24,7 @@ from ..behaviour.likelihood import WeberModel
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct
-from .scheme import Scheme, difference_sd, refuse_out_of_reach
+from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def information(
 
 
 @dataclass(frozen=True)
-class Belief:
+class HypothesisTable:
     """What is known of an observer: nodes and their probabilities.
 
     `k` (K,); for each standard run before, and under None for all others, `bias` (B,), `mass`
@@ -152,7 +152,7 @@ def believed(
     after: Scheme | None,
     truth: Hypothesis | None,
     animals: SubjectPopulation,
-) -> Belief:
+) -> HypothesisTable:
     """What is known of an observer after the answers that the truth is expected to give."""
     before = after if after is not None else Scheme([1.0], [0.0], 1)
     if after is None:
@@ -199,7 +199,7 @@ def believed(
     if None not in known:
         bias, log_bias = _bias_nodes(model, (-REACH, REACH))
         known[None] = (bias, *_by_bias(log_bias[:, None, None] + joint, lost))
-    return Belief(hypothesis, k, known)
+    return HypothesisTable(hypothesis, k, known)
 
 
 def expected_counts(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Array:
@@ -216,7 +216,9 @@ def entropy(p: Array) -> Array:
     return np.asarray((entr(p) + entr(1 - p)) / np.log(2))
 
 
-def _of_standard(beliefs: list[Belief], standard: float, comparisons: Array, place: float) -> Array:
+def _of_standard(
+    beliefs: list[HypothesisTable], standard: float, comparisons: Array, place: float
+) -> Array:
     """The three informations at the comparisons of a standard, (3, J) bits."""
     out = np.full((3, comparisons.size), np.nan)
     encoded = np.ones(comparisons.size, dtype=bool)

@@ -15,23 +15,19 @@ from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import _checks
-from .._deprecated import renamed_arguments
 from ..behaviour.encodings import (
-    Encoding,
     LogAxisEncoding,
     LogEncoding,
-    checked_encoding,
-    gives_signal,
 )
 from ..behaviour.fit import fit_weber
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from .belief import Belief, Pair, entropy
 from .hypotheses import Hypothesis, check_distinct
-from .scheme import Constraints, Scheme, difference_sd, refuse_out_of_reach
+from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
@@ -180,6 +176,7 @@ class BayesianPlacer(TrialLog):
     --------
     >>> from weberwhisk.behaviour import IdentityEncoding
     >>> h = Hypothesis("Weber", IdentityEncoding())
+    >>> from weberwhisk.design import lattice
     >>> placer = BayesianPlacer(h, lattice(h.encoding, 1.0), seed=1)
     >>> trial = placer.next()
     >>> placer.record(trial.standard, trial.comparison, 1)
@@ -366,6 +363,7 @@ def next_trial(
     --------
     >>> from weberwhisk.behaviour import IdentityEncoding, simulate_trials
     >>> h = Hypothesis("Weber", IdentityEncoding())
+    >>> from weberwhisk.design import lattice
     >>> next_trial(simulate_trials(trials_per_level=2, seed=1), h, lattice(h.encoding, 1.0)).trial
     19
     """
@@ -375,68 +373,3 @@ def next_trial(
         for i in range(int(n)):
             placer.record(s1, s2, None if np.isnan(count) else int(i < count))
     return placer.next()
-
-
-@renamed_arguments(percept="encoding")
-def lattice(
-    encoding: Encoding,
-    standards: ArrayLike,
-    constraints: Constraints | None = None,
-    *,
-    each_side: int = 16,
-    smallest: float = 0.01,
-    largest: float = 1.2,
-) -> Scheme:
-    """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
-
-    Parameters
-    ----------
-    encoding : Encoding
-        Says how large an offset is: offsets are multiples of the sd of the difference between two
-        encodings that an animal with k = 1 would have (`difference_sd`).
-    standards : array_like
-    constraints : Constraints, optional
-        What falls outside the range is left out, the rest put on the nearest step.
-    each_side : int
-        Comparisons on either side, at most.
-    smallest, largest : float
-        Offsets, in those sds: about twice the least and the greatest k that may be met.
-
-    Raises
-    ------
-    ValueError
-        Where a standard is left without comparisons on both sides.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> lattice(IdentityEncoding(), 1.0, each_side=3, largest=0.5).comparisons
-    ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
-    """
-    checked_encoding(encoding)
-    low, high = encoding.domain
-    # A range of distances begins at 0; other stimuli, such as logarithms, need not.
-    limits = constraints or Constraints(farthest=high)
-    nearest = limits.nearest if constraints else -np.inf
-    given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
-    at = np.unique(limits.positions(given))
-    refuse_out_of_reach(encoding, at, "standard")
-    ratios = np.geomspace(smallest, largest, each_side)
-    rows = []
-    for s in at:
-        steps = ratios * float(difference_sd(encoding, s))
-        levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
-        levels = np.array([float(f"{v:.6g}") for v in levels])
-        inside = (levels >= nearest) & (levels <= limits.farthest)
-        levels = levels[inside & (levels > low) & (levels < high)]
-        levels = np.unique(
-            levels[gives_signal(encoding, levels) & (np.abs(levels - s) > 1e-9 * abs(s))]
-        )
-        if not (np.any(levels < s) and np.any(levels > s)):
-            raise ValueError(
-                f"standard {s:g} is left without comparisons on both sides, between "
-                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
-                "or widen the range."
-            )
-        rows.append([float(f"{level - s:.12g}") for level in levels])
-    return Scheme(at, rows)

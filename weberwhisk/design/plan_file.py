@@ -1,4 +1,4 @@
-"""A plan as JSON, and back: what was asked, and a fingerprint of what came out."""
+"""A plan as JSON, and back: every number to its last bit, and a fingerprint of what came out."""
 
 from __future__ import annotations
 

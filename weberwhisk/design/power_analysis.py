@@ -15,7 +15,7 @@ from scipy.special import log_ndtr, ndtri
 from scipy.stats import binomtest
 
 from .. import _checks, campaign
-from .experiments import experiments
+from .experiments import BY, experiments, sized, summary
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .plan_file import encode
 from .scheme import Scheme
@@ -29,7 +29,6 @@ FEW = 96  # runs of several animals that settle a size where the goal is far: ot
 SURE = 0.99  # how surely
 CLOSE = 0.05  # of the size: how near the bracket closes
 MOST = {"trials": 1000, "animals": 200}
-BY = ["truth", "trials", "animals", "lapse"]
 
 
 @dataclass(frozen=True)
@@ -303,41 +302,6 @@ def _clear(found: Power) -> bool:
         )
     )
     return bool(low.min() > found.goal.share or high.min() < found.goal.share)
-
-
-def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
-    """The scheme with so many animals, or trials of the comparison shown most."""
-    if vary == "animals":
-        return scheme.with_animals(size)
-    most = max(map(max, scheme.trials))
-    _checks.whole("trials", size, "write 20")
-    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
-    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
-
-
-def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
-    """What `Power.table` holds, of single runs."""
-    met = reaches(runs, goal)
-    rows = []
-    for key, own in runs.groupby(BY, sort=False):
-        count = int(met[own.index].sum())
-        lower, upper = binomtest(count, len(own)).proportion_ci(0.95, "wilson")
-        row = dict(zip(BY, key, strict=True)) | {
-            "runs": len(own), "power": count / len(own), "lower": lower, "upper": upper,
-        }  # fmt: skip
-        for name in ("half_width", "log_bayes_factor"):
-            low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
-            row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
-        off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
-        rows.append(row | {"bias": off, "coverage": own["covers"].mean()})
-    return pd.DataFrame(rows)
-
-
-def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
-    """Which experiments reach the goal."""
-    if goal.bayes_factor is not None:
-        return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
-    return runs["half_width"] < goal.half_width
 
 
 def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:

@@ -1,4 +1,4 @@
-"""A session at the rig: trials on file as they come, and a conversation line by line.
+"""A session at the rig: trials on file as they come, line by line, and classical staircases.
 
 The file is the memory. Every answer is in it before the next trial is given out, and when the
 process is started again, whatever ended it, the answers in the file are learnt from again and the
@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from .. import _checks
+from ..behaviour.encodings import decision_variable
 from ..campaign.log import Log
 from .hypotheses import Hypothesis
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog
-from .scheme import Scheme, decision_variable
+from .scheme import Scheme
 
 Array = NDArray[np.float64]
 

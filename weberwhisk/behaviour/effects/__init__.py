@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._deprecated import renamed_names
 from .kinds import (
     ComparisonBias,
     Contraction,
@@ -22,7 +23,7 @@ from .kinds import (
     FirstIntervalNoise,
     Floor,
     History,
-    NearMiss,
+    NearMissExponent,
     Overdispersion,
     PastContraction,
     Step,
@@ -37,7 +38,7 @@ __all__ = [
     "FirstIntervalNoise",
     "Floor",
     "History",
-    "NearMiss",
+    "NearMissExponent",
     "Overdispersion",
     "PastContraction",
     "Step",
@@ -49,7 +50,7 @@ __all__ = [
 
 EFFECTS: dict[str, Effect] = {
     "floor": Floor(),
-    "near-miss": NearMiss(),
+    "near-miss": NearMissExponent(),
     "contraction": Contraction(),
     "past-contraction": PastContraction(),
     "first-interval": FirstIntervalNoise(),
@@ -144,3 +145,6 @@ def effect_valued(text: str) -> tuple[Effect, float]:
     name, _, value = text.rpartition(":")
     hint = f"write {name or text}:0.3, say"
     return effect_named(name or text), _checks.number("the value of an effect", value, hint)
+
+
+__getattr__ = renamed_names(__name__, {"NearMiss": "NearMissExponent"})

@@ -194,7 +194,7 @@ class Floor(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class NearMiss(Plain):
+class NearMissExponent(Plain):
     """The near miss to Weber's law: sd = k I₀ (I/I₀)^exponent, I₀ the table's typical signal.
 
     The exponent is 1 under Weber's law and about 0.9 for the loudness of pure tones (McGill &
@@ -206,7 +206,7 @@ class NearMiss(Plain):
     neutral: float = 1.0
     typical: float = 1.0
 
-    def bound(self, encodings: UnitEncodings, n: Array) -> NearMiss:
+    def bound(self, encodings: UnitEncodings, n: Array) -> NearMissExponent:
         return replace(self, typical=_typical(encodings, "A near-miss exponent"))
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:

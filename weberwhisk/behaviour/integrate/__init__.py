@@ -5,6 +5,6 @@
 """
 
 from .batch import Likelihood, likelihood, marginal
-from .grid import Grid, integrate, refined
+from .grid import PosteriorGrid, integrate, refined
 
-__all__ = ["Grid", "Likelihood", "integrate", "likelihood", "marginal", "refined"]
+__all__ = ["Likelihood", "PosteriorGrid", "integrate", "likelihood", "marginal", "refined"]

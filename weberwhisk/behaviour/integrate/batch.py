@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..lapses import BiasScales, score_prior
 from ..likelihood import WeberModel
-from .blocks import NOTHING, Nodes, lapse_weights
+from .blocks import NOTHING, ChoiceNodes, lapse_weights
 from .windows import Steps, Windows, everything, kept, least_bias_sds, least_sds, outer_signals
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def narrowest_bias(model: WeberModel) -> float:
 
 def _pass(model: WeberModel, counts: Array, windows: Windows, steps: Steps, cut: float) -> Windows:
     """Smaller windows, by the highest log posterior with each outer node and one other."""
-    at = Nodes(model, windows, steps, counts)
+    at = ChoiceNodes(model, windows, steps, counts)
     count, size = len(counts), len(at.d)
     prior = (steps.power * outer_prior(at.outer)).astype(np.float32)
     weights = np.maximum(steps.power * lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
@@ -163,7 +163,7 @@ def marginal(model: WeberModel, counts: Array, cut: float = 5.0) -> tuple[Array,
         Nats under the best node, where a node counts as empty.
     """
     steps = batch_steps(model)
-    at = Nodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
+    at = ChoiceNodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
     weights = np.maximum(lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
     out = np.full((len(counts), at.outer[0].size), -np.inf)
     for block in at.blocks():
@@ -194,7 +194,7 @@ def likelihood(
 ) -> Likelihood:
     """The same before the lapses are integrated, wherever it is above the best less `cut`, and for
     biases that are as wide as the prior has them, narrower and wider."""
-    at = Nodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
+    at = ChoiceNodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
     shape = scales.nodes.size, *(a.size for a in (*at.outer, *at.lapses)), len(counts)
     values = np.full(shape, NOTHING, dtype=np.float32)
     for block in at.blocks(scales=scales.nodes):
@@ -249,7 +249,7 @@ def over_fractions(
         low[i, np.isfinite(low[i])], high[i, np.isfinite(high[i])] = axis[0], axis[-1]
     if bias is not None:
         low[2, np.isfinite(low[2])], high[2, np.isfinite(high[2])] = bias[0], bias[-1]
-    at = Nodes(model, replace(found, low=low, high=high), steps, counts, np.float64, lapses)
+    at = ChoiceNodes(model, replace(found, low=low, high=high), steps, counts, np.float64, lapses)
     if bias is not None:
         at.bias_step[:] = bias[1] - bias[0]
     prior = outer_prior(at.outer) + np.log(at.outer[0][1] - at.outer[0][0])

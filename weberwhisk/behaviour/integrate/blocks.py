@@ -57,7 +57,7 @@ class Block:
     groups: list[Group]
 
 
-class Nodes:
+class ChoiceNodes:
     """What is evaluated in one pass: nodes of all axes, tables of the answers there.
 
     Parameters

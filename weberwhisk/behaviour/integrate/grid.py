@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from ..lapses import lapse_prior
 from ..likelihood import WeberModel
 from .batch import outer_prior, zoomed
-from .blocks import Nodes, lapse_weights, with_tail
+from .blocks import ChoiceNodes, lapse_weights, with_tail
 from .windows import Steps, Windows, least_sds
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class Grid:
+class PosteriorGrid:
     """Log posterior of one data set on even nodes.
 
     `axes`: coordinates of the model's lead: scores of k (K,) and any effects, those of lapse_low
@@ -58,7 +58,9 @@ class Grid:
     given_bias: float
 
 
-def integrate(model: WeberModel, tolerance: Tolerance = Tolerance(), most: float = 1e9) -> Grid:
+def integrate(
+    model: WeberModel, tolerance: Tolerance = Tolerance(), most: float = 1e9
+) -> PosteriorGrid:
     """The posterior on a grid fine enough for its evidence; its error is infinite where more than
     `most` values would be needed."""
     counts = model.cells.count[None]
@@ -74,7 +76,7 @@ def integrate(model: WeberModel, tolerance: Tolerance = Tolerance(), most: float
     steps = _fitting(windows, steps)
     grid = None
     for _ in range(12):
-        at = Nodes(model, windows, steps, counts, np.float64)
+        at = ChoiceNodes(model, windows, steps, counts, np.float64)
         if at.size > most:
             break
         grid, finer = _summed(at, tolerance)
@@ -83,7 +85,9 @@ def integrate(model: WeberModel, tolerance: Tolerance = Tolerance(), most: float
         outer, lapse, bias = finer[:-3], finer[-3:-1], finer[-1]
         steps = Steps(1.0, steps.outer * outer, steps.lapse * lapse, float(steps.bias * bias))
     if grid is None:
-        grid, _ = _summed(Nodes(model, windows, steps.at(1.0, 2.0), counts, np.float64), tolerance)
+        grid, _ = _summed(
+            ChoiceNodes(model, windows, steps.at(1.0, 2.0), counts, np.float64), tolerance
+        )
     return replace(grid, error=np.inf)
 
 
@@ -93,7 +97,7 @@ def _fitting(windows: Windows, steps: Steps, nodes: float = 26.0) -> Steps:
     return replace(steps, outer=np.maximum(steps.outer, outer / nodes))
 
 
-def _summed(at: Nodes, tolerance: Tolerance) -> tuple[Grid, Array]:
+def _summed(at: ChoiceNodes, tolerance: Tolerance) -> tuple[PosteriorGrid, Array]:
     """The grid, and by how much each axis must be finer (outer, lapses, biases)."""
     model, shape = at.model, [a.size for a in at.outer]
     like = np.full((len(at.d), at.lapses[0].size, at.lapses[1].size), -np.inf)
@@ -156,7 +160,7 @@ def _summed(at: Nodes, tolerance: Tolerance) -> tuple[Grid, Array]:
     inside = np.isfinite(windows[0])
     widths = np.subtract(windows[1], windows[0], where=inside, out=np.zeros(inside.shape))
     count = int(np.ceil(widths / at.bias_step.T).max(initial=0.0)) + 1
-    grid = Grid(
+    grid = PosteriorGrid(
         axes, joint, biases, windows, count, log_evidence, float(error**4), float(given.max())
     )
     return grid, refine
@@ -215,7 +219,7 @@ def _steepest(log_density: Array, near: float = 4.0) -> float:
     return float(np.max(np.abs(np.diff(held)), where=high, initial=0.0))
 
 
-def refined(model: WeberModel) -> Grid:
+def refined(model: WeberModel) -> PosteriorGrid:
     """The posterior on a grid fine enough for its quantiles too; `error` says if none was.
 
     Half-grids agree on the evidence to far better than 1 % long before the tails of k do where
@@ -254,7 +258,7 @@ def density_of(axis: Array, log_density: Array, count: int = 1601) -> tuple[Arra
     return fine, np.exp(CubicSpline(axis, log_density)(fine))
 
 
-def _is_bump(grid: Grid, most: float = 0.08) -> bool:
+def _is_bump(grid: PosteriorGrid, most: float = 0.08) -> bool:
     """Whether half the nodes of k tell the same interval, to so many sds of its score."""
     k, log_density = grid.axes[0], log_marginal(grid.joint, 0)
     whole = _quantiles(k, log_density)
