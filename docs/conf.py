@@ -47,6 +47,8 @@ templates_path = ["_templates"]
 nitpicky = True
 default_role = "obj"
 
+mathjax4_config = {"output": {"displayOverflow": "linebreak"}}  # on a phone
+
 # Pages that run. A cell that raises is an error of the build.
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
@@ -58,6 +60,7 @@ myst_heading_anchors = 3
 
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
 html_theme_options = {
