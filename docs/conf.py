@@ -61,7 +61,7 @@ myst_heading_anchors = 3
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_js_files = [("site.js", {"defer": "defer"})]
+html_js_files = [(name, {"defer": "defer"}) for name in ("site.js", "explore.js")]
 html_show_sourcelink = False
 html_theme_options = {
     "navigation_with_keys": False,
@@ -135,7 +135,8 @@ def write_reference() -> dict[str, str]:
         title = f"{module_name}: {MODULES[module_name].lower()}".replace("`", "")
         if module_name == "weberwhisk":
             title = "weberwhisk: the names to start with"
-        page = [title, "=" * len(title), "", f".. automodule:: {module_name}", ""]
+        page = [title, "=" * len(title), "", f".. automodule:: {module_name}"]
+        page += ["   :no-index:", ""] if module_name in places else [""]  # a function's name too
         page += [f".. currentmodule:: {module_name}", ""]
         page += [".. autosummary::", "   :toctree: objects", "   :nosignatures:", ""]
         page += [f"   {name}" for name in names]
