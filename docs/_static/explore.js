@@ -60,8 +60,8 @@ function explore(table) {
       const u = s.r / s.apex; // the table has signals over their small-angle forms
       const moment = (found.at.read("moment") * 3 * s.theta * (1 - u) / u * s.stiffness) / s.apex;
       const axial = (found.at.read("axial") * 1.5 * s.theta ** 2 * (3 - 2 * u) / u ** 2 * s.stiffness) / s.apex ** 2;
-      text += `The force map's is ${mm(found.jnd)}: moment ${(moment * 1e6).toPrecision(3)} µN m, ` +
-        `axial force ${(axial * 1e6).toPrecision(3)} µN, contact angle ${(found.at.read("contact_angle") * s.theta * 180 / Math.PI).toFixed(0)}°.`;
+      text += `The force map's is ${mm(found.jnd)}: moment ${+(moment * 1e6).toPrecision(3)} µN m, ` +
+        `axial force ${+(axial * 1e6).toPrecision(3)} µN, contact angle ${(found.at.read("contact_angle") * s.theta * 180 / Math.PI).toFixed(0)}°.`;
     } else {
       text += "At this angle the whisker has flicked past or slipped off its tip.";
     }
