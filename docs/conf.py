@@ -7,6 +7,7 @@ left out: a page a module from its ``__all__``, and one for the command line fro
 import json
 import os
 import re
+import runpy
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -61,7 +62,7 @@ myst_heading_anchors = 3
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_js_files = [(name, {"defer": "defer"}) for name in ("site.js", "explore.js")]
+html_js_files = [("site.js", {"defer": "defer"})]
 html_show_sourcelink = False
 html_theme_options = {
     "navigation_with_keys": False,
@@ -269,7 +270,14 @@ def escape_bars(_app: Any, _what: str, _name: str, _value: Any, _options: Any, l
             lines[i] = "".join(p if p.startswith("`") else p.replace("|", r"\|") for p in parts)
 
 
+def add_browser_pages(app: Any, error: Any) -> None:
+    """The pages that run in a browser, beside the site's own; Pyodide comes from jsDelivr."""
+    if error is None and app.builder.name == "html":
+        runpy.run_path(str(HERE / "browser" / "build.py"))["build"](Path(app.outdir) / "browser")
+
+
 def setup(app: Any) -> None:
     """Connect what is above."""
+    app.connect("build-finished", add_browser_pages)
     app.connect("autodoc-process-docstring", escape_bars)
     app.connect("missing-reference", resolve)
