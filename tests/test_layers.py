@@ -66,11 +66,12 @@ TABLE: dict[str, tuple[str, ...]] = {
     "paper": ("surveys",),
     "output": (),
     "behaviour": ("fusion", "campaign", "output", "domain"),
+    "contacts": ("behaviour",),
     "design": ("behaviour",),
     "charts": ("behaviour", "jnd_curves"),
     "figures": ("design", "charts"),
     "planning": ("figures",),
-    "": ("planning", "jnd_surface"),
+    "": ("planning", "jnd_surface", "contacts"),
     "_terminal": ("campaign",),
     "commands": ("", "charts", "surveys", "paper", "output", "_terminal"),
     "cli": ("commands",),
@@ -349,7 +350,7 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
     folders = (
-        "mechanics", "cues", "posterior", "campaign", "behaviour", "design", "commands",
+        "mechanics", "cues", "posterior", "campaign", "behaviour", "contacts", "design", "commands",
     )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:
         files = {path: "", **files}

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
+    from .contacts import locate
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
@@ -71,6 +72,7 @@ _NAMES = {
     "jnd_surface": "jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
+    "contacts": "locate",
     "design": "plan_experiment power read_plan simulate_study",
     "planning": "write_plan",
 }
@@ -122,6 +124,7 @@ __all__ = [
     "information",
     "jnd_curve",
     "jnd_sweep",
+    "locate",
     "mechanics",
     "plan_experiment",
     "posterior",

@@ -19,6 +19,7 @@ from .designs import (
     rehearsed,
 )
 from .fits import comparison, pairs, psychometric, psychometrics, residuals, shrinkage
+from .located import located
 from .page import plan_page
 from .paper import paper_1d, paper_2, paper_3
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
@@ -42,6 +43,7 @@ __all__ = [
     "information_map",
     "jnd_lines",
     "jnd_surface",
+    "located",
     "new_figure",
     "pairs",
     "paper_1d",

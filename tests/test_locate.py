@@ -1,0 +1,213 @@
+"""Tables of contacts become distances, row by row and touch by touch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import weberwhisk as ww
+from weberwhisk.cli import app
+from weberwhisk.contacts.columns import unit_factor
+from weberwhisk.contacts.lattice import Lattice, Readings
+from weberwhisk.contacts.touches import touch_posterior
+
+C2 = ww.Whisker.from_identity("C2")
+KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)
+SOFT = ww.cues.UnknownStiffness(ww.cues.ForceMap())
+
+
+def _readings(cue: ww.cues.Cue, k: float, n: int, seed: int) -> tuple[ww.Observer, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    observer = ww.Observer(C2, cue, ww.receptors.Weber(k))
+    r = rng.uniform(0.2, 0.9, n) * C2.length
+    theta = rng.uniform(0.1, 0.8, n) * ww.flick_past(C2, r).deflection_angle
+    values = {"radial_distance": r, "deflection_angle": theta, "stiffness": np.ones(n)}
+    contact = np.stack([values[name] for name in observer.unknowns], axis=-1)
+    return observer, observer.read(contact, rng)
+
+
+@pytest.mark.parametrize(
+    ("cue", "k"),
+    [(ww.cues.ForceMap(), 0.1), (ww.cues.ForceMap(), 0.3), (ww.cues.Compliance(), 0.1),
+     (SOFT, 0.1), (SOFT, 0.3)],
+)  # fmt: skip
+def test_rows_agree_with_quadrature(cue: ww.cues.Cue, k: float) -> None:
+    observer, y = _readings(cue, k, 8, seed=2)
+    table = pd.DataFrame(y, columns=list(observer.cue.signal_names))
+    found = ww.locate(table, C2, cue=cue, noise=ww.receptors.Weber(k))
+    p = ww.posterior(observer, y)
+    off = (found["radial_distance_mm"] - 1e3 * p.mean) / (1e3 * p.sd)
+    assert np.abs(off).max() < 0.02
+    np.testing.assert_allclose(found["sd_mm"], 1e3 * p.sd, rtol=0.02)
+    if len(observer.unknowns) < 3:  # quantiles of three take minutes
+        ends = 1e3 * p.interval(0.95)
+        np.testing.assert_allclose(found["lower_mm"], ends[:, 0], atol=0.08 * 1e3 * p.sd.max())
+        np.testing.assert_allclose(found["upper_mm"], ends[:, 1], atol=0.08 * 1e3 * p.sd.max())
+
+
+def test_measurement_errors_alone_are_the_likelihood() -> None:
+    """Constant errors: the same as an observer whose receptors have that floor and no more."""
+    b = ww.press(KNOWN, [10e-3, 20e-3], 0.3)
+    sd = np.array([0.05 * b.moment.min(), 0.05 * b.axial_force.min()])
+    table = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force,
+                          "moment_sd": sd[0], "axial_force_sd": sd[1]})  # fmt: skip
+    found = ww.locate(table, KNOWN)
+    noise = ww.receptors.GeneralisedWeber(0.0, floor=sd)
+    p = ww.posterior(ww.Observer(KNOWN, ww.cues.ForceMap(), noise), table.iloc[:, :2].to_numpy())
+    np.testing.assert_allclose(found["radial_distance_mm"], 1e3 * p.mean, rtol=2e-3)
+    np.testing.assert_allclose(found["sd_mm"], 1e3 * p.sd, rtol=0.02)
+    both = ww.locate(table, KNOWN, noise=ww.receptors.Weber(0.1))
+    assert (both["sd_mm"] > found["sd_mm"]).all()
+
+
+def test_own_names_units_signs_and_index() -> None:
+    b = ww.press(KNOWN, [10e-3, 20e-3, 25e-3], [0.2, 0.3, 0.2])
+    plain = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
+    wanted = ww.locate(plain, KNOWN)
+    index = pd.Index(["a", "b", "c"], name="frame")
+    other = pd.DataFrame({"M": -1e6 * b.moment, "F (mN)": -1e3 * b.axial_force, "who": "x"}, index)
+    found = ww.locate(other, KNOWN, columns={"moment": "M", "axial_force": "F (mN)"},
+                      units={"moment": "µN m"})  # fmt: skip
+    assert found.index.equals(index)
+    assert list(found.columns[:3]) == list(other.columns)
+    np.testing.assert_allclose(found["radial_distance_mm"], wanted["radial_distance_mm"], rtol=1e-9)
+    notes = " ".join(found.attrs["notes"])
+    assert "mirrored" in notes
+    assert "turned round" in notes
+
+
+def test_six_signals_are_turned_into_the_plane_of_the_push() -> None:
+    b = ww.press(KNOWN, [10e-3, 20e-3], 0.3)
+    phi = 0.7
+    six = pd.DataFrame({
+        "force_x": -b.axial_force, "force_y": b.transverse_force * np.cos(phi),
+        "force_z": b.transverse_force * np.sin(phi), "moment_x": 0 * b.moment,
+        "moment_y": -b.moment * np.sin(phi), "moment_z": b.moment * np.cos(phi),
+    })  # fmt: skip
+    flat = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force,
+                         "transverse_force": b.transverse_force})  # fmt: skip
+    a, c = (ww.locate(t, KNOWN)["radial_distance_mm"] for t in (six, flat))
+    np.testing.assert_allclose(a, c, rtol=1e-9)
+
+
+def test_angle_in_place_of_a_force() -> None:
+    b = ww.press(KNOWN, [10e-3, 20e-3], 0.3)
+    table = pd.DataFrame({"moment": b.moment, "deflection_angle_deg": np.degrees(0.3)})
+    found = ww.locate(table, KNOWN)
+    assert (np.abs(found["radial_distance_mm"] - [10, 20]) < found["sd_mm"]).all()
+    np.testing.assert_allclose(found["angle_deg"], np.degrees(0.3), atol=0.5)
+
+
+def test_rows_that_tell_nothing_stay() -> None:
+    b = ww.press(KNOWN, 20e-3, 0.3)
+    table = pd.DataFrame({"moment": [b.moment, np.nan, 0.0, -b.moment],
+                          "axial_force": [b.axial_force, 1e-5, 0.0, b.axial_force]})  # fmt: skip
+    found = ww.locate(table, KNOWN)
+    assert found["status"].tolist() == ["converged", "not_a_reading", "no_contact", "converged"]
+    assert found["radial_distance_mm"].isna().tolist() == [False, True, True, False]
+    assert found["message"].str.len().min() > 5
+
+
+def _touch_readings(cue: ww.cues.Cue, seed: int) -> tuple[float, Lattice, Readings]:
+    rng = np.random.default_rng(seed)
+    lattice = Lattice(ww.Observer(C2, cue, ww.receptors.Weber(0.1)), for_touches=True)
+    r = rng.uniform(0.3, 0.8) * C2.length
+    theta = rng.uniform(0.02, 0.98, 8) * float(ww.flick_past(C2, r).deflection_angle)
+    signals = lattice.observer.signals(np.stack([np.full(8, r), theta], axis=-1))[0]
+    return r, lattice, Readings(lattice.observer.noise.sample(signals, rng))
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool) -> None:
+    """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
+    from weberwhisk.contacts.touches import _NORMS, _SPANS
+
+    _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), seed=4)
+    clouds = [lattice.cloud(readings.take([i])) for i in range(8)]
+    found = touch_posterior(lattice, clouds, readings, 0.95)
+    observer = lattice.observer
+    r = np.linspace(max(0.02 * C2.length, found.mean - 8 * found.sd),
+                    min(0.9995 * C2.length, found.mean + 8 * found.sd), 121)  # fmt: skip
+    share = (np.arange(600) + 0.5) / 600
+    theta = np.asarray(ww.flick_past(C2, r).deflection_angle)[:, None] * share
+    contact = np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1)
+    signals = observer.signals(contact)[0]
+    z = np.linspace(-4, 4, 61) if soft else np.zeros(1)
+    total = np.log(observer.distance_prior(r))[:, None, None] - 0.5 * z[:, None] ** 2
+    spans = np.exp(-((share[:, None] / _SPANS) ** 4)) / _NORMS / len(share)
+    for y in readings.value:
+        log = np.stack([observer.noise.log_likelihood(y, signals * np.exp(0.42 * a)) for a in z], 1)
+        top = log.max(axis=2)
+        total = total + top[..., None] + np.log(np.exp(log - top[..., None]) @ spans + 1e-300)
+    weight = np.exp(total - total.max()).sum(axis=(1, 2))
+    weight /= weight.sum()
+    mean = weight @ r
+    sd = np.sqrt(weight @ (r - mean) ** 2)
+    assert abs(found.mean - mean) < 0.06 * sd
+    assert abs(found.sd / sd - 1) < 0.06
+
+
+def test_touches_are_named_in_every_row() -> None:
+    b = ww.press(KNOWN, 20e-3, np.linspace(0.1, 0.4, 6))
+    table = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force,
+                          "touch": [1, 1, 1, 1, 0, np.nan]})  # fmt: skip
+    found = ww.locate(table, KNOWN, touch="touch")
+    one = found.iloc[:4]
+    assert one["touch_radial_distance_mm"].nunique() == 1
+    assert one["touch_sd_mm"].iloc[0] < 0.8 * one["sd_mm"].min()
+    assert one["touch_lower_mm"].iloc[0] < 20 < one["touch_upper_mm"].iloc[0]
+    assert found["touch_status"].tolist() == ["converged"] * 4 + ["no_touch"] * 2
+
+
+@pytest.mark.parametrize(
+    ("table", "options", "sentence"),
+    [
+        ({"moment": [1e-6]}, {}, "No distance follows"),
+        ({"moment": [3.0], "axial_force": [80.0]}, {}, "did you pass"),
+        ({"moment": ["a"], "axial_force": [1e-5]}, {}, "holds text"),
+        ({"moment": [1e-6], "axial_force": [1e-5], "sd_mm": [1]}, {}, "already"),
+        ({"moment": [1e-6], "axial_force": [1e-5]}, {"units": {"moment": "mm"}}, "no unit"),
+        ({"moment": [1e-6], "axial_force": [1e-5]}, {"columns": {"moment": "M"}}, "no column"),
+        ({"moment": [1e-6], "axial_force": [1e-5]}, {"touch": "t"}, "no column"),
+        ({"moment": [1e-6], "moment_uNm": [1.0], "axial_force": [1]}, {}, "Two columns"),
+        ({"moment": [1e-6], "axial_force": [1e-5], "moment_sd": [1e-7]}, {}, "all or none"),
+        ({"moment": [], "axial_force": []}, {}, "no rows"),
+    ],
+)
+def test_refusals_are_one_sentence(table: dict, options: dict, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        ww.locate(pd.DataFrame(table), KNOWN, **options)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "factor"),
+    [("N m", "moment", 1), ("mN·m", "moment", 1e-3), ("uNm", "moment", 1e-6), ("mN", "force", 1e-3),
+     ("micronewton", "force", 1e-6), ("degrees", "angle", np.pi / 180), ("N m/s", "moment_rate", 1),
+     ("kg", "force", None), ("mN", "moment", None), ("mrad", "angle", None)],
+)  # fmt: skip
+def test_units(text: str, kind: str, factor: float | None) -> None:
+    assert unit_factor(text, kind) == (None if factor is None else pytest.approx(factor))
+
+
+def test_the_command_writes_table_touches_and_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    from weberwhisk._terminal import run_app
+
+    b = ww.press(KNOWN, 20e-3, np.linspace(0.1, 0.4, 4))
+    path = tmp_path / "contacts.csv"
+    pd.DataFrame({"t_s": [0, 1, 2, 3], "M": 1e6 * b.moment, "axial_force_uN": 1e6 * b.axial_force,
+                  "n": [1, 1, 2, 2]}).to_csv(path, index=False)  # fmt: skip
+    words = ["locate", str(path), "--identity", "C2", "--youngs-modulus-gpa", "3", "--column",
+             "moment=M", "--unit", "moment=uNm", "--touch", "n", "--time", "t_s", "--out",
+             str(tmp_path / "out")]  # fmt: skip
+    assert run_app(app, words) in (0, None)
+    assert "4 of 4 rows: converged." in capsys.readouterr().out
+    made = {p.name for p in (tmp_path / "out").iterdir()}
+    assert {"located.csv", "touches.csv", "located.png", "locate.run.json"} <= made
+    assert len(pd.read_csv(tmp_path / "out" / "touches.csv")) == 2
+    assert run_app(app, ["locate", str(path), "--identity", "C2"]) == 2
+    assert "No distance follows" in capsys.readouterr().err

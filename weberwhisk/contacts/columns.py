@@ -1,0 +1,224 @@
+"""Columns of a table of contacts: which they are, in which unit, with which sign."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .. import _checks
+
+Array = NDArray[np.float64]
+
+_PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
+_WORDS = {"nano": "n", "micro": "u", "milli": "m", "kilo": "k"}
+#: Units of each kind of quantity, without prefix, as they are written without blanks.
+_UNITS = {
+    "moment": {"nm": 1.0},
+    "force": {"n": 1.0},
+    "angle": {"rad": 1.0, "deg": np.pi / 180},
+    "moment_rate": {"nm/s": 1.0},
+    "angular_velocity": {"rad/s": 1.0, "deg/s": np.pi / 180},
+}
+#: What a table may hold, and of which kind each is.
+QUANTITIES = {
+    "moment": "moment",
+    "axial_force": "force",
+    "transverse_force": "force",
+    "deflection_angle": "angle",
+    "moment_rate": "moment_rate",
+    "angular_velocity": "angular_velocity",
+    **{f"force_{axis}": "force" for axis in "xyz"},
+    **{f"moment_{axis}": "moment" for axis in "xyz"},
+}
+#: Sds of measurement errors, such as `moment_sd`, have the unit of their quantity.
+NAMES = {**QUANTITIES, **{f"{name}_sd": kind for name, kind in QUANTITIES.items()}}
+
+
+def unit_factor(text: str, kind: str) -> float | None:
+    """SI units in a unit as people write it; None where it is none of that kind.
+
+    Examples
+    --------
+    >>> unit_factor("µN m", "moment"), unit_factor("micronewton_metre", "moment")
+    (1e-06, 1e-06)
+    >>> unit_factor("mm", "moment") is None, round(unit_factor("deg", "angle"), 4)
+    (True, 0.0175)
+    """
+    plain = text.strip().replace("µ", "u").replace("μ", "u").replace("°", "deg")
+    plain = re.sub(r"newton", "N", plain.replace("metres", "m").replace("metre", "m"))
+    plain = re.sub(r"degrees?", "deg", re.sub(r"radians?", "rad", plain))
+    for word, prefix in _WORDS.items():
+        plain = plain.replace(word, prefix)
+    plain = re.sub(r"[\s_·*.]", "", re.sub(r"_?per_?", "/", plain)).replace("Nm/rad", "Nm")
+    for unit, factor in _UNITS[kind].items():
+        if plain.lower() == unit:
+            return factor
+        if kind not in ("angle", "angular_velocity") and plain[1:].lower() == unit:
+            scale = _PREFIX.get(plain[0])
+            return None if scale is None else scale * factor
+    return None
+
+
+def find_columns(
+    header: list[str], columns: Mapping[str, str] | None, units: Mapping[str, str] | None
+) -> dict[str, tuple[str, float, bool]]:
+    """For each quantity present: its column, SI units in the column's unit, and if that was said.
+
+    A quantity stands in the column that `columns` names for it, or in one of its own name with a
+    unit as suffix or none.
+
+    Raises
+    ------
+    ValueError
+        For quantities, columns and units that there are not, and two columns of one quantity.
+
+    Examples
+    --------
+    >>> find_columns(["t", "moment_uNm", "Fx"], {"axial_force": "Fx"}, {"axial_force": "mN"})
+    {'axial_force': ('Fx', 0.001, True), 'moment': ('moment_uNm', 1e-06, True)}
+    """
+    for argument, name in ((columns, "columns"), (units, "units")):
+        if argument is not None and not isinstance(argument, Mapping):
+            raise ValueError(
+                f"{name} must be a mapping, got {_checks.shown(argument)}; write "
+                f'{name}={{"moment": "{"M" if name == "columns" else "uN m"}"}}, say.'
+            )
+        for key in argument or {}:
+            _checks.one_of(f"{name} key", key, NAMES)
+    found: dict[str, tuple[str, float, bool]] = {}
+    for quantity, column in (columns or {}).items():
+        if column not in header:
+            raise ValueError(
+                f"The table has no column {column!r}, mapped from {quantity!r}; it has "
+                f"{_checks.listed(header, 8)}."
+            )
+        found[quantity] = _of(quantity, column, column, units)
+    taken = set((columns or {}).values())
+    for column in header:
+        if column in taken:
+            continue
+        # The longest name first, so that `moment_rate` is no moment in a unit "rate".
+        for quantity in sorted(NAMES, key=len, reverse=True):
+            rest = re.fullmatch(rf"{quantity}(?:[_ (\[]+(.+?)[)\]]?)?", column)
+            if rest is None or (rest[1] and unit_factor(rest[1], NAMES[quantity]) is None):
+                continue
+            if quantity in (columns or {}):
+                break
+            if quantity in found:
+                raise ValueError(
+                    f"Two columns hold {quantity}, {found[quantity][0]!r} and {column!r}; say "
+                    f'which with columns={{"{quantity}": "{column}"}}.'
+                )
+            found[quantity] = _of(quantity, column, rest[1] or "", units)
+            break
+    for quantity in units or {}:
+        if quantity not in found:
+            raise ValueError(
+                f"A unit was given for {quantity}, which the table has no column of; map one "
+                f'with columns={{"{quantity}": …}}.'
+            )
+    return found
+
+
+def _of(
+    quantity: str, column: str, text: str, units: Mapping[str, str] | None
+) -> tuple[str, float, bool]:
+    kind = NAMES[quantity]
+    given = (units or {}).get(quantity)
+    if given is not None:
+        factor = unit_factor(str(given), kind)
+        if factor is None:
+            known = ", ".join({"moment": ("N m", "mN m", "uN m"), "force": ("N", "mN", "uN"),
+                               "moment_rate": ("N m/s", "uN m/s")}.get(kind, tuple(_UNITS[kind])))
+            raise ValueError(f"{given!r} is no unit of {quantity}; write one such as {known}.")
+        return column, factor, True
+    # The column's own suffix, one or two words long.
+    for words in (1, 2, 3):
+        suffix = "_".join(re.split(r"[_ (\[\])]+", text.strip(" )]"))[-words:])
+        factor = unit_factor(suffix, kind) if suffix else None
+        if factor is not None and (column != suffix):
+            return column, factor, True
+    return column, 1.0, False
+
+
+def values_of(table: pd.DataFrame, column: str) -> Array:
+    """A column as numbers, NaN where a cell holds none.
+
+    Raises
+    ------
+    ValueError
+        For a column of text.
+    """
+    series = table[column]
+    out = pd.to_numeric(series, errors="coerce").to_numpy(dtype=float)
+    text = series.notna().to_numpy() & np.isnan(out)
+    blank = series.astype(str).str.strip().str.lower().isin(("", "nan", "na", "none"))
+    text &= ~blank.to_numpy()
+    if text.sum() * 2 > len(out):
+        raise ValueError(
+            f"The column {column!r} holds text such as {series[text].iloc[0]!r}; write numbers, "
+            "with a point for decimals."
+        )
+    return out
+
+
+def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
+    """The signals in the plane of the push from the six of space, where a table has those.
+
+    x is along the base tangent outwards, so that compression is −force_x; a straight whisker bends
+    in the plane of the transverse force, whatever its azimuth.
+    """
+    six = [f"{kind}_{axis}" for kind in ("moment", "force") for axis in "xyz"]
+    if not {"moment_y", "moment_z"} <= set(si):
+        return si
+    out = {k: v for k, v in si.items() if k.removesuffix("_sd") not in six}
+    out["moment"] = np.hypot(si["moment_y"], si["moment_z"])
+    if "force_x" in si:
+        out["axial_force"] = -si["force_x"]
+    if {"force_y", "force_z"} <= set(si):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # Moment = contact × force: the force across the base, along the push.
+            across = si["force_y"] * si["moment_z"] - si["force_z"] * si["moment_y"]
+            out["transverse_force"] = across / out["moment"]
+    notes.append("Six signals were turned into the plane of each push.")
+    return out
+
+
+def one_side(si: dict[str, Array], notes: list[str]) -> None:
+    """Turn every row to positive moments, and forces to the signs of this package, in place.
+
+    Moment, transverse force and angle change sign with the side; axial force is positive in
+    compression. Where most rows have it otherwise, the table's convention is the opposite one.
+    """
+    lead = next((n for n in ("moment", "moment_rate", "deflection_angle") if n in si), None)
+    if lead is None:
+        return
+    side = np.where(si[lead] < 0, -1.0, 1.0)
+    if np.any(side < 0):
+        notes.append(
+            f"{int((side < 0).sum())} of {side.size} rows are pushed to the other side ({lead} "
+            "below zero): mirrored."
+        )
+    for name in ("moment", "moment_rate", "transverse_force", "deflection_angle"):
+        if name in si:
+            si[name] = si[name] * side
+    if "angular_velocity" in si:
+        si["angular_velocity"] = np.abs(si["angular_velocity"])
+    for name, sign in (("axial_force", "compression"), ("transverse_force", "the moment's side")):
+        if name in si:
+            known = np.isfinite(si[name]) & (si[name] != 0)
+            if known.any() and (si[name][known] < 0).mean() > 0.5:
+                si[name] = -si[name]
+                notes.append(
+                    f"The {name.replace('_', ' ')} is below zero in most rows: taken as positive "
+                    f"away from {sign}, and turned round."
+                )
+    if "deflection_angle" in si and lead != "deflection_angle":
+        known = np.isfinite(si["deflection_angle"])
+        if known.any() and (si["deflection_angle"][known] < 0).mean() > 0.5:
+            si["deflection_angle"] = -si["deflection_angle"]
+            notes.append("The angle has the sign opposite to the moment's: turned round.")

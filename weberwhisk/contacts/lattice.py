@@ -1,0 +1,354 @@
+"""Posteriors of many measured contacts: sums over a lattice in the observer's own coordinates.
+
+A table of measured contacts differs from the readings of an experiment in two ways: each row may
+have a measurement error of its own, and the rows of one touch share distance and stiffness while
+the deflection angle moves. So what is wanted is the evidence of each row over distance and
+stiffness, the angle summed out; and intervals of every row at the cost of its mean.
+
+Rows whose readings are alike share a set of cells. It starts from all contacts at a coarse spacing;
+cells that could explain the reading, were it as uncertain as the signals vary across a cell, are
+split along the coordinates in which signals change by more than `WIDEST` sd. The coordinates have
+no edges, so that sums over a lattice (the trapezoidal rule) converge as they do for a Gaussian.
+A stiffness that scales signals is integrated at each cell by Gauss and Hermite's rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from ..coordinates import constrain_distance
+from ..cues import UnknownStiffness
+from ..mechanics.contact import Outcome
+from ..observer import Observer
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: ln of the density that is left out, below the best: 5 sd beyond readings 1 sd from the middle.
+DROP = 23.0
+#: Sds by which signals may change from a cell to the next, where the density is highest.
+WIDEST = 1.9
+class Readings(NamedTuple):
+    """Readings (n, S), and the covariances (n, S, S) of their measurement errors where known."""
+
+    value: Array
+    covariance: Array | None = None
+
+    def take(self, rows: Any) -> Readings:
+        """Some of them."""
+        covariance = None if self.covariance is None else self.covariance[rows]
+        return Readings(self.value[rows], covariance)
+
+
+class Cells(NamedTuple):
+    """Cells of a lattice: what it takes to hold them against readings.
+
+    Places in lattice steps (N, U), contacts (N, U), signals (N, S), ln of the prior density in x
+    (N,), and by how much signals change across each cell (U, N, S).
+    """
+
+    place: Index
+    contact: Array
+    signals: Array
+    log_prior: Array
+    change: Array
+
+    def take(self, some: Any) -> Cells:
+        """Some of them."""
+        change = self.change[:, some] if len(self.change) else self.change
+        return Cells(
+            self.place[some], self.contact[some], self.signals[some], self.log_prior[some], change
+        )
+
+
+class Cloud(NamedTuple):
+    """The cells from which alike readings may come, by distance; their steps (U,) in x.
+
+    `precise` says whether the lattice is as fine as it should be.
+    """
+
+    cells: Cells
+    step: Array
+    precise: bool
+
+    @property
+    def layers(self) -> tuple[Index, Array]:
+        """Where cells of another distance begin, and the coordinates x of the distances."""
+        place = self.cells.place[:, 0]
+        first = np.flatnonzero(np.diff(place, prepend=place[0] - 1))
+        return first, place[first] * self.step[0]
+
+
+class Lattice:
+    """The lattice of an observer.
+
+    Parameters
+    ----------
+    observer : Observer
+        Its cue may be an `UnknownStiffness`.
+    with_receptors : bool
+        Whether readings have the noise of its receptors; else only their measurement errors.
+    for_touches : bool
+        Whether cells are to resolve distance and angle at each stiffness, as touches need.
+    """
+
+    def __init__(
+        self, observer: Observer, *, with_receptors: bool = True, for_touches: bool = False
+    ) -> None:
+        self.for_touches = for_touches
+        self.whole, self.with_receptors = observer, with_receptors
+        self.soft: NDArray[np.bool_] | None = None
+        if isinstance(observer.cue, UnknownStiffness):
+            self.soft = np.isin(observer.cue.signal_names, observer.cue.soft)
+            self.stiffness = observer.prior["stiffness"]
+            low, middle, high = np.log(self.stiffness.ppf([0.159, 0.5, 0.841]))
+            self.log_median, self.log_sd = float(middle), float(high - low) / 2
+            prior = {name: p for name, p in observer.prior.items() if name != "stiffness"}
+            observer = replace(observer, cue=observer.cue.cue, prior=prior)
+        self.observer = observer
+        self.unknowns = len(observer.unknowns)
+        # The tails of strong Weber noise are wide: with k = 0.3 errors were 0.04 sd by plain nodes.
+        strong = max(observer.noise.weber_fractions(len(observer.cue.signal_names))) > 0.15
+        nodes, weights = np.polynomial.hermite_e.hermegauss(11 if strong else 7)
+        wider = 1.4 if strong else 1.15
+        self._nodes, self._log_weights = wider * nodes, np.log(wider * weights) + nodes**2 / 2
+
+    # -- likelihood ----------------------------------------------------------------------------
+
+    def variance(self, readings: Readings, signals: Array) -> Array:
+        """Variances (..., S) of readings (..., S) of signals (..., S)."""
+        out = np.zeros(np.broadcast_shapes(readings.value.shape, signals.shape))
+        if self.with_receptors:
+            out += self.observer.noise.sd(signals) ** 2
+        if readings.covariance is not None:
+            out += np.diagonal(readings.covariance, axis1=-2, axis2=-1)
+        return out
+
+    def log_likelihood(self, readings: Readings, signals: Array) -> Array:
+        """ln p (n, ...) of readings (n, S) at signals (n or 1, ..., S)."""
+        own = (len(readings.value), *(1,) * (signals.ndim - 2))
+        y = readings.value.reshape(*own, -1)
+        if readings.covariance is None:
+            return self.observer.noise.log_likelihood(y, signals)
+        size = y.shape[-1]
+        total = readings.covariance.reshape(*own, size, size)
+        if self.with_receptors:
+            total = total + self.observer.noise.covariance(signals)
+        root = np.linalg.cholesky(total)
+        off = y - self.observer.noise.mean(signals)
+        z = np.linalg.solve(np.broadcast_to(root, (*off.shape, size)), off[..., None])[..., 0]
+        log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+        return -0.5 * (z**2).sum(axis=-1) - log_sd - 0.5 * size * np.log(2 * np.pi)
+
+    def match(self, readings: Readings, signals: Array) -> tuple[Array, Array]:
+        """ln of the stiffness (n, N) that brings signals (N, S) nearest to readings, and its sd."""
+        assert self.soft is not None
+        y = readings.value[:, self.soft]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            known = y**2 / self.variance(readings, readings.value)[:, self.soft]
+            ratio = y[:, None] / signals[:, self.soft]
+            usable = (ratio > 0) & np.isfinite(ratio) & np.isfinite(known[:, None])
+            weight = np.where(usable, known[:, None], 0.0)
+            pull = np.where(usable, weight * np.log(np.where(usable, ratio, 1.0)), 0.0)
+        precision = self.log_sd**-2
+        total = weight.sum(axis=-1) + precision
+        return (pull.sum(axis=-1) + precision * self.log_median) / total, total**-0.5
+
+    def scaled(self, signals: Array, log_stiffness: Array) -> Array:
+        """Signals (..., S) at another stiffness (...)."""
+        assert self.soft is not None
+        return signals * np.where(self.soft, np.exp(log_stiffness)[..., None], 1.0)
+
+    def evidence(self, readings: Readings, signals: Array) -> Array:
+        """ln p (n, N) of readings at cells' signals (N, S), the stiffness integrated."""
+        if self.soft is None:
+            if readings.covariance is None:
+                return np.asarray(self.observer.noise.log_likelihoods(readings.value, signals))
+            return self.log_likelihood(readings, signals[None])
+        out = np.empty((len(readings.value), len(signals)))
+        some = 1 + 4096 // len(signals)  # at a time: their arrays stay in the cache
+        for rows in (slice(i, i + some) for i in range(0, len(out), some)):
+            own = readings.take(rows)
+            middle, sd = self.match(own, signals)
+            log_e = middle[..., None] + sd[..., None] * self._nodes
+            log = self.log_likelihood(own, self.scaled(signals[None, :, None], log_e))
+            log += self.log_prior_of_stiffness(log_e) + self._log_weights
+            top = np.maximum(log.max(axis=-1), -1e300)
+            out[rows] = top + np.log(np.exp(log - top[..., None]).sum(axis=-1)) + np.log(sd)
+        return out
+
+    def log_prior_of_stiffness(self, log_stiffness: Array) -> Array:
+        """Its prior density in the logarithm."""
+        if self.stiffness.dist.name == "lognorm":  # SciPy's own takes ten times as long
+            z = (log_stiffness - self.log_median) / self.log_sd
+            return -0.5 * z * z - np.log(self.log_sd * np.sqrt(2 * np.pi))
+        return self.stiffness.logpdf(np.exp(log_stiffness)) + log_stiffness
+
+    # -- cells ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _start(self) -> tuple[Cells, Array]:
+        """The coarse lattice over all contacts, and its steps (U,)."""
+        ends = self.observer.space.spread(np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7]))
+        step = np.full(self.unknowns, 0.5)
+        axes = [
+            np.arange(np.floor(a / h), np.ceil(b / h) + 1)
+            for a, b, h in zip(ends.min(axis=0), ends.max(axis=0), step, strict=True)
+        ]
+        grid = np.meshgrid(*axes, indexing="ij")
+        cells = self._cells(np.stack([a.ravel() for a in grid], axis=-1).astype(np.intp), step)
+        return cells.take(np.isfinite(cells.log_prior)), step
+
+    def _cells(self, place: Index, step: Array, *, changes: bool = True) -> Cells:
+        contact, signals, log_prior = self._at(place * step)
+        change = np.zeros((self.unknowns if changes else 0, *signals.shape))
+        for d in range(len(change)):
+            aside = 1e-3 * step[d] * (np.arange(self.unknowns) == d)
+            _, moved, still = self._at(place * step + aside)
+            both = np.isfinite(still) & np.isfinite(log_prior)
+            change[d] = np.where(both[:, None], (moved - signals) / 1e-3, 0.0)
+        return Cells(place, contact, signals, log_prior, change)
+
+    def _at(self, x: Array) -> tuple[Array, Array, Array]:
+        """Contacts, signals (0 where not held) and ln of the prior in x, −inf where not held."""
+        contact, log_prior = self.observer.contact(x)
+        signals, outcome = self.observer.signals(contact)
+        held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
+        return contact, np.where(held[:, None], signals, 0.0), np.where(held, log_prior, -np.inf)
+
+    def cloud(self, reading: Readings, most: int = 60_000) -> Cloud:
+        """The cells from which one reading (1, S), and those within 1 sd of it, may come."""
+        cells, step = self._start
+        for _ in range(14):
+            log, lengths = self._tempered(reading, cells, step)
+            kept = log > log.max() - 1.2 * DROP
+            wide = lengths > WIDEST
+            if not wide.any() or kept.sum() * 2 ** int(wide.sum()) > most:
+                break
+            step = np.where(wide, step / 2, step)
+            halves = np.array(np.meshgrid(*[[0, 1] if w else [0] for w in wide], indexing="ij"))
+            place = np.where(wide, 2 * cells.place[kept], cells.place[kept])
+            place = (place[:, None] + halves.reshape(self.unknowns, -1).T).reshape(-1, len(step))
+            # Half the step changes signals half as much: where that will do, it is the last.
+            last = bool((np.where(wide, lengths / 2, lengths) <= WIDEST).all())
+            cells = self._cells(place, step, changes=not last)
+            if last:
+                wide[:] = False
+                break
+        log = self.evidence(reading, cells.signals)[0] + cells.log_prior
+        at = np.flatnonzero(log > log.max() - DROP)
+        at = at[np.lexsort(cells.place[at].T[::-1])]
+        return Cloud(cells.take(at), step, not wide.any())
+
+    def _tempered(self, reading: Readings, cells: Cells, step: Array) -> tuple[Array, Array]:
+        """ln of the density of cells (N,), as blurred as they are wide; their lengths (U,) in sd.
+
+        The lengths are the largest near the top, across the direction in which stiffness moves
+        signals: along it there is nothing to resolve but the prior, whose width is 1, about.
+        """
+        signals, change, log = cells.signals, cells.change, cells.log_prior
+        if self.soft is not None:
+            log_e = self.match(reading, signals)[0][0]
+            log = log - 0.5 * ((log_e - self.log_median) / self.log_sd) ** 2
+            signals, change = self.scaled(signals, log_e), self.scaled(change, log_e)
+        sd = np.maximum(np.sqrt(self.variance(reading, signals)), 1e-300)
+        # Across half a cell each way, and a little more for curvature.
+        spread = np.sqrt(sd**2 + 0.36 * np.abs(change).sum(axis=0) ** 2)
+        z = (reading.value - self.observer.noise.mean(signals)) / spread
+        log = log - (0.5 * z**2 + np.log(spread)).sum(axis=1)
+        near = log > log.max() - 2.0
+        steps = change[:, near] / sd[near]
+        if self.soft is not None and not self.for_touches:
+            along = np.where(self.soft, signals[near] / sd[near], 0.0)
+            size = (along**2).sum(axis=1) + self.log_sd**-2
+            steps = steps - ((steps * along).sum(axis=2) / size)[..., None] * along
+        return log, np.sqrt((steps**2).sum(axis=2)).max(axis=1) + 5.0 * step
+
+    def alike(self, readings: Readings) -> list[Index]:
+        """Rows in groups: every signal within one sd of that of the first of its group.
+
+        Rows with measurement errors of their own stay alone.
+        """
+        if readings.covariance is not None:
+            return [np.array([i]) for i in range(len(readings.value))]
+        sd = np.sqrt(self.variance(readings, readings.value))
+        left, groups = np.lexsort(readings.value.T), []
+        while left.size:
+            off = np.abs(readings.value[left] - readings.value[left[0]])
+            near = (off <= sd[left[0]]).all(axis=1)
+            groups.append(left[near])
+            left = left[~near]
+        return groups
+
+    # -- sums ----------------------------------------------------------------------------------
+
+    def summarise(self, cloud: Cloud, readings: Readings, mass: float) -> Summary:
+        """Sums over the cells for each of some alike readings."""
+        cells = cloud.cells
+        log = self.evidence(readings, cells.signals)
+        log += cells.log_prior + np.log(cloud.step).sum()
+        top, best = log.max(axis=1, keepdims=True), log.argmax(axis=1)
+        weight = np.exp(log - top)
+        total = weight.sum(axis=1, keepdims=True)
+        weight /= total
+        mean = weight @ cells.contact
+        middle = mean.mean(axis=0)  # off it, squares lose no digits
+        square = weight @ (cells.contact - middle) ** 2 - (mean - middle) ** 2
+        first, x = cloud.layers
+        share = np.add.reduceat(weight, first, axis=1)
+        tails = np.array([(1 - mass) / 2, (1 + mass) / 2])
+        signals = cells.signals[best]
+        if self.soft is not None:
+            rows = range(len(best))
+            log_e = [self.match(readings.take([i]), signals[[i]])[0][0, 0] for i in rows]
+            signals = self.scaled(signals, np.array(log_e))
+        off = np.abs(readings.value - signals) / np.sqrt(self.variance(readings, signals))
+        return Summary(
+            mean, np.sqrt(np.maximum(square, 0)), self.distances(quantiles(share, x, tails)),
+            (top + np.log(total))[:, 0], off.max(axis=1),
+            (weight.max(axis=1) < 0.8) & cloud.precise,
+        )  # fmt: skip
+
+    def distances(self, x: Array) -> Array:
+        """Radial distances, m, at coordinates x."""
+        low, high = self.observer.reach
+        return np.asarray(low + (high - low) * constrain_distance(x)[0])
+
+
+class Summary(NamedTuple):
+    """Of each of n posteriors: mean and sd (n, U), ends of the interval (n, 2), ln of the evidence.
+
+    And how many sds the best cell's signals are off, and whether the sums are reliable.
+    """
+
+    mean: Array
+    sd: Array
+    ends: Array
+    log_evidence: Array
+    off: Array
+    precise: NDArray[np.bool_]
+
+
+def quantiles(share: Array, x: Array, probability: Array) -> Array:
+    """Quantiles (n, Q) of masses (n, J) on layers at evenly spaced coordinates x (J,).
+
+    Straight between the layers' edges in the probit of the probability: exact for a Gaussian.
+    """
+    step = x[1] - x[0] if len(x) > 1 else 1e-3
+    edges = np.append(x - step / 2, x[-1] + step / 2)
+    # From values at the middle to integrals over layers.
+    bend = np.diff(np.pad(share, ((0, 0), (1, 1))), 2, axis=1)
+    rise = np.cumsum(np.maximum(share + bend / 24, 0.0), axis=1)
+    rise = np.concatenate([np.zeros((len(rise), 1)), rise / rise[:, -1:]], axis=1)
+    z = ndtri(np.clip(rise, 1e-12, 1 - 1e-12))
+    out = np.empty((len(share), len(probability)))
+    for i, row in enumerate(z):
+        keep = np.flatnonzero(np.diff(row, prepend=-np.inf) > 1e-9)
+        out[i] = np.interp(ndtri(probability), row[keep], edges[keep])
+    return out

@@ -1,0 +1,40 @@
+"""Radial distances of measured contacts: over time, and by touch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .style import COLOURS, DOUBLE, axes_or_new, bars, legend_above, styled
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@styled
+def located(
+    table: pd.DataFrame, ax: Axes | None = None, *, against: str | None = None, by: str = ""
+) -> Axes:
+    """Distance with its 95 % interval, over rows or the column `against`; `by` names touches."""
+    ax = axes_or_new(ax, DOUBLE)
+    x = np.arange(len(table)) if against is None else table[against].to_numpy(dtype=float)
+    order = np.argsort(x, kind="stable")
+    part = table.iloc[order]
+    x = x[order]
+    names = ("radial_distance_mm", "lower_mm", "upper_mm")
+    middle, low, high = (part[name].to_numpy(dtype=float) for name in names)
+    ax.fill_between(x, low, high, color=COLOURS[4], alpha=0.4, label="95 % interval, each row")
+    ax.plot(x, middle, ".", color=COLOURS[0], markersize=2, label="mean, each row")
+    if by:
+        own = np.asarray(part["touch_status"] == "converged")
+        if own.any():
+            groups = part[own].assign(place=x[own]).groupby(by, sort=False)
+            first = groups.first()
+            ends = [first[f"touch_{name}"] for name in names]
+            bars(ax, groups["place"].mean(), ends, 1, label="each touch")
+    ax.set_xlabel("row" if against is None else against.replace("_", " "))
+    ax.set_ylabel("radial distance (mm)")
+    legend_above(ax)
+    return ax
