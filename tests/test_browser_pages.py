@@ -158,4 +158,4 @@ def test_a_plan_has_the_library_s_levels_and_lists(page: Any, site: str) -> None
     plan = ww.plan_experiment("C2", trials=20, runs=0)
     assert page.locator("table:has(caption:text-is('Levels')) tbody tr").count() == len(plan.levels)
     # The same lists, byte for byte, from another processor.
-    assert plan.fingerprint[:16] in page.inner_text("#results")
+    assert plan.fingerprint[:16] in page.locator("details").text_content()

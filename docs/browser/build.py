@@ -94,8 +94,8 @@ def _policy(source: str) -> str:
     also = f" {source}" if source.startswith("https:") else ""
     return (
         f"default-src 'none'; script-src 'self' blob: 'wasm-unsafe-eval'{also}; "
-        f"connect-src 'self'{also}; worker-src 'self' blob:; style-src 'self'; img-src blob:; "
-        "form-action 'none'; base-uri 'none'"
+        f"connect-src 'self'{also}; worker-src 'self' blob:; style-src 'self'; "
+        "img-src blob: data:; form-action 'none'; base-uri 'none'"
     )
 
 

@@ -81,8 +81,13 @@ function link(content, type) {
 function show({ texts = [], figures = [], tables = [], files = [] }) {
   made.splice(0).forEach((url) => URL.revokeObjectURL(url));
   results.replaceChildren();
-  for (const { title, body } of texts) {
-    results.append(element("h2", title), element("p", body, { className: "words" }));
+  for (const { title, body, folded } of texts) {
+    const words = element("p", body, { className: "words" });
+    if (folded) {
+      const box = element("details");
+      box.append(element("summary", title), words);
+      results.append(box);
+    } else results.append(element("h2", title), words);
   }
   for (const { title, svg } of figures) {
     const figure = element("figure");

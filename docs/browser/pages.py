@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import re
 import tempfile
 import zipfile
 from pathlib import Path
@@ -162,12 +163,13 @@ def plan(fields: Fields) -> Shown:
     first = lists[(lists["subject"] == lists["subject"].iloc[0]) & (lists["session"] == 1)]
     lengths = ["standard", "stimulus_1", "stimulus_2"]
     first = first.assign(**{name: (first[name] * 1e3).round(3) for name in lengths})
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", preregistration(made))  # its lines were wrapped
     size = (
         f"{made.scheme.total_trials} trials in all: {made.scheme.animals} × "
         f"{made.scheme.n_trials}, in {made.sessions} sessions each. {made.power_in_words()}"
     )
     return {
-        "texts": [_text("Size", size), _text("For a preregistration", preregistration(made))],
+        "texts": [_text("Size", size), _text("For a preregistration", text) | {"folded": True}],
         "figures": [
             _figure("What a typical animal is expected to answer",
                     figures.planned_psychometrics(made)),
