@@ -21,7 +21,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
-from weberwhisk.behaviour import CueEncoding
+from weberwhisk.behaviour import CueEncoding, methods_paragraph
 
 ROOT = Path(__file__).parents[1]
 BROWSER, DATA = ROOT / "docs" / "browser", ROOT / "data_synthetic"
@@ -130,7 +130,10 @@ def test_the_page_of_fits_answers_as_the_library_does(pages: ModuleType, scale: 
         ww.read_trials(DATA / "distance_tapered.csv"),
         encoding=None if scale == "linear" else CueEncoding(tap, unit=1e-3),
     )
-    assert shown["texts"][0]["body"] == fit.report()
+    assert [text["body"] for text in shown["texts"]] == [
+        fit.report(),
+        methods_paragraph(fit),
+    ]
     estimates = shown["tables"][0]
     row = dict(zip(estimates["columns"], estimates["rows"][0], strict=True))
     assert row["parameter"] == "weber_fraction"

@@ -96,8 +96,9 @@ def test_a_dropped_table_is_fitted_and_k_shown(page: Any, site: str) -> None:
     low, high = fit.interval()
     for name, value in {"median": fit.weber_fraction, "lower": low, "upper": high}.items():
         assert float(row[name]) == pytest.approx(value, rel=1e-3)
-    report = page.inner_text("#results .words")
+    report, methods = page.locator("#results .words").all_inner_texts()
     assert f"Weber fraction: {fit.weber_fraction:.3g}" in report
+    assert f"{fit.trials.n_trials} trials" in methods
     assert page.locator("#results img").evaluate("image => image.naturalWidth") > 100
     # The wrong column is refused in a sentence, and the page goes on.
     page.select_option("select[name=answer]", "trial")

@@ -20,7 +20,7 @@ import pandas as pd
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.behaviour import CueEncoding
+from weberwhisk.behaviour import CueEncoding, methods_paragraph
 from weberwhisk.behaviour.io import load_table
 from weberwhisk.design import Goal, SubjectPopulation
 from weberwhisk.design.preregistration import preregistration
@@ -129,11 +129,12 @@ def fit(fields: Fields) -> Shown:
         return _together(trials, encoding)
     found = ww.fit_weber(trials, encoding=encoding)
     report, summary = found.report(), found.summary().reset_index()
+    methods = methods_paragraph(found)
     shown: Shown = {
-        "texts": [_text("Report", report)],
+        "texts": [_text("Report", report), _text("For a methods section", methods)],
         "tables": [_table("Estimates", summary)],
         "files": [
-            _file("fit_report.txt", report),
+            _file("fit_report.txt", f"{report}\n{methods}\n"),
             _file("fit.csv", summary.to_csv(index=False)),
         ],
     }
@@ -219,7 +220,10 @@ def _together(trials: ww.Trials, encoding: CueEncoding | None) -> Shown:
     summary = found.summary().reset_index()
     said = "\n".join([f"{found.status.value}.", *found.notes])
     shown: Shown = {
-        "texts": [_text("Report", said[:1].upper() + said[1:])],
+        "texts": [
+            _text("Report", said[:1].upper() + said[1:]),
+            _text("For a methods section", methods_paragraph(found)),
+        ],
         "tables": [_table("The population", summary), _table("The animals", found.subjects)],
         "files": [_file("animals.csv", found.subjects.to_csv(index=False))],
     }

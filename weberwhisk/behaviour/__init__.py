@@ -18,6 +18,7 @@ from .encodings import CueEncoding, Encoding, IdentityEncoding, LogAxisEncoding,
 from .fit import fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
+from .methods import methods_paragraph
 from .population import simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
@@ -57,6 +58,7 @@ __all__ = [
     "fit_weber",
     "load_numerosity",
     "load_rat_auditory",
+    "methods_paragraph",
     "quantile_residuals",
     "read_trials",
     "residuals_by",

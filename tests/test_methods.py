@@ -1,0 +1,79 @@
+"""The paragraph for a methods section: every number in it is the fit's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy
+from scipy import stats
+
+import weberwhisk as ww
+from weberwhisk.behaviour import CueEncoding, effects, methods_paragraph
+
+DATA = Path(__file__).parents[1] / "data_synthetic"
+
+
+def _read(name: str) -> ww.Trials:
+    return ww.read_trials(DATA / name)
+
+
+def test_counts_priors_and_versions_are_said() -> None:
+    trials = _read("weights_three_standards.csv")
+    text = methods_paragraph(ww.fit_weber(trials))
+    for words in (
+        f"{trials.n_trials} trials (9 without an answer were left out) of the task 2AFC",
+        f"{trials.cells().n.size} pairs of stimuli at 3 standards",
+        "weber_fraction ~ lognorm(1.099, scale=0.1)",
+        "lapse_low ~ beta(0.7, 20), lapse_high ~ beta(0.7, 20), bias ~ norm(0, 1)",
+        "the two lapse rates correlate by 0.7",
+        "Φ(d + b)",
+        "status: DETERMINED",
+        f"weberwhisk {ww.__version__} (NumPy {np.__version__}, SciPy {scipy.__version__})",
+    ):
+        assert words in text
+    assert "\n" not in text
+
+
+def test_what_is_fixed_left_out_or_believed_otherwise_is_said() -> None:
+    table = pd.read_csv(DATA / "weights_three_standards.csv")
+    table = table.dropna()
+    own = {"lapse_low": 0.02, "lapse_high": stats.beta(1, 50)}
+    text = methods_paragraph(ww.fit_weber(ww.read_trials(table), bias="none", priors=own))
+    assert f"{len(table)} trials of the task" in text
+    assert "lapse_high ~ beta(1, 50), lapse_low fixed at 0.02." in text
+    assert "Φ(d)" in text
+    assert "correlate" not in text
+
+
+@pytest.mark.parametrize("case", ["percent correct", "effects"])
+def test_the_formula_is_said_where_it_is_the_model(case: str) -> None:
+    if case == "effects":
+        floor = effects.effect_named("floor")
+        fit = ww.fit_weber(_read("weights_three_standards.csv"), effects=[floor])
+        assert f"effects: {floor.name}" in methods_paragraph(fit)
+    else:
+        fit = ww.fit_weber(_read("weights_percent_correct.csv"))
+    assert "Φ" not in methods_paragraph(fit)
+
+
+def test_a_whisker_is_described() -> None:
+    tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
+    trials = _read("distance_tapered.csv")
+    text = methods_paragraph(ww.fit_weber(trials, encoding=CueEncoding(tap, unit=1e-3)))
+    assert "50 mm long, of radius 100 µm at its base and 5 µm at its tip, by the cue Comp" in text
+    assert "receptors Weber: the signal is noisy with an sd of the Weber fraction k times" in text
+    other = replace(tap, noise=ww.receptors.LogNormal(0.1))
+    text = methods_paragraph(ww.fit_weber(trials, encoding=CueEncoding(other, unit=1e-3)))
+    assert "receptors LogNormal. " in text
+
+
+def test_a_population_is_described() -> None:
+    found = ww.fit_population(_read("animals_six.csv"))
+    text = methods_paragraph(found)
+    assert f"{found.subjects['n'].sum()} trials of 6 animals: ln k is normal" in text
+    assert "spread ~ halfnorm(scale=0.5), lapse_mean ~ norm(0, 1)" in text
+    assert f"status: {found.status.name}" in text
