@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
-    from .contacts import locate
+    from .contacts import locate, read_tracking
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
@@ -72,7 +72,7 @@ _NAMES = {
     "jnd_surface": "jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "locate",
+    "contacts": "locate read_tracking",
     "design": "plan_experiment power read_plan simulate_study",
     "planning": "write_plan",
 }
@@ -131,6 +131,7 @@ __all__ = [
     "power",
     "press",
     "read_plan",
+    "read_tracking",
     "read_trials",
     "receptors",
     "rest_angle",
