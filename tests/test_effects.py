@@ -189,7 +189,7 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
 
 def test_emcee_agrees_with_two_effects_by_quadrature() -> None:
     known = {"lapse_low": LOW, "lapse_high": HIGH, "bias": BIAS}
-    trials = answered("drift", -1.0, seed=14, trials=500)
+    trials = answered("drift", -1.0, seed=14, trials=240)
     one, two = (
         fit_weber(trials, effects=[Drift(), Contraction()], priors=known, method=method, seed=2)
         for method in ("quadrature", "emcee")

@@ -291,7 +291,7 @@ def plan() -> Plan:
         longest_run=4,
         title="A plan, “tried”",
         together=False,
-        runs=8,
+        runs=4,
         seed=7,
     )
 
@@ -547,7 +547,7 @@ def test_the_goal_decides_the_number_of_trials() -> None:
 
 
 def test_the_best_places_stay_in_reach() -> None:
-    reach = Constraints(nearest=8e-3, farthest=32e-3, step=0.1e-3, easy_share=0.3)
+    reach = Constraints(nearest=8e-3, farthest=32e-3, step=0.5e-3, easy_share=0.3)
     plan = plan_experiment("C2", best=True, constraints=reach, trials=6, runs=0)
     cells = plan.scheme.cells()
     assert len(plan.scheme.standards) == 3
@@ -559,7 +559,7 @@ def test_the_best_places_stay_in_reach() -> None:
 def test_more_animals_are_found_for_trials_that_are_given() -> None:
     plan = plan_experiment(
         "C2", standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], trials=8, animals=2, find="animals",
-        goal=Goal(bayes_factor=10, share=0.5), runs=16,
+        goal=Goal(bayes_factor=10, share=0.5), runs=8,
     )  # fmt: skip
     assert plan.power is not None
     assert {n for row in plan.scheme.trials for n in row} == {8}
