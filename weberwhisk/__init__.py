@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .jnd import convert_jnd, criterion_factor
     from .jnd_curves import JNDCurve, jnd_curve
     from .jnd_surface import jnd_sweep
+    from .many_touches import Touches, touches, touches_jnd
     from .mechanics import (
         Bending,
         Choice,
@@ -68,6 +69,7 @@ _NAMES = {
     "posterior": "Posterior Status posterior",
     "fusion": "added_information fused_jnds information",
     "jnd": "convert_jnd criterion_factor",
+    "many_touches": "Touches touches touches_jnd",
     "jnd_curves": "JNDCurve jnd_curve",
     "jnd_surface": "jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
@@ -102,6 +104,7 @@ __all__ = [
     "Profile",
     "Spiral",
     "Status",
+    "Touches",
     "Trials",
     "WeberFit",
     "Whisker",
@@ -142,6 +145,8 @@ __all__ = [
     "sticking",
     "sweep",
     "sweeping",
+    "touches",
+    "touches_jnd",
     "write_plan",
 ]
 

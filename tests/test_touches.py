@@ -1,0 +1,74 @@
+"""Many touches of one distance: their evidence multiplied, each with its own deflection."""
+
+import numpy as np
+import pytest
+
+from weberwhisk import Observer, Status, Whisker, cues, posterior
+from weberwhisk.many_touches import touches, touches_jnd
+from weberwhisk.receptors import Weber
+
+W = Whisker(50e-3, 100e-6, 5e-6)
+
+
+@pytest.mark.parametrize("k", [0.03, 0.2])
+@pytest.mark.parametrize("curvature", [0.0, 8.0])
+def test_one_touch_is_todays_posterior(k, curvature):
+    observer = Observer(
+        Whisker(50e-3, 100e-6, 5e-6, curvature=curvature), cues.ForceMap(), Weber(k)
+    )
+    for seed, contact in enumerate(([10e-3, 0.5], [25e-3, 0.2], [42e-3, 0.02])):
+        reading = observer.read(contact, seed)
+        one, today = touches(observer, reading), posterior(observer, reading, tolerance=1e-6)
+        assert one.mean == pytest.approx(today.mean, abs=1e-6 * today.sd)
+        assert one.sd == pytest.approx(today.sd, rel=1e-6)
+        assert one.interval() == pytest.approx(today.interval(), abs=1e-4 * today.sd)
+
+
+@pytest.mark.parametrize("cue", [cues.ForceMap(), cues.Compliance()], ids=repr)
+def test_ten_equal_touches_divide_the_sd_by_root_ten(cue):
+    observer = Observer(W, cue, Weber(0.03))
+    signals, _ = observer.signals(np.array([[25e-3, 0.2][: len(cue.unknowns)]]))
+    ten, one = touches(observer, np.repeat(signals, 10, axis=0)), touches(observer, signals)
+    assert ten.sd == pytest.approx(one.sd / np.sqrt(10), rel=0.02)
+
+
+def test_the_product_is_that_of_a_fine_sum():
+    """Three touches at three deflections, beside a sum over distance and each deflection."""
+    observer = Observer(W, cues.ForceMap(), Weber(0.1))
+    readings = observer.read([[30e-3, 0.1], [30e-3, 0.2], [30e-3, 0.3]], seed=1)
+    r = np.linspace(18e-3, 44e-3, 500)
+    share = (np.arange(3000) + 0.5) / 3000
+    theta = observer.angle_range(r)[1][:, None] * share
+    place = np.stack([np.broadcast_to(r[:, None], theta.shape), theta], axis=-1)
+    log = np.log(observer.distance_prior(r))
+    for reading in readings:
+        likelihood = np.exp(observer.log_likelihood(reading, place)).mean(axis=1)
+        log += np.log(np.maximum(likelihood, 1e-300))
+    weight = np.exp(log - log.max())
+    mean = weight @ r / weight.sum()
+    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+    found = touches(observer, readings)
+    assert found.status == Status.CONVERGED
+    assert found.mean == pytest.approx(mean, abs=1e-3 * sd)
+    assert found.sd == pytest.approx(sd, rel=1e-3)
+
+
+def test_touches_that_do_not_agree_say_so():
+    observer = Observer(W, cues.ForceMap(), Weber(0.05))
+    readings = observer.read([[15e-3, 0.2], [40e-3, 0.1]], seed=1)
+    assert touches(observer, readings).status == Status.IMPROBABLE_READING
+
+
+def test_the_jnd_falls_with_the_number_of_touches():
+    observer = Observer(W, cues.ForceMap(), Weber(0.03))
+    table = touches_jnd(observer, 25e-3, [0.1, 0.2], [1, 4, 16], n_readings=30, seed=2)
+    assert table["posterior"].is_monotonic_decreasing
+    assert table["posterior"].to_numpy() == pytest.approx(table["fisher"].to_numpy(), rel=0.15)
+    assert table["root_n"][2] == pytest.approx(table["root_n"][0] / 4)
+
+
+def test_what_touches_refuse():
+    with pytest.raises(ValueError, match="distance and deflection alone"):
+        touches(Observer(W, cues.UnknownStiffness(cues.ForceMap())), [[1e-6, 1e-5]])
+    with pytest.raises(ValueError, match="has 2 numbers"):
+        touches(Observer(W, cues.ForceMap()), [1e-6])
