@@ -238,7 +238,7 @@ def fit_population(
 
     Biases are drawn from the prior of a single fit, all times one factor, the `bias_scale`: their
     sd, where that prior is a standard normal. Without it k would be pulled wherever biases are
-    narrower or wider than believed (see `weberwhisk.behaviour.hierarchy`).
+    narrower or wider than believed (see `weberwhisk.behaviour.lapses`).
 
     Parameters
     ----------
