@@ -1,4 +1,4 @@
-"""Conversion to ArviZ, draws from quadrature nodes, and diagnostics to ArviZ's own digits."""
+"""Conversion to ArviZ, and diagnostics to ArviZ's own digits."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ import emcee
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
 from weberwhisk.posterior import diagnostics
-from weberwhisk.posterior.arviz_io import resample, to_arviz
-from weberwhisk.posterior.grid import integrate
-from weberwhisk.posterior.nodes import Nodes
+from weberwhisk.posterior.arviz_io import to_arviz
 
 Array = NDArray[np.float64]
 
@@ -167,63 +164,3 @@ def test_netcdf_round_trip(arviz: Any, tmp_path: Path) -> None:
 def test_misshapen_draws_are_refused(posterior: dict[str, Array], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         to_arviz(posterior)
-
-
-# -- draws from nodes --------------------------------------------------------------------------
-
-
-def gaussian_nodes() -> tuple[Nodes, Array]:
-    covariance = np.array([[1.0, 0.8], [0.8, 2.0]])
-    precision = np.linalg.inv(covariance)
-    fit = integrate(
-        lambda x, index: -0.5 * ((x @ precision) * x).sum(axis=-1),
-        np.zeros((1, 2)),
-        np.linalg.cholesky(covariance)[None],
-        tolerance=1e-2,
-        keep_points=True,
-    )
-    assert fit.nodes is not None
-    return fit.nodes[0], covariance
-
-
-def test_resampled_nodes_come_as_often_as_they_weigh() -> None:
-    nodes, _ = gaussian_nodes()
-    draws = resample(nodes.points, nodes.weights, 5000, seed=1)
-    for point, weight in zip(nodes.points, nodes.weights, strict=True):
-        times = np.sum(np.all(draws == point, axis=1))
-        assert abs(times - 5000 * weight) < 1 + 1e-9
-
-
-def test_draws_spread_over_cells_keep_mean_and_covariance_and_fill_the_gaps() -> None:
-    nodes, covariance = gaussian_nodes()
-    draws = resample(nodes.points, nodes.weights, 100_000, seed=2, edges=nodes.edges)
-    np.testing.assert_allclose(draws.mean(axis=0), 0, atol=0.01)
-    np.testing.assert_allclose(np.cov(draws.T), covariance, rtol=0.01)
-    assert len(np.unique(draws[:, 0])) == 100_000
-    for column, sd in ((0, 1.0), (1, np.sqrt(2.0))):
-        apart = stats.kstest(draws[:, column] / sd, "norm").statistic
-        assert apart < 0.01  # the nodes alone are 0.1 apart
-
-
-def test_resampling_is_seeded() -> None:
-    nodes, _ = gaussian_nodes()
-    one, same, other = (
-        resample(nodes.points, nodes.weights, 100, seed=s, edges=nodes.edges) for s in (3, 3, 4)
-    )
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one, other)
-
-
-@pytest.mark.parametrize(
-    ("points", "weights", "count", "words"),
-    [
-        (np.zeros((3, 1)), np.zeros(3), 5, "weights must be finite"),
-        (np.zeros((3, 1)), np.array([1.0, -1.0, 1.0]), 5, "got -1.0"),
-        (np.zeros((3, 1)), np.array([1.0, np.nan, 1.0]), 5, "got nan"),
-        (np.zeros((3, 1)), np.ones(2), 5, "must have shapes"),
-        (np.zeros((3, 1)), np.ones(3), 0, "count must be at least 1"),
-    ],
-)
-def test_resampling_refuses_nonsense(points: Array, weights: Array, count: int, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        resample(points, weights, count, seed=1)

@@ -188,27 +188,21 @@ def test_agrees_with_quadrature_in_two_skewed_dimensions() -> None:
     def functions(x: Array) -> Array:
         return np.concatenate([x, np.exp(x[..., :1] / 2)], axis=-1)
 
-    exact = integrate(
-        density,
-        np.log(shape)[:, None] * np.ones(2),
-        np.eye(2) * np.ones((2, 1, 1)),
-        functions=functions,
-        only_functions=True,
-        tolerance=1e-4,
-        keep_points=True,
-    )
+    ends = np.tile([12.0, 12.0], (2, 1))
+    exact = integrate(density, -2 * ends, ends, functions=functions)
     start = np.log(shape)[:, None, None, None] + 0.5 * rng.standard_normal((2, 4, 6, 2))
     fit = sample_stacked(density, start, seed=6, functions=functions, precision=0.03, indexed=True)
     assert fit.converged.all()
-    assert exact.converged.all()
+    assert exact.error.max() < 1e-3
     assert np.abs((fit.mean - exact.mean) / fit.mcse_mean).max() < 4
     assert np.abs((fit.sd - exact.sd) / fit.mcse_sd).max() < 4
     assert fit.values.shape == (2, 4, 1020, 3)
     np.testing.assert_allclose(fit.values[..., 2], np.exp(fit.values[..., 0] / 2))
-    assert exact.nodes is not None
-    for i, nodes in enumerate(exact.nodes):
-        p = np.array([0.1, 0.5, 0.9])
-        below = (fit.values[i, :, :, 0, None] < nodes.quantile(nodes.points[:, 0], p)).mean((0, 1))
+    p = np.array([0.1, 0.5, 0.9])
+    for i, (points, weights) in enumerate(zip(exact.points, exact.weights, strict=True)):
+        order = np.argsort(points[:, 0])
+        value = np.interp(p, np.cumsum(weights[order]), points[order, 0])
+        below = (fit.values[i, :, :, 0, None] < value).mean((0, 1))
         assert np.all(np.abs(below - p) < 4 * np.sqrt(p * (1 - p) / fit.ess[i, 0]))
 
 

@@ -18,6 +18,7 @@ from .jnd import SD, criterion_factor, fisher_jnd
 from .observer import Observer
 from .posterior import posterior
 from .posterior.grid import integrate
+from .posterior.tiling import prior_box
 from .receptors import ReceptorNoise, Seed
 
 if TYPE_CHECKING:
@@ -128,8 +129,8 @@ def _log_density_at(observer: Observer, x: Array, reading: Array) -> Array:
         first = np.broadcast_to(x[index, None, :1], (*others.shape[:-1], 1))
         return observer.log_density(np.concatenate([first, others], axis=-1), reading[index, None])
 
-    start = np.broadcast_to(0.3 * np.eye(x.shape[1] - 1), (len(x), x.shape[1] - 1, x.shape[1] - 1))
-    return integrate(density, x[:, 1:], start, tolerance=1e-3).log_evidence
+    low, high = (np.tile(side[1:], (len(x), 1)) for side in prior_box(observer))
+    return integrate(density, low, high).log_evidence
 
 
 def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:

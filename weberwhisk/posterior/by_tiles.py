@@ -3,7 +3,7 @@
 Many readings share one tiling of all contacts, kept with the observer and certified when it is
 made, by a finer one. A few readings, and those that the whole tiling does not serve (none of its
 tiles is near, or the mass is on hardly a node), get tiles of their own, finer until two of them
-agree.
+agree. What would take too many tiles gets a plain grid.
 """
 
 from __future__ import annotations
@@ -14,15 +14,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
 from .densities import refuse_impossible
+from .likelihood import likelihood_of
 from .marginals import draws, quantiles
+from .own_grid import OwnGrids
 from .result import Estimate, Status
 from .solution import Array, Solution, is_outside, is_unidentified
+from .summed import LastSummed
+from .summed_tiles import SummedTiles
 from .tiled import Moments, TiledObserver
-from .tiling import Index, TooManyTiles, expected_tiles, tiles_of
+from .tiling import Index, Tiles, TooManyTiles, expected_tiles, tiles_of
 
 #: Error of mean and sd, over the sd, above which a posterior is called imprecise.
 TOLERANCE = 1e-2
@@ -40,10 +45,10 @@ def longest(tolerance: float) -> float:
 
 
 class _Found(NamedTuple):
-    """Moments of some readings (n,), by tiles, and the errors of mean and sd in sds, (n, U)."""
+    """Moments of some readings (n,), and the errors of mean and sd in sds, (n, U)."""
 
     rows: Index
-    tiled: TiledObserver
+    tiled: TiledObserver | OwnGrids
     moments: Moments
     error: Array
 
@@ -67,6 +72,12 @@ def by_tiles(
         found += own
         if progress:
             progress(sum(len(f.rows) for f in found), len(reading))
+    done = np.zeros(len(reading), dtype=bool)
+    for part in found:
+        done[part.rows] = True
+    for row in np.flatnonzero(~done):
+        grid = OwnGrids(observer, reading[[row]])
+        found.append(_Found(np.array([row]), grid, grid.moments, grid.error))
     if progress:
         progress(len(reading), len(reading))
     return _solution(observer, reading, found, wanted)
@@ -93,20 +104,33 @@ def _whole(observer: Observer, length: float) -> _Whole | None:
     prior, beside tiles finer by a third.
     """
     try:
-        most = MOST_TILES // 6 ** (len(observer.unknowns) - 2)
-        tiled = TiledObserver(observer, tiles_of(observer, length, most=most), length)
+        most = MOST_TILES // 6 ** (likelihood_of(observer).dim - 2)
+        tiled = _tiled(observer, tiles_of(observer, length, most=most), length)
     except TooManyTiles:
         return None
     rng = np.random.default_rng(20261122)
     weight = np.exp(tiled.log_weight - tiled.log_weight.max()).ravel()
     node = rng.choice(len(weight), CERTIFYING, p=weight / weight.sum())
-    signals = tiled.tiles.nodes.signals
-    reading = observer.noise.sample(signals.reshape(-1, signals.shape[-1])[node], rng)
+    contact = tiled.tiles.nodes.contact.reshape(-1, tiled.dim)[node]
+    if tiled.dim < len(observer.unknowns):
+        last = observer.last_unknown(np.clip(rng.standard_normal(CERTIFYING), -3, 3))
+        contact = np.column_stack([contact, last])
+    signals, outcome = observer.signals(contact)
+    reading = observer.noise.sample(signals[outcome == Outcome.HELD], rng)
     tiles = tiles_of(observer, length / 1.4, reading, deep=False)
-    fine = TiledObserver(observer, tiles, length / 1.4)
+    fine = _tiled(observer, tiles, length / 1.4)
     moments = tiled.moments(reading)
     error = _difference(moments, fine.moments(reading))[_served(tiled, reading, moments)]
     return _Whole(tiled, np.maximum(1.5 * error.max(axis=0, initial=0.0), 5e-5))
+
+
+def _tiled(
+    observer: Observer, tiles: Tiles, length: float, *, everywhere: bool = False
+) -> TiledObserver:
+    likelihood = likelihood_of(observer)
+    if isinstance(likelihood, LastSummed):
+        return SummedTiles(likelihood, tiles, length, everywhere=everywhere)
+    return TiledObserver(observer, tiles, length, everywhere=everywhere)
 
 
 def _difference(one: Moments, other: Moments) -> Array:
@@ -135,14 +159,8 @@ def _served(tiled: TiledObserver, reading: Array, moments: Moments) -> NDArray[n
     served = np.isfinite(moments.sd).all(axis=1) & (moments.rough < 1e-4)
     served &= moments.share < 0.35  # else it is narrower than its reading should be
     # Far from all contacts the density is not as wide as the tiles expect.
-    low, high = tiled.observer.noise.interval(_at_best(tiled, moments), 6.5)
+    low, high = tiled.observer.noise.interval(moments.signals, 6.5)
     return np.asarray(served & ((low <= reading) & (reading <= high)).all(axis=1))
-
-
-def _at_best(tiled: TiledObserver, moments: Moments) -> Array:
-    """The signals at the node of highest density."""
-    signals = tiled.tiles.nodes.signals
-    return np.asarray(signals.reshape(-1, signals.shape[-1])[moments.best])
 
 
 def _by_own(
@@ -159,7 +177,7 @@ def _by_own(
 
     def tiled(length: float) -> tuple[TiledObserver, Moments]:
         tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=deep)
-        found = TiledObserver(observer, tiles, length, everywhere=everywhere)
+        found = _tiled(observer, tiles, length, everywhere=everywhere)
         return found, found.moments(reading[rows])
 
     out: list[_Found] = []
@@ -213,14 +231,13 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     signals = np.ones((count, len(observer.cue.signal_names)))
     contact = np.ones((count, dim))
     for part in found:
-        rows, moments, nodes = part.rows, part.moments, part.tiled.tiles.nodes
-        if not len(nodes.signals):  # no contact explains these readings at all
+        rows, moments = part.rows, part.moments
+        if not part.tiled.count:  # no contact explains these readings at all
             status[rows] = Status.IMPROBABLE_READING
             continue
         mean[rows], sd[rows], error[rows] = moments.mean, moments.sd, part.error
         log_evidence[rows] = moments.log_evidence
-        signals[rows] = _at_best(part.tiled, moments)
-        contact[rows] = nodes.contact.reshape(-1, dim)[moments.best]
+        signals[rows], contact[rows] = moments.signals, moments.contact
     known = np.isfinite(sd).all(axis=1)
     with np.errstate(invalid="ignore"):
         status[~(error <= wanted).all(axis=1)] = Status.IMPRECISE
@@ -232,6 +249,9 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     right = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED)) & known
     status[right & is_outside(observer.noise, reading, signals)] = Status.IMPROBABLE_READING
     status[~known & (status != Status.IMPROBABLE_READING)] = Status.IMPRECISE
+    own_grid = np.zeros(count, dtype=bool)
+    for part in found:
+        own_grid[part.rows] = isinstance(part.tiled, OwnGrids)
 
     def quantile_of(p: Array, unknown: int) -> Array:
         return both(p, unknown)[0]
@@ -248,16 +268,23 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         value, off = np.full((2, count, len(p)), np.nan)
         for part in found:
             rows = part.rows
-            value[rows], off[rows] = quantiles(part.tiled, reading[rows], p, unknown)
+            if isinstance(part.tiled, OwnGrids):
+                value[rows], off[rows] = part.tiled.quantiles(p, unknown)
+            else:
+                value[rows], off[rows] = quantiles(part.tiled, reading[rows], p, unknown)
         tails = error[:, unknown, None] * sd[:, unknown, None] / (4 * p * (1 - p))
         return value, off + tails
 
     def draws_of(number: int, seed: Seed) -> Array:
         rng = np.random.default_rng(seed)
-        x = np.full((count, 4 * number, dim), np.nan)
+        out = np.full((count, 4 * number, dim), np.nan)
         for part in found:
-            x[part.rows] = draws(part.tiled, reading[part.rows], 4 * number, rng)
-        return observer.contact(x)[0].reshape(count, 4, number, dim)
+            if isinstance(part.tiled, OwnGrids):
+                out[part.rows] = part.tiled.draws(4 * number, rng)
+                continue
+            x = draws(part.tiled, reading[part.rows], 4 * number, rng)
+            out[part.rows] = part.tiled.completed(reading[part.rows], x, rng)
+        return out.reshape(count, 4, number, dim)
 
     estimates = [
         Estimate(mean[:, i], sd[:, i], error[:, i] * sd[:, i], error[:, i] * sd[:, i])
@@ -270,4 +297,5 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         quantile_of,
         draws_of,
         quantile_error_of,
+        own_grid,
     )

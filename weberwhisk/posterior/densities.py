@@ -2,31 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from threading import local
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Density = Callable[[Array, NDArray[np.intp]], ArrayLike]
-Functions = Callable[[Array], ArrayLike]
-
-
-def taken_apart(
-    both: Callable[[Array, NDArray[np.intp]], tuple[ArrayLike, ArrayLike]],
-) -> tuple[Density, Functions]:
-    """The log-density and the functions of what gives both at once, which then runs once for both.
-
-    The functions are those of the points that this thread last asked the density for.
-    """
-    last = local()
-
-    def density(x: Array, index: NDArray[np.intp]) -> ArrayLike:
-        value, last.columns = both(x, index)
-        return value
-
-    return density, lambda x: last.columns
 
 
 def checked_density(value: ArrayLike, points: Array, index: NDArray[np.intp]) -> Array:

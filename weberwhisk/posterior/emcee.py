@@ -156,11 +156,8 @@ def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> NDA
     No diagnostic of the walkers sees a peak where none of them is, so all peaks are summed up
     beside them: one of 40 readings of two modes of vibration had an sd ten times too small.
     """
-    nodes, missing = over_all_peaks(observer, reading)
-    for row, grid in nodes.items():
-        r = observer.contact(grid.points)[0][:, 0]
-        mean = grid.weights @ r
-        sd = np.sqrt(grid.weights @ (r - mean) ** 2)
+    found, missing = over_all_peaks(observer, reading)
+    for row, (mean, sd) in found.items():
         off = np.abs([mean - sampled.mean[row], sd - sampled.sd[row]])
         missing[row] |= bool(np.any(off > 4 * np.array([s[row] for s in sampled[2:]])))
     return missing

@@ -1,186 +1,194 @@
-"""Quadrature of many posteriors at once, in one to four unconstrained coordinates.
+"""One plain grid for what nothing else serves: it closes in on the mass, and says how well.
 
-The trapezoid rule on a tensor grid is hard to beat here: for an analytic density that dies out
-in every direction its error falls exponentially with the number of nodes (Trefethen & Weideman
-2014, SIAM Review 56, 385). What it needs is a grid that fits: each density gets its own centre,
-its own whitening (a square root of its covariance) and its own window, all found from its own
-coarser passes. A Gaussian takes 17 nodes an axis to 1e-4.
-
-Everything is said in units of the posterior's own sd, with two errors added up: what half the
-resolution changes, and what the mass at the edge of the window says about the mass beyond it.
+Midpoints of a box of the coordinates, the same number along each axis; the box closes in on where
+they have mass until it stays, and is summed by more of them. Half of the nodes, left out in turn,
+tell the error: nothing is assumed of the density, and a peak between the first nodes is missed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..threads import on_threads
-from .densities import Density, Functions
-from .frames import Frames, Status
-from .nodes import Array, Nodes
-from .passes import evaluate
+from .densities import checked_density
 
-PASSES = 50
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+#: ln of B densities at points (b, N, D) of those (b,), (b, N).
+Density = Callable[[Array, Index], ArrayLike]
+
+#: Nodes along each axis while closing in and at last, by the number of axes.
+NODES = {1: (160, 400), 2: (80, 200), 3: (40, 80), 4: (20, 28)}
 
 
-@dataclass(frozen=True)
-class GridPosterior:
-    """Moments of B posteriors by quadrature, with an error estimate on each.
-
-    The C columns of `mean`, `sd` and their errors are the D coordinates, then the functions.
+class Sums(NamedTuple):
+    """Integrals of B densities.
 
     Attributes
     ----------
-    log_evidence, log_evidence_error : array, shape (B,)
-        Log of the integral of the density over the unconstrained coordinates.
-    mean, sd : array, shape (B, C)
-        NaN where the density was zero at every node.
-    mean_error, sd_error : array, shape (B, C)
-        Estimated errors in units of the posterior sd.
-    covariance : array, shape (B, D, D)
-        Of the coordinates.
-    status : array of int, shape (B,)
-        `Status` values.
-    evaluations : array of int, shape (B,)
-        How often the density was evaluated, all passes together.
-    nodes : tuple of Nodes, or None
-        Of each posterior, if asked for.
+    log_evidence : array, shape (B,)
+        ln of the integral over the box.
+    mean, sd, error : array, shape (B, C)
+        Of the functions; the larger error of either, in sds. NaN without any mass.
+    points : array, shape (B, N, D)
+    weights : array, shape (B, N)
+        They sum to one.
     """
 
     log_evidence: Array
-    log_evidence_error: Array
     mean: Array
     sd: Array
-    mean_error: Array
-    sd_error: Array
-    covariance: Array
-    status: NDArray[np.int64]
-    evaluations: NDArray[np.int64]
-    nodes: tuple[Nodes, ...] | None
-
-    @property
-    def converged(self) -> NDArray[np.bool_]:
-        """Which posteriors met the tolerance, shape (B,)."""
-        return self.status == Status.CONVERGED
+    error: Array
+    points: Array
+    weights: Array
 
 
 def integrate(
     log_density: Density,
-    centre: ArrayLike,
-    scale: ArrayLike,
+    low: ArrayLike,
+    high: ArrayLike,
     *,
-    functions: Functions | None = None,
-    only_functions: bool = False,
-    tolerance: float = 1e-4,
-    max_points: int = 400_000,
-    reach: float = 5.0,
-    keep_points: bool = False,
-) -> GridPosterior:
-    """Integrate B densities over D = 1 to 4 unconstrained coordinates.
-
-    A coarse pass finds the mean and covariance and is repeated about them until they stay, so a
-    poor start costs passes, not accuracy; if its own errors are small enough, that is all. Fine
-    passes then widen the window on whichever side still holds mass and refine whichever axis
-    still changes the moments, until the estimated errors of every mean and sd, in units of that
-    sd, are below `tolerance`.
+    functions: Callable[[Array], ArrayLike] | None = None,
+    depth: float = 28.0,
+    looks: int = 12,
+    together: int = 2_000_000,
+) -> Sums:
+    """Integrate B densities over boxes of D = 1 to 4 coordinates.
 
     Parameters
     ----------
     log_density : callable
-        ``log_density(x, index)`` with x of shape (b, N, D) and index (b,), the posteriors that
+        ``log_density(x, index)`` with x of shape (b, N, D) and index (b,), the densities that
         these rows belong to; returns (b, N). May be -inf, never NaN or +inf.
-    centre : array_like, shape (B, D)
-        A point of non-zero density near the middle of each.
-    scale : array_like, shape (B, D, D)
-        A square root of each guessed covariance (columns are steps of one sd).
+    low, high : array_like, shape (B, D)
+        A box that holds all there is.
     functions : callable, optional
-        ``functions(x)`` of shape (b, N, Q): quantities whose moments are wanted as well, and held
-        to the same tolerance. Finite wherever the density is not zero.
-    only_functions : bool
-        The columns of the result are the functions alone, and only they are held to the tolerance.
-    tolerance : float
-        Largest estimated error of a mean or sd, in units of that sd.
-    max_points : int
-        Most nodes in one pass over one posterior.
-    reach : float
-        Half-width of the first pass, in units of `scale`. A second mode further off than this,
-        across a gap without mass, is not found: no local rule can know of it.
-    keep_points : bool
-        Keep the nodes and weights of the last pass.
+        ``functions(x)`` of shape (b, N, C): quantities whose moments are wanted, finite where the
+        density is not zero. By default the coordinates.
+    depth : float
+        ln of the density below the highest at which the box ends.
+    looks : int
+        Most times that the box closes in.
+    together : int
+        Nodes that are worked on together.
 
     Returns
     -------
-    GridPosterior
+    Sums
 
     Raises
     ------
     ValueError
-        If shapes do not fit, a start is not finite, or the log-density is NaN or +inf somewhere.
+        For boxes of other shapes or without inside, a log-density that is NaN or +inf somewhere.
 
     Examples
     --------
     The log of a gamma variable of shape 3, and the variable itself:
 
     >>> density = lambda x, index: 3 * x[..., 0] - np.exp(x[..., 0])
-    >>> fit = integrate(density, [[1.0]], [[[0.5]]], functions=np.exp, tolerance=1e-6)
-    >>> fit.mean.round(5).tolist(), fit.sd.round(5).tolist()       # digamma(3), 3; ..., sqrt(3)
-    ([[0.92278, 3.0]], [[0.62844, 1.73205]])
-    >>> bool(fit.converged[0]), round(float(np.exp(fit.log_evidence[0])), 5)   # Gamma(3)
-    (True, 2.0)
+    >>> fit = integrate(density, [[-40.0]], [[10.0]], functions=np.exp)
+    >>> fit.mean.round(4).tolist(), fit.sd.round(4).tolist()       # 3 and sqrt(3)
+    ([[3.0]], [[1.7321]])
+    >>> round(float(np.exp(fit.log_evidence[0])), 4), bool(fit.error[0, 0] < 1e-4)   # Gamma(3)
+    (2.0, True)
     """
-    start = _checked_start(centre, scale, tolerance, reach)
-    work = Frames(*start, tolerance, max_points, reach, keep_points)
-    first = work.dim if only_functions else 0
-    for _ in range(PASSES):
-        groups = list(work.groups())
-        passes = on_threads(lambda i: evaluate(work, i, log_density, functions, first), groups)
-        for index, out in zip(groups, passes, strict=True):
-            work.take(index, out, keep_points)
-        if not work.running.any():
-            break
-    work.status[work.running] = Status.OPEN
-    return GridPosterior(
-        **work.found,
-        status=work.status,
-        evaluations=work.evaluations,
-        nodes=tuple(work.nodes[i] for i in range(len(work.status))) if keep_points else None,
-    )
+    begin, end = (np.array(side, dtype=float) for side in (low, high))
+    if begin.ndim != 2 or begin.shape != end.shape or begin.shape[1] not in NODES:
+        raise ValueError(
+            f"low and high must have shape (B, D) with D from 1 to 4, got {begin.shape} and "
+            f"{end.shape}; give one box for each density."
+        )
+    if not (np.isfinite(begin) & np.isfinite(end) & (begin < end)).all():
+        raise ValueError(
+            f"low must be below high, both finite, got {begin.tolist()} and {end.tolist()}; "
+            "give the ends of what each coordinate can be."
+        )
+    coarse, fine = NODES[begin.shape[1]]
+    rows = max(1, together // fine ** begin.shape[1])
+    parts = []
+    for start in range(0, len(begin), rows):
+        index = np.arange(start, min(start + rows, len(begin)))
+        moving = index
+        for _ in range(looks):
+            closer = _closed_in(log_density, moving, begin[moving], end[moving], coarse, depth)
+            share = np.prod((closer[1] - closer[0]) / (end[moving] - begin[moving]), axis=1)
+            begin[moving], end[moving] = closer
+            moving = moving[share < 0.7]
+            if not moving.size:
+                break
+        parts.append(_summed(log_density, index, begin[index], end[index], fine, functions))
+    return Sums._make(np.concatenate(column) for column in zip(*parts, strict=True))
 
 
-def _checked_start(
-    centre: ArrayLike, scale: ArrayLike, tolerance: float, reach: float
+def _nodes(low: Array, high: Array, count: int) -> Array:
+    """Midpoints (b, N, D) of boxes, the last axis running fastest."""
+    share = (np.arange(count) + 0.5) / count
+    unit = np.stack(np.meshgrid(*[share] * low.shape[1], indexing="ij"), axis=-1)
+    return low[:, None] + (high - low)[:, None] * unit.reshape(-1, low.shape[1])
+
+
+def _closed_in(
+    log_density: Density, index: Index, low: Array, high: Array, count: int, depth: float
 ) -> tuple[Array, Array]:
-    middle, root = np.asarray(centre, dtype=float), np.asarray(scale, dtype=float)
-    if middle.ndim != 2 or len(middle) == 0 or not 1 <= middle.shape[1] <= 4:
-        raise ValueError(
-            f"centre must have shape (B, D) with B at least 1 and D from 1 to 4, got "
-            f"{middle.shape}; give one row for each posterior."
-        )
-    if root.shape != (*middle.shape, middle.shape[1]):
-        raise ValueError(
-            f"scale must have shape {(*middle.shape, middle.shape[1])} for a centre of shape "
-            f"{middle.shape}, got {root.shape}; give a square root of each covariance."
-        )
-    if not (np.isfinite(middle).all() and np.isfinite(root).all()):
-        bad = np.flatnonzero(~(np.isfinite(middle).all(1) & np.isfinite(root).all((1, 2))))[0]
-        raise ValueError(
-            f"centre and scale must be finite, got {middle[bad].tolist()} and "
-            f"{root[bad].tolist()} for posterior {bad}; leave such a posterior out."
-        )
-    singular = np.linalg.matrix_rank(root) < middle.shape[1]
-    if singular.any():
-        bad = np.flatnonzero(singular)[0]
-        raise ValueError(
-            f"scale must be invertible, got {root[bad].tolist()} for posterior {bad}; "
-            "give every coordinate a width above zero."
-        )
-    if not 1e-12 <= tolerance < 1:
-        raise ValueError(
-            f"tolerance must be at least 1e-12 and below 1, got {tolerance}; 1e-4 is usual."
-        )
-    if not 2 <= reach <= 100:
-        raise ValueError(f"reach must be between 2 and 100, got {reach}; 5 is usual.")
-    return middle, root
+    """The part of boxes (b, D) in which densities have mass, as far as nodes can tell."""
+    dim, points = low.shape[1], _nodes(low, high, count)
+    log = checked_density(log_density(points, index), points, index)
+    log = log.reshape(-1, *(count,) * dim)
+    top = log.reshape(len(log), -1).max(axis=1)
+    out_low, out_high = low.copy(), high.copy()
+    for axis in range(dim):
+        line = log.max(axis=tuple(a for a in range(1, dim + 1) if a != axis + 1))
+        # A peak narrower than nodes are apart is as far above the best as that is above the next.
+        padded = np.pad(line, ((0, 0), (1, 1)), constant_values=-np.inf)
+        best = line.argmax(axis=1)[:, None]
+        beside = [np.take_along_axis(padded, best + k, axis=1)[:, 0] for k in (0, 2)]
+        with np.errstate(invalid="ignore"):
+            fall = top - np.maximum(*beside)
+        fall = np.where(np.isfinite(fall), fall, 0.0)
+        held = line > (np.where(np.isfinite(top), top, 0.0) - depth - 4 * fall)[:, None]
+        step = (high - low)[:, axis] / count
+        some = held.any(axis=1)
+        first, last = held.argmax(axis=1), count - 1 - held[:, ::-1].argmax(axis=1)
+        start, stop = low[:, axis] + step * (first - 1), low[:, axis] + step * (last + 2)
+        out_low[some, axis] = np.maximum(start, low[:, axis])[some]
+        out_high[some, axis] = np.minimum(stop, high[:, axis])[some]
+    return out_low, out_high
+
+
+def _summed(
+    log_density: Density,
+    index: Index,
+    low: Array,
+    high: Array,
+    count: int,
+    functions: Callable[[Array], ArrayLike] | None,
+) -> tuple[Array, ...]:
+    """The columns of `Sums`, and what half of the nodes change."""
+    points = _nodes(low, high, count)
+    log = checked_density(log_density(points, index), points, index)
+    top = log.max(axis=1)
+    weight = np.exp(log - np.where(np.isfinite(top), top, 0.0)[:, None])
+    values = points if functions is None else np.asarray(functions(points), dtype=float)
+    values = np.where((weight > 0)[..., None], values, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        evidence = np.log(weight.mean(axis=1) * np.prod(high - low, axis=1)) + top
+        share = weight / weight.sum(axis=1, keepdims=True)
+        mean, sd = _moments(share, values)
+        error = np.zeros_like(sd)
+        place = np.indices((count,) * low.shape[1]).reshape(low.shape[1], -1).sum(axis=0) % 2
+        for half in (place == 0, place == 1):
+            part = weight[:, half] / weight[:, half].sum(axis=1, keepdims=True)
+            other, width = _moments(part, values[:, half])
+            off = np.maximum(np.abs(other - mean), np.abs(width - sd)) / sd
+            error = np.maximum(error, np.where(np.isfinite(off), off, np.inf))
+    # What half of the nodes change falls as the square root of what all leave; and the box ends.
+    return evidence, mean, sd, np.where(error < 0.1, error**1.5, error) + 1e-6, points, share
+
+
+def _moments(share: Array, values: Array) -> tuple[Array, Array]:
+    """Mean and sd (b, C) of values (b, N, C)."""
+    mean = np.einsum("bn,bnc->bc", share, values)
+    return mean, np.sqrt(np.einsum("bn,bnc->bc", share, np.square(values - mean[:, None])))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..coordinates import unconstrain_angle
-from .tiled import TOGETHER, TiledObserver, Weighed, summed
+from .tiled import TiledObserver, Weighed, summed
 from .tiling import ORDER, Array, Index
 
 _X, _W = legendre.leggauss(ORDER)
@@ -175,9 +175,11 @@ def quantiles(
     tiled: TiledObserver, reading: Array, probability: Array, unknown: int
 ) -> tuple[Array, Array]:
     """Quantiles (B, Q) of an unknown for readings (B, R), and their errors by these rules."""
+    if unknown == tiled.dim:
+        return tiled.last_quantiles(reading, probability)
     parts = [
-        _quantiles(tiled, reading[i : i + TOGETHER], probability, unknown)
-        for i in range(0, len(reading), TOGETHER)
+        _quantiles(tiled, reading[i : i + tiled.together], probability, unknown)
+        for i in range(0, len(reading), tiled.together)
     ]
     values, errors = (np.concatenate(side) for side in zip(*parts, strict=True))
     return values, errors
@@ -186,7 +188,7 @@ def quantiles(
 def _quantiles(
     tiled: TiledObserver, reading: Array, probability: Array, unknown: int
 ) -> tuple[Array, Array]:
-    lines = Lines(tiled, tiled.weigh(reading), len(reading), unknown)
+    lines = Lines(tiled, tiled.weigh(reading, whole=True), len(reading), unknown)
     out, error = np.empty((2, len(reading), len(probability)))
     for column, p in enumerate(probability):
         out[:, column], error[:, column] = _quantile(lines, float(p))
@@ -242,7 +244,7 @@ def draws(tiled: TiledObserver, reading: Array, count: int, rng: np.random.Gener
         rule = np.multiply.outer(rule, _W / 2)
     out = np.full((len(reading), count, dim), np.nan)
     for i, row in enumerate(reading):
-        weighed = tiled.weigh(row[None])
+        weighed = tiled.weigh(row[None], whole=True)
         mass = weighed.weight.sum(axis=1)
         kept = mass > 1e-7 * mass.sum()
         if not kept.any():

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
-from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +19,6 @@ Array = NDArray[np.float64]
 #: Coarse grid of starting points, per unknown, as fractions of its range.
 #: In three dimensions and more the further unknowns take few values.
 _COARSE = {1: expit(np.linspace(-8.0, 8.0, 129)), 2: expit(np.linspace(-7.0, 6.0, 27))}
-#: Most that a second peak of the coarse grid may be below the first, in ln of the density, to be
-#: climbed, and the least mass over the first's, in ln, that counts.
-SECOND, LEAST_SHARE = 30.0, float(np.log(1e-3))
-#: How far, in ln, a place must be above the first peak's Gaussian to be climbed from.
-UNEXPLAINED = 5.0
-#: How far, in x, a climb may go before its start is tried again: the coarse grid's own spacing.
-LEFT = 0.4
 #: The most, in ln, that a peak has left to gain, and the least curvature, 1/x², that makes it one.
 _SETTLED, _CURVED = 1e-6, 1e-2
 #: Values of each unknown that has a prior alone on the coarse grid.
@@ -62,20 +52,8 @@ class Mode:
         self.covariance[rows] = other.covariance
 
 
-class Starts(NamedTuple):
-    """Where climbs start: the best point of a coarse grid, and the best of its other peaks.
-
-    Coordinates (B, U) each, and ln of the density at the second (B,), −∞ where there is none and
-    where it is too far below the first to count.
-    """
-
-    best: Array
-    second: Array
-    height: Array
-
-
 def find_mode(
-    observer: Observer, reading: Array, starts: Starts | None = None, *, steps: int = 60
+    observer: Observer, reading: Array, starts: Array | None = None, *, steps: int = 60
 ) -> Mode:
     """Newton's method in a trust region, from the best point of a coarse grid.
 
@@ -83,13 +61,13 @@ def find_mode(
     ----------
     observer : Observer
     reading : array, shape (B, S)
-    starts : Starts, optional
+    starts : array, shape (B, U), optional
         `starting_points`, if they are there already.
     steps : int
         Most iterations; few posteriors need more than ten.
     """
     starts = starting_points(observer, reading) if starts is None else starts
-    mode, peaked = _climb(observer, reading, starts.best, steps)
+    mode, peaked = _climb(observer, reading, starts, steps)
     # Where noise is far narrower than the coarse grid, a climb may end at the edge of what is
     # held, on a plateau, or in another valley's end, from where readings are improbable.
     odd = ~peaked | is_improbable(observer, reading, observer.contact(mode.x)[0])
@@ -97,7 +75,7 @@ def find_mode(
         rows = np.flatnonzero(odd)
         if not rows.size:
             break
-        again = climb(observer, reading[rows], starts.best[rows], steps)
+        again = climb(observer, reading[rows], starts[rows], steps)
         better = np.flatnonzero(again.log_density > mode.log_density[rows])
         mode.put(rows[better], again.of(better))
         contact = observer.contact(mode.x[rows])[0]
@@ -130,48 +108,19 @@ def _from_everywhere(observer: Observer, reading: Array, start: Array, steps: in
     return mode.of(order[np.flatnonzero(np.diff(row[order], append=len(reading)))])
 
 
-def find_other(
-    observer: Observer, reading: Array, mode: Mode, starts: Starts
-) -> tuple[NDArray[np.intp], Mode]:
-    """Posteriors (n,) with a second peak that may count, and these peaks.
-
-    A climb from the highest of the coarse grid's points that is higher than its neighbours and
-    none of the best one's; or from the best point itself, in small steps, where the first climb
-    has left it behind. It may end at the peak that is known already, which does not count.
-    """
-    left = np.abs(mode.x - starts.best).max(axis=1) > LEFT
-    # What the known peak's own Gaussian says of a place is no other peak.
-    square = _square(starts.second - mode.x, mode.covariance)
-    unexplained = starts.height > mode.log_density - square / 2 + UNEXPLAINED
-    rows = np.flatnonzero(unexplained | left)
-    if not rows.size:
-        return rows, mode.of(rows)
-    start = np.where(left[:, None], starts.best, starts.second)[rows]
-    known = mode.of(rows)
-    other, _ = _climb(observer, reading[rows], start, 60, radius=0.1, known=known)
-    nearness = [_square(other.x - known.x, m.covariance) for m in (other, known)]
-    volume = [0.5 * np.linalg.slogdet(m.covariance)[1] for m in (other, known)]
-    mass = other.log_density - known.log_density + volume[0] - volume[1]
-    counts = (np.min(nearness, axis=0) > 4.0) & (mass > LEAST_SHARE)
-    return rows[counts], other.of(np.flatnonzero(counts))
-
-
-def starting_points(observer: Observer, reading: Array, places: Array | None = None) -> Starts:
+def starting_points(observer: Observer, reading: Array, places: Array | None = None) -> Array:
     """The best points of a coarse grid, or of places (n, 1) of one unknown, for readings (B, R)."""
-    grid, density, shape = _coarse(observer, places)
-    best, second = np.zeros((2, len(reading)), dtype=np.intp)
-    height = np.full(len(reading), -np.inf)
+    grid, density, _ = _coarse(observer, places)
+    best = np.zeros(len(reading), dtype=np.intp)
 
     def part(start: int) -> None:
         rows = slice(start, start + 256)
         table = density(reading[rows])
         best[rows] = table.argmax(axis=1)
         refuse_impossible(reading[rows], table.max(axis=1))
-        if len(observer.unknowns) > 1:
-            second[rows], height[rows] = _second(table, best[rows], shape)
 
     list(on_threads(part, range(0, len(reading), 256)))
-    return Starts(grid[best], grid[second], height)
+    return grid[best]
 
 
 def _coarse(
@@ -195,38 +144,6 @@ def _coarse(
     return grid, density, shape
 
 
-def _second(
-    table: Array, best: NDArray[np.intp], shape: tuple[int, ...]
-) -> tuple[NDArray[np.intp], Array]:
-    """The highest point (n,) that no neighbour beats, away from the best, and its height (n,).
-
-    Neighbours are along the first two axes; of further axes the highest value stands for all.
-    """
-    rows = np.arange(len(table))
-    full = table.reshape(len(table), *shape[:2], -1)
-    # Far quicker than a maximum along a last axis that is short.
-    flat = reduce(np.maximum, np.moveaxis(full, -1, 0))
-    padded = np.pad(flat, ((0, 0), (1, 1), (1, 1)), constant_values=-np.inf)
-    n, m = flat.shape[1:]
-    peak = np.isfinite(flat)
-    for i, j in product(range(3), repeat=2):
-        peak &= flat >= padded[:, i : i + n, j : j + m]
-    first, along = np.divmod(best // full.shape[-1], m)
-    away = np.abs(np.arange(n) - first[:, None])[:, :, None] > 1
-    away = away | (np.abs(np.arange(m) - along[:, None])[:, None, :] > 1)
-    flat = np.where(peak & away, flat, -np.inf).reshape(len(table), -1)
-    place = flat.argmax(axis=1)
-    last = full.reshape(len(table), n * m, -1)[rows, place].argmax(axis=1)
-    height = flat[rows, place]
-    height = np.where(height > table[rows, best] - SECOND, height, -np.inf)
-    return place * full.shape[-1] + last, height
-
-
-def _square(off: Array, covariance: Array) -> Array:
-    """Squares (B,) of distances (B, U) in sds."""
-    return np.asarray(np.einsum("bd,bde,be->b", off, np.linalg.inv(covariance), off))
-
-
 def _climb(
     observer: Observer,
     reading: Array,
@@ -234,13 +151,12 @@ def _climb(
     steps: int,
     *,
     radius: float = 0.5,
-    known: Mode | None = None,
     weight: float = 1.0,
 ) -> tuple[Mode, NDArray[np.bool_]]:
     """The peaks above starting points (B, U), with first steps no longer than the radius.
 
-    What has come within an sd of a known peak is left there. The likelihood counts to the power of
-    the weight. Said of each (B,) too: whether it is a peak that the climb has come to.
+    The likelihood counts to the power of the weight. Said of each (B,) too: whether it is a peak
+    that the climb has come to.
     """
     dim = start.shape[1]
     x = start.copy()
@@ -269,9 +185,6 @@ def _climb(
         # Converged to a fraction of the posterior's own width, or to rounding.
         gain = np.abs(np.einsum("bd,bd->b", step, gradient[moving]))
         moving = moving[(gain > 1e-9) & (reach[moving] > 1e-9)]
-        if known is not None:
-            there = known.of(moving)
-            moving = moving[_square(centre[moving] - there.x, there.covariance) > 1]
         if not moving.size:
             break
     values, vectors = np.linalg.eigh(hessian)

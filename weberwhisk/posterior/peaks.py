@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite
 from ..observer import Observer
 from .mode import Mode, find_mode, starting_points
-from .nodes import Nodes
 from .panels import panels_of
 from .solution import Array
 
@@ -91,18 +90,18 @@ def is_divided(observer: Observer, reading: Array) -> NDArray[np.bool_]:
 
 def over_all_peaks(
     observer: Observer, reading: Array
-) -> tuple[dict[int, Nodes], NDArray[np.bool_]]:
-    """Evenly spaced nodes over all the mass of those posteriors of which it lies apart.
+) -> tuple[dict[int, tuple[float, float]], NDArray[np.bool_]]:
+    """Mean and sd of distance, by even nodes over all mass, of posteriors of which it lies apart.
 
     By their rows; and of which of the posteriors (B,) draws of these would not tell enough: half
     of the nodes give other moments than the other half, or so little mass lies so far off that a
     sample may well do without.
     """
     rows = np.flatnonzero(is_divided(observer, reading))
-    nodes: dict[int, Nodes] = {}
+    found: dict[int, tuple[float, float]] = {}
     beyond = np.zeros(len(reading), dtype=bool)
     if not rows.size:
-        return nodes, beyond
+        return found, beyond
     for row, low, high in zip(rows, *panels_of(observer).ends(reading[rows]), strict=True):
         step = (high - low) / CELLS
         x = low + step * (np.arange(CELLS) + 0.5)
@@ -112,8 +111,8 @@ def over_all_peaks(
         (mean, sd, kurtosis), (other, width, tails) = halves
         change = max(abs(mean - other), abs(sd - width)) / max(sd, width, 1e-300)
         beyond[row] = not (change < RESOLVED and max(kurtosis, tails) < HEAVIEST)
-        nodes[int(row)] = Nodes(x[:, None], weight / weight.sum(), (CELLS,), np.array([[step]]))
-    return nodes, beyond
+        found[int(row)] = _moments(contact[:, 0], weight)[:2]
+    return found, beyond
 
 
 def _moments(r: Array, weight: Array) -> tuple[float, float, float]:

@@ -83,7 +83,8 @@ class Posterior(Shown):
     observer : Observer
     reading : array
     method : str
-        ``"quadrature"``, ``"emcee"`` or ``"laplace"``.
+        ``"quadrature"``, ``"emcee"`` or ``"laplace"``; ``"quadrature, own grid"`` where tiles, the
+        usual engine of several unknowns, would have been too many.
     estimates : mapping of name to Estimate
         Mean, sd and their errors for each unknown.
     status : Status or array of int

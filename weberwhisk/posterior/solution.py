@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .mode import Mode
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 #: A reading this many sd from the signals is improbable under the model.
 IMPROBABLE = 5.0
@@ -33,6 +34,8 @@ class Solution(NamedTuple):
     draws_of: Callable[[int, Seed], Array]
     #: Errors of the quantiles, where the method knows them.
     quantile_error_of: Callable[[Array, int], Array] | None = None
+    #: Readings (B,) that were summed on a grid of their own.
+    own_grid: NDArray[np.bool_] | None = None
 
     def of(self, rows: NDArray[np.intp]) -> Solution:
         """The same for readings some of which come again and again."""
@@ -65,6 +68,7 @@ class Solution(NamedTuple):
             lambda p, unknown: put(self.quantile_of(p, unknown)),
             lambda count, seed: put(self.draws_of(count, seed)),
             self.quantile_error_of and (lambda p, unknown: put(of_known(p, unknown))),
+            None if self.own_grid is None else put(self.own_grid.astype(float)) == 1,
         )
 
 

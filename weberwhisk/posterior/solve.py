@@ -16,7 +16,7 @@ from .._checks import one_of
 from .._display import member
 from ..observer import Observer
 from ..receptors import Seed
-from .apart import factors_of, solve_apart
+from .factors import factors_of, solve_factors
 from .result import Estimate, Posterior, Status
 from .solution import Array, Solution, of_nothing
 
@@ -121,7 +121,7 @@ def posterior(
     elif (factors := factors_of(observer)) is None:
         solution = solved(observer, rows[known])
     else:
-        solution = solve_apart(solved, observer, factors, rows[known])
+        solution = solve_factors(solved, observer, factors, rows[known])
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
@@ -134,7 +134,7 @@ def posterior(
     return Posterior(
         observer,
         y,
-        method,
+        method + _who(solution),
         {
             name: Estimate(*map(shaped, estimate))
             for name, estimate in zip(observer.unknowns, solution.estimates, strict=True)
@@ -145,6 +145,14 @@ def posterior(
         solution.draws_of,
         solution.quantile_error_of,
     )
+
+
+def _who(solution: Solution) -> str:
+    """What is to be added to the method's name: whether readings were summed by themselves."""
+    own = solution.own_grid
+    if own is None or not own.any():
+        return ""
+    return ", own grid" if own.all() else f", {own.sum()} of {len(own)} on own grids"
 
 
 def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:

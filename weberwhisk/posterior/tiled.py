@@ -21,31 +21,42 @@ LOOKED_AT = 12
 BETWEEN = 4.0
 
 
+#: Of tiles for a tolerance of some thousandths: so far below the best, in ln, that it is nothing.
+ROUGHLY = 13.0
+
+
 class Weighed(NamedTuple):
     """Pairs of a reading and a tile that has some of its mass.
 
     The reading and the tile of each pair (n,), the weights of its nodes (n, N) over the largest of
-    the reading, and ln of the largest (B,).
+    the reading, and ln of the largest (B,). Of an unknown that is summed out: values (B, L) and
+    the mass on them (B, L), its value at each reading's best node (B,), and the steps (B,) from
+    value to value on its lattice.
     """
 
     row: Index
     tile: Index
     weight: Array
     top: Array
+    last: Array | None = None
+    last_mass: Array | None = None
+    last_best: Array | None = None
+    stride: Index | None = None
 
 
 class Moments(NamedTuple):
     """Of B posteriors: mean and sd (B, U), ln of the evidence; and how well it went.
 
-    The share of the mass on the best node, which of all nodes that is, and the share on tiles that
-    are longer than they should be.
+    The share of the mass on the best node, the contact there (B, U) and its signals (B, S), and the
+    share on tiles that are longer than they should be.
     """
 
     mean: Array
     sd: Array
     log_evidence: Array
     share: Array
-    best: Index
+    contact: Array
+    signals: Array
     rough: Array
 
 
@@ -56,17 +67,19 @@ class TiledObserver:
     however far from their signals it lies.
     """
 
+    together = TOGETHER
+
     def __init__(
         self, observer: Observer, tiles: Tiles, longest: float, *, everywhere: bool = False
     ) -> None:
         self.observer, self.tiles, self.everywhere = observer, tiles, everywhere
+        self.negligible = NEGLIGIBLE if longest < 5 else ROUGHLY
         nodes = tiles.nodes
         self.count, self.dim = len(nodes.low), tiles.boxes.low.shape[1]
         self.log_weight = nodes.log_weight
-        self._at = observer.noise.prepared(nodes.signals)
         corner = list(product((1, ORDER - 2), repeat=self.dim))
-        few = np.ravel_multi_index(np.transpose(corner), (ORDER,) * self.dim)
-        self._at_few = observer.noise.prepared(nodes.signals[:, few])
+        self._few = few = np.ravel_multi_index(np.transpose(corner), (ORDER,) * self.dim)
+        self._prepare(nodes.signals)
         self._few_weight = nodes.log_weight[:, few]
         contact = np.where(np.isfinite(nodes.log_weight)[..., None], nodes.contact, 0.0)
         one = np.ones((*contact.shape[:-1], 1))
@@ -74,25 +87,29 @@ class TiledObserver:
         #: 1, the contact and its squares at each node, (T, N, 1 + 2U).
         self._powers = np.concatenate([one, contact, contact**2], axis=-1)
         self._middle = self._powers[:, few].mean(axis=1)
-        size = nodes.low.shape[1]
-        looked_at = np.unique(np.linspace(0, size - 1, LOOKED_AT).round().astype(np.intp))
-        self._low, self._high = (
-            np.ascontiguousarray(side[:, looked_at].T) for side in (nodes.low, nodes.high)
-        )
-        self._looked_at = looked_at
-        self._group_low = _grouped(self._low, np.inf).min(axis=-1)
-        self._group_high = _grouped(self._high, -np.inf).max(axis=-1)
+        size = nodes.low.shape[-1]
+        self._looked_at = np.unique(np.linspace(0, size - 1, LOOKED_AT).round().astype(np.intp))
+        self._bounds = [
+            _Bounds.of(nodes.low[:, i, self._looked_at].T, nodes.high[:, i, self._looked_at].T)
+            for i in range(nodes.low.shape[1])
+        ]
 
-    def find(self, reading: Array) -> tuple[Index, Index]:
+    def _prepare(self, signals: Array) -> None:
+        """Work out what the likelihood at nodes (T, N, S) does not owe to readings."""
+        self._at = self.observer.noise.prepared(signals)
+        self._at_few = self.observer.noise.prepared(signals[:, self._few])
+
+    def find(self, reading: Array, panel: int = 0) -> tuple[Index, Index]:
         """Pairs of a reading (B, R) and a tile from which it may come, by readings."""
         if self.everywhere:
             row, tile = np.divmod(np.arange(len(reading) * self.count), self.count)
             return row, tile
-        near = np.ones((len(reading), self._group_low.shape[1]), dtype=bool)
+        bounds = self._bounds[panel]
+        near = np.ones((len(reading), bounds.group_low.shape[1]), dtype=bool)
         for k, column in enumerate(self._looked_at):
             y = reading[:, column, None]
-            near &= self._group_low[k] <= y
-            near &= y <= self._group_high[k]
+            near &= bounds.group_low[k] <= y
+            near &= y <= bounds.group_high[k]
         row, group = np.nonzero(near)
         tile = (group[:, None] * GROUP + np.arange(GROUP)).ravel()
         row = np.repeat(row, GROUP)
@@ -100,16 +117,19 @@ class TiledObserver:
         tile = np.minimum(tile, self.count - 1)
         for k, column in enumerate(self._looked_at):
             y = reading[row, column]
-            near &= self._low[k][tile] <= y
-            near &= y <= self._high[k][tile]
+            near &= bounds.low[k][tile] <= y
+            near &= y <= bounds.high[k][tile]
         return row[near], tile[near]
 
-    def weigh(self, reading: Array) -> Weighed:
-        """The weights of the nodes for readings (B, R); a reading may have no tile."""
+    def weigh(self, reading: Array, *, whole: bool = False) -> Weighed:
+        """The weights of the nodes for readings (B, R); a reading may have no tile.
+
+        Those of no weight are 0, but not in `whole` tiles.
+        """
         row, tile = self.find(reading)
         log = self._at_few(reading[row], tile)
         log += self._few_weight[tile]
-        live = self._matters(row, tile, log, len(reading))
+        live = self._matters(row, tile, log)
         row, tile = row[live], tile[live]
         weight = self._at(reading[row], tile)
         weight += self.log_weight[tile]
@@ -119,12 +139,15 @@ class TiledObserver:
         np.exp(weight, out=weight)
         return Weighed(row, tile, weight, top)
 
-    def _matters(self, row: Index, tile: Index, log: Array, count: int) -> NDArray[np.bool_]:
+    def _matters(
+        self, row: Index, tile: Index, log: Array, below: float | None = None
+    ) -> NDArray[np.bool_]:
         """Of which pairs the mass, or what it adds to a variance, is not negligible.
 
         Told by the best of a few nodes of each.
         """
         best = log.max(axis=1)
+        count = int(row[-1]) + 1 if len(row) else 0
         top = np.full(count, -np.inf)
         np.maximum.at(top, row, best)
         weight = np.exp(best - np.where(np.isfinite(top), top, 0.0)[row])
@@ -133,11 +156,12 @@ class TiledObserver:
         first, second = np.split(sums[:, 1:] / np.maximum(sums[:, :1], 1e-300), 2, axis=1)
         variance = np.maximum(second - first**2, 1e-300)
         off = (middle[:, 1 : 1 + first.shape[1]] - first[row]) ** 2 / variance[row]
-        return np.asarray(best + np.log1p(off.max(axis=1)) > top[row] - NEGLIGIBLE)
+        return np.asarray(best + np.log1p(off.max(axis=1)) > top[row] - (below or self.negligible))
 
     def moments(self, reading: Array) -> Moments:
         """Moments of the contact for readings (B, R); NaN where no tile has mass."""
-        parts = [self._moments(reading[i : i + TOGETHER]) for i in range(0, len(reading), TOGETHER)]
+        size = self.together
+        parts = [self._moments(reading[i : i + size]) for i in range(0, len(reading), size)]
         return Moments._make(np.concatenate(column) for column in zip(*parts, strict=True))
 
     def _moments(self, reading: Array) -> Moments:
@@ -152,12 +176,54 @@ class TiledObserver:
             share = 1 / sums[:, 0]
             rough = np.where(self._rough[weighed.tile], of_tiles[:, 0], 0.0)
             rough = summed(rough, weighed.row, len(reading)) / sums[:, 0]
-        best = np.zeros(len(reading), dtype=np.intp)
+        best = np.zeros((2, len(reading)), dtype=np.intp)
         pair, node = np.nonzero(weighed.weight == 1.0)
-        best[weighed.row[pair]] = weighed.tile[pair] * self.log_weight.shape[1] + node
-        return Moments(
-            mean, np.sqrt(np.maximum(square - mean**2, 0)), log_evidence, share, best, rough
-        )
+        best[:, weighed.row[pair]] = weighed.tile[pair], node
+        sd = np.sqrt(np.maximum(square - mean**2, 0))
+        contact, signals = self._at_best(best[0], best[1], weighed)
+        if weighed.last is not None and weighed.last_mass is not None:
+            first, second = last_moments(weighed.last, weighed.last_mass)
+            mean, sd = np.column_stack([mean, first]), np.column_stack([sd, second])
+        return Moments(mean, sd, log_evidence, share, contact, signals, rough)
+
+    def _at_best(self, tile: Index, node: Index, weighed: Weighed) -> tuple[Array, Array]:
+        """Contacts and signals at nodes (B,) of tiles (B,)."""
+        if not self.count:
+            none = np.full((len(tile), len(self.observer.cue.signal_names)), np.nan)
+            return np.full((len(tile), self.dim), np.nan), none
+        nodes = self.tiles.nodes
+        return nodes.contact[tile, node], nodes.signals[tile, node]
+
+    def last_quantiles(self, reading: Array, probability: Array) -> tuple[Array, Array]:
+        """Quantiles (B, Q) of an unknown that is summed out, and their errors."""
+        raise NotImplementedError
+
+    def completed(self, reading: Array, x: Array, rng: np.random.Generator) -> Array:
+        """Contacts (B, n, U) at coordinates (B, n, d) drawn for readings (B, R)."""
+        return self.observer.contact(x)[0]
+
+
+class _Bounds(NamedTuple):
+    """Between which readings tiles (R, T), and groups of them (R, G), make plausible lie."""
+
+    low: Array
+    high: Array
+    group_low: Array
+    group_high: Array
+
+    @classmethod
+    def of(cls, low: Array, high: Array) -> _Bounds:
+        low, high = np.ascontiguousarray(low), np.ascontiguousarray(high)
+        groups = _grouped(low, np.inf).min(axis=-1), _grouped(high, -np.inf).max(axis=-1)
+        return cls(low, high, *groups)
+
+
+def last_moments(value: Array, mass: Array) -> tuple[Array, Array]:
+    """Mean and sd (B,) of values (B, L) that have masses (B, L)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = mass / mass.sum(axis=1, keepdims=True)
+    mean = (share * value).sum(axis=1)
+    return mean, np.sqrt((share * np.square(value - mean[:, None])).sum(axis=1))
 
 
 def summed(values: Array, row: Index, count: int) -> Array:

@@ -20,8 +20,8 @@ from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from ..mechanics.contact import Outcome
 from ..observer import Observer
+from .likelihood import Likelihood, likelihood_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -78,10 +78,10 @@ class Boxes(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """What is known at the nodes of boxes: (n, N, U), (n, N), (n, N, S), and the boxes' readings.
+    """What is known at the nodes of boxes: (n, N, d), (n, N), (n, N, …), and the boxes' readings.
 
-    `log_weight` is ln of prior and rule; `low` and `high` (n, R) bound the readings that a box
-    makes plausible; `lengths` (n, d) are those of the boxes, in sd; `kink` (n,) says which
+    `log_weight` is ln of prior and rule; `low` and `high` (n, panels, R) bound the readings that a
+    box makes plausible; `lengths` (n, d) are those of the boxes, in sd; `kink` (n,) says which
     have one, and `bent` (n, d) along which axes the signals are no polynomial.
     """
 
@@ -124,7 +124,7 @@ def tiles_of(
         Longest tile, in sd.
     reading : array, shape (B, R), optional
     most : int, optional
-        Most boxes: 120 000 in two dimensions, 20 000 in three.
+        Most boxes; by default what the likelihood says.
     everywhere : bool
         Look for readings far from all contacts, too.
     deep : bool
@@ -135,7 +135,8 @@ def tiles_of(
     TooManyTiles
         Where it would take more.
     """
-    total, most = trunk_mass(observer), most or 720_000 // ORDER ** (len(observer.unknowns) - 1)
+    total, likelihood = trunk_mass(observer), likelihood_of(observer)
+    most = most or likelihood.most
     deep = deep and reading is not None
     rough = DEEP if deep else ROUGH - np.log(expected_tiles(observer, length))
     best = None if reading is None else np.full(len(reading), -np.inf)
@@ -207,8 +208,8 @@ def _split(boxes: Boxes, parts: Index) -> Boxes:
 @lru_cache(maxsize=64)
 def _trunk(observer: Observer) -> Tiles:
     """The first boxes, of those whose prior is not nothing, and what is known at their nodes."""
-    dim, bounded = len(observer.unknowns), observer.bounded
-    steps = (0.5, 1.0) if dim == 2 else (1.0, 1.5)
+    dim, bounded = likelihood_of(observer).dim, observer.bounded
+    steps = (0.5, 1.0) if dim == len(observer.unknowns) == 2 else (1.0, 1.5)
     r_edges = np.linspace(-4.0, 4.2, round(8.2 / steps[0]) + 1)
     axes = [r_edges]
     if bounded > 1:
@@ -243,6 +244,14 @@ def _trunk(observer: Observer) -> Tiles:
     )
 
 
+def prior_box(observer: Observer) -> tuple[Array, Array]:
+    """Ends (U,) of the coordinates between which the prior is not nothing."""
+    boxes = _trunk(observer).boxes
+    further = [6.0] * (len(observer.unknowns) - boxes.low.shape[1])
+    low, high = boxes.low.min(axis=0), boxes.high.max(axis=0)
+    return np.append(low, np.negative(further)), np.append(high, further)
+
+
 @lru_cache(maxsize=64)
 def trunk_mass(observer: Observer) -> float:
     """ln of the prior's integral, about."""
@@ -273,35 +282,46 @@ def _prior_weight(observer: Observer, boxes: Boxes) -> Array:
 
 def measured(observer: Observer, boxes: Boxes) -> Nodes:
     """What is known at the nodes of boxes, and how long the boxes are."""
-    rule = Rule.of(boxes.low.shape[1])
+    rule, likelihood = Rule.of(boxes.low.shape[1]), likelihood_of(observer)
     contact, log_prior = observer.contact(_points(boxes))
     log_weight = log_prior + rule.log_weight + np.log(boxes.high - boxes.low).sum(axis=1)[:, None]
-    signals, outcome = observer.signals(contact)
-    held = (outcome == Outcome.HELD) & (log_weight > -np.inf)
-    signals = np.where(held[..., None], signals, 1.0)
+    signals, held = likelihood.signals(contact)
+    held &= log_weight > -np.inf
     log_weight = np.where(held, log_weight, -np.inf)
-    mean = np.where(held[..., None], observer.noise.mean(signals), np.nan)
-    low, high = observer.noise.interval(signals, WINDOW)
-    low = np.where(held[..., None], low, np.inf).min(axis=1)
-    high = np.where(held[..., None], high, -np.inf).max(axis=1)
-    # The nodes end before the box does: by less than half of what the signals do between two.
-    shape = (len(boxes.low), *(ORDER,) * boxes.low.shape[1], -1)
-    beyond = np.zeros_like(low)
-    for axis in range(1, len(shape) - 1):
-        step = np.abs(np.diff(mean.reshape(shape), axis=axis)).reshape(len(low), -1, low.shape[1])
-        beyond = np.maximum(beyond, 0.5 * np.where(np.isnan(step), 0.0, step).max(axis=1))
-    some = held.any(axis=1)
-    lengths = _lengths(observer, contact, signals, held)
-    # Of a box that is partly without contacts the nodes do not say all.
-    partly = some & ~held.all(axis=1)
-    low[partly], high[partly] = -np.inf, np.inf
-    beyond[partly] = 0.0
+    low, high = _bounds(likelihood, signals, held)
+    views = likelihood.views(signals)
+    seen = views[0][0]
+    partly = held.any(axis=1) & ~held.all(axis=1)
     # A kink or an edge within the box is closed in, as far as there is mass to speak of.
-    blind = np.asarray(observer.noise.uninformative(signals)).reshape(*held.shape, -1)
+    blind = np.asarray(observer.noise.uninformative(seen)).reshape(*held.shape, -1)
     mixed = np.logical_and(blind.any(axis=1), ~blind.all(axis=1))
     kink = np.asarray(partly | np.any(mixed, axis=1))
-    bent = _bent(observer, signals, held)
-    return Nodes(contact, log_weight, signals, low - beyond, high + beyond, lengths, kink, bent)
+    score = prior_scores(observer, contact)
+    lengths = np.max([_lengths(observer, score, *view, held) for view in views], axis=0)
+    bent = _bent(observer, seen, held)
+    return Nodes(contact, log_weight, signals, low, high, lengths, kink, bent)
+
+
+def _bounds(likelihood: Likelihood, signals: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Between which readings (n, panels, R) boxes make plausible lie."""
+    low, high = likelihood.interval(signals, WINDOW)
+    known = held[..., None, None]
+    # The nodes end before the box does: by less than half of what the signals do between two.
+    dim = likelihood.dim
+    found = []
+    for ends, sign in ((low, -1), (high, 1)):
+        ends = np.where(known, ends, np.nan)
+        grid = ends.reshape(len(ends), *(ORDER,) * dim, *ends.shape[2:])
+        beyond = np.zeros((len(ends), *ends.shape[2:]))
+        for axis in range(1, dim + 1):
+            step = np.abs(np.diff(grid, axis=axis)).reshape(len(ends), -1, *ends.shape[2:])
+            beyond = np.maximum(beyond, 0.5 * np.where(np.isnan(step), 0.0, step).max(axis=1))
+        end = sign * np.where(known, sign * ends, -np.inf).max(axis=1)
+        found.append(end + sign * beyond)
+    # Of a box that is partly without contacts the nodes do not say all.
+    partly = held.any(axis=1) & ~held.all(axis=1)
+    found[0][partly], found[1][partly] = -np.inf, np.inf
+    return found[0], found[1]
 
 
 def _bent(
@@ -322,14 +342,25 @@ def _bent(
     return out
 
 
-def _lengths(observer: Observer, contact: Array, signals: Array, held: NDArray[np.bool_]) -> Array:
+def _lengths(
+    observer: Observer,
+    score: Array,
+    signals: Array,
+    slope: Array | None,
+    held: NDArray[np.bool_],
+) -> Array:
     """Lengths (n, d) of boxes: what a reading and the prior tell along each axis, in sd.
 
-    And 4 for each factor of e in the noise, which bends the density.
+    And 4 for each factor of e in the noise, which bends the density. With the slopes (n, N, S) of
+    an unknown that is summed out, what is left to tell where that is not known (Schur complement).
     """
-    count, dim = len(contact), contact.shape[-1]
+    count, dim = len(score), score.shape[-1]
     shape = (count, *(ORDER,) * dim)
-    score = prior_scores(observer, contact).reshape(*shape, -1)
+    score = score.reshape(*shape, -1)
+    if slope is not None:
+        noisier = [np.log(observer.noise.resolution(signals + h * slope)[1]) for h in (1e-3, -1e-3)]
+        tilt = ((noisier[0] - noisier[1]) / 2e-3).reshape(*shape, -1)
+        slope = slope.reshape(*shape, -1)
     spread = np.log(observer.noise.resolution(signals)[1]).reshape(*shape, -1)
     signals, held = signals.reshape(*shape, -1), held.reshape(shape)
     out = np.empty((count, dim))
@@ -343,8 +374,15 @@ def _lengths(observer: Observer, contact: Array, signals: Array, held: NDArray[n
         step = np.where(both[..., None], s[a] - s[b], 0.0)
         told = observer.noise.fisher((s[a] + s[b]) / 2)
         square = np.einsum("...i,...ij,...j->...", step, told, step)
+        bend = w[a] - w[b]
+        if slope is not None:
+            d = (slope[own][a] + slope[own][b]) / 2
+            of_last = (told @ d[..., None])[..., 0]
+            move = (of_last * step).sum(axis=-1) / (1 + (of_last * d).sum(axis=-1))
+            square = np.maximum(square - move * (of_last * step).sum(axis=-1), 0.0)
+            bend = bend - move[..., None] * (tilt[own][a] + tilt[own][b]) / 2
         square = np.where(both, square, 0.0) + np.square(z[a] - z[b]).sum(axis=-1)
-        bend = np.where(both, np.abs(w[a] - w[b]).max(axis=-1), 0.0)
+        bend = np.where(both, np.abs(bend).max(axis=-1), 0.0)
         length = (np.sqrt(square) + 4 * bend).sum(axis=axis + 1)
         out[:, axis] = length.reshape(count, -1).max(axis=1)
     ends = Rule.of(1).points
@@ -359,7 +397,7 @@ def _along(axis: int, cut: slice, dim: int) -> tuple[slice, ...]:
 def prior_scores(observer: Observer, contact: Array) -> Array:
     """How far up its prior each unknown is, as standard normal scores (..., U) within ±9."""
     out = np.empty(contact.shape)
-    for i, name in enumerate(observer.unknowns):
+    for i, name in enumerate(observer.unknowns[: contact.shape[-1]]):
         value = contact[..., i]
         if name in observer.prior and hasattr(observer.prior[name], "sf"):
             below, above = observer.prior[name].cdf(value), observer.prior[name].sf(value)
@@ -385,15 +423,17 @@ def _followed(
     A peak between the nodes may be higher than they are by what half the distance to the next of
     them, in sd, says.
     """
-    near = ((nodes.low <= reading[:, None]) & (reading[:, None] <= nodes.high)).all(axis=-1)
+    y = reading[:, None, None]
+    near = ((nodes.low <= y) & (y <= nodes.high)).all(axis=-1).any(axis=-1)
     row, box = np.nonzero(near | everywhere)
+    likelihood = likelihood_of(observer)
     out = np.zeros(len(nodes.low), dtype=bool)
     step = max(1, 400_000 // nodes.log_weight.shape[1])
     widest = np.diff(Rule.of(1).points[:, 0]).max()
     unseen = 0.5 * np.square(np.minimum(nodes.lengths, 1e6) * widest / 2).sum(axis=1)
     for i in range(0, len(row), step):
         r, b = row[i : i + step], box[i : i + step]
-        log = observer.noise.log_likelihood(reading[r, None], nodes.signals[b])
+        log = likelihood.log_likelihood(reading[r], nodes.signals[b])
         top = (log + nodes.log_weight[b]).max(axis=1)
         np.maximum.at(best, r, top)
         out[b[top + unseen[b] > best[r] - NEGLIGIBLE - SAFE]] = True

@@ -1,0 +1,300 @@
+"""A last unknown with a prior of its own, summed out at every contact of the others.
+
+At a given contact the density of a stiffness, a side or a friction is one narrow bump that moves
+from contact to contact along a ridge: boxes of all unknowns together would be as narrow as the
+bump. So tiles are of the other unknowns, as long as what a reading tells of *them*, and the last
+is summed at each node by the trapezoid rule over a few points about its bump. Points lie on one
+lattice of the unknown's normal coordinate, on which signals are known beforehand: as functions of
+it they are combinations of a few (of one, where they are all in proportion to it).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from ..mechanics.contact import Outcome
+from ..observer import Observer
+from .solution import Array, Index
+
+
+class Peak(NamedTuple):
+    """Bumps (m, N): where on the lattice, how wide, how high in ln, and how far they reach."""
+
+    place: Index
+    width: Array
+    height: Array
+    reach: Array
+
+
+class NotSmooth(Exception):
+    """Signals that are no combination of few smooth functions of the last unknown."""
+
+
+class Lattice:
+    """The signals of an observer as functions of its last unknown, on a lattice of its coordinate.
+
+    Raises
+    ------
+    NotSmooth
+        Where contacts are lost, or signals bend, within four sds of the prior.
+    """
+
+    def __init__(self, observer: Observer, *, samples: int = 25, most: int = 10) -> None:
+        self.observer = observer
+        x = observer.space.spread(1 / (1 + np.exp(-np.linspace(-6, 5, 17))), others=5)[:, :-1]
+        contact = observer.contact(np.unique(x, axis=0))[0]
+        nodes = np.cos(np.pi * (np.arange(samples) + 0.5) / samples)
+        between = np.cos(np.pi * np.arange(1, samples) / samples)
+        for reach in (6.0, 5.0, 4.0):
+            self.reach = reach
+            own, held = self._signals(contact, reach * nodes)
+            other, also = self._signals(contact, reach * between)
+            known = held[:, samples // 2]
+            if known.any() and (held & also.all(axis=1, keepdims=True))[known].all():
+                break
+        else:
+            raise NotSmooth
+        own, other = own[known], other[known]
+        fit = np.linalg.inv(chebyshev.chebvander(nodes, samples - 1))
+        rows = own.swapaxes(1, 2).reshape(-1, samples)
+        size = np.abs(rows).max(axis=1, keepdims=True)
+        _, _, shapes = np.linalg.svd(rows / np.where(size > 0, size, 1.0), full_matrices=False)
+        unit = [self._resolution(s) for s in (own, other)]
+        for count in range(1, most + 1):
+            self._shape = fit @ shapes[:count].T
+            self.taken = reach * np.cos(np.pi * (np.arange(2 * count + 1) + 0.5) / (2 * count + 1))
+            self._solve = np.linalg.pinv(self.basis(self.taken)).T
+            parts = rows.reshape(len(own), -1, samples) @ shapes[:count].T
+            off = [
+                np.abs(np.einsum("nsd,jd->njs", parts, self.basis(reach * z)) - s) * u
+                for z, s, u in ((nodes, own, unit[0]), (between, other, unit[1]))
+            ]
+            if max(o.max() for o in off) < 3e-3:
+                break
+        else:
+            raise NotSmooth
+        self._lay(parts)
+
+    def _signals(self, contact: Array, z: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Signals (n, J, S) and whether contacts are held, at coordinates z (J,)."""
+        felt = self.observer.given(contact)
+        pairs = [felt(np.full(len(contact), v)) for v in self.observer.last_unknown(z)]
+        signals = np.stack([s for s, _ in pairs], axis=1)
+        held = np.stack([o == Outcome.HELD for _, o in pairs], axis=1)
+        return np.where(held[..., None], signals, 1.0), held
+
+    def _resolution(self, signals: Array) -> Array:
+        told = np.diagonal(self.observer.noise.fisher(signals), axis1=-2, axis2=-1)
+        return np.sqrt(np.where(np.isfinite(told), np.maximum(told, 0.0), 0.0))
+
+    def basis(self, z: Array) -> Array:
+        """The functions (..., D) of which signals are combinations."""
+        terms = chebyshev.chebvander(np.ravel(z) / self.reach, len(self._shape) - 1)
+        return np.asarray(terms @ self._shape).reshape(*np.shape(z), -1)
+
+    def _lay(self, parts: Array, *, points: int = 8, most: int = 20_000) -> None:
+        """The lattice, so many points to the narrowest bump; parts (n, S, D) are of contacts.
+
+        Beyond either end there is a point of no mass.
+        """
+        width = min(float(self.widths(parts, z).min()) for z in (-2.0, 0.0, 2.0))
+        self.half = int(min(np.ceil(self.reach * points / width), most))
+        self.step = self.reach / self.half
+        self.z = self.step * np.arange(-self.half - 1, self.half + 2)
+        inside = np.clip(self.z, -self.reach, self.reach)
+        self.value, self.functions = self.observer.last_unknown(inside), self.basis(inside)
+        self.log_prior = -0.5 * (self.z**2 + np.log(2 * np.pi))
+        self.log_prior[[0, -1]] = -np.inf
+        self._find_quadratic()
+
+    def _find_quadratic(self) -> None:
+        """Where all signals are in proportion to one function of the last unknown, φ.
+
+        Readings of c times the signals being c times as large, p(y | φs) = φ⁻ᴿ p(y/φ | s): ln of it
+        is a quadratic function of 1/φ for noise that is Gaussian, of ln φ where logarithms are.
+        """
+        noise, size = self.observer.noise, len(self.observer.cue.signal_names)
+        self.quadratic = self.functions.shape[1] == 1 and noise.is_scale_family
+        self.quadratic &= noise.gaussian_on is not None
+        if self.quadratic:
+            middle = self.functions[self.half + 1, 0]
+            phi = self.functions[:, 0] / middle
+            logs = noise.gaussian_on == "log"
+            self.unit = np.array([middle])
+            self.place = np.log(phi) if logs else 1 / phi
+            self.scales = np.exp([0.0, -1.0, 1.0]) if logs else np.array([0.0, 1.0, -1.0])
+            self.constant = self.log_prior - noise.reading_size(size) * np.log(phi)
+
+    def widths(self, parts: Array, z: float) -> Array:
+        """Widths (...) of the bump at z, by prior and Fisher information; parts (..., S, D)."""
+        signals, slope = parts @ self.basis(np.array(z)), parts @ self.slope(z)
+        told = np.einsum("...i,...ij,...j->...", slope, self.observer.noise.fisher(signals), slope)
+        return np.asarray((1.0 + np.nan_to_num(np.maximum(told, 0.0), posinf=0.0)) ** -0.5)
+
+    def slope(self, z: float) -> Array:
+        """d basis/dz, (D,)."""
+        ends = self.basis(np.array([z + 1e-5, z - 1e-5]))
+        return np.asarray((ends[0] - ends[1]) / 2e-5)
+
+    def at(self, index: Index) -> Index:
+        """Indices of the lattice, those beyond it at its ends."""
+        if index.size and index.min() >= 0 and index.max() <= 2 * self.half + 2:
+            return index
+        return np.clip(index, 0, 2 * self.half + 2)
+
+
+class Curve:
+    """ln of the density of the last unknown, at indices of the lattice.
+
+    For readings (m, R) and nodes (m, N, S, D).
+    """
+
+    def __init__(self, lattice: Lattice, reading: Array, parts: Array) -> None:
+        self.lattice, self.reading, self.parts = lattice, reading, parts
+
+    def __call__(self, index: Index) -> Array:
+        """At indices (m, N, K)."""
+        return self._of(self.reading[:, None, None], self.parts, index)
+
+    def at(self, pair: Index, node: Index, index: Index) -> Array:
+        """At indices (n, K) of pairs (n,) and their nodes (n,)."""
+        return self._of(self.reading[pair, None], self.parts[pair, node], index)
+
+    def _of(self, reading: Array, parts: Array, index: Index) -> Array:
+        signals = self.lattice.functions[index] @ parts.swapaxes(-1, -2)
+        log = self.lattice.observer.noise.log_likelihood(reading, signals)
+        return np.asarray(log + self.lattice.log_prior[index])
+
+
+class Quadratic(Curve):
+    """The same where that is quadratic, from ln p(c y | signals) (m, N) at the three scales c."""
+
+    def __init__(self, lattice: Lattice, middle: Array, one: Array, other: Array) -> None:
+        self.lattice, self.middle = lattice, middle
+        self.first, self.second = (one - other) / 2, (one + other) / 2 - middle
+
+    def __call__(self, index: Index) -> Array:
+        return self._sum(self.middle, self.first, self.second, index)
+
+    def at(self, pair: Index, node: Index, index: Index) -> Array:
+        at = pair, node
+        return self._sum(self.middle[at], self.first[at], self.second[at], index)
+
+    def _sum(self, middle: Array, first: Array, second: Array, index: Index) -> Array:
+        t = self.lattice.place[index]
+        out = second[..., None] * t
+        out += first[..., None]
+        out *= t
+        out += self.lattice.constant[index]
+        out += middle[..., None]
+        return np.asarray(out)
+
+
+class LastSummed:
+    """What tiles ask of an observer's contacts, the last unknown being summed out.
+
+    Nodes have the `parts` (..., S, D) of their signals. `panels` are so many parts of the range of
+    the last unknown, of each of which a box says what readings it makes plausible.
+    """
+
+    panels = 8
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.noise = observer, observer.noise
+        self.dim = len(observer.unknowns) - 1
+        #: Most boxes, beyond which a plain grid is quicker.
+        self.most = 24_000 // 4 ** (self.dim - 1)
+        self.lattice = Lattice(observer)
+
+    def signals(self, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The parts (..., S, D) of the signals of contacts (..., U − 1), and which are held."""
+        lattice, flat = self.lattice, contact.reshape(-1, self.dim)
+        taken, held = lattice._signals(flat, lattice.taken)
+        parts = np.einsum("njs,jd->nsd", taken, lattice._solve)
+        shape = contact.shape[:-1]
+        return parts.reshape(*shape, *parts.shape[1:]), np.all(held, axis=1).reshape(shape)
+
+    def views(self, parts: Array) -> list[tuple[Array, Array | None]]:
+        """Signals (..., S) at three places of the last unknown, and their slopes."""
+        lattice = self.lattice
+        return [
+            (parts @ lattice.basis(np.array(z)), parts @ lattice.slope(z)) for z in (0.0, -2.0, 2.0)
+        ]
+
+    def interval(self, parts: Array, width: float) -> tuple[Array, Array]:
+        """Between which readings (..., panels, R) lie, of each panel."""
+        ends = self.lattice.basis(np.linspace(-1, 1, 2 * self.panels + 1) * self.lattice.reach)
+        signals = np.einsum("...sd,ed->...es", parts, ends)
+        low, high = self.noise.interval(signals, width)
+        cut = [slice(i, i + 2 * self.panels - 1 + (i > 1), 2) for i in range(3)]
+        low = np.minimum.reduce([low[..., c, :] for c in cut])
+        return low, np.maximum.reduce([high[..., c, :] for c in cut])
+
+    def curve(self, reading: Array, parts: Array) -> Curve:
+        """ln of the density of the last unknown, for readings (m, R) and nodes (m, N, S, D)."""
+        if self.lattice.quadratic:
+            signals = parts @ self.lattice.unit
+            scales = self.lattice.scales
+            told = (self.noise.log_likelihood(c * reading[:, None], signals) for c in scales)
+            return Quadratic(self.lattice, *told)
+        return Curve(self.lattice, reading, parts)
+
+    def search(self, curve: Curve, low: Index, high: Index, width: Array, count: int) -> Peak:
+        """The bumps of curves (m, N) between panels (m,), about as wide as (m,).
+
+        Told by samples of each, from the best of which Newton's method goes on. A second bump that
+        counts is within reach.
+        """
+        lattice, samples = self.lattice, 6
+        size = 2 * lattice.half / self.panels
+        share = (np.arange(samples) + 0.5) / samples
+        at = 1 + size * (low[:, None] + (high + 1 - low)[:, None] * share)
+        seen = np.broadcast_to(at.astype(np.intp)[:, None], (len(low), count, samples))
+        log = curve(seen)
+        index = np.take_along_axis(seen, log.argmax(axis=-1)[..., None], axis=-1)[..., 0]
+        # Of bumps narrower than samples are apart, closer samples about the best.
+        apart = size * (high + 1 - low) / samples
+        about = np.linspace(-1, 1, 9)
+        while (apart > 2 * width / lattice.step).any():
+            closer = lattice.at((index[..., None] + apart[:, None, None] * about).astype(np.intp))
+            best = curve(closer).argmax(axis=-1)[..., None]
+            index, apart = np.take_along_axis(closer, best, axis=-1)[..., 0], apart / 4
+        peak = self.climb(curve, index, width, 3)
+        far = np.abs(seen - peak.place[..., None]) * lattice.step
+        far = np.where(log > peak.height[..., None] - 12, far, 0.0).max(axis=-1)
+        return peak._replace(reach=np.maximum(peak.reach, far + 2 * peak.width))
+
+    def climb(self, curve: Curve, index: Index, width: Array, steps: int) -> Peak:
+        """The bumps (m, N) near indices, about as wide as (m,), by Newton's method."""
+        lattice = self.lattice
+        stride = np.maximum(1, (0.7 * width / lattice.step).astype(np.intp))[:, None]
+        three = stride[..., None] * np.arange(-1, 2)
+        for _ in range(steps):
+            index = np.minimum(np.maximum(index, 1 + stride), 2 * lattice.half + 1 - stride)
+            log = curve(index[..., None] + three)
+            below, middle, above = log[..., 0], log[..., 1], log[..., 2]
+            with np.errstate(invalid="ignore"):
+                rise, bend = (above - below) / 2, 2 * middle - below - above
+            if not np.isfinite(rise).all():
+                rise, bend = np.nan_to_num(rise, posinf=9, neginf=-9), np.nan_to_num(bend, nan=1.0)
+            bend = np.minimum(np.maximum(bend, 0.02), 50.0)
+            move = np.minimum(np.maximum(rise / bend, -4.0), 4.0)
+            index = index + np.rint(move * stride).astype(np.intp)
+        found = np.minimum(stride * lattice.step * bend**-0.5, 1.0)
+        return Peak(index, found, np.maximum(middle, middle + rise * move / 2), 5 * found)
+
+    def log_likelihood(self, reading: Array, parts: Array) -> Array:
+        """ln p(reading | the other unknowns), (m, N), about: of bumps taken for Gaussian."""
+        m, count = parts.shape[:2]
+        low = np.zeros(m, dtype=np.intp)
+        width = self.widths(parts).min(axis=1)
+        peak = self.search(self.curve(reading, parts), low, low + self.panels - 1, width, count)
+        return np.asarray(peak.height + np.log(peak.width) + 0.5 * np.log(2 * np.pi))
+
+    def widths(self, parts: Array) -> Array:
+        """The least of the bumps' widths (...) at three places."""
+        return np.minimum.reduce([self.lattice.widths(parts, z) for z in (0.0, -2.0, 2.0)])

@@ -1,0 +1,269 @@
+"""Posteriors summed over tiles of all unknowns but the last, which is summed at every node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from ..mechanics.contact import Outcome
+from .solution import Array, Index
+from .summed import Curve, LastSummed, Peak, Quadratic
+from .tiled import TiledObserver, Weighed
+from .tiling import ORDER, Rule
+
+
+class SummedTiles(TiledObserver):
+    """As `TiledObserver`, for the nodes of `LastSummed`."""
+
+    together = 32
+
+    def __init__(self, likelihood: LastSummed, *args: object, **kwargs: object) -> None:
+        self.likelihood = likelihood
+        super().__init__(likelihood.observer, *args, **kwargs)  # type: ignore[arg-type]
+
+    def _prepare(self, signals: Array) -> None:
+        likelihood, lattice = self.likelihood, self.likelihood.lattice
+        self._parts = signals
+        self._centre = np.array([(ORDER**self.dim + ORDER ** (self.dim - 1)) // 2])
+        self._width = likelihood.widths(signals[:, self._centre])[:, 0]
+        if lattice.quadratic:
+            unit = signals @ lattice.unit
+            prepared = self.observer.noise.prepared
+            self._at_all = {key: prepared(unit[:, nodes]) for key, nodes in self._sets().items()}
+        # Linear between the few nodes along each axis, and on to the tile's ends.
+        x = Rule.of(1).points[:, 0]
+        part = (x - x[1]) / (x[ORDER - 2] - x[1])
+        line = np.stack([1 - part, part])
+        self._between = line
+        for _ in range(self.dim - 1):
+            self._between = np.kron(self._between, line)
+        self._bulge = np.ones(1)
+        for _ in range(self.dim):
+            self._bulge = np.kron(self._bulge, 1 - ((2 * x - 1) / (1 - 2 * x[1])) ** 2)
+
+    def _sets(self) -> dict[str, Index]:
+        every = np.arange(ORDER**self.dim)
+        return {"centre": self._centre, "few": self._few, "all": every}
+
+    def _curve(self, reading: Array, tile: Index, nodes: str) -> Curve:
+        """Curves (n, N) of pairs of a reading (n, R) and a tile: its centre, few or all nodes."""
+        if not self.likelihood.lattice.quadratic:
+            parts = self._parts[tile]
+            parts = parts if nodes == "all" else parts[:, self._sets()[nodes]]
+            return self.likelihood.curve(reading, parts)
+        at = self._at_all[nodes]
+        lattice = self.likelihood.lattice
+        return Quadratic(lattice, *(at(c * reading, tile) for c in lattice.scales))
+
+    def found(self, reading: Array) -> tuple[Index, Index, Index, Index]:
+        """Pairs of a reading (B, R) and a tile, and the first and the last panel of each."""
+        panels = self.likelihood.panels
+        first = np.full((len(reading), self.count), panels, dtype=np.int16)
+        last = np.full_like(first, -1)
+        for panel in range(panels):
+            pair = self.find(reading, panel)
+            first[pair] = np.minimum(first[pair], panel)
+            last[pair] = panel
+        row, tile = np.nonzero(last >= 0)
+        return row, tile, first[row, tile].astype(np.intp), last[row, tile].astype(np.intp)
+
+    def weigh(self, reading: Array, *, whole: bool = False, most: int = 4) -> Weighed:
+        likelihood, lattice = self.likelihood, self.likelihood.lattice
+        row, tile, low, high = self.found(reading)
+        curve = self._curve(reading[row], tile, "centre")
+        first = likelihood.search(curve, low, high, self._width[tile], 1)
+        centre = (first.height + np.log(first.width))[:, 0]
+        log = centre[:, None] + self.log_weight[tile][:, self._centre]
+        # The best place of a tile is up to four sds from its centre.
+        live = self._matters(row, tile, log, self.negligible + 8.0)
+        row, tile, centre = row[live], tile[live], centre[live]
+        first = Peak._make(column[live] for column in first)
+        curve = self._curve(reading[row], tile, "few")
+        start = np.repeat(first.place, len(self._few), axis=1)
+        peak = likelihood.climb(curve, start, self._width[tile], 3)
+        peak = peak._replace(reach=np.maximum(peak.reach, first.reach))
+        ends = peak.height + np.log(peak.width)
+        log = ends + self._few_weight[tile]
+        live = self._matters(row, tile, log)
+        row, tile, log, ends, centre = (c[live] for c in (row, tile, log, ends, centre))
+        index, width, _, reach = (column[live] for column in peak)
+        # One stride for each reading: 1.2 of its narrowest bumps, at which sums are exact to 1e-6.
+        best = np.full(len(reading), -np.inf)
+        np.maximum.at(best, row, log.max(axis=1, initial=-np.inf))
+        narrow = np.where(log > best[row, None] - 8, width, np.inf).min(axis=1, initial=np.inf)
+        narrowest = np.full(len(reading), lattice.reach)
+        np.minimum.at(narrowest, row, narrow)
+        stride = np.maximum((1.2 * narrowest / lattice.step).astype(np.intp), 1)
+        # Nodes of no weight, as told by what is between the few and the centre, are left out, but
+        # not where the density along a tile is asked for.
+        about = ends @ self._between + (centre - ends.mean(axis=1))[:, None] * self._bulge
+        about += self.log_weight[tile]
+        pair, node = np.nonzero((about > best[row, None] - self.negligible) | whole)
+        points = np.ceil(reach.max(axis=1, initial=0.0) / (stride[row] * lattice.step)).astype(int)
+        middle = np.einsum("pc,cp->p", index[pair], self._between[:, node])
+        step = np.rint((middle - lattice.half - 1) / stride[row[pair]]).astype(np.intp)
+        curve = self._curve(reading[row], tile, "all")
+        return self._summed(row, tile, stride, pair, node, step, points[pair], curve.at, most)
+
+    def _summed(
+        self,
+        row: Index,
+        tile: Index,
+        stride: Index,
+        pair: Index,
+        node: Index,
+        centre: Index,
+        points: Index,
+        curve: Callable[[Index, Index, Index], Array],
+        most: int,
+        *,
+        lost: float = 1e-6,
+    ) -> Weighed:
+        """The sums at nodes of pairs (m,), so many points to either side of their centres.
+
+        And again with twice as many where a share that is `lost` beyond the last may count.
+        """
+        lattice, count = self.likelihood.lattice, len(stride)
+        whose, own = row[pair], stride[row[pair]]
+        weight_of = self.log_weight[tile[pair], node]
+        logs = np.full(len(pair), -np.inf)
+        top = np.full(count, -np.inf)
+        size = 2 * (int(np.ceil(lattice.half / stride.min())) + 1) + 1
+        kept: list[tuple[Index, Array, Array]] = []
+        left: Index = np.arange(len(pair))
+        first: Index = centre * own + (lattice.half + 1)
+        for attempt in range(most):
+            again: list[Index] = []
+            for some in _blocks(left, points):
+                about: Index = np.arange(-points[some[0]], points[some[0]] + 1)
+                steps = first[some, None] + about * own[some, None]
+                index = lattice.at(steps)
+                share = curve(pair[some], node[some], index)
+                high = share.max(axis=1)
+                share -= np.where(np.isfinite(high), high, 0.0)[:, None]
+                np.exp(share, out=share)
+                total = share.sum(axis=1)
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    logs[some] = np.log(total) + high + weight_of[some]
+                    np.maximum.at(top, whose[some], logs[some])
+                    edge = (share[:, 0] + share[:, -1]) * np.exp(logs[some] - top[whose[some]])
+                off = (edge > lost * total) & (attempt + 1 < most)
+                if off.any():
+                    again.append(some[off])
+                    some, share, total = some[~off], share[~off], total[~off]
+                kept.append((some, share, total))
+            left = np.concatenate(again) if again else left[:0]
+            points[left] *= 2
+        weight_of = np.exp(logs - np.where(np.isfinite(top), top, 0.0)[whose])
+        mass = np.zeros(count * size)
+        first = whose * size + np.clip(centre + size // 2, 0, size - 1)
+        for some, share, total in kept:
+            share *= (weight_of[some] / np.where(total > 0, total, 1.0))[:, None]
+            number = share.shape[1] // 2
+            into = first[some, None] + np.arange(-number, number + 1)
+            np.clip(into, 0, len(mass) - 1, out=into)
+            mass += np.bincount(into.ravel(), share.ravel(), minlength=len(mass))
+        weight = np.zeros((len(row), self.log_weight.shape[1]))
+        weight[pair, node] = weight_of
+        steps = (np.arange(size) - size // 2) * stride[:, None]
+        last = lattice.value[lattice.at(lattice.half + 1 + steps)]
+        place = np.zeros(count, dtype=np.intp)
+        highest = np.flatnonzero(weight_of == 1.0)
+        place[whose[highest]] = centre[highest]
+        best = lattice.value[lattice.at(lattice.half + 1 + place * stride)]
+        top = top + np.log(stride * lattice.step)
+        return Weighed(row, tile, weight, top, last, mass.reshape(count, size), best, stride)
+
+    def last_quantiles(self, reading: Array, probability: Array) -> tuple[Array, Array]:
+        """Quantiles (B, Q) of the last unknown for readings (B, R), and their errors.
+
+        Its density is known at even steps of its coordinate, narrower than any bump: a spline
+        through it is integrated, and half of it tells the error.
+        """
+        parts = [
+            self._last_quantiles(reading[i : i + self.together], probability)
+            for i in range(0, len(reading), self.together)
+        ]
+        value, error = (np.concatenate(side) for side in zip(*parts, strict=True))
+        return value, error
+
+    def _last_quantiles(
+        self, reading: Array, probability: Array, *, finer: int = 16
+    ) -> tuple[Array, Array]:
+        weighed = self.weigh(reading)
+        assert weighed.last_mass is not None
+        assert weighed.stride is not None
+        count = weighed.last_mass.shape[1]
+        place = np.linspace(0, count - 1, finer * (count - 1) + 1)
+        rising = []
+        for degree in (5, 3):
+            density = make_interp_spline(np.arange(count), weighed.last_mass.T, k=degree)
+            rise = np.maximum.accumulate(density.antiderivative()(place).T, axis=1)
+            rising.append(rise / np.maximum(rise[:, -1:], 1e-300))
+        out, other = np.full((2, len(reading), len(probability)), np.nan)
+        step = weighed.stride * self.likelihood.lattice.step
+        for i in np.flatnonzero(weighed.last_mass.sum(axis=1) > 0):
+            z = (place - count // 2) * step[i]
+            inside = np.diff(rising[0][i], append=2.0) > 0
+            for found, rise in zip((out, other), rising, strict=True):
+                at = np.interp(probability, rise[i][inside], z[inside])
+                found[i] = self.observer.last_unknown(np.clip(at, -8, 8))
+        return out, np.abs(out - other)
+
+    def completed(
+        self, reading: Array, x: Array, rng: np.random.Generator, *, points: int = 161
+    ) -> Array:
+        """Contacts (B, n, U): the last unknown is drawn where the others (B, n, d) have been.
+
+        Of its density at each, by points in the range that it has at all, and straight between.
+        """
+        first = self.observer.contact(x)[0]
+        last = np.full(first.shape[:2], np.nan)
+        for i, y in enumerate(reading):
+            weighed = self.weigh(y[None])
+            assert weighed.last_mass is not None
+            assert weighed.stride is not None
+            held = np.flatnonzero(weighed.last_mass[0] > 1e-9 * weighed.last_mass[0].max())
+            if not held.size or np.isnan(first[i]).any():
+                continue
+            middle = weighed.last_mass.shape[1] // 2
+            step = weighed.stride[0] * self.likelihood.lattice.step
+            low, high = (held[0] - 1 - middle) * step, (held[-1] + 1 - middle) * step
+            points_here = max(points, 4 * (held[-1] - held[0]))
+            z = np.linspace(low, high, points_here)
+            felt = self.observer.given(first[i])
+            log = np.full((len(first[i]), points_here), -np.inf)
+            for j, value in enumerate(self.observer.last_unknown(z)):
+                signals, outcome = felt(np.full(len(first[i]), value))
+                known = outcome == Outcome.HELD
+                signals = np.where(known[:, None], signals, 1.0)
+                here = self.observer.noise.log_likelihood(y, signals) - 0.5 * z[j] ** 2
+                log[:, j] = np.where(known, here, -np.inf)
+            rise = np.cumsum(np.exp(log - log.max(axis=1, keepdims=True)), axis=1)
+            wanted = rng.random(len(rise)) * rise[:, -1]
+            above = np.minimum((rise < wanted[:, None]).sum(axis=1), points_here - 1)
+            z_drawn = z[above] + (rng.random(len(rise)) - 0.5) * (z[1] - z[0])
+            last[i] = self.observer.last_unknown(z_drawn)
+        return np.concatenate([first, last[..., None]], axis=-1)
+
+    def _at_best(self, tile: Index, node: Index, weighed: Weighed) -> tuple[Array, Array]:
+        if not self.count:
+            return (
+                np.full((len(tile), self.dim + 1), np.nan),
+                np.full((len(tile), len(self.observer.cue.signal_names)), np.nan),
+            )
+        assert weighed.last_best is not None
+        first = self.tiles.nodes.contact[tile, node]
+        contact = np.concatenate([first, weighed.last_best[:, None]], axis=-1)
+        signals, _ = self.observer.signals(contact)
+        return contact, np.nan_to_num(signals, nan=1.0)
+
+
+def _blocks(rows: Index, points: Index, *, size: int = 2048) -> Iterator[Index]:
+    """The rows, those with as many points together, in blocks that stay in the cache."""
+    for number in np.unique(points[rows]):
+        some = rows[points[rows] == number]
+        for start in range(0, len(some), size):
+            yield some[start : start + size]
