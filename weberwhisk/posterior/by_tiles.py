@@ -238,6 +238,9 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         mean[rows], sd[rows], error[rows] = moments.mean, moments.sd, part.error
         log_evidence[rows] = moments.log_evidence
         signals[rows], contact[rows] = moments.signals, moments.contact
+    likelihood = likelihood_of(observer)
+    if isinstance(likelihood, LastSummed):
+        error = error + likelihood.lattice.unsure
     known = np.isfinite(sd).all(axis=1)
     with np.errstate(invalid="ignore"):
         status[~(error <= wanted).all(axis=1)] = Status.IMPRECISE

@@ -49,14 +49,19 @@ class Lattice:
         contact = observer.contact(np.unique(x, axis=0))[0]
         nodes = np.cos(np.pi * (np.arange(samples) + 0.5) / samples)
         between = np.cos(np.pi * np.arange(1, samples) / samples)
-        for reach in (6.0, 5.0, 4.0):
-            self.reach = reach
-            own, held = self._signals(contact, reach * nodes)
-            other, also = self._signals(contact, reach * between)
-            known = held[:, samples // 2]
-            if known.any() and (held & also.all(axis=1, keepdims=True))[known].all():
-                break
-        else:
+        self.reach = reach = 6.0
+        own, held = self._signals(contact, reach * nodes)
+        other, also = self._signals(contact, reach * between)
+        some = held[:, samples // 2]
+        if not some.any():
+            raise NotSmooth
+        #: Up to where all contacts are held, as they are taken to be beyond; what that may do to an
+        #: sd, were they lost there.
+        lost = ~np.concatenate([held, also], axis=1)[some].all(axis=0)
+        sure = np.abs(reach * np.concatenate([nodes, between]))[lost].min(initial=reach)
+        self.unsure = float(sure * np.exp(-(sure**2) / 2) / np.sqrt(2 * np.pi))
+        known = held.all(axis=1) & also.all(axis=1)
+        if sure < 3.5 or known.sum() < some.sum() / 4:
             raise NotSmooth
         own, other = own[known], other[known]
         fit = np.linalg.inv(chebyshev.chebvander(nodes, samples - 1))
@@ -66,9 +71,11 @@ class Lattice:
         unit = [self._resolution(s) for s in (own, other)]
         for count in range(1, most + 1):
             self._shape = fit @ shapes[:count].T
-            self.taken = reach * np.cos(np.pi * (np.arange(2 * count + 1) + 0.5) / (2 * count + 1))
+            within = np.cos(np.pi * (np.arange(2 * count + 1) + 0.5) / (2 * count + 1))
+            self.taken = min(reach, 0.98 * sure) * within
             self._solve = np.linalg.pinv(self.basis(self.taken)).T
-            parts = rows.reshape(len(own), -1, samples) @ shapes[:count].T
+            taken, _ = self._signals(contact[known], self.taken)
+            parts = np.einsum("njs,jd->nsd", taken, self._solve)
             off = [
                 np.abs(np.einsum("nsd,jd->njs", parts, self.basis(reach * z)) - s) * u
                 for z, s, u in ((nodes, own, unit[0]), (between, other, unit[1]))
