@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
-    from .contacts import locate, read_tracking
+    from .contacts import calibrate, locate, read_tracking
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
@@ -74,7 +74,7 @@ _NAMES = {
     "jnd_surface": "jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "locate read_tracking",
+    "contacts": "calibrate locate read_tracking",
     "design": "plan_experiment power read_plan simulate_study",
     "planning": "write_plan",
 }
@@ -111,6 +111,7 @@ __all__ = [
     "added_information",
     "behaviour",
     "bend",
+    "calibrate",
     "campaign",
     "choose_model",
     "compare",

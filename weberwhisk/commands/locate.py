@@ -27,13 +27,13 @@ from .options import (
 )
 
 
-def _pairs(option: str, texts: list[str] | None) -> dict[str, str]:
+def pairs(option: str, texts: list[str] | None) -> dict[str, str]:
     """`moment=M_uNm` and the like as a mapping."""
-    pairs = [text.partition("=") for text in texts or []]
-    for name, sign, value in pairs:
+    parts = [text.partition("=") for text in texts or []]
+    for name, sign, value in parts:
         if not (sign and name and value):
             raise ValueError(f"{option} takes name=value, got {name!r}; write moment=…, say.")
-    return {name.strip(): value.strip() for name, _, value in pairs}
+    return {name.strip(): value.strip() for name, _, value in parts}
 
 
 @takes_whisker
@@ -89,8 +89,8 @@ def locate(
 
         with options_named(["columns", "units", "touch", "noise"]):
             table = ww.locate(
-                contacts, whisker, columns=_pairs("--column", column),
-                units=_pairs("--unit", unit), touch=touch, noise=noise, progress=step,
+                contacts, whisker, columns=pairs("--column", column),
+                units=pairs("--unit", unit), touch=touch, noise=noise, progress=step,
             )  # fmt: skip
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])

@@ -1,6 +1,7 @@
 """Measured contacts: from trackers' files and tables of forces to distances."""
 
+from .calibration import Calibration, HingedTap, calibrate
 from .rows import MeasuredAngle, locate
 from .trackers import read_tracking
 
-__all__ = ["MeasuredAngle", "locate", "read_tracking"]
+__all__ = ["Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "read_tracking"]

@@ -157,14 +157,12 @@ def locate(
     1                29.3  converged
     """
     _checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
-    raw = _table(table)
+    raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
     for name in (*RESULTS, *(TOUCH_RESULTS if touch is not None else ())):
         if name in header:
             raise ValueError(f"The table has a column {name!r} already; rename or drop it.")
     notes: list[str] = []
-    found = find_columns(header, columns, units)
-    si = {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}
     unsaid = [q for q, (_, _, said) in found.items() if not said]
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
@@ -192,6 +190,15 @@ def locate(
         _add_touches(out, lattice, readings, located, named)
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
+
+
+def read_contacts(
+    table: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
+) -> tuple[pd.DataFrame, dict[str, Array], dict[str, tuple[str, float, bool]]]:
+    """The table, its known quantities in SI, and where each of them was found."""
+    raw = _table(table)
+    found = find_columns([str(c) for c in raw.columns], columns, units)
+    return raw, {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}, found
 
 
 def _table(table: Any) -> pd.DataFrame:

@@ -1,0 +1,106 @@
+"""Taps at known distances give back the whisker, the hinge and the sensor's Weber fraction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import weberwhisk as ww
+from weberwhisk.cli import app
+from weberwhisk.contacts import HingedTap
+
+TRUE = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
+NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)
+HINGE, K = 0.012, 0.025
+
+
+def _taps(gain: float = 1.0, each: int = 12, hinge: float = HINGE, seed: int = 3) -> pd.DataFrame:
+    r = np.repeat(np.linspace(0.03, 0.105, 11), each)
+    observer = ww.Observer(TRUE, HingedTap(hinge, gain), ww.receptors.Weber(K))
+    slopes = observer.read(r[:, None], seed=seed)[:, 0]
+    return pd.DataFrame({"radial_distance_mm": 1e3 * r, "moment_rate": slopes})
+
+
+def test_a_hinge_in_series_is_two_compliances_added() -> None:
+    r = np.array([[0.05]])
+    clamped = ww.cues.Compliance().signals(TRUE, r)[0]
+    np.testing.assert_allclose(HingedTap().signals(TRUE, r)[0], clamped, rtol=1e-12)
+    spring = TRUE.compliance_constant / HINGE
+    series = 1 / (1 / clamped + 1 / spring)
+    np.testing.assert_allclose(HingedTap(HINGE).signals(TRUE, r)[0], series, rtol=1e-12)
+
+
+def test_eleven_distances_give_back_the_truth() -> None:
+    """The bar: left-out errors within 2 % of the length, k within 15 %."""
+    found = ww.calibrate(_taps(), NOMINAL)
+    assert found.fits
+    assert len(found.left_out) == 11
+    assert found.left_out["error_share"].abs().max() < 0.02
+    assert found.noise.weber_fraction == pytest.approx(K, rel=0.15)
+    table = found.parameters
+    truth = {"stiffness_N_m2": TRUE.stiffness, "apex_distance_mm": 1e3 * TRUE.apex_distance,
+             "hinge_mm": 1e3 * HINGE, "weber_fraction": K}  # fmt: skip
+    for name, value in truth.items():
+        row = table.loc[name]
+        assert abs(row["mean"] - value) < 3.5 * row["sd"], name
+    assert found.effective_draws > 300
+    assert np.abs(found.residuals["residual_sd"]).max() < 5
+
+
+def test_without_a_hinge_it_says_that_it_does_not_fit() -> None:
+    found = ww.calibrate(_taps(), NOMINAL, hinge=False)
+    assert not found.fits
+    assert "does not fit" in found.message
+    assert "hinge" in found.message
+    clamped = ww.calibrate(_taps(hinge=0.0), NOMINAL, hinge=False)
+    assert clamped.fits
+
+
+def test_counts_are_told_apart_from_stiffness_by_the_gain_and_locate_goes_by_it() -> None:
+    found = ww.calibrate(_taps(gain=5e4), TRUE, counts=True)
+    row = found.parameters.loc["gain"]
+    assert abs(row["mean"] - 5e4) < 3.5 * row["sd"]
+    taps = _taps(gain=5e4, each=4, seed=8)
+    place = ww.locate(taps.drop(columns="radial_distance_mm"), found.whisker,
+                      cue=found.cue, noise=found.noise)  # fmt: skip
+    off = (place["radial_distance_mm"] - taps["radial_distance_mm"]) / place["sd_mm"]
+    assert np.abs(off).max() < 4
+    assert 0.7 < np.sqrt((off**2).mean()) < 1.4
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"drop": "moment_rate"}, "needs the columns"),
+        ({"rows": 3}, "five taps or more"),
+        ({"scale": ("radial_distance_mm", 1e3)}, "is not on a whisker"),
+        ({"scale": ("moment_rate", -1)}, "above zero"),
+    ],
+)
+def test_refusals(change: dict, sentence: str) -> None:
+    taps = _taps(each=1)
+    if "drop" in change:
+        taps = taps.drop(columns=change["drop"])
+    if "rows" in change:
+        taps = taps.iloc[: change["rows"]]
+    if "scale" in change:
+        name, factor = change["scale"]
+        taps[name] *= factor
+    with pytest.raises(ValueError, match=sentence):
+        ww.calibrate(taps, NOMINAL)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    from weberwhisk._terminal import run_app
+
+    path = tmp_path / "taps.csv"
+    _taps(each=3).to_csv(path, index=False)
+    words = ["calibrate", str(path), "--length-mm", "120", "--base-radius-um", "800",
+             "--tip-radius-um", "400", "--out", str(tmp_path / "out")]  # fmt: skip
+    assert run_app(app, words) in (0, None)
+    assert "weber_fraction" in capsys.readouterr().out
+    made = {p.name for p in (tmp_path / "out").iterdir()}
+    assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json"} <= made
