@@ -211,3 +211,50 @@ def test_the_command_writes_table_touches_and_figure(
     assert len(pd.read_csv(tmp_path / "out" / "touches.csv")) == 2
     assert run_app(app, ["locate", str(path), "--identity", "C2"]) == 2
     assert "No distance follows" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", [36, pytest.param(300, marks=pytest.mark.slow)])
+def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, count: int) -> None:
+    """Cut files, swapped columns, NaN and text, other units: refused, or every row has a status."""
+    rng = np.random.default_rng(18)
+    theta = np.linspace(0.1, 0.4, 6)
+    b = ww.press(KNOWN, 20e-3, theta)
+    good = pd.DataFrame({"time": np.arange(6.0), "moment_uNm": 1e6 * b.moment,
+                         "axial_force_uN": 1e6 * b.axial_force})  # fmt: skip
+    refused = 0
+    path = tmp_path / "contacts.csv"
+    for i in range(count):
+        table = good.astype(object)
+        kind = i % 6
+        if kind == 0:  # the forces' columns swapped: some 30 times off, or told by the rows
+            table.columns = ["time", "axial_force_uN", "moment_uNm"]
+        elif kind == 1:
+            for _ in range(5):
+                cell = rng.choice(np.array(["", "NaN", "x", "inf", "-", "1,5"], dtype=object))
+                table.iat[rng.integers(6), rng.integers(1, 3)] = cell
+        elif kind == 2:
+            table[rng.choice(table.columns[1:])] *= 10.0 ** rng.choice([-9, -6, 3, 6, 9])
+        elif kind == 3:
+            table = table.drop(columns=rng.choice(table.columns[1:]))
+        elif kind == 4:
+            table = table.iloc[: rng.integers(0, 2)]
+        text = table.to_csv(index=False)
+        if kind == 5:
+            text = text[: rng.integers(0, len(text))]
+        path.write_text(text)
+        try:
+            found = ww.locate(path, KNOWN)
+        except ValueError as error:
+            refused += 1
+            sentence = str(error)
+        else:
+            sentence = "."
+            known = found["radial_distance_mm"].notna()
+            assert (found["message"].str.len() > 5).all()
+            assert found.loc[known, ["sd_mm", "lower_mm", "upper_mm"]].notna().all(axis=None)
+            empty = found.loc[~known, "status"]
+            assert empty.isin(["not_a_reading", "no_contact"]).all()
+        assert "\n" not in sentence
+        assert sentence.endswith(".")
+    assert count / 3 < refused < count
+    assert [p.name for p in tmp_path.iterdir()] == ["contacts.csv"]
