@@ -195,12 +195,16 @@ def write_gallery() -> None:
 
 def write_project() -> None:
     """A page for each of the project's own files that there are."""
-    for name in ("CHANGELOG", "CONTRIBUTING", "CODE_OF_CONDUCT"):
-        page = HERE / "project" / f"{name.lower()}.md"
-        if (ROOT / f"{name}.md").exists():
-            _write(page, f"```{{include}} ../../{name}.md\n:relative-docs: .\n```\n")
-        else:
+    names = ("CHANGELOG", "CONTRIBUTING", "CODE_OF_CONDUCT")
+    for name in names:
+        page, source = HERE / "project" / f"{name.lower()}.md", ROOT / f"{name}.md"
+        if not source.exists():
             page.unlink(missing_ok=True)
+            continue
+        text = source.read_text(encoding="utf-8")
+        for other in names:  # they link to one another
+            text = text.replace(f"]({other}.md)", f"]({other.lower()}.md)")
+        _write(page, text)
 
 
 GALLERY = """---
