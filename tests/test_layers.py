@@ -42,7 +42,8 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.scene": ("mechanics.rod", "mechanics.elastica"),
     "mechanics.model_choice": ("mechanics.scene",),
     "mechanics.ladder": ("mechanics.model_choice",),
-    "mechanics.planar_surface": ("mechanics.profile", "mechanics.surface"),
+    "mechanics.branches": ("mechanics.continuation",),
+    "mechanics.planar_surface": ("mechanics.branches", "mechanics.profile", "mechanics.surface"),
     "mechanics.forward": ("mechanics.ladder", "mechanics.planar_surface"),
     "mechanics": (
         "mechanics.forward",

@@ -233,3 +233,38 @@ def test_what_real_observers_refuse():
         Friction(Friction(ForceMap()))
     with pytest.raises(ValueError, match="turn by up to"):
         Observer(whisker(20, 60.0), ForceMap())
+
+
+def test_a_named_whisker_carries_its_curvature_where_asked():
+    """C2 is column 3 of the table, the Greek arc being 1; lengths of both sources agree there."""
+    from weberwhisk.whisker import rest_shape
+
+    straight, curved = Whisker.from_identity("C2"), Whisker.from_identity("C2", curved=True)
+    assert straight.curvature == 0
+    assert replace(curved, curvature=0.0) == straight
+    base, rate = rest_shape("C2")
+    assert (base, rate) == (7.325, 552.0)
+    assert curved.curvature == pytest.approx(base + rate * curved.length / 2)
+    law = ww.Spiral(base, rate)
+    assert law.turn(curved.length) == pytest.approx(curved.curvature * curved.length)
+    assert rest_shape("C2", "mouse") != rest_shape("C2")
+    with pytest.raises(ValueError, match="species"):
+        rest_shape("C2", "cat")
+
+
+def test_a_straight_map_is_off_by_more_than_a_jnd_where_the_curved_one_is_right():
+    """(M, Fx) of a curved C2, read by the observer that knows its shape, and by one that does not.
+
+    The profile's own law serves as the rest shape.
+    """
+    from weberwhisk.whisker import rest_shape
+
+    plain = Whisker.from_identity("C2")
+    real = ww.Profile.of(plain).curved(ww.Spiral(*rest_shape("C2")))
+    noise = Weber(0.05)
+    knows, ignores = Observer(real, ForceMap(), noise), Observer(plain, ForceMap(), noise)
+    contact = np.array([0.6 * plain.length, 0.1])
+    signals, _ = planar_signals(real, *contact)
+    right, wrong = posterior(knows, signals[:2]), posterior(ignores, signals[:2])
+    assert abs(right.mean - contact[0]) < right.sd
+    assert abs(wrong.mean - contact[0]) > 2 * wrong.sd

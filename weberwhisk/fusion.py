@@ -147,12 +147,14 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     rng = np.random.default_rng(seed)
     first, *others = observer.unknowns
     drawn = {first: DistancePrior(observer).ppf(rng.random(count))}
+    drawn |= {name: rng.random(count) for name in others}
     for name in others:
-        u = rng.random(count)
         if name != "deflection_angle":
-            drawn[name] = observer.prior[name].ppf(u)
-            continue
-        low, width = observer.angle_range(drawn[first])
+            drawn[name] = observer.prior[name].ppf(drawn[name])
+    if (name := "deflection_angle") in others:
+        u = drawn[name]
+        whole = np.stack([drawn[each] for each in observer.unknowns], axis=-1)
+        low, width = observer.space.angle_range(drawn[first], whole)
         if name in observer.prior:
             ends = [observer.prior[name].cdf(low + w) for w in (0.0, width)]
             drawn[name] = observer.prior[name].ppf(ends[0] + u * (ends[1] - ends[0]))

@@ -104,6 +104,7 @@ class Whisker(Value):
         *,
         seed: int | np.random.SeedSequence | np.random.Generator | None = None,
         youngs_modulus: ArrayLike = YOUNGS_MODULUS,
+        curved: bool = False,
     ) -> Whisker:
         """The mean whisker of a named follicle, or one drawn from the spread of that follicle.
 
@@ -117,6 +118,10 @@ class Whisker(Value):
             of the mean. The tip keeps the median, or the base's width where that is smaller.
         youngs_modulus : float
             Pa; the table has none.
+        curved : bool
+            With the curvature at rest of this follicle: constant, with the same turn from base to
+            tip as the measured law, `rest_shape`; positive, so that it is touched on the convex
+            side. By default straight, as the paper's whiskers are.
 
         Raises
         ------
@@ -143,7 +148,11 @@ class Whisker(Value):
             length = max(length + draws[0] * row["length_sd_mm"], length / 10)
             base = max(base + draws[1] * row["base_diameter_sd_um"], base / 10)
         tip = min(row["tip_diameter_median_um"], base)
-        return cls(length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus)
+        bow = 0.0
+        if curved:
+            at_base, rate = rest_shape(identity)
+            bow = at_base + rate * length * 1e-3 / 2
+        return cls(length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus, bow)
 
     @property
     def radius_ratio(self) -> Any:
@@ -209,6 +218,46 @@ def identities() -> tuple[str, ...]:
     ('A0', 'A1', 'A2')
     """
     return tuple(_morphology())
+
+
+def rest_shape(identity: str, species: str = "rat") -> tuple[float, float]:
+    """Curvature at rest of a follicle's whisker: at the base (1/m), and its rate (1/m²).
+
+    Medians of κ(s) = B + A s over the whiskers of Luo & Hartmann (2022, PLoS ONE), for
+    ``Profile.of(whisker).curved(Spiral(*rest_shape("C2")))``; mirrored for the concave side.
+
+    Parameters
+    ----------
+    identity : str
+        Row and column, the Greek arc being column 0, such as ``"C2"``.
+    species : {"rat", "mouse"}
+
+    Raises
+    ------
+    ValueError
+        For an identity or a species that the table does not have.
+
+    Examples
+    --------
+    >>> rest_shape("C2")
+    (7.325, 552.0)
+    """
+    one_of("species", species, ("rat", "mouse"))
+    table = _rest_shapes()
+    known = [name for kind, name in table if kind == species]
+    return table[species, one_of("whisker", identity, known)]
+
+
+@cache
+def _rest_shapes() -> dict[tuple[str, str], tuple[float, float]]:
+    text = resources.files("weberwhisk").joinpath("data/whisker_curvature.csv").read_text("utf-8")
+    return {
+        (row["species"].lower(), f"{'ABCDE'[int(row['row']) - 1]}{int(row['column']) - 1}"): (
+            round(float(row["B_per_mm"]) * 1e3, 9),
+            round(float(row["A_per_mm2"]) * 1e6, 9),
+        )
+        for row in csv.DictReader(text.splitlines())
+    }
 
 
 @cache

@@ -279,7 +279,7 @@ def the_noise(texts: list[str] | None, signals: int) -> ww.receptors.Weber:
 def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
     """The whisker that the shared options describe; with `seed`, drawn from its identity's."""
     identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa = shape
-    modulus = {}
+    modulus: dict[str, Any] = {}
     if youngs_modulus_gpa is not None:
         _checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
         modulus["youngs_modulus"] = youngs_modulus_gpa * 1e9

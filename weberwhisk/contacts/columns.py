@@ -132,8 +132,13 @@ def _of(
     if given is not None:
         factor = unit_factor(str(given), kind)
         if factor is None:
-            known = ", ".join({"moment": ("N m", "mN m", "uN m"), "force": ("N", "mN", "uN"),
-                               "moment_rate": ("N m/s", "uN m/s")}.get(kind, tuple(_UNITS[kind])))
+            known = ", ".join(
+                {
+                    "moment": ("N m", "mN m", "uN m"),
+                    "force": ("N", "mN", "uN"),
+                    "moment_rate": ("N m/s", "uN m/s"),
+                }.get(kind, tuple(_UNITS[kind]))
+            )
             raise ValueError(f"{given!r} is no unit of {quantity}; write one such as {known}.")
         return column, factor, True
     # The column's own suffix, one or two words long.

@@ -34,6 +34,8 @@ Index = NDArray[np.intp]
 DROP = 23.0
 #: Sds by which signals may change from a cell to the next, where the density is highest.
 WIDEST = 1.9
+
+
 class Readings(NamedTuple):
     """Readings (n, S), and the covariances (n, S, S) of their measurement errors where known."""
 
