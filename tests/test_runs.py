@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk
-from weberwhisk import output
+from weberwhisk.output import run as output
 from weberwhisk.output import Run, atomic_write, to_json
 
 TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
@@ -483,3 +483,20 @@ def whole_or_none(out: Path, besides: tuple[str, ...] = ()) -> float | None:
         names = {path.name for path in out.iterdir() if not path.name.startswith(".")}
         assert names == {"bend.run.json", *record["files"], *besides}
     return float(record["inputs"]["value"])
+
+
+def test_only_files_open_for_writing_are_flushed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows refuses to flush what is open for reading alone."""
+    fcntl = pytest.importorskip("fcntl")
+
+    def as_windows(descriptor: int) -> None:
+        if fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(os, "fsync", as_windows)
+    atomic_write(tmp_path / "trials.csv", "s1,s2\n")
+    with Run(tmp_path / "out", "probe", {}) as files:
+        files.path("a.txt").write_text("a")
+    assert (tmp_path / "out" / "a.txt").read_text() == "a"
