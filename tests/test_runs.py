@@ -17,8 +17,8 @@ import pandas as pd
 import pytest
 
 import weberwhisk
-from weberwhisk.output import run as output
 from weberwhisk.output import Run, atomic_write, to_json
+from weberwhisk.output import run as output
 
 TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         simulate_population,
         simulate_trials,
     )
+    from .citing import cite
     from .contacts import calibrate, locate, read_tracking
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
@@ -77,6 +78,7 @@ _NAMES = {
     "contacts": "calibrate locate read_tracking",
     "design": "plan_experiment power read_plan simulate_study",
     "planning": "write_plan",
+    "citing": "cite",
 }
 _MODULES = (
     "behaviour",
@@ -114,6 +116,7 @@ __all__ = [
     "calibrate",
     "campaign",
     "choose_model",
+    "cite",
     "compare",
     "convert_jnd",
     "criterion_factor",

@@ -30,6 +30,10 @@ COMMANDS = {
         "rehearse",
         "Simulate a planned experiment, fit it as planned, and count how often it ends right.",
     ),
+    "analyse": (
+        "analyse",
+        "The preregistered analysis of a plan, on PsychoPy's output or a table for Bpod.",
+    ),
     "next": (
         "next_trials",
         "Place trials one by one: a line of JSON out, an answer in.",

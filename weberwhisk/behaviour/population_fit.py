@@ -17,6 +17,7 @@ from .._deprecated import renamed_arguments
 from .._display import Shown, interval_text
 from ..posterior.arviz_io import to_arviz
 from ..threads import one_blas_thread
+from . import report
 from .fit import fit_weber
 from .hierarchy import NAMES, Population, integrate_population
 from .lapses import likely_scales
@@ -164,6 +165,10 @@ class PopulationFit(Shown):
 
     def _table(self) -> pd.DataFrame:
         return self.subjects
+
+    def report(self) -> str:
+        """What the animals say together, and each of them, in words."""
+        return report.population_report(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything a reader needs to use the fit, ready for JSON."""

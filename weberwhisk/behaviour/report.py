@@ -13,6 +13,7 @@ from scipy import stats
 
 from ..posterior.arviz_io import to_arviz as convert
 from ..threads import one_blas_thread
+from .._display import interval_text
 from . import criticism
 from .criticism import prior_draws
 from .integrate import refined
@@ -21,6 +22,7 @@ from .posteriors import QuadraturePosterior, WeberPosterior
 from .verdict import FitStatus, too_few_kinds
 
 if TYPE_CHECKING:
+    from .population_fit import PopulationFit
     from .result import WeberFit
 
 
@@ -391,3 +393,22 @@ def _plain(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
         {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
         for row in rows
     ]
+
+
+def population_report(fit: PopulationFit) -> str:
+    """A population's fit in words, an animal a line."""
+    lines = [f"{fit.status.value[0].upper()}{fit.status.value[1:]}."]
+    if fit.population is not None:
+        for name in fit.parameters:
+            low, high = fit.interval(parameter=name)
+            middle = float(fit.quantile(name, 0.5))
+            words = "median Weber fraction" if name == "weber_fraction" else name.replace("_", " ")
+            lines.append(f"Population, {words}: {interval_text(middle, low, high)}.")
+    for row in fit.subjects.to_dict("records"):
+        k = "left out"
+        if row["weber_fraction"] == row["weber_fraction"]:
+            k = f"k = {interval_text(row['weber_fraction'], row['lower'], row['upper'])}"
+            alone = interval_text(row["alone"], row["alone_lower"], row["alone_upper"])
+            k += f"; from its own trials alone {alone}"
+        lines.append(f"{row['subject']}: {row['n']} trials; {k}; {row['status']}.")
+    return "\n".join([*lines, *fit.notes]) + "\n"

@@ -1,0 +1,123 @@
+"""A result as finished as a paper needs, and the files around the code."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import weberwhisk as ww
+from weberwhisk._terminal import run_app
+from weberwhisk.cli import app
+from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
+from weberwhisk.design.exports import bpod_table, psychopy_tables
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_a_population_has_its_report() -> None:
+    fit = ww.fit_population(ww.simulate_population(3, trials_per_level=10, seed=1)[0])
+    lines = fit.report().splitlines()
+    for row in fit.subjects.to_dict("records"):
+        (line,) = (one for one in lines if one.startswith(f"{row['subject']}:"))
+        assert f"{row['n']} trials" in line
+        assert row["status"] in line
+    assert sum(line.startswith("Population, ") for line in lines) == len(fit.parameters)
+
+
+def test_cite_agrees_with_the_citation_file() -> None:
+    given = (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"version: {ww.__version__}\n" in given
+    for words in ("10.1098/rstb.2011.0166", "2011", "Hartmann"):
+        assert words in given
+        assert words in ww.cite()
+        assert words in ww.cite(bibtex=True)
+    assert ww.cite(bibtex=True).count("{") == ww.cite(bibtex=True).count("}")
+    assert f"## {ww.__version__}" in (ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, pd.Series]:
+    """A plan on disk, and which stimulus a tapered observer judges farther in each trial."""
+    scheme = Scheme([15e-3, 40e-3], [-3e-3, -1.5e-3, 1.5e-3, 3e-3], trials=40)
+    hypotheses = taper(ww.Whisker(50e-3, 100e-6, 5e-6))
+    plan = Plan(scheme, hypotheses, Goal(bayes_factor=10))
+    folder = tmp_path_factory.mktemp("plan")
+    (folder / "plan.json").write_text(plan_json(plan), "utf-8")
+    encoding, lists, rng = hypotheses[0].encoding, plan.trials, np.random.default_rng(1)
+    first, second = (
+        encoding.mean(lists[s])
+        + 0.1 * encoding.sd_per_weber_fraction(lists[s]) * rng.normal(size=len(lists))
+        for s in ("stimulus_1", "stimulus_2")
+    )
+    return folder, plan, pd.Series(np.where(second * encoding.direction > first, 2, 1))
+
+
+@pytest.mark.parametrize("rig", ["psychopy", "bpod", "own"])
+def test_a_plan_is_analysed_on_a_rigs_own_table(
+    planned: tuple[Path, Plan, pd.Series],
+    rig: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder, plan, answer = planned
+    if rig == "psychopy":  # its data file has rows of other routines, and the keys pressed
+        parts = [table for _, table in psychopy_tables(plan.trials)]
+        table = pd.concat(parts, ignore_index=True)
+        table["key_resp.keys"] = answer.map({1: "left", 2: "right"})
+        welcome = pd.DataFrame({"participant": ["s1"]})
+        table = pd.concat([welcome, table], ignore_index=True)
+    elif rig == "bpod":
+        table = bpod_table(plan.trials).assign(response=answer)
+    else:
+        table = plan.trials[["subject", "session", "trial"]].copy()
+        for name in ("standard", "stimulus_1", "stimulus_2"):
+            table[f"{name}_mm"] = plan.trials[name] * 1e3
+        table["choice"] = answer - 1
+    table.to_csv(tmp_path / "data.csv", index=False)
+    command = ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]
+    assert run_app(app, [*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    trials = plan.trials.assign(count=(answer - 1).to_numpy(float))
+    frame = trials[["subject", "session", "trial", "standard", "stimulus_1", "stimulus_2"]]
+    direct = plan.analyse(ww.read_trials(frame.assign(choice=answer - 1)))
+    for name, value in direct.log_evidence.items():
+        assert found["log_evidence"][name] == pytest.approx(value, rel=1e-6)
+    assert run_app(app, [*command, "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "analysis.txt").read_text("utf-8").startswith(plan.title)
+
+
+def test_a_table_without_an_answer_is_refused(
+    planned: tuple[Path, Plan, pd.Series], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, plan, _ = planned
+    bpod_table(plan.trials).to_csv(tmp_path / "data.csv", index=False)
+    assert run_app(app, ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]) == 2
+    assert "there is no one column of answers" in capsys.readouterr().err
+
+
+def test_links_of_the_index_page_are_absolute() -> None:
+    absolute = runpy.run_path(str(ROOT / ".ci/absolute_links"))["absolute"]
+    text = absolute((ROOT / "README.md").read_text("utf-8"), "https://a.b/c", "v1")
+    targets = re.findall(r"\]\(([^)\s]+)\)", text)
+    assert any(t.startswith("https://a.b/c/raw/v1/analyses/figures/") for t in targets)
+    assert all(re.match("https?:|#", target) for target in targets)
+
+
+def test_the_version_is_written_once_and_workflows_cover_what_is_supported() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["hatch"]["version"]["path"] == "weberwhisk/__init__.py"
+    workflow = (ROOT / ".github/workflows/tests.yml").read_text("utf-8")
+    for name in ("ubuntu", "windows", "macos"):
+        assert f"{name}-latest" in workflow
+    for minor in range(11, 15):
+        assert f'"3.{minor}"' in workflow
+    assert ".ci/run" in workflow
+    assert ".ci/lowest" in workflow
