@@ -16,7 +16,7 @@ import weberwhisk as ww
 from weberwhisk._terminal import run_app
 from weberwhisk.cli import app
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
-from weberwhisk.design.exports import bpod_table, psychopy_tables
+from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 
 ROOT = Path(__file__).parent.parent
 

@@ -11,9 +11,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
+from .._display import interval_text
 from ..posterior.arviz_io import to_arviz as convert
 from ..threads import one_blas_thread
-from .._display import interval_text
 from . import criticism
 from .criticism import prior_draws
 from .integrate import refined

@@ -18,10 +18,10 @@ from .options import JsonOption, OutOption, wrote
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..design.analysis import AnalysisResult
+    from ..design.plan import AnalysisResult
 
 #: What rigs call an answer, and what their codes mean: PsychoPy's keyboard, and 1 or 2 for left or
-#: right in a table for Bpod (see `weberwhisk.design.exports`).
+#: right in a table for Bpod (see `weberwhisk.design.trial_lists`).
 SIDES = {"left": "first", "right": "second", 1: "first", 2: "second"}
 
 
