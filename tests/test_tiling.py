@@ -7,7 +7,14 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import Status, cues
-from weberwhisk.cues import AngleSideAngle, Compliance, ForceMap, Fused, Vibration
+from weberwhisk.cues import (
+    AngleSideAngle,
+    BalanceOfMoments,
+    Compliance,
+    ForceMap,
+    Fused,
+    Vibration,
+)
 from weberwhisk.fusion import prior_draws
 from weberwhisk.posterior.tiled import TiledObserver
 from weberwhisk.posterior.tiling import TooManyTiles, tiles_of
@@ -352,3 +359,44 @@ def test_finer_tiles_change_nothing():
     )
     assert np.abs(coarse.mean / fine.mean - 1).max() < 1e-3
     assert np.abs(coarse.sd / fine.sd - 1).max() < 2e-3
+
+
+def wide(name):
+    """A cylinder's fusion and the balance of moments, k = 0.3: ends were 0.06 and 0.24 sd off."""
+    if name == "fusion":
+        cue = Fused(ForceMap(), Vibration(3))
+        noise = cue.joint(Weber(0.3), Vibration(3).noise(0.3, 0.05))
+        return ww.Observer(WHISKERS["cylinder"], cue, noise)
+    noise = GeneralisedWeber([0.0, 0.3], floor=[0.017, 0.0])
+    return ww.Observer(W, BalanceOfMoments(effort=None), noise)
+
+
+@pytest.mark.parametrize("name", ["fusion", "balance of moments"])
+def test_evidence_and_the_ends_of_wide_intervals_are_those_of_a_table(name):
+    observer = wide(name)
+    reading = observer.read(prior_draws(observer, 3, seed=8), seed=9)
+    p = ww.posterior(observer, reading)
+    probability = np.array([0.025, 0.975])
+    found, claim = p.quantile(probability), p.quantile_error(probability)
+    for i, y in enumerate(reading):
+        weight, contact = table(observer, y, 1000)
+        r = contact[..., 0].max(axis=1)  # one distance a row
+        mass = weight.sum(axis=1) / weight.sum()
+        exact = np.interp(probability, np.cumsum(mass) - mass / 2, r)
+        off = np.abs(found[i] - exact)
+        assert np.all(off < 3 * claim[i] + 0.002 * p.sd[i])  # the table's own steps
+        assert claim[i].max() < 0.05 * p.sd[i]
+        # The same contacts once more, with the size of their cells.
+        x = observer.coordinates(contact[weight > 1e-9])
+        cell = np.diff(np.unique(x[:, 0].round(9))).min() * _step(x)
+        log = np.log(weight.sum() * cell)
+        best = contact.reshape(-1, 2)[weight.argmax()]
+        top = observer.log_density(observer.coordinates(best), y)
+        assert p.log_evidence[i] == pytest.approx(log + float(top), abs=5e-3)
+
+
+def _step(x):
+    """How far apart the second coordinate's values are in the row that has the most of them."""
+    _, first, count = np.unique(x[:, 0].round(9), return_index=True, return_counts=True)
+    start = first[count.argmax()]
+    return np.median(np.diff(x[start : start + count.max(), 1]))
