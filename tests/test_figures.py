@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,11 +12,13 @@ import pandas as pd
 import pytest
 from analysis_scripts import load
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.commands import figure
+from weberwhisk.figures import style
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
@@ -255,3 +258,16 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
     assert "contraction against" in report
     assert "nan" not in report
     assert (tmp_path / "figures" / "real_data.png").stat().st_size > 10_000
+
+
+def test_no_print_is_smaller_than_seven_points(population: ww.PopulationFit) -> None:
+    """Of the style itself, and of what the figure modules ask for by number."""
+    assert style.SMALL >= 7
+    drawn = [figures.figure_of(figures.shrinkage(population)), figures.new_figure()]
+    for one in drawn:
+        one.canvas.draw()
+        for text in one.findobj(Text):
+            if text.get_text():
+                assert text.get_fontsize() >= 6.9
+    assert not [p for p in Path(style.__file__).parent.glob("*.py")
+                if re.search(r"(fontsize|labelsize)=[0-6]\b", p.read_text("utf-8"))]  # fmt: skip

@@ -24,7 +24,7 @@ LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 #: Widths of a printed column and of two, inches.
 SINGLE, DOUBLE = 3.5, 7.2
-SMALL = 6.0  # size of small print, points
+SMALL = 7.0  # size of small print, points: none is smaller
 _STYLE: Any = {
     "font.size": 8,
     "axes.spines.top": False,
