@@ -134,7 +134,7 @@ def paper_3(
     held = angles[angles["outcome"] == "BALANCED"]
     first = held[held["curve"] == held["curve"].iloc[0]]
     for i, (share, rows) in enumerate(moments.groupby("radial_distance")):
-        a.plot(rows["angle_deg"], rows["moment"], color=COLOURS[i], label=f"{share:g} L")
+        a.plot(rows["angle_deg"], rows["moment"], color=COLOURS[i], label=f"r = {share:g} L")
         begin = float(rows["angle_deg"].iloc[0])
         at = begin + first["balance_angle_deg"][
             np.isclose(first["radial_distance"], share)  # type: ignore[arg-type]
@@ -145,7 +145,8 @@ def paper_3(
         )  # fmt: skip
     a.set(xlabel="Follicle angle θ (degrees)", ylabel="Moment (of the muscle's peak)")
     a.set(xlim=(30, 150), ylim=(0, 1.2), xticks=range(30, 151, 30))
-    a.legend(loc="lower right", title="whisker at r; mark: balance", title_fontsize=7)
+    a.plot([], [], "o", color="0.4", markerfacecolor="white", label="balance")
+    a.legend(loc="lower right", borderpad=0, handlelength=1.6)
     for i, (name, rows) in enumerate(held.groupby("curve", sort=False)):
         end = rows["radial_distance"].iloc[-1]
         b.plot(
