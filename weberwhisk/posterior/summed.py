@@ -34,7 +34,7 @@ class NotSmooth(Exception):
     """Signals that are no combination of few smooth functions of the last unknown."""
 
 
-class Lattice:
+class LastLattice:
     """The signals of an observer as functions of its last unknown, on a lattice of its coordinate.
 
     Raises
@@ -160,13 +160,13 @@ class Lattice:
         return np.clip(index, 0, 2 * self.half + 2)
 
 
-class Curve:
+class LastCurve:
     """ln of the density of the last unknown, at indices of the lattice.
 
     For readings (m, R) and nodes (m, N, S, D).
     """
 
-    def __init__(self, lattice: Lattice, reading: Array, parts: Array) -> None:
+    def __init__(self, lattice: LastLattice, reading: Array, parts: Array) -> None:
         self.lattice, self.reading, self.parts = lattice, reading, parts
 
     def __call__(self, index: Index) -> Array:
@@ -183,10 +183,10 @@ class Curve:
         return np.asarray(log + self.lattice.log_prior[index])
 
 
-class Quadratic(Curve):
+class Quadratic(LastCurve):
     """The same where that is quadratic, from ln p(c y | signals) (m, N) at the three scales c."""
 
-    def __init__(self, lattice: Lattice, middle: Array, one: Array, other: Array) -> None:
+    def __init__(self, lattice: LastLattice, middle: Array, one: Array, other: Array) -> None:
         self.lattice, self.middle = lattice, middle
         self.first, self.second = (one - other) / 2, (one + other) / 2 - middle
 
@@ -221,7 +221,7 @@ class LastSummed:
         self.dim = len(observer.unknowns) - 1
         #: Most boxes, beyond which a plain grid is quicker.
         self.most = 24_000 // 4 ** (self.dim - 1)
-        self.lattice = Lattice(observer)
+        self.lattice = LastLattice(observer)
 
     def signals(self, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
         """The parts (..., S, D) of the signals of contacts (..., U − 1), and which are held."""
@@ -247,16 +247,16 @@ class LastSummed:
         low = np.minimum.reduce([low[..., c, :] for c in cut])
         return low, np.maximum.reduce([high[..., c, :] for c in cut])
 
-    def curve(self, reading: Array, parts: Array) -> Curve:
+    def curve(self, reading: Array, parts: Array) -> LastCurve:
         """ln of the density of the last unknown, for readings (m, R) and nodes (m, N, S, D)."""
         if self.lattice.quadratic:
             signals = parts @ self.lattice.unit
             scales = self.lattice.scales
             told = (self.noise.log_likelihood(c * reading[:, None], signals) for c in scales)
             return Quadratic(self.lattice, *told)
-        return Curve(self.lattice, reading, parts)
+        return LastCurve(self.lattice, reading, parts)
 
-    def search(self, curve: Curve, low: Index, high: Index, width: Array, count: int) -> Peak:
+    def search(self, curve: LastCurve, low: Index, high: Index, width: Array, count: int) -> Peak:
         """The bumps of curves (m, N) between panels (m,), about as wide as (m,).
 
         Told by samples of each, from the best of which Newton's method goes on. A second bump that
@@ -281,7 +281,7 @@ class LastSummed:
         far = np.where(log > peak.height[..., None] - 12, far, 0.0).max(axis=-1)
         return peak._replace(reach=np.maximum(peak.reach, far + 2 * peak.width))
 
-    def climb(self, curve: Curve, index: Index, width: Array, steps: int) -> Peak:
+    def climb(self, curve: LastCurve, index: Index, width: Array, steps: int) -> Peak:
         """The bumps (m, N) near indices, about as wide as (m,), by Newton's method."""
         lattice = self.lattice
         stride = np.maximum(1, (0.7 * width / lattice.step).astype(np.intp))[:, None]

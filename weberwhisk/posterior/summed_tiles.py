@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 
 from ..mechanics.contact import Outcome
 from .solution import Array, Index
-from .summed import Curve, LastSummed, Peak, Quadratic
+from .summed import LastCurve, LastSummed, Peak, Quadratic
 from .tiled import TiledObserver, Weighed
 from .tiling import ORDER, Rule
 
@@ -47,7 +47,7 @@ class SummedTiles(TiledObserver):
         every = np.arange(ORDER**self.dim)
         return {"centre": self._centre, "few": self._few, "all": every}
 
-    def _curve(self, reading: Array, tile: Index, nodes: str) -> Curve:
+    def _curve(self, reading: Array, tile: Index, nodes: str) -> LastCurve:
         """Curves (n, N) of pairs of a reading (n, R) and a tile: its centre, few or all nodes."""
         if not self.likelihood.lattice.quadratic:
             parts = self._parts[tile]
