@@ -305,8 +305,9 @@ def test_help_groups_options(capsys: pytest.CaptureFixture[str]) -> None:
 def test_every_command_has_the_common_options() -> None:
     commands = every_command()
     assert "bend" in commands
-    # What is charted is the same on every machine, and `next` speaks JSON anyway.
-    without = {"chart": {"--seed"}, "next": {"--json"}}
+    # What is charted or analysed is the same each time, and `next` speaks JSON anyway.
+    same = {name: {"--seed"} for name in ("chart", "analyse", "locate")}
+    without = same | {"next": {"--json"}}
     for name, command in commands.items():
         options = {name for parameter in command.params for name in parameter.opts}
         assert {"--out", "--json", "--seed"} - without.get(name, set()) <= options, name
