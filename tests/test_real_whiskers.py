@@ -9,6 +9,7 @@ from scipy.stats import uniform
 import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, posterior
 from weberwhisk.cues import Compliance, ForceMap, Friction, Fused, UnknownCurvature
+from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
@@ -145,10 +146,29 @@ def test_posteriors_over_all_curvatures_and_frictions(seed):
     compare(ratio, curvature, friction, k, seed, count=20)
 
 
+def test_an_unknown_friction_is_summed_out_as_contacts_drawn_from_the_prior_say():
+    """Draws took the range of angles of one friction for the weight of all: means 0.1 sd apart."""
+    w = whisker(20, 0.0)
+    observer = Observer(w, Friction(ForceMap()), GeneralisedWeber(0.3, floor=[1e-7, 1e-5]))
+    drawn = prior_draws(observer, 300_000, seed=1)
+    reading = observer.read([25e-3, 0.3, 0.1], seed=1)
+    weight = np.exp(observer.noise.log_likelihood(reading, observer.signals(drawn)[0]))
+    weight /= weight.sum()
+    size = 1 / (weight**2).sum()
+    assert size > 10_000
+    found = posterior(observer, reading)
+    for i, name in enumerate(observer.unknowns):
+        mean = weight @ drawn[:, i]
+        sd = np.sqrt(weight @ (drawn[:, i] - mean) ** 2)
+        assert found.estimates[name].mean == pytest.approx(mean, abs=4 * sd / np.sqrt(size))
+        assert found.estimates[name].sd == pytest.approx(sd, rel=4 / np.sqrt(size))
+        low, high = found.interval(0.9, of=name)
+        inside = weight[(drawn[:, i] > low) & (drawn[:, i] < high)].sum()
+        assert inside == pytest.approx(0.9, abs=4 * 0.3 / np.sqrt(size) + 0.005)
+
+
 def coverage(cue, w, noise, count, seed=5):
     """The share of 95 % intervals that hold the distance, of contacts drawn from the prior."""
-    from weberwhisk.fusion import prior_draws
-
     observer = Observer(w, cue, noise)
     contact = prior_draws(observer, count, seed)
     found = posterior(observer, observer.read(contact, seed + 1))

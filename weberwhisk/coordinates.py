@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -188,6 +189,12 @@ class ContactCoordinates:
             low, high = self._range("deflection_angle", np.pi)
             limit = np.minimum(limit, high)
         return low, np.nan_to_num(np.maximum(limit - low, 0.0))
+
+    @cached_property
+    def angle_range_varies(self) -> bool:
+        """Whether the range of the deflection angle depends on a further unknown."""
+        contact = np.ones((1, len(self.cue.unknowns)))
+        return self.bounded > 1 and len(self.cue.forward(self.whisker, contact).extremes(2)) > 1
 
     def _log_gain(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""

@@ -145,16 +145,27 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     (1000, 2)
     """
     rng = np.random.default_rng(seed)
+    if not observer.space.angle_range_varies:
+        return _drawn(observer, count, rng)
+    out = np.empty((0, len(observer.unknowns)))
+    while len(out) < count:
+        drawn = _drawn(observer, count, rng)
+        low, width = observer.space.angle_range(drawn[:, 0], drawn)
+        out = np.concatenate([out, drawn[drawn[:, 1] < low + width]])
+    return out[:count]
+
+
+def _drawn(observer: Observer, count: int, rng: np.random.Generator) -> Array:
+    """Contacts (count, U), the angle within the widest range that there is at its distance."""
     first, *others = observer.unknowns
     drawn = {first: DistancePrior(observer).ppf(rng.random(count))}
     drawn |= {name: rng.random(count) for name in others}
     for name in others:
-        if name != "deflection_angle":
-            drawn[name] = observer.prior[name].ppf(drawn[name])
-    if (name := "deflection_angle") in others:
         u = drawn[name]
-        whole = np.stack([drawn[each] for each in observer.unknowns], axis=-1)
-        low, width = observer.space.angle_range(drawn[first], whole)
+        if name != "deflection_angle":
+            drawn[name] = observer.prior[name].ppf(u)
+            continue
+        low, width = observer.angle_range(drawn[first])
         if name in observer.prior:
             ends = [observer.prior[name].cdf(low + w) for w in (0.0, width)]
             drawn[name] = observer.prior[name].ppf(ends[0] + u * (ends[1] - ends[0]))
