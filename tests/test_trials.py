@@ -494,3 +494,11 @@ def test_a_name_is_no_formula_in_a_spreadsheet(tmp_path: Path, name: str) -> Non
 def test_numbers_below_zero_are_written_as_they_are() -> None:
     frame = pd.DataFrame({"bias": [-0.5], "text": ["-0.5"], "name": ["a-b"]})
     assert csv_text(frame) == "bias,text,name\n-0.5,-0.5,a-b\n"
+
+
+def test_labels_that_a_gap_made_into_floats_are_the_same_labels(tmp_path: Path) -> None:
+    """pandas writes integers beside a gap as 1.0, in text too."""
+    path = tmp_path / "trials.csv"
+    path.write_text("stimulus_1,stimulus_2,choice\n1,2,1.0\n2,1,2.0\n1,2,\n")
+    trials = read_trials(path, choice_labels={1: "first", 2: "second"})
+    assert (trials.n_trials, trials.n_missing) == (2, 1)

@@ -206,9 +206,9 @@ def _as_text(cell: Any) -> str:
 
     Examples
     --------
-    >>> _as_text(1.0), _as_text(" left")
-    ('1', 'left')
+    >>> _as_text(1.0), _as_text("2.0"), _as_text(" left")
+    ('1', '2', 'left')
     """
-    if isinstance(cell, float | np.floating) and float(cell).is_integer():
-        return str(int(cell))
-    return str(cell).strip()
+    text = str(cell).strip()
+    whole, point, zeros = text.partition(".")
+    return whole if point and whole.lstrip("-").isdecimal() and not zeros.strip("0") else text
