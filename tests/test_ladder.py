@@ -161,7 +161,7 @@ def test_a_rolled_whisker_is_met_at_rest():
         (lambda: ww.flick_past(STRAIGHT, 3e-2, side=2), "side must be 1 or -1"),
         (lambda: ww.flick_past(CURVED, 3e-2, roll=0.2), "a roll of 0.2 rad; write press"),
         (lambda: ww.bend(CURVED, 3e-2, 1e-5, roll=0.2), "a roll of 0.2 rad; write rod.bend"),
-        (lambda: ww.Observer(CURVED, ww.cues.ForceMap()), "straight whiskers so far"),
+        (lambda: ww.Observer(CURVED, ww.cues.Vibration()), "for straight whiskers, got curvature"),
     ],
 )
 def test_misuse_is_one_sentence(call, words):

@@ -102,8 +102,6 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(encoding=IdentityEncoding), "got the class IdentityEncoding"),
     (fitted(observer="C2"), r"an Observer, got 'C2'; write Observer\(whisker"),
     (fitted(observer=WHISKER), "must be an Observer, got"),
-    (lambda: press(WHISKER, 20e-3, 20), r"did you pass degrees\? Write np.radians\(20\)"),
-    (lambda: CueEncoding(Observer(WHISKER, cues.ForceMap()), 10.0), "did you pass degrees"),
     (lambda: CueEncoding("C2"), "must be an Observer"),  # type: ignore[arg-type]
     (lambda: compare_taper(TRIALS, "C2"), r"write Whisker.from_identity\('C2'\)"),  # type: ignore[arg-type]
     (
@@ -211,3 +209,10 @@ def test_misuse_is_one_clear_sentence(number: int) -> None:
     said = str(caught.value)
     assert "\n" not in said
     assert said.endswith(".")
+
+
+def test_degrees_for_radians_are_hinted_at():
+    with pytest.warns(UserWarning, match=r"did you pass degrees\? Write np.radians\(20\)"):
+        press(WHISKER, 20e-3, 20)
+    with pytest.warns(UserWarning, match="did you pass degrees"):
+        CueEncoding(Observer(WHISKER, cues.ForceMap()), 10.0)

@@ -271,6 +271,8 @@ GOOD = {  # what each class needs at least
     Afferents: (3, 1e-2, 10.0),
     SpikeCount: (Afferents(3, 1e-2, 10.0),),
     cues.UnknownStiffness: (ForceMap(),),
+    cues.Friction: (ForceMap(),),
+    cues.UnknownCurvature: (ForceMap(), 5.0),
     cues.Fused: (ForceMap(), Compliance()),
     cues.ComparativeLength: ([40e-3], [[-1e-3, 0.0]]),
     GeneralisedWeber: (0.1,),

@@ -326,3 +326,29 @@ def test_what_no_tiles_serve_gets_a_grid_and_says_so():
     found, error = grid.quantiles(np.array([0.025, 0.975]), 0)
     assert np.abs(found - usual.quantile([0.025, 0.975])).max() < 0.01 * usual.sd[0]
     assert error.max() < 0.02 * usual.sd[0]
+
+
+def test_the_end_of_a_ridge_in_a_box_of_a_hundred_sds_is_followed():
+    """Boxes were left out where signals bend between nodes: 0.1 sd off, whatever their length."""
+    cue = AngleSideAngle(side_sd=2e-3)
+    observer = ww.Observer(W, cue, GeneralisedWeber(0.0, floor=0.003))
+    reading = np.array([0.8801185468926863, 1.09915111415541])
+    mean, sd, off = load("stability_three").brute(observer, reading, 2.0)
+    assert off < 1e-6
+    p = ww.posterior(observer, reading)
+    assert p.mean == pytest.approx(mean, abs=1e-3 * sd)
+    assert p.sd == pytest.approx(sd, rel=1e-3)
+
+
+def test_a_grid_does_not_take_a_symmetric_ridge_for_resolved():
+    """Mirror images of one half were the other half: an sd 9 % off was claimed to 1e-6."""
+    observer = ww.Observer(
+        W, AngleSideAngle(10e-3, side_sd=1e-3), GeneralisedWeber(0.0, floor=np.radians(0.05))
+    )
+    reading = observer.signals(np.array([20e-3, 1.2, 10e-3]))[0][None]
+    grid = OwnGrids(observer, reading)
+    mean, sd, off = load("stability_three").brute(observer, reading[0], 0.5)
+    assert off < 1e-6
+    assert abs(grid.moments.mean[0, 0] - mean) < 3 * grid.error[0, 0] * sd
+    assert abs(grid.moments.sd[0, 0] - sd) < 3 * grid.error[0, 0] * sd
+    assert grid.moments.sd[0, 0] == pytest.approx(sd, rel=0.01)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,13 +30,13 @@ def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
 
 
 def angle(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
-    """`value` as finite radians of half a turn at most: more is likely to be degrees."""
+    """`value` as finite radians, with a warning beyond a whole turn: likely to be degrees."""
     array = finite(name, value, hint)
-    if np.any(beyond := np.abs(array) > np.pi):
+    if np.any(beyond := np.abs(array) > 2 * np.pi):
         at = _first(array, beyond)
-        raise ValueError(
-            f"{name} must be radians, between -π and π, got {at}: did you pass degrees? Write "
-            f"np.radians({at})."
+        warn(
+            f"{name} is in radians, got {at}: did you pass degrees? Write np.radians({at}).",
+            stacklevel=3,
         )
     return array
 

@@ -1,8 +1,9 @@
 """One plain grid for what nothing else serves: it closes in on the mass, and says how well.
 
 Midpoints of a box of the coordinates, the same number along each axis; the box closes in on where
-they have mass until it stays, and is summed by more of them. Half of the nodes, left out in turn,
-tell the error: nothing is assumed of the density, and a peak between the first nodes is missed.
+they have mass until it stays, and is summed by more of them, wider again where a face of it holds
+mass. Half of the nodes, left out in turn, and what is left on the faces tell the error: nothing is
+assumed of the density, and a peak between the first nodes is missed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ Index = NDArray[np.intp]
 Density = Callable[[Array, Index], ArrayLike]
 
 #: Nodes along each axis while closing in and at last, by the number of axes.
-NODES = {1: (160, 400), 2: (80, 200), 3: (40, 80), 4: (20, 28)}
+#: Odd, so that a mirror image of a node is in the same half: with even numbers the halves of a
+#: symmetric ridge agreed, and an sd 9 % off was claimed to 1e-6.
+NODES = {1: (161, 401), 2: (81, 201), 3: (41, 81), 4: (21, 29)}
 
 
 class Sums(NamedTuple):
@@ -54,6 +57,7 @@ def integrate(
     functions: Callable[[Array], ArrayLike] | None = None,
     depth: float = 28.0,
     looks: int = 12,
+    widenings: int = 6,
     together: int = 2_000_000,
 ) -> Sums:
     """Integrate B densities over boxes of D = 1 to 4 coordinates.
@@ -72,6 +76,9 @@ def integrate(
         ln of the density below the highest at which the box ends.
     looks : int
         Most times that the box closes in.
+    widenings : int
+        Most times that it is made wider again: coarse nodes see the ends of a narrow ridge badly (a
+        posterior's sd was 9 % off).
     together : int
         Nodes that are worked on together.
 
@@ -106,6 +113,7 @@ def integrate(
             f"low must be below high, both finite, got {begin.tolist()} and {end.tolist()}; "
             "give the ends of what each coordinate can be."
         )
+    first, last = begin.copy(), end.copy()
     coarse, fine = NODES[begin.shape[1]]
     rows = max(1, together // fine ** begin.shape[1])
     parts = []
@@ -119,7 +127,19 @@ def integrate(
             moving = moving[share < 0.7]
             if not moving.size:
                 break
-        parts.append(_summed(log_density, index, begin[index], end[index], fine, functions))
+        for _ in range(widenings + 1):
+            *sums, faces = _summed(log_density, index, begin[index], end[index], fine, functions)
+            inside = np.stack([begin[index] > first[index], end[index] < last[index]], axis=-1)
+            faces *= inside
+            cut = faces > 1e-7
+            if not cut.any():
+                break
+            wider = (end[index] - begin[index]) / 2
+            begin[index] = np.maximum(begin[index] - wider * cut[..., 0], first[index])
+            end[index] = np.minimum(end[index] + wider * cut[..., 1], last[index])
+        # As if the density stayed as it is at the face for the width of the box.
+        sums[3] = np.maximum(sums[3], fine * faces.max(axis=(1, 2))[:, None])
+        parts.append(tuple(sums))
     return Sums._make(np.concatenate(column) for column in zip(*parts, strict=True))
 
 
@@ -166,7 +186,7 @@ def _summed(
     count: int,
     functions: Callable[[Array], ArrayLike] | None,
 ) -> tuple[Array, ...]:
-    """The columns of `Sums`, and what half of the nodes change."""
+    """The columns of `Sums`, with what half of the nodes change; the mass on faces (b, D, 2)."""
     points = _nodes(low, high, count)
     log = checked_density(log_density(points, index), points, index)
     top = log.max(axis=1)
@@ -178,14 +198,20 @@ def _summed(
         share = weight / weight.sum(axis=1, keepdims=True)
         mean, sd = _moments(share, values)
         error = np.zeros_like(sd)
-        place = np.indices((count,) * low.shape[1]).reshape(low.shape[1], -1).sum(axis=0) % 2
-        for half in (place == 0, place == 1):
+        place = np.indices((count,) * low.shape[1]).reshape(low.shape[1], -1)
+        # Along each axis, too: a thin ridge that runs askew is seen alike by either half of all.
+        for half in (p == side for p in (place.sum(axis=0) % 2, *(place % 2)) for side in (0, 1)):
             part = weight[:, half] / weight[:, half].sum(axis=1, keepdims=True)
             other, width = _moments(part, values[:, half])
             off = np.maximum(np.abs(other - mean), np.abs(width - sd)) / sd
             error = np.maximum(error, np.where(np.isfinite(off), off, np.inf))
     # What half of the nodes change falls as the square root of what all leave; and the box ends.
-    return evidence, mean, sd, np.where(error < 0.1, error**1.5, error) + 1e-6, points, share
+    error = np.where(error < 0.1, error**1.5, error) + 1e-6
+    dim = low.shape[1]
+    planes = share.reshape(-1, *(count,) * dim)
+    over = [tuple(a for a in range(1, dim + 1) if a != axis) for axis in range(1, dim + 1)]
+    faces = np.stack([planes.sum(axis=axes)[:, [0, -1]] for axes in over], axis=1)
+    return evidence, mean, sd, error, points, share, np.nan_to_num(faces)
 
 
 def _moments(share: Array, values: Array) -> tuple[Array, Array]:

@@ -43,7 +43,7 @@ class LastLattice:
         Where contacts are lost, or signals bend, within four sds of the prior.
     """
 
-    def __init__(self, observer: Observer, *, samples: int = 33, most: int = 12) -> None:
+    def __init__(self, observer: Observer, *, samples: int = 65, most: int = 24) -> None:
         self.observer = observer
         x = observer.space.spread(1 / (1 + np.exp(-np.linspace(-6, 5, 17))), others=5)[:, :-1]
         contact = observer.contact(np.unique(x, axis=0))[0]
