@@ -130,6 +130,8 @@ class ContactCoordinates:
         if self.bounded > 1:
             low_angle, width = self.angle_range(contact[..., 0], contact)
             fraction = (contact[..., 1] - low_angle) / width
+            # Rounding may put a contact that is all but at the fold upon it.
+            fraction = np.where(fraction == 1, np.nextafter(1.0, 0.0), fraction)
             out[..., 1] = unconstrain_angle(fraction) + self._log_gain(contact[..., 0], width)
         for i in range(self.bounded, contact.shape[-1]):
             out[..., i] = to_normal(self.prior[self.cue.unknowns[i]], contact[..., i])
