@@ -14,6 +14,8 @@ from weberwhisk.contacts.columns import unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
 from weberwhisk.contacts.touches import touch_posterior
 
+pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
+
 C2 = ww.Whisker.from_identity("C2")
 KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)
 SOFT = ww.cues.UnknownStiffness(ww.cues.ForceMap())

@@ -14,6 +14,8 @@ from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
+pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
+
 MU = np.arctan(0.48)
 
 

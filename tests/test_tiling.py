@@ -20,6 +20,8 @@ from weberwhisk.posterior.tiled import TiledObserver
 from weberwhisk.posterior.tiling import TooManyTiles, tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
+pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
+
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 WHISKERS = {
     "R = 20": W,

@@ -7,6 +7,8 @@ from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.many_touches import touches, touches_jnd
 from weberwhisk.receptors import Weber
 
+pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
+
 W = Whisker(50e-3, 100e-6, 5e-6)
 
 
