@@ -183,7 +183,9 @@ def test_the_last_unknown_apart_is_as_all_at_once():
     rng = np.random.default_rng(seed)
     judged = 0
     for _ in range(6):
-        k, spread = 10 ** rng.uniform([-2.5, -1.5], [-0.3, 0.0])
+        # Of a wider spread the reference's box ends before the tail of the stiffness does: at 0.7
+        # its sd was 3 % below sums of contacts drawn from the prior, and tiles were not.
+        k, spread = 10 ** rng.uniform([-2.5, -1.5], [-0.3, -0.4])
         soft, side = UnknownStiffness(ForceMap(), spread), 10 ** rng.uniform(-5, -2.61)
         floor = GeneralisedWeber(0.0, floor=0.2 * k)
         observer = [
