@@ -193,14 +193,14 @@ def progress(
         console=Console(stderr=True), transient=True, disable=as_json or not terminal
     ) as bar:
         task = bar.add_task(description, total=total)
-        began = told = time.monotonic()
+        began = reported = time.monotonic()
 
         def advance(done: float = 1.0) -> None:
-            nonlocal told
+            nonlocal reported
             bar.advance(task, done)
             now = time.monotonic()
-            if not terminal and not as_json and now - told >= every:
-                told = now
+            if not terminal and not as_json and now - reported >= every:
+                reported = now
                 share = bar.tasks[0].percentage
                 print(f"{description}: {share:.0f} % after {now - began:.0f} s", file=sys.stderr)
 

@@ -1,4 +1,4 @@
-"""The whisker as an encoding: a radial distance felt through a cue, with its receptors' noise."""
+"""The whisker as an encoding: a radial distance encoded by a cue, with its receptors' noise."""
 
 from __future__ import annotations
 

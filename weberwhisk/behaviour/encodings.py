@@ -24,7 +24,7 @@ NOISES = ("weber", "equal-variance")
 
 
 class Encoding(Protocol):
-    """A stimulus as it is felt: what every observer model asks of it."""
+    """How a stimulus is encoded: what every observer model asks of it."""
 
     @property
     def direction(self) -> int:

@@ -10,16 +10,18 @@ import typer
 import weberwhisk as ww
 
 from ..output import Run, to_json
-from .locate import pairs
 from .options import (
     NO_SHAPE,
+    ColumnOption,
     JsonOption,
     OutOption,
     SeedOption,
     Shape,
+    UnitOption,
     as_asked,
     describe,
     options_named,
+    pairs,
     takes_whisker,
     the_whisker,
     whisker_line,
@@ -31,14 +33,8 @@ from .options import (
 def calibrate(
     taps: Annotated[Path, typer.Argument(help="Table of taps: CSV, Parquet or Excel.")],
     shape: Shape = NO_SHAPE,
-    column: Annotated[
-        list[str] | None,
-        typer.Option("--column", metavar="NAME=COLUMN", help="Its own name of a quantity."),
-    ] = None,
-    unit: Annotated[
-        list[str] | None,
-        typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a quantity, such as uN m/s."),
-    ] = None,
+    column: ColumnOption = None,
+    unit: UnitOption = None,
     counts: Annotated[
         bool, typer.Option("--counts", help="Slopes are counts a second: find the gain.")
     ] = False,

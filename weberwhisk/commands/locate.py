@@ -14,12 +14,15 @@ from .._terminal import numbers, progress
 from ..output import Run, to_json
 from .options import (
     NO_SHAPE,
+    ColumnOption,
     JsonOption,
     OutOption,
     Shape,
+    UnitOption,
     as_asked,
     describe,
     options_named,
+    pairs,
     takes_whisker,
     the_whisker,
     whisker_line,
@@ -27,27 +30,12 @@ from .options import (
 )
 
 
-def pairs(option: str, texts: list[str] | None) -> dict[str, str]:
-    """`moment=M_uNm` and the like as a mapping."""
-    parts = [text.partition("=") for text in texts or []]
-    for name, sign, value in parts:
-        if not (sign and name and value):
-            raise ValueError(f"{option} takes name=value, got {name!r}; write moment=…, say.")
-    return {name.strip(): value.strip() for name, _, value in parts}
-
-
 @takes_whisker
 def locate(
     contacts: Annotated[Path, typer.Argument(help="Table of contacts: CSV, Parquet or Excel.")],
     shape: Shape = NO_SHAPE,
-    column: Annotated[
-        list[str] | None,
-        typer.Option("--column", metavar="NAME=COLUMN", help="Its own name of a quantity."),
-    ] = None,
-    unit: Annotated[
-        list[str] | None,
-        typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a quantity, such as mN."),
-    ] = None,
+    column: ColumnOption = None,
+    unit: UnitOption = None,
     touch: Annotated[
         str | None, typer.Option("--touch", metavar="COLUMN", help="Column that numbers touches.")
     ] = None,

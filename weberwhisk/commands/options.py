@@ -131,6 +131,14 @@ DistanceOption = Annotated[
     list[str] | None,
     typer.Option("--radial-distance-mm", metavar="LIST", help="Straight line to the contact."),
 ]
+ColumnOption = Annotated[
+    list[str] | None,
+    typer.Option("--column", metavar="NAME=COLUMN", help="Its own name of a quantity."),
+]
+UnitOption = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a quantity, such as mN or uN m/s."),
+]
 SeedOption = Annotated[
     int,
     typer.Option(
@@ -347,6 +355,15 @@ def whisker_line(whisker: ww.Whisker) -> str:
         "Whisker: {length_mm:g} mm long, radius {base_radius_um:g} µm at the base and "
         "{tip_radius_um:g} µm at the tip, {youngs_modulus_gpa:g} GPa.".format(**describe(whisker))
     )
+
+
+def pairs(option: str, texts: list[str] | None) -> dict[str, str]:
+    """`moment=M_uNm` and the like as a mapping."""
+    parts = [text.partition("=") for text in texts or []]
+    for name, sign, value in parts:
+        if not (sign and name and value):
+            raise ValueError(f"{option} takes name=value, got {name!r}; write moment=…, say.")
+    return {name.strip(): value.strip() for name, _, value in parts}
 
 
 def option(parameter: str) -> str:

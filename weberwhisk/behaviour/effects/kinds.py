@@ -36,7 +36,7 @@ class Effect(Protocol):
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         """What the effect goes with, a number a row; None where the stimuli are all of it.
 
-        Zero stands for a trial like any other, where a curve is drawn or a threshold is told.
+        Zero stands for a trial like any other, where a curve is drawn or a threshold is computed.
         """
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
