@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, press
 from weberwhisk.behaviour import (
     CueEncoding,
@@ -216,3 +217,9 @@ def test_degrees_for_radians_are_hinted_at():
         press(WHISKER, 20e-3, 20)
     with pytest.warns(UserWarning, match="did you pass degrees"):
         CueEncoding(Observer(WHISKER, cues.ForceMap()), 10.0)
+
+
+@pytest.mark.parametrize("call", [ww.posterior, ww.touches])
+def test_what_is_no_observer_is_named(call):
+    with pytest.raises(ValueError, match="observer must be an Observer, got 'C2'"):
+        call("C2", [1.0])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from ._checks import finite, whole
+from ._checks import finite, kind, whole
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .jnd import fisher_jnd
 from .mechanics.contact import Outcome
@@ -94,6 +94,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     >>> print(f"{1e3 * one.sd:.1f} mm from one touch, {1e3 * three.sd:.1f} mm from three")
     3.3 mm from one touch, 1.5 mm from three
     """
+    kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
     y = observer.checked_reading(readings)
     y = y.reshape(-1, y.shape[-1])
     grid = _grid(observer)

@@ -55,9 +55,14 @@ def calibrate(
     with Run(out, "calibrate", options, seed) as run:
         with options_named(["columns", "units"]):
             found = ww.calibrate(
-                taps, whisker, columns=pairs("--column", column), units=pairs("--unit", unit),
-                counts=counts, hinge=not clamped, seed=seed,
-            )  # fmt: skip
+                taps,
+                whisker,
+                columns=pairs("--column", column, "moment_rate=slope"),
+                units=pairs("--unit", unit, "moment_rate=uN m/s"),
+                counts=counts,
+                hinge=not clamped,
+                seed=seed,
+            )
         parameters = found.parameters.reset_index(names="parameter")
         run.table("parameters", parameters)
         run.table("residuals", found.residuals)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,6 +29,7 @@ from .options import (
     Shape,
     as_asked,
     number_option,
+    pairs,
     takes_whisker,
     whisker_line,
     wrote,
@@ -228,7 +228,7 @@ def _trials(
 ) -> ww.Trials:
     if not file.is_file():
         raise ValueError(f"{str(file)!r} is not a file; give the path of a table of trials.")
-    columns = _pairs("--column", column, "choice=response")
+    columns = pairs("--column", column, "choice=response")
     if encoding is not None:
         columns = _with_millimetres(file) | columns
         if scale != "linear":
@@ -241,22 +241,12 @@ def _trials(
             file,
             columns=columns,
             task=task,
-            choice_labels=_pairs("--label", label, "L=first") or None,
+            choice_labels=pairs("--label", label, "L=first") or None,
             scale=scale,
             log_unit=log_unit,
         )
     except ValueError as error:
         raise ValueError(_as_options(str(error))) from None
-
-
-def _pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:
-    pairs = {}
-    for text in texts or ():
-        left, sign, right = text.partition("=")
-        if not (left and sign and right):
-            raise ValueError(f"{name} takes a pair such as {example}, got {text!r}.")
-        pairs[left.strip()] = right.strip()
-    return pairs
 
 
 def _with_millimetres(file: Path) -> dict[str, str]:

@@ -77,8 +77,8 @@ def locate(
 
         with options_named(["columns", "units", "touch", "noise"]):
             table = ww.locate(
-                contacts, whisker, columns=pairs("--column", column),
-                units=pairs("--unit", unit), touch=touch, noise=noise, progress=step,
+                contacts, whisker, columns=pairs("--column", column, "moment=M_uNm"),
+                units=pairs("--unit", unit, "moment=mN m"), touch=touch, noise=noise, progress=step,
             )  # fmt: skip
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])

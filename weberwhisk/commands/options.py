@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
@@ -357,18 +357,21 @@ def whisker_line(whisker: ww.Whisker) -> str:
     )
 
 
-def pairs(option: str, texts: list[str] | None) -> dict[str, str]:
-    """`moment=M_uNm` and the like as a mapping."""
-    parts = [text.partition("=") for text in texts or []]
-    for name, sign, value in parts:
-        if not (sign and name and value):
-            raise ValueError(f"{option} takes name=value, got {name!r}; write moment=…, say.")
-    return {name.strip(): value.strip() for name, _, value in parts}
+def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:
+    """The entries that an option was given, each `left=right`, as a mapping."""
+    found = {}
+    for text in texts or ():
+        left, sign, right = text.partition("=")
+        if not (left and sign and right):
+            raise ValueError(f"{name} takes a pair such as {example}, got {text!r}.")
+        found[left.strip()] = right.strip()
+    return found
 
 
 def option(parameter: str) -> str:
     """The option that a parameter is written as."""
-    return f"--{parameter.replace('_', '-')}"
+    once = {"columns": "column", "units": "unit"}  # given once for each entry of the mapping
+    return f"--{once.get(parameter, parameter).replace('_', '-')}"
 
 
 @contextmanager

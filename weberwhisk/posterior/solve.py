@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._checks import one_of
+from .._checks import kind, one_of
 from .._display import member
 from ..observer import Observer
 from ..receptors import Seed
@@ -99,6 +99,7 @@ def posterior(
     module, function = _METHODS[one_of("method", method, _METHODS)]
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance must be above zero, got {tolerance!r}; write 1e-3, say.")
+    kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
     y = observer.checked_reading(reading, missing=True)
     single = y.ndim == 1
     rows = y.reshape(-1, y.shape[-1])
