@@ -167,7 +167,8 @@ def test_touches_are_named_in_every_row() -> None:
 @pytest.mark.parametrize(
     ("table", "options", "sentence"),
     [
-        ({"moment": [1e-6]}, {}, "No distance follows"),
+        ({"moment": [1e-6]}, {}, "the columns 'moment', of which moment is known: needed are two"),
+        ({"a": [1], "b": [2]}, {}, "the columns 'a', 'b', of which none is known: needed are two"),
         ({"moment": [3.0], "axial_force": [80.0]}, {}, "did you pass"),
         ({"moment": ["a"], "axial_force": [1e-5]}, {}, "holds text"),
         ({"moment": [1e-6], "axial_force": [1e-5], "sd_mm": [1]}, {}, "already"),

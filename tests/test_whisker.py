@@ -75,6 +75,12 @@ def test_nonsense_is_refused_in_one_sentence(fields, words):
     assert str(error.value).endswith(".")
 
 
+@pytest.mark.parametrize("curved", ["x", "no", 1, None])
+def test_curved_is_yes_or_no(curved):
+    with pytest.raises(ValueError, match="curved must be True or False, got "):
+        ww.Whisker.from_identity("C2", curved=curved)
+
+
 def test_unknown_identity_names_the_nearest():
     with pytest.raises(ValueError, match=r"whisker 'C22' is unknown \(did you mean 'C2'\?\)"):
         ww.Whisker.from_identity("C22")

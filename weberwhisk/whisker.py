@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import domain
-from ._checks import finite, one_of, positive
+from ._checks import finite, one_of, positive, shown
 from ._values import Value
 
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
@@ -126,7 +126,7 @@ class Whisker(Value):
         Raises
         ------
         ValueError
-            For an identity that the table does not have.
+            For an identity that the table does not have, or a `curved` that is not True or False.
 
         Notes
         -----
@@ -142,6 +142,11 @@ class Whisker(Value):
         """
         table = _morphology()
         row = table[one_of("whisker", identity, table)]
+        if not isinstance(curved, bool | np.bool_):
+            raise ValueError(
+                f"curved must be True or False, got {shown(curved)}; write curved=True for this "
+                "follicle's measured curvature, or give Whisker a curvature in 1/m."
+            )
         length, base = row["length_mm"], row["base_diameter_um"]
         if seed is not None:
             draws = np.clip(np.random.default_rng(seed).standard_normal(2), -2.5, 2.5)

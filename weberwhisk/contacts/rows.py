@@ -168,7 +168,7 @@ def locate(
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
     si = planar(si, notes)
     one_side(si, notes)
-    cue, y, covariance = _signals(si, cue, whisker, notes)
+    cue, y, covariance = _signals(si, cue, whisker, notes, header)
     observer = Observer(whisker, cue, noise, prior or {})  # type: ignore[arg-type]
     if observer.noise.is_categorical or not observer.noise.reads_signals:
         raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
@@ -220,7 +220,7 @@ def _table(table: Any) -> pd.DataFrame:
 
 
 def _signals(
-    si: dict[str, Array], cue: Cue | None, whisker: Whisker, notes: list[str]
+    si: dict[str, Array], cue: Cue | None, whisker: Whisker, notes: list[str], header: list[str]
 ) -> tuple[Cue, Array, Array | None]:
     """The cue, the readings (n, S) and the covariances of their errors, if the table has any."""
     forces = [name for name in SIGNALS if name in si]
@@ -233,9 +233,10 @@ def _signals(
             cue = ForceMap(forces)
         else:
             raise ValueError(
-                f"No distance follows from {', '.join(si) or 'no known column'}: it takes the "
-                "moment and a force, or an angle with one of them, or moment_rate and "
-                'angular_velocity; name them with columns={"moment": "M"}.'
+                f"No distance follows from the columns {_checks.listed(header, 8)}, of which "
+                f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
+                "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
+                'with columns={"moment": "M"}, or on the command line with --column moment=M.'
             )
         if whisker.youngs_modulus == YOUNGS_MODULUS:
             cue = UnknownStiffness(cue)
