@@ -18,6 +18,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from . import behaviour, campaign, cues, design, figures, mechanics, receptors, sweeping
+    from .array import WhiskerArray
     from .behaviour import (
         Comparison,
         PopulationFit,
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
 # Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
 _NAMES = {
     "whisker": "Whisker identities",
+    "array": "WhiskerArray",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
     "observer": "Observer",
@@ -110,6 +112,7 @@ __all__ = [
     "Trials",
     "WeberFit",
     "Whisker",
+    "WhiskerArray",
     "added_information",
     "behaviour",
     "bend",

@@ -6,6 +6,7 @@ line style, so that a figure also reads in grey.
 """
 
 from .._deprecated import renamed_names
+from .array import whisker_array
 from .charts import fits_and_growth, speed_accuracy
 from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
 from .designs import (
@@ -67,6 +68,7 @@ __all__ = [
     "speed_accuracy",
     "styled",
     "weber_2d",
+    "whisker_array",
 ]
 __getattr__ = renamed_names(
     __name__,
