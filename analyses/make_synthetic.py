@@ -1,4 +1,4 @@
-"""Make `data_synthetic/`: simulated choices, with truth, seed and schema of each beside them.
+"""Make `data_synthetic/`: simulated choices and a tracked session, each with its truth beside it.
 
     python analyses/make_synthetic.py [folder]
 
@@ -12,9 +12,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from command import ANALYSES, options
 
-from weberwhisk import Observer, Whisker, cues
+from weberwhisk import Observer, Whisker, cues, simulate_tracking
 from weberwhisk.behaviour import CueEncoding, Trials, simulate_population, simulate_trials
 from weberwhisk.behaviour.report import data_package, describe_table
 
@@ -213,6 +214,67 @@ def resource(name: str, trials: Trials, truth: dict[str, Any]) -> dict[str, Any]
     )
 
 
+#: A rat's C2 that whisks against a pole moved from whisk to whisk, as a tracker sees it.
+SESSION: dict[str, Any] = {
+    "radial_distances": [0.012, 0.016, 0.02, 0.024],
+    "frames": 160,
+    "frame_rate": 500.0,
+    "whisking_hz": 12.5,
+    "deflection": 0.25,
+    "pixels_per_mm": 20.0,
+    "noise_px": 0.3,
+    "spacing_px": 12.0,
+    "missing": 0.02,
+    "seed": 20110177,
+}
+COLUMNS = {
+    "frame": "frame of the video, from 0",
+    "x": "point of the whisker, from follicle to tip, pixels",
+    "y": "the same, across",
+    "time_s": "time, s",
+    "whisk": "whisk, from 1; the pole stands elsewhere in each",
+    "contact": "whether the whisker touches the pole",
+    "tracked": "whether the tracker found the whisker",
+    "pole_x": "pole, pixels",
+    "pole_y": "the same, across",
+    "radial_distance_mm": "follicle to contact, mm; empty without contact, as all below",
+    "arc_length_mm": "follicle to contact along the whisker, mm",
+    "deflection_angle_deg": "base tangent to the line from follicle to contact",
+    "moment_uNm": "bending moment at the base, µN m",
+    "axial_force_uN": "force along the base tangent, positive in compression, µN",
+    "transverse_force_uN": "force across it, µN",
+}
+
+
+def session() -> dict[str, pd.DataFrame]:
+    """The tracked session as a table of points, and its truth."""
+    whisker = Whisker.from_identity("C2", curved=True)
+    tracking, truth = simulate_tracking(whisker, **SESSION)
+    points = tracking[["frame", "x", "y"]].explode(["x", "y"]).astype({"x": float, "y": float})
+    return {"tracked_session": points.round(2), "tracked_session_truth": truth.round(6)}
+
+
+def of_session(name: str, table: pd.DataFrame) -> dict[str, Any]:
+    """The entry of a table of the session in the data package."""
+    kinds = {"i": "integer", "f": "number", "b": "boolean"}
+    fields = [
+        {"name": c, "type": kinds[table[c].dtype.kind], "description": COLUMNS[c]} for c in table
+    ]
+    return {
+        "name": name.replace("_", "-"),
+        "path": f"{name}.csv",
+        "title": "A tracked whisker against a pole"
+        + (": what is true" if name.endswith("truth") else ""),
+        "format": "csv",
+        "mediatype": "text/csv",
+        "encoding": "utf-8",
+        "schema": {"fields": fields, "missingValues": [""]},
+        "whisker": "Whisker.from_identity('C2', curved=True)",
+        "simulation": SESSION,
+        "generator": "weberwhisk.simulate_tracking, by analyses/make_synthetic.py",
+    }
+
+
 def write(folder: Path) -> None:
     """All data sets and their data package."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -221,8 +283,13 @@ def write(folder: Path) -> None:
         trials, truth = make(name)
         trials.to_csv(folder / f"{name}.csv")
         resources.append(resource(name, trials, truth))
+    for name, table in session().items():
+        table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+        resources.append(of_session(name, table))
     package = data_package(
-        "weberwhisk-synthetic", "Simulated choices with known Weber fractions", resources
+        "weberwhisk-synthetic",
+        "Simulated choices with known Weber fractions, and a tracked whisker",
+        resources,
     )
     (folder / "datapackage.json").write_text(json.dumps(package, indent=2) + "\n", encoding="utf-8")
 

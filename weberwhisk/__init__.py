@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         simulate_trials,
     )
     from .citing import cite
-    from .contacts import calibrate, locate, read_tracking
+    from .contacts import calibrate, locate, read_tracking, simulate_tracking
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
@@ -77,7 +77,7 @@ _NAMES = {
     "jnd_surface": "jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "calibrate locate read_tracking",
+    "contacts": "calibrate locate read_tracking simulate_tracking",
     "design": "plan_experiment power read_plan simulate_study",
     "planning": "write_plan",
     "citing": "cite",
@@ -148,6 +148,7 @@ __all__ = [
     "signal_jacobian",
     "simulate_population",
     "simulate_study",
+    "simulate_tracking",
     "simulate_trials",
     "sticking",
     "sweep",

@@ -97,7 +97,7 @@ def read_tracking(
         table = _whiskers(path)
     else:
         table = _points(path)
-    table = _tidy(table, path)
+    table = tidy(table, path)
     table = table[~(table["length_px"] < shortest_px)]
     if follicles is not None:
         x0, y0, x1, y1 = _checks.finite("follicles", follicles, "give x, y, x, y in pixels")
@@ -120,7 +120,8 @@ def read_tracking(
     return table
 
 
-def _tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
+def tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
+    """The columns of every table, in order, from what a tracker wrote."""
     for name, others in _ALIASES.items():
         for other in others:
             if name not in table and other in table:
@@ -199,14 +200,15 @@ def _whiskers(path: Path) -> pd.DataFrame:
         if not (np.isfinite(x) & np.isfinite(y)).all():
             raise broken
         rows.append({"frame": frame, "whisker": number, "score": float(np.median(score)),
-                     **_shape(x, y)})  # fmt: skip
+                     **segment(x, y)})  # fmt: skip
         at += 12 + 16 * length
     if count != len(rows):
         raise broken
     return pd.DataFrame(rows)
 
 
-def _shape(x: NDArray[np.float64], y: NDArray[np.float64]) -> dict[str, Any]:
+def segment(x: NDArray[np.float64], y: NDArray[np.float64]) -> dict[str, Any]:
+    """What a row tells of points from follicle to tip."""
     return {
         "x": x, "y": y, "follicle_x": x[0], "follicle_y": y[0], "tip_x": x[-1], "tip_y": y[-1],
         "length_px": float(np.hypot(np.diff(x), np.diff(y)).sum()),
@@ -279,5 +281,5 @@ def _points(path: Path) -> pd.DataFrame:
     for key, own in points[known].groupby(keys, sort=True):
         if len(own) > 1:
             values = dict(zip(keys, key, strict=True))
-            rows.append({"whisker": 0, **values, **_shape(*own[["x", "y"]].to_numpy(float).T)})
+            rows.append({"whisker": 0, **values, **segment(*own[["x", "y"]].to_numpy(float).T)})
     return pd.DataFrame(rows)
