@@ -722,6 +722,10 @@ def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
     table = pd.read_csv(out / "comparison.csv", index_col="model")
     assert table.index[-1] == "constant noise"
     assert found["comparison"]["verdict"] in (out / "fit_report.txt").read_text("utf-8")  # type: ignore[index]
+    levels = answer(capsys, "fit", file, "--prior", "levels", "--lapse-prior", "1,20")
+    believed = levels["parameters"]["weber_fraction"]["prior"]  # type: ignore[index]
+    assert believed.endswith("about the levels shown")
+    assert "choose one of levels" in refused(capsys, "fit", file, "--prior", "wide")
     moved = answer(capsys, "fit", file, "--effect", "near-miss", "--lapse-prior", "1,20")
     assert moved["settings"]["effects"] == ["exponent"]  # type: ignore[index]
     law = answer(capsys, "fit", file, "--compare", "law")

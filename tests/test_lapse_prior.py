@@ -6,15 +6,25 @@ import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import FOLDER, load
+from scipy.stats import lognorm
 
+from weberwhisk import Observer, Whisker, cues, fit_weber, simulate_trials
+from weberwhisk.behaviour import (
+    CueEncoding,
+    effects,
+    fit_population,
+    methods_paragraph,
+    simulate_population,
+)
 from weberwhisk.behaviour.priors import DEFAULTS
+from weberwhisk.receptors import GeneralisedWeber
 
 script = load("lapse_prior")
 beside = load("psignifit_side_by_side")
 
-#: With 117 trials to 0.9 sd even an observer told the lapses and the bias is at 20 %.
-BEYOND_REACH = "k 0.2, 117 trials to ±0.30"
-CELLS = [name for name in script.CELLS if name != BEYOND_REACH]
+LEVELS = {"weber_fraction": "levels"}
+#: With 117 trials to 0.9 sd even an observer informed of lapses and bias is at 20 %.
+BEYOND_REACH = script.CELL_ABOVE
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +33,13 @@ def psignifit() -> pd.DataFrame:
     return pd.read_csv(FOLDER / "psignifit_side_by_side.csv", dtype={"name": str})
 
 
-def by_grid(design: object, count: np.ndarray, name: str = script.SHIPPED) -> np.ndarray:
-    table = script.belief(*script.BELIEFS[name])[:, None]
+def by_grid(
+    design: object, count: np.ndarray, fraction: str = script.SHIPPED_FRACTION
+) -> np.ndarray:
+    table = script.belief(*script.BELIEFS[script.SHIPPED])[:, None]
     ln_k, like = script.density(design, count, table)
-    return np.exp(script.estimates(ln_k, like[0, :, 0])["median"])
+    prior = script.prior_of(fraction, design)
+    return np.exp(script.estimates(ln_k, like[0, :, 0], prior)["median"])
 
 
 def rmse(found: np.ndarray, k: float | np.ndarray) -> float:
@@ -44,21 +57,25 @@ def test_what_was_chosen_is_the_default() -> None:
 @pytest.mark.parametrize("name", ["k 0.1, 297 trials to ±0.30", "k 0.2, 297 trials to ±0.30"])
 def test_the_plain_grid_gives_what_the_fit_gives(name: str) -> None:
     design, count, _ = script.cell(name, 6)
-    fits = np.array([beside.our_answer(design, row)[0] for row in count])
-    # Nodes of 0.12 in ln k, and sixteen for each lapse.
-    np.testing.assert_allclose(by_grid(design, count), fits, rtol=0.03)
+    for priors, fraction in ((None, script.SHIPPED_FRACTION), (LEVELS, script.BY_LEVELS)):
+        fits = np.array([beside.our_answer(design, row, priors)[0] for row in count])
+        # Nodes of 0.12 in ln k, and sixteen for each lapse.
+        np.testing.assert_allclose(by_grid(design, count, fraction), fits, rtol=0.03)
 
 
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize("name", script.CELLS)
 def test_no_further_from_the_truth_than_psignifit_on_the_same_data(
     name: str, psignifit: pd.DataFrame
 ) -> None:
-    """At k = 0.2 and 297 trials the default was at 19 % and psignifit at 13 %."""
+    """At k = 0.2 and 297 trials the default was at 19 % and psignifit at 13 %; in one cell the
+    default cannot be, and the belief about the levels, which psignifit has too, is."""
     own = psignifit[(psignifit["kind"] == "cell") & (psignifit["name"] == name)]
     assert len(own) > 50
     design, count, k = script.cell(name, 400)
-    ours = by_grid(design, count[own["set"].to_numpy()])
-    assert rmse(ours, k) <= rmse(own["k"].to_numpy(), k)
+    count, theirs = count[own["set"].to_numpy()], rmse(own["k"].to_numpy(), k)
+    if name != BEYOND_REACH:
+        assert rmse(by_grid(design, count), k) <= theirs
+    assert rmse(by_grid(design, count, script.BY_LEVELS), k) <= theirs
 
 
 def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() -> None:
@@ -72,44 +89,117 @@ def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() ->
 
 
 @pytest.mark.parametrize("part", script.DESIGNS)
-def test_over_animals_and_designs_the_default_loses_less_than_the_one_before(part: str) -> None:
+def test_over_animals_and_designs_the_defaults_lose_least(part: str) -> None:
+    """Of lapses less than the default before; and half as wide a prior of k loses less where the
+    animals were laid out, and far more once they are moved, with their levels, to k about 0.5."""
     table = np.array([script.belief(*script.BELIEFS[name]) for name in list(script.BELIEFS)[:2]]).T
-    errors = []
+    fractions = script.SHIPPED_FRACTION, "0.1, a factor of 2"
+    loss: dict[str, list[float]] = {}
     for number in range(8):
         design, count, truth = script.population(part, number, 150)
         ln_k, like = script.density(design, count, table)
-        errors.append(script.estimates(ln_k, like[0])["median"] - np.log(truth[0]))
-    now, before = np.sqrt(np.mean(np.concatenate(errors, axis=1) ** 2, axis=1))
-    assert now < 0.97 * before
-    assert now < 0.3
+
+        def squares(name: str, belief: int, moved: float = 0.0) -> list[float]:
+            prior = script.prior_of(name, design, moved)  # noqa: B023
+            median = script.estimates(ln_k, like[0, :, belief], prior)["median"]  # noqa: B023
+            return ((median - np.log(truth[0])) ** 2).tolist()  # noqa: B023
+
+        loss.setdefault("before", []).extend(squares(fractions[0], 1))
+        for name in fractions:
+            loss.setdefault(name, []).extend(squares(name, 0))
+            loss.setdefault(name + ", moved", []).extend(squares(name, 0, np.log(0.5 / 0.14)))
+    rms = {name: np.sqrt(np.mean(squares)) for name, squares in loss.items()}
+    three, two = fractions
+    assert rms[three] < 0.97 * rms["before"]
+    assert rms[three] < 0.3
+    assert rms[two] < rms[three]
+    assert rms[two + ", moved"] > 1.2 * rms[three + ", moved"]
 
 
 @pytest.mark.parametrize("kind", beside.KINDS)
 def test_no_further_than_psignifit_over_animals_whose_thresholds_are_bracketed(
     kind: str, psignifit: pd.DataFrame
 ) -> None:
-    ours, theirs = [], []
+    ours: dict[str, list[np.ndarray]] = {script.SHIPPED_FRACTION: [], script.BY_LEVELS: []}
+    theirs = []
     for number in range(8):
         own = psignifit[(psignifit["kind"] == kind) & (psignifit["name"] == str(number))]
         at = own["set"].to_numpy()
         design, count, k = beside.data(kind, str(number), 400)
         inside = beside.bracketed(kind, str(number), 400)[at]
         at = at[inside]
-        ours.append(np.log(by_grid(design, count[at]) / k[at]))
+        for fraction, errors in ours.items():
+            errors.append(np.log(by_grid(design, count[at], fraction) / k[at]))
         theirs.append(np.log(own["k"].to_numpy()[inside] / k[at]))
-    loss = [np.sqrt(np.mean(np.concatenate(errors) ** 2)) for errors in (ours, theirs)]
-    assert loss[0] <= loss[1]
+    fixed, levels, their = (
+        np.sqrt(np.mean(np.concatenate(errors) ** 2)) for errors in (*ours.values(), theirs)
+    )
+    assert levels <= fixed <= their
+
+
+def test_the_belief_about_levels_is_the_prior_that_it_says() -> None:
+    trials = simulate_trials(weber_fraction=0.2, trials_per_level=13, seed=3)
+    fit = fit_weber(trials, priors=LEVELS)
+    pairs = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy()
+    easiest = np.max(np.abs(pairs[:, 1] - pairs[:, 0]) / np.hypot(*pairs.T)) / 1.5
+    same = fit_weber(trials, priors={"weber_fraction": lognorm(0.46, scale=easiest)})
+    assert fit.interval() == pytest.approx(same.interval(), rel=1e-9)
+    assert fit.summary()["prior"]["weber_fraction"].endswith("about the levels shown")
+    assert "about the levels shown" in fit.report()
+    assert "about the levels shown" in methods_paragraph(fit)
+    assert "levels" not in methods_paragraph(same)
+    other = fit_weber(trials, priors=LEVELS | {"lapse_low": 0.0})
+    assert other.model.priors.is_fixed("lapse_low")
+
+
+def test_of_yes_no_the_easiest_pair_is_as_far_from_its_criterion() -> None:
+    trials = simulate_trials(task="yes/no", weber_fraction=0.2, seed=3)
+    at = fit_weber(trials, priors=LEVELS).model.priors.weber_fraction.median()
+    s1, s2 = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy().T
+    assert at == pytest.approx(np.max(np.abs(s2 - s1) / s2) / 1.5)
+
+
+def test_animals_shown_other_levels_lay_the_prior_at_their_geometric_mean() -> None:
+    trials, _ = simulate_population(2, weber_fraction=0.1, trials_per_level=8, seed=1)
+    frame = trials.frame
+    comparison = frame["stimulus_2"] / frame["stimulus_1"]
+    narrow = (frame["subject"] == trials.subjects[0]) & (np.abs(comparison - 1) > 0.2)
+    fewer = type(trials)(frame[~narrow].reset_index(drop=True), trials.task)
+    alone = [
+        fit_weber(fewer.select(subject=s), priors=LEVELS).model.priors.weber_fraction.median()
+        for s in fewer.subjects
+    ]
+    assert alone[0] < 0.8 * alone[1]
+    together = fit_population(fewer, priors=LEVELS)
+    assert together.believed.weber_fraction.median() == pytest.approx(np.sqrt(np.prod(alone)))
+    assert "about the levels shown" in methods_paragraph(together)
+
+
+def test_levels_are_refused_where_they_say_nothing_of_k() -> None:
+    trials = simulate_trials(trials_per_level=5, seed=1)
+    with pytest.raises(ValueError, match="did you mean 'levels'"):
+        fit_weber(trials, priors={"weber_fraction": "level"})
+    with pytest.raises(ValueError, match="a floor is fitted"):
+        fit_weber(trials, priors=LEVELS, effects=[effects.Floor()])
+    equal = type(trials)(trials.frame.assign(stimulus_2=trials.frame["stimulus_1"]), trials.task)
+    with pytest.raises(ValueError, match="no pair of different stimuli"):
+        fit_weber(equal, priors=LEVELS)
+    whisker = Whisker(50e-3, 100e-6, 5e-6)
+    floored = CueEncoding(Observer(whisker, cues.Compliance(), GeneralisedWeber(0.1, floor=1e-6)))
+    taps = simulate_trials(standards=[20e-3], trials_per_level=5, encoding=floored, seed=1)
+    with pytest.raises(ValueError, match="does not go with the Weber fraction"):
+        fit_weber(taps, encoding=floored, priors=LEVELS)
 
 
 @pytest.mark.slow
 def test_the_same_by_the_fit_itself_in_full(psignifit: pd.DataFrame) -> None:
-    for name in CELLS:
+    for name in script.CELLS:
         found = beside.side_by_side(psignifit, "cell", [name])
-        ours, theirs = (rmse(found[tool][:, 0], 1.0) for tool in ("weberwhisk", "psignifit"))
-        assert ours <= theirs, name
+        ours, levels, theirs = (rmse(found[tool][:, 0], 1.0) for tool in beside.TOOLS)
+        assert levels <= theirs, name
+        assert ours <= theirs or name == BEYOND_REACH, name
     for kind in beside.KINDS:
         found = beside.side_by_side(psignifit, kind, [str(n) for n in range(8)])
-        tools = ("weberwhisk", "psignifit")
         inside = found["bracketed"]
-        log = {t: np.sqrt(np.mean(np.log(found[t][inside, 0]) ** 2)) for t in tools}
-        assert log["weberwhisk"] <= log["psignifit"]
+        log = [np.sqrt(np.mean(np.log(found[t][inside, 0]) ** 2)) for t in beside.TOOLS]
+        assert max(log[:2]) <= log[2]

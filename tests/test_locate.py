@@ -164,6 +164,18 @@ def test_touches_are_named_in_every_row() -> None:
     assert found["touch_status"].tolist() == ["converged"] * 4 + ["no_touch"] * 2
 
 
+def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:
+    """`locate` and `fit` share the reader of tables, which asked both for trials."""
+    path = tmp_path / "empty.csv"
+    path.touch()
+    with pytest.raises(ValueError, match="one row per contact"):
+        ww.locate(path, KNOWN)
+    with pytest.raises(ValueError, match="one row per trial"):
+        ww.read_trials(path)
+    with pytest.raises(FileNotFoundError, match="table of contacts"):
+        ww.locate(tmp_path / "none.csv", KNOWN)
+
+
 @pytest.mark.parametrize(
     ("table", "options", "sentence"),
     [

@@ -14,6 +14,7 @@ from .effects import Effect, check_effects
 from .encodings import (
     NOISES,
     Encoding,
+    UnitEncodings,
     chosen_encoding,
     encoding_for,
     refuse_unencoded,
@@ -24,7 +25,7 @@ from .likelihood import WeberModel, gather
 from .posteriors import QuadraturePosterior, WeberPosterior
 from .priors import priors_for
 from .result import WeberFit
-from .trials import Trials, check_trials
+from .trials import Cells, Trials, check_trials
 from .verdict import verdict
 
 BIASES = ("none", "shared", "per standard")
@@ -68,7 +69,8 @@ def fit_weber(
         sessions, history, contraction, overdispersion; see `weberwhisk.behaviour.effects`.
     priors : Priors or mapping, optional
         Frozen SciPy distributions, or numbers for what is known, by parameter:
-        `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`. See `Priors`.
+        `{"lapse_low": scipy.stats.beta(1, 9), "bias": 0.0}`; `{"weber_fraction": "levels"}` where
+        the levels were chosen to bracket the animal's thresholds. See `Priors`.
     method : {"quadrature", "emcee"}, optional
         By default quadrature up to five parameters (biases of standards count as one, being
         integrated one by one), and emcee beyond.
@@ -138,9 +140,7 @@ def build_model(
             "one with "
             f"trials.select(subject={trials.subjects[0]!r})."
         )
-    encoded = chosen_encoding(encoding, observer)
-    if encoded is None:
-        encoded = encoding_for(trials.scale, trials.log_unit, noise)
+    encoded = encoding_of(trials, encoding, observer, noise)
     task = trials.task
     by_itself = "shared" if task.has_bias else "none"
     chosen = by_itself if bias is None else bias
@@ -150,8 +150,7 @@ def build_model(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
         )
     cells, columns = gather(trials, tuple(effects), encoded)
-    refuse_unencoded(encoded, np.concatenate([cells.stimulus_1, cells.stimulus_2, cells.standard]))
-    both = unit_encodings(encoded, cells.stimulus_1, cells.stimulus_2, cells.standard, noise)
+    both = pairs_shown(cells, encoded, noise)
     if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
         raise ValueError(
             "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
@@ -172,6 +171,19 @@ def build_model(
         levels, group = np.unique(cells.standard, return_inverse=True)
         names = tuple(f"{label}[{s:g}]" for s in levels)
     unit_known = trials.scale == "linear" or trials.log_unit is not None
-    believed = priors_for(priors, cells, unit_known, task, by_name)
+    believed = priors_for(priors, cells, unit_known, task, by_name, [both])
     model = WeberModel(task, both, cells, believed, group, names, bound, columns)
     return model, encoded, chosen
+
+
+def encoding_of(trials: Trials, encoding: Encoding | None, observer: Any, noise: str) -> Encoding:
+    """The encoding of a fit: the one given, or that of a whisker, or what the table calls for."""
+    given = chosen_encoding(encoding, observer)
+    return encoding_for(trials.scale, trials.log_unit, noise) if given is None else given
+
+
+def pairs_shown(cells: Cells, encoding: Encoding, noise: str) -> UnitEncodings:
+    """Both encoded stimuli of every cell, refused where one gives no signal."""
+    stimuli = cells.stimulus_1, cells.stimulus_2, cells.standard
+    refuse_unencoded(encoding, np.concatenate(stimuli))
+    return unit_encodings(encoding, *stimuli, noise)

@@ -196,7 +196,7 @@ def _check_mapping(name: str, value: object, example: str) -> None:
 SHEETS = (".xlsx", ".xls", ".xlsm", ".ods")
 
 
-def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
+def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[pd.DataFrame, str]:
     """The table as it stands, and its name for messages; its index counts rows from 1.
 
     Parameters
@@ -205,6 +205,8 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
         By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
         `trials`), and everything else as text, plain or compressed. Text is separated by commas,
         tabs or semicolons, whichever its header has most of.
+    row : str
+        What one row is, for messages.
 
     Returns
     -------
@@ -235,7 +237,7 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
         )
     path = Path(source)
     if not path.is_file():
-        sentence = "there is no such file; give the path of a table of trials"
+        sentence = f"there is no such file; give the path of a table of {row}s"
         raise FileNotFoundError(errno.ENOENT, sentence, str(path))
     try:
         raw = _read(path)
@@ -247,7 +249,7 @@ def load_table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
         ) from None
     except pd.errors.EmptyDataError:
         raise ValueError(
-            f"{path.name}: the file is empty; give a header and one row per trial."
+            f"{path.name}: the file is empty; give a header and one row per {row}."
         ) from None
     # The readers of all these formats raise whatever their libraries do at a broken file.
     except Exception as error:

@@ -18,7 +18,7 @@ from .._display import Shown, interval_text
 from ..posterior.arviz_io import to_arviz
 from ..threads import one_blas_thread
 from . import report
-from .fit import fit_weber
+from .fit import encoding_of, fit_weber, pairs_shown
 from .hierarchy import NAMES, Population, integrate_population
 from .lapses import likely_scales
 from .priors import PopulationPriors, Priors, priors_for
@@ -253,7 +253,8 @@ def fit_population(
     sessions : bool
         Let the Weber fraction of an animal vary between sessions.
     encoding, observer, bias, noise, priors
-        As for `fit_weber`, the same for all animals.
+        As for `fit_weber`, the same for all animals. `{"weber_fraction": "levels"}` lays the prior
+        of their median about the geometric mean of what each animal's easiest pair says.
     population : PopulationPriors, optional
     seed : int
         Of draws only.
@@ -293,7 +294,10 @@ def fit_population(
                 f"with columns={{{column!r}: '<its name>'}} when the table is read."
             )
     unit_known = trials.scale == "linear" or trials.log_unit is not None
-    believed = priors_for(priors, trials.cells(), unit_known, trials.task)
+    each = (trials.select(subject=subject).cells() for subject in trials.subjects)
+    encoded = encoding_of(trials, encoding, observer, noise)
+    shown = (pairs_shown(cells, encoded, noise) for cells in each)  # asked for by "levels" alone
+    believed = priors_for(priors, trials.cells(), unit_known, trials.task, shown=shown)
     if believed.is_fixed("weber_fraction"):
         raise ValueError(
             "the Weber fraction of every animal was fixed, and a population learns them; leave it "

@@ -125,6 +125,15 @@ def fit(
             help="Belief about the lapses at either end, Beta(A, B).  [default: 0.7,20]",
         ),
     ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            "--prior",
+            help="levels: believe that the levels shown bracket the thresholds, as when they were "
+            "chosen for the animal; not to compare designs, nor for data collected in stages.  "
+            "[default: a median of 0.1, whatever the levels]",
+        ),
+    ] = None,
     comparison: Annotated[
         str | None,
         typer.Option(
@@ -170,6 +179,9 @@ def fit(
     if encoding is not None:
         _refuse_metres(trials, encoding)
     priors = _lapse_priors(lapse_prior, trials)
+    if prior is not None:
+        known = _checks.one_of("--prior", prior, ("levels",))
+        priors = {"weber_fraction": known} | (priors or {})
     if together:
         if effect or comparison or method:
             raise ValueError(

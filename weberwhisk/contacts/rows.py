@@ -208,14 +208,14 @@ def _table(table: Any) -> pd.DataFrame:
             raise ValueError(f"There are two columns {str(twice)!r}; give each its own name.")
         raw = table
     else:
-        raw, _ = load_table(table)
+        raw, _ = load_table(table, "contact")
         raw = raw.copy()
         for column in raw:  # text files give text in every cell
             number = pd.to_numeric(raw[column], errors="coerce")
             if number.notna().equals(raw[column].notna()):
                 raw[column] = number
     if not len(raw):
-        raise ValueError("The table has no rows; give one row a contact under a header.")
+        raise ValueError("The table has no rows; give one row per contact under a header.")
     return raw
 
 

@@ -254,7 +254,7 @@ def _hdf5(path: Path) -> pd.DataFrame:
 
 def _points(path: Path) -> pd.DataFrame:
     """DeepLabCut's table, whose second row says bodyparts, or a table of points."""
-    raw, _ = load_table(path)
+    raw, _ = load_table(path, "point")
     first = raw.iloc[:, 0].astype(str).tolist() if raw.shape[1] else []
     if raw.shape[1] > 3 and first[:2] == ["bodyparts", "coords"]:
         parts, coords = (raw.iloc[i, 1:].tolist() for i in (0, 1))
