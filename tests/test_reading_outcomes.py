@@ -70,3 +70,10 @@ def test_curved_whiskers_and_profiles_are_refused_in_one_sentence(cue):
             with pytest.raises(ValueError, match=words) as error:
                 call(whisker)
             assert str(error.value).count(";") == 1
+
+
+def test_a_reading_far_below_all_signals_has_no_inverse():
+    """Newton's method met a point where nothing changes, and `summary()` raised."""
+    observer = ww.Observer(W, ForceMap(), ww.receptors.Weber(0.3))
+    reading = [[2.9125190529052675e-08, 3.681067958641244e-07], [2e-6, 1e-4]]
+    assert observer.reading_outcome(reading).tolist() == [Outcome.OUT_OF_REACH, Outcome.HELD]

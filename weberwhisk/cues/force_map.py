@@ -215,24 +215,31 @@ class ForceMap(Cue):
         """Newton's method in ln r and ln θ_d. NaN where it fails."""
         forward = forward_of(whisker)
         length, exact = forward.reach, "elastica" if forward.is_plain else None
-        r = np.minimum(r, 0.98 * length)
-        miss, size = np.full(wanted.shape, np.inf), self._size(whisker, wanted)
+        contact = np.stack([np.minimum(r, 0.98 * length), theta], axis=-1)
+        found, size = np.full(wanted.shape, np.nan), self._size(whisker, wanted)
+        left = np.arange(len(wanted))
         for _ in range(steps):
-            theta = np.minimum(theta, 0.995 * forward.limit(r))
-            point = np.stack([r, theta], axis=-1)
-            miss, slope = _miss(self.signals(whisker, point, model=exact)[0], wanted, size)
-            if np.all(np.abs(miss) < 1e-13):
-                break
+            r, theta = contact[left].T
+            point = np.stack([r, np.minimum(theta, 0.995 * forward.limit(r))], axis=-1)
+            felt = self.signals(whisker, point, model=exact)[0]
+            miss, slope = _miss(felt, wanted[left], size[left])
             (a, b), (c, d) = np.moveaxis(
                 self.jacobian(whisker, point) * slope[..., :, None] * point[..., None, :], 0, -1
             )
-            determinant = a * d - b * c
-            step_r = np.clip((d * miss[:, 0] - b * miss[:, 1]) / determinant, -0.3, 0.3)
-            step_theta = np.clip((a * miss[:, 1] - c * miss[:, 0]) / determinant, -0.3, 0.3)
-            r = np.where(r * np.exp(step_r) < length, r * np.exp(step_r), (r + length) / 2)
-            theta = theta * np.exp(step_theta)
-        found = np.all(np.abs(miss) < 1e-9, axis=-1)
-        return np.where(found[:, None], np.stack([r, theta], axis=-1), np.nan)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                move = np.stack([d * miss[:, 0] - b * miss[:, 1], a * miss[:, 1] - c * miss[:, 0]])
+                move = np.clip(move / (a * d - b * c), -0.3, 0.3).T
+                after = point * np.exp(move)
+            after[:, 0] = np.where(after[:, 0] < length, after[:, 0], (point[:, 0] + length) / 2)
+            near = np.all(np.abs(miss) < 1e-9, axis=-1)
+            found[left] = np.where(near[:, None], after, np.nan)
+            contact[left] = after
+            # A point at which the signals depend on one unknown alone leads nowhere.
+            going = np.any(np.abs(miss) >= 1e-13, axis=-1) & np.isfinite(after).all(axis=-1)
+            left = left[going]
+            if not left.size:
+                break
+        return found
 
 
 def _miss(signals: Array, wanted: Array, size: Array) -> tuple[Array, Array]:
