@@ -294,7 +294,8 @@ def levels_prior(
     --------
     >>> pair = UnitEncodings(np.ones(1), np.ones(1), np.array([1.3]), np.array([1.3]))
     >>> from .tasks import task_named
-    >>> float(levels_prior([pair], task_named("2AFC")).median().round(4))  # 0.3 / hypot(1, 1.3) / 1.5
+    >>> prior = levels_prior([pair], task_named("2AFC"))
+    >>> float(prior.median().round(4))  # 0.3 / hypot(1, 1.3) / 1.5
     0.1219
     """
     widest = []
