@@ -40,7 +40,7 @@ def test_the_protocol_is_kept(cue):
 @pytest.mark.parametrize("cue", CUES, ids=repr)
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue)
-    agrees_with_brute_force(observer, observer.read(prior_draws(observer, 2, 3), 4))
+    agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 3), 4))
 
 
 @pytest.mark.parametrize("cue", [Compliance(), Compliance(tap_angle=0.2)], ids=repr)

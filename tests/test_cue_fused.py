@@ -137,7 +137,7 @@ def test_joint_noise_of_one_kind_is_that_kind():
 @pytest.mark.parametrize("cue", CUES[:3], ids=repr)
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue)
-    agrees_with_brute_force(observer, observer.read(prior_draws(observer, 2, 5), 4))
+    agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 5), 4))
 
 
 def test_events_and_forces_are_fused():

@@ -290,7 +290,9 @@ def population_density(work: Work, prior: PopulationPriors, x: Array) -> Array:
     return (out + prior.spread.logpdf(np.exp(flat[:, 1])) + flat[:, 1]).reshape(x.shape[:-1])
 
 
+@pytest.mark.slow
 def test_emcee_on_the_populations_own_parameters_agrees() -> None:
+    """The same means and sds as `test_population_and_animals_by_brute_force`, by a second judge."""
     trials, _ = animals(3)
     work, fit = work_of(trials, False), fit_population(trials, priors=KNOWN)
     start = np.array([-2.3, -1.0]) + np.random.default_rng(1).normal(0, 0.3, (1, 4, 16, 2))
@@ -307,6 +309,7 @@ def test_emcee_on_the_populations_own_parameters_agrees() -> None:
     assert np.exp(draws[:, 1]).mean() == pytest.approx(mean, abs=0.3 * sd)
 
 
+@pytest.mark.slow
 def test_what_fails_emcee_on_all_animals_at_once() -> None:
     # Thirty animals with a normal likelihood each: with their own ln k integrated out two numbers
     # are left, and a sampler has them at once; sampled all together it has not after as many steps,

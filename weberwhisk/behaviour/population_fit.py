@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -136,6 +137,16 @@ class PopulationFit(Shown):
 
     def _nodes(self, parameter: str) -> tuple[Array, Array]:
         _checks.one_of("parameter", parameter, self.parameters)
+        if parameter not in self._known:
+            self._known[parameter] = self._interpolated(parameter)
+        return self._known[parameter]
+
+    @cached_property
+    def _known(self) -> dict[str, tuple[Array, Array]]:
+        """Nodes by parameter: report, table, JSON and figure ask for the same ones."""
+        return {}
+
+    def _interpolated(self, parameter: str) -> tuple[Array, Array]:
         if self.population is None:
             raise ValueError(f"there is no population to speak of: {self.status.value}.")
         if parameter.startswith("mean_"):
