@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
+from dataclasses import replace
 from importlib import resources
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
+from scipy.stats import kstest, powerlaw, uniform
 
 import weberwhisk as ww
+from weberwhisk import Status, cues, receptors
 from weberwhisk.array import ROLL, WhiskerArray, published
 from weberwhisk.mechanics.shape import Spiral
 
@@ -128,5 +134,228 @@ def test_curvature_in_the_plane_of_whisking_falls_with_roll() -> None:
     ],
 )
 def test_what_there_is_not_is_refused(make, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+# -- the place of an object --------------------------------------------------------------------
+
+
+def observer(*names: str, angle_sd: float = np.radians(1.0), **how: Any) -> ww.ArrayObserver:
+    """Straight whiskers of the right side, protracted by 40°."""
+    array = WhiskerArray("rat", "right", identities=names or None).protract(np.radians(40))
+    return ww.ArrayObserver(array, angle_sd=angle_sd, **how)
+
+
+def brute_force(
+    o: ww.ArrayObserver, readings: Mapping[str, Any], box: Any, count: int, angles: int
+) -> tuple[Any, Any, float]:
+    """Mean, sd and ln evidence by midpoints of places, and of each whisker's own deflection."""
+    sides = [np.linspace(*ends, 2 * count + 1)[1::2] for ends in box]
+    place = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+    log, s = np.zeros(len(place)), o.angle_sd
+    for name, y in readings.items():
+        follicle, own = o.array.whiskers[name], o.sensors[name].observer
+        r, theta = follicle.in_plane(place)
+        top = np.zeros(len(r))
+        near = r < own.reach[1]
+        top[near] = np.minimum(own.angle_range(r[near])[1], follicle.swept_in_plane)
+        if y is None:
+            touch = (theta > 0) & (theta < top)
+            if s:
+                touch = (ndtr((top - theta) / s) - ndtr(-theta / s)) * (top > 0)
+            with np.errstate(divide="ignore"):
+                log += np.log1p(-1.0 * touch)
+            continue
+        value = np.full(len(r), -np.inf)
+        if s == 0:
+            some = np.flatnonzero((theta > 0) & (theta < top))
+            value[some] = own.log_likelihood(y, np.stack([r, theta], axis=-1)[some])
+        else:
+            for some in np.array_split(np.flatnonzero(top > 0), 20):
+                phi = (np.arange(angles) + 0.5) / angles * top[some, None]
+                contact = np.stack(np.broadcast_arrays(r[some, None], phi), axis=-1)
+                each = own.log_likelihood(y, contact) + np.log(top[some, None] / angles)
+                each = each - 0.5 * ((phi - theta[some, None]) / s) ** 2
+                value[some] = np.logaddexp.reduce(each, axis=1) - np.log(s * np.sqrt(2 * np.pi))
+        log += value
+    weight = np.exp(log - log.max())
+    evidence = log.max() + np.log(weight.mean() * np.prod(np.diff(box, axis=1)))
+    weight /= weight.sum()
+    mean = weight @ place
+    return mean, np.sqrt(weight @ (place - mean) ** 2), float(evidence)
+
+
+def around(found: ww.Place, sds: float = 7.0) -> Any:
+    ends = found.mean[:, None] + sds * found.sd[:, None] * np.array([-1.0, 1.0])
+    return np.clip(ends, found.observer.box[:, :1], found.observer.box[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("place", "angle_sd", "k"),
+    [
+        ([16e-3, -2e-3], 0.0, 0.1),
+        ([16e-3, -2e-3], 1.0, 0.1),
+        ([28e-3, 0.0], 0.0, 0.3),
+        ([16e-3, -2e-3], 3.0, 0.3),
+    ],
+)
+def test_place_is_that_of_brute_force(place: Any, angle_sd: float, k: float) -> None:
+    """Some whiskers touch and some do not, azimuths known or not; and the error is as stated."""
+    o = observer("C1", "C2", "C3", "D2", angle_sd=np.radians(angle_sd), noise=receptors.Weber(k))
+    readings = o.read(place, seed=4)
+    found = ww.place(o, readings)
+    assert 0 < len(found.touching) < 4
+    assert found.status is Status.CONVERGED
+    mean, sd, evidence = brute_force(o, readings, around(found), 60 if angle_sd else 300, 400)
+    off = np.abs([(found.mean - mean) / sd, found.sd / sd - 1])
+    assert np.max(off) < max(3 * found.error, 2e-3)
+    assert abs(found._log_evidence - evidence) < 3e-3
+
+
+def test_one_whisker_alone_says_what_its_posterior_says() -> None:
+    """Places are flat where the distance has a density that grows with it."""
+    o = observer("C2", angle_sd=0.0)
+    sensor = o.sensors["C2"]
+    swept, reach = sensor.follicle.swept_in_plane, sensor.observer.reach[1]
+    reading = o.read([16e-3, -2e-3], seed=3)["C2"]
+    flat = {"radial_distance": powerlaw(2, scale=reach), "deflection_angle": uniform(0.0, swept)}
+    own = ww.posterior(replace(sensor.observer, prior=flat), reading)
+    found = ww.place(o, {"C2": reading}, tolerance=3e-4)
+    r, theta = sensor.contact(found.places)
+    for name, values in (("radial_distance", r), ("deflection_angle", theta)):
+        mean = found.weights @ values
+        sd = np.sqrt(found.weights @ (values - mean) ** 2)
+        estimate = own.estimates[name]
+        assert abs(mean - estimate.mean) < 1e-3 * sd
+        assert abs(sd / estimate.sd - 1) < 1e-3
+    # And an azimuth that is all but known makes next to no difference.
+    near = ww.place(observer("C2", angle_sd=2e-4), {"C2": reading})
+    np.testing.assert_allclose(near.mean, found.mean, atol=0.01 * found.sd.min())
+
+
+def test_the_mirrored_head_finds_the_mirrored_place() -> None:
+    right = observer("C2", "C3", "D2")
+    left = replace(right, array=replace(right.array, sides="left"))
+    readings = right.read([16e-3, -2e-3], seed=2)
+    found, mirrored = ww.place(right, readings), ww.place(left, readings)
+    np.testing.assert_allclose(mirrored.mean, found.mean * [-1, 1], atol=1e-3 * found.sd.min())
+    np.testing.assert_allclose(mirrored.sd, found.sd, rtol=1e-3)
+
+
+def test_a_turned_whisker_finds_the_turned_place() -> None:
+    sensor = observer("E2").sensors["E2"]
+    turned = replace(sensor, follicle=replace(sensor.follicle, azimuth=sensor.follicle.azimuth + 1))
+    rng = np.random.default_rng(1)
+    place = sensor.follicle.place(rng.uniform(5e-3, 30e-3, 50), rng.uniform(-0.1, 0.6, 50))
+    reading = sensor.read(place[0], np.random.default_rng(2))
+    base, c, s = sensor.follicle.base[:2], np.cos(1.0), np.sin(1.0)
+    moved = (place - base) @ np.array([[c, s], [-s, c]]) + base  # rostrally, on the right
+    np.testing.assert_allclose(
+        turned.evidence(reading)(moved), sensor.evidence(reading)(place), rtol=1e-6, atol=1e-6
+    )
+
+
+def test_no_touch_leaves_the_region_that_is_not_excluded() -> None:
+    o = observer("C1", "C2", angle_sd=0.0)
+    found = ww.place(o, {"C1": None, "C2": None})
+    rng = np.random.default_rng(0)
+    drawn = o.box[:, 0] + np.diff(o.box, axis=1)[:, 0] * rng.random((20_000, 2))
+    left = np.mean([s.touch_probability(drawn) == 0 for s in o.sensors.values()], axis=0) == 1
+    assert found.status is Status.NO_CONTACT
+    assert "% of the region is left" in found.note
+    assert abs(found.area(1.0) / np.prod(np.diff(o.box, axis=1)) - left.mean()) < 0.01
+    np.testing.assert_allclose(found.mean, drawn[left].mean(axis=0), atol=0.4e-3)
+    assert np.isclose(found.bits, -np.log2(left.mean()), atol=0.02)
+
+
+def test_a_whisker_that_does_not_touch_narrows_the_place() -> None:
+    o = observer("C2", "C3")
+    readings = o.read([28e-3, 0.0], seed=6)
+    assert readings["C3"] is None
+    assert readings["C2"] is not None
+    with_it, alone = ww.place(o, readings), ww.place(o, {"C2": readings["C2"]})
+    assert with_it.area() < 0.9 * alone.area()
+    # One that may go unnoticed says nearly nothing.
+    unnoticed = ww.place(replace(o, missed=0.99), readings)
+    assert abs(unnoticed.area() / alone.area() - 1) < 0.02
+
+
+def test_readings_of_no_one_place_are_improbable() -> None:
+    o = observer("C2", "C3", "D2", noise=receptors.Weber(0.02))
+    near, far = o.read([14e-3, -2e-3], seed=1), o.read([28e-3, 0.0], seed=1)
+    assert ww.place(o, near).status is Status.CONVERGED
+    mixed = ww.place(o, {"C2": near["C2"], "D2": far["D2"]})
+    assert mixed.status is Status.IMPROBABLE_READING
+
+
+def test_taps_take_their_bearing_from_the_azimuth() -> None:
+    """The posterior of a tap is the product of distance by compliance and bearing by azimuth."""
+    o = observer("C2", cue=cues.Compliance())
+    place = np.array([16e-3, -2e-3])
+    reading = o.read(place, seed=5)["C2"]
+    found, follicle = ww.place(o, {"C2": reading}), o.array.whiskers["C2"]
+    prior = {"radial_distance": powerlaw(2, scale=33.6e-3)}
+    own = ww.posterior(ww.Observer(follicle.whisker, cues.Compliance(), prior=prior), reading[:-1])
+    r, theta = o.sensors["C2"].contact(found.places)
+    mean = found.weights @ r
+    assert abs(mean - own.mean) < 3e-3 * own.sd
+    azimuth = o.sensors["C2"].azimuth(theta)
+    assert np.isclose(found.weights @ azimuth, reading[-1], atol=0.02 * o.angle_sd)
+    spread = np.sqrt(found.weights @ (azimuth - reading[-1]) ** 2)
+    assert np.isclose(spread, o.angle_sd, rtol=0.01)
+
+
+def test_information_predicts_the_spread_of_posteriors() -> None:
+    o = observer("C2", "C3", "D3", noise=receptors.Weber(0.02), angle_sd=np.radians(0.2))
+    place = np.array([16e-3, -1e-3])
+    told = np.linalg.inv(o.information(place)[0].sum(axis=0))
+    sds = [ww.place(o, o.read(place, seed)).sd for seed in range(6)]
+    np.testing.assert_allclose(np.mean(sds, axis=0), np.sqrt(np.diag(told)), rtol=0.1)
+
+
+def coverage(count: int) -> Any:
+    """Credibilities of the true places of readings, of which one whisker or more touches."""
+    o = observer("C2", "D2", "C3", region=((8e-3, 30e-3), (-8e-3, 6e-3)))
+    rng, out = np.random.default_rng(7), []
+    while len(out) < count:
+        place = o.box[:, 0] + np.diff(o.box, axis=1)[:, 0] * rng.random(2)
+        readings = o.read(place, rng)
+        if any(y is not None for y in readings.values()):
+            out.append(ww.place(o, readings).credibility(place))
+    return np.array(out)
+
+
+def test_regions_cover_what_they_say() -> None:
+    found = coverage(30)
+    assert kstest(found, "uniform").pvalue > 0.01
+
+
+@pytest.mark.slow
+def test_regions_of_95_per_cent_cover_95_per_cent() -> None:
+    found = coverage(600)
+    assert kstest(found, "uniform").pvalue > 0.01
+    assert 0.93 < np.mean(found < 0.95) < 0.97
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: ww.ArrayObserver("rat"), "array must be a WhiskerArray"),
+        (lambda: observer("C2", angle_sd=-1.0), "angle_sd must not be negative"),
+        (lambda: observer("C2", missed=1.0), "missed must be below 1"),
+        (lambda: observer("C2", region=((1.0, 0.0), (0.0, 1.0))), "region must be two ends"),
+        (lambda: observer("C2", cue={"C3": cues.ForceMap()}).sensors, "C2 has no cue"),
+        (lambda: observer("C2", cue=cues.Compliance(), angle_sd=0.0).sensors, "C2 taps"),
+        (lambda: observer("C2", cue=cues.Friction(cues.ForceMap())).sensors, "distance and defl"),
+        (lambda: ww.place(observer("C2"), [1.0]), "Readings are a mapping"),
+        (lambda: ww.place(observer("C2"), {"C3": None}), "whisker 'C3' is unknown"),
+        (lambda: ww.place(observer("C2"), {"C2": [1e-7]}), "has 2 numbers"),
+        (lambda: ww.place(observer("C2"), {"C2": [1e-7, np.nan]}), "must be finite"),
+        (lambda: ww.place(observer("C2", cue=cues.Compliance()), {"C2": [1.0]}), "is a tap"),
+        (lambda: observer("C2").read([1e-3]), "A place is x and y"),
+    ],
+)
+def test_places_refuse_what_is_no_reading(make, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         make()

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         sweep,
     )
     from .observer import Observer
+    from .places import ArrayObserver, Place, place
     from .planning import write_plan
     from .posterior import Posterior, Status, posterior
     from .whisker import Whisker, identities
@@ -79,6 +80,7 @@ _NAMES = {
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "contacts": "calibrate locate read_tracking simulate_tracking",
     "design": "plan_experiment power read_plan simulate_study",
+    "places": "ArrayObserver Place place",
     "planning": "write_plan",
     "citing": "cite",
 }
@@ -94,6 +96,7 @@ _MODULES = (
 )
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = [
+    "ArrayObserver",
     "Bending",
     "Choice",
     "Comparison",
@@ -103,6 +106,7 @@ __all__ = [
     "Observer",
     "Outcome",
     "Parabola",
+    "Place",
     "PopulationFit",
     "Posterior",
     "Profile",
@@ -136,6 +140,7 @@ __all__ = [
     "jnd_sweep",
     "locate",
     "mechanics",
+    "place",
     "plan_experiment",
     "posterior",
     "power",

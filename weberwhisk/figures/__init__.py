@@ -6,7 +6,7 @@ line style, so that a figure also reads in grey.
 """
 
 from .._deprecated import renamed_names
-from .array import whisker_array
+from .array import place, whisker_array
 from .charts import fits_and_growth, speed_accuracy
 from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
 from .designs import (
@@ -50,6 +50,7 @@ __all__ = [
     "paper_1d",
     "paper_2",
     "paper_3",
+    "place",
     "placements",
     "plan_page",
     "planned_jnds",

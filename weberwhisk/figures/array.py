@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from .style import COLOURS, DOUBLE, LINES, axes_or_new, styled
+from .style import COLOURS, DOUBLE, LINES, SINGLE, axes_or_new, styled
 
 if TYPE_CHECKING:
     from ..array import Follicle, WhiskerArray
+    from ..places import Place
 
 
 @styled
@@ -36,3 +37,42 @@ def _from_above(whisker: Follicle) -> tuple[np.ndarray, np.ndarray]:
     along, across = (arc, 0 * arc) if law is None else law.point(arc)
     x, y = 1e3 * whisker.place(np.hypot(along, across), np.arctan2(across, along)).T
     return x, y
+
+
+@styled
+def place(found: Place, ax: Axes | None = None) -> Axes:
+    """The region that holds an object with probability 95 %, its error ellipse, the whiskers.
+
+    Whiskers that touch are drawn thick, as they lie where nothing bends them.
+    """
+    ax = axes_or_new(ax, SINGLE, 3.0)
+    x, y = 1e3 * found.places.T
+    order = np.argsort(-found.log_density)
+    above = np.cumsum(found.weights[order])
+    levels = [float(found.log_density[order][np.searchsorted(above, m)]) for m in (0.95, 0.5)]
+    kept = found.log_density > levels[0] - 4.0
+    if kept.sum() > 3:
+        shades = [COLOURS[4], COLOURS[0]]
+        ends = [*levels, float(found.log_density.max()) + 1.0]
+        ax.tricontourf(x[kept], y[kept], found.log_density[kept], ends, colors=shades, alpha=0.6)
+    major, minor, angle = found.ellipse()
+    turn = np.linspace(0.0, 2 * np.pi, 90)
+    u, v = major * np.cos(turn), minor * np.sin(turn)
+    along = found.mean[0] + u * np.cos(angle) - v * np.sin(angle)
+    across = found.mean[1] + u * np.sin(angle) + v * np.cos(angle)
+    ax.plot(1e3 * along, 1e3 * across, "--", color=COLOURS[1], label="95 % error ellipse")
+    for name, whisker in found.observer.array.whiskers.items():
+        touches = name in found.touching
+        colour, width = ("black", 1.2) if touches else ("0.7", 0.5)
+        ax.plot(*_from_above(whisker), color=colour, linewidth=width)
+    (left, right), (low, high) = ((a.min(), a.max()) for a in (x[kept], y[kept]))
+    room = max(right - left, high - low) * 0.75
+    ax.set(
+        xlim=((left + right) / 2 - room, (left + right) / 2 + room),
+        ylim=((low + high) / 2 - room, (low + high) / 2 + room),
+        aspect="equal",
+        xlabel="to the right (mm)",
+        ylabel="rostral (mm)",
+    )
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01))
+    return ax

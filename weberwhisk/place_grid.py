@@ -1,0 +1,226 @@
+"""An adaptive grid over places: cells that are cut in four until their sums agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Gauss and Legendre's rule of each side of a cell.
+_X, _W = np.polynomial.legendre.leggauss(4)
+_X, _W = (_X + 1) / 2, _W / 2
+_POINTS = np.stack(np.meshgrid(_X, _X, indexing="ij"), axis=-1).reshape(-1, 2)
+_WEIGHTS = np.outer(_W, _W).ravel()
+_QUARTERS = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
+
+
+class Frame(NamedTuple):
+    """Places as middle + matrix @ u, in which the density is about round and of unit width.
+
+    The grid starts from u between `low` and `high`, and grows unless these hold the `whole`.
+    """
+
+    middle: Array
+    matrix: Array
+    low: Array
+    high: Array
+    whole: bool = False
+
+    @classmethod
+    def of_box(cls, box: Array) -> Frame:
+        """The frame of a box, ends of x and of y."""
+        half = np.diff(box, axis=1)[:, 0] / 2
+        return cls(box.mean(axis=1), np.diag(half), np.full(2, -1.0), np.full(2, 1.0), whole=True)
+
+    @classmethod
+    def of_draws(cls, drawn: list[Array], reach: float = 8.0) -> Frame:
+        """The frame of a product of densities, each by draws (n, 2) taken as Gaussian."""
+        total, pull = np.zeros((2, 2)), np.zeros(2)
+        for places in drawn:
+            inverse = np.linalg.inv(np.cov(places.T) + 1e-12 * np.eye(2))
+            total += inverse
+            pull += inverse @ places.mean(axis=0)
+        covariance = np.linalg.inv(total)
+        matrix = np.linalg.cholesky(covariance)
+        return cls(covariance @ pull, matrix, np.full(2, -reach), np.full(2, reach))
+
+
+class Sums(NamedTuple):
+    """Moments of a density over places, its nodes, and the estimated error in sds."""
+
+    mean: Array
+    covariance: Array
+    error: float
+    places: Array
+    weights: Array
+    log_density: Array
+    log_evidence: float
+
+
+class _Cells(NamedTuple):
+    """Cells: low corner and sides (n, 2), ln density at nodes (n, N); and how far each quarter's
+    share of the sums of six monomials was off, (n, 6), over the density of which ln is `top`, (n,).
+    """
+
+    low: Array
+    side: Array
+    log: Array
+    apart: Array
+    top: Array
+
+    def points(self) -> Array:
+        return np.asarray(self.low[:, None] + self.side[:, None] * _POINTS)
+
+    def of(self, which: NDArray[np.bool_]) -> _Cells:
+        return _Cells(*(column[which] for column in self))
+
+
+def integrate(
+    log_density: Callable[[Array], Array],
+    frame: Frame,
+    tolerance: float,
+    known: Array,
+    *,
+    depth: float = 26.0,
+    most: int = 40_000,
+) -> Sums:
+    """Sum a density over places, given as ln of it at (n, 2).
+
+    Cells of 4 × 4 nodes are cut in four where they have mass, and again where a cell and its
+    quarters differ, until the root of the summed squares of all differences is below the tolerance.
+    Smooth cells are then far better than that; errors of cells that an edge runs through have
+    random signs. `depth` is the ln of the density below the highest that is nothing, `most` the
+    number of cells at which it ends, with an error above the tolerance.
+    """
+
+    def made(low: Array, side: Array) -> _Cells:
+        u = low[:, None] + side[:, None] * _POINTS
+        log = log_density((frame.middle + u @ frame.matrix.T).reshape(-1, 2))
+        unknown = np.full((len(low), 6), np.inf)
+        return _Cells(low, side, log.reshape(u.shape[:2]), unknown, np.zeros(len(low)))
+
+    cells = made(*_lattice(frame.low, frame.high))
+    for _ in range(0 if frame.whole else 12):  # wider where the density runs over a side
+        share, _ = _mass(cells)
+        low, high = frame.low.copy(), frame.high.copy()
+        for axis in range(2):
+            first = cells.low[:, axis] <= frame.low[axis] * (1 - 1e-9) + 1e-12
+            last = cells.low[:, axis] + cells.side[:, axis] >= frame.high[axis] - 1e-9
+            width = (high - low)[axis]
+            low[axis] -= 0.4 * width * (share[first].sum() > 1e-6)
+            high[axis] += 0.4 * width * (share[last].sum() > 1e-6)
+        if np.all(low == frame.low) and np.all(high == frame.high):
+            break
+        frame = frame._replace(low=low, high=high)
+        cells = made(*_lattice(low, high))
+    error, seen = np.inf, log_density(known) if len(known) else np.empty(0)
+    place = np.linalg.solve(frame.matrix, (known - frame.middle).T).T[seen > -np.inf]
+    seen = seen[seen > -np.inf]
+    for _ in range(16):
+        share, top = _mass(cells)
+        if not np.isfinite(top):
+            break
+        new = np.isinf(cells.apart[:, 0])
+        best = cells.log.max(axis=1)
+        slack = best - np.where(np.isfinite(cells.log), cells.log, np.inf).min(axis=1)
+        slack = np.nan_to_num(slack, nan=0.0, neginf=0.0)
+        # What lies between nodes may be as far above them as they are apart.
+        cut = new & (best + slack > top - depth)
+        for at, log in zip(place[seen > top - 14.0], seen[seen > top - 14.0], strict=True):
+            holds = np.all((cells.low <= at) & (at < cells.low + cells.side), axis=1)
+            cut |= holds & (best < log - 1.0)
+        error, size = _errors(cells, top, ~new)
+        order = np.argsort(size)
+        over = np.sqrt(np.cumsum(size[order] ** 2)) > tolerance / 2
+        if error > tolerance:
+            cut[order[over & (size[order] > 0)]] = True
+        if not cut.any() or len(cells.low) > most:
+            break
+        cells = _cut(cells, cut, made, top)
+    return _sums(cells, frame, float(error))
+
+
+def _lattice(low: Array, high: Array, count: int = 16) -> tuple[Array, Array]:
+    """Low corners and sides (n, 2) of count × count cells."""
+    place = np.stack(np.meshgrid(*[np.arange(count)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    side = np.broadcast_to((high - low) / count, place.shape)
+    return low + place * side, side.copy()
+
+
+def _mass(cells: _Cells) -> tuple[Array, float]:
+    """The share of each cell, and the highest ln of the density."""
+    top = float(cells.log.max())
+    if not np.isfinite(top):
+        return np.zeros(len(cells.log)), top
+    mass = np.exp(cells.log - top) @ _WEIGHTS * cells.side.prod(axis=1)
+    return mass / mass.sum(), top
+
+
+def _monomials(cells: _Cells, top: float) -> Array:
+    """Integrals (n, 6) of 1, u, v, u², uv, v² over cells, over the highest density."""
+    u, v = np.moveaxis(cells.points(), -1, 0)
+    weight = np.exp(cells.log - top) * _WEIGHTS * cells.side.prod(axis=1)[:, None]
+    return np.stack([(weight * m).sum(axis=1) for m in (1.0 + 0 * u, u, v, u * u, u * v, v * v)], 1)
+
+
+def _cut(
+    cells: _Cells, cut: NDArray[np.bool_], made: Callable[[Array, Array], _Cells], top: float
+) -> _Cells:
+    """The same with some cells in four."""
+    old = cells.of(cut)
+    side = np.repeat(old.side / 2, 4, axis=0)
+    low = np.repeat(old.low, 4, axis=0) + side * 2 * np.tile(_QUARTERS, (len(old.low), 1))
+    quarters = made(low, side)
+    sums = _monomials(quarters, top).reshape(-1, 4, 6).sum(axis=1)
+    apart = (sums - _monomials(old, top)) / 2
+    quarters = quarters._replace(
+        apart=np.repeat(apart, 4, axis=0), top=np.full(len(quarters.log), top)
+    )
+    return _Cells(*(np.concatenate(pair) for pair in zip(cells.of(~cut), quarters, strict=True)))
+
+
+def _moments(cells: _Cells, top: float) -> tuple[float, Array, Array]:
+    total, u, v, uu, uv, vv = _monomials(cells, top).sum(axis=0)
+    mean = np.array([u, v]) / total
+    covariance = np.array([[uu, uv], [uv, vv]]) / total - np.outer(mean, mean)
+    return total, mean, covariance
+
+
+def _errors(cells: _Cells, top: float, known: NDArray[np.bool_]) -> tuple[float, Array]:
+    """The estimated error in sds, and how much of it each cell has (n,)."""
+    total, mean, covariance = _moments(cells, top)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    apart = np.where(known[:, None], cells.apart, 0.0) * np.exp(cells.top - top)[:, None] / total
+    one, size = apart[:, 0], np.abs(apart[:, 0])
+    for m, s, (first, second) in zip(mean, sd, ((1, 3), (2, 5)), strict=True):
+        off = (apart[:, first] - m * one) / s
+        spread = (apart[:, second] - 2 * m * apart[:, first] + m * m * one) / s**2 - one
+        size = np.maximum(size, np.maximum(np.abs(off), np.abs(spread) / 2))
+    return float(np.sqrt(np.sum(size**2))), size
+
+
+def _sums(cells: _Cells, frame: Frame, error: float) -> Sums:
+    top = float(cells.log.max())
+    if not np.isfinite(top):
+        nan = np.full(2, np.nan)
+        none = np.empty(0)
+        return Sums(nan, np.full((2, 2), np.nan), np.inf, np.empty((0, 2)), none, none, -np.inf)
+    total, mean, covariance = _moments(cells, top)
+    size = abs(np.linalg.det(frame.matrix))
+    evidence = top + np.log(total * size)
+    weight = np.exp(cells.log - top) * _WEIGHTS * cells.side.prod(axis=1)[:, None] / total
+    kept = weight > 0
+    places = (frame.middle + cells.points() @ frame.matrix.T)[kept]
+    return Sums(
+        frame.middle + frame.matrix @ mean,
+        frame.matrix @ covariance @ frame.matrix.T,
+        error,
+        places,
+        weight[kept],
+        cells.log[kept] - evidence,
+        evidence,
+    )

@@ -1,0 +1,331 @@
+"""One whisker of an array with its observer: what it tells of the place of a vertical pole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline, RectBivariateSpline
+from scipy.special import ndtr
+
+from ._checks import finite
+from .array import Follicle
+from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
+from .mechanics.contact import Outcome
+from .observer import Observer
+from .posterior import posterior
+from .posterior.solution import is_outside
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """One whisker with its observer; its azimuth is known with the sd `angle_sd`, rad."""
+
+    follicle: Follicle
+    observer: Observer
+    angle_sd: float
+
+    @property
+    def taps(self) -> bool:
+        """Whether it senses distance alone, and the azimuth at which it first touched."""
+        return len(self.observer.unknowns) == 1
+
+    # -- geometry ------------------------------------------------------------------------------
+
+    def contact(self, place: ArrayLike) -> tuple[Array, Array]:
+        """Radial distance and deflection from rest (...) of a pole at (..., 2).
+
+        Negative where the whisker has not come as far, NaN out of reach.
+        """
+        r, theta = self.follicle.in_plane(place)
+        low, high = self.observer.reach
+        near = (r > max(low, 1e-9)) & (r < high)
+        out = np.full(np.shape(r), np.nan)
+        out[near] = theta[near]
+        if not self.observer.forward.is_plain and near.any():
+            out[near] -= self.observer.forward.rest(r[near])
+        return r, out
+
+    def largest(self, r: Array) -> Array:
+        """Deflection up to which it touches at distances (n,): swept, or flicked past."""
+        swept = np.full(np.shape(r), self.follicle.swept_in_plane)
+        return swept if self.taps else np.minimum(swept, self.observer.angle_range(r)[1])
+
+    def touch_probability(self, place: ArrayLike) -> Array:
+        """The probability (...) that it touches a pole at (..., 2)."""
+        r, theta = self.contact(place)
+        out, near = np.zeros(np.shape(r)), np.isfinite(theta)
+        theta, top = theta[near], self.largest(r[near])
+        if self.angle_sd == 0:
+            out[near] = (theta > 0) & (theta < top)
+        else:
+            out[near] = ndtr((top - theta) / self.angle_sd) - ndtr(-theta / self.angle_sd)
+        return out
+
+    def azimuth(self, theta: Array) -> Array:
+        """The whisker's azimuth where it first touched, having come on by θ (...) since then."""
+        turned = np.arctan2(np.sin(theta), np.cos(theta) * np.cos(self.follicle.elevation))
+        return np.asarray(self.follicle.azimuth - turned)
+
+    # -- readings ------------------------------------------------------------------------------
+
+    def read(self, place: Array, rng: np.random.Generator) -> Array | None:
+        """A noisy reading of a pole at (2,), or None where the whisker does not touch it."""
+        r, theta = self.contact(place)
+        error = self.angle_sd * rng.standard_normal()
+        if not 0 < theta + error < self.largest(r):
+            return None
+        contact = np.array([r, theta + error])[: len(self.observer.unknowns)]
+        reading = self.observer.read(contact, rng)
+        return np.append(reading, self.azimuth(theta) - error) if self.taps else reading
+
+    def checked(self, name: str, reading: ArrayLike) -> Array:
+        """A reading as finite numbers: signals, and of a tap the azimuth."""
+        if not self.taps:
+            return self.observer.checked_reading(reading)
+        y = finite(f"the reading of {name}", reading, "give SI units")
+        if y.ndim != 1 or len(y) < 2:
+            raise ValueError(
+                f"The reading of {name} is a tap: signals, and last the azimuth at which it "
+                f"touched in rad, got shape {y.shape}; write [*signals, azimuth]."
+            )
+        return np.append(self.observer.checked_reading(y[:-1]), y[-1])
+
+    def evidence(self, reading: Array) -> Evidence:
+        """What a reading says of places."""
+        if self.taps:
+            return Tap(self, reading)
+        return Deflected(self, reading) if self.angle_sd == 0 else Blurred(self, reading)
+
+    # -- information ---------------------------------------------------------------------------
+
+    def information(self, place: Array) -> Array:
+        """Fisher information about places (n, 2), (n, 2, 2), 1/m²; 0 where it does not touch."""
+        r, theta = self.contact(place)
+        out = np.zeros((len(place), 2, 2))
+        touches = np.isfinite(theta)
+        touches[touches] = (theta > 0)[touches] & (theta[touches] < self.largest(r[touches]))
+        if not touches.any():
+            return out
+        sides = [
+            [np.stack(self._sensed(place[touches] + s * h), axis=-1) for s in (1, -1)]
+            for h in 1e-8 * np.eye(2)
+        ]
+        slope = np.stack([(a - b) / 2e-8 for a, b in sides], axis=-1)
+        contact = np.stack([r, theta], axis=-1)[touches][:, : len(self.observer.unknowns)]
+        inner = np.nan_to_num(self.observer.information(contact))
+        if self.taps:
+            both = np.zeros((len(contact), 2, 2))
+            both[:, 0, 0], both[:, 1, 1] = inner[:, 0, 0], self.angle_sd**-2
+            inner = both
+        else:  # the error of the azimuth is one more unknown, known as well as it is
+            row = inner[:, :, 1]
+            inner = inner - (
+                row[:, :, None] * row[:, None]
+                / (inner[:, 1, 1] + max(self.angle_sd, 1e-12) ** -2.0)[:, None, None]
+            )  # fmt: skip
+        out[touches] = np.swapaxes(slope, -1, -2) @ inner @ slope
+        return out
+
+    def _sensed(self, place: Array) -> tuple[Array, Array]:
+        """Distance, and deflection or azimuth, of places (n, 2)."""
+        r, theta = self.contact(place)
+        return r, self.azimuth(theta) if self.taps else theta
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What one reading of one whisker says of the place of a pole."""
+
+    sensor: Sensor
+    reading: Array
+
+    def __call__(self, place: Array) -> Array:
+        """ln p(reading, touch | pole at (n, 2)), (n,)."""
+        r, theta = self.sensor.contact(place)
+        out = np.full(r.shape, -np.inf)
+        near = np.isfinite(theta)
+        if near.any():
+            out[near] = self._at(r[near], theta[near])
+        return out
+
+    def _at(self, r: Array, theta: Array) -> Array:
+        raise NotImplementedError
+
+    def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
+        """The deflection that most likely is behind the reading, and how many sds that is off."""
+        return theta, 0.0
+
+    def is_improbable(self, place: Array) -> bool:
+        """Whether a number of the reading lies more than 5 sd from what a pole at (2,) gives."""
+        r, theta = (float(v) for v in self.sensor.contact(place))
+        if not np.isfinite(theta):
+            return True
+        observer, count = self.sensor.observer, len(self.sensor.observer.unknowns)
+        theta, off = self._likeliest(r, theta)
+        signals, outcome = observer.signals(np.array([[r, theta]])[:, :count])
+        signs = self.reading[: len(self.reading) - self.sensor.taps]
+        held = outcome[0] == Outcome.HELD
+        return bool(not held or off > 5.0 or is_outside(observer.noise, signs[None], signals)[0])
+
+    def draws(self, rng: np.random.Generator, count: int = 400) -> Array:
+        """Places (n, 2) that this whisker's own posterior holds probable."""
+        sensor, observer = self.sensor, self.sensor.observer
+        contact = self._contacts(rng, count)
+        contact = contact[np.isfinite(contact).all(axis=1)]
+        error = sensor.angle_sd * rng.standard_normal(len(contact))
+        if sensor.taps:
+            turned = sensor.follicle.azimuth - self.reading[-1] + error
+            flat = np.cos(sensor.follicle.elevation)
+            theta = np.arctan2(np.sin(turned) * flat, np.cos(turned))
+        else:
+            theta = contact[:, 1] + error
+        r = contact[:, 0]
+        return sensor.follicle.place(r, theta + observer.forward.rest(r))
+
+    def _contacts(self, rng: np.random.Generator, count: int) -> Array:
+        """Contacts (n, U) drawn from this whisker's own posterior."""
+        observer = self.sensor.observer
+        signals = self.reading[: len(self.reading) - self.sensor.taps]
+        drawn = posterior(observer, signals).draws_of(count // 4, rng)[0]
+        return np.asarray(drawn.reshape(-1, len(observer.unknowns)))
+
+
+class Tap(Evidence):
+    """The distance by the cue, the bearing by the azimuth at first touch."""
+
+    def _at(self, r: Array, theta: Array) -> Array:
+        sd = self.sensor.angle_sd
+        off = (self.reading[-1] - self.sensor.azimuth(theta)) / sd
+        log = self.sensor.observer.log_likelihood(self.reading[:-1], r[:, None])
+        return np.asarray(log - 0.5 * off**2 - np.log(sd * np.sqrt(2 * np.pi)))
+
+    def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
+        off = self.reading[-1] - self.sensor.azimuth(np.array(theta))
+        return theta, abs(float(off)) / self.sensor.angle_sd
+
+
+class Deflected(Evidence):
+    """Distance and deflection by the cue, the azimuth known."""
+
+    def _at(self, r: Array, theta: Array) -> Array:
+        return _known(self, r, theta)
+
+
+class Blurred(Evidence):
+    """Distance and deflection by the cue, the azimuth known with an error.
+
+    ∫ p(reading | r, φ) N(φ; θ, sd²) dφ is worked out once on a table: at distances in steps of a
+    part of the posterior's sd, over φ where the reading is likely, for θ in units of its spread.
+    """
+
+    #: ln below the best at which nothing is left.
+    DEPTH = 45.0
+    #: Sd of φ by the reading over that of the azimuth, from which on the azimuth counts as known:
+    #: it would add less than 0.1 % to the spread.
+    MOST = 22.0
+
+    _cloud: tuple[Array, Array]  # distances, and their shares of the likelihood
+    _ends: tuple[float, float]
+    _line: Any  # mean and variance of φ at a distance
+    _table: Any  # ln of the integral, less that of a Gaussian; None where the azimuth is known
+
+    def __init__(self, sensor: Sensor, reading: Array, *, distances: int = 100) -> None:
+        super().__init__(sensor, reading)
+        low, high = sensor.observer.reach
+        x = np.linspace(-3.4, 3.4, distances)
+        for _ in range(4):  # closer and closer to where the reading is likely
+            r = low + (high - low) * constrain_distance(x)[0]
+            log, phi, weight = self._along(r, 48)
+            top = np.logaddexp.reduce(log + np.log(weight), axis=1)
+            live = np.flatnonzero(top > np.max(top) - self.DEPTH)
+            first, last = max(live[0] - 1, 0), min(live[-1] + 1, len(x) - 1)
+            x = np.linspace(x[first], x[last], distances)
+        sd = sensor.angle_sd
+        mean, variance, total = _moments(log, phi, weight)
+        wide = float(np.sqrt(variance.max())) / sd
+        share = total / total.max() * np.gradient(r)
+        set_ = object.__setattr__
+        set_(self, "_cloud", (r, share / share.sum()))
+        set_(self, "_ends", (r[0], r[-1]))
+        set_(self, "_table", None)
+        set_(self, "_line", CubicSpline(r, np.stack([mean, variance], axis=1)))
+        if wide > self.MOST:
+            return
+        # The steps of φ and θ are shorter than the azimuth's sd, over which edges are smoothed.
+        steps = np.diff(phi, axis=1).max() * 47
+        log, phi, weight = self._along(r, int(max(steps / (0.7 * sd), 160)))
+        mean, variance, _ = _moments(log, phi, weight)
+        width = np.sqrt(variance + sd**2)
+        t = np.linspace(-8.0, 8.0, int(max(32 * wide, 61)))
+        log += np.log(weight)
+        value = np.empty((len(r), len(t)))
+        for i, at in enumerate(t):
+            exponent = log - 0.5 * ((phi - (mean + at * width)[:, None]) / sd) ** 2
+            most = exponent.max(axis=1)
+            value[:, i] = most + np.log(np.exp(exponent - most[:, None]).sum(axis=1)) + at**2 / 2
+        value -= np.log(sd * np.sqrt(2 * np.pi))
+        set_(self, "_line", CubicSpline(r, np.stack([mean, variance], axis=1)))
+        set_(self, "_table", RectBivariateSpline(r, t, value))
+
+    def _along(self, r: Array, count: int) -> tuple[Array, Array, Array]:
+        """ln p(reading | r, φ) at nodes φ around the likeliest, and their weights, (n, count)."""
+        top = np.maximum(self.sensor.largest(r), 1e-9)[:, None]
+        ends = unconstrain_angle(np.array([1e-7, 1 - 1e-9]))
+        low, high = (np.full(len(r), end) for end in ends)
+        for nodes in (48, 48, 48, count):
+            share = np.linspace(0.0, 1.0, nodes)
+            y = low[:, None] + (high - low)[:, None] * share
+            fraction, slope = constrain_angle(y)
+            phi = top * fraction
+            contact = np.stack([np.broadcast_to(r[:, None], phi.shape), phi], axis=-1)
+            log = self.sensor.observer.log_likelihood(self.reading, contact)
+            live = log > log.max(axis=1, keepdims=True) - self.DEPTH
+            first = np.maximum(live.argmax(axis=1) - 1, 0)
+            last = np.minimum(nodes - live[:, ::-1].argmax(axis=1), nodes - 1)
+            step, rows = (high - low) / (nodes - 1), np.arange(len(r))
+            low, high = y[rows, first], y[rows, last]
+        return log, phi, top * np.exp(slope) * step[:, None]
+
+    def _at(self, r: Array, theta: Array) -> Array:
+        out = np.full(r.shape, -np.inf)
+        some = (r >= self._ends[0]) & (r <= self._ends[1])
+        if self._table is None:
+            return _known(self, r, theta)
+        mean, variance = self._line(r[some]).T
+        t = (theta[some] - mean) / np.sqrt(np.maximum(variance, 0.0) + self.sensor.angle_sd**2)
+        out[some] = self._table.ev(r[some], np.clip(t, -8.0, 8.0)) - t**2 / 2
+        return out
+
+    def _contacts(self, rng: np.random.Generator, count: int) -> Array:
+        r = rng.choice(self._cloud[0], count, p=self._cloud[1])
+        mean, variance = self._line(r).T
+        return np.stack([r, mean + np.sqrt(variance) * rng.standard_normal(count)], axis=-1)
+
+    def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
+        mean, variance = self._line(r)
+        precise = 1 / variance + self.sensor.angle_sd**-2.0
+        phi = float((mean / variance + theta / self.sensor.angle_sd**2) / precise)
+        return phi, abs(phi - theta) / self.sensor.angle_sd
+
+
+def _known(evidence: Evidence, r: Array, theta: Array) -> Array:
+    """ln p(reading | r, θ), (n,), where the azimuth is known."""
+    touches = (theta > 0) & (theta < evidence.sensor.largest(r))
+    out = np.full(r.shape, -np.inf)
+    contact = np.stack([r, theta], axis=-1)[touches]
+    if len(contact):
+        out[touches] = evidence.sensor.observer.log_likelihood(evidence.reading, contact)
+    return out
+
+
+def _moments(log: Array, phi: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Mean and variance of φ at each distance (n,), and the mass there over the largest."""
+    mass = np.exp(log - log.max(axis=1, keepdims=True)) * weight
+    mean = (mass * phi).sum(axis=1) / mass.sum(axis=1)
+    variance = (mass * (phi - mean[:, None]) ** 2).sum(axis=1) / mass.sum(axis=1)
+    return mean, variance, mass.sum(axis=1) * np.exp(log.max(axis=1) - log.max())

@@ -1,0 +1,400 @@
+"""Where an object is, from all whiskers that touch it and all that do not.
+
+Each whisker that touches says by its cue how far away the object is and by how much it is deflected
+(`weberwhisk.observer`), which is a place of the head's own coordinates; each that does not excludes
+the places at which it would touch. Given the place, receptors of different whiskers are
+independent: likelihoods multiply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._checks import finite, generator, kind, non_negative_number, one_of
+from ._display import Shown
+from .array import WhiskerArray
+from .observer import Observer
+from .place_grid import Frame, integrate
+from .place_sensor import Evidence, Sensor
+from .posterior import Status
+from .receptors import Seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Readings = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayObserver:
+    """An ideal observer of the place of one vertical pole, through all whiskers of an array.
+
+    Parameters
+    ----------
+    array : WhiskerArray
+        Where the whiskers are now; they have swept there from rest, `WhiskerArray.protract`.
+    cue : Cue, or mapping of whisker to Cue
+        One that knows the distance and the deflection, `ForceMap`, or the distance alone: such a
+        whisker *taps*, and its reading is the cue's signals and last the azimuth (rad) that it had
+        when it first touched. By default ``ForceMap()``.
+    noise : ReceptorNoise, or mapping of whisker to ReceptorNoise
+        By default the cue's own.
+    angle_sd : float
+        Sd of what is known of each whisker's azimuth, rad, one whisker's error being independent of
+        the next one's: by default 1°, the finest that rats tell (Knutsen, Pietr & Ahissar 2006,
+        J Neurosci 26:8451). 0 where it is known, but for taps.
+    missed : float
+        Probability that a touch is not noticed.
+    region : ((float, float), (float, float)), optional
+        x and y, m, between which the place is; its prior is flat. By default all places that any
+        whisker can touch lie inside.
+
+    Raises
+    ------
+    ValueError
+        For a whisker without a cue, a cue of more unknowns or with a prior of its own, and numbers
+        out of range.
+
+    Notes
+    -----
+    A whisker is bent in its plane of whisking, which holds its base tangent and the horizontal
+    across it, and there the pole is a point. Left out: slip along the pole and out of that plane,
+    which grows with elevation (`Place.note` names whiskers above 30° that touch), friction, and
+    several contacts of one whisker. The height of a pole is told by none.
+
+    Examples
+    --------
+    >>> array = WhiskerArray("rat", "right").protract(np.radians(40))
+    >>> observer = ArrayObserver(array)
+    >>> observer.touching([20e-3, 5e-3])
+    ('C3', 'D3', 'E3')
+    """
+
+    array: WhiskerArray
+    cue: Any = None
+    noise: Any = None
+    angle_sd: float = float(np.radians(1.0))
+    missed: float = 0.0
+    region: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        kind("array", self.array, "a WhiskerArray", "protract", 'write WhiskerArray("rat"), say')
+        non_negative_number("angle_sd", self.angle_sd, "give radians, such as 0.02")
+        if not non_negative_number("missed", self.missed, "write 0.02, say") < 1:
+            raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
+        if self.region is not None:
+            box = finite("region", self.region, "give metres")
+            if box.shape != (2, 2) or np.any(box[:, 0] >= box[:, 1]):
+                raise ValueError(
+                    f"region must be two ends of x and two of y, got {box.tolist()}; "
+                    "write ((0.0, 40e-3), (-20e-3, 20e-3)), say."
+                )
+
+    @cached_property
+    def sensors(self) -> dict[str, Sensor]:
+        """Whiskers with their observers, by name."""
+        from .cues import ForceMap
+
+        out = {}
+        for name, follicle in self.array.whiskers.items():
+            cue = _own(self.cue, name, "cue") or ForceMap()
+            observer = Observer(follicle.whisker, cue, _own(self.noise, name, "noise"))
+            if len(observer.unknowns) > observer.bounded:
+                raise ValueError(
+                    f"The place is of distance and deflection alone, got "
+                    f"{', '.join(observer.unknowns)} unknown; take a cue that knows the rest."
+                )
+            out[name] = Sensor(follicle, observer, self.angle_sd)
+            if out[name].taps and self.angle_sd == 0:
+                raise ValueError(
+                    f"{name} taps, whose bearing is as uncertain as its azimuth, got angle_sd 0; "
+                    "write np.radians(1.0), say."
+                )
+        return out
+
+    @cached_property
+    def box(self) -> Array:
+        """Ends of x and of y (2, 2) between which the place is, m."""
+        if self.region is not None:
+            return np.asarray(self.region, dtype=float)
+        rim = []
+        for sensor in self.sensors.values():
+            turned = np.linspace(-0.3, sensor.follicle.swept_in_plane + 0.3, 32)
+            rim.append(sensor.follicle.place(sensor.observer.reach[1], turned))
+            rim.append(sensor.follicle.base[None, :2])
+        ends = np.concatenate(rim)
+        return np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1)
+
+    def touching(self, place: ArrayLike) -> tuple[str, ...]:
+        """Names of the whiskers that touch a pole at (2,), m, more likely than not."""
+        at = _one_place(place)
+        return tuple(n for n, s in self.sensors.items() if s.touch_probability(at) > 0.5)
+
+    def read(self, place: ArrayLike, seed: Seed = None) -> dict[str, Array | None]:
+        """Noisy readings of a pole at (2,), m, by whisker; None where it does not touch.
+
+        Examples
+        --------
+        >>> array = WhiskerArray("rat", "right", identities=["C1", "C2"]).protract(0.7)
+        >>> readings = ArrayObserver(array).read([15e-3, -2e-3], seed=1)
+        >>> [name for name, reading in readings.items() if reading is not None]
+        ['C2']
+        """
+        at, rng = _one_place(place), generator(seed)
+        return {
+            name: reading if rng.random() >= self.missed else None
+            for name, reading in ((n, s.read(at, rng)) for n, s in self.sensors.items())
+        }
+
+    def log_likelihood(self, readings: Readings) -> Callable[[Array], Array]:
+        """ln p(readings | pole at (n, 2)) as a function of places, (n,).
+
+        −∞ where a reading, or the absence of one, cannot be.
+        """
+        y = self.checked(readings)
+        touched = [self.sensors[name].evidence(r) for name, r in y.items() if r is not None]
+        return self._log_likelihood(touched, [self.sensors[n] for n, r in y.items() if r is None])
+
+    def _log_likelihood(
+        self, touched: list[Evidence], apart: list[Sensor]
+    ) -> Callable[[Array], Array]:
+        def log_likelihood(place: Array) -> Array:
+            out = np.full(len(place), len(touched) * np.log1p(-self.missed))
+            for evidence in touched:  # where these cannot be, nothing else need be asked
+                live = np.flatnonzero(out > -np.inf)
+                out[live] += evidence(place[live])
+            for sensor in apart:
+                live = np.flatnonzero(out > -np.inf)
+                noticed = (1 - self.missed) * sensor.touch_probability(place[live])
+                with np.errstate(divide="ignore"):
+                    out[live] += np.log1p(-noticed)
+            return out
+
+        return log_likelihood
+
+    def information(self, place: ArrayLike) -> Array:
+        """Fisher information about places (n, 2) by whisker, (n, whiskers, 2, 2), 1/m²."""
+        at = np.atleast_2d(finite("place", place, "give metres"))
+        return np.stack([s.information(at) for s in self.sensors.values()], axis=1)
+
+    def checked(self, readings: Readings) -> dict[str, Array | None]:
+        """Readings by name, each of the numbers that its cue has."""
+        if not isinstance(readings, Mapping) or not readings:
+            raise ValueError(
+                "Readings are a mapping of whisker to reading, None where it does not touch, got "
+                f"{type(readings).__name__}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
+            )
+        return {
+            one_of("whisker", name, self.sensors): None
+            if reading is None
+            else self.sensors[name].checked(name, reading)
+            for name, reading in readings.items()
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Place(Shown):
+    """The posterior of an object's place; `place` makes it.
+
+    Attributes
+    ----------
+    observer : ArrayObserver
+    readings : mapping of whisker to array or None
+    status : Status
+        `NO_CONTACT` where no whisker touches: what is left is the region not excluded.
+        `IMPROBABLE_READING` where no one place explains all readings within 5 sd.
+    mean : array, shape (2,)
+        x and y, m.
+    covariance : array, shape (2, 2)
+        m².
+    error : float
+        Estimated error of means and sds, in sds.
+    places, weights, log_density : array, shape (n, 2), (n,), (n,)
+        Nodes, m, the mass that they stand for, and ln of the density, 1/m².
+    """
+
+    observer: ArrayObserver
+    readings: Readings
+    status: Status
+    mean: Array
+    covariance: Array
+    error: float
+    places: Array
+    weights: Array
+    log_density: Array
+    _log_evidence: float
+    _log_likelihood: Callable[[Array], Array]
+    _figure = "place"
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """Names of the whiskers that touch."""
+        return tuple(name for name, reading in self.readings.items() if reading is not None)
+
+    @property
+    def sd(self) -> Array:
+        """Sd of x and of y, m."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def interval(self, mass: float = 0.95) -> Array:
+        """Equal-tailed intervals of x and of y, (2, 2), m."""
+        tail = (1 - mass) / 2
+        out = np.full((2, 2), np.nan)
+        for i, values in enumerate(self.places.T):
+            order = np.argsort(values)
+            rise = np.cumsum(self.weights[order]) - self.weights[order] / 2
+            if len(rise):
+                out[i] = np.interp([tail, 1 - tail], rise, values[order])
+        return out
+
+    def ellipse(self, mass: float = 0.95) -> tuple[float, float, float]:
+        """Half axes (m) of the error ellipse, and the angle (rad) of the longer from the x axis.
+
+        The Gaussian's of the same covariance, which holds the place with probability `mass`.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        minor, major = np.sqrt(-2 * np.log1p(-mass) * values)
+        return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
+
+    def credibility(self, place: ArrayLike) -> float:
+        """The mass of all places more probable than a place (2,): below 0.95 inside its region."""
+        log = self._log_likelihood(_one_place(place)[None])[0] - self._log_evidence
+        return float(self.weights[self.log_density > log].sum())
+
+    def area(self, mass: float = 0.95) -> float:
+        """Area of the most probable places that hold the object with probability `mass`, m²."""
+        order = np.argsort(-self.log_density)
+        size = np.exp(np.log(self.weights[order]) - self.log_density[order])
+        kept = np.cumsum(self.weights[order]) - self.weights[order] < mass
+        return float(size[kept].sum())
+
+    @property
+    def bits(self) -> float:
+        """What the readings told of the place, beside the flat prior over the region, bits."""
+        area = float(np.prod(np.diff(self.observer.box, axis=1)))
+        return float(self.weights @ self.log_density + np.log(area)) / np.log(2)
+
+    @property
+    def note(self) -> str:
+        """What to know of this result beside its numbers; empty if nothing."""
+        out = []
+        if self.status is Status.NO_CONTACT:
+            share = self.area(1.0) / float(np.prod(np.diff(self.observer.box, axis=1)))
+            out.append(f"no whisker touches: {100 * share:.0f} % of the region is left")
+        steep = [
+            name
+            for name in self.touching
+            if abs(self.observer.sensors[name].follicle.elevation) > np.radians(30.0)
+        ]
+        if steep:
+            out.append(
+                f"{', '.join(steep)} more than 30° out of the horizontal: slip along the pole, "
+                "which is left out, may matter"
+            )
+        return "; ".join(out)
+
+    def summary(self) -> pd.DataFrame:
+        """A row each for x and y: mean, sd, 95 % interval in mm, how many touch, the status."""
+        import pandas as pd
+
+        low, high = 1e3 * self.interval().T
+        columns = {"mean_mm": 1e3 * self.mean, "sd_mm": 1e3 * self.sd, "low_95_mm": low}
+        columns |= {"high_95_mm": high, "touching": len(self.touching)}
+        table = pd.DataFrame(columns | {"status": self.status.message})
+        table.insert(0, "coordinate", ["x", "y"])
+        return table
+
+    def _line(self) -> str:
+        (x, y), (dx, dy) = 1e3 * self.mean, 1e3 * self.sd
+        where = f"x = {x:.3g} ± {dx:.2g} mm, y = {y:.3g} ± {dy:.2g} mm"
+        said = f"{where}, {len(self.touching)} of {len(self.readings)} whiskers touch"
+        return "; ".join(filter(None, (said, self.status.message, self.note)))
+
+
+def place(
+    observer: ArrayObserver, readings: Readings, *, tolerance: float = 2e-3, seed: Seed = 0
+) -> Place:
+    """The posterior of an object's place from readings of any of an array's whiskers.
+
+    Parameters
+    ----------
+    observer : ArrayObserver
+    readings : mapping of whisker to array or None
+        A reading in SI units, or None where the whisker does not touch. Whiskers that are left
+        out tell nothing.
+    tolerance : float
+        Error of means and sds, in sds, at which the grid is fine enough.
+    seed : int, SeedSequence or Generator
+        Of the draws from which the grid starts.
+
+    Returns
+    -------
+    Place
+
+    Raises
+    ------
+    ValueError
+        For whiskers that the array has not, and readings that are not finite or of another shape.
+
+    Examples
+    --------
+    >>> array = WhiskerArray("rat", "right").protract(np.radians(40))
+    >>> observer = ArrayObserver(array)
+    >>> found = place(observer, observer.read([20e-3, 5e-3], seed=1))
+    >>> len(found.touching), found.status.name, bool(found.credibility([20e-3, 5e-3]) < 0.95)
+    (3, 'CONVERGED', True)
+    """
+    kind("observer", observer, "an ArrayObserver", "sensors", "write ArrayObserver(array)")
+    y = observer.checked(readings)
+    box, rng = observer.box, generator(seed)
+    touched = [observer.sensors[name].evidence(r) for name, r in y.items() if r is not None]
+    apart = [observer.sensors[name] for name, r in y.items() if r is None]
+    log_likelihood = observer._log_likelihood(touched, apart)
+    frame, some = Frame.of_box(box), np.empty((0, 2))
+    if touched:
+        drawn = [evidence.draws(rng, 800) for evidence in touched]
+        frame, some = Frame.of_draws(drawn), np.concatenate([d[: 800 // len(drawn)] for d in drawn])
+
+    def log_density(at: Array) -> Array:
+        inside = np.all((at >= box[:, 0]) & (at <= box[:, 1]), axis=-1)
+        out = np.full(len(at), -np.inf)
+        out[inside] = log_likelihood(at[inside])
+        return out
+
+    found = integrate(log_density, frame, tolerance, some)
+    if touched and not np.isfinite(found.log_evidence):  # the readings contradict each other
+        found = integrate(log_density, Frame.of_box(box), tolerance, some)
+    status = Status.CONVERGED if found.error <= tolerance else Status.IMPRECISE
+    if not np.isfinite(found.log_evidence):
+        status = Status.IMPROBABLE_READING
+    elif not touched:
+        status = Status.NO_CONTACT
+    else:
+        best = found.places[np.argmax(found.log_density)]
+        if any(evidence.is_improbable(best) for evidence in touched):
+            status = Status.IMPROBABLE_READING
+    return Place(observer, y, status, *found, log_likelihood)
+
+
+def _own(value: Any, name: str, what: str) -> Any:
+    """The cue or noise of a whisker: its own, or that of all."""
+    if not isinstance(value, Mapping):
+        return value
+    if name not in value:
+        raise ValueError(f"{name} has no {what}; leave it out of the array, or give it one.")
+    return value[name]
+
+
+def _one_place(place: ArrayLike) -> Array:
+    at = finite("place", place, "give x and y in metres")
+    if at.shape != (2,):
+        raise ValueError(f"A place is x and y in metres, got shape {at.shape}; write [20e-3, 0.0].")
+    return at
