@@ -213,3 +213,10 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
+
+
+def test_a_reading_whose_search_comes_to_a_standstill_is_not_found_in_silence():
+    """Newton's determinant was 0 there: a warning, then a refusal of an angle that is NaN."""
+    found, outcome = ForceMap().contact(W, [4.035570122755542e-08, 1.4052928242893354e-06])
+    assert outcome == Outcome.OUT_OF_REACH
+    assert np.isnan(found).all()
