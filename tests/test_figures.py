@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import re
-from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import load
+from figure_checks import faults
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import figures
+from weberwhisk import design, figures
 from weberwhisk.commands import figure
-from weberwhisk.figures import style
+from weberwhisk.mechanics.muscle import MuscleCurve
+from weberwhisk.paper import balance
+from weberwhisk.paper import contacts as contacts_2
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
@@ -110,7 +112,8 @@ def test_psychometric_of_given_parameters_has_no_band(fit: ww.WeberFit) -> None:
     ax = figures.psychometric(exact, standard=1.0)
     legend = ax.get_legend()
     assert legend is not None
-    assert [t.get_text() for t in legend.get_texts()] == ["given parameters", "choices, 95 %"]
+    named = [text.get_text() for text in legend.get_texts()]
+    assert named == ["given parameters", "standard", "choices, 95 %"]
 
 
 def test_log_column_is_drawn_by_difference() -> None:
@@ -211,18 +214,27 @@ def population() -> ww.PopulationFit:
     return ww.fit_population(trials)
 
 
-def test_shrinkage_shows_every_animal_twice_and_labels_apart(population: ww.PopulationFit) -> None:
+def test_shrinkage_shows_every_animal_twice(population: ww.PopulationFit) -> None:
     fit = population
     ax = figures.shrinkage(fit)
     table = fit.subjects.sort_values("alone")
     drawn = [bars.lines[0].get_xdata() for bars in ax.containers]
     np.testing.assert_allclose(drawn[0], table["alone"])
     np.testing.assert_allclose(drawn[1], table["weber_fraction"])
-    figure = figures.figure_of(ax)
-    figure.canvas.draw()
-    boxes = [t.get_window_extent() for t in ax.get_xticklabels(which="both") if t.get_text()]
-    boxes.sort(key=lambda box: box.x0)
-    assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
+
+
+def test_every_animals_choices_and_curve_are_in_one_figure(population: ww.PopulationFit) -> None:
+    panel, beside = figures.population(population, unit="mm")
+    assert [ax.get_xlabel() for ax in (panel, beside)] == ["Second stimulus (mm)", "Weber fraction"]
+    curves = {line.get_label(): line for line in panel.get_lines() if "alone" in line.get_label()}
+    assert list(curves) == [f"{name}, alone" for name in population.subjects["subject"]]
+    for (name, *_), one in population.fits.items():
+        x, y = curves[f"{name}, alone"].get_data()
+        np.testing.assert_allclose(y, one.psychometric(x, 1.0)["median"])
+        cells = one.trials.cells()
+        shares = [line for line in panel.get_lines() if line.get_linestyle() == "None"]
+        assert any(np.array_equal(s.get_ydata(), cells.count / cells.n) for s in shares)
+    assert figures.population(population, Figure().subplots()).get_xlabel() == "Weber fraction"
 
 
 def test_names_that_no_font_shows_are_drawn(
@@ -260,14 +272,124 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
     assert (tmp_path / "figures" / "real_data.png").stat().st_size > 10_000
 
 
-def test_no_print_is_smaller_than_seven_points(population: ww.PopulationFit) -> None:
-    """Of the style itself, and of what the figure modules ask for by number."""
-    assert style.SMALL >= 7
-    drawn = [figures.figure_of(figures.shrinkage(population)), figures.new_figure()]
-    for one in drawn:
-        one.canvas.draw()
-        for text in one.findobj(Text):
-            if text.get_text():
-                assert text.get_fontsize() >= 6.9
-    assert not [p for p in Path(style.__file__).parent.glob("*.py")
-                if re.search(r"(fontsize|labelsize)=[0-6]\b", p.read_text("utf-8"))]  # fmt: skip
+@pytest.fixture(scope="module")
+def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
+    """Every figure of the package, of small tables; those of times are in test_charts.py."""
+    tap, force_map = observer(), observer(ww.cues.ForceMap())
+    contacts = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)
+    one = ww.posterior(tap, tap.read(30e-3, seed=1))
+    many = ww.posterior(tap, tap.read(contacts[:, :1], seed=1))
+    lines = ww.press(WHISKER, [[20e-3], [30e-3], [40e-3]], np.linspace(0.01, 0.5, 30))
+    b = ww.press(WHISKER, contacts[:, 0], contacts[:, 1])
+    table = pd.DataFrame({"moment_uNm": b.moment * 1e6, "axial_force_uN": b.axial_force * 1e6})
+    plan = ww.plan_experiment("C2", standards=[10e-3, 20e-3, 30e-3], trials=10, runs=16)
+    scheme, hypotheses = plan.scheme, plan.hypotheses
+    staircase = design.Staircase(hypotheses[0], scheme, seed=1)
+    for i in range(12):
+        trial = staircase.next()
+        staircase.record(trial.standard, trial.comparison, i % 3 > 0)
+    compared = pd.DataFrame(
+        {"log_bayes_factor": [0.0, -2.1], "elpd_difference": [0.0, -1.2],
+         "difference_se": [0.0, 1.5]}, index=["lapses", "no lapses"],
+    )  # fmt: skip
+    studied = pd.DataFrame(
+        {"truth": ["tapered", "cylindrical"] * 3, "log_bayes_factor": np.linspace(-1, 6, 6)}
+    )
+    bits = pd.DataFrame(
+        {"cue": ["vibration, 3 modes with phase (d)", "tap (e)", "both"], "alone": [2.8, 4.0, 5.0],
+         "alone_error": 0.1, "added": [1.0, 1.6, np.nan], "added_error": 0.1}
+    )  # fmt: skip
+    rate = pd.DataFrame({"radial_distance": [0.1, 0.9], "rate": [30.0, 0.2]})
+    estimates = pd.DataFrame(
+        {"method": m, "weber_fraction": k, "n": n, "low": 0.05, "high": 0.1 + 1 / n}
+        for m in ("information", "constant stimuli") for k in (0.1, 0.2) for n in (30, 100, 300)
+    )  # fmt: skip
+    factors = pd.DataFrame(
+        {"method": m, "truth": t, "n": n, "log_bayes_factor": n / 60 + i}
+        for m in ("information", "constant stimuli")
+        for t in (0, 1) for n in (60, 120, 180) for i in range(-2, 3)
+    )  # fmt: skip
+    made = {
+        "adaptive": figures.adaptive({"estimation": estimates, "discrimination": factors}),
+        "bending": figures.bending(lines),
+        "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
+        "cue_information": figures.cue_information(bits),
+        "information_map": figures.information_map(
+            design.information(hypotheses, [10e-3, 20e-3, 30e-3], [-2e-3, 1e-3, 2e-3])
+        ),
+        "jnd_lines": figures.jnd_lines(
+            ww.jnd_curve(force_map, contacts[::3, :1], [0.1, 0.2], n_readings=4, seed=1)
+        ),
+        "located": figures.located(ww.locate(table, WHISKER)),
+        "pairs": figures.pairs(fit),
+        "paper_1d": figures.paper_1d(rate.assign(whisker="tapered, R = 20")),
+        "paper_2": figures.paper_2(
+            contacts_2.examples(), contacts_2.lines(),
+            contacts_2.contacts(contacts_2.ARCS, contacts_2.DEGREES[::6]),
+        ),
+        "paper_3": paper_3(),
+        "placements": figures.placements(staircase),
+        "planned_jnds": figures.planned_jnds(plan),
+        "planned_power": figures.planned_power(plan),
+        "planned_psychometrics": figures.planned_psychometrics(plan),
+        "population": figures.population(population),
+        "posterior_histogram": figures.posterior_histogram(one),
+        "posteriors": figures.posteriors(many),
+        "power_curve": figures.power_curve(
+            ww.power(scheme, hypotheses, trials=[5, 10], runs=16, seed=1)
+        ),
+        "psychometric": figures.psychometric(fit, standard=1.0),
+        "psychometrics": figures.psychometrics(fit),
+        "rehearsed": figures.rehearsed(SimpleNamespace(plan=plan, table=studied)),  # type: ignore[arg-type]
+        "residuals": figures.residuals(pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3]})),
+        "shrinkage": figures.shrinkage(population),
+    }  # fmt: skip
+    functions = {
+        "cues": "cue_jnds", "outcomes": "cue_outcomes", "best-cue": "best_cue",
+        "weber-2d": "weber_2d", "figure-4b": "jnd_surface",
+    }  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figure, "DRAWS_SHORT", 3)
+        for name in figure.CHARTS.keys() - {"figure-4a", "information"}:  # drawn above
+            make = figure.CHARTS[name]
+            made[functions.get(name, name)] = make(figure.Asked(short=True)).chart
+    return made
+
+
+def paper_3() -> Figure:
+    step = slice(None, None, 10)
+    line, angle = balance.dashed_line()
+    surface = balance.surface(
+        MuscleCurve.NORMALISED, balance.DISTANCES[step], balance.IMPACTS[step]
+    )
+    return figures.paper_3(
+        balance.moments(), balance.muscle(), balance.balance_angles(), surface,
+        (line[step], angle[step]),
+    )  # fmt: skip
+
+
+def test_every_figure_can_be_read(drawn: dict[str, Any]) -> None:
+    """No print under 7 pt at two columns' width, no text over text or cut, no legend over data."""
+    no_figures = {"COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "figure_of", "new_figure",
+                  "plan_page", "shown", "styled", "fits_and_growth", "speed_accuracy"}  # fmt: skip
+    assert set(figures.__all__) - no_figures <= set(drawn)
+    found = {
+        name: faults(one if isinstance(one, Figure) else figures.figure_of(one))
+        for name, one in drawn.items()
+    }
+    assert {name: bad for name, bad in found.items() if bad} == {}
+
+
+def test_what_cannot_be_read_is_found() -> None:
+    one = figures.new_figure()
+    ax = one.subplots()
+    ax.plot([0, 1], [0, 1], label="a line")
+    ax.legend(loc="upper right")
+    ax.text(0.2, 0.5, "first")
+    ax.text(0.22, 0.51, "second")
+    ax.text(0.1, 0.1, "small", fontsize=6)
+    ax.text(0.9, 0.2, "far beyond the edge", clip_on=False).set_in_layout(False)
+    assert {text.split(" ", 1)[-1] for text in faults(one)} == {
+        "has 6.0 pt", "is over 'second'", "beyond the edge' leaves the figure",
+        "legend of '' is over a line",
+    }  # fmt: skip

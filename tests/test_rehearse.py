@@ -233,7 +233,7 @@ def test_data_in_millimetres_say_the_same(plan: Plan) -> None:
 def test_the_figure_shows_every_run(found: SimulatedStudy) -> None:
     ax = rehearsed(found)
     labels = ax.get_legend_handles_labels()[1]
-    assert labels == ["tapered", "cylindrical"]
+    assert labels == ["tapered", "cylindrical", "goal", "the wrong way"]
     shown = ax.get_lines()[0].get_xdata()
     factors = found.table.query("truth == 'tapered'")["log_bayes_factor"] / np.log(10)
     np.testing.assert_allclose(np.sort(factors), shown)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -61,7 +61,8 @@ class PopulationFit(Shown):
 
     `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
     given all the data, `alone`, `alone_lower` and `alone_upper` from its own, and the `status` of
-    the latter. `sessions` is the same by session, None unless sessions were told apart.
+    the latter. `sessions` is the same by session, None unless sessions were told apart. `fits` has
+    each one's own fit by its labels.
 
     Examples
     --------
@@ -73,7 +74,7 @@ class PopulationFit(Shown):
     (['s1', 's2', 's3'], True)
     """
 
-    _figure: ClassVar[str] = "shrinkage"
+    _figure: ClassVar[str] = "population"
     status: PopulationStatus
     subjects: pd.DataFrame = field(repr=False)
     sessions: pd.DataFrame | None = field(repr=False)
@@ -83,6 +84,7 @@ class PopulationFit(Shown):
     lapses: tuple[str, ...] = field(repr=False)
     notes: tuple[str, ...]
     seed: int
+    fits: Mapping[tuple[Any, ...], WeberFit] = field(default_factory=dict, repr=False)
 
     @property
     def weber_fraction(self) -> float:
@@ -330,9 +332,10 @@ def fit_population(
     )
     prior = population or PopulationPriors()
     lapses = tuple(name for name in trials.task.lapses if not believed.is_fixed(name))
+    shared = believed, prior, lapses, notes, seed, {key: fit for key, fit in fits.items() if fit}
     if left_out.all():
         status = PopulationStatus.NO_TRIALS
-        return PopulationFit(status, own, None, None, believed, prior, lapses, notes, seed)
+        return PopulationFit(status, own, None, None, *shared)
     kept = own[~left_out]
     animals = kept["subject"].unique()
     chosen = [fit for fit, out in zip(fits.values(), left_out, strict=True) if fit and not out]
@@ -350,11 +353,11 @@ def fit_population(
     table = _with_quantiles(own, kept.index, found.log_k, found.members)
     status = _status(found, prior, animals.size)
     if not sessions:
-        return PopulationFit(status, table, None, found, believed, prior, lapses, notes, seed)
+        return PopulationFit(status, table, None, found, *shared)
     subjects = own.groupby("subject", sort=False)["n"].sum().reset_index()
     at = subjects.index[subjects["subject"].isin(animals)]
     subjects = _with_quantiles(subjects, at, found.log_k, found.animals)
-    return PopulationFit(status, subjects, table, found, believed, prior, lapses, notes, seed)
+    return PopulationFit(status, subjects, table, found, *shared)
 
 
 def _members(trials: Trials, sessions: bool) -> Iterator[tuple[tuple[Any, ...], Trials]]:

@@ -306,7 +306,9 @@ def _fit_together(
             if found.population is not None:
                 from .. import figures
 
+                unit = "mm" if options["encoding"] else ""
                 run.figure("shrinkage", figures.figure_of(figures.shrinkage(found)))
+                run.figure("population", figures.figure_of(figures.population(found, unit=unit)))
     if as_json:
         print(found.to_json())
         return

@@ -19,7 +19,15 @@ from .designs import (
     power_curve,
     rehearsed,
 )
-from .fits import comparison, pairs, psychometric, psychometrics, residuals, shrinkage
+from .fits import (
+    comparison,
+    pairs,
+    population,
+    psychometric,
+    psychometrics,
+    residuals,
+    shrinkage,
+)
 from .located import located
 from .page import plan_page
 from .paper import paper_1d, paper_2, paper_3
@@ -56,6 +64,7 @@ __all__ = [
     "planned_jnds",
     "planned_power",
     "planned_psychometrics",
+    "population",
     "posterior_histogram",
     "posteriors",
     "power_curve",

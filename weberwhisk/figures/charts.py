@@ -176,7 +176,7 @@ def _line(ax: Axes, part: pd.DataFrame, style: dict[str, Any], label: str) -> No
             continue
         ax.annotate(
             f"{row['failed']:.0%}", (row["seconds"], error), fontsize=SMALL,
-            textcoords="offset points", xytext=(4, 3),
+            textcoords="offset points", xytext=(4, -3), va="top",
         )  # fmt: skip
 
 

@@ -70,10 +70,18 @@ def information_map(
     )
     figure_of(ax).colorbar(mesh, ax=ax, label=f"About {ABOUT[about]} (millibit)")
     best = np.unravel_index(np.nanargmax(value), value.shape)
-    ax.plot(standard[best], offset[best], "o", markerfacecolor="none", color="w", markersize=7)
+    ring: dict[str, Any] = {
+        "linestyle": "none",
+        "marker": "o",
+        "markerfacecolor": "none",
+        "markersize": 7,
+    }
+    ax.plot(standard[best], offset[best], **ring, color="w")
+    ax.plot([], [], **ring, color="black", label="the most")
     ax.axhline(0.0, color="w", linewidth=0.5)
     ax.set_xlabel("Standard (mm)")
     ax.set_ylabel("Offset (mm)")
+    legend_above(ax)
     return ax
 
 
@@ -105,7 +113,7 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
         ]
         ends = own["power"], own["lower"], own["upper"]
         bars(ax, own[by], ends, i, linestyle=LINES[i % 4], label=", ".join(words))
-    ax.axhline(power.goal.share, color="0.6", linewidth=0.8, linestyle=":")
+    ax.axhline(power.goal.share, color="0.6", linewidth=0.8, linestyle=":", label="goal")
     ax.set_xscale("log")
     sizes = np.unique(table[by])
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
@@ -196,10 +204,10 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
         ax.fill_between(
             at, own["lower"] / MM, own["upper"] / MM, color=COLOURS[i], alpha=0.2, linewidth=0
         )
-        ax.plot(at, own["jnd"] / MM, **look(i), label=drawable(hypothesis.name))
+        ax.plot(at, own["jnd"] / MM, **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
     points = plan.jnds_by_standard
     known = (points[name] / MM for name in ("jnd", "lower", "upper"))
-    bars(ax, points["standard"] / MM, known, 0, color=COLOURS[6], label="each standard alone")
+    bars(ax, points["standard"] / MM, known, 0, color=COLOURS[6], label="each standard alone, 95 %")
     ax.set_ylim(bottom=0)
     ax.set_xlabel("Radial distance (mm)")
     ax.set_ylabel(f"JND (mm), {points['criterion'].iloc[0]}")
@@ -238,8 +246,8 @@ def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
         found = (own[name] for name in ("power", "lower", "upper"))
         label = f"{drawable(hypothesis.name)} is true"
         bars(ax, at, found, i, linestyle=LINES[i % 4], label=label)
-    ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0)
-    ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0)
+    ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0, label="goal")
+    ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0, linestyle=":", label="planned")
     ax.set_ylim(0, 1.02)
     ax.set_xlim(left=0)
     ax.set_xlabel("Animals" if by_animals else "Trials of an animal")
@@ -274,8 +282,11 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
         below = np.arange(1, values.size + 1) / values.size
         ax.step(values, below, where="post", **look(i), label=drawable(truth))
     limits = [np.log10(goal.bayes_factor)] if goal.bayes_factor else [100 * (goal.half_width or 0)]
-    for limit in limits + ([-limits[0]] if compared else []):
-        ax.axvline(limit, color="0.6", linewidth=0.8, zorder=0)
+    for limit, name in zip(
+        limits + [-v for v in limits if compared], ("goal", "the wrong way"), strict=False
+    ):
+        line = ":" if name != "goal" else "-"
+        ax.axvline(limit, color="0.6", linewidth=0.8, zorder=0, linestyle=line, label=name)
     ax.set_ylim(0, 1)
     ax.set_xlabel(
         "log$_{10}$ Bayes factor for the truth"
@@ -314,7 +325,7 @@ def adaptive(
             width = half[own.index].groupby(own["n"]).median()
             marks = {"marker": MARKERS[i % len(MARKERS)], "markersize": 3}
             ax.plot(width.index, 100 * width, **look(i, **marks), label=method)
-        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0)
+        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0, label="goal")
         ax.text(0.95, 0.93, f"k = {k:g}", ha="right", transform=ax.transAxes)
         ax.set(xlabel="Trials", ylim=(0, 100))
     axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
@@ -330,7 +341,7 @@ def adaptive(
             label = f"{method}, {('tapered', 'cylinder')[truth]}"
             ends = 100 * share, 100 * low, 100 * high
             bars(ax, share.index, ends, methods.index(method), **style, label=label)
-    ax.axhline(80, color="0.7", linewidth=0.8, zorder=0)
+    ax.axhline(80, color="0.7", linewidth=0.8, zorder=0, label="goal")
     ax.set(xlabel="Trials", ylabel="Runs with Bayes factor > 10 (%)", ylim=(0, 102))
     legend_above(ax)
     return np.array(list(axes), dtype=object)
@@ -356,6 +367,7 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
             rows["trial"][own], offset[own], marker, color=COLOURS[i], markersize=2.5, label=label
         )
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Trial", ylabel="Comparison − standard")
     legend_above(ax)
     return ax

@@ -14,6 +14,7 @@ from scipy.special import betaincinv
 from .style import (
     COLOURS,
     DOUBLE,
+    MARKERS,
     SINGLE,
     Array,
     axes_or_new,
@@ -21,6 +22,7 @@ from .style import (
     drawable,
     figure_of,
     legend_above,
+    look,
     open_figure,
     styled,
 )
@@ -112,7 +114,7 @@ def psychometrics(
     figure.supxlabel(_stimulus_label(fit, unit))
     figure.supylabel(_answer_label(fit))
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
     return np.array(axes[: len(known)], dtype=object)
 
 
@@ -163,7 +165,7 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
         name = None if fit.parameters else "given parameters"
         ax.plot(at, curve["median"], color=COLOURS[0], label=name)
     bars(ax, x, (share, low, high), 0, color=COLOURS[6], label="choices, 95 %", markersize=4)
-    ax.axvline(standard - origin, color="0.7", linewidth=0.8, zorder=0)
+    ax.axvline(standard - origin, color="0.7", linewidth=0.8, zorder=0, label="standard")
     ax.set_ylim(-0.03, 1.03)
     ax.xaxis.set_major_locator(MaxNLocator(5))
 
@@ -201,7 +203,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
     z = table["z"].to_numpy(float)
     outside = np.abs(z) > 1.96
     x = table[column].to_numpy()
-    ax.axhspan(-1.96, 1.96, color="0.92", zorder=0, label="95 % of sound residuals")
+    ax.axhspan(-1.96, 1.96, color="0.92", zorder=0, label="95 %, if the model is right")
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=0)
     for which, marker, colour, name in (
         (~outside, "o", COLOURS[0], None),
@@ -257,13 +259,18 @@ def pairs(fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800
             if i < size - 1:
                 ax.set_xticklabels([])
             else:
-                ax.set_xlabel(along.replace("_", " "))
+                ax.set_xlabel(_parameter(along))
             if j:
                 ax.set_yticklabels([])
             elif i:
-                ax.set_ylabel(down.replace("_", " "))
+                ax.set_ylabel(_parameter(down))
     figure_of(grid).align_labels()
     return grid
+
+
+def _parameter(name: str) -> str:
+    words = name.replace("_", " ")
+    return f"{words[:1].upper()}{words[1:]}"
 
 
 @styled
@@ -304,6 +311,65 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     ax.set_xlabel("Weber fraction")
     legend_above(ax)
     return ax
+
+
+@styled
+def population(fit: PopulationFit, ax: Axes | None = None, *, unit: str = "") -> Any:
+    """Every animal's choices and curve at up to three standards, and `shrinkage` beside them.
+
+    The curves are those of each animal's own trials. On one `ax` `shrinkage` alone is drawn.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_population, simulate_population
+    >>> axes = population(fit_population(simulate_population(3, trials_per_level=10, seed=1)[0]))
+    >>> axes[0].get_ylabel(), axes[-1].get_xlabel()
+    ('Second reported greater', 'Weber fraction')
+    """
+    fits = {labels: one for labels, one in fit.fits.items() if one.parameters}
+    if ax is not None or not fits:
+        return shrinkage(fit, ax)
+    known = np.unique(np.concatenate([one.trials.standards for one in fits.values()]))
+    if known.size > 3:
+        known = known[[0, known.size // 2, -1]]
+    animals = list(dict.fromkeys(labels[0] for labels in fits))
+    count = len(fit.subjects if fit.sessions is None else fit.sessions)
+    figure = open_figure(DOUBLE, min(max(2.9, 1.8 + 0.16 * count), 9.0))
+    grid = figure.add_gridspec(1, known.size + 1)
+    axes: list[Axes] = []
+    for i, standard in enumerate(known):
+        axes.append(figure.add_subplot(grid[i], sharey=axes[0] if axes else None))
+        for (animal, *_), one in fits.items():
+            if np.isclose(one.trials.standards, standard).any():
+                number = animals.index(animal)
+                name = f"{drawable(animal)}, alone" if len(animals) <= 12 else "animals, alone"
+                _animal(one, axes[-1], float(standard), number, name)
+        axes[-1].set_title(f"standard {standard:.3g}")
+        axes[-1].set_ylim(-0.03, 1.03)
+        axes[-1].xaxis.set_major_locator(MaxNLocator(4))
+        axes[-1].set_xlabel(_stimulus_label(one, unit))
+    axes[0].set_ylabel(_answer_label(one))
+    named: dict[str, Any] = {}
+    for each in axes:
+        handles, labels = each.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+    figure.legend(list(named.values()), list(named), loc="outside upper center", ncols=6)
+    axes.append(shrinkage(fit, figure.add_subplot(grid[-1])))
+    return np.array(axes, dtype=object)
+
+
+def _animal(fit: WeberFit, ax: Axes, standard: float, i: int, name: str) -> None:
+    """One animal's shares and the median curve of its own fit."""
+    every = fit.trials.cells()
+    cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
+    first, second = cells.stimulus_1, cells.stimulus_2
+    x = second - first if _relative(fit) else standard * second / first
+    reach = np.linspace(x.min(), x.max(), 81) + (standard if _relative(fit) else 0.0)
+    curve = fit.psychometric(reach, standard)
+    dot = {"marker": MARKERS[i % len(MARKERS)], "markersize": 3, "linestyle": "none"}
+    ax.plot(x, cells.count / cells.n, **look(i) | dot)
+    at = curve["comparison"] - (standard if _relative(fit) else 0.0)
+    ax.plot(at, curve["median"], **look(i, linewidth=1.0), label=name)
 
 
 @styled

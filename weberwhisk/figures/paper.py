@@ -154,7 +154,7 @@ def paper_3(
             label=f"(2.2) {name}:\nends at {end:.3f} L",
         )  # fmt: skip
     b.set(xlabel="Radial distance r/L", ylabel="Angle of balance θ$_b$ (degrees)")
-    b.set(xlim=(0.3, 0.8), ylim=(0, None))
+    b.set(xlim=(0.3, 0.8), ylim=(0, 27), yticks=range(0, 26, 5))
     b.legend(loc="upper left")
     values = surface.pivot(
         index="impact_angle_deg", columns="radial_distance", values="balance_angle_deg"
@@ -170,7 +170,7 @@ def paper_3(
     c.axhline(60, color="white", linewidth=0.8, linestyle=":")
     figure.colorbar(shown, ax=c, pad=0.02, label="θ$_b$ (degrees)")
     c.text(0.86, 80, "flicked\npast", ha="center")
-    c.text(0.98, 154, "above - -: whisking ends", ha="right", fontsize=7)
+    c.text(0.98, 154, "whisking ends", ha="right")
     c.set(xlabel="Radial distance r/L", ylabel="Impact angle θ$_i$ (degrees)")
     c.set(xlim=(0.3, 1), ylim=(30, 165), yticks=range(30, 151, 30))
     for ax, title in ((a, "(a) impact at 60°"), (b, "(b) impact at 60°"), (c, "(c) any impact")):

@@ -167,9 +167,9 @@ def figure_of(axes: Any) -> Figure:
 
 
 def legend_above(ax: Axes) -> None:
-    """A legend that cannot cover data, over the axes; none where there is nothing to tell."""
+    """A legend that cannot cover data, over the axes; none where nothing has a name."""
     handles, labels = ax.get_legend_handles_labels()
-    if len(handles) > 1:
+    if handles:
         ax.legend(
             handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=2,
         )  # fmt: skip

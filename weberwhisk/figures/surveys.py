@@ -12,7 +12,18 @@ from matplotlib.figure import Figure
 
 from ..mechanics.contact import Outcome
 from .contacts import jnd_surface
-from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, SMALL, figure_of, new_figure, styled
+from .style import (
+    COLOURS,
+    DOUBLE,
+    LINES,
+    MARKERS,
+    SINGLE,
+    SMALL,
+    figure_of,
+    legend_above,
+    new_figure,
+    styled,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +37,10 @@ _GROUPS = (
     ("angles and sides (§2c)", "c"),
     ("vibration and taps (§2d, e)", "de"),
     ("force map, balance (§2f, h)", "fgh"),
+)
+_MARKS = (
+    "Lines: Fisher information. Marks: mean sd of posteriors, with 95 % Monte Carlo errors below; "
+    "open: the closed form is outside."
 )
 
 
@@ -57,9 +72,10 @@ def cue_jnds(table: pd.DataFrame) -> Figure:
     below.set(ylim=(0.3, 1.7), xlim=(-0.02, 1.0))
     top.set(yscale="log", ylim=(0.05, 60))
     axes[0, 0].set_ylabel("where it works")
-    axes[1, 0].set_ylabel("JND (mm), d'=1\nline: Fisher, mark: posterior")
+    axes[1, 0].set_ylabel("JND (mm), d'=1")
     axes[2, 0].set_ylabel("posterior /\nclosed form")
-    figure.supxlabel("Radial distance r/L")
+    axes[2, 0].text(0.5, 1.2, "events have\nno closed form", ha="center", color="0.3")
+    figure.supxlabel(f"Radial distance r/L\n{_MARKS}")
     return figure
 
 
@@ -70,16 +86,23 @@ def _cue_lines(top: Axes, below: Axes, rows: pd.DataFrame, i: int) -> dict[str, 
     events = rows["closed_form"].isna().all()
     expected = rows["posterior" if events else "fisher"]
     top.plot(rows["place"], expected * 1e3, LINES[i], color=COLOURS[i])
-    top.plot(rows["place"], rows["posterior"] * 1e3, linestyle="none", **look)
+    every = _every(rows)
+    top.plot(rows["place"], rows["posterior"] * 1e3, linestyle="none", markevery=every, **look)
     ratio = rows["posterior"] / rows["closed_form"]
     error = 1.96 * rows["posterior_error"] / rows["closed_form"]
+    kept = np.arange(len(rows)) % every == 0
     off = np.abs(ratio - 1) > error
-    for shown, face in ((off, "none"), (~off, COLOURS[i])):
+    for shown, face in ((off & kept, "none"), (~off & kept, COLOURS[i])):
         below.errorbar(
             rows["place"][shown], ratio[shown], error[shown],
             linestyle="none", linewidth=0.7, markerfacecolor=face, **look,
         )  # fmt: skip
-    return look | {"linestyle": LINES[i]}
+    return look | {"linestyle": LINES[i], "markevery": every}
+
+
+def _every(rows: pd.DataFrame) -> int:
+    """Marks of so many places are drawn that they stand apart."""
+    return max(len(rows) // 12, 1)
 
 
 def _where_it_works(
@@ -141,7 +164,8 @@ def cue_outcomes(table: pd.DataFrame) -> Figure:
         ax.set(title=cue, xlim=(place[0], place[-1]), ylim=(0, 1))
     for name, look in looks.items():
         if (table["outcome"] == name).any():
-            axes[0].fill_between([], [], label=name, **look)
+            label = "distance found" if name == WORKS else name
+            axes[0].fill_between([], [], label=label, **look)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     figure.supxlabel("Radial distance r/L")
     figure.supylabel("share of readings")
@@ -232,9 +256,11 @@ def ridge(table: pd.DataFrame, contact: tuple[float, float]) -> Figure:
         beside.hist(y, orientation="horizontal", **look)
     ax.plot(contact[0] * 1e3, np.degrees(contact[1]), "k+", markersize=10, label="contact")
     ax.set(xlabel="Radial distance (mm)", ylabel="Deflection angle θ$_d$ (degrees)")
-    ax.legend(frameon=False)
-    for side in (above, beside):
-        side.tick_params(labelbottom=False, labelleft=False)
+    ax.legend()
+    above.tick_params(labelbottom=False)
+    beside.tick_params(labelleft=False)
+    above.set(ylabel="density", yticks=[])
+    beside.set(xlabel="density", xticks=[])
     return figure
 
 
@@ -254,10 +280,11 @@ def cue_information(table: pd.DataFrame) -> Figure:
         rows = table if column == "alone" else table.iloc[:-1]
         error = rows[f"{column}_error"]
         heights = places[: len(rows)] + shift
-        ax.barh(heights, rows[column], 0.38, xerr=error, label=column, color=COLOURS[i])
+        label = f"{column}, ± 1 SE" if i == 0 else "added to the other two, ± 1 SE"
+        ax.barh(heights, rows[column], 0.38, xerr=error, label=label, color=COLOURS[i])
     ax.set_yticks(places, table["cue"])
     ax.set_xlabel("information about radial distance (bits)")
-    ax.legend(frameon=False)
+    legend_above(ax)
     return figure
 
 
@@ -303,11 +330,11 @@ def weber_2d(
         np.degrees(false_zero["deflection_angle"]),
         false_zero["posterior"] / scale,
         1.96 * false_zero["posterior_error"] / scale,
-        fmt="o", color=COLOURS[1], label="posterior",
+        fmt="o", color=COLOURS[1], label="posterior, 95 %",
     )  # fmt: skip
     last.set(
         xlabel="Deflection angle θ$_d$ (degrees)", ylabel="JND/(kL), d'=1", ylim=(1e-4, 1),
         title="axial force noise alone, at 0.7 L: its false zero",
     )  # fmt: skip
-    last.legend(frameon=False)
+    last.legend()
     return figure_of(last)
