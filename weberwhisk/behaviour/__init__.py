@@ -18,6 +18,7 @@ from .encodings import CueEncoding, Encoding, IdentityEncoding, LogAxisEncoding,
 from .fit import fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
+from .located import simulate_moving, with_distances
 from .methods import methods_paragraph
 from .population import simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
@@ -63,11 +64,13 @@ __all__ = [
     "read_trials",
     "residuals_by",
     "response_probability",
+    "simulate_moving",
     "simulate_population",
     "simulate_trials",
     "task_named",
     "threshold",
     "weber_law_test",
+    "with_distances",
 ]
 
 __getattr__ = renamed_names(

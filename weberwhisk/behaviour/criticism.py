@@ -18,6 +18,7 @@ from scipy.special import bdtr, ndtri
 from .. import _checks
 from .likelihood import Draws, WeberModel
 from .posteriors import lead_values
+from .trials import SDS
 
 if TYPE_CHECKING:
     from .result import WeberFit
@@ -209,6 +210,10 @@ class _Rows:
         names = ("standard", "stimulus_1", "stimulus_2")
         by_row = [frame[name].to_numpy(float) for name in names]
         by_cell = [getattr(cells, name) for name in names]
+        for name, own in zip(SDS, (cells.sd_1, cells.sd_2), strict=True):
+            if own is not None:
+                by_row.append(frame[name].to_numpy(float))
+                by_cell.append(own)
         for effect, column in zip(model.effects, model.columns, strict=True):
             own = effect.column(fit.trials, fit.encoding)
             by_row.append(np.zeros(len(frame)) if own is None else own)

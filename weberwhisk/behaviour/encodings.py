@@ -195,7 +195,9 @@ def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
 class UnitEncodings(NamedTuple):
     """The two encoded stimuli of each cell, a greater stimulus giving a greater mean; arrays (C,).
 
-    The sds are for a Weber fraction of 1; floors do not go with it, and add in variance.
+    The sds are for a Weber fraction of 1; floors do not go with it, and add in variance. `spread`
+    is the variance that an error of the measured places leaves in the difference of the means: the
+    experimenter's ignorance, which is no noise of the animal.
     """
 
     mean_1: Array
@@ -204,6 +206,7 @@ class UnitEncodings(NamedTuple):
     sd_2: Array
     floor_1: ArrayLike = 0.0
     floor_2: ArrayLike = 0.0
+    spread: ArrayLike = 0.0
 
     def encoded(self, weber_fraction: ArrayLike) -> Signals:
         """Both signals with the noise of an observer, (..., C) for a Weber fraction (...)."""
@@ -217,6 +220,11 @@ class UnitEncodings(NamedTuple):
     def has_floor(self) -> bool:
         """Whether any noise is left at a Weber fraction of nothing."""
         return bool(np.any(self.floor_1) or np.any(self.floor_2))
+
+    @property
+    def has_spread(self) -> bool:
+        """Whether any place was measured, with an error."""
+        return bool(np.any(self.spread))
 
     def of(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> UnitEncodings:
         """Some of the cells."""

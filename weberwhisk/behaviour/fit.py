@@ -14,6 +14,7 @@ from .effects import Effect, check_effects
 from .encodings import (
     NOISES,
     Encoding,
+    IdentityEncoding,
     UnitEncodings,
     chosen_encoding,
     encoding_for,
@@ -22,6 +23,7 @@ from .encodings import (
 )
 from .integrate import refined
 from .likelihood import WeberModel, gather
+from .located import over_places, with_distances
 from .posteriors import QuadraturePosterior, WeberPosterior
 from .priors import priors_for
 from .result import WeberFit
@@ -45,6 +47,7 @@ def fit_weber(
     effects: Sequence[Effect] = (),
     priors: Any = None,
     method: str | None = None,
+    distances: Any = None,
     seed: int | np.random.SeedSequence | np.random.Generator = 0,
 ) -> WeberFit:
     """Fit the Weber fraction of one observer, with lapses and bias.
@@ -74,6 +77,9 @@ def fit_weber(
     method : {"quadrature", "emcee"}, optional
         By default quadrature up to five parameters (biases of standards count as one, being
         integrated one by one), and emcee beyond.
+    distances : DataFrame or path, optional
+        Where the touches of each trial were located (`ww.locate`), in place of nominal distances;
+        see `with_distances`.
     seed : int, SeedSequence or Generator
         Of the sampler, and of draws from the posterior.
 
@@ -98,6 +104,9 @@ def fit_weber(
     True
     """
     _checks.one_of("noise", noise, NOISES)
+    if distances is not None:
+        felt = chosen_encoding(encoding, observer) or IdentityEncoding()
+        trials = with_distances(trials, distances, felt)
     model, encoded, chosen = build_model(trials, encoding, observer, bias, noise, priors, effects)
     by_itself = "quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee"
     used = by_itself if method is None else method
@@ -151,6 +160,8 @@ def build_model(
         )
     cells, columns = gather(trials, tuple(effects), encoded)
     both = pairs_shown(cells, encoded, noise)
+    if cells.sd_1 is not None:
+        both = over_places(task, encoded, cells, both, noise)
     if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
         raise ValueError(
             "no noise of these signals goes with a Weber fraction, so there is none to fit: that "

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
+from .binning import binned
 from .effects import Effect, Overdispersion
 from .encodings import Encoding, Signals, UnitEncodings
 from .lapses import PLAIN, LapseTransform, lapse_transform
 from .priors import TINY, Priors
 from .tasks import Task
-from .trials import Cells, Trials
+from .trials import SDS, Cells, Trials
 
 Array = NDArray[np.float64]
 
@@ -164,6 +165,21 @@ class WeberModel:
             encoded = effect.apply(encoded, effects[..., i, None], column)
         return encoded
 
+    def decide(self, k: Array, effects: Array | None = None) -> tuple[Array, Array | float]:
+        """Decision variable (..., C) and what a bias of 1 adds to it, places integrated over.
+
+        A place known with an error moves the difference between the signals by a normal number of
+        variance v, and E Φ(d + e/σ + b) = Φ((d + b)/√(1 + v/σ²)): v is not the animal's, and does
+        not grow with k; a bias, which is in sds of the animal's noise, shrinks with d.
+        """
+        encoded = self.encoded(k, effects)
+        d, weight = self.task.decide(encoded)
+        if not self.encodings.has_spread:
+            return d, weight
+        sd = self.task.decision_sd(encoded)  # type: ignore[attr-defined]
+        known = sd / np.sqrt(sd**2 + self.encodings.spread)
+        return d * known, weight * known
+
     def lapses(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Asymptotes as the task sees them; `low` is ignored where the task has none."""
         return self.task.asymptotes(low, high)
@@ -197,7 +213,7 @@ class WeberModel:
             Both computed without subtraction from 1, so neither loses its tail.
         """
         low, high = (a[..., None] for a in self.lapses(low, high))
-        d, weight = self.task.decide(self.encoded(k, effects))
+        d, weight = self.decide(k, effects)
         up, down = self.task.chance(d, weight * bias[..., self.group])
         return (
             np.maximum(low * down + (1 - high) * up, TINY),
@@ -301,11 +317,15 @@ class WeberModel:
         """The same likelihood with fewer cells: those that only differ in scale are one.
 
         Under Weber's law every standard repeats the same few ratios. Effects and floors know the
-        scale, and leave the cells as they are.
+        scale, and leave the cells as they are. Measured, every trial is its own cell: thousands are
+        binned.
         """
         p = self.encodings
         if self.effects or p.has_floor:
             return self
+        if p.has_spread:
+            found = binned(self.task, p, self.cells, self.group)
+            return replace(self, encodings=found[0], cells=found[1], group=found[2])
         key = np.column_stack([(p.mean_2 - p.mean_1) / p.sd_1, p.sd_2 / p.sd_1])
         rounded = np.column_stack([np.round(key, 11), self.group])
         _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -352,13 +372,15 @@ def gather(trials: Trials, effects: tuple[Effect, ...], encoding: Encoding) -> t
         return cells, np.zeros((len(effects), cells.n.size))
     size = len(trials.frame)
     columns = [np.zeros(size) if c is None else c for c in named]
+    sds = [c for c in SDS if c in trials.frame]
     numbers = [
-        trials.frame[c].to_numpy(float) for c in ("standard", "stimulus_1", "stimulus_2", "n",
+        trials.frame[c].to_numpy(float) for c in ("standard", "stimulus_1", "stimulus_2", *sds, "n",
                                                   "count")
     ]  # fmt: skip
-    rows = np.column_stack([*numbers[:3], *columns, *numbers[3:]])
+    rows = np.column_stack([*numbers[:-2], *columns, *numbers[-2:]])
     rows = rows[~np.isnan(rows[:, -1]) & (rows[:, -2] > 0)]
     keys, same = np.unique(rows[:, :-2], axis=0, return_inverse=True)
     n, count = (np.bincount(same.reshape(-1), rows[:, i], len(keys)) for i in (-2, -1))
-    standard, s1, s2 = keys[:, :3].T
-    return Cells(s1, s2, standard, n.astype(float), count.astype(float)), keys[:, 3:].T
+    standard, s1, s2, *own = keys[:, : 3 + len(sds)].T
+    cells = Cells(s1, s2, standard, n.astype(float), count.astype(float), *own)
+    return cells, keys[:, 3 + len(sds) :].T

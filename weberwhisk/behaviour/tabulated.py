@@ -265,7 +265,7 @@ def _bias_nodes(
     if not model.free_bias:
         bias = np.full((k.size, 1, model.n_groups), model.fixed_bias())
         return bias, np.ones((1, 1)), np.ones((k.size, model.n_groups, 1, scales.size))
-    encoded = model.task.decide(model.encoded(k))
+    encoded = model.decide(k)
     at = [np.quantile(v, [0.5, 0.002, 0.998]) for v in (draws.lapse_low, draws.lapse_high)]
     modes = [model.bias_mode(encoded, lo, hi) for lo, hi in zip(*at, strict=True)]
     (centre, spread), *others = modes

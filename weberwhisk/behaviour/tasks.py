@@ -76,6 +76,10 @@ class _Compared:
     def has_bias(self) -> bool:
         return self.bias_name is not None
 
+    def decision_sd(self, encoded: Signals) -> Array:
+        """Sd of the noise by which d was divided, in the signal's unit, (..., C)."""
+        return np.asarray(np.hypot(encoded.sd_1, encoded.sd_2))
+
     def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
         z = d + bias
         less = ndtr(-np.abs(z))  # the tail; the rest is known from it to the last digit
@@ -186,6 +190,9 @@ class YesNo(_Compared):
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
         m1, s1, m2, s2, shift = encoded
         return (m2 - m1) / s2 + shift, -s1 / s2
+
+    def decision_sd(self, encoded: Signals) -> Array:
+        return np.asarray(encoded.sd_2)
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,15 @@ Array = NDArray[np.float64]
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")
 COLUMNS = ("standard", "stimulus_1", "stimulus_2", "n", "count")
+SDS = ("stimulus_1_sd", "stimulus_2_sd")  # of measured places, where `with_distances` put them in
 
 
 @dataclass(frozen=True)
 class Cells:
     """Trials gathered into unique pairs of stimuli, sorted by standard; arrays (C,).
 
-    `count` of the `n` trials had the answer: "second greater", or correct.
+    `count` of the `n` trials had the answer: "second greater", or correct. `sd_1` and `sd_2` are
+    the sds with which the places of the stimuli are known, where they were measured.
     """
 
     stimulus_1: Array
@@ -35,11 +37,15 @@ class Cells:
     standard: Array
     n: Array
     count: Array
+    sd_1: Array | None = None
+    sd_2: Array | None = None
 
     def of(self, standard: float) -> Cells:
         """The cells of one standard."""
         keep = self.standard == standard
-        return Cells(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+        own = (None if a is None else a[keep] for a in (self.sd_1, self.sd_2))
+        some = (self.stimulus_1, self.stimulus_2, self.standard, self.n, self.count)
+        return Cells(*(a[keep] for a in some), *own)
 
 
 @dataclass(frozen=True)
@@ -169,18 +175,20 @@ class Trials:
 
     def cells(self) -> Cells:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
-        rows = np.column_stack([self.frame[c].to_numpy(float) for c in COLUMNS])
-        rows = rows[~np.isnan(rows[:, 4]) & (rows[:, 3] > 0)]
-        order = np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))
+        sds = [c for c in SDS if c in self.frame]
+        names = (*COLUMNS[:3], *sds, *COLUMNS[3:])
+        rows = np.column_stack([self.frame[c].to_numpy(float) for c in names])
+        rows = rows[~np.isnan(rows[:, -1]) & (rows[:, -2] > 0)]
+        order = np.lexsort(rows[:, -3::-1].T)
         rows = rows[order]
         if not len(rows):
             empty = np.zeros(0)
             return Cells(empty, empty, empty, empty, empty)
-        new = np.r_[True, np.any(np.diff(rows[:, :3], axis=0) != 0, axis=1)]
+        new = np.r_[True, np.any(np.diff(rows[:, :-2], axis=0) != 0, axis=1)]
         starts = np.flatnonzero(new)
-        n, count = np.add.reduceat(rows[:, 3:], starts, axis=0).T
-        standard, s1, s2 = rows[starts, :3].T
-        return Cells(s1, s2, standard, n, count)
+        n, count = np.add.reduceat(rows[:, -2:], starts, axis=0).T
+        standard, s1, s2, *own = rows[starts, :-2].T
+        return Cells(s1, s2, standard, n, count, *own)
 
     def table(self) -> pd.DataFrame:
         """The trials under the names that `read_trials` takes without a mapping."""

@@ -109,6 +109,7 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
     share = cells.count / np.maximum(cells.n, 1)
     if (
         cells.n.size > 1
+        and not model.encodings.has_spread  # measured, every level was met once
         and not _one_sided(model)
         and np.all(
             np.where(
@@ -129,7 +130,11 @@ def too_few_kinds(model: WeberModel) -> bool:
 def _kinds(model: WeberModel) -> int:
     """How many proportions the observer could give: pairs that differ in d by a tenth or more."""
     d = np.sort(model.task.decide(model.encodings.encoded(np.float64(1.0)))[0])
-    return 1 + int((np.diff(d) > ALIKE * np.abs(d).max()).sum())
+    alike, kinds, first = ALIKE * np.abs(d).max(), 1, d[0]
+    for value in d:  # measured distances leave no gaps
+        if value - first > alike:
+            kinds, first = kinds + 1, value
+    return kinds
 
 
 def _dimensions(model: WeberModel) -> int:

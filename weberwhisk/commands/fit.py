@@ -13,7 +13,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
-from ..behaviour import CueEncoding, FitStatus
+from ..behaviour import CueEncoding, FitStatus, with_distances
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.io import load_table
 from ..output import Run, atomic_write, to_json
@@ -161,6 +161,15 @@ def fit(
     cue: CueOption = None,
     deflection_angle_deg: AngleOption = None,
     receptors: ReceptorsOption = None,
+    distances: Annotated[
+        Path | None,
+        typer.Option(
+            "--distances",
+            metavar="TABLE",
+            help="Where the touches of each trial were located (weberwhisk locate), by columns "
+            "trial and interval, in place of nominal distances.",
+        ),
+    ] = None,
     seed: SeedOption = 1,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -178,6 +187,12 @@ def fit(
     trials = _selected(trials, subject, session, together)
     if encoding is not None:
         _refuse_metres(trials, encoding)
+    if distances is not None:
+        if encoding is None:
+            raise ValueError(
+                f"--distances {distances} needs the whisker that felt them; add --identity C2, say."
+            )
+        trials = with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials)
     if prior is not None:
         known = _checks.one_of("--prior", prior, ("levels",))

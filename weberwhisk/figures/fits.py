@@ -139,13 +139,17 @@ def _answer_label(fit: WeberFit) -> str:
 def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
     every = fit.trials.cells()
     cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
-    first, second, n = cells.stimulus_1, cells.stimulus_2, cells.n
-    share = cells.count / n
-    low, high = binomial_interval(share * n, n)
+    first, second, n, count = cells.stimulus_1, cells.stimulus_2, cells.n, cells.count
     if _relative(fit):
         x, origin = second - first, standard
     else:
         x, origin = standard * second / first, 0.0
+    if cells.sd_1 is not None and x.size > 20:  # located, every trial has places of its own
+        groups = np.array_split(np.argsort(x, kind="stable"), 10)
+        x = np.array([x[g].mean() for g in groups])
+        n, count = (np.array([a[g].sum() for g in groups]) for a in (n, count))
+    share = count / n
+    low, high = binomial_interval(count, n)
     if x.size:
         reach = [min(x.min(), standard - origin), max(x.max(), standard - origin)]
         margin = 0.08 * (reach[1] - reach[0]) or 0.1 * abs(standard) or 0.1

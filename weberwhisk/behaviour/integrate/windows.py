@@ -227,7 +227,7 @@ def outer_signals(model: WeberModel, axes: list[Array] | tuple[Array, ...]) -> t
     values = [model.value(name, a) for name, a in zip(model.lead[:-2], axes, strict=True)]
     k, *effects = (a.ravel() for a in np.meshgrid(*values, indexing="ij"))
     moved = np.stack(effects, axis=-1) if effects else None
-    d, weight = np.broadcast_arrays(*model.task.decide(model.encoded(k, moved)))
+    d, weight = np.broadcast_arrays(*model.decide(k, moved))
     return d, weight
 
 

@@ -1,0 +1,267 @@
+"""Weber fractions of what the animal felt: trials at the places where touches were located."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import weberwhisk as ww
+from weberwhisk import cli
+from weberwhisk.behaviour import (
+    CueEncoding,
+    Trials,
+    checks,
+    response_probability,
+    simulate_moving,
+    task_named,
+    with_distances,
+)
+from weberwhisk.behaviour.fit import build_model
+from weberwhisk.behaviour.located import estimate_scatter
+
+WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
+ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))
+KNOWN = {"lapse_low": 0.0, "lapse_high": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("task", "worst", "usual"),
+    [("2AFC", 1.5e-3, 4e-4), ("yes/no", 1e-2, 3e-3), ("same-different", 7e-3, 4e-3)],
+)
+def test_the_likelihood_is_that_of_brute_force_over_the_places(
+    task: str, worst: float, usual: float
+) -> None:
+    """Probabilities of answers averaged over 121 × 121 places of each trial, to 7 % of the way."""
+    rng, n, encoding = np.random.default_rng(1), 9, ENCODING
+    first = np.zeros(n) if task == "yes/no" else rng.normal(0, 2e-3, n)
+    own = np.zeros(n) if task == "yes/no" else np.tile([0.2e-3, 0.5e-3, 1e-3], 3)
+    frame = pd.DataFrame(
+        {
+            "stimulus_1": 20e-3 + first, "stimulus_2": 20e-3 + rng.normal(0, 3e-3, n),
+            "standard": 20e-3, "n": 1, "count": 1.0,
+            "stimulus_1_sd": own, "stimulus_2_sd": np.repeat([0.3e-3, 0.7e-3, 1.4e-3], 3),
+        }
+    )  # fmt: skip
+    model, _, _ = build_model(Trials(frame, task_named(task)), encoding, None, None, "weber", None)
+    values = {"weber_fraction": 0.1, "lapse_low": 0.02, "lapse_high": 0.03, "bias": 0.4}
+    p, q = model.probability(*(np.array(v) for v in list(values.values())[:3]), np.array([0.4]))
+    z = np.linspace(-6, 6, 121)
+    weight = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
+    cells, off = model.cells, []
+    assert cells.sd_1 is not None
+    assert cells.sd_2 is not None
+    for i in range(n):
+        x1, x2 = np.meshgrid(
+            cells.stimulus_1[i] + cells.sd_1[i] * z,
+            cells.stimulus_2[i] + cells.sd_2[i] * z,
+            indexing="ij",
+        )
+        whole = response_probability(
+            task_named(task), encoding, x1.ravel(), x2.ravel(), standard=np.full(x1.size, 20e-3),
+            **values,
+        )  # fmt: skip
+        off.append(p[i] - weight @ whole.reshape(x1.shape) @ weight)
+    off = np.abs(off)
+    assert off.max() < worst
+    assert off[cells.sd_2 < 1e-3].max() < usual
+    np.testing.assert_allclose(p + q, 1, atol=1e-12)
+
+
+@cache
+def session(seed: int) -> tuple[Trials, pd.DataFrame]:
+    """270 trials of an animal whose touches scatter by 2 mm, measured to 0.7 mm."""
+    nominal = ww.simulate_trials(
+        standards=20e-3, encoding=ENCODING, trials_per_level=30, seed=1000 + seed
+    )
+    return simulate_moving(
+        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.7e-3, offset=1e-3,
+        seed=5000 + seed,
+    )  # fmt: skip
+
+
+def test_an_animal_that_moves_has_its_weber_fraction_from_where_it_touched() -> None:
+    """Root-mean-square error and coverage over data sets, from nominal and from located places."""
+    found = {"located": [], "nominal": []}
+    for seed in range(20):
+        trials, located = session(seed)
+        for name, given in (("located", located), ("nominal", None)):
+            fit = ww.fit_weber(trials, encoding=ENCODING, distances=given, priors=KNOWN)
+            low, high = fit.interval(0.95)
+            found[name].append((np.log(fit.weber_fraction / 0.1), low < 0.1 < high))
+    error = {name: np.sqrt(np.mean(np.square([e for e, _ in v]))) for name, v in found.items()}
+    covered = {name: sum(c for _, c in v) for name, v in found.items()}
+    assert error["located"] < 0.22 < 0.35 < error["nominal"]
+    assert covered["located"] >= 17  # of 20: fewer happens once in 400 where it is 95 %
+    assert covered["nominal"] <= 10
+
+
+def test_measurement_error_is_no_noise_of_the_animal() -> None:
+    """Places put in without their sds count the error of the video into k."""
+    over = []
+    for seed in range(6):
+        nominal = ww.simulate_trials(
+            standards=20e-3, encoding=ENCODING, trials_per_level=30, seed=seed
+        )
+        trials, located = simulate_moving(
+            nominal, ENCODING, weber_fraction=0.05, scatter=3e-3, sd=1e-3, seed=50 + seed
+        )
+        sure = located.assign(sd_mm=1e-3)
+        over.append(
+            [
+                ww.fit_weber(trials, encoding=ENCODING, distances=d, priors=KNOWN).weber_fraction
+                for d in (located, sure)
+            ]
+        )
+    known, taken_as_exact = np.mean(over, axis=0)
+    assert known == pytest.approx(0.05, rel=0.2)
+    assert taken_as_exact > 1.4 * known
+
+
+def test_an_animal_that_keeps_still_loses_nothing_by_a_poor_measurement() -> None:
+    """Scatter is found to be none, and the nominal places (with their offset) stand."""
+    nominal = ww.simulate_trials(standards=20e-3, encoding=ENCODING, trials_per_level=30, seed=3)
+    trials, located = simulate_moving(
+        nominal, ENCODING, weber_fraction=0.1, scatter=0.0, sd=2e-3, seed=4
+    )
+    placed = with_distances(trials, located, ENCODING)
+    assert placed.frame["stimulus_1_sd"].max() < 0.7e-3
+    one, other = (
+        ww.fit_weber(trials, encoding=ENCODING, distances=d, priors=KNOWN).weber_fraction
+        for d in (located, None)
+    )
+    assert one == pytest.approx(other, rel=0.15)
+
+
+def test_scatter_is_found_by_maximum_likelihood() -> None:
+    rng = np.random.default_rng(2)
+    sd = rng.uniform(0.2, 2.0, 4000)
+    gap = 0.5 + np.hypot(1.5, sd) * rng.standard_normal(4000)
+    found = estimate_scatter(np.r_[gap, np.nan], np.r_[sd, np.nan])
+    assert found.offset == pytest.approx(0.5, abs=0.1)
+    assert found.sd == pytest.approx(1.5, rel=0.05)
+    assert estimate_scatter(np.array([1.0]), np.array([0.5])) == (1.0, 0.0)
+
+
+def test_touches_are_joined_combined_and_missed() -> None:
+    """Rows of a touch are one; two touches weigh by precision; a trial without one is scattered."""
+    trials, located = session(0)
+    located = located.drop(columns="true_mm").assign(touch_status="converged")
+    touches = located.rename(
+        columns={"radial_distance_mm": "touch_radial_distance_mm", "sd_mm": "touch_sd_mm"}
+    )
+    plain = with_distances(trials, located, ENCODING)
+    again = with_distances(trials, pd.concat([touches, touches]), ENCODING)
+    names = ["stimulus_1", "stimulus_2", "stimulus_1_sd", "stimulus_2_sd"]
+    np.testing.assert_allclose(again.frame[names], plain.frame[names], rtol=1e-12)
+
+    lost = touches.copy()
+    lost.loc[0, "touch_status"] = "rows_disagree"
+    missing = with_distances(trials, lost, ENCODING)
+    assert any(note.startswith("1 touches were not located") for note in missing.notes)
+    row = missing.frame.iloc[0]
+    assert row["stimulus_1"] == pytest.approx(trials.frame["stimulus_1"].iloc[0] + 1e-3, abs=3e-4)
+    assert row["stimulus_1_sd"] == pytest.approx(2e-3, rel=0.15)
+
+    twice = pd.concat([touches, touches.assign(touch_radial_distance_mm=lambda t: (
+        t["touch_radial_distance_mm"] + 0.1))])  # fmt: skip
+    both = with_distances(trials, twice, ENCODING).frame
+    shrunk = 1 / both["stimulus_1_sd"] ** 2 - 1 / plain.frame["stimulus_1_sd"] ** 2
+    assert np.sqrt(1 / shrunk.iloc[0]) == pytest.approx(0.7e-3, rel=0.05)
+
+
+def test_populations_take_located_trials() -> None:
+    """What is in the table of trials is in every fit that is made of it, and in its checks."""
+    trials, located = session(1)
+    frame = trials.frame.assign(subject=np.where(np.arange(len(trials)) % 2, "a", "b"))
+    located = located.assign(subject=np.tile(frame["subject"], 2))
+    both = with_distances(replace(trials, frame=frame), located, ENCODING)
+    found = ww.fit_population(both, encoding=ENCODING, priors=KNOWN)
+    nominal = ww.fit_population(replace(trials, frame=frame), encoding=ENCODING, priors=KNOWN)
+    assert (found.subjects["weber_fraction"] < nominal.subjects["weber_fraction"]).all()
+    fit = ww.fit_weber(trials, encoding=ENCODING, distances=located, priors=KNOWN)
+    assert np.all(checks(fit, seed=1)["p"] > 1e-3)
+    assert "located" in fit.report()
+
+
+def test_thousands_of_trials_are_binned_without_moving_the_likelihood() -> None:
+    nominal = ww.simulate_trials(
+        standards=[15e-3, 20e-3], encoding=ENCODING, trials_per_level=100, seed=1
+    )
+    trials, located = simulate_moving(
+        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.5e-3, seed=2
+    )
+    located["sd_mm"] = np.random.default_rng(3).uniform(0.2, 1.0, len(located))
+    placed = with_distances(trials, located, ENCODING)
+    model, _, _ = build_model(placed, ENCODING, None, None, "weber", None)
+    fewer = model.merged()
+    assert fewer.cells.n.size <= 1000 < model.cells.n.size == 1800
+    k, none = np.geomspace(0.05, 0.2, 9), np.full(9, 0.02)
+    whole, part = (m.log_likelihood(k, none, none, np.full((9, 1), 0.2)) for m in (model, fewer))
+    np.testing.assert_allclose(part - part.max(), whole - whole.max(), atol=0.25)
+    # 0.06 nats a step, where half of one costs 1.7: the estimate moves by 0.03 of its sd.
+    assert abs((part[4] - part[2]) - (whole[4] - whole[2])) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda d: d.drop(columns="interval"), "no column 'interval'"),
+        (lambda d: d.drop(columns="sd_mm"), "'sd_mm'"),
+        (lambda d: d.assign(sd_mm=0.0), "above zero"),
+        (lambda d: d.assign(interval=3), "must be 1 or 2"),
+        (lambda d: pd.concat([d, d]), "several rows for"),
+        (lambda d: d.assign(session="x"), "belongs to a trial"),
+        (lambda d: d.assign(status="no_contact"), "no located touch"),
+        (lambda d: d.assign(radial_distance_mm=d["radial_distance_mm"] / 1000), "millimetres"),
+        (lambda d: d.assign(radial_distance_mm=60.0), "give no signal"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused_in_a_sentence(change, says: str) -> None:
+    trials, located = session(2)
+    with pytest.raises(ValueError, match=says) as caught:
+        ww.fit_weber(trials, encoding=ENCODING, distances=change(located))
+    assert str(caught.value).count("\n") == 0
+
+
+def test_observers_and_tasks_that_cannot_take_them_are_refused() -> None:
+    trials, located = session(2)
+    with pytest.raises(ValueError, match="without a whisker"):
+        ww.fit_weber(trials, distances=located)
+    scored = ww.simulate_trials(
+        standards=20e-3, offsets=[0.1, 0.2], encoding=ENCODING, task="2AFC percent correct", seed=1
+    )
+    scored, located = simulate_moving(
+        scored, ENCODING, weber_fraction=0.1, scatter=1e-3, sd=1e-3, seed=1
+    )
+    with pytest.raises(ValueError, match="scored by the pole's place"):
+        ww.fit_weber(scored, encoding=ENCODING, distances=located)
+
+
+def test_the_command_takes_a_table_of_distances(tmp_path, capsys, monkeypatch) -> None:
+    def _run(args: list[str]) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["weberwhisk", *args])
+        return cli.main(), *capsys.readouterr()
+
+    trials, located = session(3)
+    frame = trials.table().drop(columns="standard")
+    for name in ("stimulus_1", "stimulus_2"):
+        frame[f"{name}_mm"] = 1e3 * frame.pop(name)
+    frame.assign(standard_mm=20.0).to_csv(tmp_path / "trials.csv", index=False)
+    located.to_csv(tmp_path / "located.csv", index=False)
+    args = ["fit", str(tmp_path / "trials.csv"), "--distances", str(tmp_path / "located.csv"),
+            "--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5",
+            "--cue", "compliance", "--out", str(tmp_path / "out"), "--json"]  # fmt: skip
+    code, out, _ = _run(args)
+    assert code == 0
+    fit = ww.fit_weber(trials, encoding=ENCODING, distances=located, seed=1)
+    assert json.loads(out)["weber_fraction"] == pytest.approx(fit.weber_fraction, rel=1e-3)
+    assert (tmp_path / "out" / "psychometric.png").exists()
+    maps = [f"--column={c}={c}_mm" for c in ("stimulus_1", "stimulus_2", "standard")]
+    code, _, err = _run([*args[:4], *maps])
+    assert code == 2
+    assert "needs the whisker" in err
