@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         sweep,
     )
     from .observer import Observer
+    from .place_maps import array_by_count, array_by_whisker, array_resolution
     from .places import ArrayObserver, Place, place
     from .planning import write_plan
     from .posterior import Posterior, Status, posterior
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "whisker": "Whisker identities",
     "array": "WhiskerArray",
+    "place_maps": "array_by_count array_by_whisker array_resolution",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
     "observer": "Observer",
@@ -118,6 +120,9 @@ __all__ = [
     "Whisker",
     "WhiskerArray",
     "added_information",
+    "array_by_count",
+    "array_by_whisker",
+    "array_resolution",
     "behaviour",
     "bend",
     "calibrate",

@@ -151,6 +151,43 @@ def figure_4b(asked: Asked) -> Made:
     return Made({"figure-4b": surface_in_degrees(table)}, figures.figure_of(drawn))
 
 
+def array_resolution(asked: Asked) -> Made:
+    """how well the rat's whiskers (rows C to E) resolve a pole's place, over all places"""
+    from .. import figures
+
+    array = _level_array(asked, np.radians(40.0))
+    step = 2e-3 if asked.short else 0.4e-3
+    x, y = np.arange(4e-3, 58e-3, step), np.arange(-24e-3, 14e-3, step)
+    table = ww.array_resolution(ww.ArrayObserver(array), x, y)
+    return Made({"array-resolution": table}, figures.array_map(table, array))
+
+
+def array_counts(asked: Asked) -> Made:
+    """apertures told apart by the number of whiskers left intact, by an ideal observer"""
+    import pandas as pd
+
+    from .. import figures
+
+    array, tables = _level_array(asked, np.radians(40.0)), []
+    places = np.linspace(-10e-3, 10e-3, 11 if asked.short else 41)
+    for k, degrees in ((0.1, 1.0), (0.3, 3.0), (0.6, 6.0)):
+        noise = ww.receptors.Weber(k)
+        observer = ww.ArrayObserver(array, noise=noise, angle_sd=np.radians(degrees))
+        table = ww.array_by_count(observer, 25e-3, places, range(1, 21), seed=asked.seed)
+        tables.append(table.assign(receptors=f"k = {k:g}, azimuths ± {degrees:g}°"))
+    joined = pd.concat(tables, ignore_index=True)
+    return Made({"array-counts": joined}, figures.array_counts(joined))
+
+
+def _level_array(asked: Asked, protraction: float) -> ww.WhiskerArray:
+    """The rows of a rat's right side that stay within 30° of the horizontal."""
+    if asked.whisker is not surveys.WHISKER:
+        raise ValueError("This figure is of a whole array, got one whisker; leave it out.")
+    array = ww.WhiskerArray("rat", "right")
+    level = [name for name in array.identities if name[0] in "CDE"]
+    return array.only(level).protract(protraction)
+
+
 #: The charts by name.
 CHARTS: dict[str, Make] = {
     "cues": cues,
@@ -161,6 +198,8 @@ CHARTS: dict[str, Make] = {
     "figure-4a": figure_4a,
     "figure-4b": figure_4b,
     "weber-2d": weber_2d,
+    "array-resolution": array_resolution,
+    "array-counts": array_counts,
 }
 
 
@@ -182,7 +221,7 @@ def figure(
     inputs = as_asked(locals())
     if name is None:
         for key, make in CHARTS.items():
-            print(f"{key:12} {make.__doc__}")
+            print(f"{key:16} {make.__doc__}")
         return
     make = CHARTS[_checks.one_of("figure", name, CHARTS)]
     if out is None:

@@ -6,7 +6,7 @@ line style, so that a figure also reads in grey.
 """
 
 from .._deprecated import renamed_names
-from .array import place, whisker_array
+from .array import array_counts, array_map, place, whisker_array
 from .charts import fits_and_growth, speed_accuracy
 from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
 from .designs import (
@@ -41,6 +41,8 @@ __all__ = [
     "MARKERS",
     "SINGLE",
     "adaptive",
+    "array_counts",
+    "array_map",
     "bending",
     "best_cue",
     "comparison",

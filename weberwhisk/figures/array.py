@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
 
-from .style import COLOURS, DOUBLE, LINES, SINGLE, axes_or_new, styled
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, SMALL, axes_or_new, new_figure, styled
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ..array import Follicle, WhiskerArray
     from ..places import Place
 
@@ -76,3 +80,89 @@ def place(found: Place, ax: Axes | None = None) -> Axes:
     )
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01))
     return ax
+
+
+@styled
+def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
+    """Resolution over places: by all whiskers, what they gain, the best one, how many touch.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `array_resolution`.
+    array : WhiskerArray
+        As it was then, drawn in grey.
+    """
+    x, y = np.unique(table["x_mm"]), np.unique(table["y_mm"])
+    figure = new_figure(DOUBLE, 5.6)
+    axes = figure.subplots(2, 2, sharex=True, sharey=True)
+
+    def over(values: Any) -> Any:
+        return np.asarray(values, dtype=float).reshape(len(x), len(y)).T
+
+    def drawn(ax: Axes, values: Any, label: str, **how: Any) -> None:
+        mesh = ax.pcolormesh(x, y, over(values), shading="nearest", rasterized=True, **how)
+        figure.colorbar(mesh, ax=ax, label=label, shrink=0.85)
+
+    error, best = table["error_mm"], table["best"]
+    # Colours end where a hundredth of the places lies beyond.
+    low, high = np.nanquantile(error, [0.01, 0.99])
+    scale = {"norm": LogNorm(low, high), "cmap": "viridis_r"}
+    drawn(axes[0, 0], error, "error of place (mm)", **scale)
+    gain = table["best_error_mm"] / error
+    drawn(axes[0, 1], gain, "best whisker's error / all whiskers'", cmap="cividis", vmin=1, vmax=6)
+    touching = np.where(table["touching"] > 0, table["touching"], np.nan)
+    drawn(axes[1, 1], touching, "whiskers that touch", cmap="cividis")
+    rows = [np.nan if name == "" else "ABCDE".index(name[0]) for name in best]
+    colours = ListedColormap(COLOURS[:5])
+    axes[1, 0].pcolormesh(
+        x, y, over(rows), cmap=colours, vmin=-0.5, vmax=4.5, shading="nearest", rasterized=True,
+        alpha=0.55,
+    )  # fmt: skip
+    for name, mine in table[best != ""].groupby("best"):
+        if len(mine) > 0.006 * len(table):
+            # The name stands on the place of its own that is nearest to their middle.
+            place = mine[["x_mm", "y_mm"]].to_numpy()
+            at = place[np.argmin(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))]
+            axes[1, 0].text(*at, str(name), fontsize=SMALL, ha="center", va="center")
+    titles = ("all whiskers", "what all gain on the best one", "the best whisker", "how many touch")
+    for ax, title in zip(axes.ravel(), titles, strict=True):
+        for whisker in array.whiskers.values():
+            ax.plot(*_from_above(whisker), color="0.4", linewidth=0.4)
+        ax.set(title=title, aspect="equal", xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    figure.supxlabel("to the right (mm)")
+    figure.supylabel("rostral (mm)")
+    return figure
+
+
+@styled
+def array_counts(table: pd.DataFrame) -> Figure:
+    """Discrimination of aperture widths, and what is touched, by the whiskers left intact.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of `array_by_count`, with a column ``receptors`` that says what they are.
+    """
+    figure = new_figure(DOUBLE, 3.0)
+    left, right = figure.subplots(1, 2, sharex=True)
+    for i, (name, rows) in enumerate(table.groupby("receptors", sort=False)):
+        look = {"color": COLOURS[i], "marker": MARKERS[i], "markersize": 3}
+        left.errorbar(
+            rows["count"], rows["correct"], 1.96 * rows["correct_error"], linestyle=LINES[i],
+            label=str(name), **look,
+        )  # fmt: skip
+        last = rows.iloc[-1]
+        left.plot([0, last["count"]], [0.5, last["correct"]], color="0.6", linewidth=0.8, zorder=0)
+    left.text(
+        0.98, 0.04, "grey: in proportion, as rats' (Krupa et al. 2001)", fontsize=SMALL,
+        color="0.4", ha="right", transform=left.transAxes,
+    )  # fmt: skip
+    right.plot(rows["count"], rows["touched"], color=COLOURS[0], label="places that some touch")
+    share = rows["touching"] / rows["count"]
+    right.plot(rows["count"], share, "--", color=COLOURS[1], label="of intact ones, that touch")
+    left.set(xlabel="whiskers intact on a side", ylabel="right answers", ylim=(0.48, 1.0))
+    right.set(xlabel="whiskers intact on a side", ylabel="share", ylim=(0.0, 1.0))
+    for ax in (left, right):
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=2)
+    return figure
