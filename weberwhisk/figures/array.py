@@ -100,15 +100,19 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
     def over(values: Any) -> Any:
         return np.asarray(values, dtype=float).reshape(len(x), len(y)).T
 
-    def drawn(ax: Axes, values: Any, label: str, **how: Any) -> None:
+    def drawn(ax: Axes, values: Any, label: str, ticks: Any = None, **how: Any) -> None:
         mesh = ax.pcolormesh(x, y, over(values), shading="nearest", rasterized=True, **how)
-        figure.colorbar(mesh, ax=ax, label=label, shrink=0.85)
+        bar = figure.colorbar(mesh, ax=ax, label=label, shrink=0.85, ticks=ticks)
+        if ticks is not None:
+            bar.ax.set_yticks(ticks, [f"{v:g}" for v in ticks])
+            bar.ax.minorticks_off()
 
     error, best = table["error_mm"], table["best"]
     # Colours end where a hundredth of the places lies beyond.
     low, high = np.nanquantile(error, [0.01, 0.99])
     scale = {"norm": LogNorm(low, high), "cmap": "viridis_r"}
-    drawn(axes[0, 0], error, "error of place (mm)", **scale)
+    ticks = [v for v in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if low <= v <= high]
+    drawn(axes[0, 0], error, "error of place (mm)", ticks, **scale)
     gain = table["best_error_mm"] / error
     drawn(axes[0, 1], gain, "best whisker's error / all whiskers'", cmap="cividis", vmin=1, vmax=6)
     touching = np.where(table["touching"] > 0, table["touching"], np.nan)
