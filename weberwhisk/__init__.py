@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         simulate_trials,
     )
     from .citing import cite
-    from .contacts import calibrate, locate, read_tracking, simulate_tracking
+    from .contacts import calibrate, locate, read_tracking, simulate_tracking, tracked_signals
     from .design import plan_experiment, power, read_plan, simulate_study
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
@@ -80,7 +80,7 @@ _NAMES = {
     "jnd_surface": "jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
-    "contacts": "calibrate locate read_tracking simulate_tracking",
+    "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
     "planning": "write_plan",
@@ -165,6 +165,7 @@ __all__ = [
     "sweeping",
     "touches",
     "touches_jnd",
+    "tracked_signals",
     "write_plan",
 ]
 

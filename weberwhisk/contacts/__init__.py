@@ -1,7 +1,9 @@
 """Measured contacts: from trackers' files and tables of forces to distances."""
 
 from .calibration import Calibration, HingedTap, calibrate
-from .rows import MeasuredAngle, locate
+from .readings import MeasuredAngle
+from .rows import locate
+from .signals import tracked_signals
 from .simulated import simulate_tracking
 from .trackers import read_tracking
 
@@ -13,4 +15,5 @@ __all__ = [
     "locate",
     "read_tracking",
     "simulate_tracking",
+    "tracked_signals",
 ]

@@ -193,15 +193,17 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     return out
 
 
-def one_side(si: dict[str, Array], notes: list[str]) -> None:
+def one_side(si: dict[str, Array], notes: list[str]) -> Array:
     """Turn every row to positive moments, and forces to the signs of this package, in place.
+
+    Returns the side of each row, 1 or −1.
 
     Moment, transverse force and angle change sign with the side; axial force is positive in
     compression. Where most rows have it otherwise, the table's convention is the opposite one.
     """
     lead = next((n for n in ("moment", "moment_rate", "deflection_angle") if n in si), None)
     if lead is None:
-        return
+        return np.ones(len(next(iter(si.values()), [])))
     side = np.where(si[lead] < 0, -1.0, 1.0)
     if np.any(side < 0):
         notes.append(
@@ -227,3 +229,4 @@ def one_side(si: dict[str, Array], notes: list[str]) -> None:
         if known.any() and (si["deflection_angle"][known] < 0).mean() > 0.5:
             si["deflection_angle"] = -si["deflection_angle"]
             notes.append("The angle has the sign opposite to the moment's: turned round.")
+    return side

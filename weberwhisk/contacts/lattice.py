@@ -139,14 +139,18 @@ class Lattice:
         if readings.covariance is None:
             return self.observer.noise.log_likelihood(y, signals)
         size = y.shape[-1]
-        total = readings.covariance.reshape(*own, size, size)
-        if self.with_receptors:
-            total = total + self.observer.noise.covariance(signals)
-        root = np.linalg.cholesky(total)
+        root = np.linalg.cholesky(self.covariance(readings, signals))
         off = y - self.observer.noise.mean(signals)
         z = np.linalg.solve(np.broadcast_to(root, (*off.shape, size)), off[..., None])[..., 0]
         log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
         return -0.5 * (z**2).sum(axis=-1) - log_sd - 0.5 * size * np.log(2 * np.pi)
+
+    def covariance(self, readings: Readings, signals: Array) -> Array:
+        """Covariances (n, ..., S, S) of readings (n, S) at signals (n or 1, ..., S)."""
+        assert readings.covariance is not None
+        own, size = (len(readings.value), *(1,) * (signals.ndim - 2)), signals.shape[-1]
+        total = readings.covariance.reshape(*own, size, size)
+        return total + self.observer.noise.covariance(signals) if self.with_receptors else total
 
     def match(self, readings: Readings, signals: Array) -> tuple[Array, Array]:
         """ln of the stiffness (n, N) that brings signals (N, S) nearest to readings, and its sd."""
@@ -259,15 +263,25 @@ class Lattice:
             log_e = self.match(reading, signals)[0][0]
             log = log - 0.5 * ((log_e - self.log_median) / self.log_sd) ** 2
             signals, change = self.scaled(signals, log_e), self.scaled(change, log_e)
-        sd = np.maximum(np.sqrt(self.variance(reading, signals)), 1e-300)
+        off = reading.value - self.observer.noise.mean(signals)
+        log_sd: Any
+        if reading.covariance is None:
+            sd = np.maximum(np.sqrt(self.variance(reading, signals)), 1e-300)
+            off, change, scale = off / sd, change / sd, signals / sd
+            log_sd = np.log(sd).sum(axis=1)
+        else:  # errors of a row may go together: in units in which they do not
+            root = np.linalg.cholesky(self.covariance(reading, signals))
+            off, change, scale = (
+                np.linalg.solve(root, v[..., None])[..., 0] for v in (off, change, signals)
+            )
+            log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
         # Across half a cell each way, and a little more for curvature.
-        spread = np.sqrt(sd**2 + 0.36 * np.abs(change).sum(axis=0) ** 2)
-        z = (reading.value - self.observer.noise.mean(signals)) / spread
-        log = log - (0.5 * z**2 + np.log(spread)).sum(axis=1)
+        spread = np.sqrt(1 + 0.36 * np.abs(change).sum(axis=0) ** 2)
+        log = log - (0.5 * (off / spread) ** 2 + np.log(spread)).sum(axis=1) - log_sd
         near = log > log.max() - 2.0
-        steps = change[:, near] / sd[near]
+        steps = change[:, near]
         if self.soft is not None and not self.for_touches:
-            along = np.where(self.soft, signals[near] / sd[near], 0.0)
+            along = np.where(self.soft, scale[near], 0.0)
             size = (along**2).sum(axis=1) + self.log_sd**-2
             steps = steps - ((steps * along).sum(axis=2) / size)[..., None] * along
         return log, np.sqrt((steps**2).sum(axis=2)).max(axis=1) + 5.0 * step

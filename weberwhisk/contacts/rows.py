@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from .. import _checks, domain
 from ..behaviour.io import load_table
-from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
-from ..cues.force_map import SIGNALS
+from ..cues import Cue
+from ..mechanics import Profile
 from ..observer import Observer
 from ..posterior import Status
-from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
-from ..whisker import YOUNGS_MODULUS, Whisker
+from ..receptors import ReceptorNoise
+from ..whisker import Whisker
 from .columns import Array, find_columns, one_side, planar, values_of
 from .lattice import Cloud, Lattice, Readings
+from .readings import check_magnitudes, signals_of
+from .signals import FROM_SHAPE, from_shape
 from .touches import touch_posterior
 
 #: What `locate` adds to a table.
@@ -31,47 +33,9 @@ RESULTS = (
 TOUCH_RESULTS = (
     "touch_radial_distance_mm", "touch_sd_mm", "touch_lower_mm", "touch_upper_mm", "touch_status",
 )  # fmt: skip
+#: The sd from measurement errors alone, where receptors have noise as well.
+MEASURED = "measurement_sd_mm"
 _DISAGREE = "rows_disagree"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MeasuredAngle(Cue):
-    """A map of forces, and the deflection angle as video shows it, with an error of its own.
-
-    Parameters
-    ----------
-    cue : Cue
-        Of a distance and an unknown deflection angle.
-
-    Examples
-    --------
-    >>> cue = MeasuredAngle(ForceMap(["moment"]))
-    >>> cue.signal_names, cue.unknowns
-    (('moment', 'measured_angle'), ('radial_distance', 'deflection_angle'))
-    """
-
-    cue: Cue
-
-    @property
-    def signal_names(self) -> tuple[str, ...]:
-        """The cue's, and the angle."""
-        return (*self.cue.signal_names, "measured_angle")
-
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Those of the cue."""
-        return self.cue.unknowns
-
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Any:
-        """The cue's signals and the angle, (..., S), and the outcome."""
-        contact = np.asarray(contact, dtype=float)
-        signals, outcome = self.cue.signals(whisker, contact, model=model)
-        return np.concatenate([signals, contact[..., 1:2]], axis=-1), outcome
-
-    def default_noise(self) -> ReceptorNoise:
-        """Weber's law with k = 0.1, and a degree of the angle."""
-        angle = GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
-        return Joint([Weber(0.1), angle], [len(self.cue.signal_names), 1])
 
 
 class _Located(NamedTuple):
@@ -84,7 +48,7 @@ class _Located(NamedTuple):
 
 def locate(
     table: pd.DataFrame | str | Path,
-    whisker: Whisker,
+    whisker: Whisker | Profile,
     *,
     cue: Cue | None = None,
     columns: Mapping[str, str] | None = None,
@@ -104,9 +68,11 @@ def locate(
         `moment_z`. Units stand behind the name (`moment_uNm`); without one, SI. A measurement error
         stands in `moment_sd_uNm` and the like, one for every signal used. Files as in
         `read_trials`.
-    whisker : Whisker
+    whisker : Whisker or Profile
         With another Young's modulus than the default, it is taken as known; else the stiffness is
-        unknown, with the published spread of moduli.
+        unknown, with the published spread of moduli. A table of `tracked_signals` brings its own
+        curvature at rest, and its moment and forces are of the same stiffness, which is then taken
+        as known.
     cue : Cue, optional
         By default the one that the columns allow. Its stiffness is then as it says.
     columns : mapping, optional
@@ -118,7 +84,8 @@ def locate(
         are in none. Rows of a touch share distance and stiffness.
     noise : ReceptorNoise, optional
         By default the measurement errors alone where the table has them, else the cue's own noise:
-        Weber's law with k = 0.1, and one degree of a measured angle. With both, they add.
+        Weber's law with k = 0.1, and one degree of a measured angle. With both, they add, and
+        `measurement_sd_mm` is the sd without receptors.
     prior : mapping, optional
         As of `Observer`.
     progress : callable, optional
@@ -143,7 +110,7 @@ def locate(
     -----
     Signs: moment, transverse force and angle change sign with the side of the push; the axial
     force is positive in compression. Rows of either side, and tables of the opposite convention,
-    are turned, and `notes` says so.
+    are turned, and `notes` says so. Seen from the other side, a curved whisker is a mirrored one.
 
     Examples
     --------
@@ -156,39 +123,84 @@ def locate(
     0                19.6  converged
     1                29.3  converged
     """
-    _checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
+    _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
-    for name in (*RESULTS, *(TOUCH_RESULTS if touch is not None else ())):
+    for name in (*RESULTS, MEASURED, *(TOUCH_RESULTS if touch is not None else ())):
         if name in header:
             raise ValueError(f"The table has a column {name!r} already; rename or drop it.")
     notes: list[str] = []
     unsaid = [q for q, (_, _, said) in found.items() if not said]
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
-    si = planar(si, notes)
-    one_side(si, notes)
-    cue, y, covariance = _signals(si, cue, whisker, notes, header)
-    observer = Observer(whisker, cue, noise, prior or {})  # type: ignore[arg-type]
-    if observer.noise.is_categorical or not observer.noise.reads_signals:
-        raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
+    if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
+        whisker, cue, si, side = from_shape(raw, si, whisker, cue, notes)
+    else:
+        si = planar(si, notes)
+        side = one_side(si, notes)
+    cue, y, covariance = signals_of(si, cue, whisker, notes, header)
     receptors = covariance is None or noise is not None
+    named = None if touch is None else _touches(raw, touch)
+    out, done = raw.copy(), 0
+    both = (MEASURED,) if covariance is not None and receptors else ()
+    found_rows = {name: np.full(len(raw), np.nan) for name in (*RESULTS[:6], *both)}
+    words = {"status": np.full(len(raw), "", dtype=object)}
+    if named is not None:
+        found_rows |= {name: np.full(len(raw), np.nan) for name in TOUCH_RESULTS[:4]}
+        words["touch_status"] = words["status"].copy()
+    for rows, own in _by_side(side, whisker):
+        observer = Observer(own, cue, noise, prior or {})  # type: ignore[arg-type]
+        if observer.noise.is_categorical or not observer.noise.reads_signals:
+            raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
+        check_magnitudes(observer, y[rows], found)
+        lattice = Lattice(observer, with_receptors=receptors, for_touches=named is not None)
+        readings = Readings(y, covariance).take(rows)
+        tell = progress and partial(_later, progress, done, len(raw))
+        located = _rows(lattice, readings, tell, keep=named is not None)
+        done += len(rows)
+        for name, column in zip(RESULTS, located.numbers.T, strict=False):
+            found_rows[name][rows] = column
+        words["status"][rows] = [Status(s).name.lower() for s in located.status]
+        if both:
+            alone = _rows(Lattice(observer, with_receptors=False), readings, None, keep=False)
+            found_rows[MEASURED][rows] = alone.numbers[:, 1]
+        if named is not None:
+            numbers, status = _of_touches(lattice, readings, located, named[rows])
+            for name, column in zip(TOUCH_RESULTS, numbers.T, strict=False):
+                found_rows[name][rows] = column
+            words["touch_status"][rows] = status
     errors = "its measurement errors" if covariance is not None else ""
     said = " and ".join(filter(None, [errors, f"{observer.noise!r}" if receptors else ""]))
     notes.append(f"Cue: {cue!r}. Noise of the table's numbers: {said}.")
-    _check_magnitudes(observer, y, found)
-    named = None if touch is None else _touches(raw, touch)
-    lattice = Lattice(observer, with_receptors=receptors, for_touches=named is not None)
-    readings = Readings(y, covariance)
-    located = _rows(lattice, readings, progress, keep=named is not None)
-    out = raw.copy()
-    for name, column in zip(RESULTS, located.numbers.T, strict=False):
-        out[name] = column
-    out["status"] = [Status(s).name.lower() for s in located.status]
-    out["message"] = [Status(s).message for s in located.status]
-    if named is not None:
-        _add_touches(out, lattice, readings, located, named)
+    order = (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ()))
+    words["message"] = np.array([Status[s.upper()].message for s in words["status"]], dtype=object)
+    for name in order:
+        out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
+    return out
+
+
+def _later(
+    progress: Callable[[int, int], None], before: int, total: int, done: int, _: int
+) -> None:
+    progress(before + done, total)
+
+
+def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
+    """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
+    law = whisker.law if isinstance(whisker, Profile) else Profile.of(whisker).law
+    everything = np.arange(len(side))
+    if not any(np.any(value) for value in vars(law).values()):
+        return [(everything, whisker)]
+    out: list[tuple[NDArray[np.intp], Any]] = []
+    for sign in (1.0, -1.0):
+        rows = everything[side == sign]
+        if rows.size and sign > 0:
+            out.append((rows, whisker))
+        elif rows.size:
+            mirrored = law.scaled(np.ones(()), sign)
+            profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+            out.append((rows, profile.curved(mirrored)))
     return out
 
 
@@ -217,88 +229,6 @@ def _table(table: Any) -> pd.DataFrame:
     if not len(raw):
         raise ValueError("The table has no rows; give one row per contact under a header.")
     return raw
-
-
-def _signals(
-    si: dict[str, Array], cue: Cue | None, whisker: Whisker, notes: list[str], header: list[str]
-) -> tuple[Cue, Array, Array | None]:
-    """The cue, the readings (n, S) and the covariances of their errors, if the table has any."""
-    forces = [name for name in SIGNALS if name in si]
-    if cue is None:
-        if "moment_rate" in si and "angular_velocity" in si and len(forces) < 2:
-            cue = Compliance()
-        elif "deflection_angle" in si and forces:
-            cue = MeasuredAngle(ForceMap(forces))
-        elif len(forces) > 1:
-            cue = ForceMap(forces)
-        else:
-            raise ValueError(
-                f"No distance follows from the columns {_checks.listed(header, 8)}, of which "
-                f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
-                "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
-                'with columns={"moment": "M"}, or on the command line with --column moment=M.'
-            )
-        if whisker.youngs_modulus == YOUNGS_MODULUS:
-            cue = UnknownStiffness(cue)
-            notes.append("Young's modulus was not given: unknown, 3.34 GPa with an sd of ln 0.42.")
-    names = {"measured_angle": "deflection_angle"}
-    wanted = [names.get(name, name) for name in cue.signal_names]
-    missing = [name for name in wanted if name not in si]
-    if missing:
-        raise ValueError(
-            f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of; map "
-            f'one with columns={{"{missing[0]}": …}}.'
-        )
-    y = np.stack([si[name] for name in wanted], axis=-1)
-    scale = np.ones(len(y))
-    if wanted == ["moment_rate"] and "angular_velocity" in si:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inner: Any = cue.cue if isinstance(cue, UnknownStiffness) else cue
-            scale = getattr(inner, "angular_velocity", 1.0) / si["angular_velocity"]
-            y = y * scale[:, None]
-        notes.append("The moment's rate was divided by the angular velocity, row by row.")
-    sds = [f"{name}_sd" for name in wanted]
-    present = [name for name in sds if name in si]
-    if present and len(present) < len(sds):
-        raise ValueError(
-            f"There is a measurement error in {', '.join(present)}, but none in "
-            f"{', '.join(n for n in sds if n not in present)}; give all or none."
-        )
-    if not present:
-        return cue, y, None
-    sd = np.abs(np.stack([si[name] for name in sds], axis=-1) * scale[:, None])
-    y = np.where(np.all(sd > 0, axis=1, keepdims=True), y, np.nan)
-    return cue, y, sd[:, :, None] ** 2 * np.eye(len(sds))
-
-
-def _check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> None:
-    """Refuse columns whose middle value is far from what the whisker gives."""
-    for name, usual, column in zip(
-        observer.cue.signal_names, observer.usual_reading, np.abs(y).T, strict=True
-    ):
-        known = column[np.isfinite(column) & (column > 0)]
-        if not known.size or not np.isfinite(usual) or name == "measured_angle":
-            continue
-        times = float(np.median(known)) / usual
-        if 1e-5 < times < 30:
-            continue
-        prefix = "u" if times > 1e4 or times < 1 else "m"
-        unit = {"moment": "N m", "moment_rate": "N m/s"}.get(name, "N")
-        hint = f"did you pass {prefix}{unit}?" if times > 1 else "is the unit right?"
-        header = found[name][0] if name in found else name
-        raise ValueError(
-            f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker gives, "
-            f"{times:.2g} times the usual {name.replace('_', ' ')}: {hint} Write "
-            f'units={{"{name}": "{prefix}{unit}"}}, say.'
-        )
-    measured = [i for i, n in enumerate(observer.cue.signal_names) if n == "measured_angle"]
-    angle = np.abs(y[:, measured])
-    angle = angle[np.isfinite(angle)]
-    if angle.size and np.median(angle) > np.pi:
-        raise ValueError(
-            "The deflection angle is above half a turn in most rows: did you pass degrees? Write "
-            'units={"deflection_angle": "deg"}.'
-        )
 
 
 def _rows(
@@ -377,15 +307,12 @@ def _touches(raw: pd.DataFrame, touch: str | Sequence[Any]) -> NDArray[np.object
     return out
 
 
-def _add_touches(
-    out: pd.DataFrame,
-    lattice: Lattice,
-    readings: Readings,
-    located: _Located,
-    named: NDArray[np.object_],
-) -> None:
-    numbers = np.full((len(out), 4), np.nan)
-    status = np.full(len(out), "no_touch", dtype=object)
+def _of_touches(
+    lattice: Lattice, readings: Readings, located: _Located, named: NDArray[np.object_]
+) -> tuple[Array, NDArray[np.object_]]:
+    """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status."""
+    numbers = np.full((len(named), 4), np.nan)
+    status = np.full(len(named), "no_touch", dtype=object)
     rows_of: dict[Any, list[int]] = {}
     for i, name in enumerate(named):
         if name is not None:
@@ -400,6 +327,4 @@ def _add_touches(
         found = touch_posterior(lattice, clouds, readings.take(used), 0.95)
         numbers[rows] = [1e3 * v for v in (found.mean, found.sd, *found.ends)]
         status[rows] = "converged" if found.agree else _DISAGREE
-    for name, column in zip(TOUCH_RESULTS, numbers.T, strict=False):
-        out[name] = column
-    out["touch_status"] = status
+    return numbers, status

@@ -1,0 +1,144 @@
+"""Which readings the columns of a table are: of which cue, with which errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .. import _checks
+from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
+from ..cues.force_map import SIGNALS
+from ..observer import Observer
+from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
+from ..whisker import YOUNGS_MODULUS, Whisker
+from .columns import Array
+from .signals import CORRELATION
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredAngle(Cue):
+    """A map of forces, and the deflection angle as video shows it, with an error of its own.
+
+    Parameters
+    ----------
+    cue : Cue
+        Of a distance and an unknown deflection angle.
+
+    Examples
+    --------
+    >>> cue = MeasuredAngle(ForceMap(["moment"]))
+    >>> cue.signal_names, cue.unknowns
+    (('moment', 'measured_angle'), ('radial_distance', 'deflection_angle'))
+    """
+
+    cue: Cue
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """The cue's, and the angle."""
+        return (*self.cue.signal_names, "measured_angle")
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Those of the cue."""
+        return self.cue.unknowns
+
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Any:
+        """The cue's signals and the angle, (..., S), and the outcome."""
+        contact = np.asarray(contact, dtype=float)
+        signals, outcome = self.cue.signals(whisker, contact, model=model)
+        return np.concatenate([signals, contact[..., 1:2]], axis=-1), outcome
+
+    def default_noise(self) -> ReceptorNoise:
+        """Weber's law with k = 0.1, and a degree of the angle."""
+        angle = GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
+        return Joint([Weber(0.1), angle], [len(self.cue.signal_names), 1])
+
+
+def signals_of(
+    si: dict[str, Array], cue: Cue | None, whisker: Any, notes: list[str], header: list[str]
+) -> tuple[Cue, Array, Array | None]:
+    """The cue, the readings (n, S) and the covariances of their errors, if the table has any."""
+    forces = [name for name in SIGNALS if name in si]
+    if cue is None:
+        if "moment_rate" in si and "angular_velocity" in si and len(forces) < 2:
+            cue = Compliance()
+        elif "deflection_angle" in si and forces:
+            cue = MeasuredAngle(ForceMap(forces))
+        elif len(forces) > 1:
+            cue = ForceMap(forces)
+        else:
+            raise ValueError(
+                f"No distance follows from the columns {_checks.listed(header, 8)}, of which "
+                f"{', '.join(si) or 'none'} is known: needed are two of {', '.join(SIGNALS)}, or "
+                "deflection_angle and one of them, or moment_rate and angular_velocity; map them "
+                'with columns={"moment": "M"}, or on the command line with --column moment=M.'
+            )
+        plain: Whisker = getattr(whisker, "whisker", whisker)
+        if plain.youngs_modulus == YOUNGS_MODULUS:
+            cue = UnknownStiffness(cue)
+            notes.append("Young's modulus was not given: unknown, 3.34 GPa with an sd of ln 0.42.")
+    names = {"measured_angle": "deflection_angle"}
+    wanted = [names.get(name, name) for name in cue.signal_names]
+    missing = [name for name in wanted if name not in si]
+    if missing:
+        raise ValueError(
+            f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of; map "
+            f'one with columns={{"{missing[0]}": …}}.'
+        )
+    y = np.stack([si[name] for name in wanted], axis=-1)
+    scale = np.ones(len(y))
+    if wanted == ["moment_rate"] and "angular_velocity" in si:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inner: Any = cue.cue if isinstance(cue, UnknownStiffness) else cue
+            scale = getattr(inner, "angular_velocity", 1.0) / si["angular_velocity"]
+            y = y * scale[:, None]
+        notes.append("The moment's rate was divided by the angular velocity, row by row.")
+    sds = [f"{name}_sd" for name in wanted]
+    present = [name for name in sds if name in si]
+    if present and len(present) < len(sds):
+        raise ValueError(
+            f"There is a measurement error in {', '.join(present)}, but none in "
+            f"{', '.join(n for n in sds if n not in present)}; give all or none."
+        )
+    if not present:
+        return cue, y, None
+    sd = np.abs(np.stack([si[name] for name in sds], axis=-1) * scale[:, None])
+    y = np.where(np.all(sd > 0, axis=1, keepdims=True), y, np.nan)
+    alike = np.broadcast_to(np.eye(len(sds)), (len(y), len(sds), len(sds))).copy()
+    if CORRELATION in si and wanted == ["moment", "transverse_force"]:
+        alike[:, 0, 1] = alike[:, 1, 0] = si[CORRELATION]
+    return cue, y, sd[:, :, None] * sd[:, None] * alike
+
+
+def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> None:
+    """Refuse columns whose middle value is far from what the whisker gives."""
+    for name, usual, column in zip(
+        observer.cue.signal_names, observer.usual_reading, np.abs(y).T, strict=True
+    ):
+        known = column[np.isfinite(column) & (column > 0)]
+        if not known.size or not np.isfinite(usual) or name == "measured_angle":
+            continue
+        times = float(np.median(known)) / usual
+        if 1e-5 < times < 30:
+            continue
+        prefix = "u" if times > 1e4 or times < 1 else "m"
+        unit = {"moment": "N m", "moment_rate": "N m/s"}.get(name, "N")
+        hint = f"did you pass {prefix}{unit}?" if times > 1 else "is the unit right?"
+        header = found[name][0] if name in found else name
+        raise ValueError(
+            f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker gives, "
+            f"{times:.2g} times the usual {name.replace('_', ' ')}: {hint} Write "
+            f'units={{"{name}": "{prefix}{unit}"}}, say.'
+        )
+    measured = [i for i, n in enumerate(observer.cue.signal_names) if n == "measured_angle"]
+    angle = np.abs(y[:, measured])
+    angle = angle[np.isfinite(angle)]
+    if angle.size and np.median(angle) > np.pi:
+        raise ValueError(
+            "The deflection angle is above half a turn in most rows: did you pass degrees? Write "
+            'units={"deflection_angle": "deg"}.'
+        )

@@ -1,0 +1,334 @@
+"""Bent whiskers fitted to tracked points: all frames at once, by least squares.
+
+A whisker that is held by one force at arc s_c is followed from there to the base, as in
+`mechanics.beam`; beyond s_c it keeps its shape at rest. So a frame has five numbers that its points
+tell of: direction and offset of the base, s_c, the force, and the angle of friction. Only what lies
+across the whisker counts, as trackers place their points along it as they like. The length is 1,
+EI₀ too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
+
+from .. import _checks
+from ..mechanics import Profile
+from .columns import Array
+
+Complex = NDArray[np.complex128]
+
+#: Numbers of a shape, in the order of their columns; m of the moment EI·Δκ = m₀ + m₁ s + m₂ s².
+NAMES = ("direction", "offset", "place", "force", "friction", "k0", "k1", "k2", "m0", "m1", "m2",
+         "slide")  # fmt: skip
+#: What is fitted: a whisker at rest of any shape, a bent one, and the moment near the base.
+FREE, PLACED, BENT = (0, 1, 5, 6, 7), (0, 1, 3), (0, 1, 2, 3, 11)
+NEAR_BASE = (0, 1, 8, 9, 10)
+#: Steps from contact to base and to the tip: shapes are good to 1e-6 of the length.
+_STEPS, _BEYOND = 24, 12
+#: Groups of points along a whisker: enough for its shape, and no more work for finer tracking.
+_GROUPS = 32
+#: Small changes for derivatives.
+_CHANGE = 1e-5
+
+
+class Points(NamedTuple):
+    """Points of n frames, in groups along the whisker.
+
+    First point (n,), centres of groups (n, K), variance of their points along the whisker, their
+    weights 1/sd, and the arcs (n, K) at which they lie.
+    """
+
+    base: Complex
+    at: Complex
+    spread: Array
+    weight: Array
+    arc: Array
+
+    def take(self, rows: Any) -> Points:
+        """Some of the frames."""
+        return Points(*(v[rows] for v in self))
+
+
+class Curve(NamedTuple):
+    """Knots along n whiskers in the frame of the base: arc of the contact, its force there."""
+
+    held: Array
+    end: float
+    angle: Array
+    at: Complex
+    bend: Array
+    force: Complex
+
+    @property
+    def contact(self) -> Complex:
+        """Where the force acts."""
+        return self.at[:, _STEPS]
+
+    def on(self, arc: Array) -> tuple[Complex, Complex, Array]:
+        """Points, tangents and curvatures (n, K) at arcs (n, K), by Hermite's cubics."""
+        held = self.held[:, None]
+        far = arc > held
+        step = np.where(far, (self.end - held) / _BEYOND, held / _STEPS)
+        i = np.where(far, (arc - held) / step, arc / step)
+        j = np.clip(np.floor(i), 0, np.where(far, _BEYOND, _STEPS) - 1).astype(np.intp)
+        t, j = i - j, j + np.where(far, _STEPS, 0)
+        z0, z1 = (np.take_along_axis(self.at, j + d, 1) for d in (0, 1))
+        d0, d1 = (step * np.exp(1j * np.take_along_axis(self.angle, j + d, 1)) for d in (0, 1))
+        k0, k1 = (np.take_along_axis(self.bend, j + d, 1) for d in (0, 1))
+        rise = z1 - z0
+        b, c = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+        point = z0 + t * (d0 + t * (b + t * c))
+        slope = d0 + t * (2 * b + 3 * t * c)
+        return point, slope / np.abs(slope), k0 + t * (k1 - k0)
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """The whisker whose shapes are fitted.
+
+    Parameters
+    ----------
+    profile : Profile
+    reach : float
+        How far it was tracked, in lengths.
+    """
+
+    profile: Profile
+    reach: float
+
+    def held(self, p: Array) -> Array:
+        """Arc of the contact, from 1 % of the length to the tip."""
+        return np.asarray(0.01 + 0.985 * expit(p[:, 2]))
+
+    def place(self, held: Any) -> Array:
+        """The number that says it."""
+        share = np.clip((np.asarray(held, dtype=float) - 0.01) / 0.985, 0.005, 0.995)
+        return np.asarray(np.log(share / (1 - share)))
+
+    def started(self, p: Array, bends: Array, held: Any) -> Array:
+        """Numbers with a contact at arcs `held`, and the force that curvatures (n, 3) suggest.
+
+        From the change of curvature at a third of the way, where two thirds of the moment are.
+        """
+        p, s = p.copy(), np.asarray(held) / 3
+        change = ((bends - p[:, 5:8]) * s[:, None] ** np.arange(3)).sum(axis=1)
+        length = float(self.profile.whisker.length)
+        ei = self.profile.stiffness(length * s) / self.profile.stiffness(0.0)
+        p[:, 2], p[:, 3] = self.place(held), change * ei / (2 * s)
+        return p
+
+    def curve(self, p: Array) -> Curve:
+        """Shapes of numbers (n, 12), in the frame of the base."""
+        held, end = self.held(p), max(self.reach, 1.0)
+        k0, k1, k2, m0, m1, m2 = p[:, 5:11].T
+        length, stiff = float(self.profile.whisker.length), float(self.profile.stiffness(0.0))
+        force = 1j * p[:, 3] * np.exp(1j * p[:, 4])
+
+        def bend(s: Array, z: Complex) -> Array:
+            ei = self.profile.stiffness(length * s) / stiff
+            moment = -(np.conj(z) * force).imag + m0 + s * (m1 + s * m2)
+            return np.asarray(k0 + s * (k1 + s * k2) + moment / ei)
+
+        h, s = -held / _STEPS, held
+        angle, z = np.zeros_like(held), np.zeros(len(p), dtype=complex)
+        angles, zs, bends = [angle], [z], [bend(s, z)]
+        for _ in range(_STEPS):
+            a1, z1 = bends[-1], np.exp(1j * angle)
+            a2, z2 = bend(s + h / 2, z + h / 2 * z1), np.exp(1j * (angle + h / 2 * a1))
+            a3, z3 = bend(s + h / 2, z + h / 2 * z2), np.exp(1j * (angle + h / 2 * a2))
+            a4, z4 = bend(s + h, z + h * z3), np.exp(1j * (angle + h * a3))
+            angle = angle + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+            z, s = z + h / 6 * (z1 + 2 * z2 + 2 * z3 + z4), s + h
+            angles, zs, bends = [*angles, angle], [*zs, z], [*bends, bend(s, z)]
+        # Beyond the contact, by Simpson's rule.
+        u = held[:, None] + (end - held)[:, None] * np.linspace(0, 1, 2 * _BEYOND + 1)
+        turn = u * (k0[:, None] + u * (k1[:, None] / 2 + u * k2[:, None] / 3))
+        turn = turn - turn[:, :1]
+        way = np.exp(1j * turn)
+        step = ((end - held) / _BEYOND / 6)[:, None]
+        far = np.cumsum(step * (way[:, :-2:2] + 4 * way[:, 1::2] + way[:, 2::2]), axis=1)
+        rest = (k0[:, None] + u * (k1[:, None] + u * k2[:, None]))[:, 2::2]
+        turns = np.concatenate([np.array(angles[::-1]).T, turn[:, 2::2]], axis=1)
+        at = np.concatenate([np.array(zs[::-1]).T, far], axis=1)
+        back = np.exp(-1j * angle)
+        return Curve(
+            held, end, turns - angle[:, None], (at - z[:, None]) * back[:, None],
+            np.concatenate([np.array(bends[::-1]).T, rest], axis=1), force * back,
+        )  # fmt: skip
+
+    def signals(self, p: Array) -> Array:
+        """Moment, axial and transverse force, distance and angle of the contact, (n, 5)."""
+        curve = self.curve(p)
+        c, f = curve.contact, curve.force
+        return np.stack([(np.conj(c) * f).imag, -f.real, f.imag, np.abs(c), np.angle(c)], axis=1)
+
+    # -- fitting -------------------------------------------------------------------------------
+
+    def _residuals(self, p: Array, points: Points, extra: Extra) -> tuple[Array, Array]:
+        """Residuals (n, R) in sds, and how far along the whisker points are off (n, K)."""
+        curve = self.curve(p)
+        turn = np.exp(1j * p[:, 0])
+        base = points.base + (p[:, 11] + 1j * p[:, 1]) * turn
+        at, tangent, bend = curve.on(points.arc)
+        off = np.conj(turn[:, None] * tangent) * (points.at - base[:, None] - turn[:, None] * at)
+        across = points.weight * (off.imag - bend * points.spread / 2)
+        # Held weakly where the points say nothing.
+        told = [across, p[:, [2]] / 4, (p[:, [4]] - extra.friction) / extra.friction_sd,
+                p[:, [11]] / extra.base_sd]  # fmt: skip
+        if extra.pole is not None:
+            way = np.exp(1j * curve.angle[:, _STEPS]) * turn
+            to = np.conj(way) * (extra.pole - base - turn * curve.contact)
+            side = np.where(p[:, 3] < 0, 1.0, -1.0)  # the pole pushes from behind the force
+            told += [to.real[:, None] / extra.pole_sd,
+                     (to.imag - side * extra.pole_radius)[:, None] / extra.pole_sd]  # fmt: skip
+        return np.concatenate(told, axis=1), off.real
+
+    def _slopes(self, p: Array, points: Points, extra: Extra, free: Any) -> tuple[Array, Array]:
+        """Residuals (n, R), and their derivatives (n, R, P)."""
+        n, many = len(p), 1 + len(free)  # all at once: few frames cost what the calls cost
+        every = np.tile(np.arange(n), many)
+        aside = p[every]
+        for k, i in enumerate(free):
+            aside[(k + 1) * n : (k + 2) * n, i] += _CHANGE
+        told = self._residuals(aside, points.take(every), extra.take(every))[0]
+        told = told.reshape(many, n, -1)
+        return told[0], np.moveaxis(told[1:] - told[0], 0, -1) / _CHANGE
+
+    def fit(
+        self, p: Array, points: Points, extra: Extra, free: Any, rounds: int = 60
+    ) -> tuple[Array, Array, Points]:
+        """Numbers (n, 12), sums of squares (n,), and the points with their arcs.
+
+        Levenberg's and Marquardt's steps, each frame with its own damping, until its sum of squares
+        falls no more.
+        """
+        p, columns = p.copy(), list(free)
+        damping = np.full(len(p), 1e-4)
+        points = self._moved(p, points, extra)
+        cost = (self._residuals(p, points, extra)[0] ** 2).sum(axis=1)
+        left = np.arange(len(p))
+        for _ in range(rounds):
+            own, known, old = points.take(left), extra.take(left), cost[left]
+            here, slopes = self._slopes(p[left], own, known, columns)
+            square = np.swapaxes(slopes, 1, 2) @ slopes
+            size = damping[left, None] * (np.diagonal(square, axis1=1, axis2=2) + 1e-12)
+            square = square + size[:, :, None] * np.eye(len(columns))
+            pull = np.einsum("nrp,nr->np", slopes, here)
+            step = np.linalg.solve(square, -pull[..., None])[..., 0]
+            if 2 in columns:
+                step[:, columns.index(2)] = np.clip(step[:, columns.index(2)], -0.7, 0.7)
+            tried = p[left]
+            tried[:, columns] += step
+            moved = self._moved(tried, own, known)
+            with np.errstate(over="ignore", invalid="ignore"):
+                new = (self._residuals(tried, moved, known)[0] ** 2).sum(axis=1)
+            better = np.isfinite(new) & (new <= old)
+            at = left[better]
+            p[at], cost[at], points.arc[at] = tried[better], new[better], moved.arc[better]
+            damping[left] = np.where(better, damping[left] / 10, damping[left] * 4)
+            still = np.where(better, old - new > 1e-5 * old, damping[left] < 1e5)
+            left = left[still]
+            if not left.size:
+                break
+        return p, cost, points
+
+    def _moved(self, p: Array, points: Points, extra: Extra) -> Points:
+        along = self._residuals(p, points, extra)[1]
+        along = np.where(np.isfinite(along), along, 0.0)
+        return points._replace(arc=np.clip(points.arc + along, 0.0, max(self.reach, 1.0)))
+
+    def covariance(
+        self, p: Array, points: Points, extra: Extra, free: Any, shared: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Covariances of the fitted numbers (n, P, P), and of the signals (n, 5, 5).
+
+        By the slopes of the residuals at the fit; `shared` (3, 3) is that of the shape at rest,
+        whose error all frames have in common.
+        """
+        _, slopes = self._slopes(p, points, extra, free)
+        square = np.swapaxes(slopes, 1, 2) @ slopes
+        own = np.linalg.pinv(square, hermitian=True)
+        gain = np.empty((len(p), 5, len(NAMES)))
+        here = self.signals(p)
+        for i in range(len(NAMES)):
+            aside = p.copy()
+            aside[:, i] += _CHANGE
+            gain[:, :, i] = (self.signals(aside) - here) / _CHANGE
+        to_free = gain[:, :, list(free)]
+        out = to_free @ own @ np.swapaxes(to_free, 1, 2)
+        if shared is not None:
+            rest = [5, 6, 7]
+            _, by_rest = self._slopes(p, points, extra, rest)
+            follow = -own @ np.swapaxes(slopes, 1, 2) @ by_rest
+            total = gain[:, :, rest] + to_free @ follow
+            out = out + total @ shared @ np.swapaxes(total, 1, 2)
+        return np.asarray(own), np.asarray(out)
+
+
+class Extra(NamedTuple):
+    """What is known beside the points, lengths in whiskers: friction, first points, the pole."""
+
+    friction: float = 0.0
+    friction_sd: float = 1e-9
+    base_sd: float = 1.0
+    pole: Any = None
+    pole_radius: float = 0.0
+    pole_sd: float = 1.0
+
+    def take(self, rows: Any) -> Extra:
+        """For some of the frames."""
+        return self if self.pole is None else self._replace(pole=self.pole[rows])
+
+
+# -- what a table of tracking says ----------------------------------------------------------
+
+
+def points_of(table: pd.DataFrame, unit: float) -> Points:
+    """Points of every frame in groups, whiskers' lengths for pixels."""
+    rows = []
+    for x, y in zip(table["x"], table["y"], strict=True):
+        z = (np.asarray(x) + 1j * np.asarray(y)) / unit
+        n = min(len(z), _GROUPS)
+        which = np.arange(len(z)) * n // len(z)
+        count = np.bincount(which, minlength=n)
+        at = (np.bincount(which, z.real) + 1j * np.bincount(which, z.imag)) / count
+        spread = np.bincount(which, np.abs(z - at[which]) ** 2) / count
+        arc = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(z[0], at)))))[1:]
+        room = [(0, _GROUPS - n)]
+        values = (at, spread, np.sqrt(count), arc)
+        rows.append((z[0], *(np.pad(v, room, "edge") for v in values)))
+        rows[-1][3][n:] = 0.0
+    return Points(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> NDArray[np.bool_]:
+    """Which rows are in contact, as a column or a list says."""
+    if isinstance(contact, str):
+        _checks.one_of("contact", contact, map(str, tracking.columns))
+        values = tracking[contact]
+    else:
+        several = _checks.several("contact", contact, "write the name of a column")
+        if len(several) != len(tracking):
+            raise ValueError(
+                f"contact must have a value for each of {len(tracking)} rows, got {len(several)}."
+            )
+        values = pd.Series(several, index=tracking.index)
+    return np.asarray(values.loc[table.index].fillna(False).astype(bool))
+
+
+def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame) -> Any:
+    """Where the pole is in each row, complex pixels."""
+    place = _checks.finite("pole", pole, "give x and y in pixels")
+    if place.shape not in ((2,), (len(tracking), 2)):
+        raise ValueError(
+            f"pole must be (x, y), or x and y in each of {len(tracking)} rows, got an array of "
+            f"shape {place.shape}."
+        )
+    place = np.broadcast_to(place, (len(tracking), 2))[tracking.index.get_indexer(table.index)]
+    return place[:, 0] + 1j * place[:, 1]

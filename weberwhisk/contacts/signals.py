@@ -1,0 +1,408 @@
+"""From tracked shapes to the signals at the base, with the errors that tracking gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from .. import _checks
+from ..cues import Cue, ForceMap
+from ..cues.rubbing import Friction
+from ..mechanics import Profile, Spiral
+from ..whisker import Whisker
+from .columns import Array
+from .shapes import (
+    BENT,
+    FREE,
+    NAMES,
+    NEAR_BASE,
+    PLACED,
+    Extra,
+    Points,
+    Shapes,
+    contacts_of,
+    points_of,
+    pole_of,
+)
+
+#: What tables made of shapes say in the column `signals_from`.
+FROM_SHAPE = "shape"
+#: Their column of the correlation of the errors of moment and transverse force.
+CORRELATION = "moment_transverse_corr"
+#: And of the curvature at rest, at the base and its rate along the whisker.
+AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
+Bools = NDArray[np.bool_]
+
+
+def tracked_signals(
+    tracking: pd.DataFrame,
+    whisker: Whisker | Profile,
+    *,
+    pixels_per_mm: float | None = None,
+    frame_rate: float | None = None,
+    identity: Any = None,
+    pole: ArrayLike | None = None,
+    pole_radius_px: float = 0.0,
+    pole_sd_px: float = 0.5,
+    contact: str | Sequence[Any] | None = None,
+    false_alarms: float = 1e-3,
+    friction_angle: float = 0.0,
+    friction_sd: float = 0.0,
+) -> pd.DataFrame:
+    """Moment, forces and distance of each contact, from the tracked shape of one whisker.
+
+    Parameters
+    ----------
+    tracking : DataFrame
+        As of `read_tracking`, a row a frame, with the points `x` and `y` from the follicle.
+    whisker : Whisker or Profile
+        Its length, radii and modulus; the shape at rest is found from the frames without contact.
+    pixels_per_mm, frame_rate : float
+        Of the video; by default what `read_tracking` was told.
+    identity
+        Which whisker, as the table's `label`, or `whisker` where nothing is labelled.
+    pole : (x, y) or array (rows, 2), optional
+        Where the whisker is touched, pixels; a row a row of `tracking` where the pole moves. By
+        default the contact is where the shape bends no further.
+    pole_radius_px, pole_sd_px : float
+        Radius of the pole, and the error of its place.
+    contact : str or sequence, optional
+        A column, or a value a row, that is true in contact. By default, where the shape differs
+        from that of most frames.
+    false_alarms : float
+        Share of the frames without contact that may be taken for contacts.
+    friction_angle, friction_sd : float
+        As of `press`, rad, and how uncertain it is.
+
+    Returns
+    -------
+    DataFrame
+        A row a row of the whisker, with its index: `frame`, `time_s`, `contact`, and for contacts
+        `moment_uNm`, `axial_force_uN`, `transverse_force_uN` and `deflection_angle_deg` with
+        `moment_sd_uNm` and so on, the correlation `moment_transverse_corr`;
+        `shape_distance_mm` and `shape_distance_sd_mm`, from the shape alone; with a pole also
+        `pole_distance_mm` and `pole_distance_sd_mm`; `misfit`, χ² over its degrees of freedom;
+        `side`, 1 where the push is to the left as seen from the base, −1 to the right. Errors are
+        those of tracking; receptors come in with ``locate(…, noise=)``. The curvature at rest is
+        `rest_curvature_per_m` + `rest_curvature_rate_per_m2` s. ``attrs["notes"]`` says what was
+        found and checked.
+
+    Raises
+    ------
+    ValueError
+        For what is missing (scale, frame rate, identity, points), fewer than ten frames without
+        contact, and a scale at which the whisker is longer than `whisker`.
+
+    Notes
+    -----
+    M = EI·Δκ at the base (Clack et al. 2012; Pammer et al. 2013), here of the planar beam that fits
+    all points, held by one force. As both force and moment are of the same stiffness, the modulus
+    does not matter to the distance, and `locate` takes it as known. Noise is that of the points
+    about their fits, and no less than what moves the curvature of free frames.
+
+    Examples
+    --------
+    >>> import weberwhisk as ww
+    >>> w = ww.Whisker.from_identity("C2", curved=True)
+    >>> video, truth = ww.simulate_tracking(w, 16e-3, frames=60, spacing_px=12, seed=1)
+    >>> found = ww.tracked_signals(video, w)
+    >>> row, true = found.loc[25], truth.loc[25]
+    >>> bool(abs(row["moment_uNm"] - true["moment_uNm"]) < 4 * row["moment_sd_uNm"])
+    True
+    """
+    _checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
+    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    table = _one_whisker(tracking, identity)
+    ppm, rate = _scales(tracking, pixels_per_mm, frame_rate)
+    for name, value in (("pole_radius_px", pole_radius_px), ("friction_sd", friction_sd)):
+        _checks.non_negative_number(name, value, "give 0 for none")
+    pole_sd_px = _checks.positive_number("pole_sd_px", pole_sd_px, "give pixels, 0.5 say")
+    if not 0 < _checks.positive_number("false_alarms", false_alarms, "give 0.001, say") < 1:
+        raise ValueError(f"false_alarms must be below 1, got {false_alarms:g}; write 0.001, say.")
+    length = float(profile.whisker.length)
+    unit = 1e3 * length * ppm  # pixels
+    points = points_of(table, unit)
+    reach = float(np.median(points.arc[:, -1]))
+    if reach > 1.1:
+        raise ValueError(
+            f"The tracked whisker is {reach * length * 1e3:.3g} mm long at {ppm:g} pixels_per_mm, "
+            f"longer than the {length * 1e3:.3g} mm of whisker; correct one of them."
+        )
+    where = None if pole is None else pole_of(pole, tracking, table) / unit
+    shapes = Shapes(profile, reach)
+    extra = Extra(float(friction_angle), max(float(friction_sd), 1e-9))
+
+    # At rest: every frame as a shape of its own, and what most frames have in common.
+    start = np.zeros((len(table), len(NAMES)))
+    start[:, 0] = np.angle(points.at[:, 2] - points.base)
+    start[:, 2] = shapes.place(0.5)
+    start[:, 4] = friction_angle
+    own, _, points = shapes.fit(start, points, extra, FREE)
+    bends = own[:, 5:8]
+    given = None if contact is None else contacts_of(tracking, table, contact)
+    free = _free(bends, false_alarms) if given is None else ~given
+    if free.sum() < 10:
+        raise ValueError(
+            f"The shape at rest takes ten frames without contact, got {int(free.sum())}; give a "
+            "longer part of the video, or other contacts."
+        )
+    noise = _noise(shapes, own[free], points.take(free), extra)
+    extra = extra._replace(base_sd=noise)
+    points = points._replace(weight=points.weight / noise)
+    rest = np.median(bends[free], axis=0)
+    shared = np.cov(bends[free].T) * np.pi / 2 / free.sum()
+    touched = np.flatnonzero(~free)
+    notes = [f"{free.sum()} of {len(table)} frames are free; the points' noise is "
+             f"{noise * unit:.2g} px."]  # fmt: skip
+    if given is None:
+        notes[0] += f" Contacts: where the shape differs, {100 * false_alarms:g} % false alarms."
+    out = table[["frame"]].copy()
+    out["time_s"] = table["frame"] / rate
+    out["contact"] = ~free
+    out["signals_from"] = FROM_SHAPE
+    # The line that is nearest to it along the whisker.
+    for name, value in zip(AT_REST, (rest[0] - rest[2] / 6, rest[1] + rest[2]), strict=True):
+        out[name] = value / length ** (1 + AT_REST.index(name))
+    out["friction_angle_deg"] = np.degrees(friction_angle)
+    if touched.size:
+        some, first = points.take(touched), own[touched].copy()
+        first[:, 5:8] = rest
+        alone = _bent(shapes, first, bends[touched], some, extra)
+        columns, held = _columns(shapes, alone, extra, shared), alone
+        if where is not None:
+            where = where[touched]
+            extra = extra._replace(
+                pole=where, pole_radius=pole_radius_px / unit, pole_sd=pole_sd_px / unit
+            )
+            near = np.abs(some.at - where[:, None]).argmin(axis=1)
+            first = shapes.started(first, bends[touched], some.arc[np.arange(len(near)), near])
+            first, _, placed = shapes.fit(first, some, extra, PLACED)
+            held = shapes.fit(first, placed, extra, BENT)
+            by_pole = _columns(shapes, held, extra, shared)
+            by_pole["pole_distance"] = by_pole.pop("shape_distance")
+            columns = columns | by_pole
+        notes += _check(shapes, held, shared, columns)
+        _write(out, touched, columns, profile.whisker)
+    for name in (n for n in _UNITS if n not in ("pole_distance",) or pole is not None):
+        for column in (_named(name), _named(name, sd=True)):
+            if column not in out:
+                out[column] = np.nan
+    out.attrs = {"notes": tuple(notes)}
+    return out
+
+
+#: Columns: the index among the signals of a shape, unit and its factor from SI.
+_UNITS = {
+    "moment": ("uNm", 1e6), "axial_force": ("uN", 1e6), "transverse_force": ("uN", 1e6),
+    "shape_distance": ("mm", 1e3), "deflection_angle": ("deg", 180 / np.pi),
+    "pole_distance": ("mm", 1e3),
+}  # fmt: skip
+
+
+def _named(name: str, *, sd: bool = False) -> str:
+    return f"{name}{'_sd' if sd else ''}_{_UNITS[name][0]}"
+
+
+def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
+    if not isinstance(tracking, pd.DataFrame) or not {"frame", "x", "y"} <= set(tracking):
+        raise ValueError(
+            "tracking needs the points x and y of each frame, as of a .whiskers file or a table of "
+            "points; measurements alone do not say the shape."
+        )
+    by = "label" if (tracking["label"] >= 0).any() else "whisker"
+    known = sorted(tracking[by].unique().tolist())
+    if identity is None and tracking["frame"].duplicated().any():
+        raise ValueError(
+            f"Several whiskers were tracked ({by} {_checks.listed(map(str, known), 6)}); say which "
+            f"with identity={known[0]!r}, or leave out fur with read_tracking(shortest_px=…)."
+        )
+    if identity is not None:
+        if identity not in known:
+            raise ValueError(
+                f"There is no {by} {identity!r}; there are {_checks.listed(map(str, known), 6)}."
+            )
+        tracking = tracking[tracking[by] == identity]
+    twice = tracking.loc[tracking["frame"].duplicated(), "frame"]
+    if len(twice):
+        raise ValueError(
+            f"Frame {twice.iloc[0]} has two whiskers of {by} {identity!r}; leave out fur with "
+            "read_tracking(shortest_px=…, follicles=…)."
+        )
+    enough = tracking["x"].map(len) >= 6
+    if not enough.any():
+        raise ValueError("A shape takes six points or more in a frame; track more points.")
+    return tracking[enough]
+
+
+def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tuple[float, float]:
+    given = {"pixels_per_mm": ppm, "frame_rate": rate}
+    out: dict[str, Any] = {
+        n: tracking.attrs.get(n) if v is None else v for n, v in given.items()
+    }
+    missing = [name for name, value in out.items() if value is None]
+    if missing:
+        say = {"pixels_per_mm": "pixels_per_mm=20", "frame_rate": "frame_rate=500"}
+        written = ", ".join(say[name] for name in missing)
+        raise ValueError(f"No file tells {' or '.join(missing)}; write {written}, say.")
+    for name, value in out.items():
+        _checks.positive_number(name, value, "give a number above zero")
+    return float(out["pixels_per_mm"]), float(out["frame_rate"])
+
+
+def _free(bends: Array, false_alarms: float) -> Bools:
+    """Frames whose curvature is that of most: within the χ² of a robust covariance.
+
+    Concentration: mean and covariance of the frames that the last round found free, with the
+    covariance of what is cut off at the χ² put back.
+    """
+    size = bends.shape[1]
+    middle = np.median(bends, axis=0)
+    cut = 0.5
+    spread = np.diag((1.4826 * np.median(np.abs(bends - middle), axis=0)) ** 2 + 1e-18)
+    far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
+    free = far <= np.median(far)
+    for cut in (0.5, 0.5, 0.75, 0.95, 0.99, 0.99, 0.99, 0.99):
+        edge = chi2.ppf(cut, size)
+        # Of a Gaussian cut off there: what is left of its variance.
+        left = chi2.cdf(edge, size + 2) / cut
+        own = bends[free]
+        middle, spread = own.mean(axis=0), np.cov(own.T) / left + 1e-18 * np.eye(size)
+        far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
+        free = far <= (np.quantile(far, 0.5) if cut == 0.5 else edge)
+    return np.asarray(far <= chi2.isf(false_alarms, size))
+
+
+def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
+    """Sd of a point, lengths: from what is left of the fits, and from how curvature varies."""
+    left = (shapes._residuals(own, points, extra)[0][:, : points.at.shape[1]] ** 2).sum(axis=1)
+    degrees = (points.weight > 0).sum(axis=1) - len(FREE)
+    points_sd = float(np.sqrt(np.median(left / chi2.median(degrees))))
+    covariance, _ = shapes.covariance(own, points, extra, FREE)
+    bends = own[:, 5:8] - np.median(own[:, 5:8], axis=0)
+    far = np.einsum("ni,nij,nj->n", bends, np.linalg.inv(covariance[:, 2:, 2:]), bends)
+    return max(points_sd, float(np.sqrt(np.median(far) / chi2.median(3))))
+
+
+def from_shape(
+    raw: pd.DataFrame, si: dict[str, Array], whisker: Any, cue: Cue | None, notes: list[str]
+) -> tuple[Profile, Cue, dict[str, Array], Array]:
+    """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
+    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    rest = [float(pd.to_numeric(raw[name]).iloc[0]) for name in AT_REST]
+    side = np.where(si["moment"] < 0, -1.0, 1.0)
+    free = ~raw["contact"].astype(str).str.lower().isin(("true", "1", "1.0")).to_numpy()
+    out = {name: np.where(free, 0.0, v * (1 if name.endswith("_sd") else side))
+           for name, v in si.items()}  # fmt: skip
+    out |= {name: np.where(free, 1.0, v) for name, v in out.items() if name.endswith("_sd")}
+    out[CORRELATION] = np.where(free, 0.0, raw[CORRELATION].to_numpy(dtype=float))
+    if cue is None:
+        cue = ForceMap(["moment", "transverse_force"])
+        angle = float(np.radians(pd.to_numeric(raw["friction_angle_deg"]).iloc[0]))
+        cue = cue if angle == 0 else Friction(cue, angle)
+    notes.append(
+        "Signals are of tracked shapes: the whisker's stiffness drops out of the distance, and its "
+        f"curvature at rest is {rest[0]:.3g} + {rest[1]:.3g} s /m."
+    )
+    return profile.curved(Spiral(*rest)), cue, out, side
+
+
+Fit = tuple[Array, Array, Points]
+
+
+def _bent(shapes: Shapes, p: Array, bends: Array, points: Points, extra: Extra) -> Fit:
+    """Fits from the best of several places of the contact."""
+    places = np.linspace(0.15, 0.95, 9) * shapes.reach
+    out: list[Fit] = []
+    for part in np.array_split(np.arange(len(p)), 1 + len(p) // 256):  # what memory holds
+        every = np.tile(part, len(places))
+        tried = shapes.started(p[every], bends[every], np.repeat(places, len(part)))
+        tried, cost, moved = shapes.fit(tried, points.take(every), extra, PLACED, rounds=10)
+        best = cost.reshape(len(places), -1).argmin(axis=0) * len(part) + np.arange(len(part))
+        out.append(shapes.fit(tried[best], moved.take(best), extra, BENT))
+    return (
+        np.concatenate([fit[0] for fit in out]), np.concatenate([fit[1] for fit in out]),
+        Points(*(np.concatenate(v) for v in zip(*(fit[2] for fit in out), strict=True))),
+    )  # fmt: skip
+
+
+def _columns(shapes: Shapes, fit: Fit, extra: Extra, shared: Array) -> dict[str, Any]:
+    """Signals in units of the whisker and their sds, by name."""
+    p, cost, points = fit
+    free = (*BENT, 4) if extra.friction_sd > 1e-8 else BENT
+    _, covariance = shapes.covariance(p, points, extra, free, shared)
+    values = shapes.signals(p)
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    names = ("moment", "axial_force", "transverse_force", "shape_distance", "deflection_angle")
+    out: dict[str, Any] = {n: (values[:, i], sd[:, i]) for i, n in enumerate(names)}
+    out["corr"] = covariance[:, 0, 2] / (sd[:, 0] * sd[:, 2])
+    degrees = (points.weight > 0).sum(axis=1) + 2 * (extra.pole is not None) - len(free)
+    out["misfit"] = cost / np.maximum(degrees, 1)
+    return out
+
+
+def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> list[str]:
+    """Contact × force beside EI·Δκ at the base, and the two distances, in a sentence each."""
+    p, _, points = fit
+    held = shapes.held(p)
+    near = points._replace(weight=np.where(points.arc < held[:, None], points.weight, 0.0))
+    start = p.copy()
+    start[:, 3] = 0.0
+    start[:, 8], start[:, 9] = columns["moment"][0], -columns["moment"][0] / held
+    extra = Extra(p[0, 4])
+    found, _, near = shapes.fit(start, near, extra, NEAR_BASE)
+    covariance, _ = shapes.covariance(found, near, extra, NEAR_BASE)
+    error = covariance[:, 2, 2]
+    clear = columns["moment"][0] ** 2 > 25 * error
+    if clear.sum() < 5:
+        notes = ["EI·Δκ at the base is too uncertain to check contact × force by."]
+    else:
+        bent, crossed = found[clear, 8], columns["moment"][0][clear]
+        weight = 1 / (error + columns["moment"][1] ** 2)[clear]
+        slope = float((weight * bent * crossed).sum() / (weight * crossed**2).sum())
+        se = float((weight * crossed**2).sum() ** -0.5)
+        alike = float(np.corrcoef(bent, crossed)[0, 1])
+        # What noise leaves of a correlation of 1.
+        least = 0.97 * float((1 + error[clear].mean() / np.var(crossed)) ** -0.5)
+        good = abs(slope - 1) < 0.05 + 3 * se and alike > least
+        verdict = "agree" if good else "DO NOT agree; check scale, whisker, pole and friction"
+        notes = [f"EI·Δκ at the base and contact × force {verdict}: slope {slope:.3g} ± {se:.2g}, "
+                 f"r = {alike:.3f}."]  # fmt: skip
+    misfit = float(np.median(columns["misfit"]))
+    if misfit > 2:
+        notes.append(
+            f"The bent whisker does not fit the points: χ² is {misfit:.2g} times what noise gives."
+        )
+    if "pole_distance" in columns:
+        (r, sd), (other, own) = columns["shape_distance"], columns["pole_distance"]
+        off = (r - other) / np.hypot(sd, own)
+        beyond = 1e3 * float(shapes.profile.whisker.length) * float(np.median(r - other))
+        notes.append(
+            f"The shape alone puts contacts {beyond:.2g} mm beyond the pole (median), "
+            f"{np.median(np.abs(off)):.2g} sd off (0.67 expected)."
+        )
+    return notes
+
+
+def _write(out: pd.DataFrame, rows: Any, columns: dict[str, Any], whisker: Whisker) -> None:
+    """Put the signals of some rows into the table, in its units."""
+    scales = {
+        "moment": whisker.moment_scale, "axial_force": whisker.force_scale,
+        "transverse_force": whisker.force_scale, "shape_distance": whisker.length,
+        "pole_distance": whisker.length,
+    }  # fmt: skip
+    flat: dict[str, Any] = {}
+    for name, (_, factor) in _UNITS.items():
+        if name in columns:
+            values, sd = (float(scales.get(name, 1.0)) * factor * v for v in columns[name])
+            flat |= {_named(name): values, _named(name, sd=True): sd}
+    flat |= {CORRELATION: columns["corr"], "misfit": columns["misfit"],
+             "side": np.sign(columns["moment"][0])}  # fmt: skip
+    for name, values in flat.items():
+        column = np.full(len(out), np.nan)
+        column[rows] = values
+        out[name] = column
