@@ -395,7 +395,7 @@ def verdict(table: pd.DataFrame) -> str:
 @figures.styled
 def draw(rows: list[Row]) -> Figure:
     """ECDFs less the diagonal, times √n, a panel a group; below the last, coverage."""
-    figure = figures.new_figure(figures.DOUBLE, 5.4)
+    figure = figures.new_figure(figures.DOUBLE, 6.0)
     groups = {
         "cues": "cues, quadrature",
         "receptors": "receptors, quadrature",
@@ -409,7 +409,10 @@ def draw(rows: list[Row]) -> Figure:
         most = max(r.ranks.size for r in some)
         points, low, high = band(most)
         root = np.sqrt(most)
-        ax.fill_between(points, (low - points) * root, (high - points) * root, color="0.85")
+        ax.fill_between(
+            points, (low - points) * root, (high - points) * root, color="0.85",
+            label="95 % of right posteriors" if group == "broken" else None,
+        )  # fmt: skip
         # Of a broken model the quantity that gives it away.
         if group == "broken":
             best: dict[str, Row] = {}
@@ -429,10 +432,8 @@ def draw(rows: list[Row]) -> Figure:
                 linewidth=0.7,
                 label=r.name if group == "broken" else None,
             )
-        if group == "broken":  # room below the curves for their names
-            low, high = ax.get_ylim()
-            ax.set_ylim(low - 0.9 * (high - low), high)
-            ax.legend(fontsize=6, loc="lower left", ncols=1, labelspacing=0.2)
+        if group == "broken":
+            broken = ax
         ax.set(title=f"{title}: {len(some)}", xlabel="rank", ylabel="√n (ECDF − rank)")
     table = pd.DataFrame([r.numbers() for r in rows])
     for i, group in enumerate(groups):
@@ -450,7 +451,11 @@ def draw(rows: list[Row]) -> Figure:
     axes[5].axhline(0, color="0.7", linewidth=0.7, zorder=0)
     axes[5].set(title="coverage", ylabel="covered − nominal", ylim=(-0.3, 0.4))
     axes[5].set_xticks(range(3), [f"{m:.0%}" for m in MASSES])
-    axes[5].legend(fontsize=6, ncols=2, loc="upper center")
+    axes[5].legend(ncols=2, loc="upper center")
+    names = broken.get_legend_handles_labels()
+    figure.legend(
+        *names, loc="outside lower center", ncols=3, title="bands, and models broken on purpose"
+    )
     return figure
 
 

@@ -42,13 +42,16 @@ def tell(points: int) -> dict[str, pd.DataFrame]:
     }
 
 
+@figures.styled
 def draw_information(tables: dict[str, pd.DataFrame]) -> Figure:
     figure = figures.new_figure(figures.DOUBLE, 5.0)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for row, (when, table) in zip(axes, tables.items(), strict=True):
         for ax, about in zip(row, ("weber_fraction", "hypothesis"), strict=True):
             figures.information_map(table, ax, about=about)
+            ax.get_legend().remove()  # type: ignore[union-attr]
             ax.set_title(when)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center")
     return figure
 
 
@@ -59,6 +62,7 @@ def grow(runs: int) -> Power:
     return ww.power(scheme, hypotheses, trials=TRIALS, expected=ANIMAL, runs=runs, seed=SEED)
 
 
+@figures.styled
 def draw_power(found: Power) -> Figure:
     figure = figures.new_figure(figures.DOUBLE, 2.8)
     left, right = figure.subplots(1, 2)
@@ -70,14 +74,15 @@ def draw_power(found: Power) -> Figure:
             100 * middle,
             100 * np.array([middle - own["half_width_5"], own["half_width_95"] - middle]),
             color=figures.COLOURS[i], marker=figures.MARKERS[i], linestyle=figures.LINES[i],
-            elinewidth=1, label=truth,
+            elinewidth=1, label=f"{truth}: median, 90 % of runs",
         )  # fmt: skip
-    right.axhline(20, color="0.6", linewidth=0.8, linestyle=":")
+    right.axhline(20, color="0.6", linewidth=0.8, linestyle=":", label="± 20 %")
     right.set(xscale="log", yscale="log", xlabel="Trials of each comparison",
               ylabel="95 % interval of k (± %)")  # fmt: skip
     right.set_xticks(TRIALS, [str(n) for n in TRIALS])
     right.set_yticks([10, 20, 50, 100, 200], ["10", "20", "50", "100", "200"])
     right.minorticks_off()
+    right.legend(loc="upper right")
     return figure
 
 

@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from command import ANALYSES, options
-from matplotlib import rc_context
 
 import weberwhisk as ww
 from weberwhisk import figures
@@ -41,7 +40,6 @@ PUSH, SWEEP, WEBER_FRACTION = np.radians(10.0), 8, 0.1
 #: Of the true distance, to either side, for the slope.
 NUDGE = 0.01
 BALANCE = BalanceOfMoments(np.radians(60.0))
-STYLE = {"font.size": 8, "legend.frameon": False, "axes.titlesize": 8}
 
 
 @dataclass(frozen=True)
@@ -226,6 +224,7 @@ def measure(points: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+@figures.styled
 def draw(table: pd.DataFrame) -> Any:
     """Biases above, slopes below; a column for each factor."""
     figure = figures.new_figure(figures.DOUBLE, 4.6)
@@ -238,7 +237,7 @@ def draw(table: pd.DataFrame) -> Any:
             label = f"{name}, r = {place:g} L"
             above.plot(rows["amount"], rows["bias_in_jnd"], label=label, **style)
             below.plot(rows["amount"], rows["slope"], **style)
-        above.axhspan(-1, 1, color="0.9", zorder=0)
+        above.axhspan(-1, 1, color="0.9", zorder=0, label="within a JND")
         below.axhline(1, color="0.7", linewidth=0.8, zorder=0)
         below.axhline(0, color="black", linewidth=0.8, zorder=0)
         above.set_title(factor.name)
@@ -247,7 +246,7 @@ def draw(table: pd.DataFrame) -> Any:
     axes[1, 0].set_ylabel("d(inferred r)/d(true r)")
     axes[1, 0].set_ylim(-0.5, 2)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=7)
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
     return figure
 
 
@@ -256,8 +255,7 @@ def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
     table = measure(3 if short else 25)
     folder.mkdir(parents=True, exist_ok=True)
     table.to_csv(folder / "limits.csv", index=False, float_format="%.4g")
-    with rc_context(STYLE):
-        draw(table).savefig(folder / "limits.png")
+    draw(table).savefig(folder / "limits.png")
     return table
 
 

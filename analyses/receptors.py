@@ -51,6 +51,7 @@ def effective(points: int = 201) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
+@figures.styled
 def draw(table: pd.DataFrame) -> Figure:
     """One line a model; the range of the afferents' thresholds is shaded."""
     figure = figures.new_figure(figures.DOUBLE / 1.6, figures.SINGLE * 0.9)
@@ -73,7 +74,7 @@ def draw(table: pd.DataFrame) -> Figure:
         ylim=(0.02, 10),
         xlim=(table["moment"].min(), table["moment"].max()),
     )
-    ax.legend(frameon=False, fontsize=7, loc="upper center")
+    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Which model does a scene need? Cost and error of the ladder of rungs over natural sweeps.
+"""Which model does a scene need? Cost and error of the models of bending over natural sweeps.
 
     python analyses/scene_costs.py [folder] [--short]
 
@@ -9,11 +9,11 @@ sampled at even times, so that each angle weighs as much as the time spent there
 cylinders are met at three places along the whisker, walls by the tip at three angles; rolled
 whiskers meet pegs alone.
 
-A rung's error is what it does to the radial distance inferred from the moment at a known angle,
-in JNDs, measured against the lowest rung that models all there is. The ladder takes in each scene
+A model's error is what it does to the radial distance inferred from the moment at a known angle,
+in JNDs, measured against the lowest model that has all there is. The ladder takes in each scene
 the cheapest within 0.1 by its own estimates (`choose_model`). Writes into the folder, by default
 analyses/figures, scene_costs.csv (the ladder: a row for each kind of whisker, object and Weber
-fraction), scene_costs_rungs.csv (every rung used throughout, and the ladder: the map's points)
+fraction), scene_costs_models.csv (every model used throughout, and the choice: the map's points)
 and scene_costs.png. Times are CPU seconds a contact in bulk, measured in the same run.
 """
 
@@ -27,17 +27,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from command import ANALYSES, options
-from matplotlib import rc_context
 from matplotlib.patches import Patch
 
 import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.charts.timing import machine, timed
+from weberwhisk.figures.style import SMALL
 from weberwhisk.mechanics import Choice
 
 Array = np.ndarray
@@ -52,21 +53,20 @@ PLACES, ROUND = (0.3, 0.5, 0.7), 0.1
 #: Between whisker and wall as the tip meets it, rad.
 INCIDENCE = np.radians([20.0, 40.0, 60.0])
 OBJECTS = ("peg", "cylinder", "wall")
-#: By how many contacts of one whisker rungs 0 to 2 are timed, and rung 3 in the plane.
+#: By how many contacts of one whisker the cheaper models are timed, and the rod in the plane.
 BULK, RODS = 300, 12
 #: What errors of rounding are drawn as.
 FLOOR = 1e-11
 
 COLOURS = ("#F0E442", "#9AD0F0", "#0072B2", "#303030")
-NAMES = ("0 closed form", "1 straight elastica", "2 curved planar beam", "3 rod in space")
+NAMES = ("closed form", "elastica", "planar beam", "rod")
 LADDER = "the ladder"
 KIND_COLOURS = ("#000000", "#CC79A7", "#0072B2", "#56B4E9", "#D55E00")
-STYLE = {"font.size": 7, "legend.frameon": False, "axes.titlesize": 7.5}
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a whisker has that rungs may leave out: aL of y = ax², friction angle, roll, rad."""
+    """What a whisker has that models may leave out: aL of y = ax², friction angle, roll, rad."""
 
     name: str
     bow: float = 0.0
@@ -119,14 +119,14 @@ class Contacts:
     roll: float
 
     def choose(self, k: float) -> Choice:
-        """The rung that each needs."""
+        """The model that each needs."""
         return ww.choose_model(
             self.whisker, self.distance, self.angle, self.friction, roll=self.roll,
             weber_fraction=k, tolerance=TOLERANCE,
         )  # fmt: skip
 
     def press(self, model: Choice | None = None) -> ww.Bending:
-        """Each by the rungs of a choice; without one by the lowest that models all there is."""
+        """Each by the models of a choice; without one by the lowest that has all there is."""
         return ww.press(
             self.whisker, self.distance, self.angle, self.friction, roll=self.roll, model=model
         )
@@ -205,7 +205,7 @@ def contacts(kind: Kind, identity: str, name: str, size: Size) -> Contacts:
 
 
 def bias(true: ww.Bending, found: ww.Bending, k: float) -> Array:
-    """Bias of the inferred distance in JNDs; infinite where a rung finds no contact."""
+    """Bias of the inferred distance in JNDs; infinite where a model finds no contact."""
     off = np.abs(found.moment / true.moment - 1) / k
     return np.where(found.held, off, np.inf)
 
@@ -221,8 +221,8 @@ def summary(off: Array) -> dict[str, float]:
 def used_throughout(
     group: Contacts, true: ww.Bending, rung: ww.Model, rods: int
 ) -> tuple[Array, float]:
-    """Biases at k = 1 and seconds a contact of one rung, whatever the scene."""
-    # Model 3 is dear, and a check of rung 2 in the plane.
+    """Biases at k = 1 and seconds a contact of one model, whatever the scene."""
+    # The rod is dear, and a check of the planar beam in the plane.
     part, exact = group, true
     if rung is ww.Model.ROD and not group.roll:
         part = group.some(rods)
@@ -232,7 +232,7 @@ def used_throughout(
 
 
 def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The ladder's table, and that of each rung used throughout beside the ladder."""
+    """The ladder's table, and that of each model used throughout beside the choice."""
     ladder, rungs = [], []
     for kind, name in product(KINDS, size.objects):
         if name not in kind.objects:
@@ -282,9 +282,10 @@ def measure(size: Size) -> tuple[pd.DataFrame, pd.DataFrame]:
     return pd.DataFrame(ladder), pd.DataFrame(rungs)
 
 
-def draw(ladder: pd.DataFrame, rungs: pd.DataFrame) -> Any:
-    """Shares of the time in contact by rung; the map of cost and error; what choosing costs."""
-    figure = figures.new_figure(figures.DOUBLE, 6.2)
+@figures.styled
+def draw(ladder: pd.DataFrame, rungs: pd.DataFrame, foot: str = "") -> Any:
+    """Shares of the time in contact by model; the map of cost and error; what choosing costs."""
+    figure = figures.new_figure(figures.DOUBLE, 7.6)
     left, right = figure.subfigures(1, 2, width_ratios=(1.15, 1))
     _shares(left.subplots(), ladder)
     above, below = right.subplots(2, 1)
@@ -295,7 +296,7 @@ def draw(ladder: pd.DataFrame, rungs: pd.DataFrame) -> Any:
         loc="outside upper center",
         ncols=4,
     )
-    figure.text(0.5, -0.02, machine(), ha="center", va="top", fontsize=6)
+    figure.supxlabel(foot or machine(), fontsize=SMALL)
     return figure
 
 
@@ -314,19 +315,19 @@ def _shares(ax: Any, ladder: pd.DataFrame) -> None:
         for colour, column in zip(COLOURS, NAMES, strict=True):
             ax.barh(y, row[column], left=left, color=colour, height=1.0, edgecolor="white", lw=0.3)
             left += row[column]
-        ax.text(1.01, y, f"{row['weber_fraction']:g}", va="center", fontsize=6)
-    ax.set_yticks([y for y, _ in labels], [text.replace(", ", "\n") for _, text in labels])
-    ax.tick_params(axis="y", length=0, labelsize=6)
+        ax.text(1.01, y, f"{row['weber_fraction']:g}", va="center", fontsize=SMALL)
+    ax.set_yticks([y for y, _ in labels], [fill(text, 20) for _, text in labels])
+    ax.tick_params(axis="y", length=0, labelsize=SMALL)
     ax.set(
         xlim=(0, 1),
         ylim=(at, -1),
         xlabel="Share of the time in contact",
-        title="at k as written on the right",
+        title="which model is needed (right: k)",
     )
 
 
 def _map(ax: Any, rungs: pd.DataFrame) -> None:
-    """Error against cost at k = 0.1: every rung throughout, and the ladder."""
+    """Error against cost at k = 0.1: every model throughout, and the choice."""
     some = rungs[rungs["weber_fraction"] == 0.1]
     for name, rows in some.groupby("model", sort=False):
         own = name == LADDER
@@ -339,7 +340,7 @@ def _map(ax: Any, rungs: pd.DataFrame) -> None:
             markeredgewidth=0.3,
             markersize=7 if own else 4,
             zorder=3 if own else 2,
-            label="the ladder's choice" if own else None,
+            label="the model chosen" if own else None,
         )
     ax.axhline(TOLERANCE, color="black", linestyle="--", linewidth=0.8)
     ax.set(xscale="log", yscale="log", title="k = 0.1, a mark for each whisker and object")
@@ -364,19 +365,17 @@ def _times(ax: Any, ladder: pd.DataFrame) -> None:
             )
     gain = np.geomspace(1.01, 100, 400)
     ax.plot(gain, 1 - 1 / gain, color="black", linewidth=0.8)
-    ax.annotate(
-        "below the line: pays at the first use", (0.98, 0.5), xycoords="axes fraction", ha="right"
-    )
+    ax.text(100, 0.25, "below the line: pays\nat the first use", ha="right", va="top")
     ax.axvline(1, color="0.6", linewidth=0.8)
     ax.set(xscale="log", yscale="log", ylabel="Choosing, in times of the complete model")
     ax.set_ylim(top=50)  # room for the names
-    ax.set(xlabel="Times quicker than the complete model, once chosen")
+    ax.set(xlabel="Times quicker once chosen")
     ax.set_title("colour: whisker; shape: k")
     shapes = [ax.plot([], [], m, color="0.5", markersize=4, label=f"k = {k:g}")[0]
               for k, m in markers.items()]  # fmt: skip
-    ax.add_artist(ax.legend(handles=shapes, fontsize=6, loc="lower right"))
+    ax.add_artist(ax.legend(handles=shapes, loc="lower right"))
     kinds = [h for h in ax.get_legend_handles_labels()[0] if h not in shapes]
-    ax.legend(handles=kinds, fontsize=6, loc="upper right")
+    ax.legend(handles=kinds, loc="upper right")
 
 
 def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -384,9 +383,8 @@ def make(folder: Path, *, short: bool = False) -> tuple[pd.DataFrame, pd.DataFra
     ladder, rungs = measure(SHORT if short else FULL)
     folder.mkdir(parents=True, exist_ok=True)
     ladder.to_csv(folder / "scene_costs.csv", index=False, float_format="%.4g")
-    rungs.to_csv(folder / "scene_costs_rungs.csv", index=False, float_format="%.4g")
-    with rc_context(STYLE):
-        draw(ladder, rungs).savefig(folder / "scene_costs.png", bbox_inches="tight")
+    rungs.to_csv(folder / "scene_costs_models.csv", index=False, float_format="%.4g")
+    draw(ladder, rungs).savefig(folder / "scene_costs.png")
     return ladder, rungs
 
 

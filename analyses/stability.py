@@ -102,7 +102,7 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
             if name in ODD and method != "laplace":
                 d = stability_posteriors.hunted(name, method, odd=True)
                 found.append((d, panel, "distance", "k", 1))
-    # Last, though a rung: a domain's seed goes by its place, and kept ones stay what they were.
+    # Last, though a model: a domain's seed goes by its place, and kept ones stay what they were.
     found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
     found += [(d, "outside the domain", "x", "y", 4) for d in stability_outside.DOMAINS]
     return found
@@ -156,7 +156,7 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
 
 @figures.styled
 def draw(cases: pd.DataFrame) -> Figure:
-    """A map for each rung and engine."""
+    """A map for each model and engine."""
     figure = figures.new_figure(figures.DOUBLE, 8.0)
     axes = figure.subplots(4, 4).ravel()
     panels = list(cases["panel"].unique())
@@ -165,7 +165,7 @@ def draw(cases: pd.DataFrame) -> Figure:
     for ax, panel in zip(axes, panels, strict=False):
         _map(ax, cases[cases["panel"] == panel], panel)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, markerscale=2)
     return figure
 
 

@@ -95,6 +95,10 @@ MODULES = {
     "weberwhisk.cues": "The paper's methods",
     "weberwhisk.receptors": "Receptor noise",
     "weberwhisk.posterior": "Posteriors",
+    "weberwhisk.many_touches": "One distance from many touches",
+    "weberwhisk.contacts": "Measured contacts: tables, trackers, sensors",
+    "weberwhisk.array": "Where whiskers stand and point",
+    "weberwhisk.places": "An object's place from all whiskers",
     "weberwhisk.sweeping": "Contacts followed along a sweep",
     "weberwhisk.behaviour": "Trials, tasks and fits",
     "weberwhisk.behaviour.effects": "What else moves choices",
@@ -216,7 +220,8 @@ kernelspec: {name: python3, display_name: Python 3}
 
 Every figure of `weberwhisk figure`, with the command that makes it. Each folder also has the table
 of what is drawn and a record of what was done. Here is the quick form, `--short`, of few posteriors
-and a coarse grid. Figures of your own results are methods of the results: see the tutorials.
+and a coarse grid. Figures of your own results: {doc}`gallery_results`. The paper's, in its order:
+{doc}`validation/paper`.
 
 ```{code-cell} ipython3
 :tags: [remove-cell]

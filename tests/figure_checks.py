@@ -54,7 +54,9 @@ def faults(figure: Figure) -> list[str]:
         for line in ax.get_lines() if ax is not None else ():
             path = line.get_transform().transform_path(line.get_path())
             finite = np.isfinite(path.vertices).all(axis=1)
-            if finite.any() and line.get_visible() and _crosses(path.vertices, frame):
+            if not (finite.any() and line.get_visible()):
+                continue
+            if _crosses(path.vertices, frame, joined=line.get_linestyle() != "None"):
                 found.append(f"a legend of {_title(ax)!r} is over a line")
     return found
 
@@ -98,12 +100,12 @@ def _legends(figure: Any) -> Iterator[tuple[Axes | None, Legend]]:
             yield legend.axes, legend
 
 
-def _crosses(vertices: Any, frame: Bbox) -> bool:
-    """Whether a line has a point in the box, also between its vertices."""
+def _crosses(vertices: Any, frame: Bbox, *, joined: bool) -> bool:
+    """Whether marks, or a line also between its vertices, have a point in the box."""
     x, y = np.asarray(vertices, dtype=float).T
-    step = np.linspace(0, 1, 20)[:, None]
-    along_x = x[:-1] + step * np.diff(x) if x.size > 1 else x
-    along_y = y[:-1] + step * np.diff(y) if y.size > 1 else y
+    step = np.linspace(0, 1, 20 if joined and x.size > 1 else 1)[:, None]
+    along_x = x[:-1] + step * np.diff(x) if joined and x.size > 1 else x
+    along_y = y[:-1] + step * np.diff(y) if joined and y.size > 1 else y
     inside = (frame.x0 < along_x) & (along_x < frame.x1)
     return bool((inside & (frame.y0 < along_y) & (along_y < frame.y1)).any())
 

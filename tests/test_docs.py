@@ -19,8 +19,9 @@ def shown() -> list[tuple[str, str]]:
     """Every line of a shell block that calls the command, with the page that shows it."""
     lines = []
     for page in PAGES:
-        for block in re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S):
-            for line in block.splitlines():
+        text = page.read_text("utf-8")
+        for block in re.findall(r"^```(?:sh|powershell)\n(.*?)^```", text, re.M | re.S):
+            for line in block.replace("\\", "/").splitlines():  # Windows' paths
                 if line.startswith("weberwhisk "):
                     lines.append((str(page.relative_to(ROOT)), line))
     return lines

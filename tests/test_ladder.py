@@ -427,9 +427,9 @@ def test_the_command_line_says_which_rung_and_why(capsys):
 
 
 def test_the_figure_shows_every_rung(tmp_path):
-    script = load("which_rung")
+    script = load("which_model")
     shares = script.make(tmp_path, short=True).set_index(["whisker", "weber_fraction"])
-    assert (tmp_path / "which_rung.png").stat().st_size > 10_000
+    assert (tmp_path / "which_model.png").stat().st_size > 10_000
     np.testing.assert_allclose(shares.sum(axis=1), 1)
     by_case = [shares.loc[case.name] for case in script.CASES]
     for table, top in zip(by_case, (Model.ELASTICA, Model.PROFILE, Model.ROD), strict=True):

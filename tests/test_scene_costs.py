@@ -18,14 +18,14 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, pd.D
     folder = tmp_path_factory.mktemp("scene_costs")
     made = costs.make(folder, short=True)
     assert {path.name for path in folder.iterdir()} == {
-        "scene_costs.csv", "scene_costs_rungs.csv", "scene_costs.png"
+        "scene_costs.csv", "scene_costs_models.csv", "scene_costs.png"
     }  # fmt: skip
     return made
 
 
 def kept() -> tuple[pd.DataFrame, pd.DataFrame]:
     """The tables kept with the figure."""
-    names = ("scene_costs.csv", "scene_costs_rungs.csv")
+    names = ("scene_costs.csv", "scene_costs_models.csv")
     return tuple(pd.read_csv(FOLDER / "figures" / name) for name in names)  # type: ignore[return-value]
 
 

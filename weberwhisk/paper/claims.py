@@ -277,7 +277,8 @@ CLAIMS = (
           _white_areas,
           _F + "3c_flick_past_below_the_dashed_line_and_the_end_of_whisking_above"),
     Claim("(3.1), (3.4), (3.8)", "Weber's law: ΔI = k I",
-          lambda: f"sd of receptors at I = 1 and 10: {Weber(K).sd([1.0, 10.0])}",
+          lambda: "sd of receptors at I = 1 and 10: {:.3g} and {:.3g}".format(
+              *Weber(K).sd([1.0, 10.0])),
           _T + "equation_3_1_webers_law"),
     Claim("(3.3)", "dṀ/dr = −Cθ̇/r²", _equation_3_3, _T + "equation_3_3_slope_of_the_moment_rate"),
     Claim("(3.2), (3.5)", "Δr = k r(1 − r/L) for the taper", _equation_3_5,

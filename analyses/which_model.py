@@ -1,9 +1,9 @@
-"""Draw which rung of the ladder each contact needs, for a straight and for a curved whisker.
+"""Draw which model of bending each contact needs, for a straight and for a curved whisker.
 
-    python analyses/which_rung.py [folder] [--short]
+    python analyses/which_model.py [folder] [--short]
 
-Writes which_rung.png into the folder, by default analyses/figures, and prints what share of the
-contacts held each rung serves. A rung serves where it shifts the radial distance that is inferred
+Writes which_model.png into the folder, by default analyses/figures, and prints what share of the
+contacts held each model serves. A model serves where it shifts the radial distance that is inferred
 from the moment (at a known deflection angle) by less than a tenth of its JND.
 """
 
@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from command import ANALYSES, options
-from matplotlib import rc_context
 from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -34,10 +33,9 @@ TOLERANCE = 0.1
 POINTS, POINTS_SHORT, ENDS, ENDS_SHORT = 240, 28, 80, 12
 HIGHEST = np.radians(75.0)
 
-#: From light to dark as the rungs get dearer, told apart by the colour-blind and in grey.
+#: From light to dark as the models get dearer, told apart by the colour-blind and in grey.
 COLOURS = ("#F0E442", "#9AD0F0", "#0072B2", "#303030")
-NAMES = ("0 closed form", "1 straight elastica", "2 curved planar beam", "3 rod in space")
-STYLE = {"font.size": 8, "legend.frameon": False, "axes.titlesize": 8}
+NAMES = ("closed form", "elastica", "planar beam", "rod")
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,8 @@ def end_of_contact(case: Case, r: Any, side: float) -> tuple[Any, Any]:
     return first_touch(case, r) + push, end.ended_by
 
 
-def rungs(case: Case, r: Any, theta: Any, weber_fraction: float) -> Any:
-    """The rung that each contact needs."""
+def models(case: Case, r: Any, theta: Any, weber_fraction: float) -> Any:
+    """The model that each contact needs."""
     choice = ww.choose_model(
         case.whisker,
         r,
@@ -87,8 +85,9 @@ def rungs(case: Case, r: Any, theta: Any, weber_fraction: float) -> Any:
     return choice.model
 
 
+@figures.styled
 def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
-    """The figure, and the share of the held contacts drawn that each rung serves."""
+    """The figure, and the share of the held contacts drawn that each model serves."""
     figure = figures.new_figure(figures.DOUBLE, 6.4)
     axes = figure.subplots(len(CASES), len(WEBER_FRACTIONS), sharex=True, sharey=True)
     shares = []
@@ -103,7 +102,7 @@ def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
         low, high = (np.interp(places, at, angle) for angle, _ in limits)
         held = (angles > low) & (angles < high) & (places <= at[-1])
         for ax, k in zip(row, WEBER_FRACTIONS, strict=True):
-            needed = rungs(case, places[held], angles[held], k)
+            needed = models(case, places[held], angles[held], k)
             shown = np.full(held.shape, np.nan)
             shown[held] = needed
             ax.pcolormesh(
@@ -123,7 +122,7 @@ def draw(points: int, ends: int) -> tuple[Any, pd.DataFrame]:
             ax.plot(
                 at / LENGTH, np.degrees(first_touch(case, at)), "--", color="black", linewidth=0.8
             )
-            count = (float(np.mean(needed == rung)) for rung in ww.Model)
+            count = (float(np.mean(needed == model)) for model in ww.Model)
             shares.append(
                 {"whisker": case.name, "weber_fraction": k} | dict(zip(NAMES, count, strict=True))
             )
@@ -165,10 +164,9 @@ def _label(axes: Any) -> None:
 
 def make(folder: Path, *, short: bool = False) -> pd.DataFrame:
     """Write the figure into `folder`; returns the shares."""
-    with rc_context(STYLE):
-        figure, shares = draw(*((POINTS_SHORT, ENDS_SHORT) if short else (POINTS, ENDS)))
+    figure, shares = draw(*((POINTS_SHORT, ENDS_SHORT) if short else (POINTS, ENDS)))
     folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / "which_rung.png")
+    figure.savefig(folder / "which_model.png")
     return shares
 
 
