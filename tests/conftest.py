@@ -28,9 +28,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A property test judges an answer, never the time it took. The cases are the same in every run, so
-# that a failure is of what was changed; `pytest -m slow` tries twenty times as many, new ones each
+# that a failure is of what was changed; `pytest -m slow` tries thirty times as many, new ones each
 # time, and a failure prints a blob that repeats it (and `--hypothesis-seed` a whole run).
-for name, examples in (("quick", 15), ("slow", 300)):
+for name, examples in (("quick", 10), ("slow", 300)):
     hypothesis.settings.register_profile(
         name,
         deadline=None,
@@ -48,20 +48,22 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("slow" if slow else "quick")
 
 
-#: Files of long arithmetic in which ArviZ has no part: CI runs them on one Python alone.
+#: Files of long arithmetic in which ArviZ has no part: CI runs them on one Python alone. What
+#: another Python, NumPy or pandas may take away, doctests of every public name and the rest call.
 ONCE = {
     "test_adaptive", "test_all_cues", "test_calibration", "test_campaign", "test_charts",
-    "test_cli_design", "test_coverage", "test_cue_angle_side_angle",
+    "test_cli_design", "test_closed_form", "test_coverage", "test_cue_angle_side_angle",
     "test_cue_balance_of_moments", "test_cue_compliance", "test_cue_force_map", "test_cue_fused",
     "test_cue_space_map", "test_cue_sweep", "test_cue_vibration", "test_cue_vibrissa_length",
-    "test_design_information", "test_effects", "test_elastica", "test_ensemble", "test_fuzz",
-    "test_fuzz_commands", "test_grid", "test_jnd", "test_jnd_sweep", "test_ladder",
-    "test_lapse_prior", "test_lattice", "test_limits", "test_memory", "test_modes",
-    "test_muscle", "test_nuisance", "test_objects", "test_paper_figures", "test_placement",
-    "test_plan", "test_power", "test_profile", "test_properties", "test_properties_choices",
-    "test_properties_design", "test_properties_inference", "test_properties_scenes",
-    "test_receptors", "test_referees", "test_rehearse", "test_rod", "test_scale_out",
-    "test_scene_costs", "test_second_peak", "test_session", "test_spike_count", "test_stability",
+    "test_design_information", "test_effects", "test_elastica", "test_emcee_hard_cases",
+    "test_ensemble", "test_events", "test_factors", "test_fuzz", "test_fuzz_commands", "test_grid",
+    "test_integrate", "test_jnd", "test_jnd_sweep", "test_ladder", "test_lapse_prior",
+    "test_limits", "test_memory", "test_modes", "test_muscle", "test_objects", "test_paper",
+    "test_paper_figures", "test_pathology", "test_placement", "test_plan", "test_power",
+    "test_profile", "test_properties", "test_properties_choices", "test_properties_design",
+    "test_properties_inference", "test_properties_scenes", "test_receptors", "test_referees",
+    "test_rehearse", "test_ridge_status", "test_rod", "test_scale_out", "test_scene_costs",
+    "test_second_peak", "test_session", "test_spike_count", "test_stability",
     "test_stability_three", "test_surface", "test_tasks", "test_weber_2d",
 }  # fmt: skip
 

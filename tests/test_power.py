@@ -110,7 +110,7 @@ def check_brute_force(places, trials, truth, runs):
 
 @pytest.mark.parametrize("truth", ["tapered", "cylindrical"])
 def test_power_is_that_of_a_brute_force_simulation(truth):
-    check_brute_force((0.3, 0.6, 0.9), 5, truth, 40)
+    check_brute_force((0.3, 0.6, 0.9), 5, truth, 20)
 
 
 @pytest.mark.slow
@@ -285,7 +285,7 @@ def covered(hypothesis, scheme, counts, k):
 
 
 @pytest.mark.parametrize(
-    ("animals", "runs"), [(4, 60), pytest.param(32, 300, marks=pytest.mark.slow)]
+    ("animals", "runs"), [(4, 30), pytest.param(32, 300, marks=pytest.mark.slow)]
 )
 def test_intervals_cover_populations_that_the_priors_draw(animals, runs):
     scheme = design((0.3, 0.9), 8).with_animals(animals)
@@ -386,7 +386,7 @@ def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():
 def test_the_smallest_number_of_animals():
     found = smallest(
         design((0.3, 0.9), 10), with_priors([TAPERED], lapse_low=0.03, lapse_high=0.03),
-        goal=Goal(half_width=0.35, share=0.5), vary="animals", runs=48, seed=2,
+        goal=Goal(half_width=0.35, share=0.5), vary="animals", runs=24, seed=2,
         expected=SubjectPopulation(spread=0.2, lapse=0.03, lapses_vary=False),
     )  # fmt: skip
     assert 2 <= found.scheme.animals <= 30
@@ -458,9 +458,7 @@ def test_the_report_says_where_intervals_of_k_miss():
         (lambda: design((0.3,), 5).with_animals(10**9), "up to 10000000 trials, got"),
         (lambda: ww.power(Scheme([49e-3], [-2e-3, 2e-3]), [TAPERED]), "by 1 mm past its tip"),
         (lambda: smallest(design((0.3, 0.5), 5), (TAPERED, CYLINDRICAL), most=10, runs=32),
-         "no design of up to 10 trials a comparison"),
-        (lambda: smallest(design((0.3, 0.5), 5), (TAPERED, CYLINDRICAL), most=10, runs=32),
-         "% short"),
+         "no design of up to 10 trials a comparison.*% short"),
         (lambda: smallest(design((0.3,), 5), [TAPERED], vary="lapses"), "choose one of"),
     ],
 )  # fmt: skip

@@ -109,7 +109,7 @@ def profile_tip(w):
 SCENES = [
     (5, -25.0, 0.0, 0.1),
     (20, 25.0, 0.0, 0.05),
-    (20, 8.0, -0.45, 0.3),
+    pytest.param(20, 8.0, -0.45, 0.3, marks=pytest.mark.slow),  # 16 s, the others 2 to 4
     (40, -8.0, 0.45, 0.1),
 ]
 

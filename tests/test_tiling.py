@@ -37,7 +37,7 @@ def table(observer, reading, fine):
     Nothing is shared with tiles: a scan of all coordinates closes in upon them.
     """
     low, high = np.array([-3.5, -25.0]), np.array([3.9, 16.0])
-    for n in (500, 400, 300, 300, fine):
+    for n in (500, 300, 300, fine):
         axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in zip(low, high, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         log, contact = observer.log_density_and_contact(points, reading)
@@ -51,7 +51,7 @@ def table(observer, reading, fine):
 
 def midpoints(observer, reading):
     """Mean and sd of r by the midpoint rule, and what half of its nodes change."""
-    weights, contact = table(observer, reading, 700)
+    weights, contact = table(observer, reading, 500)
     found = []
     for part in (np.s_[:, :], np.s_[::2, ::2], np.s_[1::2, 1::2]):
         weight, r = weights[part], contact[part][..., 0]
@@ -98,8 +98,8 @@ def hunt(name, k, count, seed):
 
 @pytest.mark.parametrize(("name", "k"), [("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)])
 def test_no_number_is_off_by_more_than_three_times_its_claim(name, k):
-    off = hunt(name, k, 12, 7)
-    assert len(off) > 8
+    off = hunt(name, k, 8, 7)
+    assert len(off) > 5
     assert off.max() < 1
 
 
@@ -147,9 +147,9 @@ def test_fusions_miss_no_mode(k):
     cue = Fused(map_, vibration)
     noise = cue.joint(Weber(k), vibration.noise(k, 0.05))
     observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 100e-6 / 1.5), cue, noise)
-    contact = prior_draws(observer, 8, seed=5)
+    contact = prior_draws(observer, 6, seed=5)
     off = worst(observer, observer.read(contact, seed=6))
-    assert len(off) > 4
+    assert len(off) > 3
     assert off.max() < 1
 
 
