@@ -13,6 +13,7 @@ from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.whisker import identities, rest_shape
 
 pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
 
@@ -290,3 +291,45 @@ def test_a_straight_map_is_off_by_more_than_a_jnd_where_the_curved_one_is_right(
     right, wrong = posterior(knows, signals[:2]), posterior(ignores, signals[:2])
     assert abs(right.mean - contact[0]) < right.sd
     assert abs(wrong.mean - contact[0]) > 2 * wrong.sd
+
+
+def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
+    """By how much its posterior is off bears the note out; no note where no identity is known."""
+    plain = Whisker.from_identity("C2")
+    ignores = Observer(plain, ForceMap(), Weber(0.05))
+    knows = Observer(Whisker.from_identity("C2", curved=True), ForceMap(), Weber(0.05))
+    assert "shape at rest moves r" in ignores.note
+    assert knows.note == ""
+    contact = [0.6 * plain.length, 0.1]
+    found = posterior(ignores, knows.signals(contact)[0])
+    assert abs(found.mean - contact[0]) > found.sd
+    assert ignores.note in repr(found)
+    assert found.summary()["note"].eq(ignores.note).all()
+    numbers = Whisker(plain.length, plain.base_radius, plain.tip_radius)
+    assert numbers == plain
+    assert Observer(numbers, ForceMap()).note == ""
+    assert Observer(plain.cylinder(), ForceMap(("moment", "transverse_force"))).note == ""
+    assert Observer(plain, Compliance(), Weber(0.5)).note == ""  # JNDs are larger than that
+
+
+def test_mice_have_whiskers_and_robots_shafts():
+    """Lengths of mice are those of the table; a shaft is uniform, of handbook stiffness."""
+    mouse = Whisker.from_identity("C2", species="mouse", curved=True)
+    assert mouse.length == pytest.approx(13.817698e-3)
+    base, rate = rest_shape("C2", "mouse")
+    assert mouse.curvature == pytest.approx(base + rate * mouse.length / 2)
+    rat = Whisker.from_identity("C2")
+    assert mouse.base_radius / mouse.length == pytest.approx(rat.base_radius / rat.length)
+    assert identities("mouse") == identities()
+    shaft = Whisker.shaft(0.1, 1e-3, "steel")
+    assert shaft.stiffness == pytest.approx(200e9 * np.pi / 64 * 1e-12)
+    assert shaft.taper == 0
+    assert Whisker.shaft(0.1, 1e-3, 200e9).stiffness == shaft.stiffness
+    for refused, said in (
+        (lambda: Whisker.from_identity("C2", species="cat"), "species"),
+        (lambda: Whisker.from_identity("E0", species="mouse"), "whisker"),
+        (lambda: Whisker.from_identity("C2", species="mouse", seed=1), "leave seed out"),
+        (lambda: Whisker.shaft(0.1, 1e-3, "wood"), "material"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            refused()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._checks import finite, numbers, one_of, positive_number, shown
 from .coordinates import ContactCoordinates, to_normal
-from .cues.protocol import Cue, straight
+from .cues.protocol import Cue, Felt, straight
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.shape import Profile
@@ -217,10 +217,40 @@ class Observer:
 
     def _bias(self, model: str) -> float:
         """Largest bias of the distance, in JNDs, that a model brings at contacts in the reach."""
-        x = self.space.spread(np.linspace(0.1, 0.9, 6))
-        contact = self.contact(x)[0]
-        exact, outcome = self.cue.signals(self.whisker, contact)
-        rough, held = self.cue.signals(self.whisker, contact, model=model)
+        contact = self.contact(self.space.spread(np.linspace(0.1, 0.9, 6)))[0]
+        exact = self.cue.signals(self.whisker, contact)
+        return self._bias_of(contact, exact, self.cue.signals(self.whisker, contact, model=model))
+
+    @cached_property
+    def note(self) -> str:
+        """What the observer leaves out that moves the distance by more than a JND, or nothing.
+
+        Whiskers `from_identity` have a shape at rest, and are straight unless asked to be curved.
+        As in `why`, the bias is that of 16 contacts, to first order.
+
+        Examples
+        --------
+        >>> from weberwhisk import cues
+        >>> print(Observer(Whisker.from_identity("C2"), cues.ForceMap()).note)
+        C2 is taken as straight; its shape at rest moves r by up to 15 JND: write curved=True
+        """
+        of = getattr(self.whisker, "identity", None)
+        if of is None or np.any(self.whisker.curvature) or not self.cue.takes_curved:
+            return ""
+        contact = self.contact(self.space.spread(np.linspace(0.15, 0.85, 4)))[0]
+        bowed = replace(self.whisker, curvature=of[2])
+        exact = self.cue.signals(bowed, contact, model="profile")
+        off = self._bias_of(contact, self.cue.signals(self.whisker, contact), exact)
+        if off < 1:
+            return ""
+        return (
+            f"{of[1]} is taken as straight; its shape at rest moves r by up to {off:.2g} JND: "
+            "write curved=True"
+        )
+
+    def _bias_of(self, contact: Array, one: Felt, other: Felt) -> float:
+        """Largest bias of the distance, in JNDs, between two sets of signals of contacts."""
+        (exact, outcome), (rough, held) = one, other
         known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
         contact, exact, off = contact[known], exact[known], (rough - exact)[known]
         unit = np.maximum(np.abs(contact), 1e-12)

@@ -19,6 +19,17 @@ from ._values import Value
 YOUNGS_MODULUS = 3.34e9
 #: Density at the base, kg/m³; it rises to about 1690 at the tip.
 DENSITY = 1260.0
+SPECIES = ("rat", "mouse")
+#: Young's modulus (Pa) and density (kg/m³) of what robots' whiskers are made of: handbook values,
+#: of nitinol in austenite below the plateau.
+MATERIALS = {
+    "steel": (200e9, 7850.0),
+    "nitinol": (75e9, 6450.0),
+    "carbon": (120e9, 1600.0),
+    "polycarbonate": (2.4e9, 1200.0),
+    "nylon": (2.8e9, 1140.0),
+    "abs": (2.2e9, 1050.0),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +113,7 @@ class Whisker(Value):
         cls,
         identity: str,
         *,
+        species: str = "rat",
         seed: int | np.random.SeedSequence | np.random.Generator | None = None,
         youngs_modulus: ArrayLike = YOUNGS_MODULUS,
         curved: bool = False,
@@ -112,6 +124,10 @@ class Whisker(Value):
         ----------
         identity : str
             Row and column, such as ``"C2"``; see `identities`.
+        species : {"rat", "mouse"}
+            Of mice lengths are measured (Luo & Hartmann 2022), and thickness, which is not
+            published, is the rat's in proportion to length with a radius ratio of 31.5: forces of
+            mice are rough, what Weber's law makes of them is not, as it depends on shape alone.
         seed : int, SeedSequence or Generator, optional
             Without a seed the mean morphology; with one, length and base diameter are drawn
             from normal distributions of the measured mean and sd, cut at ± 2.5 sd and at a tenth
@@ -121,12 +137,14 @@ class Whisker(Value):
         curved : bool
             With the curvature at rest of this follicle: constant, with the same turn from base to
             tip as the measured law, `rest_shape`; positive, so that it is touched on the convex
-            side. By default straight, as the paper's whiskers are.
+            side. By default straight, as the paper's whiskers are; observers then say in `note`
+            where that moves the distance by more than a JND.
 
         Raises
         ------
         ValueError
-            For an identity that the table does not have, or a `curved` that is not True or False.
+            For an identity or a species that the tables do not have, a seed with a mouse's, and a
+            `curved` that is not True or False.
 
         Notes
         -----
@@ -140,7 +158,15 @@ class Whisker(Value):
         >>> print(round(Whisker.from_identity("C2", seed=1).length, 4))
         0.0345
         """
+        one_of("species", species, SPECIES)
         table = _morphology()
+        if species == "mouse":
+            one_of("whisker", identity, identities("mouse"))
+            if seed is not None:
+                raise ValueError(
+                    f"The spread of mouse whiskers is not known, got seed {seed!r}; "
+                    "leave seed out for the median whisker."
+                )
         row = table[one_of("whisker", identity, table)]
         if not isinstance(curved, bool | np.bool_):
             raise ValueError(
@@ -153,11 +179,60 @@ class Whisker(Value):
             length = max(length + draws[0] * row["length_sd_mm"], length / 10)
             base = max(base + draws[1] * row["base_diameter_sd_um"], base / 10)
         tip = min(row["tip_diameter_median_um"], base)
-        bow = 0.0
-        if curved:
-            at_base, rate = rest_shape(identity)
-            bow = at_base + rate * length * 1e-3 / 2
-        return cls(length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus, bow)
+        if species == "mouse":
+            mouse = _rest_shapes()[species, identity][2] * 1e3
+            base, length = base / length * mouse, mouse
+            tip = base / 31.5
+        at_base, rate = rest_shape(identity, species)
+        bow = at_base + rate * length * 1e-3 / 2
+        made = cls(
+            length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus, bow if curved else 0.0
+        )
+        # No field: a whisker with the same numbers is the same whisker.
+        object.__setattr__(made, "_identity", (species, identity, bow))
+        return made
+
+    @classmethod
+    def shaft(cls, length: float, diameter: float, material: str | float, **fields: Any) -> Whisker:
+        """The uniform shaft of a robot's whisker, of a named material.
+
+        Parameters
+        ----------
+        length, diameter : float
+            m.
+        material : str or float
+            One of `MATERIALS`, or Young's modulus, Pa.
+        **fields
+            Further fields of the whisker, such as ``hinge``.
+
+        Raises
+        ------
+        ValueError
+            For a material that is not known, and as any whisker.
+
+        Notes
+        -----
+        Moduli and densities of handbooks: nominal ones, ± 10 % of metals, ± 30 % of polymers. On a
+        uniform shaft moment and axial force alone do not locate (see `ForceMap`).
+
+        Examples
+        --------
+        >>> shaft = Whisker.shaft(100e-3, 0.5e-3, "nitinol")
+        >>> print(shaft.radius_ratio, f"{shaft.stiffness:.2g} N m²")
+        1.0 0.00023 N m²
+        """
+        if isinstance(material, str):
+            modulus, density = MATERIALS[one_of("material", material, MATERIALS)]
+            fields.setdefault("density", density)
+        else:
+            modulus = material
+        radius = positive("diameter", diameter, "give metres, such as 5e-4") / 2
+        return cls(length, radius, radius, modulus, **fields)
+
+    @property
+    def identity(self) -> tuple[str, str, float] | None:
+        """Species, follicle and curvature at rest (1/m) of a whisker `from_identity`, else none."""
+        return getattr(self, "_identity", None)
 
     @property
     def radius_ratio(self) -> Any:
@@ -214,15 +289,26 @@ class Whisker(Value):
         )
 
 
-def identities() -> tuple[str, ...]:
+def identities(species: str = "rat") -> tuple[str, ...]:
     """The whisker identities that `Whisker.from_identity` knows, row by row.
+
+    Parameters
+    ----------
+    species : {"rat", "mouse"}
+
+    Raises
+    ------
+    ValueError
+        For another species.
 
     Examples
     --------
     >>> identities()[:3]
     ('A0', 'A1', 'A2')
     """
-    return tuple(_morphology())
+    if one_of("species", species, SPECIES) == "rat":
+        return tuple(_morphology())
+    return tuple(name for kind, name in _rest_shapes() if kind == species)
 
 
 def rest_shape(identity: str, species: str = "rat") -> tuple[float, float]:
@@ -247,19 +333,21 @@ def rest_shape(identity: str, species: str = "rat") -> tuple[float, float]:
     >>> rest_shape("C2")
     (7.325, 552.0)
     """
-    one_of("species", species, ("rat", "mouse"))
+    one_of("species", species, SPECIES)
     table = _rest_shapes()
     known = [name for kind, name in table if kind == species]
-    return table[species, one_of("whisker", identity, known)]
+    return table[species, one_of("whisker", identity, known)][:2]
 
 
 @cache
-def _rest_shapes() -> dict[tuple[str, str], tuple[float, float]]:
+def _rest_shapes() -> dict[tuple[str, str], tuple[float, float, float]]:
+    """Curvature at the base (1/m), its rate (1/m²) and median length (m)."""
     text = resources.files("weberwhisk").joinpath("data/whisker_curvature.csv").read_text("utf-8")
     return {
         (row["species"].lower(), f"{'ABCDE'[int(row['row']) - 1]}{int(row['column']) - 1}"): (
             round(float(row["B_per_mm"]) * 1e3, 9),
             round(float(row["A_per_mm2"]) * 1e6, 9),
+            round(float(row["arc_length_mm"]) * 1e-3, 9),
         )
         for row in csv.DictReader(text.splitlines())
     }

@@ -201,7 +201,10 @@ class Posterior(Shown):
         return self.quantile([tail, 1 - tail], of=of)
 
     def summary(self) -> pd.DataFrame:
-        """One row for each reading and unknown: moments, errors, 95 % interval, how it went."""
+        """One row for each reading and unknown: moments, errors, 95 % interval, how it went.
+
+        And the observer's `note`, where there is one.
+        """
         import pandas as pd
 
         rows = []
@@ -217,18 +220,20 @@ class Posterior(Shown):
                     | {"outcome": [Outcome(int(o)).message for o in np.atleast_1d(self.outcome)]}
                 )
             )
-        return pd.concat(rows, ignore_index=True)
+        table = pd.concat(rows, ignore_index=True)
+        return table.assign(note=self.observer.note) if self.observer.note else table
 
     def _line(self) -> str:
+        note = f"; {self.observer.note}" if self.observer.note else ""
         if self.reading.ndim > 1:
             good = int(np.sum(np.asarray(self.status) == Status.CONVERGED))
-            return f"{len(self.reading)} readings by {self.method}, {good} of them converged"
+            return f"{len(self.reading)} readings by {self.method}, {good} of them converged{note}"
         low, high = 1e3 * self.interval()
         parts = [f"r = {interval_text(float(1e3 * self.mean), low, high, ' mm')}"]
         if "deflection_angle" in self.estimates:
             angle = self.estimates["deflection_angle"]
             parts.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
-        return f"{', '.join(parts)}, by {self.method}; {self.status.message}"
+        return f"{', '.join(parts)}, by {self.method}; {self.status.message}{note}"
 
     def to_arviz(self, *, draws: int = 1000, seed: Seed = 0) -> Any:
         """ArviZ data with draws of every unknown (InferenceData on 0.23, DataTree on 1.x).
