@@ -56,7 +56,10 @@ def faults(figure: Figure) -> list[str]:
             finite = np.isfinite(path.vertices).all(axis=1)
             if not (finite.any() and line.get_visible()):
                 continue
-            if _crosses(path.vertices, frame, joined=line.get_linestyle() != "None"):
+            seen = Bbox.intersection(frame, ax.bbox) if line.get_clip_on() else frame
+            if seen is None:
+                continue
+            if _crosses(path.vertices, seen, joined=line.get_linestyle() != "None"):
                 found.append(f"a legend of {_title(ax)!r} is over a line")
     return found
 

@@ -299,6 +299,19 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         {"cue": ["vibration, 3 modes with phase (d)", "tap (e)", "both"], "alone": [2.8, 4.0, 5.0],
          "alone_error": 0.1, "added": [1.0, 1.6, np.nan], "added_error": 0.1}
     )  # fmt: skip
+    whiskers = ww.WhiskerArray("rat", "right").protract(np.radians(40))
+    all_of_them = ww.ArrayObserver(whiskers)
+    touching = all_of_them.read([20e-3, 5e-3], seed=1)
+    some = pd.MultiIndex.from_product([np.linspace(5, 40, 8), np.linspace(-15, 30, 8)])
+    places = pd.DataFrame(
+        {"x_mm": some.get_level_values(0), "y_mm": some.get_level_values(1),
+         "error_mm": np.geomspace(0.05, 3, 64), "best_error_mm": np.geomspace(0.1, 4, 64),
+         "touching": np.arange(64) // 8, "best": np.repeat(["C2", "D1"], 32)}
+    )  # fmt: skip
+    counts = pd.DataFrame(
+        {"count": [1, 5, 20], "correct": [0.55, 0.7, 0.9], "correct_error": 0.02,
+         "touched": [0.2, 0.6, 0.9], "touching": [0.2, 1.0, 4.0], "receptors": "k = 0.1"}
+    )  # fmt: skip
     rate = pd.DataFrame({"radial_distance": [0.1, 0.9], "rate": [30.0, 0.2]})
     estimates = pd.DataFrame(
         {"method": m, "weber_fraction": k, "n": n, "low": 0.05, "high": 0.1 + 1 / n}
@@ -311,6 +324,8 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
     )  # fmt: skip
     made = {
         "adaptive": figures.adaptive({"estimation": estimates, "discrimination": factors}),
+        "array_counts": figures.array_counts(counts),
+        "array_map": figures.array_map(places, whiskers),
         "bending": figures.bending(lines),
         "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
         "cue_information": figures.cue_information(bits),
@@ -328,6 +343,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
             contacts_2.contacts(contacts_2.ARCS, contacts_2.DEGREES[::6]),
         ),
         "paper_3": paper_3(),
+        "place": figures.place(ww.place(all_of_them, touching)),
         "placements": figures.placements(staircase),
         "planned_jnds": figures.planned_jnds(plan),
         "planned_power": figures.planned_power(plan),
@@ -343,6 +359,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         "rehearsed": figures.rehearsed(SimpleNamespace(plan=plan, table=studied)),  # type: ignore[arg-type]
         "residuals": figures.residuals(pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3]})),
         "shrinkage": figures.shrinkage(population),
+        "whisker_array": figures.whisker_array(whiskers),
     }  # fmt: skip
     functions = {
         "cues": "cue_jnds", "outcomes": "cue_outcomes", "best-cue": "best_cue",

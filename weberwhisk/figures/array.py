@@ -123,12 +123,19 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
         x, y, over(rows), cmap=colours, vmin=-0.5, vmax=4.5, shading="nearest", rasterized=True,
         alpha=0.55,
     )  # fmt: skip
-    for name, mine in table[best != ""].groupby("best"):
+    written = np.empty((0, 2))
+    room = 0.11 * np.ptp(x), 0.06 * np.ptp(y)  # of a name
+    own = [mine for _, mine in table[best != ""].groupby("best")]
+    for mine in sorted(own, key=len, reverse=True):
         if len(mine) > 0.006 * len(table):
             # The name stands on the place of its own that is nearest to their middle.
             place = mine[["x_mm", "y_mm"]].to_numpy()
             at = place[np.argmin(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))]
-            axes[1, 0].text(*at, str(name), fontsize=SMALL, ha="center", va="center")
+            if (np.abs(written - at) < room).all(axis=1).any():
+                continue  # beside a larger one's
+            written = np.vstack([written, at])
+            name = str(mine["best"].iloc[0])
+            axes[1, 0].text(*at, name, fontsize=SMALL, ha="center", va="center")
     titles = ("all whiskers", "what all gain on the best one", "the best whisker", "how many touch")
     for ax, title in zip(axes.ravel(), titles, strict=True):
         for whisker in array.whiskers.values():
