@@ -6,7 +6,7 @@ each ρ: it is tabulated over logit P, and read off at the nodes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,15 @@ Array = NDArray[np.float64]
 
 FAR = 40.0  # logits beyond which a P is as good as 0 or 1
 KNOTS = np.linspace(-FAR, FAR, 1601)
+
+
+def lines(chance: Array, low: Array, high: Array, lapse: Array, dtype: Any = float) -> Array:
+    """lapse + (1 − low − high) chance for every chance (N,) and pair of lapses (L,), (N, L): as a
+    matrix product, which is five times as fast as broadcasting."""
+    slope = np.maximum(1 - low - high, 0.0)
+    factors = np.ones((chance.size, 2), dtype=dtype)
+    factors[:, 0] = chance.ravel()
+    return factors @ np.array([slope.ravel(), lapse.ravel()], dtype=dtype)
 
 
 class BetaBinomial:
@@ -48,13 +57,14 @@ class BetaBinomial:
 
     def __call__(self, up: Array, down: Array, low: Array, high: Array, rho: Array) -> Array:
         """At chances without lapses (C, P, B), lapses (Lo, Hi), and ρ (P,): (P, B, Lo, Hi)."""
-        up, down = (a[self.first][..., None, None] for a in (up, down))
-        slope = np.maximum(1 - low - high, 0.0)
+        shape = self.first.size, *up.shape[1:], *low.shape
         # log P − log(1 − P), neither of them by subtraction.
-        place = np.log(
-            (slope * up + np.maximum(low, 1e-300)) / (slope * down + np.maximum(high, 1e-300))
-        )
-        place = (np.clip(place, -FAR, FAR) + FAR) * ((self.fine.size - 1) / (2 * FAR))
+        place = lines(up[self.first], low, high, np.maximum(low, 1e-300))
+        place /= lines(down[self.first], low, high, np.maximum(high, 1e-300))
+        np.clip(np.log(place, out=place), -FAR, FAR, out=place)
+        place += FAR
+        place *= (self.fine.size - 1) / (2 * FAR)
+        place = place.reshape(shape)
         left = np.minimum(place.astype(np.intp), self.fine.size - 2)
         place -= left
         left += (np.arange(self.first.size) * self.fine.size)[:, None, None, None, None]

@@ -234,6 +234,11 @@ def _moments(prior: Any) -> tuple[float, float]:
 @lru_cache(maxsize=256)
 def quantiles(prior: Any) -> Any:
     """A prior's quantiles by normal score, tabulated once: SciPy's own cost more than a fit."""
+    shape, loc, scale = prior.dist._parse_args(*prior.args, **prior.kwds)
+    if prior.dist.name == "norm":
+        return lambda score: loc + scale * score
+    if prior.dist.name == "lognorm" and loc == 0:
+        return lambda score: scale * np.exp(shape[0] * score)
     z = np.linspace(-REACH, REACH, 721)
     below = z <= 0
     value = np.concatenate([prior.ppf(ndtr(z[below])), prior.isf(ndtr(-z[~below]))])

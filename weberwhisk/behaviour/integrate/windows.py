@@ -71,7 +71,8 @@ class Windows:
         else:
             sides, shape = [], [a.size for a in self.axes]
             for old, new in zip(self.axes, axes, strict=True):
-                place = np.clip(np.searchsorted(old, new - 1e-9) - 1, 0, old.size - 1)
+                place = np.maximum(np.searchsorted(old, new - 1e-9) - 1, 0)
+                place = np.minimum(place, old.size - 1)
                 sides.append((place, np.minimum(place + 1, old.size - 1)))
             corners = [
                 np.ravel_multi_index(np.meshgrid(*c, indexing="ij"), shape).ravel()
@@ -187,7 +188,7 @@ def _ends(
     m, r = np.ogrid[: least.shape[0], : least.shape[1]]
     out = []
     for at, step in ((full.argmax(axis=1), -1), (size - 1 - full[:, ::-1].argmax(axis=1), 1)):
-        outside = np.clip(at + step, 0, size - 1)
+        outside = np.minimum(np.maximum(at + step, 0), size - 1)
         outer = np.maximum(np.where(outside == at, -np.inf, values[m, outside, r]), least - 20.0)
         inner = np.maximum(values[m, at, r], least)  # where nothing is held, whatever
         share = beyond + (inner - least) / np.maximum(inner - outer, 1e-9)
@@ -235,7 +236,7 @@ def bias_at(model: WeberModel, score: Array) -> Array:
     """A bias at a normal score of its prior; what it is known to be, where it is."""
     if not model.free_bias:
         return np.full(np.shape(score), model.fixed_bias())
-    return model.priors.value("bias", np.clip(score, -REACH, REACH))
+    return model.priors.value("bias", np.minimum(np.maximum(score, -REACH), REACH))
 
 
 def least_bias_sds(model: WeberModel, d: Array, weight: Array, span: Array) -> Array:
