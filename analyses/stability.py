@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import stability_choices
+import stability_fusions
 import stability_outside
 import stability_populations
 import stability_posteriors
@@ -105,6 +106,8 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
     # Last, though a model: a domain's seed goes by its place, and kept ones stay what they were.
     found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
     found += [(d, "outside the domain", "x", "y", 4) for d in stability_outside.DOMAINS]
+    several = "quadrature, several unknowns"
+    found += [(d, several, "distance", "k", 4) for d in stability_fusions.DOMAINS]
     return found
 
 

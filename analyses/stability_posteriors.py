@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import stability_three
 from hunting import Axis, Domain, Fate, Judged
+from scipy.interpolate import CubicSpline
 from scipy.special import expit, logit
 
 import weberwhisk as ww
@@ -205,13 +206,39 @@ def _rows(o: Observer, reading: Array, r: Array, n: int) -> tuple[Array, Array]:
     return np.where(np.isfinite(best[:, 0]), value, -np.inf), np.nan_to_num(half)
 
 
+class Sums(NamedTuple):
+    """Mean and sd of the distance, how well they are known (in sds), evidence, 95 % interval.
+
+    And how well the ends of the interval are known, in sds.
+    """
+
+    mean: float
+    sd: float
+    known: float
+    log_evidence: float
+    interval: Array
+    ends_known: Array
+
+
 def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float]:
-    """Mean and sd of the distance, and how well they are known (in sds).
+    """Mean and sd of the distance, and how well they are known (in sds)."""
+    return distance_sums(o, reading, near)[:3]
+
+
+def distance_sums(
+    o: Observer,
+    reading: Array,
+    near: float,
+    also: Callable[[Array], Array] | None = None,
+    reach: tuple[float, float] | None = None,
+) -> Sums:
+    """What a posterior says of the distance.
 
     Sums over w = logit of the distance's share of the reach, in a window that closes in upon all
     that holds mass. `near` is the w of a point of high density: narrow peaks fall between nodes.
+    `also` is ln of what else a distance is told by, (n,), within `reach`.
     """
-    low_r, high_r = o.reach
+    low_r, high_r = reach or o.reach
     low, high = -32.0, 32.0
     one = len(o.unknowns) == 1
     inner = 56
@@ -228,6 +255,7 @@ def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float
             o, reading, np.maximum(high_r - left, low_r + 1e-14), 96 if last else inner
         )
         log = log - np.logaddexp(0, w) - np.logaddexp(0, -w)
+        log = log + (0.0 if also is None else also(high_r - left))
         if last:
             break
         held = np.flatnonzero(_may_hold(log[None], log.max())[0])
@@ -245,6 +273,7 @@ def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float
             left = expit(-w) * (high_r - low_r)
             log, half = _rows(o, reading, np.maximum(high_r - left, low_r + 1e-14), 96)
             log = log - np.logaddexp(0, w) - np.logaddexp(0, -w)
+            log = log + (0.0 if also is None else also(high_r - left))
             break
     weight = np.exp(log - log.max())
     found = []
@@ -259,7 +288,23 @@ def brute(o: Observer, reading: Array, near: float) -> tuple[float, float, float
     share = weight / weight.sum()
     pull = np.maximum(1.0, ((left - mean) / sd) ** 2)
     lost = np.maximum(_between(share) - share, 0.0) + share * half**2
-    return high_r - mean, sd, 3 * off + float(lost @ pull)
+    ends = [_ends(log[::step], w[::step]) for step in (1, 2)]
+    return Sums(
+        high_r - mean,
+        sd,
+        3 * off + float(lost @ pull),
+        float(np.log(weight.sum() * (high - low) / n * (high_r - low_r)) + log.max()),
+        low_r + (high_r - low_r) * ends[0],
+        np.abs(ends[0] - ends[1]) * (high_r - low_r) / sd,
+    )
+
+
+def _ends(log: Array, w: Array) -> Array:
+    """Shares of the reach at 2.5 and 97.5 % of the mass, by a spline through ln of the density."""
+    fine = np.linspace(w[0], w[-1], 40 * w.size)
+    density = np.exp(CubicSpline(w, np.maximum(log - log.max(), -2 * DEPTH))(fine))
+    rise = np.cumsum(density) - density / 2
+    return expit(np.interp([0.025, 0.975], rise / density.sum(), fine))
 
 
 def _between(share: Array) -> Array:

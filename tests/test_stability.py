@@ -46,6 +46,7 @@ SIZES = {
     "emcee, compliance": (3, 1),
     "quadrature, vibration, phase, odd readings": (6, 1),
     "contacts outside": (20, 1),
+    "fusions of any whisker": (1, 1),
     "posteriors outside": (6, 1),
 }
 

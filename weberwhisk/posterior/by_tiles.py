@@ -20,7 +20,7 @@ from ..receptors import Seed
 from ..threads import on_threads
 from .densities import refuse_impossible
 from .likelihood import likelihood_of
-from .marginals import draws, quantiles
+from .marginals import all_quantiles, by_draws, draws
 from .own_grid import OwnGrids
 from .result import Estimate, Status
 from .solution import Array, Solution, is_outside, is_unidentified
@@ -256,27 +256,43 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     for part in found:
         own_grid[part.rows] = isinstance(part.tiled, OwnGrids)
 
-    def quantile_of(p: Array, unknown: int) -> Array:
-        return both(p, unknown)[0]
+    @lru_cache(maxsize=16)
+    def read_off(p: tuple[float, ...]) -> tuple[Array, Array]:
+        """Quantiles (B, Q, U) and their errors: of reading them off, and of the tiles' sums.
 
-    def quantile_error_of(p: Array, unknown: int) -> Array:
-        return both(p, unknown)[1]
-
-    def both(p: Array, unknown: int) -> tuple[Array, Array]:
-        """Quantiles (B, Q) and their errors: of reading them off, and of the tiles' sums.
-
-        A share of the mass as large as the error of the mean may lie on the wrong side: the
-        quantile moves by that over the density, which in the tails is as p(1 − p) of 1/sd, about.
+        A share of the mass that moves the mean by its error may lie on the wrong side.
         """
-        value, off = np.full((2, count, len(p)), np.nan)
+        probability = np.array(p)
+        value, off = np.full((2, count, len(p), dim), np.nan)
         for part in found:
             rows = part.rows
             if isinstance(part.tiled, OwnGrids):
-                value[rows], off[rows] = part.tiled.quantiles(p, unknown)
+                for i in range(dim):
+                    value[rows, :, i], off[rows, :, i] = part.tiled.quantiles(probability, i)
             else:
-                value[rows], off[rows] = quantiles(part.tiled, reading[rows], p, unknown)
-        tails = error[:, unknown, None] * sd[:, unknown, None] / (4 * p * (1 - p))
-        return value, off + tails
+                value[rows], off[rows] = all_quantiles(
+                    part.tiled, reading[rows], probability, 0.5 * error[rows]
+                )
+        return value, off
+
+    @lru_cache(maxsize=16)
+    def both(p: tuple[float, ...], unknown: int) -> tuple[Array, Array]:
+        value, off = (a[..., unknown] for a in read_off(p))
+        if unknown == 1 and observer.space.angle_range_varies:
+            value, off = value.copy(), off.copy()
+            for part in found:
+                if not isinstance(part.tiled, OwnGrids):
+                    rows = part.rows
+                    value[rows], off[rows] = by_draws(
+                        part.tiled, reading[rows], np.array(p), unknown
+                    )
+        return value, off
+
+    def quantile_of(p: Array, unknown: int) -> Array:
+        return both(tuple(p), unknown)[0].copy()
+
+    def quantile_error_of(p: Array, unknown: int) -> Array:
+        return both(tuple(p), unknown)[1].copy()
 
     def draws_of(number: int, seed: Seed) -> Array:
         rng = np.random.default_rng(seed)

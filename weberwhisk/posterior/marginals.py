@@ -6,7 +6,7 @@ as many more nodes as an integral over part of a tile needs cost no mechanics.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -18,22 +18,12 @@ from .tiling import ORDER, Array, Index
 _X, _W = legendre.leggauss(ORDER)
 #: From values at the nodes of an axis to Legendre coefficients.
 _TO_LEGENDRE = np.linalg.inv(legendre.legvander(_X, ORDER - 1))
-#: Rules for part of a line and, where lines are cut at different places, across them.
+#: A rule for part of a line, and from values at the nodes to powers.
 _PART_X, _PART_W = legendre.leggauss(8)
-_PART_BASIS = _PART_X ** np.arange(ORDER)[:, None]
-_TO_POWERS = (
-    np.stack(
-        [
-            np.pad(legendre.leg2poly(row), (0, ORDER - 1 - k))
-            for k, row in enumerate([np.eye(k + 1)[k] for k in range(ORDER)])
-        ],
-        axis=1,
-    )
-    @ _TO_LEGENDRE
-)
+_TO_POWERS = np.linalg.inv(_X[:, None] ** np.arange(ORDER))
 #: Lines across are many where a value cuts a tile at some of them and passes by the rest, as near
 #: the fold: the upper end of 95 % was 0.041 sd off with 16, 0.003 with 64.
-_FEW, _MANY = 12, 64
+_FEW, _MANY = 8, 64
 #: ln of a weight, below the highest of its tile, that counts as none.
 _NONE = -80.0
 
@@ -46,8 +36,12 @@ def _angle_table(points: int = 20_001) -> tuple[Array, Array]:
     return z, np.where(z > 0, np.log(omega), z - omega)
 
 
-class Lines:
-    """The posteriors of some readings along the lines of their tiles on the axis of an unknown."""
+class Marginal:
+    """The posteriors of some readings along the axis of an unknown, tile by tile.
+
+    What is summed out leaves one line to a tile. An angle, whose axis turns with distance, has
+    lines at several distances, which a value cuts each at a place of its own.
+    """
 
     def __init__(
         self,
@@ -55,78 +49,85 @@ class Lines:
         weighed: Weighed,
         count: int,
         unknown: int,
-        across: int = _FEW,
     ) -> None:
         self.observer, self.unknown, self.count = tiled.observer, unknown, count
+        self._boxes, contact = tiled.tiles.boxes, tiled.tiles.nodes.contact
+        dim = self._boxes.low.shape[1]
+        self.sheared = unknown == 1 < tiled.observer.bounded
         mass = weighed.weight.sum(axis=1)
         total = summed(mass, weighed.row, count)
-        kept = mass > 1e-9 * total[weighed.row]
+        kept = mass > 1e-8 * total[weighed.row]
         self.row, self.tile = weighed.row[kept], weighed.tile[kept]
         self.mass = mass[kept] / total[self.row]
-        self._weight, self._total = weighed.weight[kept], total
-        self._boxes, self._contact = tiled.tiles.boxes, tiled.tiles.nodes.contact
-        #: Whether lines are cut at different places: the angle, whose axis turns with distance.
-        self.sheared = unknown == 1 < tiled.observer.bounded
-        dim = self._boxes.low.shape[1]
-        #: How many lines are cut alike, and coefficients of ln of the weight along them (n, …).
-        self._count = across if self.sheared else 1
-        x, self._across_weight = legendre.leggauss(self._count)
-        self._to_across = legendre.legvander(x, ORDER - 1) @ _TO_LEGENDRE
-        self._ready = np.zeros(len(self.row), dtype=bool)
-        lines = ORDER ** (dim - 2) * across if self.sheared else ORDER ** (dim - 1)
-        self._powers = np.empty((len(self.row), lines, ORDER))
-        self._scale_of, self._whole = np.empty((2, len(self.row)))
-        if self.sheared:
-            self._scale = self._scales()
-        value = self._contact[self.tile, :, unknown]
+        axes = (0, 1) if self.sheared else (unknown,)
+        weight = weighed.weight[kept].reshape(-1, *(ORDER,) * dim)
+        weight = weight.sum(axis=tuple(1 + i for i in range(dim) if i not in axes))
+        #: Weights of the nodes of lines, as shares of their reading's, (n, lines, ORDER).
+        self._weight = weight.reshape(len(weight), -1, ORDER) / total[self.row, None, None]
+        value = contact[self.tile, :, unknown]
         self.least, self.most = value.min(axis=1), value.max(axis=1)
-        #: More lines, for values that cut some of these lines and not others.
-        self._finer: Lines | None = None
-        if self.sheared and across == _FEW:
-            self._finer = Lines(tiled, weighed, count, unknown, _MANY)
+        first = np.arange(ORDER) * ORDER ** (dim - 1 - unknown)
+        if self.sheared:
+            first = first + ORDER ** (dim - 1) * np.arange(ORDER)[:, None]
+        self._value = contact[self.tile][:, first.reshape(-1, ORDER), unknown]
+        self._distance = contact[:, :: ORDER ** (dim - 1), 0]
 
-    def _scales(self) -> tuple[float, Array, Array]:
-        """`angle_scale` at the lines across the tiles that there are: (T, lines)."""
-        tiles = np.unique(self.tile)
-        first = self._contact[tiles, :: ORDER ** (self._boxes.low.shape[1] - 1), 0]
-        low, *both = self.observer.space.angle_scale(first)
-        out = np.full((2, len(self._contact), self._count), np.nan)
-        for whole, part in zip(out, both, strict=True):
-            whole[tiles] = part @ self._to_across.T
-        return low, out[0], out[1]
+    @cached_property
+    def _few(self) -> _Lines:
+        return _Lines(self, _FEW if self.sheared else 1)
 
-    def crude(self, probability: float) -> tuple[Array, Array]:
-        """Quantiles (B,) and the density there, as if values were even on each tile."""
-        low, high = np.full(self.count, np.inf), np.full(self.count, -np.inf)
-        np.minimum.at(low, self.row, self.least)
-        np.maximum.at(high, self.row, self.most)
-        width = np.maximum(self.most - self.least, 1e-300)
-        starts, rows = self._starts()
-        a, b = low[rows].copy(), high[rows].copy()
-        own = np.repeat(np.arange(len(rows)), np.diff(np.append(starts, len(self.row))))
-        for _ in range(16):
-            middle = (a + b) / 2
-            share = np.clip((middle[own] - self.least) / width, 0.0, 1.0)
-            below = np.add.reduceat(self.mass * share, starts) < probability
-            a, b = np.where(below, middle, a), np.where(below, b, middle)
-        value, density = np.full((2, self.count), np.nan)
-        value[rows] = (a + b) / 2
-        inside = (value[self.row] > self.least) & (value[self.row] < self.most)
-        density[rows] = np.add.reduceat(np.where(inside, self.mass / width, 0.0), starts)
-        return value, density
+    @cached_property
+    def _many(self) -> _Lines:
+        return _Lines(self, _MANY)
 
-    def _starts(self) -> tuple[Index, Index]:
+    def ends(self) -> tuple[Array, Array]:
+        """Between which values (B,) readings have mass: a little beyond the outermost nodes."""
         starts = np.flatnonzero(np.diff(self.row, prepend=-1))
-        return starts, self.row[starts]
-
-    def cumulative(self, value: Array) -> tuple[Array, Array]:
-        """P(unknown < value) for values (B,), NaN where not asked for; and the error of that."""
-        v = value[self.row]
-        # The nodes end a little before the tile does.
+        low, high = np.full((2, self.count), np.nan)
         beyond = 0.25 * (self.most - self.least)
-        below = v > self.most + beyond
-        some = np.flatnonzero(~below & (v > self.least - beyond))
-        out = summed(np.where(below, self.mass, 0.0), self.row, self.count)
+        low[self.row[starts]] = np.minimum.reduceat(self.least - beyond, starts)
+        high[self.row[starts]] = np.maximum.reduceat(self.most + beyond, starts)
+        return low, high
+
+    def rise(self, *, cells: int = 12, bins: int = 256) -> tuple[Array, Array]:
+        """P(unknown < value) (B, bins + 1) at even steps of values (B, bins + 1), about.
+
+        A line is cut into cells, and each is counted where its middle is; of many lines the nodes.
+        """
+        some = np.flatnonzero(self.mass > 1e-5)
+        row = self.row[some]
+        share, value = self._weight[some], self._value[some]
+        if not self.sheared:
+            x = (np.arange(cells) + 0.5) / cells
+            finer = legendre.legvander(2 * x - 1, ORDER - 1) @ _TO_LEGENDRE
+            share = np.exp(np.minimum(_logs(share)[0] @ finer.T, 30.0))
+            share *= (self.mass[some] / share.sum(axis=(1, 2)))[:, None, None]
+            value = value @ finer.T
+        low, high = np.full((2, self.count), np.nan)
+        starts = np.flatnonzero(np.diff(row, prepend=-1))
+        low[row[starts]] = np.minimum.reduceat(value.min(axis=(1, 2)), starts)
+        high[row[starts]] = np.maximum.reduceat(value.max(axis=(1, 2)), starts)
+        step = np.maximum((high - low) / bins, np.finfo(float).tiny)
+        place = (value - low[row, None, None]) / step[row, None, None]
+        place = np.minimum(place.astype(np.intp), bins - 1) + bins * row[:, None, None]
+        mass = np.bincount(place.ravel(), share.ravel(), minlength=bins * self.count)
+        rise = np.cumsum(mass.reshape(self.count, bins), axis=1)
+        edges = low[:, None] + step[:, None] * np.arange(bins + 1)
+        return edges, np.pad(rise, ((0, 0), (1, 0)))
+
+    def cumulative(self, value: Array, *, slight: float = 3e-6) -> tuple[Array, Array]:
+        """P(unknown < value) for values (B,), NaN where not asked for; and the error of that.
+
+        In tiles of slight mass values count as even.
+        """
+        # The nodes end a little before the tile does.
+        width = 1.5 * (self.most - self.least)
+        share = (value[self.row] - self.least) / np.maximum(width, 1e-300) + 1 / 6
+        some = np.flatnonzero((share > 0) & (share < 1) & (self.mass > slight))
+        share = np.where(share > 0, np.minimum(share, 1.0), 0.0) * self.mass
+        share[some] = 0.0
+        out = summed(share, self.row, self.count)
+        v = value[self.row]
         error = np.zeros(self.count)
         if some.size:
             part, whole, missed = self._parts_below(some, v[some])
@@ -135,32 +136,46 @@ class Lines:
             error += np.sqrt(summed(missed**2, self.row[some], self.count))
         return out, error
 
-    def _parts_below(self, pairs: Index, value: Array) -> tuple[Array, Array, Array]:
-        """`_partial` of pairs (n,) below values (n,), by more lines where these are cut unlike."""
-        t = self._cut(self.tile[pairs], value)
-        kind = (t > 0).astype(int) + (t >= 1)
-        unlike = np.ptp(kind, axis=1) > 0
-        if self._finer is None or not unlike.any():
-            return self._partial(pairs, t)
-        out = np.empty((3, len(pairs)))
-        if not unlike.all():
-            out[:, ~unlike] = self._partial(pairs[~unlike], t[~unlike])
-        some, finer = pairs[unlike], self._finer
-        out[:, unlike] = finer._partial(some, finer._cut(self.tile[some], value[unlike]))
+    def _parts_below(
+        self, pairs: Index, value: Array, *, enough: float = 1e-5
+    ) -> tuple[Array, Array, Array]:
+        """`_Lines.below` of pairs (n,) and values (n,), by more lines where few miss too much."""
+        out = np.array(self._few.below(pairs, self._few.cut(self.tile[pairs], value)))
+        coarse = np.flatnonzero(out[2] > enough)
+        if coarse.size:
+            some = pairs[coarse]
+            t = self._many.cut(self.tile[some], value[coarse])
+            out[:, coarse] = self._many.below(some, t)
         return out[0], out[1], out[2]
 
-    def _cut(self, tile: Index, value: Array) -> Array:
-        """Where values (n,) cut tiles along the axis, as fractions (n, 1), or (n, lines)."""
-        space, unknown = self.observer.space, self.unknown
-        if not self.sheared:
+
+class _Lines:
+    """So many lines to a tile, along which ln of the density is a polynomial."""
+
+    def __init__(self, marginal: Marginal, across: int) -> None:
+        self.of = marginal
+        count = len(marginal.row)
+        self._ready = np.zeros(count, dtype=bool)
+        self._powers, self._whole = np.empty((count, across, ORDER)), np.empty(count)
+        if marginal.sheared:
+            x, self._weight = legendre.leggauss(across)
+            self._to_across = legendre.legvander(x, ORDER - 1) @ _TO_LEGENDRE
+            #: `angle_scale` at the lines of the tiles that there are, (t, lines).
+            self._tiles = np.unique(marginal.tile)
+            low, width, gain = marginal.observer.space.angle_scale(marginal._distance[self._tiles])
+            self._scale = low, width @ self._to_across.T, gain @ self._to_across.T
+
+    def cut(self, tile: Index, value: Array) -> Array:
+        """Where values (n,) cut tiles along the axis, as fractions (n, lines)."""
+        space, unknown = self.of.observer.space, self.of.unknown
+        if not self.of.sheared:
             x = space.unconstrain_one(value, unknown)[:, None]
         else:
-            low, width, gain = self._scale
-            fraction = (value[:, None] - low) / width[tile]
+            which, (least, width, gain) = np.searchsorted(self._tiles, tile), self._scale
+            fraction = (value[:, None] - least) / width[which]
             known = np.interp(logit(np.clip(fraction, 1e-17, 1 - 1e-16)), *_angle_table())
-            x = known + gain[tile]
-            x = np.where(fraction < 1, x, np.inf)
-        low, high = self._boxes.low[tile, unknown], self._boxes.high[tile, unknown]
+            x = np.where(fraction < 1, known + gain[which], np.inf)
+        low, high = self.of._boxes.low[tile, unknown], self.of._boxes.high[tile, unknown]
         return np.asarray(np.clip((x - low[:, None]) / (high - low)[:, None], 0.0, 1.0))
 
     def _prepare(self, pairs: Index) -> None:
@@ -169,75 +184,76 @@ class Lines:
         if not pairs.size:
             return
         self._ready[pairs] = True
-        dim = self._boxes.low.shape[1]
-        weight = self._weight[pairs].reshape(len(pairs), *(ORDER,) * dim)
-        weight = np.moveaxis(weight, self.unknown + 1, -1)
-        rule = _W / 2
-        with np.errstate(divide="ignore"):
-            log = np.log(weight) - np.log(rule)
-        top = log.reshape(len(pairs), -1).max(axis=1)
-        log = np.maximum(log - top[:, *(None,) * dim], _NONE)
-        if self.sheared:  # as many lines as it takes where each is cut at a place of its own
-            log -= np.log(rule)[:, *(None,) * (dim - 1)]
-            log = np.moveaxis(self._to_across @ np.moveaxis(log, 1, -2), -2, 1)
-            log += np.log(self._across_weight / 2)[:, *(None,) * (dim - 1)]
-        self._powers[pairs] = log.reshape(len(pairs), -1, ORDER) @ _TO_POWERS.T
-        scale = self._scale_of[pairs] = np.exp(top) / self._total[self.row[pairs]]
-        whole = np.exp(np.minimum(self._powers[pairs] @ _PART_BASIS, 30.0)) @ (_PART_W / 2)
-        self._whole[pairs] = scale * whole.sum(axis=1)
+        log, top = _logs(self.of._weight[pairs])
+        if self.of.sheared:
+            log -= np.log(_W / 2)[:, None]
+            log = self._to_across @ log + np.log(self._weight / 2)[:, None]
+        powers = log @ _TO_POWERS.T
+        powers[..., 0] += top[:, None]
+        self._powers[pairs] = powers
+        self._whole[pairs] = (_exp_of(powers, _PART_X) @ (_PART_W / 2)).sum(axis=1)
 
-    def _partial(self, pairs: Index, t: Array) -> tuple[Array, Array, Array]:
-        """The mass of tiles (n,) below the fractions t, and all of it, by finer rules.
+    def below(self, pairs: Index, t: Array) -> tuple[Array, Array, Array]:
+        """The mass of tiles (n,) below the fractions t (n, lines), and all of it, by finer rules.
 
         And how far off that may be: by a fifth of what is between two lines of which one is cut and
         the other is not (8 times what it was near the fold at k = 0.03 with a half).
         """
         self._prepare(pairs)
-        powers = self._powers[pairs].reshape(len(pairs), self._count, -1, ORDER)
-        scale = self._scale_of[pairs]
-        x = (t[..., None] * (_PART_X + 1) - 1)[:, :, None]
-        value = powers[..., -1, None] * x
-        for k in range(ORDER - 2, 0, -1):
-            value += powers[..., k, None]
-            value *= x
-        value += powers[..., 0, None]
-        part = (np.exp(np.minimum(value, 30.0)) @ (_PART_W / 2)).sum(axis=2)
-        below, cut = part * t, (t > 0).astype(int) + (t >= 1)
+        x = t[..., None] * (_PART_X + 1) - 1
+        below = (_exp_of(self._powers[pairs], x) @ (_PART_W / 2)) * t
+        cut = (t > 0).astype(int) + (t >= 1)
         apart = np.where(np.diff(cut, axis=1) != 0, np.abs(np.diff(below, axis=1)), 0.0)
-        missed = 0.2 * scale * apart.max(axis=1, initial=0.0)
-        return scale * below.sum(axis=1), self._whole[pairs], missed
+        return below.sum(axis=1), self._whole[pairs], 0.2 * apart.max(axis=1, initial=0.0)
 
 
-def quantiles(
-    tiled: TiledObserver, reading: Array, probability: Array, unknown: int
+def _logs(weight: Array) -> tuple[Array, Array]:
+    """ln of the density at the nodes of lines (n, lines, ORDER) over the highest; ln of that."""
+    with np.errstate(divide="ignore"):
+        log = np.log(weight) - np.log(_W / 2)
+    top = log.max(axis=(1, 2))
+    return np.maximum(log - top[:, None, None], _NONE), top
+
+
+def _exp_of(powers: Array, x: Array) -> Array:
+    """exp of polynomials (n, lines, ORDER) at x (n, lines, m) or (m,)."""
+    value = powers[..., -1, None] * x
+    for k in range(ORDER - 2, 0, -1):
+        value += powers[..., k, None]
+        value *= x
+    value += powers[..., 0, None]
+    return np.exp(np.minimum(value, 30.0, out=value), out=value)
+
+
+def all_quantiles(
+    tiled: TiledObserver, reading: Array, probability: Array, lost: Array
 ) -> tuple[Array, Array]:
-    """Quantiles (B, Q) of an unknown for readings (B, R), and their errors by these rules."""
-    if unknown == tiled.dim:
-        return tiled.last_quantiles(reading, probability)
-    by_draws = unknown == 1 and tiled.observer.space.angle_range_varies
-    found = _quantiles_of_draws if by_draws else _quantiles
-    parts = [
-        found(tiled, reading[i : i + tiled.together], probability, unknown)
-        for i in range(0, len(reading), tiled.together)
-    ]
-    values, errors = (np.concatenate(side) for side in zip(*parts, strict=True))
-    return values, errors
+    """Quantiles (B, Q, U) of all unknowns for readings (B, R), and their errors.
 
-
-def _quantiles(
-    tiled: TiledObserver, reading: Array, probability: Array, unknown: int
-) -> tuple[Array, Array]:
-    lines = Lines(tiled, tiled.weigh(reading, whole=True), len(reading), unknown)
-    out, error = np.empty((2, len(reading), len(probability)))
-    for column, p in enumerate(probability):
-        out[:, column], error[:, column] = _quantile(lines, float(p))
+    All are read off the same weights. `lost` (B, U) is mass that may lie on the wrong side. NaN for
+    an angle whose range turns with a third unknown: it is cut by no line alike, see `by_draws`.
+    """
+    unknowns = len(tiled.observer.unknowns)
+    out, error = np.full((2, len(reading), len(probability), unknowns), np.nan)
+    size = 2 * tiled.together
+    for part in (slice(i, i + size) for i in range(0, len(reading), size)):
+        weighed = tiled.weigh(reading[part], whole=True)
+        for unknown in range(unknowns):
+            if unknown == tiled.dim:
+                value, off = tiled.last_quantiles(weighed, probability, lost[part, unknown])
+            elif unknown == 1 and tiled.observer.space.angle_range_varies:
+                continue
+            else:
+                marginal = Marginal(tiled, weighed, len(reading[part]), unknown)
+                value, off = quantiles(marginal, probability, lost[part, unknown])
+            out[part, :, unknown], error[part, :, unknown] = value, off
     return out, error
 
 
-def _quantiles_of_draws(
+def by_draws(
     tiled: TiledObserver, reading: Array, probability: Array, unknown: int, *, count: int = 20_000
 ) -> tuple[Array, Array]:
-    """The same by draws: an angle whose range turns with a third unknown is cut by no line alike.
+    """Quantiles (B, Q) of an unknown by draws, and their errors.
 
     The error is that of draws without strata, which these have: some 0.01 of an sd.
     """
@@ -251,37 +267,57 @@ def _quantiles_of_draws(
     return middle, (high - low) / 2
 
 
-def _quantile(lines: Lines, p: float) -> tuple[Array, Array]:
-    """Quantiles (B,) by secants within a bracket, from the crude ones; and their errors."""
-    value, density = lines.crude(p)
-    low, high = np.full(lines.count, -np.inf), np.full(lines.count, np.inf)
-    np.minimum.at(high, lines.row, lines.least)
-    np.maximum.at(low, lines.row, lines.most)
-    low, high = high, low
-    best, error = value.copy(), np.full(lines.count, np.inf)
-    asked, before, f_before = value.copy(), value.copy(), np.full(lines.count, np.nan)
-    for step in range(40):
-        f, off = lines.cumulative(asked)
+def quantiles(marginal: Marginal, probability: Array, lost: Array) -> tuple[Array, Array]:
+    """Quantiles (B, Q) and their errors, where so much mass (B,) may lie on the wrong side."""
+    edges, rise = marginal.rise()
+    out, error = np.empty((2, marginal.count, len(probability)))
+    for column, p in enumerate(probability):
+        out[:, column], error[:, column] = _quantile(marginal, float(p), lost, edges, rise)
+    return out, error
+
+
+def _about(edges: Array, rise: Array, p: float) -> Array:
+    """Where sums (B, n) at values (B, n) rise past a probability, (B,)."""
+    rows = np.arange(len(rise))
+    after = np.clip((rise < p).sum(axis=1), 1, rise.shape[1] - 1)
+    mass = np.maximum(rise[rows, after] - rise[rows, after - 1], 1e-300)
+    share = np.clip((p - rise[rows, after - 1]) / mass, 0.0, 1.0)
+    return np.asarray(edges[rows, after - 1] + share * (edges[:, 1] - edges[:, 0]))
+
+
+def _quantile(
+    marginal: Marginal, p: float, lost: Array, edges: Array, rise: Array
+) -> tuple[Array, Array]:
+    """Quantiles (B,) by secants within a bracket, from about where they are; and their errors."""
+    apart = 0.3 * min(p, 1 - p)
+    asked, below, above = (_about(edges, rise, q) for q in (p, p - apart, p + apart))
+    step = edges[:, 1] - edges[:, 0]
+    # In a gap there is next to no density, and next to no knowing where a quantile lies.
+    density = 2 * apart / np.maximum(above - below, 1e-3 * step)
+    low, high = marginal.ends()
+    best, error = asked.copy(), np.full(marginal.count, np.inf)
+    last, f_last = asked.copy(), np.full(marginal.count, np.nan)
+    live = np.isfinite(asked)
+    for _ in range(60):
+        f, off = marginal.cumulative(np.where(live, asked, np.nan))
         f -= p
-        live = np.isfinite(asked)
         low = np.where(live & (f < 0), asked, low)
         high = np.where(live & (f >= 0), asked, high)
         with np.errstate(invalid="ignore", divide="ignore"):
-            slope = (f - f_before) / (asked - before)
-            usual = (slope > 0.1 * density) & (slope < 10 * density)
-            density = np.where(live & usual, slope, density)
+            slope = (f - f_last) / (asked - last)
+            density = np.where(live & (slope > 0), slope, density)
             following = asked - f / density
-            # A probability known so well leaves the quantile known as well as its density says.
-            error = np.where(live, (off + np.abs(f)) / density, error)
+            error = np.where(live, (off + lost + 0.1 * np.abs(f)) / density, error)
+        # Where a secant does not lead on, as beside a gap, halves do.
+        slow = np.isfinite(f_last) & (np.abs(f) > 0.5 * np.abs(f_last))
         inside = (following >= low) & (following <= high)
-        following = np.where(inside & (step % 8 < 7), following, (low + high) / 2)
-        near = np.abs(f) < 5e-4 * min(p, 1 - p)
-        best = np.where(live, asked, best)
-        going = live & ~near & (high - low > 1e-12 * np.abs(high))
-        before, f_before = asked, f
-        if not going.any():
+        near = np.abs(f) < 0.002 * min(p, 1 - p)
+        following = np.where(inside & (near | ~slow), following, (low + high) / 2)
+        best = np.where(live, following, best)
+        live &= ~((inside & near) | (high - low <= 1e-12 * np.abs(high)))
+        if not live.any():
             break
-        asked = np.where(going, following, np.nan)
+        last, f_last, asked = asked, f, following
     return best, error
 
 

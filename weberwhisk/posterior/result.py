@@ -207,6 +207,12 @@ class Posterior(Shown):
         """
         import pandas as pd
 
+        said = {
+            key: np.array([kind(i).message for i in range(len(kind))])[np.atleast_1d(values)]
+            for key, kind, values in (
+                ("status", Status, self.status), ("outcome", Outcome, self.outcome)
+            )
+        }  # fmt: skip
         rows = []
         for name, estimate in self.estimates.items():
             low, high = np.moveaxis(np.atleast_2d(self.interval(0.95, of=name)), -1, 0)
@@ -216,8 +222,7 @@ class Posterior(Shown):
                     {"reading": np.arange(len(low)), "unknown": name, "unit": UNITS.get(name, "1")}
                     | columns
                     | {"low_95": low, "high_95": high}
-                    | {"status": [Status(int(s)).message for s in np.atleast_1d(self.status)]}
-                    | {"outcome": [Outcome(int(o)).message for o in np.atleast_1d(self.outcome)]}
+                    | said
                 )
             )
         table = pd.concat(rows, ignore_index=True)

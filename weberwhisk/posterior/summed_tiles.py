@@ -176,41 +176,35 @@ class SummedTiles(TiledObserver):
         top = top + np.log(stride * lattice.step)
         return Weighed(row, tile, weight, top, last, mass.reshape(count, size), best, stride)
 
-    def last_quantiles(self, reading: Array, probability: Array) -> tuple[Array, Array]:
-        """Quantiles (B, Q) of the last unknown for readings (B, R), and their errors.
+    def last_quantiles(
+        self, weighed: Weighed, probability: Array, lost: Array, *, finer: int = 16
+    ) -> tuple[Array, Array]:
+        """Quantiles (B, Q) of the last unknown, and their errors.
 
         Its density is known at even steps of its coordinate, narrower than any bump: a spline
-        through it is integrated, and half of it tells the error.
+        through it is integrated, and one of a lower degree tells the error.
         """
-        parts = [
-            self._last_quantiles(reading[i : i + self.together], probability)
-            for i in range(0, len(reading), self.together)
-        ]
-        value, error = (np.concatenate(side) for side in zip(*parts, strict=True))
-        return value, error
-
-    def _last_quantiles(
-        self, reading: Array, probability: Array, *, finer: int = 16
-    ) -> tuple[Array, Array]:
-        weighed = self.weigh(reading)
         assert weighed.last_mass is not None
         assert weighed.stride is not None
-        count = weighed.last_mass.shape[1]
+        rows, count = weighed.last_mass.shape
         place = np.linspace(0, count - 1, finer * (count - 1) + 1)
         rising = []
         for degree in (5, 3):
             density = make_interp_spline(np.arange(count), weighed.last_mass.T, k=degree)
             rise = np.maximum.accumulate(density.antiderivative()(place).T, axis=1)
             rising.append(rise / np.maximum(rise[:, -1:], 1e-300))
-        out, other = np.full((2, len(reading), len(probability)), np.nan)
+        sure = np.zeros(rows)
+        sought = [(rising[0], sure), (rising[1], sure), (rising[0], lost), (rising[0], -lost)]
+        out = np.full((len(sought), rows, len(probability)), np.nan)
         step = weighed.stride * self.likelihood.lattice.step
         for i in np.flatnonzero(weighed.last_mass.sum(axis=1) > 0):
             z = (place - count // 2) * step[i]
             inside = np.diff(rising[0][i], append=2.0) > 0
-            for found, rise in zip((out, other), rising, strict=True):
-                at = np.interp(probability, rise[i][inside], z[inside])
-                found[i] = self.observer.last_unknown(np.clip(at, -8, 8))
-        return out, np.abs(out - other)
+            for found, (rise, by) in zip(out, sought, strict=True):
+                p = np.clip(probability + by[i], 0.0, 1.0)
+                found[i] = np.clip(np.interp(p, rise[i][inside], z[inside]), -8, 8)
+        value, other, above, below = self.observer.last_unknown(out)
+        return value, np.abs(value - other) + np.abs(above - below) / 2
 
     def completed(
         self, reading: Array, x: Array, rng: np.random.Generator, *, points: int = 161

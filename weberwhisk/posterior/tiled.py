@@ -194,8 +194,13 @@ class TiledObserver:
         nodes = self.tiles.nodes
         return nodes.contact[tile, node], nodes.signals[tile, node]
 
-    def last_quantiles(self, reading: Array, probability: Array) -> tuple[Array, Array]:
-        """Quantiles (B, Q) of an unknown that is summed out, and their errors."""
+    def last_quantiles(
+        self, weighed: Weighed, probability: Array, lost: Array
+    ) -> tuple[Array, Array]:
+        """Quantiles (B, Q) of an unknown that is summed out, and their errors.
+
+        `lost` (B,) is mass that may lie on the wrong side.
+        """
         raise NotImplementedError
 
     def completed(self, reading: Array, x: Array, rng: np.random.Generator) -> Array:
