@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import h5py
@@ -65,13 +66,13 @@ def test_the_real_file() -> None:
     straight = np.hypot(table["tip_x"] - table["follicle_x"], table["tip_y"] - table["follicle_y"])
     assert (table["length_px"] > 0.99 * straight).all()
     assert (straight > 0.5 * table["length_px"]).mean() > 0.95
-    long = ww.read_tracking(REAL, shortest_px=200, mm_per_px=0.05, frame_rate=500)
+    long = ww.read_tracking(REAL, shortest_px=200, pixels_per_mm=20, frame_rate=500)
     assert 1 <= long.groupby("frame").size().median() <= 3
     np.testing.assert_allclose(long["length_mm"], 0.05 * long["length_px"])
     assert long["time_s"].max() == pytest.approx(4 / 500)
     low = long["follicle_x"].min()
     assert len(ww.read_tracking(REAL, shortest_px=200, follicles=(low, 0, low, 1e4))) == 1
-    assert "mm_per_px" in table.attrs["notes"][0]
+    assert "pixels_per_mm" in table.attrs["notes"][0]
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -137,3 +138,59 @@ def test_a_table_of_points_needs_its_columns(tmp_path: Path) -> None:
         ww.read_tracking(path)
     with pytest.raises(FileNotFoundError):
         ww.read_tracking(tmp_path / "none.whiskers")
+
+
+def test_whiskers_are_turned_to_the_face(tmp_path: Path) -> None:
+    """Segments stored from either end: the face is asked for, or where ends move least."""
+    rng = np.random.default_rng(1)
+    body = b"bwhiskbin1\0\0"
+    for i in range(60):
+        turn = 0.6 * np.sin(i / 5)
+        x, y = 50 + 200 * np.linspace(0, 1, 40), 90 + 200 * turn * np.linspace(0, 1, 40)
+        points = np.stack([x, y, x * 0 + 1, x * 0 + 9])[:, :: rng.choice([-1, 1])]
+        body += np.array([0, i, 40], "<i4").tobytes() + points.astype("<f4").tobytes()
+    path = tmp_path / "a.whiskers"
+    path.write_bytes(body + np.array([60], "<i4").tobytes())
+    found = ww.read_tracking(path)
+    assert (found["follicle_x"] == 50).all()
+    assert (found["tip_x"] == 250).all()
+    assert [v[0] for v in found["x"]] == found["follicle_x"].tolist()
+    assert "at the left, where whiskers' ends move least" in found.attrs["notes"][0]
+    other = ww.read_tracking(path, face="right")
+    assert (other["follicle_x"] == 250).all()
+    assert not any("face" in note for note in other.attrs["notes"])
+    with pytest.raises(ValueError, match="face"):
+        ww.read_tracking(path, face="up")
+
+
+@pytest.mark.parametrize("kind", ["sleap", "dlc"])
+def test_poses_are_read_by_movement(tmp_path: Path, kind: str) -> None:
+    load_poses = pytest.importorskip("movement.io.load_poses")
+    from movement.io import save_poses
+
+    place = np.arange(3 * 2 * 4 * 2, dtype=float).reshape(3, 2, 4, 2)  # time, xy, keypoints, rats
+    place[1, :, :, 1] = np.nan
+    poses = load_poses.from_numpy(place, np.ones((3, 4, 2)), ["w0", "w1"], list("abcd"), fps=100)
+    path = tmp_path / "poses.h5"
+    if kind == "sleap":
+        save_poses.to_sleap_analysis_file(poses, path)
+    else:
+        save_poses.to_dlc_file(poses, path, split_individuals=False)
+    found = ww.read_tracking(path)
+    assert found["frame"].tolist() == [0, 0, 1, 2, 2]
+    assert found["whisker"].tolist() == [0, 1, 0, 0, 1]
+    assert found["x"][1].tolist() == place[0, 0, :, 1].tolist()
+    assert found["y"][3].tolist() == place[2, 1, :, 0].tolist()
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(ValueError, match=r"poses\.h5: "):
+        ww.read_tracking(path)
+
+
+def test_poses_ask_for_movement_where_it_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "movement.io", None)
+    path = tmp_path / "poses.slp"
+    path.write_bytes(b"\x89HDF\r\n")
+    with pytest.raises(ModuleNotFoundError, match=r"weberwhisk\[tracking\]"):
+        ww.read_tracking(path)

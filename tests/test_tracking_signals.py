@@ -238,3 +238,38 @@ def test_what_is_missing_is_asked_for_in_a_sentence(
     with pytest.raises(ValueError, match=sentence) as caught:
         ww.tracked_signals(video, C2, **options)
     assert "\n" not in str(caught.value)
+
+
+def test_the_command_goes_from_a_trackers_file_to_distances(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    from weberwhisk._terminal import run_app
+    from weberwhisk.cli import app
+
+    video, truth = _scene(4, [15e-3], frames=40)
+    body = b"bwhiskbin1\0\0"
+    for i, row in video.iterrows():
+        x, y = ((v - v.min()) for v in (row["x"], -row["y"]))
+        points = np.stack([x, y, x * 0 + 1, x * 0 + 9])[:, :: 1 if i % 3 else -1]
+        body += np.array([0, row["frame"], len(x)], "<i4").tobytes()
+        body += points.astype("<f4").tobytes()
+    path = tmp_path / "session.whiskers"
+    path.write_bytes(body + np.array([len(video)], "<i4").tobytes())
+    words = ["locate", str(path), "--identity", "C2", "--pixels-per-mm", "20", "--frame-rate",
+             "500", "--face", "left", "--out", str(tmp_path / "out")]  # fmt: skip
+    assert run_app(app, words) in (0, None)
+    said = capsys.readouterr().out
+    assert "contact × force" in said
+    located = pd.read_csv(tmp_path / "out" / "located.csv")
+    held = located["radial_distance_mm"].notna()
+    assert 0 <= truth["contact"].sum() - held.sum() <= 2  # the lightest
+    assert abs(located["radial_distance_mm"][held].median() - 15) < 0.1
+    assert run_app(app, [*words[:4], "--frame-rate", "500"]) == 2
+    assert "--pixels-per-mm 20" in capsys.readouterr().err
+
+
+def test_the_real_sample_has_no_shapes_and_says_so(tmp_path: Path) -> None:
+    sample = ROOT / "tests" / "data" / "tracking" / "test_5frames.measurements"
+    video = ww.read_tracking(sample, shortest_px=200, pixels_per_mm=20, frame_rate=500)
+    with pytest.raises(ValueError, match=r"measurements alone do not say the shape"):
+        ww.tracked_signals(video, C2)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import numbers, progress
+from .._terminal import a_number, numbers, progress
 from ..output import Run, to_json
 from .options import (
     NO_SHAPE,
@@ -29,10 +29,17 @@ from .options import (
     wrote,
 )
 
+VIDEO = "Tracked video"
+#: Files of trackers, by their ends.
+TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".nwb", ".slp")
+
 
 @takes_whisker
 def locate(
-    contacts: Annotated[Path, typer.Argument(help="Table of contacts: CSV, Parquet or Excel.")],
+    contacts: Annotated[
+        Path,
+        typer.Argument(help="Table of contacts (CSV, Parquet, Excel), or a tracker's file."),
+    ],
     shape: Shape = NO_SHAPE,
     column: ColumnOption = None,
     unit: UnitOption = None,
@@ -48,21 +55,51 @@ def locate(
             "--weber-fraction", help="Noise of the numbers.  [default: their sds, or 0.1]"
         ),
     ] = None,
+    pixels_per_mm: Annotated[
+        float | None,
+        typer.Option(parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="Its scale."),
+    ] = None,
+    frame_rate: Annotated[
+        float | None,
+        typer.Option(parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="A second."),
+    ] = None,
+    label: Annotated[
+        int | None,
+        typer.Option("--label", rich_help_panel=VIDEO, help="Which of several tracked whiskers."),
+    ] = None,
+    shortest_px: Annotated[
+        float,
+        typer.Option(
+            parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="Shorter ones are fur."
+        ),
+    ] = 0.0,
+    face: Annotated[
+        str | None,
+        typer.Option(
+            rich_help_panel=VIDEO, help="Where the face is: left, right, top or bottom."
+        ),
+    ] = None,
+    pole_px: Annotated[
+        list[str] | None,
+        typer.Option("--pole-px", metavar="LIST", rich_help_panel=VIDEO, help="The pole: x, y."),
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how far away each contact of a table of forces is.
+    """Say how far away each contact of a table of forces, or of a tracked video, is.
 
     Columns are called moment, axial_force, transverse_force, deflection_angle, moment_rate,
     angular_velocity, with the unit behind (moment_uNm), or as --column says. The stiffness is
-    unknown unless --youngs-modulus-gpa is given.
+    unknown unless --youngs-modulus-gpa is given. Of a tracker's file (.whiskers, .hdf5, .nwb, or
+    with --pixels-per-mm a table of points) the forces follow from the shape of the whisker.
     """
     import pandas as pd
 
     options = as_asked(locals(), "out", "as_json", "pd")
+    table_or_path: Any = contacts
     options["contacts"] = str(contacts)
-    whisker = the_whisker(shape)
-    noise = None
+    whisker, noise = the_whisker(shape), None
+    heard: tuple[str, ...] = ()
     if weber_fraction is not None:
         k = _checks.positive(
             "--weber-fraction", numbers("--weber-fraction", weber_fraction), "write 0.1, say"
@@ -75,9 +112,21 @@ def locate(
             advance(done / total - shown[0])
             shown[0] = done / total
 
+        if pixels_per_mm is not None or contacts.suffix.lower() in TRACKERS:
+            with options_named(
+                ["pixels_per_mm", "frame_rate", "identity", "pole", "shortest_px", "face"]
+            ):
+                video = ww.read_tracking(contacts, shortest_px=shortest_px, face=face)
+                pole = numbers("--pole-px", pole_px) if pole_px else None
+                signals = ww.tracked_signals(
+                    video, whisker, pixels_per_mm=pixels_per_mm, frame_rate=frame_rate,
+                    identity=label, pole=pole,
+                )  # fmt: skip
+            heard = (*video.attrs["notes"], *signals.attrs["notes"])
+            table_or_path = signals
         with options_named(["columns", "units", "touch", "noise"]):
             table = ww.locate(
-                contacts, whisker, columns=pairs("--column", column, "moment=M_uNm"),
+                table_or_path, whisker, columns=pairs("--column", column, "moment=M_uNm"),
                 units=pairs("--unit", unit, "moment=mN m"), touch=touch, noise=noise, progress=step,
             )  # fmt: skip
         if time is not None and not (
@@ -94,7 +143,7 @@ def locate(
 
             axes = figures.located(table, against=time, by=touch or "")
             run.figure("located", figures.figure_of(axes))
-    notes = table.attrs["notes"]
+    notes = (*heard, *table.attrs["notes"])
     if as_json:
         rows = table.to_dict("records")
         print(to_json({"whisker": describe(whisker), "notes": notes, "rows": rows}))

@@ -34,7 +34,8 @@ def read_tracking(
     *,
     shortest_px: float = 0.0,
     follicles: tuple[float, float, float, float] | None = None,
-    mm_per_px: float | None = None,
+    face: str | None = None,
+    pixels_per_mm: float | None = None,
     frame_rate: float | None = None,
 ) -> pd.DataFrame:
     """Tracked whiskers of a video, from the file that a tracker wrote.
@@ -43,14 +44,20 @@ def read_tracking(
     ----------
     path : path
         Whisk's `.measurements` or `.whiskers`; WhiskiWrap's `.hdf5`; a `.nwb` with ndx-whisk's
-        `WhiskerMeasurementTable`; DeepLabCut's `.csv`; or any table of points with the columns
-        frame, x, y and, for several whiskers, whisker, a row a point from base to tip.
+        `WhiskerMeasurementTable`; poses of DeepLabCut (`.csv`, `.h5`), LightningPose (`.csv`) and
+        SLEAP (`.slp`, `.h5`), the last and `.h5` by movement (extra `tracking`), with keypoints
+        from follicle to tip; or any table of points with the columns frame, x, y and, for several
+        whiskers, whisker, a row a point from base to tip.
     shortest_px : float
         Shorter segments are left out: most of what trackers find is fur.
     follicles : (x, y, x, y), optional
         Corners of the box in which follicles lie, pixels; segments that start elsewhere are left
         out.
-    mm_per_px, frame_rate : float, optional
+    face : {"left", "right", "top", "bottom"}, optional
+        The side of the image where the face is: whiskers start at the end that is nearer to it.
+        By default as the file has it; `.whiskers` have either end first, and there it is the side
+        at which the ends of whiskers stay closest together.
+    pixels_per_mm, frame_rate : float, optional
         Scale of the image, and frames a second: no tracker writes them.
 
     Returns
@@ -58,7 +65,7 @@ def read_tracking(
     DataFrame
         A row a segment: `frame`, `whisker`, `label` (the tracker's identity, −1 for none),
         follicle and tip, `length_px`, `angle_deg`, `curvature_per_px`, `score`; `x` and `y`, arrays
-        of points from the follicle, where the file has them; `length_mm` with `mm_per_px` and
+        of points from the follicle, where the file has them; `length_mm` with `pixels_per_mm` and
         `time_s` with `frame_rate`. ``attrs["notes"]`` says what is still needed.
 
     Raises
@@ -67,6 +74,8 @@ def read_tracking(
         For a file that is not what it says, cut short, or of another kind.
     FileNotFoundError
         Where there is no such file.
+    ModuleNotFoundError
+        For poses that take movement, where that is not installed.
 
     Examples
     --------
@@ -84,12 +93,16 @@ def read_tracking(
         raise FileNotFoundError(errno.ENOENT, "there is no such file of tracking", str(path))
     hint = "give a number, or leave it out"
     shortest_px = _checks.non_negative_number("shortest_px", shortest_px, hint)
-    for name, value in (("mm_per_px", mm_per_px), ("frame_rate", frame_rate)):
+    for name, value in (("pixels_per_mm", pixels_per_mm), ("frame_rate", frame_rate)):
         if value is not None:
             _checks.positive_number(name, value, hint)
+    if face is not None:
+        _checks.one_of("face", face, _FACES)
     with open(path, "rb") as file:
         head = file.read(16)
-    if head.startswith(b"\x89HDF"):
+    if path.suffix == ".slp":
+        table = _poses(path, "sleap")
+    elif head.startswith(b"\x89HDF"):
         table = _hdf5(path)
     elif head[:4].lower() == b"meas" or path.suffix == ".measurements":
         table = _measurements(path)
@@ -104,20 +117,89 @@ def read_tracking(
         inside = table["follicle_x"].between(*sorted((x0, x1)))
         table = table[inside & table["follicle_y"].between(*sorted((y0, y1)))]
     table = table.reset_index(drop=True)
+    notes = []
+    if face is not None:
+        table = _facing(table, face)
+    elif head.startswith(b"bwhisk") and len(table):
+        spread = {side: _spread(_facing(table, side)) for side in _FACES}
+        face = min(spread, key=lambda side: spread[side])
+        clear = spread[face] < 0.7 * spread[_FACES[face][2]]
+        table = _facing(table, face)
+        notes.append(
+            f"The face was taken to be at the {face}, where whiskers' ends move "
+            f"{'least' if clear else 'hardly less'}; give face= if it is not."
+        )
     needed = []
-    if mm_per_px is None:
-        needed.append("mm_per_px")
+    if pixels_per_mm is None:
+        needed.append("pixels_per_mm")
     else:
-        table["length_mm"] = table["length_px"] * mm_per_px
+        table["length_mm"] = table["length_px"] / pixels_per_mm
     if frame_rate is None:
         needed.append("frame_rate")
     else:
         table["time_s"] = table["frame"] / frame_rate
     if not (table["label"] >= 0).any():
         needed.append("which whisker each is (whisker, of the table)")
-    notes = [f"The file does not tell {', '.join(needed)}; give them."] if needed else []
-    table.attrs["notes"] = tuple(notes)
+    if needed:
+        notes.append(f"The file does not tell {', '.join(needed)}; give them.")
+    table.attrs = {"pixels_per_mm": pixels_per_mm, "frame_rate": frame_rate, "notes": tuple(notes)}
     return table
+
+
+#: Sides of the image: the axis, its sign towards the face, and the side across.
+_FACES = {
+    "left": ("x", -1, "right"), "right": ("x", 1, "left"),
+    "top": ("y", -1, "bottom"), "bottom": ("y", 1, "top"),
+}  # fmt: skip
+
+
+def _facing(table: pd.DataFrame, face: str) -> pd.DataFrame:
+    """Every whisker from the end that is nearer to the face."""
+    axis, sign, _ = _FACES[face]
+    turn = np.asarray(sign * (table[f"tip_{axis}"] - table[f"follicle_{axis}"]) > 0)
+    out = table.copy()
+    for name in "xy":
+        ends = [f"follicle_{name}", f"tip_{name}"]
+        out.loc[turn, ends] = table.loc[turn, ends[::-1]].to_numpy()
+        if name in out:
+            out[name] = [v[::-1] if t else v for v, t in zip(table[name], turn, strict=True)]
+    return out
+
+
+def _spread(table: pd.DataFrame) -> float:
+    """How far follicles lie about their middle, pixels; the long half of the whiskers alone."""
+    long = table[table["length_px"] >= table["length_px"].median()]
+    ends = long[["follicle_x", "follicle_y"]]
+    return float((ends - ends.median()).abs().median().sum())
+
+
+def _poses(path: Path, software: str) -> pd.DataFrame:
+    """Poses by movement: an individual is a whisker, its keypoints from follicle to tip."""
+    try:
+        from movement.io import load_poses
+    except ImportError as error:
+        raise ModuleNotFoundError(
+            f"{path.name}: poses of this kind are read by movement, which is not installed; write "
+            'pip install "weberwhisk[tracking]".'
+        ) from error
+    try:
+        load = load_poses.from_sleap_file if software == "sleap" else load_poses.from_dlc_file
+        poses = load(path)
+        places = poses["position"]
+        order = {str(name)[:4]: name for name in places.dims}  # plural in some versions
+        places = places.transpose(*(order[n] for n in ("time", "indi", "keyp", "spac")))
+    except Exception as error:  # whatever movement and what it reads by make of a damaged file
+        raise ValueError(
+            f"{path.name}: movement does not read it ({str(error).splitlines()[0][:80]}); give a "
+            "file of poses."
+        ) from error
+    rows = []
+    for frame, of_frame in enumerate(np.asarray(places, dtype=float)):
+        for whisker, points in enumerate(of_frame):
+            points = points[np.isfinite(points).all(axis=1), :2]
+            if len(points) > 1:
+                rows.append({"frame": frame, "whisker": whisker, **segment(*points.T)})
+    return pd.DataFrame(rows)
 
 
 def tidy(table: pd.DataFrame, path: Path) -> pd.DataFrame:
@@ -220,6 +302,7 @@ def _hdf5(path: Path) -> pd.DataFrame:
     import h5py
 
     found: list[dict[str, Any]] = []
+    poses = ""
 
     def look(_: str, item: Any) -> None:
         if isinstance(item, h5py.Group) and {"frame_id", "whisker_id"} <= set(item):
@@ -238,10 +321,16 @@ def _hdf5(path: Path) -> pd.DataFrame:
                     pixels = file.get(f"pixels_{axis}")
                     if isinstance(pixels, h5py.Dataset) and len(pixels) == len(rows):
                         found[0][axis] = list(pixels[:])
+            elif "tracks" in file or "track_occupancy" in file:
+                poses = "sleap"
+            elif "df_with_missing" in file:
+                poses = "deeplabcut"
             else:
                 file.visititems(look)
     except (OSError, RuntimeError, KeyError) as error:
         raise ValueError(f"{path.name}: not readable as HDF5; copy the file again.") from error
+    if poses:
+        return _poses(path, poses)
     if not found or not any(n in found[0] for n in ("frame", *_ALIASES["frame"])):
         raise ValueError(
             f"{path.name}: holds neither WhiskiWrap's summary nor a WhiskerMeasurementTable; name "
