@@ -194,7 +194,7 @@ def test_perfectly_correlated_noise_has_a_jnd_but_no_posterior():
 
 def test_walkers_never_start_outside_the_support():
     """emcee accepts walkers at −∞ in silence and leaves them there."""
-    observer = ww.Observer(W, ForceMap(), Weber(0.3))
+    observer = ww.Observer(W, ForceMap(), Weber(0.1))
     theta = 0.99 * float(ww.flick_past(W, 45e-3).deflection_angle)
     p = ww.posterior(observer, observer.signals([45e-3, theta])[0], "emcee", seed=1)
     assert p.status in (Status.CONVERGED, Status.NOT_CONVERGED)

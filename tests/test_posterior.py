@@ -175,12 +175,14 @@ def test_emcee_agrees_in_two_dimensions():
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("count", [6, pytest.param(48, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("k", [0.3, 0.5])
+@pytest.mark.parametrize(
+    ("k", "count"), [(0.5, 6), *(pytest.param(k, 48, marks=pytest.mark.slow) for k in (0.3, 0.5))]
+)
 def test_emcee_never_calls_a_wrong_sd_converged_on_the_heavy_shelf(k, count):
     """k ≥ 0.3 near the tip: a shelf towards small r, where plain emcee is silently wrong.
 
-    `test_ensemble` has hundreds of such runs on a signal that costs nothing.
+    The "shelf" of `test_emcee_hard_cases` is that at 0.3; `test_ensemble` has hundreds of such runs
+    on a signal that costs nothing.
     """
     observer = ww.Observer(W, Compliance(), Weber(k))
     readings = observer.read(np.full((count, 1), 0.95 * W.length), seed=3)

@@ -40,7 +40,7 @@ def table(observer, reading, fine):
     Nothing is shared with tiles: a scan of all coordinates closes in upon them.
     """
     low, high = np.array([-3.5, -25.0]), np.array([3.9, 16.0])
-    for n in (500, 300, 300, fine):
+    for n in (500, 400, 300, 300, fine):
         axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in zip(low, high, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         log, contact = observer.log_density_and_contact(points, reading)
@@ -54,7 +54,7 @@ def table(observer, reading, fine):
 
 def midpoints(observer, reading):
     """Mean and sd of r by the midpoint rule, and what half of its nodes change."""
-    weights, contact = table(observer, reading, 500)
+    weights, contact = table(observer, reading, 700)
     found = []
     for part in (np.s_[:, :], np.s_[::2, ::2], np.s_[1::2, 1::2]):
         weight, r = weights[part], contact[part][..., 0]
