@@ -45,11 +45,11 @@ CASES = {
         ww.Observer(W, Compliance(), Weber(0.9), {"radial_distance": TwoPlaces()}),
         [[15e-3]] * 4,
     ),
-    "two distances": (ww.Observer(W, TWO, TWO.joint(Weber(0.1), Weber(1.5))), [[20e-3, 0.2]] * 4),
+    "two distances": (ww.Observer(W, TWO, TWO.joint(Weber(0.1), Weber(1.5))), [[20e-3, 0.2]] * 2),
     "shelf": (ww.Observer(W, Compliance(), Weber(0.3)), [[47.5e-3]] * 4),
-    "ridge": (ww.Observer(CYLINDER, ForceMap(), Weber(0.1)), [[25e-3, 0.4]] * 3),
+    "ridge": (ww.Observer(CYLINDER, ForceMap(), Weber(0.1)), [[25e-3, 0.4]] * 2),
     "bent tail": (ww.Observer(W, ForceMap(), Weber(0.1)), [[4e-3, 0.7], [5e-3, 0.85]]),
-    "near the fold": (ww.Observer(W, ForceMap(), Weber(0.1)), [[35e-3, 0.42]] * 3),
+    "near the fold": (ww.Observer(W, ForceMap(), Weber(0.1)), [[35e-3, 0.42]] * 2),
 }
 
 
