@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from command import ANALYSES, options
-from scipy import stats
 
 from weberwhisk import compare, figures, fit_weber
 from weberwhisk.behaviour import (
@@ -31,9 +30,6 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.effects import Contraction, History, PastContraction
 
 BLOCK = 5  # sessions fitted together
-#: All steps of the rat's levels are alike, so that there are two proportions, one up and one down,
-#: for a Weber fraction, a bias and two lapses: the lapses must be believed to be few.
-RAT = {"lapse_low": stats.beta(1.0, 20.0), "lapse_high": stats.beta(1.0, 20.0)}
 
 
 def markdown(table: pd.DataFrame, index: bool = True) -> str:
@@ -53,7 +49,7 @@ def by_block(trials: Trials) -> pd.DataFrame:
     sessions = trials.sessions
     for start in range(0, len(sessions), BLOCK):
         block = sessions[start : start + BLOCK]
-        fit = fit_weber(trials.select(session=block), priors=RAT)
+        fit = fit_weber(trials.select(session=block))
         low, high = fit.interval()
         median = fit.summary()["median"]
         rows.append(
@@ -78,26 +74,26 @@ def observers(trials: Trials) -> Comparison:
     """What else moves the rat: contraction to the mean of all or past sounds, its last answer."""
     return compare(
         {
-            "sounds alone": fit_weber(trials, priors=RAT),
-            "a bias per standard": fit_weber(trials, bias="per standard", priors=RAT),
-            "contraction": fit_weber(trials, effects=[Contraction()], priors=RAT),
-            "contraction to the past": fit_weber(trials, effects=[PastContraction()], priors=RAT),
-            "history": fit_weber(trials, effects=[History()], priors=RAT),
+            "sounds alone": fit_weber(trials),
+            "a bias per standard": fit_weber(trials, bias="per standard"),
+            "contraction": fit_weber(trials, effects=[Contraction()]),
+            "contraction to the past": fit_weber(trials, effects=[PastContraction()]),
+            "history": fit_weber(trials, effects=[History()]),
         }
     )
 
 
-def by_default(trials: Trials) -> str:
-    """What the defaults make of the whole course, and what a bias per standard does."""
-    shared, own = fit_weber(trials), fit_weber(trials, bias="per standard")
+def by_standard(trials: Trials, shared: WeberFit) -> str:
+    """What the report says of the whole course with one bias, and what a bias per standard does."""
+    own = fit_weber(trials, bias="per standard")
     low, high = own.interval()
-    why = next((note for note in shared.notes if "kinds" in note), "")
+    notes = " ".join(note for note in shared.notes if "kinds" in note)
     return (
-        f"With the default beliefs and one bias the status is {shared.status.name}: "
-        f"{shared.status.message}. {why} The animal moreover prefers another answer at each "
-        f"standard (misfit p = {shared.misfit:.2g}). With a bias per standard the status is "
-        f"{own.status.name}, at {own.weber_fraction:.3g} per unit ({low:.3g} to {high:.3g}, misfit "
-        f"p = {own.misfit:.2g}): as the biases differ and the lapses do not, these are told apart."
+        f"The status is {shared.status.name}, and the report adds: “{notes}” The animal moreover "
+        f"prefers another answer at each standard (misfit p = {shared.misfit:.2g}). With a bias "
+        f"per standard the status is {own.status.name}, at {own.weber_fraction:.3g} per unit "
+        f"({low:.3g} to {high:.3g}, misfit p = {own.misfit:.2g}): as the biases differ and the "
+        "lapses do not, the answers separate them."
     )
 
 
@@ -108,7 +104,7 @@ def by_session(trials: Trials) -> str:
     middle = {name: float(found.quantile(name, 0.5)) for name in found.parameters}
     return (
         "Fitted together (`fit_population`, with a bias, two lapses and a Weber fraction of each "
-        "session and the default beliefs), the sessions learn their lapses from one another: on "
+        "session), the sessions learn their lapses from one another: on "
         f"average {100 * middle['mean_lapse_low']:.0f} % of answers are lost at either end "
         f"({100 * at['mean_lapse_low'][0]:.0f} to {100 * at['mean_lapse_low'][1]:.0f} %), the "
         f"Weber fraction is {middle['weber_fraction']:.2g} per unit "
@@ -120,9 +116,9 @@ def by_session(trials: Trials) -> str:
 
 def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
     """The rat's part of the report."""
-    whole = fit_weber(trials, priors=RAT)
+    whole = fit_weber(trials)
     blocks = by_block(trials)
-    drift = compare_drift(trials, priors={**RAT, "bias": 0.0})
+    drift = compare_drift(trials, priors={"bias": 0.0})
     late = trials.select(session=trials.sessions[-10:])
     which = observers(late)
     columns = ["log_bayes_factor", "elpd_difference", "difference_se", "bad_k"]
@@ -132,8 +128,8 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         f"{trials.n_trials} trials in {len(trials.sessions)} sessions. The stimuli are normalised "
         "log levels of unknown unit, so Weber fractions are counted per unit of that scale. All "
         "steps between neighbours are alike: there are two proportions, one up and one down, "
-        "for a Weber fraction, a bias and two lapses. Lapses are therefore believed to be few, "
-        "Beta(1, 20) at either end, mean 5 %; without that nothing is told apart.",
+        "for a Weber fraction, a bias and two lapses, so that what is believed of lapses decides: "
+        f"the default, {whole.model.priors.words('lapse_low')} at either end.",
         "",
         f"One observer for all: {whole.weber_fraction:.3g} per unit, with 95 % between "
         f"{whole.interval()[0]:.3g} and {whole.interval()[1]:.3g}. It must not be believed: the "
@@ -141,7 +137,7 @@ def rat(trials: Trials, lines: list[str]) -> tuple[pd.DataFrame, WeberFit]:
         "",
         markdown(checks(whole)),
         "",
-        by_default(trials),
+        by_standard(trials, whole),
         "",
         by_session(trials),
         "",
