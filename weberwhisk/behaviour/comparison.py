@@ -2,7 +2,7 @@
 
 Two answers side by side. The evidence, integrated exactly, weighs each model with its priors; the
 leave-one-out density (LOO) asks how well it would predict one more trial, whatever the priors. For
-the paper's question, whether a whisker's taper is felt, and its relatives there are functions.
+the paper's question, whether a whisker's taper is noticed, and its relatives there are functions.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def compare_noise(
     Parameters
     ----------
     trials : Trials
-        At several standards: at one alone the three are hardly to be told apart.
+        At several standards: at one alone the three can hardly be distinguished.
     encoding : Encoding, optional
     effects : sequence of Effect, optional
         Of all three.
@@ -300,7 +300,7 @@ def compare_drift(trials: Trials, *, effects: Sequence[Effect] = (), **options: 
 def compare_taper(
     trials: Trials, whisker: Whisker, *, unit: float = 1.0, **options: Any
 ) -> Comparison:
-    """The paper's prediction: radial distance felt through a tapered whisker, or a cylinder.
+    """The paper's prediction: radial distance encoded through a tapered whisker, or a cylinder.
 
     Both by the compliance cue with Weber noise: the JND is k r (1 − r/A) or k r, equations (3.5)
     and (3.6).

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CueEncoding:
-    """A radial distance felt through a whisker and a cue, with any receptor noise.
+    """A radial distance encoded through a whisker and a cue, with any receptor noise.
 
     One signal (the compliance cue): the two noisy signals are the decision variables, exactly; of
     log-normal noise their logarithms, and of receptors that level off their responses. Several
@@ -150,7 +150,7 @@ class CueEncoding:
         return jnd / first
 
     def _jnd(self, stimulus: ArrayLike, noise: ReceptorNoise) -> Array:
-        """Noise carried to distance, in the stimulus's unit; NaN where it cannot be told."""
+        """Noise carried to distance, in the stimulus's unit; NaN where signals leave it open."""
         observer = replace(self.observer, noise=noise)
         jnd = weber_propagation(observer, self._contact(stimulus)) / self.unit
         # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.

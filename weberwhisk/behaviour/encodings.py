@@ -32,7 +32,7 @@ class Encoding(Protocol):
 
     @property
     def domain(self) -> tuple[float, float]:
-        """The stimuli that can be felt, (lowest, highest), in the stimulus's own unit."""
+        """The stimuli that give a signal, (lowest, highest), in the stimulus's own unit."""
 
     def mean(self, stimulus: ArrayLike) -> Array:
         """Mean signal at each stimulus."""

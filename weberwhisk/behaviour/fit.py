@@ -91,7 +91,7 @@ def fit_weber(
     Raises
     ------
     ValueError
-        For several subjects at once, unknown names, stimuli that cannot be felt.
+        For several subjects at once, unknown names, stimuli that give no signal.
 
     Examples
     --------

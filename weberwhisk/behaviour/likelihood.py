@@ -280,7 +280,7 @@ class WeberModel:
 
         Parameters
         ----------
-        felt : tuple of ndarray, shape (..., C)
+        encoded : tuple of ndarray, shape (..., C)
             Decision variable, and what a bias of 1 adds to it, from the task's `decide`.
         low, high : ndarray, shape (...)
             Lapses.

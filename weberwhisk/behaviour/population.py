@@ -223,7 +223,7 @@ def simulate_responses(
     Raises
     ------
     ValueError
-        For stimuli that cannot be felt, and trials of an animal whose truth is not given.
+        For stimuli that give no signal, and trials of an animal whose truth is not given.
 
     Examples
     --------

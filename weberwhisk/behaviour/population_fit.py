@@ -31,7 +31,7 @@ from .verdict import FitStatus
 Array = NDArray[np.float64]
 
 LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
-OF_PRIOR = 0.8  # posterior sd over prior sd of a spread, above which the data told little
+OF_PRIOR = 0.8  # posterior sd over prior sd of a spread, above which the data say little
 
 
 class PopulationStatus(Enum):
@@ -61,8 +61,8 @@ class PopulationFit(Shown):
 
     `subjects` has a row an animal: `subject`, `n` trials, `weber_fraction` with `lower` and `upper`
     given all the data, `alone`, `alone_lower` and `alone_upper` from its own, and the `status` of
-    the latter. `sessions` is the same by session, None unless sessions were told apart. `fits` has
-    each one's own fit by its labels.
+    the latter. `sessions` is the same by session, None unless sessions were distinguished. `fits`
+    has each one's own fit by its labels.
 
     Examples
     --------
@@ -249,10 +249,10 @@ def fit_population(
 ) -> PopulationFit:
     """Fit many animals at once: each learns from the others (partial pooling).
 
-    ln k of the animals is normal about the population's, and where sessions are told apart, those
-    of a session about its animal's. So are the normal scores of the lapses, one mean and spread for
-    both ends; each session, or animal, has lapses of its own. Everything is integrated, nothing
-    sampled.
+    ln k of the animals is normal about the population's, and where sessions are distinguished,
+    those of a session about its animal's. So are the normal scores of the lapses, one mean and
+    spread for both ends; each session, or animal, has lapses of its own. Everything is integrated,
+    nothing sampled.
 
     Biases are drawn from the prior of a single fit, all times one factor, the `bias_scale`: their
     sd, where that prior is a standard normal. Without it k would be pulled wherever biases are
@@ -261,7 +261,7 @@ def fit_population(
     Parameters
     ----------
     trials : Trials
-        With a column `subject`, and `session` if these are told apart. Sessions without a
+        With a column `subject`, and `session` if these are distinguished. Sessions without a
         subject are one animal's.
     sessions : bool
         Let the Weber fraction of an animal vary between sessions.

@@ -43,7 +43,7 @@ def response_probability(
     Parameters
     ----------
     task, encoding
-        What was asked, and how a stimulus is felt.
+        What was asked, and how a stimulus is encoded.
     stimulus_1, stimulus_2 : array_like, shape (C,)
         In the stimulus's own unit.
     standard : array_like, optional
@@ -229,7 +229,7 @@ def rises_on_both_sides(task: Task) -> bool:
 
 
 def _ladder(encoding: Encoding, standard: float, sign: int) -> Array:
-    """Comparisons from the standard to the edge of what can be felt, close at both ends."""
+    """Comparisons from the standard to the edge of what gives a signal, close at both ends."""
     low, high = encoding.domain
     edge = high if sign > 0 else low
     if np.isfinite(edge):

@@ -83,7 +83,7 @@ def simulate_trials(
         A learning animal: how far ln k and the bias go from the first session to the last, in
         equal steps; their mean over the sessions is what is given above.
     encoding : Encoding, optional
-        How a stimulus is felt, any cue and any noise; the magnitude itself by default.
+        How a stimulus is encoded, any cue and any noise; the magnitude itself by default.
     observer : Observer, optional
         A whisker and a cue: short for `encoding=CueEncoding(observer)`.
     noise : {"weber", "equal-variance"}
@@ -92,7 +92,7 @@ def simulate_trials(
         `weberwhisk.behaviour.effects`.
     order : {"standard first", "random"}
         "random": in every other trial of each pair the comparison is stimulus 1. Only then is the
-        order effect (the `bias`) told apart from a preference for the comparison
+        order effect (the `bias`) distinguished from a preference for the comparison
         (`effects.ComparisonBias`).
     sessions : int
         The trials are dealt out evenly over this many sessions.

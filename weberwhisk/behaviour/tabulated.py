@@ -19,7 +19,7 @@ from .lapses import AS_BELIEVED, BiasScales, scaled_prior
 from .likelihood import Draws, WeberModel
 
 NODES_PER_SD = 4.0  # of ln k, for the sharpest member
-COARSEST = 0.15  # nodes of ln k, however little members tell: spreads are told apart from 0.1 on
+COARSEST = 0.15  # nodes of ln k, however little members tell: spreads are distinguished from 0.1 on
 
 
 @dataclass(frozen=True)

@@ -346,8 +346,8 @@ class PastContraction(Contraction):
 class ComparisonBias(Plain):
     """A shift towards the comparison, whichever interval it came in; sds of the difference.
 
-    Where the standard takes turns between the intervals this is told apart from the order effect,
-    which is the `bias`.
+    Where the standard takes turns between the intervals this is distinguished from the order
+    effect, which is the `bias`.
     """
 
     prior: Any = NORMAL[1.0]
