@@ -20,6 +20,7 @@ from .io import load_numerosity, load_rat_auditory, read_trials
 from .law import WeberLawTest, weber_law_test
 from .located import simulate_moving, with_distances
 from .methods import methods_paragraph
+from .pooled_encoding import PlaceEncoding, PooledEncoding
 from .population import simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
@@ -40,6 +41,8 @@ __all__ = [
     "LogAxisEncoding",
     "LogEncoding",
     "PercentCorrect",
+    "PlaceEncoding",
+    "PooledEncoding",
     "PopulationFit",
     "PopulationPriors",
     "PopulationStatus",

@@ -17,10 +17,13 @@ from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding
+from .pooled_encoding import PlaceEncoding, PooledEncoding
 
 Array = NDArray[np.float64]
 
 NOISES = ("weber", "equal-variance")
+#: Encodings of a distance in metres, or in units of so many.
+OF_DISTANCE = (CueEncoding, PooledEncoding, PlaceEncoding)
 
 
 class Encoding(Protocol):
@@ -185,7 +188,7 @@ def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
     if encoded.all():
         return
     first = float(levels[~encoded][0])
-    why = f" ({encoding.outcome(first)})" if isinstance(encoding, CueEncoding) else ""
+    why = f" ({encoding.outcome(first)})" if isinstance(encoding, OF_DISTANCE) else ""
     raise ValueError(
         f"{int((~encoded).sum())} of {levels.size} stimuli give no signal, the first being "
         f"{first:g}{why}; leave those trials out, or change the whisker or the cue."
@@ -357,13 +360,13 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
     if encoded.all():
         return
     worst = float(at[~encoded].max())
-    why = encoding.outcome(worst) if isinstance(encoding, CueEncoding) else "it gives no signal"
+    why = encoding.outcome(worst) if isinstance(encoding, OF_DISTANCE) else "it gives no signal"
     if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
         raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
     whisker, unit = encoding.observer.whisker, encoding.unit
     angle = np.degrees(encoding.deflection_angle)
     limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
-    if limit >= angle:
+    if not limit < angle:  # NaN beyond a curved whisker's reach
         raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
     grid = np.linspace(0.01, 0.999, 400) * high
     held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
@@ -383,6 +386,6 @@ def in_words(encoding: Encoding, length: float) -> str:
     >>> in_words(IdentityEncoding(), 0.06)
     '0.06'
     """
-    if not isinstance(encoding, CueEncoding):
+    if not isinstance(encoding, OF_DISTANCE):
         return f"{length:.4g}"
     return f"{1e3 * encoding.unit * length:.4g} mm"

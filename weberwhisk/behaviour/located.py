@@ -21,6 +21,7 @@ from scipy.optimize import minimize_scalar
 from .. import _checks
 from .encodings import CueEncoding, Encoding, Signals, UnitEncodings, gives_signal
 from .io import load_table
+from .pooled_encoding import PooledEncoding
 from .psychometric import response_probability
 from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
@@ -97,7 +98,7 @@ def with_distances(
     True
     """
     check_trials(trials)
-    if not isinstance(encoding, CueEncoding):
+    if not isinstance(encoding, CueEncoding | PooledEncoding):
         raise ValueError(
             "distances were given without a whisker to feel them; write observer=Observer(whisker, "
             "cue), and nominal distances in metres."

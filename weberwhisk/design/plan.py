@@ -29,6 +29,8 @@ from .trial_lists import own_table, sessions_needed, trial_lists
 
 STIMULI = ["standard", "stimulus_1", "stimulus_2"]
 
+TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
+
 
 @dataclass(frozen=True)
 class AnalysisResult:
@@ -238,10 +240,10 @@ class Plan(Shown):
             whole = _checks.whole(name, getattr(self, name), "write 300, say", least=least)
             object.__setattr__(self, name, whole)
         first = self.hypotheses[0]
-        if first.task not in ("2AFC", "2IFC"):
+        if first.task not in (*TWO_STIMULI, *ONE_STIMULUS):
             raise ValueError(
-                f"Trial lists are made for two stimuli a trial, got the task {first.task!r}; write "
-                "2AFC or 2IFC."
+                f"Trial lists are made for one or two stimuli a trial, got the task "
+                f"{first.task!r}; write 2AFC, 2IFC, yes/no or go/no-go."
             )
         if self.goal.bayes_factor is not None and len(self.hypotheses) < 2:
             raise ValueError(
@@ -261,7 +263,7 @@ class Plan(Shown):
         """The trial lists of all animals, see `trial_lists`; radial distances in m."""
         return trial_lists(
             self.scheme, trials_per_session=self.trials_per_session, longest_run=self.longest_run,
-            seed=self.seed,
+            one_stimulus=self.hypotheses[0].task in ONE_STIMULUS, seed=self.seed,
         )  # fmt: skip
 
     @property

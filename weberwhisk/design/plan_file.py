@@ -14,11 +14,20 @@ from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .. import __version__, _checks
+from ..array import WhiskerArray
 from ..behaviour.comparison import ConstantNoise
-from ..behaviour.encodings import CueEncoding, IdentityEncoding, LogAxisEncoding, LogEncoding
+from ..behaviour.encodings import (
+    CueEncoding,
+    IdentityEncoding,
+    LogAxisEncoding,
+    LogEncoding,
+    PlaceEncoding,
+    PooledEncoding,
+)
 from ..behaviour.priors import Priors
-from ..cues import Compliance, ForceMap
+from ..cues import Compliance, ForceMap, Friction
 from ..observer import Observer
+from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Weber
 from ..whisker import Whisker
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
@@ -31,10 +40,17 @@ NOUNS: dict[type, str] = {
     Whisker: "length base_radius tip_radius youngs_modulus curvature density",
     Compliance: "tap_angle angular_velocity velocity_spread",
     ForceMap: "signals=signal_names:texts deflection_angle:number|null",
+    Friction: "cue:Compliance|ForceMap angle:number|null coefficient",
+    WhiskerArray: "species:text sides:text curved:flag identities:texts protraction",
     Weber: "weber_fraction:numbers correlation:numbers",
     GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
-    Observer: "whisker:Whisker cue:Compliance|ForceMap noise:Weber|GeneralisedWeber",
+    Observer: "whisker:Whisker cue:Compliance|ForceMap|Friction noise:Weber|GeneralisedWeber",
+    ArrayObserver: "array:WhiskerArray cue:Compliance|ForceMap|Friction|null "
+    "noise:Weber|GeneralisedWeber|null angle_sd missed",
     CueEncoding: "observer:Observer deflection_angle:number|null unit",
+    PooledEncoding: "looks:list offsets:numbers",
+    PlaceEncoding: "observer:ArrayObserver start:numbers direction_deg length unit weber_fraction "
+    "sideways_known:flag",
     IdentityEncoding: "",
     LogEncoding: "log_unit",
     LogAxisEncoding: "log_unit",
@@ -48,7 +64,8 @@ NOUNS: dict[type, str] = {
 }
 #: Parts of a noun that are one of several nouns, or a number or distribution.
 KINDS = {
-    "encoding": "CueEncoding|IdentityEncoding|LogEncoding|LogAxisEncoding|ConstantNoise",
+    "encoding": "CueEncoding|PooledEncoding|PlaceEncoding|IdentityEncoding|LogEncoding|"
+    "LogAxisEncoding|ConstantNoise",
     "prior": "number|distribution",
 }
 #: Names in plans of version 0.1.

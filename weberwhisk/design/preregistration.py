@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..behaviour.comparison import ConstantNoise
-from ..behaviour.encodings import CueEncoding, Encoding
+from ..behaviour.encodings import CueEncoding, Encoding, PlaceEncoding, PooledEncoding
 from ..cues import Compliance, ForceMap
 from ..cues.protocol import Cue
-from .plan import Plan
+from .plan import ONE_STIMULUS, Plan
 from .scheme import easy_share
 
 MM, UM = 1e-3, 1e-6
@@ -66,13 +67,21 @@ def described(encoding: Encoding) -> str:
     """What an encoding is, in words."""
     if isinstance(encoding, ConstantNoise):
         return f"{described(encoding.base)}, with the same noise at every distance"
+    if isinstance(encoding, PooledEncoding):
+        each = Counter(map(described, encoding.looks))
+        return ", and ".join(f"{n} independent looks through {words}" for words, n in each.items())
+    if isinstance(encoding, PlaceEncoding):
+        array = encoding.observer.array
+        return f"the {len(array.whiskers)} whiskers of a {array.species}'s array together"
     if not isinstance(encoding, CueEncoding):
         return f"{type(encoding).__name__}"
     whisker, cue = encoding.observer.whisker, encoding.observer.cue
     shape = "cylindrical" if whisker.radius_ratio == 1 else "tapered"
     radii = f"{whisker.base_radius / UM:.3g}"
-    if shape == "tapered":
+    if whisker.radius_ratio != 1:
         radii += f" to {whisker.tip_radius / UM:.3g}"
+    if whisker.curvature:
+        shape = f"{shape}, curved ({whisker.curvature:+.3g} /m)"
     return (
         f"a {shape} whisker ({whisker.length / MM:.3g} mm long, radius {radii} µm) by its "
         f"{_cue_in_words(cue, encoding.deflection_angle)}"
@@ -119,6 +128,9 @@ def _question(plan: Plan) -> str:
 
 def _design(plan: Plan) -> str:
     scheme, task = plan.scheme, plan.hypotheses[0].task
+    question = "which of two radial distances is the farther"
+    if task in ONE_STIMULUS:
+        question = "whether a radial distance is farther than the standard held in mind"
     levels = "; ".join(
         f"{s / MM:.5g} mm against {_numbers([c / MM for c in row])} mm"
         for s, row in zip(scheme.standards, scheme.comparisons, strict=True)
@@ -126,7 +138,7 @@ def _design(plan: Plan) -> str:
     counts = sorted({n for row in scheme.trials for n in row})
     times = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     return (
-        f"Task: {task}, which of two radial distances is the farther. Method of constant stimuli. "
+        f"Task: {task}, {question}. Method of constant stimuli. "
         f"Standards and comparisons: {levels}. Every pair is shown {times} times to each animal: "
         f"{scheme.animals} animal{'s' * (scheme.animals > 1)}, {scheme.n_trials} trials each, in "
         f"{plan.sessions} session{'s' * (plan.sessions > 1)} of at most {plan.trials_per_session}."
@@ -134,6 +146,12 @@ def _design(plan: Plan) -> str:
 
 
 def _order(plan: Plan) -> str:
+    if plan.hypotheses[0].task in ONE_STIMULUS:
+        return (
+            "Trials are randomised within blocks that hold every level equally often (within "
+            f"one). Lists are drawn beforehand from seed {plan.seed}, a different one for each "
+            "animal and session."
+        )
     return (
         "Trials are randomised within blocks that hold every pair equally often (within one). The "
         "standard is the first (left) stimulus in half of the trials of every pair, so that either "

@@ -37,6 +37,7 @@ def trial_lists(
     *,
     trials_per_session: int = 300,
     longest_run: int = 5,
+    one_stimulus: bool = False,
     seed: int | np.random.SeedSequence,
 ) -> pd.DataFrame:
     """The trials of all animals, balanced and randomised within blocks.
@@ -48,6 +49,9 @@ def trial_lists(
         At most; the trials are spread evenly over as many sessions as that takes.
     longest_run : int
         Trials running on which the same answer may be right.
+    one_stimulus : bool
+        Yes/no and go/no-go: `stimulus_2` alone is put, `stimulus_1` is the standard held in mind,
+        and `greater` is 2 where the right answer is "yes".
     seed : int or SeedSequence
         The same seed gives the same lists, on every platform. Each animal has an order of its own,
         which further animals leave as it is.
@@ -88,7 +92,9 @@ def trial_lists(
     for i in range(scheme.animals):  # as `spawn` would, without counting it up
         own = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
         rng = np.random.default_rng(own)
-        parts.append(_of_animal(levels, f"s{i + 1}", trials_per_session, longest_run, rng))
+        parts.append(
+            _of_animal(levels, f"s{i + 1}", trials_per_session, longest_run, one_stimulus, rng)
+        )
     return pd.concat(parts, ignore_index=True)
 
 
@@ -114,12 +120,20 @@ def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
 
 
 def _of_animal(
-    levels: Cells, subject: str, per_session: int, longest_run: int, rng: np.random.Generator
+    levels: Cells,
+    subject: str,
+    per_session: int,
+    longest_run: int,
+    one_stimulus: bool,
+    rng: np.random.Generator,
 ) -> pd.DataFrame:
     sessions, blocks = sessions_needed(levels, per_session)
     counts = _dealt(levels.n.astype(np.intp), blocks)
     session_of = _session_of(blocks, sessions)
-    second = _greater_second(counts, levels.standard, rng)
+    if one_stimulus:
+        second = counts * (levels.stimulus_2 > levels.standard)
+    else:
+        second = _greater_second(counts, levels.standard, rng)
     picked: list[Counts] = []
     sides: list[Counts] = []
     for number in range(sessions):
