@@ -100,6 +100,7 @@ MODULES = {
     "weberwhisk.array": "Where whiskers stand and point",
     "weberwhisk.places": "An object's place from all whiskers",
     "weberwhisk.sweeping": "Contacts followed along a sweep",
+    "weberwhisk.along_whisk": "Resolution along a whisk",
     "weberwhisk.behaviour": "Trials, tasks and fits",
     "weberwhisk.behaviour.effects": "What else moves choices",
     "weberwhisk.design": "Plans, power and placement",

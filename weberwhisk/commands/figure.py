@@ -10,7 +10,7 @@ import typer
 
 import weberwhisk as ww
 
-from .. import _checks, surveys
+from .. import _checks, along_whisk, surveys
 from ..output import Run, to_json
 from .jnd import curve_in_steps
 from .options import (
@@ -151,6 +151,56 @@ def figure_4b(asked: Asked) -> Made:
     return Made({"figure-4b": surface_in_degrees(table)}, figures.figure_of(drawn))
 
 
+def along_push(asked: Asked) -> Made:
+    """JND of distance against push, for pegs, cylinders and a wall: it depends on slip (§3c)"""
+    from .. import figures
+
+    push = np.radians(np.arange(2.0, 31.0, 7.0 if asked.short else 0.5))
+    table = along_whisk.resolution_along_push(asked.whisker, 0.5 * asked.whisker.length, push)
+    return Made({"along-push": table}, figures.along_push(table))
+
+
+def lateral_sweep(asked: Asked) -> Made:
+    """the distance of a peg and of a cylinder, followed along a sweep by the moment (§2g)"""
+    from .. import figures
+
+    push, length = (
+        np.radians(np.arange(1.0, 31.0, 5.0 if asked.short else 1.0)),
+        asked.whisker.length,
+    )
+    table = along_whisk.lateral_sweep(asked.whisker, 0.5 * length, push, seed=asked.seed)
+    return Made({"lateral-sweep": table}, figures.lateral_sweep(table))
+
+
+def jnd_limits(asked: Asked) -> Made:
+    """limits of torque, threshold and saturation on one JND curve (§3b)"""
+    from .. import figures
+
+    places = np.linspace(0.04, 0.98, 25 if asked.short else 190) * asked.whisker.length
+    table = along_whisk.limits(asked.whisker, places)
+    drawn = figures.jnd_limits(table, asked.whisker.length)
+    return Made({"jnd-limits": table}, figures.figure_of(drawn))
+
+
+def reversal(asked: Asked) -> Made:
+    """a peg pressed and let go with friction, by a base that turns and one that translates"""
+    from .. import figures
+
+    push = np.radians(np.linspace(2.0, 25.0, 6 if asked.short else 47))
+    table = along_whisk.reversal(asked.whisker, 0.5 * asked.whisker.length, push)
+    return Made({"reversal": table}, figures.reversal(table))
+
+
+def whisking_speed(asked: Asked) -> Made:
+    """up to which whisking frequency quasi-static mechanics hold, along the whisker"""
+    from .. import figures
+
+    places = np.linspace(0.05, 0.99, 9 if asked.short else 95) * asked.whisker.length
+    table = along_whisk.speed(asked.whisker, places)
+    drawn = figures.whisking_speed(table, asked.whisker.length)
+    return Made({"whisking-speed": table}, figures.figure_of(drawn))
+
+
 def array_resolution(asked: Asked) -> Made:
     """how well the rat's whiskers (rows C to E) resolve a pole's place, over all places"""
     from .. import figures
@@ -198,6 +248,11 @@ CHARTS: dict[str, Make] = {
     "figure-4a": figure_4a,
     "figure-4b": figure_4b,
     "weber-2d": weber_2d,
+    "along-push": along_push,
+    "lateral-sweep": lateral_sweep,
+    "jnd-limits": jnd_limits,
+    "reversal": reversal,
+    "whisking-speed": whisking_speed,
     "array-resolution": array_resolution,
     "array-counts": array_counts,
 }

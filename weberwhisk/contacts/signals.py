@@ -241,9 +241,7 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
 
 def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tuple[float, float]:
     given = {"pixels_per_mm": ppm, "frame_rate": rate}
-    out: dict[str, Any] = {
-        n: tracking.attrs.get(n) if v is None else v for n, v in given.items()
-    }
+    out: dict[str, Any] = {n: tracking.attrs.get(n) if v is None else v for n, v in given.items()}
     missing = [name for name, value in out.items() if value is None]
     if missing:
         say = {"pixels_per_mm": "pixels_per_mm=20", "frame_rate": "frame_rate=500"}

@@ -6,6 +6,7 @@ line style, so that a figure also reads in grey.
 """
 
 from .._deprecated import renamed_names
+from .along_a_whisk import along_push, jnd_limits, lateral_sweep, reversal, whisking_speed
 from .array import array_counts, array_map, place, whisker_array
 from .charts import fits_and_growth, speed_accuracy
 from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
@@ -41,6 +42,7 @@ __all__ = [
     "MARKERS",
     "SINGLE",
     "adaptive",
+    "along_push",
     "array_counts",
     "array_map",
     "bending",
@@ -52,8 +54,10 @@ __all__ = [
     "figure_of",
     "fits_and_growth",
     "information_map",
+    "jnd_limits",
     "jnd_lines",
     "jnd_surface",
+    "lateral_sweep",
     "located",
     "new_figure",
     "pairs",
@@ -74,6 +78,7 @@ __all__ = [
     "psychometrics",
     "rehearsed",
     "residuals",
+    "reversal",
     "ridge",
     "shown",
     "shrinkage",
@@ -81,6 +86,7 @@ __all__ = [
     "styled",
     "weber_2d",
     "whisker_array",
+    "whisking_speed",
 ]
 __getattr__ = renamed_names(
     __name__,

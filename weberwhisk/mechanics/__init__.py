@@ -35,6 +35,7 @@ _HOME = {
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
     "modes": ("Modes", "impulse_response", "transfer"),
+    "whisking": ("QuasiStatic", "quasi_static"),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "Outcome",
     "Parabola",
     "Profile",
+    "QuasiStatic",
     "RodBending",
     "Spiral",
     "Sticking",
@@ -67,6 +69,7 @@ __all__ = [
     "peg",
     "press",
     "profile",
+    "quasi_static",
     "rest_angle",
     "rod",
     "signal_jacobian",

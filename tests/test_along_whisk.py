@@ -1,0 +1,161 @@
+"""Along a whisk: inertia beside a beam of finite elements, and JNDs against push and its limits."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import weberwhisk as ww
+from weberwhisk import along_whisk
+from weberwhisk.jnd import fisher_jnd
+from weberwhisk.mechanics import quasi_static
+from weberwhisk.mechanics.modes import modes
+
+WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
+CYLINDER = ww.Whisker(40e-3, 60e-6, 60e-6)
+
+
+@cache
+def beam(whisker: ww.Whisker, r: float, n: int = 120) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """Stiffness and mass of Hermite elements, and what is free: clamped at 0, held at r."""
+    left = max(int(n * r / whisker.length), 4)
+    nodes = np.unique(np.r_[np.linspace(0, r, left + 1), np.linspace(r, whisker.length, n - left)])
+    size = 2 * len(nodes)
+    stiff, mass = np.zeros((size, size)), np.zeros((size, size))
+    x, weight = np.polynomial.legendre.leggauss(5)
+    x, weight = (x + 1) / 2, weight / 2
+    for i, h in enumerate(np.diff(nodes)):
+        shape = np.array([1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3),
+                          3 * x**2 - 2 * x**3, h * (x**3 - x**2)])  # fmt: skip
+        bent = np.array([-6 + 12 * x, h * (6 * x - 4), 6 - 12 * x, h * (6 * x - 2)]) / h**2
+        share = (nodes[i] + h * x) / whisker.length
+        a = whisker.base_radius + (whisker.tip_radius - whisker.base_radius) * share
+        own = slice(2 * i, 2 * i + 4)
+        stiff[own, own] += (
+            bent * (whisker.youngs_modulus * np.pi / 4 * a**4 * weight * h)
+        ) @ bent.T
+        mass[own, own] += (shape * (whisker.density * np.pi * a**2 * weight * h)) @ shape.T
+    held = 2 * int(np.argmin(np.abs(nodes - r)))
+    return stiff, mass, [i for i in range(size) if i not in (0, 1, held)]
+
+
+def moment(whisker: ww.Whisker, r: float, frequency: float) -> float:
+    """Amplitude of the base moment while the base turns by a unit sinusoid."""
+    stiff, mass, free = beam(whisker, r)
+    dynamic = stiff - (2 * np.pi * frequency) ** 2 * mass
+    u = np.zeros(len(stiff))
+    u[1] = 1.0
+    u[free] = np.linalg.solve(dynamic[np.ix_(free, free)], -dynamic[free, 1])
+    return float(dynamic[1] @ u)
+
+
+@pytest.mark.parametrize("whisker", [WHISKER, CYLINDER])
+@pytest.mark.parametrize("place", [0.2, 0.6, 0.9])
+def test_inertia_lies_between_its_bounds(whisker: ww.Whisker, place: float) -> None:
+    """A beam of 120 finite elements, at a twentieth to four fifths of its first frequency."""
+    r = place * whisker.length
+    found = quasi_static(whisker, r)
+    stiff, mass, free = beam(whisker, r)
+    lowest = eigh(stiff[np.ix_(free, free)], mass[np.ix_(free, free)], eigvals_only=True,
+                  subset_by_index=(0, 0))[0]  # fmt: skip
+    assert found.first_frequency == pytest.approx(np.sqrt(lowest) / (2 * np.pi), rel=2e-4)
+    still = moment(whisker, r, 1e-3)
+    for share in (0.05, 0.2, 0.5, 0.8):
+        frequency = share * found.first_frequency
+        lost = 1 - moment(whisker, r, frequency) / still
+        least, most = found.error(frequency)
+        assert least * (1 - 1e-3) < lost < most * (1 + 1e-3)
+
+
+def test_a_beam_stepped_through_time_loses_as_much() -> None:
+    """Newmark's average acceleration over a whisk that starts slowly: its moment's amplitude."""
+    r, frequency, rate = 40e-3, 12.0, 4e-4
+    stiff, mass, free = beam(WHISKER, r, 40)
+    inner, time = np.ix_(free, free), np.arange(0.0, 0.75, rate)
+    onset = np.clip(time / 0.4, 0, 1)
+    angle = np.sin(2 * np.pi * frequency * time) * onset**2 * (3 - 2 * onset)
+    push = np.gradient(np.gradient(angle, rate), rate)
+    step = np.linalg.inv(mass[inner] + rate**2 / 4 * stiff[inner])
+    u, v, a, felt = (np.zeros(len(free)) for _ in range(4))
+    felt = np.zeros(time.size)
+    for i in range(1, time.size):
+        guess = u + rate * v + rate**2 / 4 * a
+        load = -stiff[free, 1] * angle[i] - mass[free, 1] * push[i]
+        after = step @ (load - stiff[inner] @ guess)
+        u, v, a = guess + rate**2 / 4 * after, v + rate / 2 * (a + after), after
+        inertia = mass[1, free] @ a + mass[1, 1] * push[i]
+        felt[i] = stiff[1, 1] * angle[i] + stiff[1, free] @ u + inertia
+    late = time > 0.5
+    wave = np.exp(2j * np.pi * frequency * time[late])
+    amplitude = 2 * abs(np.mean(felt[late] * wave))
+    lost = 1 - amplitude / moment(WHISKER, r, 1e-3)
+    least, most = quasi_static(WHISKER, r).error(frequency)
+    assert least * 0.97 < lost < most * 1.03
+
+
+def test_limits_and_notes_of_speed_say_the_same_as_the_bound() -> None:
+    found = quasi_static(WHISKER, 30e-3)
+    for error in (1e-3, 1e-2, 0.3):
+        assert found.error(found.limit(error))[1] == pytest.approx(error, rel=1e-9)
+    assert np.isinf(found.error(found.first_frequency * 1.01)[1])
+    assert "mechanics hold." in found.note(8.0)
+    assert f"hold up to {found.limit(0.01):.3g} Hz" in found.note(20.0)
+    assert "do not hold" in found.note(200.0)
+    at_tip = quasi_static(WHISKER, 50e-3)
+    assert at_tip.first_frequency > modes(WHISKER, 1).frequency[0]
+    for wrong in (0.0, 51e-3, np.nan):
+        with pytest.raises(ValueError, match="radial_distance"):
+            quasi_static(WHISKER, wrong)
+
+
+def test_a_push_tells_more_of_a_peg_than_of_anything_round() -> None:
+    push = np.radians([5.0, 15.0, 25.0])
+    table = along_whisk.resolution_along_push(WHISKER, 25e-3, push)
+    by = {name: rows.reset_index() for name, rows in table.groupby("object", sort=False)}
+    observer = ww.Observer(WHISKER, ww.cues.ForceMap())
+    peg = fisher_jnd(observer, np.stack([np.full(3, 25e-3), push], axis=-1))
+    np.testing.assert_allclose(by["peg"]["jnd"], peg, rtol=1e-5)
+    order = [by[name]["jnd"].to_numpy() for name in list(by)[:4]]
+    assert all((a < b).all() for a, b in pairwise(order))
+    wall = by["wall, by the tip"]
+    assert wall["tip"].tolist() == [True, False, False]
+    assert np.isnan(wall["jnd"][0])
+    assert wall["jnd"][1] < wall["jnd"][2] < by["peg"]["jnd"][2]
+
+
+def test_a_followed_distance_lies_in_its_band() -> None:
+    table = along_whisk.lateral_sweep(WHISKER, 25e-3, np.radians(np.arange(2.0, 31.0, 4.0)))
+    inside = table["true_distance"].between(table["lower"], table["upper"])
+    assert inside.mean() > 0.8
+    slid = table[table["object"] != "peg"]["true_distance"]
+    assert slid.iloc[0] - slid.iloc[-1] > 4e-3
+
+
+def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> None:
+    r = np.linspace(0.05, 0.95, 40) * WHISKER.length
+    table = along_whisk.limits(WHISKER, r)
+    observer = ww.Observer(WHISKER, ww.cues.Compliance())
+    light = along_whisk.limits(WHISKER, r, push=1e-3, torque=1.0, saturation=1.0, threshold=1e-15)
+    np.testing.assert_allclose(light["weber"], fisher_jnd(observer, r[:, None]) * np.sqrt(1.02),
+                               rtol=2e-3)  # fmt: skip
+    np.testing.assert_allclose(light["all"], light["weber"], rtol=1e-5)
+    np.testing.assert_allclose(table.loc[table["stopped"], "moment"], 4e-6, rtol=1e-6)
+    assert table["stopped"].any()
+    assert table.loc[table["moment"] > 2.5e-6, "all"].isna().all()
+    assert (table["threshold"] >= table["weber"]).all()
+
+
+def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
+    angles = np.radians([16.0, 24.0])
+    none = along_whisk.reversal(WHISKER, 25e-3, angles, friction_coefficient=0.0)
+    np.testing.assert_allclose(none["bias"], 0.0, atol=1e-9)
+    table = along_whisk.reversal(WHISKER, 25e-3, angles)
+    by = table.set_index(["base", "direction"])
+    assert (by.loc[("rotates", "let go"), "bias"] > 0).all()
+    assert (by.loc[("rotates", "pressed"), "bias"] < 0).all()
+    moved = by.loc[("translates", "pressed"), "radial_distance"].to_numpy()
+    np.testing.assert_allclose(moved, 25e-3 / np.cos(angles))

@@ -1,0 +1,365 @@
+"""What a whisk tells as it goes on: the JND of distance against push, speed, torque and direction.
+
+Tables behind `weberwhisk figure` for §2g, §3b and §3c of the paper. Distances are in m, angles in
+rad; a JND is that of the information in the moment and the axial force at the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks
+from .cues import ForceMap
+from .jnd import fisher_jnd
+from .mechanics import press
+from .mechanics.contact import Outcome
+from .mechanics.objects import cylinder, peg, sweep, wall
+from .mechanics.whisking import quasi_static
+from .observer import Observer
+from .receptors import GeneralisedWeber, Weber
+from .sweeping import SweepFilter
+from .whisker import Whisker
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+__all__ = ["lateral_sweep", "limits", "resolution_along_push", "reversal", "speed"]
+
+
+def bodies(distance: float) -> dict[str, Any]:
+    """Objects that a straight whisker meets with its flank at a distance, m."""
+    return {
+        "peg": peg(distance, 0.0),
+        **{
+            f"cylinder, {1e3 * radius:g} mm": cylinder(distance, -radius, radius)
+            for radius in (2e-3, 5e-3, 15e-3)
+        },
+    }
+
+
+def resolution_along_push(
+    whisker: Whisker,
+    radial_distance: float,
+    push: ArrayLike,
+    *,
+    weber_fraction: float = 0.1,
+) -> pd.DataFrame:
+    """JND of the radial distance against push, for a peg, cylinders, and a wall that the tip meets.
+
+    Parameters
+    ----------
+    whisker : Whisker
+        Straight.
+    radial_distance : float
+        Of the first contact, m; a wall stands where the tip meets it, at 60° to the whisker.
+    push : array (n,)
+        Rotation of the base since first contact, rad, ascending from above 0.
+    weber_fraction : float
+        Of moment and axial force.
+
+    Returns
+    -------
+    DataFrame
+        A row an object and push: `object`, `push`, `radial_distance`, `deflection_angle`, `jnd`,
+        `tip` (whether the tip touches), `outcome`. NaN once the whisker has flicked past.
+
+    Notes
+    -----
+    §3c: what a push tells depends on slip. Against a peg r stays and θ_d is the push; against a
+    body that is rounded the contact runs along the whisker, and the same push bends it less.
+    """
+    import pandas as pd
+
+    angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
+    observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
+    length, slope = float(whisker.length), np.radians(60.0)
+    objects = bodies(radial_distance) | {"wall, by the tip": wall(length, 0.0, slope)}
+    parts = []
+    for name, body in objects.items():
+        before = np.concatenate([[-0.2], angles])
+        found = sweep(whisker, body, before)
+        start = found.first_contact if np.isfinite(found.first_contact) else 0.0
+        if abs(start) > 1e-9:
+            found = sweep(whisker, body, np.concatenate([[start - 0.2], start + angles]))
+        r, theta = (
+            np.asarray(a, dtype=float)[1:]
+            for a in (found.bending.radial_distance, found.bending.deflection_angle)
+        )
+        held = np.isfinite(r) & (theta > 0) & ~np.asarray(found.tip)[1:]
+        jnd = np.full(r.shape, np.nan)
+        if held.any():
+            inside = np.stack([r, theta], axis=-1)[held]
+            jnd[held] = fisher_jnd(observer, inside)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "object": name,
+                    "push": angles,
+                    "radial_distance": r,
+                    "deflection_angle": theta,
+                    "jnd": jnd,
+                    "tip": np.asarray(found.tip)[1:],
+                    "outcome": [
+                        Outcome(int(o)).name for o in np.asarray(found.bending.outcome)[1:]
+                    ],
+                }
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def lateral_sweep(
+    whisker: Whisker,
+    radial_distance: float,
+    push: ArrayLike,
+    *,
+    weber_fraction: float = 0.1,
+    radius: float = 15e-3,
+    seed: int = 1,
+) -> pd.DataFrame:
+    """The distance followed along a sweep, from readings of the moment alone (§2g).
+
+    Parameters
+    ----------
+    whisker, radial_distance, push, weber_fraction
+        As of `resolution_along_push`.
+    radius : float
+        Of the cylinder beside the peg, m.
+    seed : int
+
+    Returns
+    -------
+    DataFrame
+        `object`, `push`, `true_distance`, `radial_distance` (posterior mean), `distance_sd`,
+        `lower` and `upper` (95 %), m.
+    """
+    import pandas as pd
+
+    angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
+    rng = np.random.default_rng(seed)
+    parts = []
+    objects = {
+        "peg": peg(radial_distance, 0.0),
+        f"cylinder, {1e3 * radius:g} mm": cylinder(radial_distance, -radius, radius),
+    }
+    for name, body in objects.items():
+        felt = sweep(whisker, body, np.concatenate([[-0.2], angles])).bending
+        moment, true = (np.asarray(a)[1:] for a in (felt.moment, felt.radial_distance))
+        held = np.isfinite(moment)
+        reading = moment[held] * (1 + weber_fraction * rng.standard_normal(int(held.sum())))
+        track = SweepFilter(whisker, Weber(weber_fraction))(angles[held], reading, seed=seed)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "object": name,
+                    "push": angles[held],
+                    "true_distance": true[held],
+                    "radial_distance": track.radial_distance,
+                    "distance_sd": track.distance_sd,
+                    "lower": track.interval[:, 0],
+                    "upper": track.interval[:, 1],
+                }
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def limits(
+    whisker: Whisker,
+    places: ArrayLike,
+    *,
+    weber_fraction: float = 0.1,
+    push: float = 0.1,
+    torque: float = 4e-6,
+    threshold: float = 3e-8,
+    saturation: float = 2.5e-6,
+) -> pd.DataFrame:
+    """The JND curve with the limits that §3b names: torque, threshold and saturation.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    places : array (n,)
+        Radial distances, m.
+    weber_fraction : float
+        Of the moment.
+    push : float
+        Deflection angle that the whisker is pushed to where torque allows, rad.
+    torque : float
+        The largest moment that the muscles hold, N m: near the base the push stops short.
+    threshold, saturation : float
+        Sd of the noise that stays where the moment vanishes, and the moment above which receptors
+        are saturated, N m.
+
+    Returns
+    -------
+    DataFrame
+        `radial_distance`, `deflection_angle` (the one reached), `moment`, and the JNDs `weber`
+        (Weber's law alone), `threshold` (with the floor) and `all` (with saturation too: NaN where
+        the moment is above it, as no reading tells one distance from another there), m; `stopped`
+        says where the torque was the limit.
+
+    Notes
+    -----
+    The paper gives no numbers for the three; the defaults are for looking at.
+    The angle reached is known to the animal, so that the JND is that of the moment alone at it,
+    sd(M)/|∂M/∂r|. Where the torque stops the push, the angle at which it did tells the same.
+    """
+    import pandas as pd
+
+    r = np.atleast_1d(_checks.positive("places", places, "give metres"))
+    for name, value in (("torque", torque), ("saturation", saturation)):
+        _checks.positive(name, value, "give newton metres, such as 1e-6")
+    angle = np.full(r.shape, float(push))
+    moment = np.asarray(press(whisker, r, angle).moment)
+    stopped = moment > torque
+    low, high = np.zeros(r.shape), angle.copy()
+    for _ in range(50):  # the moment rises with the angle up to the fold
+        middle = 0.5 * (low + high)
+        over = np.asarray(press(whisker, r, middle).moment) > torque
+        low, high = np.where(over, low, middle), np.where(over, middle, high)
+    angle = np.where(stopped, low, angle)
+    moment = np.asarray(press(whisker, r, angle).moment)
+    curves = {}
+    for name, noise in {
+        "weber": Weber(weber_fraction),
+        "threshold": GeneralisedWeber(weber_fraction, floor=threshold),
+    }.items():
+        h = 1e-5 * r
+        ends = [np.asarray(press(whisker, r + s * h, angle).moment) for s in (1, -1)]
+        slope = np.abs(ends[0] - ends[1]) / (2 * h)
+        curves[name] = noise.sd(moment[:, None])[:, 0] / slope
+    curves["all"] = np.where(moment < saturation, curves["threshold"], np.nan)
+    return pd.DataFrame(
+        {"radial_distance": r, "deflection_angle": angle, "moment": moment, **curves,
+         "stopped": stopped}
+    )  # fmt: skip
+
+
+def reversal(
+    whisker: Whisker,
+    radial_distance: float,
+    push: ArrayLike,
+    *,
+    friction_coefficient: float = 0.3,
+    weber_fraction: float = 0.1,
+) -> pd.DataFrame:
+    """A peg pressed and let go again, by a base that turns and by one that moves sideways.
+
+    Parameters
+    ----------
+    whisker, radial_distance, weber_fraction
+        As of `resolution_along_push`.
+    push : array (n,)
+        Deflection angles on the way in, rad; the way out has the same.
+    friction_coefficient : float
+        Of the peg. Sliding outwards as it is let go, inwards as it is pressed (see
+        `mechanics.profile`): the friction angle changes sign on reversal.
+
+    Returns
+    -------
+    DataFrame
+        A row a way of moving, direction and angle: `base` (rotates or translates), `direction`
+        (pressed or let go), `deflection_angle`, `radial_distance`, `jnd`, and `bias`: how far the
+        distance of an observer who takes no account of friction is off, m; NaN where no contact
+        without friction has that moment and axial force.
+
+    Notes
+    -----
+    Turning about its base, the whisker keeps its distance to a peg. A base that moves by y sideways
+    goes away from it: r = √(r₀² + y²) with tan θ_d = y/r₀.
+    """
+    import pandas as pd
+
+    theta = np.atleast_1d(_checks.positive("push", push, "give radians"))
+    mu = _checks.non_negative("friction_coefficient", friction_coefficient, "write 0.3, say")
+    observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
+    rows = []
+    for base in ("rotates", "translates"):
+        r = np.full(theta.shape, radial_distance)
+        if base == "translates":
+            r = radial_distance / np.cos(theta)
+        contact = np.stack([r, theta], axis=-1)
+        jnd = fisher_jnd(observer, contact)
+        for direction, sign in (("pressed", -1.0), ("let go", 1.0)):
+            bent = press(whisker, r, theta, friction_angle=sign * float(np.arctan(mu)))
+            reading = np.stack([bent.moment, bent.axial_force], axis=-1)
+            told = _without_friction(whisker, reading, contact)
+            rows.append(
+                pd.DataFrame(
+                    {"base": base, "direction": direction, "deflection_angle": theta,
+                     "radial_distance": r, "jnd": jnd, "bias": told - r}
+                )
+            )  # fmt: skip
+    return pd.concat(rows, ignore_index=True)
+
+
+def _without_friction(whisker: Whisker, reading: Array, start: Array) -> Array:
+    """The distance at which a whisker without friction gives moment and axial force (n, 2)."""
+    contact = start.copy()
+    good = np.isfinite(reading).all(axis=1)
+    for _ in range(60):
+        steps = np.array([1e-5 * contact[:, 0], 1e-5 * contact[:, 1]])
+        at = [press(whisker, *contact.T)]
+        at += [press(whisker, contact[:, 0] + steps[0], contact[:, 1])]
+        at += [press(whisker, contact[:, 0], contact[:, 1] + steps[1])]
+        log = [np.log(np.stack([b.moment, b.axial_force], axis=-1)) for b in at]
+        with np.errstate(invalid="ignore"):
+            off = np.log(reading) - log[0]
+        slope = np.stack([(log[i + 1] - log[0]) / steps[i][:, None] for i in (0, 1)], axis=-1)
+        ok = good & np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(off).all(axis=1)
+        move = np.zeros_like(contact)
+        move[ok] = np.linalg.solve(slope[ok], off[ok][:, :, None])[:, :, 0]
+        contact = contact + np.clip(move, -0.2 * contact, 0.2 * contact)
+        good = ok
+        arrived = np.abs(move / contact).max(axis=1) < 1e-8
+        if not ok.any() or arrived[ok].all():
+            break
+    return np.where(good & arrived, contact[:, 0], np.nan)
+
+
+def speed(
+    whisker: Whisker, places: ArrayLike, frequencies: Sequence[float] = (2.0, 8.0, 20.0)
+) -> pd.DataFrame:
+    """Up to which whisking frequency quasi-static answers hold, at contacts along a whisker.
+
+    Parameters
+    ----------
+    whisker : Whisker
+    places : array (n,)
+        m.
+    frequencies : sequence of float
+        Hz, at which the bound of the error of the moment is given.
+
+    Returns
+    -------
+    DataFrame
+        `radial_distance` (m), `first_frequency`, `one_percent` and `ten_percent` (Hz, up to which
+        the moment is off by no more), and for each frequency `error_8Hz`: the largest share that
+        inertia takes off the moment. See `mechanics.quasi_static`.
+
+    Examples
+    --------
+    >>> table = speed(Whisker(50e-3, 100e-6, 5e-6), [10e-3, 45e-3])
+    >>> table["one_percent"].round(1).tolist()
+    [22.0, 2.5]
+    """
+    import pandas as pd
+
+    r = np.atleast_1d(_checks.positive("places", places, "give metres"))
+    rows = []
+    for at in r:
+        found = quasi_static(whisker, float(at))
+        errors = {f"error_{f:g}Hz": float(found.error(f)[1]) for f in frequencies}
+        rows.append(
+            {"radial_distance": at, "first_frequency": found.first_frequency,
+             "one_percent": float(found.limit(0.01)), "ten_percent": float(found.limit(0.1)),
+             **errors}
+        )  # fmt: skip
+    return pd.DataFrame(rows)

@@ -1,0 +1,161 @@
+"""Along a whisk: resolution against push, limits, direction and speed; a distance followed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, axes_or_new, new_figure, styled
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@styled
+def along_push(table: pd.DataFrame) -> Figure:
+    """The JND of distance and the distance itself against push, an object a line.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `along_whisk.resolution_along_push`.
+    """
+    figure = new_figure(DOUBLE, 3.0)
+    left, right = figure.subplots(1, 2)
+    for i, (name, rows) in enumerate(table.groupby("object", sort=False)):
+        look: dict[str, Any] = {
+            "color": COLOURS[i],
+            "linestyle": LINES[i % len(LINES)],
+            "label": str(name),
+        }
+        if i >= len(LINES):
+            look |= {"marker": MARKERS[i], "markevery": 10, "markersize": 3}
+        push = np.degrees(rows["push"])
+        left.plot(push, 1e3 * rows["jnd"], **look)
+        right.plot(push, 1e3 * rows["radial_distance"].where(~rows["tip"]), **look)
+    left.set(yscale="log", xlabel="push since contact (°)", ylabel="JND of distance (mm), d'=1")
+    left.set_yticks([0.1, 0.2, 0.5, 1.0, 2.0, 5.0], ["0.1", "0.2", "0.5", "1", "2", "5"])
+    left.minorticks_off()
+    right.set(xlabel="push since contact (°)", ylabel="radial distance (mm)")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    return figure
+
+
+@styled
+def lateral_sweep(table: pd.DataFrame) -> Figure:
+    """True distance and the one followed from the moment, with its 95 % band, an object a panel.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `along_whisk.lateral_sweep`.
+    """
+    figure = new_figure(DOUBLE, 2.8)
+    groups = list(table.groupby("object", sort=False))
+    axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+    for ax, (name, rows) in zip(axes, groups, strict=True):
+        push = np.degrees(rows["push"])
+        ax.fill_between(
+            push, 1e3 * rows["lower"], 1e3 * rows["upper"], color=COLOURS[4], alpha=0.35,
+            linewidth=0, label="95 % of the posterior",
+        )  # fmt: skip
+        ax.plot(push, 1e3 * rows["radial_distance"], color=COLOURS[0], label="followed")
+        ax.plot(push, 1e3 * rows["true_distance"], "--", color="black", label="true")
+        ax.set(title=str(name), xlabel="push since contact (°)")
+    axes[0].set_ylabel("radial distance (mm)")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+@styled
+def jnd_limits(table: pd.DataFrame, length: float, ax: Axes | None = None) -> Axes:
+    """One JND curve with the limits of torque, threshold and saturation.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `along_whisk.limits`.
+    length : float
+        Of the whisker, m.
+    """
+    ax = axes_or_new(ax, SINGLE, 3.2)
+    place = table["radial_distance"] / length
+    ax.plot(place, 1e3 * table["weber"], "--", color=COLOURS[1], label="Weber's law alone")
+    ax.plot(place, 1e3 * table["all"], color=COLOURS[0], label="with threshold and saturation")
+    low, high = 0.0, 1.15e3 * float(table["threshold"].max())
+    for shown, name, hatch in (
+        (table["all"].isna() & table["weber"].notna(), "receptors saturated", "//"),
+        (table["stopped"], "torque stops the push", "\\\\"),
+    ):
+        if shown.any():
+            ax.fill_between(
+                place, low, high, where=shown.to_numpy(), facecolor="none", edgecolor="0.6",
+                hatch=hatch, linewidth=0, label=name,
+            )  # fmt: skip
+    ax.set(xlabel="radial distance r/L", ylabel="JND of distance (mm), d'=1", ylim=(low, high))
+    ax.set_xlim(0, 1)
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=2)
+    return ax
+
+
+@styled
+def reversal(table: pd.DataFrame) -> Figure:
+    """What friction does to a distance as the push reverses, beside ± a JND.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `along_whisk.reversal`.
+    """
+    figure = new_figure(DOUBLE, 3.0)
+    groups = list(table.groupby("base", sort=False))
+    axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+    for ax, (base, rows) in zip(axes, groups, strict=True):
+        for i, (direction, mine) in enumerate(rows.groupby("direction", sort=False)):
+            angle = np.degrees(mine["deflection_angle"])
+            if i == 0:
+                jnd = 1e3 * mine["jnd"]
+                ax.fill_between(
+                    angle, -jnd, jnd, color="0.85", linewidth=0, label="± a JND (k = 0.1)"
+                )
+            ax.plot(
+                angle, 1e3 * mine["bias"], LINES[i], color=COLOURS[i], marker=MARKERS[i],
+                markevery=max(len(mine) // 8, 1), markersize=3, label=f"peg {direction}",
+            )  # fmt: skip
+        ax.axhline(0.0, color="black", linewidth=0.6)
+        ax.set(title=f"base {base}", xlabel="deflection angle (°)")
+    axes[0].set_ylabel("error of the distance (mm)\nwhere friction is not reckoned with")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+@styled
+def whisking_speed(table: pd.DataFrame, length: float, ax: Axes | None = None) -> Axes:
+    """Whisking frequencies up to which quasi-static mechanics hold, against distance.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `along_whisk.speed`.
+    length : float
+        Of the whisker, m.
+    """
+    ax = axes_or_new(ax, SINGLE, 3.2)
+    place = table["radial_distance"] / length
+    lines = (
+        ("first_frequency", "first natural frequency, held"),
+        ("ten_percent", "moment off by 10 % (one JND, k = 0.1)"),
+        ("one_percent", "moment off by 1 % (a tenth of it)"),
+    )
+    for i, (column, name) in enumerate(lines):
+        ax.plot(place, table[column], LINES[i], color=COLOURS[i], label=name)
+    ax.axhspan(5.0, 12.0, color="0.88", linewidth=0, label="exploratory whisking, 5 to 12 Hz")
+    ax.set(xlabel="radial distance r/L", ylabel="whisking frequency (Hz)", yscale="log")
+    ax.set(xlim=(0, 1), ylim=(1, 200))
+    ax.set_yticks([1, 2, 5, 10, 20, 50, 100, 200], map(str, (1, 2, 5, 10, 20, 50, 100, 200)))
+    ax.minorticks_off()
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=1)
+    return ax
