@@ -369,7 +369,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         patch.setattr(figure, "DRAWS_SHORT", 3)
         for name in figure.CHARTS.keys() - {"figure-4a", "information"}:  # drawn above
             make = figure.CHARTS[name]
-            made[functions.get(name, name)] = make(figure.Asked(short=True)).chart
+            made[functions.get(name, name.replace("-", "_"))] = make(figure.Asked(short=True)).chart
     return made
 
 

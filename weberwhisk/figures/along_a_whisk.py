@@ -65,7 +65,7 @@ def lateral_sweep(table: pd.DataFrame) -> Figure:
         ax.plot(push, 1e3 * rows["radial_distance"], color=COLOURS[0], label="followed")
         ax.plot(push, 1e3 * rows["true_distance"], "--", color="black", label="true")
         ax.set(title=str(name), xlabel="push since contact (°)")
-    axes[0].set_ylabel("radial distance (mm)")
+    figure.supylabel("radial distance (mm)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
