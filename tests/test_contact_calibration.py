@@ -73,6 +73,32 @@ def test_counts_are_told_apart_from_stiffness_by_the_gain_and_locate_goes_by_it(
     assert 0.7 < np.sqrt((off**2).mean()) < 1.4
 
 
+def test_what_few_taps_leave_open_widens_the_distances() -> None:
+    """By as much as the distances move from one draw of the calibration to the next."""
+    taps = _taps(each=2, seed=5)
+    found = ww.calibrate(taps, NOMINAL)
+    at = np.array([0.04, 0.06, 0.08])
+    observer = ww.Observer(TRUE, HingedTap(HINGE), ww.receptors.Weber(K))
+    table = pd.DataFrame({"moment_rate": observer.signals(at[:, None])[0][:, 0]})
+    exact = ww.locate(table, found.whisker, cue=found.cue, noise=found.noise)
+    whole = ww.locate(table, found)
+    # By hand: 1/r = 1/A + 1/(scale/slope − hinge) for each draw.
+    moved, own = [], []
+    for whisker, cue, noise in found.samples:
+        k = noise.weber_fraction
+        slopes = table["moment_rate"].to_numpy() * np.exp(k * np.array([[-1.0], [0.0], [1.0]]))
+        inside = whisker.compliance_constant / slopes - cue.hinge
+        low, middle, high = 1 / (1 / inside + 1 / whisker.apex_distance)
+        moved.append(middle)
+        own.append((high - low) / 2)
+    total = 1e3 * np.sqrt(np.var(moved, axis=0) + np.mean(np.square(own), axis=0))
+    np.testing.assert_allclose(whole["sd_mm"], total, rtol=0.1)
+    assert (whole["sd_mm"] > exact["sd_mm"]).all()
+    assert ((whole["lower_mm"] < 1e3 * at) & (1e3 * at < whole["upper_mm"])).all()
+    with pytest.raises(ValueError, match="its own cue and noise"):
+        ww.locate(table, found, noise=ww.receptors.Weber(0.1))
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -105,4 +131,5 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert run_app(app, words) in (0, None)
     assert "weber_fraction" in capsys.readouterr().out
     made = {p.name for p in (tmp_path / "out").iterdir()}
-    assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json"} <= made
+    assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json",
+            "calibration.png"} <= made  # fmt: skip

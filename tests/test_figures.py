@@ -313,6 +313,11 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
          "touched": [0.2, 0.6, 0.9], "touching": [0.2, 1.0, 4.0], "receptors": "k = 0.1"}
     )  # fmt: skip
     rate = pd.DataFrame({"radial_distance": [0.1, 0.9], "rate": [30.0, 0.2]})
+    at = np.repeat([10.0, 20.0, 30.0, 40.0], 4)
+    slopes = pd.DataFrame(
+        {"radial_distance_mm": at,
+         "moment_rate": observer().read(at[:, None] / 1e3, seed=1)[:, 0]}
+    )  # fmt: skip
     estimates = pd.DataFrame(
         {"method": m, "weber_fraction": k, "n": n, "low": 0.05, "high": 0.1 + 1 / n}
         for m in ("information", "constant stimuli") for k in (0.1, 0.2) for n in (30, 100, 300)
@@ -327,6 +332,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         "array_counts": figures.array_counts(counts),
         "array_map": figures.array_map(places, whiskers),
         "bending": figures.bending(lines),
+        "calibrated": figures.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
         "cue_information": figures.cue_information(bits),
         "information_map": figures.information_map(

@@ -131,6 +131,32 @@ def test_every_damaged_file_has_one_sentence(tmp_path: Path) -> None:
         assert sentence.endswith((".", "?"))
 
 
+def test_tables_of_points_with_gaps_swapped_columns_and_other_scales(tmp_path: Path) -> None:
+    """NaN and text leave points out; a column in another's place, and mm for m, are told."""
+    whisker = ww.Whisker.from_identity("C2", curved=True)
+    video, _ = ww.simulate_tracking(whisker, 15e-3, frames=30, spacing_px=20.0, missing=0.0)
+    points = video[["frame", "x", "y"]].explode(["x", "y"]).reset_index(drop=True)
+    path, rng = tmp_path / "points.csv", np.random.default_rng(18)
+    gaps = points.astype(object)
+    for _ in range(60):
+        cell = rng.choice(np.array(["", "nan", "x", "inf"], dtype=object))
+        gaps.iat[rng.integers(len(gaps)), rng.integers(1, 3)] = cell
+    gaps.to_csv(path, index=False)
+    found = ww.read_tracking(path)
+    assert found["frame"].tolist() == video["frame"].tolist()
+    assert sum(map(len, found["x"])) < sum(map(len, video["x"]))
+    assert all(np.isfinite(v).all() for v in found["x"])
+    swapped = points.rename(columns={"frame": "x", "x": "frame"})
+    swapped.to_csv(path, index=False)
+    with pytest.raises(ValueError, match=r"points\.csv: frame must be whole numbers"):
+        ww.read_tracking(path)
+    points.to_csv(path, index=False)
+    for scale in (20e3, 20e-3):  # pixels a metre, or metres a pixel
+        table = ww.read_tracking(path, pixels_per_mm=scale, frame_rate=500)
+        with pytest.raises(ValueError, match="correct one of them"):
+            ww.tracked_signals(table, whisker)
+
+
 def test_a_table_of_points_needs_its_columns(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     pd.DataFrame({"frame": [0, 0], "u": [1, 2]}).to_csv(path, index=False)

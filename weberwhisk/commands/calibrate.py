@@ -67,6 +67,10 @@ def calibrate(
         run.table("parameters", parameters)
         run.table("residuals", found.residuals)
         run.table("left_out", found.left_out)
+        if run.out_dir is not None:
+            from .. import figures
+
+            run.figure("calibration", figures.figure_of(figures.calibrated(found)))
     if as_json:
         print(to_json({
             "whisker": describe(found.whisker), "message": found.message,

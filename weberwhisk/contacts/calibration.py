@@ -18,11 +18,13 @@ from ..cues import Cue
 from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
-from .rows import read_contacts
+from .columns import read_contacts
 
 Array = NDArray[np.float64]
 #: Prior mean and sd of: logit of length over apex distance, ln of hinge over length, ln k.
 _PRIORS = np.array([[1.5, 2.0], [-3.0, 2.0], [-3.0, 1.5]])
+#: Draws that `locate` goes by: their mean's sd is a fifth of what they add.
+_SAMPLES = 24
 #: Degrees of freedom of the proposals about the mode.
 _DF = 5
 
@@ -80,7 +82,8 @@ class Calibration:
         With the apex distance found, and in SI units the stiffness; else the gain takes it up.
     cue : HingedTap
     noise : Weber
-        The sensor's own Weber fraction. `locate(table, c.whisker, cue=c.cue, noise=c.noise)`.
+        The sensor's own Weber fraction. ``locate(table, c.whisker, cue=c.cue, noise=c.noise)``
+        takes all three as exact, ``locate(table, c)`` does not.
     parameters : DataFrame
         Posterior mean, sd and 95 % interval of stiffness (N m²) or gain, apex distance and hinge
         (mm), Weber fraction.
@@ -94,6 +97,9 @@ class Calibration:
         (F test of lack of fit). NaN where no distance was tapped twice.
     effective_draws : float
         Of the posterior: below some hundred its numbers are rough.
+    samples : tuple of (Whisker, HingedTap, Weber)
+        Some draws of the posterior. ``locate(table, c)`` is the mean over them, so that what the
+        taps left open widens the distances.
     """
 
     whisker: Whisker
@@ -104,6 +110,7 @@ class Calibration:
     left_out: pd.DataFrame
     p_value: float
     effective_draws: float
+    samples: tuple[tuple[Whisker, HingedTap, Weber], ...]
 
     @property
     def fits(self) -> bool:
@@ -200,13 +207,8 @@ def calibrate(
         sd = np.sqrt(weight @ (values - mean) ** 2)
         rows[name] = {"mean": mean, "sd": sd, "low_95": low, "high_95": high}
     parameters = pd.DataFrame.from_dict(rows, orient="index")
+    found, cue = _as_found(mode, whisker, counts)
     best_scale, best_apex, best_give, _ = (float(v) for v in _natural(mode, whisker))
-    tip = whisker.base_radius * (1 - whisker.length / best_apex)
-    modulus = whisker.youngs_modulus
-    if not counts:
-        modulus = best_scale / 3 / (np.pi / 4 * whisker.base_radius**4)
-    found = replace(whisker, tip_radius=tip, youngs_modulus=modulus)
-    gain = best_scale / found.compliance_constant
     noise = Weber(float(rows["weber_fraction"]["mean"]))
     fitted = best_scale * _slope(r, best_apex, best_give)
     residual = (y / fitted - 1) / noise.weber_fraction
@@ -214,10 +216,23 @@ def calibrate(
         {"radial_distance_mm": 1e3 * r, "slope": y, "fitted": fitted, "residual_sd": residual}
     )
     return Calibration(
-        found, HingedTap(best_give, gain if counts else 1.0), noise, parameters, residuals,
+        found, cue, noise, parameters, residuals,
         _left_out(r, y, whisker, hinge), _lack_of_fit(r, y / fitted, len(mode) - 1, places),
         float(1 / (weight**2).sum()),
+        tuple((*_as_found(x[i], whisker, counts), Weber(float(k[i])))
+              for i in rng.choice(draws, _SAMPLES, p=weight)),
     )  # fmt: skip
+
+
+def _as_found(x: Array, whisker: Whisker, counts: bool) -> tuple[Whisker, HingedTap]:
+    """The whisker and its sensor at x."""
+    scale, apex, give, _ = (float(v) for v in _natural(x, whisker))
+    tip = whisker.base_radius * (1 - whisker.length / apex)
+    modulus = whisker.youngs_modulus
+    if not counts:
+        modulus = scale / 3 / (np.pi / 4 * whisker.base_radius**4)
+    found = replace(whisker, tip_radius=tip, youngs_modulus=modulus)
+    return found, HingedTap(give, scale / found.compliance_constant if counts else 1.0)
 
 
 def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array, Array]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..behaviour.io import load_table
 
 Array = NDArray[np.float64]
 
@@ -230,3 +232,30 @@ def one_side(si: dict[str, Array], notes: list[str]) -> Array:
             si["deflection_angle"] = -si["deflection_angle"]
             notes.append("The angle has the sign opposite to the moment's: turned round.")
     return side
+
+
+def read_contacts(
+    table: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
+) -> tuple[pd.DataFrame, dict[str, Array], dict[str, tuple[str, float, bool]]]:
+    """The table, its known quantities in SI, and where each of them was found."""
+    raw = _table(table)
+    found = find_columns([str(c) for c in raw.columns], columns, units)
+    return raw, {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}, found
+
+
+def _table(table: Any) -> pd.DataFrame:
+    if isinstance(table, pd.DataFrame):
+        if not table.columns.is_unique:
+            twice = table.columns[table.columns.duplicated()][0]
+            raise ValueError(f"There are two columns {str(twice)!r}; give each its own name.")
+        raw = table
+    else:
+        raw, _ = load_table(table, "contact")
+        raw = raw.copy()
+        for column in raw:  # text files give text in every cell
+            number = pd.to_numeric(raw[column], errors="coerce")
+            if number.notna().equals(raw[column].notna()):
+                raw[column] = number
+    if not len(raw):
+        raise ValueError("The table has no rows; give one row per contact under a header.")
+    return raw

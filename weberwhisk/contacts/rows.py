@@ -12,14 +12,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks, domain
-from ..behaviour.io import load_table
 from ..cues import Cue
 from ..mechanics import Profile
 from ..observer import Observer
 from ..posterior import Status
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
-from .columns import Array, find_columns, one_side, planar, values_of
+from .calibration import Calibration
+from .columns import Array, one_side, planar, read_contacts
 from .lattice import Cloud, Lattice, Readings
 from .readings import check_magnitudes, signals_of
 from .signals import FROM_SHAPE, from_shape
@@ -48,7 +48,7 @@ class _Located(NamedTuple):
 
 def locate(
     table: pd.DataFrame | str | Path,
-    whisker: Whisker | Profile,
+    whisker: Whisker | Profile | Calibration,
     *,
     cue: Cue | None = None,
     columns: Mapping[str, str] | None = None,
@@ -68,7 +68,10 @@ def locate(
         `moment_z`. Units stand behind the name (`moment_uNm`); without one, SI. A measurement error
         stands in `moment_sd_uNm` and the like, one for every signal used. Files as in
         `read_trials`.
-    whisker : Whisker or Profile
+    whisker : Whisker, Profile or Calibration
+        A calibration by taps brings cue and noise along, and its uncertainty into the distances:
+        means over draws of its posterior, the sds of which are added to those of the rows, and the
+        intervals widened as much.
         With another Young's modulus than the default, it is taken as known; else the stiffness is
         unknown, with the published spread of moduli. A table of `tracked_signals` brings its own
         curvature at rest, and its moment and forces are of the same stiffness, which is then taken
@@ -123,6 +126,13 @@ def locate(
     0                19.6  converged
     1                29.3  converged
     """
+    if isinstance(whisker, Calibration):
+        if cue is not None or noise is not None or touch is not None:
+            raise ValueError(
+                "A calibration has its own cue and noise and locates row by row; leave cue, noise "
+                "and touch out, or write locate(table, c.whisker, cue=c.cue, noise=c.noise)."
+            )
+        return _calibrated(table, whisker, columns=columns, units=units, prior=prior)
     _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
@@ -180,6 +190,31 @@ def locate(
     return out
 
 
+def _calibrated(table: Any, calibration: Calibration, **options: Any) -> pd.DataFrame:
+    """Distances under each of the calibration's samples, as one."""
+    every = [locate(table, w, cue=c, noise=n, **options) for w, c, n in calibration.samples]
+    out = locate(
+        table, calibration.whisker, cue=calibration.cue, noise=calibration.noise, **options
+    )
+    # A draw that has a row beyond the whisker says nothing of it.
+    mean, sd = (np.array([e[name] for e in every]) for name in RESULTS[:2])
+    known = np.isfinite(mean).sum(axis=0) > len(every) / 2
+    total = np.sqrt((np.nanmean(sd[:, known] ** 2, axis=0)) + np.nanvar(mean[:, known], axis=0))
+    middle, wider = np.nanmean(mean[:, known], axis=0), total / out["sd_mm"].to_numpy()[known]
+    at = np.flatnonzero(known)
+    for name in RESULTS[2:4]:
+        column = out[name].to_numpy(copy=True)
+        column[at] = middle + wider * (column - out[RESULTS[0]].to_numpy())[at]
+        out[name] = column
+    for name, values in zip(RESULTS[:2], (middle, total), strict=True):
+        column = out[name].to_numpy(copy=True)
+        column[at] = values
+        out[name] = column
+    notes = (*out.attrs["notes"], f"Means over {len(every)} draws of the calibration.")
+    out.attrs = out.attrs | {"notes": notes}
+    return out
+
+
 def _later(
     progress: Callable[[int, int], None], before: int, total: int, done: int, _: int
 ) -> None:
@@ -202,33 +237,6 @@ def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
             profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
             out.append((rows, profile.curved(mirrored)))
     return out
-
-
-def read_contacts(
-    table: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
-) -> tuple[pd.DataFrame, dict[str, Array], dict[str, tuple[str, float, bool]]]:
-    """The table, its known quantities in SI, and where each of them was found."""
-    raw = _table(table)
-    found = find_columns([str(c) for c in raw.columns], columns, units)
-    return raw, {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}, found
-
-
-def _table(table: Any) -> pd.DataFrame:
-    if isinstance(table, pd.DataFrame):
-        if not table.columns.is_unique:
-            twice = table.columns[table.columns.duplicated()][0]
-            raise ValueError(f"There are two columns {str(twice)!r}; give each its own name.")
-        raw = table
-    else:
-        raw, _ = load_table(table, "contact")
-        raw = raw.copy()
-        for column in raw:  # text files give text in every cell
-            number = pd.to_numeric(raw[column], errors="coerce")
-            if number.notna().equals(raw[column].notna()):
-                raw[column] = number
-    if not len(raw):
-        raise ValueError("The table has no rows; give one row per contact under a header.")
-    return raw
 
 
 def _rows(

@@ -128,10 +128,11 @@ def tracked_signals(
     unit = 1e3 * length * ppm  # pixels
     points = points_of(table, unit)
     reach = float(np.median(points.arc[:, -1]))
-    if reach > 1.1:
+    if not 0.1 < reach < 1.1:
         raise ValueError(
             f"The tracked whisker is {reach * length * 1e3:.3g} mm long at {ppm:g} pixels_per_mm, "
-            f"longer than the {length * 1e3:.3g} mm of whisker; correct one of them."
+            f"and whisker is {length * 1e3:.3g} mm: a tenth of it is needed, and no more than it "
+            "is long; correct one of them."
         )
     where = None if pole is None else pole_of(pole, tracking, table) / unit
     shapes = Shapes(profile, reach)

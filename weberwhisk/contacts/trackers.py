@@ -366,6 +366,11 @@ def _points(path: Path) -> pd.DataFrame:
     known = np.isfinite(points.to_numpy(dtype=float)).all(axis=1)
     if known.sum() < 2:
         raise ValueError(f"{path.name}: it has no points with numbers in frame, x and y.")
+    for name in keys:
+        if (points.loc[known, name] % 1 != 0).any():
+            raise ValueError(
+                f"{path.name}: {name} must be whole numbers from 0; is another column in its place?"
+            )
     rows = []
     for key, own in points[known].groupby(keys, sort=True):
         if len(own) > 1:

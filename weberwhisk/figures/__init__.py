@@ -29,7 +29,7 @@ from .fits import (
     residuals,
     shrinkage,
 )
-from .located import located
+from .located import calibrated, located
 from .page import plan_page
 from .paper import paper_1d, paper_2, paper_3
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
@@ -47,6 +47,7 @@ __all__ = [
     "array_map",
     "bending",
     "best_cue",
+    "calibrated",
     "comparison",
     "cue_information",
     "cue_jnds",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,5 +36,21 @@ def located(
             bars(ax, groups["place"].mean(), ends, 1, label="each touch")
     ax.set_xlabel("row" if against is None else against.replace("_", " "))
     ax.set_ylabel("radial distance (mm)")
+    legend_above(ax)
+    return ax
+
+
+@styled
+def calibrated(found: Any, ax: Axes | None = None) -> Axes:
+    """Slopes of taps over what a `Calibration` fits, against distance, with its Weber noise."""
+    ax = axes_or_new(ax, DOUBLE)
+    taps = found.residuals
+    k = found.noise.weber_fraction
+    ax.axhspan(1 - 1.96 * k, 1 + 1.96 * k, color=COLOURS[4], alpha=0.4, label="95 % of taps")
+    ax.axhline(1.0, color=COLOURS[0], linewidth=0.8)
+    ax.plot(taps["radial_distance_mm"], taps["slope"] / taps["fitted"], ".", color=COLOURS[0],
+            markersize=3, label="taps")  # fmt: skip
+    ax.set_xlabel("radial distance (mm)")
+    ax.set_ylabel("slope, measured over fitted")
     legend_above(ax)
     return ax
