@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import weberwhisk as ww
-from weberwhisk import domain
+from weberwhisk import Observer, Status, Whisker, cues, domain, posterior, receptors
+from weberwhisk.fusion import prior_draws
 
 GOOD = (41e-3, 80e-6, 4e-6)
 
@@ -60,3 +61,24 @@ def test_receptors_of_per_cent_are_flagged():
     assert "did you pass per cent" in domain.sentence(domain.of_observer(observer))
     angles = ww.Observer(w, ww.cues.SpaceMap())  # part of its noise has no Weber fraction
     assert domain.of_observer(angles) == ()
+
+
+@pytest.mark.parametrize(
+    "cue", [cues.Compliance(), cues.ForceMap(), cues.Fused(cues.ForceMap(), cues.Compliance())]
+)
+def test_readings_far_from_every_contact_are_flagged(cue):
+    """More than 8 sd from all of 20 000 contacts of the prior, in some signal: never converged."""
+    size = len(cue.signal_names)
+    noise = receptors.Weber(0.03)
+    observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cue, noise)
+    signals = observer.signals(prior_draws(observer, 20_000, seed=1))[0]
+    rng = np.random.default_rng(2)
+    reading = signals[:40] * np.exp(rng.uniform(-5, 5, (40, size)))
+    reading[20:] = signals[:20] * rng.uniform(-1.0, 0.0, (20, size))  # and of a wrong sign
+    sd = noise.sd(signals)
+    off = np.array([np.abs((y - signals) / sd).max(axis=1).min() for y in reading])
+    far = reading[off > 8]
+    assert len(far) >= 15
+    status = posterior(observer, far).status
+    relied_on = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED))
+    assert not relied_on.any(), far[relied_on]

@@ -100,13 +100,20 @@ def whole_reach() -> None:
         first = time.process_time() - start
         p, rate = timed(observer, readings, "quadrature")
         fine, fine_rate = timed(observer, readings, "quadrature", tolerance=1e-4)
+        p.summary()
+        p = ww.posterior(observer, readings)
         start = time.process_time()
         p.interval(0.95)
         interval = (time.process_time() - start) / len(readings)
+        p = ww.posterior(observer, readings)
+        start = time.process_time()
+        p.summary()
+        summary = (time.process_time() - start) / len(readings)
         off = np.maximum(np.abs(p.mean - fine.mean) / fine.sd, np.abs(p.sd / fine.sd - 1))
         print(
             f"k = {k}: {1e6 / rate:.0f} ({first:.1f} s the first time), "
-            f"{1e6 / fine_rate:.0f} at 1e-4, interval {1e6 * interval:.0f}; "
+            f"{1e6 / fine_rate:.0f} at 1e-4, interval {1e6 * interval:.0f}, "
+            f"summary {1e6 * summary:.0f}; "
             f"error at most {off.max():.1e}, r.m.s. {np.sqrt(np.mean(off**2)):.1e}"
         )
     observer = ww.Observer(W, ForceMap(), Weber(0.1))
