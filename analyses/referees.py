@@ -1,4 +1,4 @@
-"""Every rung of the mechanics against every referee: errors and CPU times, in one table.
+"""Every model of bending against every referee: errors and CPU times, in one table.
 
     python analyses/referees.py [folder] [--short]
 
@@ -56,7 +56,7 @@ class Scene:
 
     @property
     def plain(self) -> bool:
-        """Whether the straight rungs without friction can take it."""
+        """Whether the straight models without friction can take it."""
         return self.friction == 0 and self.whisker.curvature == 0
 
 
@@ -155,34 +155,34 @@ def _rod(b: Any) -> Found:
     return Found(b.moment[2], b.axial_force, float(b.radial_distance), angle)
 
 
-def _rung_2(scene: Scene) -> Found:
+def _planar_beam(scene: Scene) -> Found:
     return _bending(profile.bend(scene.whisker, scene.arc, scene.force, scene.friction))
 
 
-def _rung_3(scene: Scene) -> Found:
+def _rod_bend(scene: Scene) -> Found:
     return _rod(rod.bend(scene.whisker, scene.arc, scene.force, 0.0, scene.friction))
 
 
-def _rung_2_press(scene: Scene) -> Found:
+def _planar_beam_press(scene: Scene) -> Found:
     t = truth(scene)
     return _bending(
         profile.press(scene.whisker, t.radial_distance, t.deflection_angle, scene.friction)
     )
 
 
-def _rung_3_press(scene: Scene) -> Found:
+def _rod_press(scene: Scene) -> Found:
     t = truth(scene)
     at = t.radial_distance * np.array([np.cos(t.deflection_angle), np.sin(t.deflection_angle), 0])
     return _rod(rod.press(scene.whisker, at, scene.friction))
 
 
-def _straight(rung: Any, scene: Scene) -> Found:
-    return _bending(rung.bend(scene.whisker, scene.arc, scene.force))
+def _straight(model: Any, scene: Scene) -> Found:
+    return _bending(model.bend(scene.whisker, scene.arc, scene.force))
 
 
-def _straight_press(rung: Any, scene: Scene) -> Found:
+def _straight_press(model: Any, scene: Scene) -> Found:
     t = truth(scene)
-    return _bending(rung.press(scene.whisker, t.radial_distance, t.deflection_angle))
+    return _bending(model.press(scene.whisker, t.radial_distance, t.deflection_angle))
 
 
 # -- SciPy ---------------------------------------------------------------------------------------
@@ -394,14 +394,14 @@ def pyelastica(elements: int, scene: Scene) -> Found:
 
 def methods(scene: Scene, short: bool) -> Iterator[tuple[str, str, Method | None]]:
     """What is given, name and method for each row of a scene; None: it is not installed."""
-    for number, rung in enumerate((closed_form, elastica)):
+    for name, model in (("closed form", closed_form), ("elastica", elastica)):
         if scene.plain:
-            yield "force", f"rung {number}", partial(_straight, rung)
-            yield "contact", f"rung {number}", partial(_straight_press, rung)
-    yield "force", "rung 2", _rung_2
-    yield "contact", "rung 2", _rung_2_press
-    yield "force", "rung 3", _rung_3
-    yield "contact", "rung 3", _rung_3_press
+            yield "force", name, partial(_straight, model)
+            yield "contact", name, partial(_straight_press, model)
+    yield "force", "planar beam", _planar_beam
+    yield "contact", "planar beam", _planar_beam_press
+    yield "force", "rod", _rod_bend
+    yield "contact", "rod", _rod_press
     for rtol in (1e-6, 1e-10):
         yield "force", f"SciPy DOP853, rtol {rtol:.0e}", partial(initial_value, rtol)
     yield "contact", "SciPy root over DOP853", rooted

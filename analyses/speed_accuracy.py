@@ -93,14 +93,14 @@ def other_beams(full: bool) -> pd.DataFrame:
     for scene in beams.SCENES:
         for links in (10, 30, 100, 300) if full else (10, 30):
             moment, seconds = timed(lambda: chain(scene, links), repeats=1)  # noqa: B023
-            rows.append(beams.row(scene, "chain of links on springs", links, moment, seconds))
+            rows.append(beams.beam_row(scene, "chain of links on springs", links, moment, seconds))
         if not full or find_spec("elastica") is None:
             continue
         b = ww.press(beams.WHISKER, *scene.contact)  # it takes a force, and finds the contact
         loaded = Loaded(scene.name, beams.WHISKER, float(b.arc_length), float(b.force))
         for elements in (30, 60):
             moment, seconds = timed(lambda: pyelastica(elements, loaded).moment, repeats=1)  # noqa: B023
-            rows.append(beams.row(scene, "PyElastica, force given", elements, moment, seconds))
+            rows.append(beams.beam_row(scene, "PyElastica, force given", elements, moment, seconds))
     return pd.DataFrame(rows)
 
 
@@ -220,7 +220,9 @@ def other_posteriors(full: bool, scenes: Iterable[str] = posteriors.OBSERVERS) -
             sd = run(rows)
             seconds = time.process_time() - start
             good = np.ones(len(rows), dtype=bool)
-            table.append(posteriors.row(scene, method, knob, sd, good, exact, seconds / len(rows)))
+            table.append(
+                posteriors.posterior_row(scene, method, knob, sd, good, exact, seconds / len(rows))
+            )
     return pd.DataFrame(table)
 
 

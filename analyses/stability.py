@@ -1,10 +1,10 @@
-"""Stability atlas: where every rung, engine, JND and fit is right, warns, refuses, or is wrong.
+"""Stability atlas: where every model, engine, JND and fit is right, warns, refuses, or is wrong.
 
     python analyses/stability.py [--short] [--seed N] [folder]
 
 Inside the package's domain (`weberwhisk.domain`) a search hunts for answers that are wrong in
 silence (`hunting.py`); outside, for answers without the flag. Each is judged by a reference that
-shares nothing with what is judged: SciPy's DOP853 in raw SI for rungs and JNDs (`reference_beam`,
+shares nothing with what is judged: SciPy's DOP853 in raw SI for models and JNDs (`reference_beam`,
 `reference_rod`), sums over plain grids for posteriors and fits. Writes stability (CSV: a row for
 each domain, with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV:
 all cases, which replay what is found).

@@ -25,7 +25,7 @@ def table(tmp_path_factory):
     return made
 
 
-def test_every_scene_has_its_rungs_and_referees(table):
+def test_every_scene_has_its_models_and_referees(table):
     assert len(set(table["scene"])) == 7
     rows = table.groupby("scene")["method"].nunique()
     assert rows.min() >= 7
@@ -33,16 +33,16 @@ def test_every_scene_has_its_rungs_and_referees(table):
     assert len(referees.summary(table).splitlines()) == 2 + len(table.groupby(["given", "method"]))
 
 
-def test_rungs_1_to_3_meet_the_truth(table):
+def test_models_of_large_angles_meet_the_truth(table):
     """Near the fold a contact's signals go as the square root of its distance from it."""
-    rungs = table[table["method"].isin(["rung 1", "rung 2", "rung 3"])]
-    assert (rungs.loc[rungs["given"] == "force", ERRORS] < 2e-10).all(axis=None)
-    assert (rungs.loc[rungs["given"] == "contact", ERRORS] < 1e-9).all(axis=None)
+    models = table[table["method"].isin(["elastica", "planar beam", "rod"])]
+    assert (models.loc[models["given"] == "force", ERRORS] < 2e-10).all(axis=None)
+    assert (models.loc[models["given"] == "contact", ERRORS] < 1e-9).all(axis=None)
 
 
-def test_rung_0_is_off_by_what_its_scenes_say(table):
-    rung_0 = table[(table["method"] == "rung 0") & (table["given"] == "contact")]
-    found = rung_0["error_moment"].to_numpy()
+def test_the_closed_form_is_off_by_what_its_scenes_say(table):
+    closed_form = table[(table["method"] == "closed form") & (table["given"] == "contact")]
+    found = closed_form["error_moment"].to_numpy()
     assert found[0] < 0.01
     assert np.all(np.diff(found[:4]) > 0)
 

@@ -214,7 +214,7 @@ def _calls(scene: Scene, full: bool) -> Iterator[tuple[str, float, int, Callable
     for points in (100, 1000, 10_000) if full else (100, 1000):
         for name, logarithmic in (("linear", False), ("logarithmic", True)):
             call = partial(interpolated, scene, points, logarithmic, 1000)
-            yield f"cubic through scattered (M, Fx), {name}", points, 1000, call
+            yield f"cubic through (M, Fx), {name}", points, 1000, call
 
 
 def _moment(model: Any, r: Array, theta: float, **options: float) -> Any:
@@ -225,7 +225,9 @@ def _rod_moment(point: Array, tolerance: float) -> Any:
     return rod.press(WHISKER, point, tolerance=tolerance).moment[..., 2]
 
 
-def row(scene: Scene, method: str, knob: float, moment: Any, seconds: float, count: int = 1) -> Row:
+def beam_row(
+    scene: Scene, method: str, knob: float, moment: Any, seconds: float, count: int = 1
+) -> Row:
     """A row of the table, from the moment that a method found."""
     found = float(np.ravel(moment)[-1])
     error = abs(found / truth(scene) - 1)
@@ -258,5 +260,5 @@ def measure(*, full: bool = False) -> pd.DataFrame:
         truth(scene)
         for method, knob, count, call in _calls(scene, full):
             moment, seconds = timed(call)
-            rows.append(row(scene, method, knob, moment, seconds, count))
+            rows.append(beam_row(scene, method, knob, moment, seconds, count))
     return pd.DataFrame(rows)

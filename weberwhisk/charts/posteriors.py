@@ -188,7 +188,7 @@ def _engines(observer: Observer, full: bool) -> Iterator[tuple[str, float, int, 
         yield "midpoint grid", n, 8, partial(summed, observer, n=n)
 
 
-def row(
+def posterior_row(
     scene: str, method: str, knob: float, sd: Array, good: Any, exact: Array, seconds: float
 ) -> Row:
     """A row of the table, from the sds that a method found and those it vouches for."""
@@ -246,7 +246,7 @@ def measure(*, full: bool = False) -> pd.DataFrame:
             else:
                 sd, good = result, np.ones(len(result), dtype=bool)
             found = sd[:shown], good[:shown], exact[:shown]
-            table.append(row(scene, method, knob, *found, seconds / count))
+            table.append(posterior_row(scene, method, knob, *found, seconds / count))
     return pd.DataFrame(table)
 
 

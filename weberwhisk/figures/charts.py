@@ -116,7 +116,7 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
             label = f"{method}: time ∝ n^{by_time:.2f}, memory ∝ n^{by_size:.2f}"
             ax.loglog(part["count"], part[column], **_style(i, False), label=label)
         ax.set(xlabel="n in one call", ylabel=unit)
-    _legend(rows[1], [axes[0]], columns=2)
+    _legend(rows[1], [axes[0]])
     if foot:
         rows[1].supxlabel(fill(foot, FOOT), fontsize=SMALL)
     return figure
@@ -198,11 +198,14 @@ def _limits(ax: Axes, closed: float, floor: float, name: str) -> None:
     )
 
 
-def _legend(figure: Any, axes: list[Axes], columns: int = 4) -> None:
+def _legend(figure: Any, axes: list[Axes]) -> None:
+    """Every method once, in as many columns as its names leave room for."""
     found: dict[str, Any] = {}
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)
+    columns = max(FOOT // (max(map(len, found), default=0) + 9), 1)
     figure.legend(
-        found.values(), found.keys(), loc="outside upper center", ncols=columns, fontsize=SMALL
-    )
+        found.values(), found.keys(), loc="outside upper center", ncols=min(columns, 4),
+        fontsize=SMALL,
+    )  # fmt: skip

@@ -24,7 +24,7 @@ from weberwhisk.posterior.moves import (
     StackedMove,
     StackedStretch,
 )
-from weberwhisk.posterior.run import Run
+from weberwhisk.posterior.run import EnsembleRun
 
 Seed = int | np.random.SeedSequence | np.random.Generator
 MoveMaker = Callable[[int, np.random.Generator], StackedMove]
@@ -196,7 +196,7 @@ def sample_stacked(
         raise ValueError(f"max_steps must be at least 64, got {most.min()}; 20000 is usual.")
     rng = np.random.default_rng(seed)
     chosen = [(make(walkers, rng), weight) for make, weight in moves or default_moves(dim)]
-    run = Run(log_density, places, chosen, rng, functions, indexed, max(keep // walkers, 8))
+    run = EnsembleRun(log_density, places, chosen, rng, functions, indexed, max(keep // walkers, 8))
     fields: dict[str, NDArray] = {}
     done = np.zeros(posteriors, dtype=bool)
     check = max(96, 2 * run.selected)

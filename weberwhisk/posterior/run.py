@@ -44,7 +44,7 @@ _REASONS = {
 }
 
 
-class Run:
+class EnsembleRun:
     """The posteriors still running, `alive`, and the record of their steps.
 
     `series` (2, b, C, E, n) holds the means over the walkers, and over `batch` steps, of the
