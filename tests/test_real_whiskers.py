@@ -12,6 +12,8 @@ from weberwhisk.cues import Compliance, ForceMap, Friction, Fused, UnknownCurvat
 from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
+from weberwhisk.posterior.likelihood import likelihood_of
+from weberwhisk.posterior.summed import LastSummed
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.whisker import identities, rest_shape
 
@@ -168,6 +170,25 @@ def test_an_unknown_friction_is_summed_out_as_contacts_drawn_from_the_prior_say(
         low, high = found.interval(0.9, of=name)
         inside = weight[(drawn[:, i] > low) & (drawn[:, i] < high)].sum()
         assert inside == pytest.approx(0.9, abs=4 * 0.3 / np.sqrt(size) + 0.005)
+
+
+def test_signals_angle_and_prior_are_functions_of_the_friction_at_a_place():
+    """Where the range of angles turns with friction, which took tiles of all three unknowns."""
+    observer = Observer(whisker(20, 8.0), Friction(ForceMap()))
+    likelihood = likelihood_of(observer)
+    assert isinstance(likelihood, LastSummed)
+    x, z = np.array([[-0.5, -1.0], [0.3, 0.5], [0.8, 1.5]]), 0.7
+    first, log_first = likelihood.contact(x)
+    parts, held = likelihood.signals(x, first)
+    assert held.all()
+    contact, log_prior = observer.contact(np.column_stack([x, np.full(3, z)]))
+    signals, outcome = observer.signals(contact)
+    assert (outcome == 0).all()
+    found = parts @ likelihood.lattice.basis(np.array(z))
+    assert found[:, :2] == pytest.approx(signals, rel=1e-3)
+    shift = log_prior + 0.5 * (z**2 + np.log(2 * np.pi)) - log_first
+    assert found[:, 2] == pytest.approx(shift, abs=1e-4)
+    assert found[:, 3] * first[:, 1] == pytest.approx(contact[:, 1], rel=1e-4)
 
 
 def coverage(cue, w, noise, count, seed=5):

@@ -104,7 +104,10 @@ def _whole(observer: Observer, length: float) -> _Whole | None:
     prior, beside tiles finer by a third.
     """
     try:
-        most = MOST_TILES // 6 ** (likelihood_of(observer).dim - 2)
+        likelihood = likelihood_of(observer)
+        if isinstance(likelihood, LastSummed) and likelihood.lattice.turns:
+            return None  # some 4000 tiles of 20 kB, and their certificate takes minutes
+        most = MOST_TILES // 6 ** (likelihood.dim - 2)
         tiled = _tiled(observer, tiles_of(observer, length, most=most), length)
     except TooManyTiles:
         return None
@@ -112,9 +115,9 @@ def _whole(observer: Observer, length: float) -> _Whole | None:
     weight = np.exp(tiled.log_weight - tiled.log_weight.max()).ravel()
     node = rng.choice(len(weight), CERTIFYING, p=weight / weight.sum())
     contact = tiled.tiles.nodes.contact.reshape(-1, tiled.dim)[node]
-    if tiled.dim < len(observer.unknowns):
-        last = observer.last_unknown(np.clip(rng.standard_normal(CERTIFYING), -3, 3))
-        contact = np.column_stack([contact, last])
+    if isinstance(likelihood, LastSummed):
+        z = np.clip(rng.standard_normal(CERTIFYING), -3, 3)
+        contact = likelihood.lattice.with_last(contact, z)
     signals, outcome = observer.signals(contact)
     reading = observer.noise.sample(signals[outcome == Outcome.HELD], rng)
     tiles = tiles_of(observer, length / 1.4, reading, deep=False)
@@ -235,7 +238,8 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         if not part.tiled.count:  # no contact explains these readings at all
             status[rows] = Status.IMPROBABLE_READING
             continue
-        mean[rows], sd[rows], error[rows] = moments.mean, moments.sd, part.error
+        mean[rows], sd[rows] = moments.mean, moments.sd
+        error[rows] = part.error + moments.misfit[:, None] / 2
         log_evidence[rows] = moments.log_evidence
         signals[rows], contact[rows] = moments.signals, moments.contact
     likelihood = likelihood_of(observer)

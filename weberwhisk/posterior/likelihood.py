@@ -24,7 +24,11 @@ class AllUnknowns:
         #: Most boxes: 120 000 in two dimensions, 20 000 in three.
         self.most = 720_000 // 6 ** (self.dim - 1)
 
-    def signals(self, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def contact(self, x: Array) -> tuple[Array, Array]:
+        """Contacts (..., U) at coordinates x, and ln of the prior."""
+        return self.observer.contact(x)
+
+    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Signals (..., S) of contacts (..., U), and which are held."""
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
@@ -33,6 +37,10 @@ class AllUnknowns:
     def views(self, signals: Array) -> list[tuple[Array, Array | None]]:
         """The signals; there is nothing left to know."""
         return [(signals, None)]
+
+    def over_views(self, lengths: list[Array]) -> Array:
+        """The lengths (n, d) of boxes, of what the views say."""
+        return lengths[0]
 
     def interval(self, signals: Array, width: float) -> tuple[Array, Array]:
         """Between which readings (..., 1, R) lie."""

@@ -258,7 +258,7 @@ def by_draws(
     The error is that of draws without strata, which these have: some 0.01 of an sd.
     """
     x = draws(tiled, reading, count, np.random.default_rng(0))
-    value = tiled.observer.contact(x)[0][..., unknown]
+    value = tiled.completed(reading, x, np.random.default_rng(1))[..., unknown]
     half = np.sqrt(probability * (1 - probability) / count)
     low, middle, high = (
         np.quantile(value, np.clip(p, 0, 1), axis=1).T

@@ -30,7 +30,7 @@ class OwnGrids:
         signals = np.nan_to_num(observer.signals(contact)[0], nan=1.0)
         share, none = self.weights.max(axis=1), np.zeros(len(reading))
         self.moments = Moments(
-            found.mean, found.sd, found.log_evidence, share, contact, signals, none
+            found.mean, found.sd, found.log_evidence, share, contact, signals, none, none
         )
         self.error = found.error
 

@@ -6,11 +6,15 @@ bump. So tiles are of the other unknowns, as long as what a reading tells of *th
 is summed at each node by the trapezoid rule over a few points about its bump. Points lie on one
 lattice of the unknown's normal coordinate, on which signals are known beforehand: as functions of
 it they are combinations of a few (of one, where they are all in proportion to it).
+
+Friction and curvature also say how far a whisker can be deflected. Nodes are coordinates, not
+contacts, for that: the angle at a node then moves with the last unknown and stays within its range.
+Its change, and that of ln of the prior's density, are two more functions beside the signals.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -46,12 +50,16 @@ class LastLattice:
     def __init__(self, observer: Observer, *, samples: int = 65, most: int = 24) -> None:
         self.observer = observer
         x = observer.space.spread(1 / (1 + np.exp(-np.linspace(-6, 5, 17))), others=5)[:, :-1]
-        contact = observer.contact(np.unique(x, axis=0))[0]
+        x = np.unique(x, axis=0)
+        #: Whether the angle at a node moves with the last unknown.
+        self.turns = observer.space.angle_range_varies
+        #: How many rows of the parts are signals.
+        self.size = len(observer.cue.signal_names)
         nodes = np.cos(np.pi * (np.arange(samples) + 0.5) / samples)
         between = np.cos(np.pi * np.arange(1, samples) / samples)
         self.reach = reach = 6.0
-        own, held = self._signals(contact, reach * nodes)
-        other, also = self._signals(contact, reach * between)
+        own, held = self._signals(x, reach * nodes)
+        other, also = self._signals(x, reach * between)
         some = held[:, samples // 2]
         if not some.any():
             raise NotSmooth
@@ -67,6 +75,8 @@ class LastLattice:
         fit = np.linalg.inv(chebyshev.chebvander(nodes, samples - 1))
         rows = own.swapaxes(1, 2).reshape(-1, samples)
         size = np.abs(rows).max(axis=1, keepdims=True)
+        if self.turns:  # a prior that hardly moves is no shape
+            size = np.maximum(size, np.tile([0.0] * self.size + [1e-4, 0.0], len(own))[:, None])
         _, _, shapes = np.linalg.svd(rows / np.where(size > 0, size, 1.0), full_matrices=False)
         unit = [self._resolution(s) for s in (own, other)]
         for count in range(1, most + 1):
@@ -74,35 +84,94 @@ class LastLattice:
             within = np.cos(np.pi * (np.arange(2 * count + 1) + 0.5) / (2 * count + 1))
             self.taken = min(reach, 0.98 * sure) * within
             self._solve = np.linalg.pinv(self.basis(self.taken)).T
-            taken, _ = self._signals(contact[known], self.taken)
+            taken, _ = self._signals(x[known], self.taken)
             parts = np.einsum("njs,jd->nsd", taken, self._solve)
             off = [
                 np.abs(np.einsum("nsd,jd->njs", parts, self.basis(reach * z)) - s) * u
                 for z, s, u in ((nodes, own, unit[0]), (between, other, unit[1]))
             ]
-            # In sds of the readings; where the prior has hardly any mass less will do.
             both = zip(off, (nodes, between), strict=True)
-            less = [np.exp(-np.maximum((reach * z) ** 2 - 9, 0) / 4) for _, z in both]
-            misfit = max((o.max(axis=(0, 2)) * w).max() for o, w in zip(off, less, strict=True))
+            each = np.max([(o * _less(reach * z)).max(axis=(1, 2)) for o, z in both], axis=0)
+            # Where the end of the branch passes from the fold to the tip the range of angles has a
+            # kink: nodes say how far off they are themselves.
+            misfit = float(np.quantile(each, 0.9) if self.turns else each.max())
             if misfit < 1e-4:
                 break
         if misfit > 3e-3:
             raise NotSmooth
         # A mean was 7e-4 sd off with a misfit of 3e-3.
-        self.unsure += misfit / 3 if misfit > 1e-4 else 0.0
+        self.unsure += misfit / 3 if misfit > 1e-4 and not self.turns else 0.0
         self._lay(parts)
 
-    def _signals(self, contact: Array, z: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Signals (n, J, S) and whether contacts are held, at coordinates z (J,)."""
-        felt = self.observer.given(contact)
-        pairs = [felt(np.full(len(contact), v)) for v in self.observer.last_unknown(z)]
+    def contact(self, x: Array, z: Any = 0.0) -> tuple[Array, Array]:
+        """Contacts (..., U) at coordinates x (..., U − 1) and z (...); ln of the prior of x."""
+        z = np.broadcast_to(np.asarray(z, dtype=float), x.shape[:-1])
+        contact, log_prior = self.observer.contact(np.concatenate([x, z[..., None]], axis=-1))
+        return contact, log_prior + 0.5 * (z**2 + np.log(2 * np.pi))
+
+    def with_last(self, contact: Array, z: Array) -> Array:
+        """Contacts (..., U) where those of z = 0, (..., U − 1), are with the last unknown at z."""
+        last = self.observer.last_unknown(np.zeros(z.shape))
+        whole = np.concatenate([contact, last[..., None]], axis=-1)
+        if not self.turns:
+            whole[..., -1] = self.observer.last_unknown(z)
+            return whole
+        return self.contact(self.observer.coordinates(whole)[..., :-1], z)[0]
+
+    def _signals(self, x: Array, z: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Signals (n, J, S) and whether contacts are held, at coordinates x (n, U − 1) and z (J,).
+
+        Where the angle turns, with ln of how the prior changes from z = 0 on, and the angle over
+        that at z = 0.
+        """
+        if not self.turns:
+            felt = self.observer.given(self.observer.contact(x)[0])
+            pairs = [felt(np.full(len(x), v)) for v in self.observer.last_unknown(z)]
+        else:
+            middle, log_middle = self.contact(x)
+            pairs = []
+            for one in z:
+                contact, log_prior = self.contact(x, one)
+                signals, outcome = self.observer.signals(contact)
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    more = [log_prior - log_middle, contact[:, 1] / middle[:, 1]]
+                known = [np.nan_to_num(m, posinf=1.0, neginf=1.0, nan=1.0) for m in more]
+                pairs.append((np.column_stack([signals, *known]), outcome))
         signals = np.stack([s for s, _ in pairs], axis=1)
         held = np.stack([o == Outcome.HELD for _, o in pairs], axis=1)
         return np.where(held[..., None], signals, 1.0), held
 
+    def parts(self, x: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The parts (n, S, D) of signals at coordinates x (n, U − 1), and whether all are held.
+
+        Where the angle turns there are three more rows: ln of the prior's change, the angle's
+        ratio, and how far off the parts are, in sds, the same for all functions.
+        """
+        taken, held = self._signals(x, self.taken)
+        parts = np.einsum("njs,jd->nsd", taken, self._solve)
+        if self.turns:
+            off = np.abs(np.einsum("nsd,jd->njs", parts, self.basis(self.taken)) - taken)
+            off = (off * self._resolution(taken) * _less(self.taken)).max(axis=(1, 2))
+            off = np.broadcast_to(off[:, None, None], (len(x), 1, parts.shape[2]))
+            parts = np.concatenate([parts, off], axis=1)
+        return parts, np.asarray(held.all(axis=1))
+
     def _resolution(self, signals: Array) -> Array:
-        told = np.diagonal(self.observer.noise.fisher(signals), axis1=-2, axis2=-1)
-        return np.sqrt(np.where(np.isfinite(told), np.maximum(told, 0.0), 0.0))
+        """One over the sd of signals (n, J, S); of an angle's ratio, 30.
+
+        Where the last unknown turns a signal's sign it would be known exactly under Weber's law: it
+        is taken for known to a fiftieth of its largest sd.
+        """
+        out = np.broadcast_to([1.0] * self.size + [1.0, 30.0], (*signals.shape[:-1], self.size + 2))
+        out = out[..., : signals.shape[-1]].copy()
+        fisher = self.observer.noise.fisher(signals[..., : self.size])
+        told = np.diagonal(fisher, axis1=-2, axis2=-1)
+        unit = np.sqrt(np.where(np.isfinite(told), np.maximum(told, 0.0), 0.0))
+        if self.turns:
+            least = np.where(unit > 0, unit, np.inf).min(axis=1, keepdims=True)
+            unit = np.minimum(unit, 50 * least)
+        out[..., : self.size] = unit
+        return out
 
     def basis(self, z: Array) -> Array:
         """The functions (..., D) of which signals are combinations."""
@@ -131,7 +200,7 @@ class LastLattice:
         is a quadratic function of 1/φ for noise that is Gaussian, of ln φ where logarithms are.
         """
         noise, size = self.observer.noise, len(self.observer.cue.signal_names)
-        self.quadratic = self.functions.shape[1] == 1 and noise.is_scale_family
+        self.quadratic = self.functions.shape[1] == 1 and noise.is_scale_family and not self.turns
         self.quadratic &= noise.gaussian_on is not None
         if self.quadratic:
             middle = self.functions[self.half + 1, 0]
@@ -144,6 +213,7 @@ class LastLattice:
 
     def widths(self, parts: Array, z: float) -> Array:
         """Widths (...) of the bump at z, by prior and Fisher information; parts (..., S, D)."""
+        parts = parts[..., : self.size, :]
         signals, slope = parts @ self.basis(np.array(z)), parts @ self.slope(z)
         told = np.einsum("...i,...ij,...j->...", slope, self.observer.noise.fisher(signals), slope)
         return np.asarray((1.0 + np.nan_to_num(np.maximum(told, 0.0), posinf=0.0)) ** -0.5)
@@ -158,6 +228,11 @@ class LastLattice:
         if index.size and index.min() >= 0 and index.max() <= 2 * self.half + 2:
             return index
         return np.clip(index, 0, 2 * self.half + 2)
+
+
+def _less(z: Array) -> Array:
+    """How much a misfit at z (J,) counts, (J, 1): the prior has hardly any mass far out."""
+    return np.asarray(np.exp(-np.maximum(z**2 - 9, 0) / 4))[:, None]
 
 
 class LastCurve:
@@ -177,9 +252,16 @@ class LastCurve:
         """At indices (n, K) of pairs (n,) and their nodes (n,)."""
         return self._of(self.reading[pair, None], self.parts[pair, node], index)
 
+    def turn(self, pair: Index, node: Index, index: Index) -> Array:
+        """The angle over that at the middle, at the same."""
+        return np.einsum("nkd,nd->nk", self.lattice.functions[index], self.parts[pair, node, -2])
+
     def _of(self, reading: Array, parts: Array, index: Index) -> Array:
+        size = self.lattice.size
         signals = self.lattice.functions[index] @ parts.swapaxes(-1, -2)
-        log = self.lattice.observer.noise.log_likelihood(reading, signals)
+        log = self.lattice.observer.noise.log_likelihood(reading, signals[..., :size])
+        if self.lattice.turns:
+            log = log + signals[..., size]
         return np.asarray(log + self.lattice.log_prior[index])
 
 
@@ -223,25 +305,40 @@ class LastSummed:
         self.most = 24_000 // 4 ** (self.dim - 1)
         self.lattice = LastLattice(observer)
 
-    def signals(self, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """The parts (..., S, D) of the signals of contacts (..., U − 1), and which are held."""
-        lattice, flat = self.lattice, contact.reshape(-1, self.dim)
-        taken, held = lattice._signals(flat, lattice.taken)
-        parts = np.einsum("njs,jd->nsd", taken, lattice._solve)
-        shape = contact.shape[:-1]
-        return parts.reshape(*shape, *parts.shape[1:]), np.all(held, axis=1).reshape(shape)
+    def contact(self, x: Array) -> tuple[Array, Array]:
+        """Contacts (..., U − 1) at coordinates x, of the last unknown's middle; ln of the prior."""
+        if not self.lattice.turns:
+            return self.observer.contact(x)
+        contact, log_prior = self.lattice.contact(x)
+        return contact[..., :-1], log_prior
+
+    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The parts (..., S, D) of the signals at coordinates (..., U − 1), and which are held."""
+        lattice, flat = self.lattice, x.reshape(-1, self.dim)
+        parts, held = lattice.parts(flat)
+        shape = x.shape[:-1]
+        return parts.reshape(*shape, *parts.shape[1:]), held.reshape(shape)
 
     def views(self, parts: Array) -> list[tuple[Array, Array | None]]:
         """Signals (..., S) at three places of the last unknown, and their slopes."""
         lattice = self.lattice
+        parts = parts[..., : lattice.size, :]
         return [
             (parts @ lattice.basis(np.array(z)), parts @ lattice.slope(z)) for z in (0.0, -2.0, 2.0)
         ]
 
+    def over_views(self, lengths: list[Array]) -> Array:
+        """The lengths (n, d) of boxes, of what the views say: the most.
+
+        Friction turns the sign of a force, which at one friction angle bends the density at one
+        contact, at another elsewhere, and not at all once the friction is summed out: the middle.
+        """
+        return np.asarray((np.median if self.lattice.turns else np.max)(lengths, axis=0))
+
     def interval(self, parts: Array, width: float) -> tuple[Array, Array]:
         """Between which readings (..., panels, R) lie, of each panel."""
         ends = self.lattice.basis(np.linspace(-1, 1, 2 * self.panels + 1) * self.lattice.reach)
-        signals = np.einsum("...sd,ed->...es", parts, ends)
+        signals = np.einsum("...sd,ed->...es", parts[..., : self.lattice.size, :], ends)
         low, high = self.noise.interval(signals, width)
         cut = [slice(i, i + 2 * self.panels - 1 + (i > 1), 2) for i in range(3)]
         low = np.minimum.reduce([low[..., c, :] for c in cut])
@@ -298,7 +395,8 @@ class LastSummed:
             move = np.minimum(np.maximum(rise / bend, -4.0), 4.0)
             index = index + np.rint(move * stride).astype(np.intp)
         found = np.minimum(stride * lattice.step * bend**-0.5, 1.0)
-        return Peak(index, found, np.maximum(middle, middle + rise * move / 2), 5 * found)
+        # Of a bump that is found the rise is little; more is of one that the lattice does not show.
+        return Peak(index, found, middle + np.clip(rise * move / 2, 0.0, 8.0), 5 * found)
 
     def log_likelihood(self, reading: Array, parts: Array) -> Array:
         """ln p(reading | the other unknowns), (m, N), about: of bumps taken for Gaussian."""
@@ -309,5 +407,6 @@ class LastSummed:
         return np.asarray(peak.height + np.log(peak.width) + 0.5 * np.log(2 * np.pi))
 
     def widths(self, parts: Array) -> Array:
-        """The least of the bumps' widths (...) at three places."""
-        return np.minimum.reduce([self.lattice.widths(parts, z) for z in (0.0, -2.0, 2.0)])
+        """The least of the bumps' widths (...) at three places, as far as the lattice shows."""
+        least = np.minimum.reduce([self.lattice.widths(parts, z) for z in (0.0, -2.0, 2.0)])
+        return np.maximum(least, 2 * self.lattice.step)

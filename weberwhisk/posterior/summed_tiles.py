@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..mechanics.contact import Outcome
 from .solution import Array, Index
 from .summed import LastCurve, LastSummed, Peak, Quadratic
 from .tiled import TiledObserver, Weighed
@@ -105,7 +104,7 @@ class SummedTiles(TiledObserver):
         middle = np.einsum("pc,cp->p", index[pair], self._between[:, node])
         step = np.rint((middle - lattice.half - 1) / stride[row[pair]]).astype(np.intp)
         curve = self._curve(reading[row], tile, "all")
-        return self._summed(row, tile, stride, pair, node, step, points[pair], curve.at, most)
+        return self._summed(row, tile, stride, pair, node, step, points[pair], curve, most)
 
     def _summed(
         self,
@@ -116,7 +115,7 @@ class SummedTiles(TiledObserver):
         node: Index,
         centre: Index,
         points: Index,
-        curve: Callable[[Index, Index, Index], Array],
+        curve: LastCurve,
         most: int,
         *,
         lost: float = 1e-6,
@@ -130,6 +129,7 @@ class SummedTiles(TiledObserver):
         weight_of = self.log_weight[tile[pair], node]
         logs = np.full(len(pair), -np.inf)
         top = np.full(count, -np.inf)
+        turn = np.ones((2, len(pair))) if lattice.turns else None
         size = 2 * (int(np.ceil(lattice.half / stride.min())) + 1) + 1
         kept: list[tuple[Index, Array, Array]] = []
         left: Index = np.arange(len(pair))
@@ -140,7 +140,7 @@ class SummedTiles(TiledObserver):
                 about: Index = np.arange(-points[some[0]], points[some[0]] + 1)
                 steps = first[some, None] + about * own[some, None]
                 index = lattice.at(steps)
-                share = curve(pair[some], node[some], index)
+                share = curve.at(pair[some], node[some], index)
                 high = share.max(axis=1)
                 share -= np.where(np.isfinite(high), high, 0.0)[:, None]
                 np.exp(share, out=share)
@@ -149,6 +149,10 @@ class SummedTiles(TiledObserver):
                     logs[some] = np.log(total) + high + weight_of[some]
                     np.maximum.at(top, whose[some], logs[some])
                     edge = (share[:, 0] + share[:, -1]) * np.exp(logs[some] - top[whose[some]])
+                    if turn is not None:
+                        ratio = curve.turn(pair[some], node[some], index)
+                        turn[0, some] = (share * ratio).sum(axis=1) / total
+                        turn[1, some] = (share * ratio**2).sum(axis=1) / total
                 off = (edge > lost * total) & (attempt + 1 < most)
                 if off.any():
                     again.append(some[off])
@@ -172,9 +176,15 @@ class SummedTiles(TiledObserver):
         place = np.zeros(count, dtype=np.intp)
         highest = np.flatnonzero(weight_of == 1.0)
         place[whose[highest]] = centre[highest]
-        best = lattice.value[lattice.at(lattice.half + 1 + place * stride)]
+        best = lattice.z[lattice.at(lattice.half + 1 + place * stride)].astype(np.float64)
         top = top + np.log(stride * lattice.step)
-        return Weighed(row, tile, weight, top, last, mass.reshape(count, size), best, stride)
+        of_last = np.asarray(mass.reshape(count, size), dtype=np.float64)
+        turned: tuple[Array, Array] | None = None
+        if turn is not None:
+            turned = np.zeros_like(weight), np.zeros_like(weight)
+            for into_, of_node in zip(turned, np.nan_to_num(turn), strict=True):
+                into_[pair, node] = of_node
+        return Weighed(row, tile, weight, top, last, of_last, best, stride, turned)
 
     def last_quantiles(
         self, weighed: Weighed, probability: Array, lost: Array, *, finer: int = 16
@@ -213,8 +223,9 @@ class SummedTiles(TiledObserver):
 
         Of its density at each, by points in the range that it has at all, and straight between.
         """
-        first = self.observer.contact(x)[0]
-        last = np.full(first.shape[:2], np.nan)
+        lattice, size = self.likelihood.lattice, self.likelihood.lattice.size
+        first = self.likelihood.contact(x)[0]
+        drawn = np.full(first.shape[:2], np.nan)
         for i, y in enumerate(reading):
             weighed = self.weigh(y[None])
             assert weighed.last_mass is not None
@@ -223,24 +234,29 @@ class SummedTiles(TiledObserver):
             if not held.size or np.isnan(first[i]).any():
                 continue
             middle = weighed.last_mass.shape[1] // 2
-            step = weighed.stride[0] * self.likelihood.lattice.step
+            step = weighed.stride[0] * lattice.step
             low, high = (held[0] - 1 - middle) * step, (held[-1] + 1 - middle) * step
             points_here = max(points, 4 * (held[-1] - held[0]))
             z = np.linspace(low, high, points_here)
-            felt = self.observer.given(first[i])
-            log = np.full((len(first[i]), points_here), -np.inf)
-            for j, value in enumerate(self.observer.last_unknown(z)):
-                signals, outcome = felt(np.full(len(first[i]), value))
-                known = outcome == Outcome.HELD
-                signals = np.where(known[:, None], signals, 1.0)
-                here = self.observer.noise.log_likelihood(y, signals) - 0.5 * z[j] ** 2
-                log[:, j] = np.where(known, here, -np.inf)
+            parts, _ = self.likelihood.signals(x[i], first[i])
+            log = np.empty((len(first[i]), points_here))
+            for j, functions in enumerate(lattice.basis(np.clip(z, -lattice.reach, lattice.reach))):
+                seen = parts @ functions
+                log[:, j] = self.observer.noise.log_likelihood(y, seen[:, :size]) - 0.5 * z[j] ** 2
+                if lattice.turns:
+                    log[:, j] += seen[:, size]
             rise = np.cumsum(np.exp(log - log.max(axis=1, keepdims=True)), axis=1)
             wanted = rng.random(len(rise)) * rise[:, -1]
             above = np.minimum((rise < wanted[:, None]).sum(axis=1), points_here - 1)
-            z_drawn = z[above] + (rng.random(len(rise)) - 0.5) * (z[1] - z[0])
-            last[i] = self.observer.last_unknown(z_drawn)
-        return np.concatenate([first, last[..., None]], axis=-1)
+            drawn[i] = z[above] + (rng.random(len(rise)) - 0.5) * (z[1] - z[0])
+        if lattice.turns:
+            return lattice.contact(x, drawn)[0]
+        return np.concatenate([first, self.observer.last_unknown(drawn)[..., None]], axis=-1)
+
+    def _misfit(self, tile: Index) -> Array:
+        if not self.likelihood.lattice.turns:
+            return super()._misfit(tile)
+        return np.asarray(self._parts[tile, :, -1, 0])
 
     def _at_best(self, tile: Index, node: Index, weighed: Weighed) -> tuple[Array, Array]:
         if not self.count:
@@ -250,7 +266,7 @@ class SummedTiles(TiledObserver):
             )
         assert weighed.last_best is not None
         first = self.tiles.nodes.contact[tile, node]
-        contact = np.concatenate([first, weighed.last_best[:, None]], axis=-1)
+        contact = self.likelihood.lattice.with_last(first, weighed.last_best)
         signals, _ = self.observer.signals(contact)
         return contact, np.nan_to_num(signals, nan=1.0)
 

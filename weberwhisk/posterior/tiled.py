@@ -34,7 +34,8 @@ class Weighed(NamedTuple):
     The reading and the tile of each pair (n,), the weights of its nodes (n, N) over the largest of
     the reading, and ln of the largest (B,). Of an unknown that is summed out: values (B, L) and
     the mass on them (B, L), its value at each reading's best node (B,), and the steps (B,) from
-    value to value on its lattice.
+    value to value on its lattice. Where it moves the angle at a node: means (n, N) of the angle and
+    of its square, over those at the middle.
     """
 
     row: Index
@@ -45,13 +46,15 @@ class Weighed(NamedTuple):
     last_mass: Array | None = None
     last_best: Array | None = None
     stride: Index | None = None
+    turn: tuple[Array, Array] | None = None
 
 
 class Moments(NamedTuple):
     """Of B posteriors: mean and sd (B, U), ln of the evidence; and how well it went.
 
     The share of the mass on the best node, the contact there (B, U) and its signals (B, S), and the
-    share on tiles that are longer than they should be.
+    share on tiles that are longer than they should be; and how far off signals are at the nodes, in
+    sds, where they are functions of an unknown that is summed out.
     """
 
     mean: Array
@@ -61,6 +64,7 @@ class Moments(NamedTuple):
     contact: Array
     signals: Array
     rough: Array
+    misfit: Array
 
 
 class TiledObserver:
@@ -199,8 +203,12 @@ class TiledObserver:
     def _moments(self, reading: Array) -> Moments:
         weighed = self.weigh(reading)
         of_tiles = (weighed.weight[:, None] @ self._powers[weighed.tile])[:, 0]
-        sums = summed(of_tiles, weighed.row, len(reading))
         unknowns = self._powers.shape[-1] // 2
+        if weighed.turn is not None:
+            for column, turn in zip((2, 2 + unknowns), weighed.turn, strict=True):
+                moved = weighed.weight * turn * self._powers[weighed.tile, :, column]
+                of_tiles[:, column] = moved.sum(axis=1)
+        sums = summed(of_tiles, weighed.row, len(reading))
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = sums[:, 1 : 1 + unknowns] / sums[:, :1]
             square = sums[:, 1 + unknowns :] / sums[:, :1]
@@ -208,6 +216,8 @@ class TiledObserver:
             share = 1 / sums[:, 0]
             rough = np.where(self._rough[weighed.tile], of_tiles[:, 0], 0.0)
             rough = summed(rough, weighed.row, len(reading)) / sums[:, 0]
+            off = (weighed.weight * self._misfit(weighed.tile)).sum(axis=1)
+            misfit = summed(off, weighed.row, len(reading)) / sums[:, 0]
         best = np.zeros((2, len(reading)), dtype=np.intp)
         pair, node = np.nonzero(weighed.weight == 1.0)
         best[:, weighed.row[pair]] = weighed.tile[pair], node
@@ -216,7 +226,11 @@ class TiledObserver:
         if weighed.last is not None and weighed.last_mass is not None:
             first, second = last_moments(weighed.last, weighed.last_mass)
             mean, sd = np.column_stack([mean, first]), np.column_stack([sd, second])
-        return Moments(mean, sd, log_evidence, share, contact, signals, rough)
+        return Moments(mean, sd, log_evidence, share, contact, signals, rough, misfit)
+
+    def _misfit(self, tile: Index) -> Array:
+        """By how much signals are off at the nodes of tiles (n, N), in sds."""
+        return np.zeros((len(tile), 1))
 
     def _at_best(self, tile: Index, node: Index, weighed: Weighed) -> tuple[Array, Array]:
         """Contacts and signals at nodes (B,) of tiles (B,)."""

@@ -283,9 +283,10 @@ def _prior_weight(observer: Observer, boxes: Boxes) -> Array:
 def measured(observer: Observer, boxes: Boxes) -> Nodes:
     """What is known at the nodes of boxes, and how long the boxes are."""
     rule, likelihood = Rule.of(boxes.low.shape[1]), likelihood_of(observer)
-    contact, log_prior = observer.contact(_points(boxes))
+    points = _points(boxes)
+    contact, log_prior = likelihood.contact(points)
     log_weight = log_prior + rule.log_weight + np.log(boxes.high - boxes.low).sum(axis=1)[:, None]
-    signals, held = likelihood.signals(contact)
+    signals, held = likelihood.signals(points, contact)
     held &= log_weight > -np.inf
     log_weight = np.where(held, log_weight, -np.inf)
     low, high = _bounds(likelihood, signals, held)
@@ -297,7 +298,7 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
     mixed = np.logical_and(blind.any(axis=1), ~blind.all(axis=1))
     kink = np.asarray(partly | np.any(mixed, axis=1))
     score = prior_scores(observer, contact)
-    lengths = np.max([_lengths(observer, score, *view, held) for view in views], axis=0)
+    lengths = likelihood.over_views([_lengths(observer, score, *view, held) for view in views])
     bent = _bent(observer, seen, held)
     return Nodes(contact, log_weight, signals, low, high, lengths, kink, bent)
 
