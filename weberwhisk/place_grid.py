@@ -49,7 +49,7 @@ class Frame(NamedTuple):
         return cls(covariance @ pull, matrix, np.full(2, -reach), np.full(2, reach))
 
 
-class Sums(NamedTuple):
+class PlaceSums(NamedTuple):
     """Moments of a density over places, its nodes, and the estimated error in sds."""
 
     mean: Array
@@ -87,7 +87,7 @@ def integrate(
     *,
     depth: float = 26.0,
     most: int = 40_000,
-) -> Sums:
+) -> PlaceSums:
     """Sum a density over places, given as ln of it at (n, 2).
 
     Cells of 4 × 4 nodes are cut in four where they have mass, and again where a cell and its
@@ -207,19 +207,19 @@ def _errors(cells: _Cells, top: float, known: NDArray[np.bool_]) -> tuple[float,
     return 2 * float(np.sqrt(np.sum(size**2))), size
 
 
-def _sums(cells: _Cells, frame: Frame, error: float) -> Sums:
+def _sums(cells: _Cells, frame: Frame, error: float) -> PlaceSums:
     top = float(cells.log.max())
     if not np.isfinite(top):
-        nan = np.full(2, np.nan)
-        none = np.empty(0)
-        return Sums(nan, np.full((2, 2), np.nan), np.inf, np.empty((0, 2)), none, none, -np.inf)
+        nan, none = np.full(2, np.nan), np.empty(0)
+        unknown = np.full((2, 2), np.nan)
+        return PlaceSums(nan, unknown, np.inf, np.empty((0, 2)), none, none, -np.inf)
     total, mean, covariance = _moments(cells, top)
     size = abs(np.linalg.det(frame.matrix))
     evidence = top + np.log(total * size)
     weight = np.exp(cells.log - top) * _WEIGHTS * cells.side.prod(axis=1)[:, None] / total
     kept = weight > 0
     places = (frame.middle + cells.points() @ frame.matrix.T)[kept]
-    return Sums(
+    return PlaceSums(
         frame.middle + frame.matrix @ mean,
         frame.matrix @ covariance @ frame.matrix.T,
         error,

@@ -48,7 +48,7 @@ class Readings(NamedTuple):
         return Readings(self.value[rows], covariance)
 
 
-class Cells(NamedTuple):
+class LatticeCells(NamedTuple):
     """Cells of a lattice: what it takes to hold them against readings.
 
     Places in lattice steps (N, U), contacts (N, U), signals (N, S), ln of the prior density in x
@@ -61,10 +61,10 @@ class Cells(NamedTuple):
     log_prior: Array
     change: Array
 
-    def take(self, some: Any) -> Cells:
+    def take(self, some: Any) -> LatticeCells:
         """Some of them."""
         change = self.change[:, some] if len(self.change) else self.change
-        return Cells(
+        return LatticeCells(
             self.place[some], self.contact[some], self.signals[some], self.log_prior[some], change
         )
 
@@ -75,7 +75,7 @@ class Cloud(NamedTuple):
     `precise` says whether the lattice is as fine as it should be.
     """
 
-    cells: Cells
+    cells: LatticeCells
     step: Array
     precise: bool
 
@@ -199,7 +199,7 @@ class Lattice:
     # -- cells ---------------------------------------------------------------------------------
 
     @cached_property
-    def _start(self) -> tuple[Cells, Array]:
+    def _start(self) -> tuple[LatticeCells, Array]:
         """The coarse lattice over all contacts, and its steps (U,)."""
         ends = self.observer.space.spread(np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7]))
         step = np.full(self.unknowns, 0.5)
@@ -211,7 +211,7 @@ class Lattice:
         cells = self._cells(np.stack([a.ravel() for a in grid], axis=-1).astype(np.intp), step)
         return cells.take(np.isfinite(cells.log_prior)), step
 
-    def _cells(self, place: Index, step: Array, *, changes: bool = True) -> Cells:
+    def _cells(self, place: Index, step: Array, *, changes: bool = True) -> LatticeCells:
         contact, signals, log_prior = self._at(place * step)
         change = np.zeros((self.unknowns if changes else 0, *signals.shape))
         for d in range(len(change)):
@@ -219,7 +219,7 @@ class Lattice:
             _, moved, still = self._at(place * step + aside)
             both = np.isfinite(still) & np.isfinite(log_prior)
             change[d] = np.where(both[:, None], (moved - signals) / 1e-3, 0.0)
-        return Cells(place, contact, signals, log_prior, change)
+        return LatticeCells(place, contact, signals, log_prior, change)
 
     def _at(self, x: Array) -> tuple[Array, Array, Array]:
         """Contacts, signals (0 where not held) and ln of the prior in x, −inf where not held."""
@@ -252,7 +252,7 @@ class Lattice:
         at = at[np.lexsort(cells.place[at].T[::-1])]
         return Cloud(cells.take(at), step, not wide.any())
 
-    def _tempered(self, reading: Readings, cells: Cells, step: Array) -> tuple[Array, Array]:
+    def _tempered(self, reading: Readings, cells: LatticeCells, step: Array) -> tuple[Array, Array]:
         """ln of the density of cells (N,), as blurred as they are wide; their lengths (U,) in sd.
 
         The lengths are the largest near the top, across the direction in which stiffness moves

@@ -55,7 +55,7 @@ class Points(NamedTuple):
         return Points(*(v[rows] for v in self))
 
 
-class Curve(NamedTuple):
+class FittedShape(NamedTuple):
     """Knots along n whiskers in the frame of the base: arc of the contact, its force there."""
 
     held: Array
@@ -123,7 +123,7 @@ class Shapes:
         p[:, 2], p[:, 3] = self.place(held), change * ei / (2 * s)
         return p
 
-    def curve(self, p: Array) -> Curve:
+    def curve(self, p: Array) -> FittedShape:
         """Shapes of numbers (n, 12), in the frame of the base."""
         held, end = self.held(p), max(self.reach, 1.0)
         k0, k1, k2, m0, m1, m2 = p[:, 5:11].T
@@ -157,7 +157,7 @@ class Shapes:
         turns = np.concatenate([np.array(angles[::-1]).T, turn[:, 2::2]], axis=1)
         at = np.concatenate([np.array(zs[::-1]).T, far], axis=1)
         back = np.exp(-1j * angle)
-        return Curve(
+        return FittedShape(
             held, end, turns - angle[:, None], (at - z[:, None]) * back[:, None],
             np.concatenate([np.array(bends[::-1]).T, rest], axis=1), force * back,
         )  # fmt: skip

@@ -18,7 +18,7 @@ _SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
 _NORMS = np.exp(-(((np.arange(2000)[:, None] + 0.5) / 2000 / _SPANS) ** 4)).mean(axis=0)
 
 
-class Touch(NamedTuple):
+class LocatedTouch(NamedTuple):
     """Posterior of the distance of a touch: mean, sd and interval, m; whether rows agree."""
 
     mean: float
@@ -29,7 +29,7 @@ class Touch(NamedTuple):
 
 def touch_posterior(
     lattice: Lattice, clouds: Sequence[Cloud], readings: Readings, mass: float
-) -> Touch:
+) -> LocatedTouch:
     """The posterior of n rows (n, S), each with the cells from which it may come.
 
     p(r, E | rows) ∝ p(r) p(E) ∏ᵢ ∫ p(yᵢ | r, θᵢ, E) p(θᵢ | r) dθᵢ. The product of the rows' own
@@ -37,7 +37,7 @@ def touch_posterior(
     the angles go is unknown as well, and shared: with angles flat up to the fold, touches of small
     angles had errors of 1.4 sd.
     """
-    nothing = Touch(np.nan, np.nan, np.full(2, np.nan), False)
+    nothing = LocatedTouch(np.nan, np.nan, np.full(2, np.nan), False)
     layers = [cloud.layers for cloud in clouds]
     low, high = max(x[0] for _, x in layers), min(x[-1] for _, x in layers)
     if not low < high or min(len(x) for _, x in layers) < 4:
@@ -66,7 +66,7 @@ def touch_posterior(
     mean = weight @ r
     tails = np.array([(1 - mass) / 2, (1 + mass) / 2])
     ends = lattice.distances(quantiles(weight[None], x, tails)[0])
-    return Touch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), ends, True)
+    return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), ends, True)
 
 
 def _density(
