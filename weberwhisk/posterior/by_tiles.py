@@ -20,7 +20,7 @@ from ..receptors import Seed
 from ..threads import on_threads
 from .densities import refuse_impossible
 from .likelihood import likelihood_of
-from .marginals import all_quantiles, by_draws, draws
+from .marginals import by_draws, draws, tile_quantiles
 from .own_grid import OwnGrids
 from .result import Estimate, Status
 from .solution import Array, Solution, is_outside, is_unidentified
@@ -260,37 +260,33 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     for part in found:
         own_grid[part.rows] = isinstance(part.tiled, OwnGrids)
 
-    @lru_cache(maxsize=16)
-    def read_off(p: tuple[float, ...]) -> tuple[Array, Array]:
-        """Quantiles (B, Q, U) and their errors: of reading them off, and of the tiles' sums.
+    kept: dict[tuple[tuple[float, ...], int], tuple[Array, Array]] = {}
+
+    def both(p: tuple[float, ...], unknown: int) -> tuple[Array, Array]:
+        """Quantiles (B, Q) and their errors: of reading them off, and of the tiles' sums.
 
         A share of the mass that moves the mean by its error may lie on the wrong side.
         """
-        probability = np.array(p)
-        value, off = np.full((2, count, len(p), dim), np.nan)
-        for part in found:
-            rows = part.rows
-            if isinstance(part.tiled, OwnGrids):
-                for i in range(dim):
-                    value[rows, :, i], off[rows, :, i] = part.tiled.quantiles(probability, i)
-            else:
-                value[rows], off[rows] = all_quantiles(
-                    part.tiled, reading[rows], probability, 0.5 * error[rows]
-                )
-        return value, off
-
-    @lru_cache(maxsize=16)
-    def both(p: tuple[float, ...], unknown: int) -> tuple[Array, Array]:
-        value, off = (a[..., unknown] for a in read_off(p))
-        if unknown == 1 and observer.space.angle_range_varies:
-            value, off = value.copy(), off.copy()
+        if (p, unknown) not in kept:
+            # An angle whose range turns with a third unknown is cut by no line alike.
+            turning = 1 if observer.space.angle_range_varies else None
+            # An angle takes many times as long as a distance, which comes with it for little.
+            several = range(dim) if unknown not in (0, turning) else (unknown,)
+            several = [i for i in several if i in (unknown, 0) or i != turning]
+            value, off = np.full((2, dim, count, len(p)), np.nan)
             for part in found:
-                if not isinstance(part.tiled, OwnGrids):
-                    rows = part.rows
-                    value[rows], off[rows] = by_draws(
-                        part.tiled, reading[rows], np.array(p), unknown
+                rows, args = part.rows, (reading[part.rows], np.array(p))
+                if isinstance(part.tiled, OwnGrids):
+                    for i in several:
+                        value[i, rows], off[i, rows] = part.tiled.quantiles(args[1], i)
+                elif unknown == turning:
+                    value[unknown, rows], off[unknown, rows] = by_draws(part.tiled, *args, unknown)
+                else:
+                    value[:, rows], off[:, rows] = tile_quantiles(
+                        part.tiled, *args, several, 0.5 * error[rows]
                     )
-        return value, off
+            kept.update({(p, i): (value[i], off[i]) for i in several})
+        return kept[p, unknown]
 
     def quantile_of(p: Array, unknown: int) -> Array:
         return both(tuple(p), unknown)[0].copy()

@@ -225,28 +225,25 @@ def _exp_of(powers: Array, x: Array) -> Array:
     return np.exp(np.minimum(value, 30.0, out=value), out=value)
 
 
-def all_quantiles(
-    tiled: TiledObserver, reading: Array, probability: Array, lost: Array
+def tile_quantiles(
+    tiled: TiledObserver, reading: Array, probability: Array, unknowns: list[int], lost: Array
 ) -> tuple[Array, Array]:
-    """Quantiles (B, Q, U) of all unknowns for readings (B, R), and their errors.
+    """Quantiles (U, B, Q) of some unknowns for readings (B, R), NaN of others; and their errors.
 
-    All are read off the same weights. `lost` (B, U) is mass that may lie on the wrong side. NaN for
-    an angle whose range turns with a third unknown: it is cut by no line alike, see `by_draws`.
+    All are read off the same weights. `lost` (B, U) is mass that may lie on the wrong side.
     """
-    unknowns = len(tiled.observer.unknowns)
-    out, error = np.full((2, len(reading), len(probability), unknowns), np.nan)
+    shape = len(tiled.observer.unknowns), len(reading), len(probability)
+    out, error = np.full((2, *shape), np.nan)
     size = 2 * tiled.together
     for part in (slice(i, i + size) for i in range(0, len(reading), size)):
         weighed = tiled.weigh(reading[part], whole=True)
-        for unknown in range(unknowns):
+        for unknown in unknowns:
             if unknown == tiled.dim:
-                value, off = tiled.last_quantiles(weighed, probability, lost[part, unknown])
-            elif unknown == 1 and tiled.observer.space.angle_range_varies:
-                continue
+                found = tiled.last_quantiles(weighed, probability, lost[part, unknown])
             else:
                 marginal = Marginal(tiled, weighed, len(reading[part]), unknown)
-                value, off = quantiles(marginal, probability, lost[part, unknown])
-            out[part, :, unknown], error[part, :, unknown] = value, off
+                found = quantiles(marginal, probability, lost[part, unknown])
+            out[unknown, part], error[unknown, part] = found
     return out, error
 
 

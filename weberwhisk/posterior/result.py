@@ -214,8 +214,10 @@ class Posterior(Shown):
             )
         }  # fmt: skip
         rows = []
+        # The last first: what is worked out for an angle has the distance's interval with it.
+        ends = {name: self.interval(0.95, of=name) for name in reversed(self.observer.unknowns)}
         for name, estimate in self.estimates.items():
-            low, high = np.moveaxis(np.atleast_2d(self.interval(0.95, of=name)), -1, 0)
+            low, high = np.moveaxis(np.atleast_2d(ends[name]), -1, 0)
             columns = {key: np.atleast_1d(v) for key, v in estimate._asdict().items()}
             rows.append(
                 pd.DataFrame(
