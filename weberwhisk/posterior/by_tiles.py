@@ -274,8 +274,9 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
             # An angle whose range turns with a third unknown is cut by no line alike.
             turning = 1 if observer.space.angle_range_varies else None
             # An angle takes many times as long as a distance, which comes with it for little.
-            several = range(dim) if unknown not in (0, turning) else (unknown,)
-            several = [i for i in several if i in (unknown, 0) or i != turning]
+            several = [unknown]
+            if unknown not in (0, turning):
+                several = [i for i in range(dim) if i != turning]
             value, off = np.full((2, dim, count, len(p)), np.nan)
             for part in found:
                 rows, args = part.rows, (reading[part.rows], np.array(p))
