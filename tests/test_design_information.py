@@ -283,7 +283,7 @@ def test_expected_intervals_are_those_of_fits():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"constraints": Constraints(nearest=60e-3)}, "leaves nothing that can be felt"),
+        ({"constraints": Constraints(nearest=60e-3)}, "leaves nothing that can be encoded"),
         ({"constraints": Constraints(step=20e-3)}, "fewer than standards=3"),
         ({"constraints": Constraints(nearest=25e-3, farthest=26e-3, easy_share=0.5)},
          "fewer than standards=3"),

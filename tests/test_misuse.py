@@ -116,8 +116,8 @@ MISUSES: list[tuple[Callable[[], object], str]] = [
     (fitted(seed="a"), "seed must be a whole number .* got 'a'"),
     (fitted(seed=-1), "seed must be a whole number .* got -1"),
     (lambda: FIT.threshold("a"), "standard must be a number, got 'a'"),
-    (lambda: FIT.threshold(-1.0), "stimulus -1 lies outside what can be felt"),
-    (lambda: FIT.psychometric([-1.0]), "stimulus -1 lies outside what can be felt"),
+    (lambda: FIT.threshold(-1.0), "stimulus -1 lies outside what can be encoded"),
+    (lambda: FIT.psychometric([-1.0]), "stimulus -1 lies outside what can be encoded"),
     (lambda: FIT.prior_predictive(seed="a"), "seed must be"),  # type: ignore[arg-type]
     # Comparisons and criticism.
     (lambda: compare([FIT, FIT]), r"must be a mapping of names to fits"),  # type: ignore[arg-type]

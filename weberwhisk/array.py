@@ -6,11 +6,9 @@ The azimuth of a whisker is 0 where it points caudally, 90° to the side, 180° 
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from importlib import resources
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +18,8 @@ from ._checks import number, one_of, one_or_more
 from ._display import Shown
 from ._values import Value
 from .mechanics.shape import Profile, Spiral
-from .whisker import Whisker, identities, rest_shape
+from .whisker import SPECIES, Whisker, rest_shape
+from .whisker import identities as known_identities
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,8 +90,7 @@ def published(identity: str, species: str = "rat") -> Published:
     >>> round(c2.theta, 1), round(c2.arc_length, 1), round(c2.azimuth, 1)
     (-8.4, 27.8, 61.6)
     """
-    one_of("species", species, ("rat", "mouse"))
-    one_of("whisker", identity, _known(species))
+    one_of("whisker", identity, known_identities(species))
     r, c = ROWS.index(identity[0]) + 1, int(identity[1:]) + 1
     if species == "rat":
         theta, phi = 13.4 * c - 48.6, 1.49 * r**2 - 26.3 * r + 68.0
@@ -266,7 +264,7 @@ class WhiskerArray(Shown, Value):
         identities: Iterable[str] | None = None,
         protraction: float = 0.0,
     ) -> None:
-        known = _known(one_of("species", species, ("rat", "mouse")))
+        known = known_identities(one_of("species", species, SPECIES))
         intact = known
         if identities is not None:
             intact = one_or_more("identities", identities, known)
@@ -325,7 +323,7 @@ class WhiskerArray(Shown, Value):
         base = np.array([np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta), np.sin(phi)])
         base *= at.radius * 1e-3 * np.array([1.0 if side == "right" else -1.0, 1.0, 1.0])
         roll = np.radians(at.roll) + ROLL[row] * self.protraction
-        whisker: Any = _whisker(identity, self.species)
+        whisker: Any = Whisker.from_identity(identity, species=self.species)
         if self.curved:
             bow, rate = (-v * np.cos(roll) for v in rest_shape(identity, self.species))
             whisker = Profile.of(whisker).curved(Spiral(bow, rate))
@@ -339,28 +337,3 @@ class WhiskerArray(Shown, Value):
             float(roll),
             self.protraction,
         )
-
-
-def _known(species: str) -> tuple[str, ...]:
-    """Identities of which there are lengths."""
-    return identities() if species == "rat" else tuple(_mouse_lengths())
-
-
-def _whisker(identity: str, species: str) -> Whisker:
-    """The mean whisker of a follicle, straight."""
-    if species == "rat":
-        return Whisker.from_identity(identity)
-    rat, length = Whisker.from_identity(identity), _mouse_lengths()[identity]
-    radius = rat.base_radius / rat.length * length
-    return Whisker(length, radius, radius / 31.5)
-
-
-@cache
-def _mouse_lengths() -> dict[str, float]:
-    """Median arc lengths of mouse whiskers, m (Luo & Hartmann 2022)."""
-    text = resources.files("weberwhisk").joinpath("data/whisker_curvature.csv").read_text("utf-8")
-    return {
-        f"{ROWS[int(row['row']) - 1]}{int(row['column']) - 1}": float(row["arc_length_mm"]) * 1e-3
-        for row in csv.DictReader(text.splitlines())
-        if row["species"] == "Mouse"
-    }

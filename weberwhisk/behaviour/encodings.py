@@ -165,13 +165,13 @@ def gives_signal(encoding: Encoding, stimulus: ArrayLike) -> NDArray[np.bool_]:
 
 
 def refuse_outside(encoding: Encoding, stimulus: ArrayLike) -> None:
-    """Refuse stimuli that no observer can feel, such as negative magnitudes."""
+    """Refuse stimuli that no observer can encode, such as negative magnitudes."""
     stimuli, (low, high) = np.ravel(np.asarray(stimulus, dtype=float)), encoding.domain
     outside = ~((stimuli > low) & (stimuli < high))
     if outside.any():
         raise ValueError(
-            f"stimulus {stimuli[outside][0]:g} lies outside what can be felt, {low:g} to {high:g}; "
-            "choose other standards or comparisons."
+            f"stimulus {stimuli[outside][0]:g} lies outside what can be encoded, {low:g} to "
+            f"{high:g}; choose other standards or comparisons."
         )
 
 
@@ -362,12 +362,12 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
     worst = float(at[~encoded].max())
     why = encoding.outcome(worst) if isinstance(encoding, OF_DISTANCE) else "it gives no signal"
     if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
-        raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
+        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
     whisker, unit = encoding.observer.whisker, encoding.unit
     angle = np.degrees(encoding.deflection_angle)
     limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
     if not limit < angle:  # NaN beyond a curved whisker's reach
-        raise ValueError(f"{name} {said(worst)} cannot be felt: {why}; choose another distance.")
+        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
     grid = np.linspace(0.01, 0.999, 400) * high
     held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
     farthest = f"stay within {said(float(held.max()))}, or " if held.size else ""

@@ -105,8 +105,8 @@ def fit_weber(
     """
     _checks.one_of("noise", noise, NOISES)
     if distances is not None:
-        felt = chosen_encoding(encoding, observer) or IdentityEncoding()
-        trials = with_distances(trials, distances, felt)
+        encoded_as = chosen_encoding(encoding, observer) or IdentityEncoding()
+        trials = with_distances(trials, distances, encoded_as)
     model, encoded, chosen = build_model(trials, encoding, observer, bias, noise, priors, effects)
     by_itself = "quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee"
     used = by_itself if method is None else method

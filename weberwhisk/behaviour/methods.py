@@ -99,7 +99,7 @@ def _encoded(encoding: Encoding, noise: str) -> str:
         cue, receptors = (type(part).__name__ for part in (observer.cue, observer.noise))
         plain = isinstance(observer.noise, Weber) and len(observer.cue.signal_names) == 1
         return (
-            f"Radial distance is felt through a whisker {whisker.length * 1e3:.4g} mm long, of "
+            f"Radial distance is encoded through a whisker {whisker.length * 1e3:.4g} mm long, of "
             f"radius {whisker.base_radius * 1e6:.4g} µm at its base and "
             f"{whisker.tip_radius * 1e6:.4g} µm at its tip, by the cue {cue} with receptors "
             f"{receptors}{f': the signal is noisy with {noise}' * plain}."

@@ -170,7 +170,7 @@ def _own(look: CueEncoding) -> float:
 
 @dataclass(frozen=True)
 class PlaceEncoding:
-    """A pole that slides along a line, felt by all whiskers of an array that touch it.
+    """A pole that slides along a line, sensed by all whiskers of an array that touch it.
 
     Parameters
     ----------

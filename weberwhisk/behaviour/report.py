@@ -91,7 +91,7 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
     if _poor(fit):
         lines.append(
             "At a Weber fraction this large the curve levels off below 1 of itself, as lapses make "
-            "it do; the two are hard to tell apart."
+            "it do; the two are hard to distinguish."
         )
     if len(lines) == 1:
         lines.append("Nothing in the table speaks against the model.")

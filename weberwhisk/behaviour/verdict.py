@@ -28,7 +28,7 @@ class FitStatus(Enum):
         "exchanged, and the Weber fraction below means nothing until that is settled"
     )
     ONE_SIDED = (
-        "all answers are the same: they tell of a preference, not of what was felt, and the Weber "
+        "all answers are the same: they tell of a preference, not of the stimuli, and the Weber "
         "fraction below means nothing"
     )
     NOT_CONVERGED = "the posterior was not computed to the accuracy asked for"
@@ -97,13 +97,15 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
         )
     elif cells.n.size == 1:
         notes.append(
-            "There is one pair of stimuli: bias, lapses and Weber fraction cannot be told apart."
+            "There is one pair of stimuli: bias, lapses and Weber fraction are not identified "
+            "separately."
         )
     elif too_few_kinds(model):
         notes.append(
             f"The pairs of stimuli are of {_kinds(model)} kinds, as far apart as noise makes them, "
-            f"and the parameters are {_dimensions(model)}: the answers do not tell them apart, and "
-            "what is believed beforehand decides. State lapses that are known, for example "
+            f"and the parameters are {_dimensions(model)}: the answers alone do not identify "
+            "them, and a bound on one holds given what is believed beforehand of the others. State "
+            "lapses that are known, for example "
             "priors={'lapse_low': 0.02, 'lapse_high': 0.02}, or add easier and harder pairs."
         )
     share = cells.count / np.maximum(cells.n, 1)

@@ -53,7 +53,7 @@ def design(
         float | None,
         number_option(
             "--bayes-factor",
-            "Goal: tapered whisker or cylinder, told apart by so much.  [default: 10]",
+            "Goal: tapered whisker or cylinder, distinguished by so much.  [default: 10]",
         ),
     ] = None,
     half_width: Annotated[

@@ -213,7 +213,7 @@ def array_resolution(asked: Asked) -> Made:
 
 
 def array_counts(asked: Asked) -> Made:
-    """apertures told apart by the number of whiskers left intact, by an ideal observer"""
+    """apertures discriminated by the number of whiskers left intact, by an ideal observer"""
     import pandas as pd
 
     from .. import figures

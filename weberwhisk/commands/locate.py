@@ -75,9 +75,7 @@ def locate(
     ] = 0.0,
     face: Annotated[
         str | None,
-        typer.Option(
-            rich_help_panel=VIDEO, help="Where the face is: left, right, top or bottom."
-        ),
+        typer.Option(rich_help_panel=VIDEO, help="Where the face is: left, right, top or bottom."),
     ] = None,
     pole_px: Annotated[
         list[str] | None,

@@ -227,7 +227,7 @@ class Belief:
         return int(np.searchsorted(self._standards, pair[2]))
 
     def encode(self, pair: Pair) -> UnitEncodings:
-        """Both encoded stimuli of a trial; refuses what cannot be felt."""
+        """Both encoded stimuli of a trial; refuses what cannot be encoded."""
         if pair not in self._encoded:
             cell = Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0)))
             self._encoded[pair] = self.hypothesis.model(cell).encodings

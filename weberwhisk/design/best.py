@@ -340,7 +340,7 @@ def _sites(
     if not (np.isfinite(high) and low < high):
         raise ValueError(
             f"the range of {limits.nearest:g} to {limits.farthest:g} leaves nothing that can be "
-            f"felt, which ends at {high:g}, {low - high:.3g} before it begins; give "
+            f"encoded, which ends at {high:g}, {low - high:.3g} before it begins; give "
             "Constraints(nearest=..., farthest=...)."
         )
     at = np.unique(limits.positions(np.linspace(low, high, PLACES + 2)[1:-1]))

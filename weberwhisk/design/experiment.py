@@ -77,7 +77,7 @@ def plan_experiment(
         As they will be fitted, the expected one first. By default the tapered whisker against the
         cylinder, or for a goal about the interval of k the tapered whisker alone.
     cue, deflection_angle : Cue and float, optional
-        How distance is felt where the goal is the interval of k; the light tap by default.
+        How distance is encoded where the goal is the interval of k; the light tap by default.
     scheme : Scheme, optional
         Levels, trials and animals, where these are decided.
     standards : array_like, optional

@@ -1,4 +1,4 @@
-"""The observers that an experiment is to tell apart, each with its priors and its fit."""
+"""The observers that an experiment is to distinguish, each with its priors and its fit."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Hypothesis:
         Raises
         ------
         ValueError
-            For distances that cannot be felt.
+            For distances that cannot be encoded.
         """
         cells = scheme.cells() if isinstance(scheme, Scheme) else scheme
         for what, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):

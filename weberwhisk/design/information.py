@@ -52,7 +52,7 @@ def information(
     standards : array_like, shape (S,)
         m.
     offsets : array_like, shape (J,) or (S, J)
-        Comparison − standard, m; one row for all, or one each. Comparisons that cannot be felt
+        Comparison − standard, m; one row for all, or one each. Comparisons that cannot be encoded
         have no information: NaN.
     after : Scheme, optional
         What has been run before: the parameters are then known as well as they are expected to be

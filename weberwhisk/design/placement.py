@@ -329,7 +329,7 @@ class BayesianPlacer(TrialLog):
         Raises
         ------
         ValueError
-            For another choice, or stimuli that cannot be felt; the trial is not kept then.
+            For another choice, or stimuli that cannot be encoded; the trial is not kept then.
         """
         pair = self._pair(standard, comparison)
         for belief in self.beliefs.values():

@@ -207,7 +207,7 @@ class Plan(Shown):
     Raises
     ------
     ValueError
-        For a scheme that breaks a constraint or cannot be felt, and a goal that needs another
+        For a scheme that breaks a constraint or cannot be encoded, and a goal that needs another
         hypothesis.
     """
 

@@ -126,7 +126,7 @@ def power(
     scheme : Scheme
         Levels, trials and animals.
     hypotheses : sequence of Hypothesis
-        To be told apart; one alone for the interval of its k.
+        To be distinguished; one alone for the interval of its k.
     goal : Goal, optional
         By default a Bayes factor above 10 in 80 % of experiments, or with one hypothesis ±20 %.
     expected : SubjectPopulation, optional
@@ -154,8 +154,8 @@ def power(
     Raises
     ------
     ValueError
-        For distances that cannot be felt, sizes that are not whole, unknown truths, and a goal that
-        needs another hypothesis.
+        For distances that cannot be encoded, sizes that are not whole, unknown truths, and a goal
+        that needs another hypothesis.
 
     Examples
     --------

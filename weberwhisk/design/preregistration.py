@@ -57,7 +57,7 @@ def assumptions(plan: Plan) -> list[str]:
         f"{animals.bias_spread:g} between animals, in sds of the difference of the two signals.",
         f"Distance is encoded through {described(first.encoding)}.",
         "Noise is independent from trial to trial, k is the same in all sessions, and the two "
-        "stimuli are felt alike.",
+        "stimuli are encoded alike.",
         f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
     ]
     return lines

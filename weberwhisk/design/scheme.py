@@ -124,7 +124,7 @@ class Scheme:
         Parameters
         ----------
         encoding : Encoding
-            How a stimulus is expected to be felt.
+            How a stimulus is expected to be encoded.
         standards : array_like, shape (S,)
         weber_fraction : float
             Of the expected animal.
@@ -286,7 +286,7 @@ class Constraints:
         ----------
         scheme : Scheme
         encoding : Encoding
-            How the animal is expected to feel a stimulus; says what can be felt, and what is easy.
+            How the animal is expected to encode a stimulus; says which it can, and what is easy.
         weber_fraction : float
             Of the expected animal.
 

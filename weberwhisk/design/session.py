@@ -48,7 +48,7 @@ class Staircase(TrialLog):
     Parameters
     ----------
     hypothesis : Hypothesis
-        Says what is asked and how a stimulus is felt; the rule itself needs no more.
+        Says what is asked and how a stimulus is encoded; the rule itself needs no more.
     scheme : Scheme
         Its comparisons are the levels, from the easiest on.
     rule : {"1-up/2-down", "1-up/3-down", "1-up/1-down"}
@@ -139,7 +139,7 @@ class Staircase(TrialLog):
         Raises
         ------
         ValueError
-            For another choice, or stimuli that cannot be felt; the trial is not kept then.
+            For another choice, or stimuli that cannot be encoded; the trial is not kept then.
         """
         pair = self._pair(standard, comparison)
         answer = self._note(pair, choice)

@@ -210,7 +210,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
     ax.axhspan(-1.96, 1.96, color="0.92", zorder=0, label="95 %, if the model is right")
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=0)
     for which, marker, colour, name in (
-        (~outside, "o", COLOURS[0], None),
+        (~outside, "o", COLOURS[0], "inside"),
         (outside, "D", COLOURS[1], "outside"),
     ):
         if which.any():

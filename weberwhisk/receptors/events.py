@@ -63,7 +63,7 @@ class Events(ReceptorNoise):
             raise ValueError(
                 f"Each event needs a report of its own, got {len(reports)} events and "
                 f"{len(np.unique(reports, axis=0))} different rows of reports; "
-                "leave out events that cannot be told apart."
+                "leave out events that cannot be distinguished."
             )
         misreport = number("misreport", self.misreport, "give a probability, 0 to 1")
         non_negative("misreport", misreport, "give a probability, 0 to 1")
