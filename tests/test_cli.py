@@ -739,7 +739,8 @@ def test_fit_takes_animals_together(tmp_path: Path, capsys: pytest.CaptureFixtur
     found = answer(capsys, "fit", file, "--together", "--out", str(out))
     assert [row["subject"] for row in found["subjects"]] == ["s1", "s2", "s3"]  # type: ignore[attr-defined, union-attr]
     made = {path.name for path in out.iterdir()}
-    assert made == {"fit.json", "fit.run.json", "subjects.csv", "shrinkage.png", "shrinkage.svg"}
+    figures = {f"{of}.{kind}" for of in ("population", "shrinkage") for kind in ("png", "svg")}
+    assert made == {"fit.json", "fit.run.json", "subjects.csv"} | figures
     assert run_app(cli.app, ["fit", file, "--together"]) == 0
     assert "weber_fraction" in capsys.readouterr().out
 

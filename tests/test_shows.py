@@ -172,6 +172,7 @@ population.subjects both.table both.report() plan.trials plan.plot()
 ww.posterior(observer,[1e-7,1e-5])"""
 
 
+@pytest.mark.once  # the same types on every Python
 def test_a_strict_type_checker_resolves_every_type(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     shown = [f"reveal_type({expression})" for expression in REVEALED.replace("\n", " ").split(" ")]

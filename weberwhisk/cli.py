@@ -19,7 +19,7 @@ COMMANDS = {
         "Just noticeable differences of radial distance, by formula, information, posterior.",
     ),
     "calibrate": ("calibrate", "Calibrate a whisker and its sensor by taps at known distances."),
-    "locate": ("locate", "Say how far away each contact of a table of forces is."),
+    "locate": ("locate", "Say how far away each contact of a table or a tracked video is."),
     "simulate": ("simulate", "Simulate choices between two stimuli, with the truth beside them."),
     "fit": ("fit", "Fit the Weber fraction of one observer to a table of choices."),
     "design": (

@@ -84,7 +84,7 @@ def locate(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how far away each contact of a table of forces, or of a tracked video, is.
+    """Say how far away each contact of a table or a tracked video is.
 
     Columns are called moment, axial_force, transverse_force, deflection_angle, moment_rate,
     angular_velocity, with the unit behind (moment_uNm), or as --column says. The stiffness is
