@@ -138,6 +138,18 @@ def listed(values: Iterable[object], most: int = 4) -> str:
     return ", ".join([*map(repr, known[:most]), *(["…"] if len(known) > most else [])])
 
 
+def refuse_hinge(whisker: Any, what: str) -> None:
+    """Refuse a whisker on a hinge, or what is made of one, where the base is taken as clamped."""
+    while hasattr(whisker, "whisker"):
+        whisker = whisker.whisker
+    stiffness = getattr(whisker, "hinge_stiffness", None)
+    if stiffness is not None:
+        raise ValueError(
+            f"{what} takes whiskers with a clamped base, got hinge_stiffness {stiffness:g} N m/rad;"
+            " write hinge_stiffness=None, or an Observer with cues.ForceMap() or Compliance()."
+        )
+
+
 def one_of(name: str, value: object, choices: Iterable[str]) -> str:
     """`value` if it is one of `choices`, else a refusal that names the nearest."""
     known = list(choices)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import domain
-from ._checks import finite, one_of, positive, shown
+from ._checks import finite, one_of, positive, positive_number, shown
 from ._values import Value
 
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
@@ -34,7 +34,7 @@ MATERIALS = {
 class Whisker(Value):
     """A linearly tapered (or cylindrical) whisker, in SI units.
 
-    Every field may be an array; fields broadcast against each other and against the
+    Every field but the hinge may be an array; fields broadcast against each other and against the
     contacts they are used with.
 
     Parameters
@@ -50,11 +50,17 @@ class Whisker(Value):
         the object. Default straight.
     density : float or array
         kg/m³.
+    hinge_stiffness : float, optional
+        Of a rotational spring in series at the base (a follicle, a rubber mount), N m/rad; by
+        default the base is clamped. Observers whose cues are `ForceMap`, `Compliance` or made of
+        them take it, all else refuses it. The base turns by the moment over this stiffness; angles
+        are those of what carries the spring, up to half a turn; moment and forces those at the
+        whisker's own base, along and across it. `calibrate` finds h = 3EI₀/hinge_stiffness, in m.
 
     Raises
     ------
     ValueError
-        For a length, radius, modulus or density that is not a positive finite number, for a tip
+        For a length, radius, modulus, density or hinge that is not positive and finite, for a tip
         wider than the base, and for what can only be a slip of units (a whisker of 41 m).
 
     Examples
@@ -72,6 +78,7 @@ class Whisker(Value):
     youngs_modulus: Any = YOUNGS_MODULUS
     curvature: Any = 0.0
     density: Any = DENSITY
+    hinge_stiffness: float | None = None
 
     def __post_init__(self) -> None:
         checked = {
@@ -84,6 +91,11 @@ class Whisker(Value):
             "curvature": finite("curvature", self.curvature, "give 1/m, 0 for a straight whisker"),
             "density": positive("density", self.density, "give kg/m³, such as 1260"),
         }
+        if self.hinge_stiffness is not None:
+            hint = "give N m/rad, such as 1e-5, or None for a clamped base"
+            self._set(
+                hinge_stiffness=positive_number("hinge_stiffness", self.hinge_stiffness, hint)
+            )
         tip, base = checked["tip_radius"], checked["base_radius"]
         if np.any(tip < 0):
             raise ValueError(
@@ -201,7 +213,7 @@ class Whisker(Value):
         material : str or float
             ``"steel"``, ``"nitinol"``, ``"polycarbonate"``, ``"nylon"``, or Young's modulus, Pa.
         **fields
-            Further fields of the whisker, such as ``curvature`` or ``density``.
+            Further fields of the whisker, such as ``curvature`` or ``hinge_stiffness``.
 
         Raises
         ------
@@ -288,6 +300,7 @@ class Whisker(Value):
             self.youngs_modulus,
             self.curvature,
             self.density,
+            self.hinge_stiffness,
         )
 
 

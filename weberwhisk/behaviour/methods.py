@@ -97,11 +97,13 @@ def _encoded(encoding: Encoding, noise: str) -> str:
     if isinstance(encoding, CueEncoding):
         observer, whisker = encoding.observer, encoding.observer.whisker
         cue, receptors = (type(part).__name__ for part in (observer.cue, observer.noise))
+        hinge = whisker.hinge_stiffness
+        on = "" if hinge is None else f" on a hinge of {hinge:.4g} N m/rad"
         plain = isinstance(observer.noise, Weber) and len(observer.cue.signal_names) == 1
         return (
             f"Radial distance is encoded through a whisker {whisker.length * 1e3:.4g} mm long, of "
             f"radius {whisker.base_radius * 1e6:.4g} µm at its base and "
-            f"{whisker.tip_radius * 1e6:.4g} µm at its tip, by the cue {cue} with receptors "
+            f"{whisker.tip_radius * 1e6:.4g} µm at its tip,{on} by the cue {cue} with receptors "
             f"{receptors}{f': the signal is noisy with {noise}' * plain}."
         )
     return f"Stimuli are encoded by {type(encoding).__name__}."

@@ -60,6 +60,7 @@ class HingedTap(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Any:
         """The slope (..., 1) and the outcome of contacts (..., 1)."""
+        _checks.refuse_hinge(whisker, "HingedTap, which has a hinge of its own,")
         r = np.asarray(contact, dtype=float)[..., 0]
         reached = (r > 0) & (r < whisker.apex_distance) & (r <= whisker.length)
         slope = _slope(np.where(reached, r, whisker.length / 2), whisker.apex_distance, self.hinge)
@@ -181,6 +182,7 @@ def calibrate(
     (True, True)
     """
     _checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
+    _checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
     draws = _checks.whole("draws", draws, "write 20000, say", least=1000)
     r, y = _taps(table, whisker, columns, units)
     places = np.unique(r)

@@ -117,6 +117,8 @@ class Compliance(Cue):
             return super().jacobian(whisker, contact, model=model)
         if self.tap_angle == 0 or model == "closed_form":
             slope = -forward.base.compliance_constant / r**2
+            if forward.give:  # in series with a hinge, which takes a share of every angle
+                slope = slope * (1 - forward.give * forward.stiffness(r)[0]) ** 2
         else:
             slope = forward.jacobian(r, self.tap_angle)[..., 0, 0] / self.tap_angle
         slope = np.asarray(slope * self._velocity(contact))
@@ -148,4 +150,6 @@ class Compliance(Cue):
     ) -> Array:
         """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA); θ̇ by default the cue's."""
         velocity = self.angular_velocity if angular_velocity is None else angular_velocity
-        return closed_form.distance_from_moment(whisker, moment_rate, velocity)
+        forward, rate = forward_of(whisker), np.asarray(moment_rate, dtype=float)
+        bending = np.asarray(velocity) - forward.give * rate  # what the hinge does not take up
+        return closed_form.distance_from_moment(forward.base, rate, bending)

@@ -173,12 +173,11 @@ class ForceMap(Cue):
     def _solve(self, whisker: Whisker, wanted: Array, steps: int) -> Array:
         contact = np.full(wanted.shape, np.nan)
         if self.signal_names == SIGNALS[:2]:
-            base = forward_of(whisker).base
-            start = closed_form.contact_from_signals(base, wanted[..., 0], wanted[..., 1])
-            known = np.isfinite(start[0])
-            contact[known] = self._newton(
-                whisker, wanted[known], start[0][known], start[1][known], steps
-            )
+            forward = forward_of(whisker)
+            r, bent = closed_form.contact_from_signals(forward.base, wanted[..., 0], wanted[..., 1])
+            known = np.isfinite(r)
+            angle = bent + forward.give * wanted[..., 0]
+            contact[known] = self._newton(whisker, wanted[known], r[known], angle[known], steps)
         # Large angles are far from the closed form: start again from the nearest of a coarse map.
         missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)
         tells = not forward_of(whisker).is_plain or np.any(whisker.taper)

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import numbers, shown
+from .._checks import numbers, refuse_hinge, shown
 from .._values import Value
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import ReceptorNoise, Weber
@@ -136,7 +136,7 @@ class Cue(Value):
 
 
 def straight(whisker: Any) -> None:
-    """Refuse whiskers that most cues do not take: curved or rubbing ones, and profiles.
+    """Refuse whiskers that most cues do not take: curved, hinged or rubbing ones, and profiles.
 
     Raises
     ------
@@ -151,6 +151,7 @@ def straight(whisker: Any) -> None:
             "This cue needs a Whisker, straight and without friction, got a "
             f"{type(whisker).__name__}; write Whisker(50e-3, 100e-6, 5e-6), or take ForceMap()."
         )
+    refuse_hinge(whisker, "This cue")
     if np.any(whisker.curvature):
         raise ValueError(
             f"This cue is for straight whiskers, got curvature "

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import one_or_more, positive_number
+from .._checks import one_or_more, positive_number, refuse_hinge
 from ..mechanics.forward import ForwardModel
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
@@ -113,6 +113,7 @@ class UnknownStiffness(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """The cue's signals (..., S), those of force times the stiffness, and the outcome."""
+        refuse_hinge(whisker, "UnknownStiffness, under which forces grow with EI₀ alone,")
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact[..., :-1], model=model)
         return signals * np.where(self._soft, contact[..., -1:], 1.0), outcome
@@ -140,6 +141,7 @@ class UnknownStiffness(Cue):
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """The cue's, and log-normal of the stiffness."""
+        refuse_hinge(whisker, "UnknownStiffness, under which forces grow with EI₀ alone,")
         from scipy.stats import lognorm
 
         return {**self.cue.priors(whisker), "stiffness": lognorm(self.spread)}

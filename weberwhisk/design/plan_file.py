@@ -37,7 +37,8 @@ from .scheme import Constraints, Scheme
 # What each is made of: the names of its arguments, `argument=attribute` where these differ, and
 # after a colon what they may be where that is not one finite number.
 NOUNS: dict[type, str] = {
-    Whisker: "length base_radius tip_radius youngs_modulus curvature density",
+    Whisker: "length base_radius tip_radius youngs_modulus curvature density "
+    "hinge_stiffness:number|null",
     Compliance: "tap_angle angular_velocity velocity_spread",
     ForceMap: "signals=signal_names:texts deflection_angle:number|null",
     Friction: "cue:Compliance|ForceMap angle:number|null coefficient",
@@ -142,6 +143,8 @@ def decode(value: Any) -> Any:
         return parts
     parts = {OLD.get(name, name): item for name, item in parts.items()}
     name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
+    if name == "Whisker":  # plans of before there were hinges
+        parts.setdefault("hinge_stiffness", None)
     noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:
         return _frozen(value[KIND], parts)

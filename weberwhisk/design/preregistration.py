@@ -82,6 +82,8 @@ def described(encoding: Encoding) -> str:
         radii += f" to {whisker.tip_radius / UM:.3g}"
     if whisker.curvature:
         shape = f"{shape}, curved ({whisker.curvature:+.3g} /m)"
+    if whisker.hinge_stiffness is not None:
+        shape = f"{shape}, hinged ({whisker.hinge_stiffness:.3g} N m/rad)"
     return (
         f"a {shape} whisker ({whisker.length / MM:.3g} mm long, radius {radii} µm) by its "
         f"{_cue_in_words(cue, encoding.deflection_angle)}"

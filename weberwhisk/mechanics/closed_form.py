@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import refuse_hinge
 from ..whisker import Whisker
 from .chebyshev import Array
 from .contact import Bending, Model, Outcome, beyond_tip, by_rows
@@ -101,6 +102,7 @@ def _result(
 
 def moment(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Array:
     """M = 3EI₀ θ_d (1/r − 1/A), N m: equation (2.3)."""
+    refuse_hinge(whisker, "The closed form")
     inverse_apex = np.divide(whisker.taper, whisker.length)
     return (
         whisker.compliance_constant
@@ -125,6 +127,7 @@ def signal_jacobian(
     array, shape (..., 3, 2)
         Of M = Cθ(1/r − 1/A), Fx = Cθ²(3−2u)/(2r²), Fy = Cθ(1−u)/r² with C = 3EI₀, u = r/A.
     """
+    refuse_hinge(whisker, "The closed form")
     r, theta = np.asarray(radial_distance, dtype=float), np.asarray(deflection_angle, dtype=float)
     push, u = whisker.compliance_constant * theta, r * np.divide(whisker.taper, whisker.length)
     stiff = whisker.compliance_constant
@@ -156,6 +159,7 @@ def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: 
     >>> float(distance_from_moment(w, moment(w, 0.03, 0.1), 0.1).round(12))
     0.03
     """
+    refuse_hinge(whisker, "The closed form")
     push = whisker.compliance_constant * np.asarray(deflection_angle, dtype=float)
     inverse_apex = np.divide(whisker.taper, whisker.length)
     return push / (push * inverse_apex + np.asarray(moment, dtype=float))
@@ -188,6 +192,7 @@ def contact_from_signals(
     >>> round(float(r), 12), round(float(theta), 12)
     (0.03, 0.05)
     """
+    refuse_hinge(whisker, "The closed form")
     m, fx = np.asarray(moment, dtype=float), np.asarray(axial_force, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         g = m**2 / (2 * whisker.stiffness * fx)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
+from .._checks import refuse_hinge
 from .._deprecated import renamed_attribute
 from .._display import Shown, member
 from ..whisker import Whisker
@@ -314,6 +315,7 @@ def by_rows(
     `solve` takes flat arrays ``(length, taper, stiffness, *arguments)`` and returns the eight
     numbers (8, n), the outcomes (n,) and the errors (n,).
     """
+    refuse_hinge(whisker, f"The {model.name.lower()} model")
     given = np.broadcast_arrays(whisker.length, whisker.taper, whisker.stiffness, *arguments)
     shape = given[0].shape
     flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in given]

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import refuse_hinge
 from ..whisker import Whisker
 from .chebyshev import Array, ChebyshevTable, Curve, fit, load_cap, nodes, the_map, unfold
 from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Model, Outcome, beyond_tip, by_rows
@@ -170,6 +171,7 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     -------
     FlickPast
     """
+    refuse_hinge(whisker, "flick_past")
     shape = np.broadcast(whisker.length, whisker.taper, radial_distance).shape
     length, taper, r = (
         np.ravel(np.broadcast_to(a, shape)).astype(float)
@@ -301,6 +303,7 @@ def signal_jacobian(
         Rows moment, axial force, transverse force; columns d/dr (per m), d/dθ_d (per rad). NaN
         where the contact is not held. They grow without bound towards the fold.
     """
+    refuse_hinge(whisker, "signal_jacobian")
     given = np.broadcast_arrays(
         whisker.length, whisker.taper, whisker.stiffness, radial_distance, deflection_angle
     )

@@ -5,7 +5,8 @@ The one place that cues ask: by the straight elastica's `Surface`, by the planar
 
 A contact is given by its radial distance and its *deflection from rest*: how far the whisker has
 been turned since it first touched at that distance. On a straight whisker that is the deflection
-angle of `press`; on a curved one ``press(whisker, r, rest_angle(whisker, r) + deflection)``.
+angle of `press`; on a curved one ``press(whisker, r, rest_angle(whisker, r) + deflection)``. On a
+hinge it is what carries the hinge that has been turned; see `mechanics.hinge`.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import refuse_hinge
 from .._values import Value
 from ..whisker import Whisker
-from . import closed_form, ladder
+from . import closed_form, hinge, ladder
 from .chebyshev import Array
 from .contact import ROWS, Outcome
 from .shape import Profile, Spiral
@@ -43,7 +45,8 @@ class ForwardModel(Value):
     model : {"closed_form", "elastica", "profile"}, optional
         Which model; by default the elastica of a straight whisker without friction, and the
         planar beam's `PlanarSurface` of any other. The elastica of a curved one is that of the
-        same taper, deflected by as much from rest.
+        same taper, deflected by as much from rest. On a hinge, tables say how much of a deflection
+        bends the whisker, and a model that is named solves for the signals of that.
     friction : float or array
         Friction angle, rad, as in `press`; arrays broadcast with the contacts.
     offset : float or array
@@ -71,9 +74,22 @@ class ForwardModel(Value):
 
     @cached_property
     def base(self) -> Whisker:
-        """The whisker that sets scales: of a profile, that of its ends."""
-        whisker: Whisker = getattr(self.whisker, "whisker", self.whisker)
+        """The clamped whisker that sets scales: of a profile, that of its ends."""
+        whisker: Whisker = getattr(self.clamped.whisker, "whisker", self.clamped.whisker)
         return whisker
+
+    @cached_property
+    def give(self) -> float:
+        """How far the base turns, rad/(N m); 0 where it is clamped."""
+        stiffness = getattr(self.whisker, "hinge_stiffness", None)
+        return 0.0 if stiffness is None else 1 / stiffness
+
+    @cached_property
+    def clamped(self) -> ForwardModel:
+        """The same without a hinge."""
+        if not self.give:
+            return self
+        return replace(self, whisker=replace(self.whisker, hinge_stiffness=None))
 
     @property
     def length(self) -> float:
@@ -96,7 +112,7 @@ class ForwardModel(Value):
         """The table that serves it, made once."""
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
-        return planar_surface(self.whisker, self.friction_range, self.offset_range)
+        return planar_surface(self.clamped.whisker, self.friction_range, self.offset_range)
 
     @property
     def error(self) -> float:
@@ -105,11 +121,17 @@ class ForwardModel(Value):
 
     def rubbing(self, friction: Any, ends: tuple[float, float]) -> ForwardModel:
         """With friction, rad, between two ends."""
+        self._known(ends)
         return replace(self, friction=friction, friction_range=ends)
 
     def bowed(self, offset: Any, ends: tuple[float, float]) -> ForwardModel:
         """With curvature, 1/m, between two ends, added to that at rest."""
+        self._known(ends)
         return replace(self, offset=offset, offset_range=ends)
+
+    def _known(self, ends: tuple[float, float]) -> None:
+        if ends[1] > ends[0]:
+            refuse_hinge(self.whisker, "An unknown friction or curvature")
 
     def extremes(self, count: int = 3) -> list[ForwardModel]:
         """Some of all that may be, each with numbers for what is uncertain."""
@@ -139,12 +161,16 @@ class ForwardModel(Value):
         shape, (flat, psi, kappa) = self._rows(r)
         if self.is_plain:
             return np.zeros(shape)
-        surface = planar_surface(self.whisker, self.friction_range, self.offset_range)
+        whisker = self.clamped.whisker
+        surface = planar_surface(whisker, self.friction_range, self.offset_range)
         return surface.rest(flat, psi, kappa).reshape(shape)
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
         shape, (flat, psi, kappa) = self._rows(r)
+        if self.give:
+            last = hinge.largest(self._table, self.give, flat)[2]
+            return np.minimum(last, np.pi).reshape(shape)
         if isinstance(self.surface, Surface):
             return self.surface.limit(flat).reshape(shape)
         return self.surface.limit(flat, psi, kappa).reshape(shape)
@@ -158,8 +184,31 @@ class ForwardModel(Value):
 
     def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Moment, axial and transverse force (..., 3), NaN where not held, and outcome (...)."""
+        if self.give:
+            inner, falls = self._bent(r, theta)
+            signals, outcome = self.clamped.signals(r, inner)
+            outcome[falls & (outcome == Outcome.SLIPPED_OFF_TIP)] = Outcome.FLICKED_PAST
+            return signals, outcome
         if self.model is not None and not (self.model == "elastica" and not self.is_plain):
             return self._solved(r, theta)
+        return self.tabled(r, theta)
+
+    @cached_property
+    def _table(self) -> ForwardModel:
+        """What bends on a hinge, by the table that serves it."""
+        return replace(self.clamped, model=None if self.is_plain else self.model)
+
+    def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """How much of deflections bends the whisker (...), and whether it lost hold early."""
+        r, theta = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(theta, dtype=float))
+        if self.model == "closed_form":
+            clamped = closed_form.moment(self.base, r, 1.0)
+            return theta / (1 + self.give * clamped), np.zeros(r.shape, dtype=bool)
+        inner, falls = hinge.bent(self._table, self.give, r.reshape(-1), theta.reshape(-1))
+        return inner.reshape(r.shape), falls.reshape(r.shape)
+
+    def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+        """`signals` of a clamped base by the table, whichever model is named."""
         surface = self.surface
         if isinstance(surface, Surface):
             return base_signals(_straightened(self.base), np.asarray(r), np.asarray(theta))
@@ -200,6 +249,13 @@ class ForwardModel(Value):
 
         Of curved whiskers by differences, towards the inside at the edges: good to 1e-6.
         """
+        if self.give:
+            clamped = self.clamped.jacobian(r, self._bent(r, theta)[0])
+            # dθ′ = (dθ − Λ ∂M/∂r dr)/(1 + Λ ∂M/∂θ′)
+            by_r, by_theta = clamped[..., 0], clamped[..., 1]
+            share = 1 / (1 + self.give * by_theta[..., :1])
+            by_r = by_r - by_theta * share * self.give * by_r[..., :1]
+            return np.stack([by_r, by_theta * share], axis=-1)
         if self.model == "closed_form":
             return closed_form.signal_jacobian(self.base, r, theta)
         if isinstance(self.surface, Surface):
@@ -219,6 +275,9 @@ class ForwardModel(Value):
     def stiffness(self, r: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Moment for each radian of the lightest push, N m, and outcome (...)."""
         r = np.asarray(r, dtype=float)
+        if self.give:
+            value, outcome = self.clamped.stiffness(r)
+            return value / (1 + self.give * value), outcome
         if isinstance(self.surface, Surface):
             reached = (r > 0) & (r < self.base.apex_distance) & (r <= self.length)
             value = closed_form.moment(self.base, np.where(reached, r, self.length), 1.0)

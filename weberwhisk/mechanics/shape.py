@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import finite, kind, non_negative, positive
+from .._checks import finite, kind, non_negative, positive, refuse_hinge
 from .._values import Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Whisker
 from .chebyshev import Array
@@ -146,6 +146,7 @@ class Profile(Value):
 
     def __post_init__(self) -> None:
         kind("whisker", self.whisker, "a Whisker", "stiffness", "write Profile.of(whisker)")
+        refuse_hinge(self.whisker, "A Profile")
         kind("law", self.law, "a Spiral or a Parabola", "turn", "write Spiral(20.0), say")
         tables = {name: finite(name, getattr(self, name), _METRES) for name in _TABLES}
         self._set(**tables)

@@ -25,6 +25,7 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import refuse_hinge
 from ..whisker import Whisker
 from . import elastica
 from .chebyshev import Array, ChebyshevTable, Curve, fit, nodes, place_of, the_map, unfold
@@ -53,6 +54,7 @@ class Surface:
     """
 
     def __init__(self, whisker: Whisker) -> None:
+        refuse_hinge(whisker, "This cue or table")
         self.length, self.taper = float(whisker.length), float(whisker.taper)
         self.stiffness = float(whisker.stiffness)
         self._limit = DeflectionLimit(whisker)

@@ -1,0 +1,231 @@
+"""A whisker in series with a rotational spring at its base."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import integrate, optimize
+
+import weberwhisk as ww
+from weberwhisk import Whisker, cues, mechanics, receptors
+from weberwhisk.contacts.calibration import HingedTap
+from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.mechanics import closed_form, elastica
+from weberwhisk.mechanics.contact import Outcome
+from weberwhisk.mechanics.forward import ForwardModel
+from weberwhisk.sweeping import follow
+
+PLAIN = Whisker(50e-3, 100e-6, 5e-6)
+SOFT = 2 * PLAIN.moment_scale  # N m/rad
+
+
+def hinged(stiffness=SOFT, whisker=PLAIN):
+    return replace(whisker, hinge_stiffness=stiffness)
+
+
+def test_a_light_push_meets_two_springs_in_series():
+    r = np.array([[2e-3], [10e-3], [30e-3], [48e-3]])[..., 0]
+    lever = 1 / (1 / r - 1 / PLAIN.apex_distance)
+    clamped = 3 * PLAIN.stiffness / lever
+    series = 1 / (1 / clamped + 1 / SOFT)
+    forward = ForwardModel(hinged())
+    found, outcome = forward.signals(r, np.full(4, 1e-6))
+    assert np.all(outcome == Outcome.HELD)
+    np.testing.assert_allclose(found[:, 0] / 1e-6, series, rtol=1e-8)
+    # Pushed at the contact: the arc's own r²/K on top of r²/(its stiffness).
+    np.testing.assert_allclose(1e-6 * r / found[:, 2], r**2 / clamped + r**2 / SOFT, rtol=1e-8)
+    np.testing.assert_allclose(forward.stiffness(r)[0], series, rtol=1e-12)
+    named = ForwardModel(hinged(), "closed_form").signals(r, np.full(4, 0.1))[0]
+    np.testing.assert_allclose(named[:, 0], 0.1 * series, rtol=1e-12)
+    h = 3 * PLAIN.stiffness / SOFT  # as calibration has it
+    tap, _ = cues.Compliance().signals(hinged(), r[:, None])
+    np.testing.assert_allclose(tap, HingedTap(h).signals(PLAIN, r[:, None])[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("curvature", [0.0, 12.0])
+def test_a_stiff_hinge_is_a_clamped_base(curvature):
+    whisker = replace(PLAIN, curvature=curvature)
+    clamped = ForwardModel(whisker)
+    stiff = ForwardModel(hinged(1e15 * PLAIN.moment_scale, whisker))
+    r = np.linspace(0.02, 0.99, 30)[:, None] * clamped.reach
+    np.testing.assert_allclose(stiff.limit(r), clamped.limit(r), rtol=1e-10)
+    theta = np.linspace(0.01, 0.95, 20) * clamped.limit(r)
+    found, wanted = (f.signals(r, theta)[0] for f in (stiff, clamped))
+    np.testing.assert_allclose(found, wanted, rtol=1e-10)
+    rtol = 1e-6 if curvature else 1e-10  # by differences of curved ones
+    found, wanted = (f.jacobian(r, theta) for f in (stiff, clamped))
+    np.testing.assert_allclose(found, wanted, rtol=rtol)
+    np.testing.assert_array_equal(stiff.rest(r), clamped.rest(r))
+
+
+def beam(whisker, stiffness, r, theta):
+    """Moment and forces of a beam that is followed from its turned base to the object."""
+    place = r * np.array([np.cos(theta), np.sin(theta)])
+
+    def forces(force, tip):
+        load = force * np.array([-np.sin(tip), np.cos(tip)])
+        return load, place[0] * load[1] - place[1] * load[0]
+
+    def miss(v):
+        force, arc, tip = v[0] * whisker.force_scale, v[1] * r, v[2]
+        load, moment = forces(force, tip)
+
+        def slope(s, state):
+            x, y, phi = state
+            bending = (place[0] - x) * load[1] - (place[1] - y) * load[0]
+            stiff = whisker.stiffness * (1 - s / whisker.apex_distance) ** 4
+            return [np.cos(phi), np.sin(phi), bending / stiff + whisker.curvature * -1.0]
+
+        start = [0.0, 0.0, moment / stiffness]
+        end = integrate.solve_ivp(slope, (0, arc), start, rtol=1e-9, atol=1e-12).y[:, -1]
+        return [*((end[:2] - place) / r), end[2] - tip]
+
+    light = 3 * theta * whisker.length**2 / r**2 / (1 + 3 * whisker.stiffness / r / stiffness)
+    found = optimize.root(miss, [light, 1.02, 1.5 * theta], tol=1e-10)
+    assert found.success, found.message
+    force, tip = found.x[0] * whisker.force_scale, found.x[2]
+    moment = forces(force, tip)[1]
+    at_base = tip - moment / stiffness
+    return np.array([moment, force * np.sin(at_base), force * np.cos(at_base)])
+
+
+@pytest.mark.parametrize(
+    ("r", "theta", "soft"), [(15e-3, 0.5, 1.0), (30e-3, 0.4, 0.2), (40e-3, 0.35, 3.0)]
+)
+def test_signals_are_those_of_a_beam_on_a_spring(r, theta, soft):
+    stiffness = PLAIN.moment_scale / soft
+    forward = ForwardModel(hinged(stiffness))
+    found, outcome = forward.signals(np.array([r]), np.array([theta]))
+    assert outcome[0] == Outcome.HELD
+    assert np.abs(found[0] / forward.clamped.signals(r, theta * 0.7)[0] - 1).max() > 1e-2
+    np.testing.assert_allclose(found[0], beam(PLAIN, stiffness, r, theta), rtol=2e-7)
+
+
+def test_the_range_ends_where_the_angle_stops_to_grow():
+    give = 1 / SOFT
+    forward, r = ForwardModel(hinged()), np.array([15e-3, 25e-3, 35e-3, 49.9e-3])
+    inner = np.linspace(0, 1, 40_001) * elastica.flick_past(PLAIN, r).deflection_angle[:, None]
+    angle = inner + give * np.nan_to_num(elastica.press(PLAIN, r[:, None], inner).moment)
+    np.testing.assert_allclose(forward.limit(r), angle.max(axis=1), rtol=1e-7)
+    assert np.all(angle.argmax(axis=1)[:3] < 40_000)  # before the clamped whisker's own end
+    assert forward.signals(r, forward.limit(r))[1].tolist() == [Outcome.HELD] * 4
+    lost = forward.signals(r, forward.limit(r) * (1 + 1e-6))
+    assert lost[1].tolist() == [Outcome.FLICKED_PAST] * 3 + [Outcome.SLIPPED_OFF_TIP]
+    assert np.isnan(lost[0]).all()
+    assert forward.signals(np.array([51e-3]), np.array([0.1]))[1] == Outcome.OUT_OF_REACH
+    # Of a very soft hinge next to the base: half a turn.
+    assert ForwardModel(hinged(SOFT / 50)).limit(np.array([5e-3])) == np.pi
+
+
+@pytest.mark.parametrize("curvature", [0.0, -10.0])
+def test_slopes_are_those_of_the_signals(curvature):
+    forward = ForwardModel(hinged(whisker=replace(PLAIN, curvature=curvature)))
+    r = np.linspace(5e-3, 42e-3, 9)
+    theta, h = 0.6 * forward.limit(r), 1e-5
+    by_r = forward.signals(r * (1 + h), theta)[0] - forward.signals(r * (1 - h), theta)[0]
+    by_theta = forward.signals(r, theta * (1 + h))[0] - forward.signals(r, theta * (1 - h))[0]
+    rough = np.stack([by_r / (2 * h * r)[:, None], by_theta / (2 * h * theta)[:, None]], axis=-1)
+    np.testing.assert_allclose(forward.jacobian(r, theta), rough, rtol=1e-5, atol=1e-9)
+
+
+def test_posterior_is_that_of_a_plain_sum_over_bent_whiskers():
+    observer = ww.Observer(hinged(), cues.ForceMap(), receptors.Weber(0.1))
+    reading = observer.read([30e-3, 0.5], seed=3)
+    found = ww.posterior(observer, reading)
+    # Over distances and what bends the whisker: dθ = dθ′ (1 + M′/K), up to where θ is largest.
+    r = (np.arange(400) + 0.5) / 400 * PLAIN.length
+    end = elastica.flick_past(PLAIN, r).deflection_angle
+    inner = np.linspace(0, 1, 1601) ** 2 * end[:, None] * (1 - 1e-9)
+    bent = elastica.press(PLAIN, r[:, None], inner)
+    angle = inner[:, ::2] + bent.moment[:, ::2] / SOFT
+    weight = np.diff(angle, axis=1)
+    weight = np.where(np.minimum.accumulate(weight > 0, axis=1), weight, 0.0)
+    weight *= angle[:, 1:] < np.pi
+    signals = np.stack([bent.moment, bent.axial_force], axis=-1)[:, 1::2]
+    weight *= np.exp(receptors.Weber(0.1).log_likelihood(reading, signals) - 60)
+    density = weight.sum(axis=1) / weight.sum()
+    mean = density @ r
+    sd = np.sqrt(density @ (r - mean) ** 2)
+    assert found.status.name == "CONVERGED"
+    assert abs(found.mean - mean) < 2e-3 * sd
+    assert abs(found.sd / sd - 1) < 2e-3
+
+
+def test_jnd_of_a_tap_grows_by_the_share_of_the_hinge():
+    r = np.array([[5e-3], [20e-3], [45e-3]])
+    clamped, soft = (ww.Observer(w, cues.Compliance(), receptors.Weber(0.1))
+                     for w in (PLAIN, hinged()))  # fmt: skip
+    lever = 1 / (1 / r[:, 0] - 1 / PLAIN.apex_distance)
+    more = 1 + 3 * PLAIN.stiffness / SOFT / lever
+    for jnd in (weber_propagation, fisher_jnd):
+        np.testing.assert_allclose(jnd(soft, r) / jnd(clamped, r), more, rtol=1e-6)
+
+
+def test_inverses_know_the_hinge():
+    tap, r = cues.Compliance(), np.array([5e-3, 20e-3, 45e-3])
+    rate, _ = tap.signals(hinged(), r[:, None])
+    np.testing.assert_allclose(tap.radial_distance(hinged(), rate[:, 0]), r, rtol=1e-12)
+    contact = np.array([[10e-3, 0.8], [30e-3, 0.4]])
+    signals, _ = cues.ForceMap().signals(hinged(), contact)
+    np.testing.assert_allclose(cues.ForceMap().contact(hinged(), signals)[0], contact, rtol=1e-8)
+
+
+def test_the_hinge_is_a_field_like_others():
+    whisker = hinged(1e-5)
+    assert repr(whisker).endswith("hinge_stiffness=1e-05)")
+    assert whisker != PLAIN
+    assert whisker == hinged(1e-5)
+    assert whisker.cylinder().hinge_stiffness == 1e-5
+    assert decode(encode(whisker)) == whisker
+    old = {k: v for k, v in encode(PLAIN).items() if k != "hinge_stiffness"}
+    assert decode(old) == PLAIN
+    for wrong in (0.0, -1.0, np.inf):
+        with pytest.raises(ValueError, match="hinge_stiffness"):
+            hinged(wrong)
+
+
+W = hinged()
+CLAMPED_ONLY = {
+    "press": lambda: ww.press(W, 30e-3, 0.1),
+    "bend": lambda: ww.bend(W, 30e-3, 1e-5),
+    "flick_past": lambda: ww.flick_past(W, 30e-3),
+    "signal_jacobian": lambda: ww.signal_jacobian(W, 30e-3, 0.1),
+    "choose_model": lambda: ww.choose_model(W, 30e-3, 0.1),
+    "profile": lambda: ww.Profile.of(W),
+    "rod": lambda: mechanics.rod.press(W, [30e-3, 5e-3, 0.0]),
+    "sweep": lambda: ww.sweep(W, mechanics.peg(30e-3, 0.0), [0.0, 0.1]),
+    "modes": lambda: mechanics.modes.modes(W),
+    "balance": lambda: mechanics.moment_balance(W, 30e-3, 1.0),
+    "moment": lambda: closed_form.moment(W, 30e-3, 0.1),
+    "slopes": lambda: closed_form.signal_jacobian(W, 30e-3, 0.1),
+    "distance": lambda: closed_form.distance_from_moment(W, 1e-6, 0.1),
+    "contact": lambda: closed_form.contact_from_signals(W, 1e-6, 1e-5),
+    "SpaceMap": lambda: ww.Observer(W, cues.SpaceMap()),
+    "BalanceOfMoments": lambda: ww.Observer(W, cues.BalanceOfMoments()),
+    "AngleSideAngle": lambda: ww.Observer(W, cues.AngleSideAngle()),
+    "UnknownStiffness": lambda: ww.Observer(W, cues.UnknownStiffness(cues.ForceMap())),
+    "Friction": lambda: ww.Observer(W, cues.Friction(cues.ForceMap())),
+    "UnknownCurvature": lambda: ww.Observer(W, cues.UnknownCurvature(cues.ForceMap(), 2.0)),
+    "HingedTap": lambda: HingedTap(1e-3).signals(W, np.array([20e-3])),
+    "calibrate": lambda: ww.calibrate(pd.DataFrame(), W),
+    "locate": lambda: ww.locate(pd.DataFrame({"moment": [1e-6], "axial_force": [1e-5]}), W),
+    "lateral sweep": lambda: follow(W, [0.1, 0.2], [1e-6, 2e-6]),
+}
+
+
+@pytest.mark.parametrize("name", CLAMPED_ONLY)
+def test_what_takes_no_hinge_refuses_it(name):
+    with pytest.raises(ValueError, match="clamped base, got hinge_stiffness"):
+        CLAMPED_ONLY[name]()
+
+
+def test_known_friction_goes_with_a_hinge():
+    forward = cues.Friction(cues.ForceMap(), -0.2).forward(hinged(), np.array([30e-3, 0.4]))
+    r, theta = np.array([20e-3, 30e-3]), np.array([0.5, 0.4])
+    signals, outcome = forward.signals(r, theta)
+    inner = theta - signals[:, 0] / SOFT
+    bent = ww.press(PLAIN, r, inner, -0.2)
+    np.testing.assert_allclose(signals[:, 0], bent.moment, rtol=1e-5)
+    assert np.all(outcome == Outcome.HELD)
