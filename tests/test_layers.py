@@ -45,7 +45,8 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.ladder": ("mechanics.model_choice",),
     "mechanics.branches": ("mechanics.continuation",),
     "mechanics.planar_surface": ("mechanics.branches", "mechanics.profile", "mechanics.surface"),
-    "mechanics.forward": ("mechanics.ladder", "mechanics.planar_surface"),
+    "mechanics.hinge": ("mechanics.chebyshev",),
+    "mechanics.forward": ("mechanics.hinge", "mechanics.ladder", "mechanics.planar_surface"),
     "mechanics": (
         "mechanics.forward",
         "mechanics.objects",
