@@ -202,6 +202,8 @@ class ContactCoordinates:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
         w = forward_of(self.whisker)
         room = np.maximum(1 / r - 1 / (w.base.apex_distance * w.reach / w.length), 1e-300)
+        if w.give:  # in series
+            room = 1 / (1 / room + w.give * w.base.compliance_constant)
         # Where a prior leaves no angle there is nothing to carry.
         width = np.maximum(width, np.finfo(float).tiny)
         return np.asarray(np.log(width * w.length * room))
