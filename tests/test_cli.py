@@ -557,6 +557,7 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert run_app(cli.app, ["figure", name, "--short", "--out", str(out)]) == 0
         assert all(len(pd.read_csv(out / f"{table}.csv")) > 100 for table in tables)
         assert (out / f"{name}.png").stat().st_size > 0
+    assert {path.stem for path in out.glob("*.png")} == {"ridge", "best-cue", "outcomes"}
     capsys.readouterr()
     assert run_app(cli.app, ["figure", "ridge"]) == 2
     assert "write --out ridge" in capsys.readouterr().err

@@ -288,7 +288,8 @@ def figure(
         whisker = the_whisker(shape)
     for used in ("out", "seed", "as_json"):
         inputs.pop(used)
-    with Run(out, "figure", inputs | {"whisker": describe(whisker)}, seed) as run:
+    # A record for each figure, so that several stand side by side in one folder.
+    with Run(out, f"figure-{name}", inputs | {"whisker": describe(whisker)}, seed) as run:
         made = make(Asked(whisker, short, seed, shape.identity))
         for key, table in made.tables.items():
             run.table(key, table)
