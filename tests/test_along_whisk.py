@@ -159,3 +159,11 @@ def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
     assert (by.loc[("rotates", "pressed"), "bias"] < 0).all()
     moved = by.loc[("translates", "pressed"), "radial_distance"].to_numpy()
     np.testing.assert_allclose(moved, 25e-3 / np.cos(angles))
+
+
+def test_a_distance_that_is_none_is_refused_in_one_sentence() -> None:
+    for made in (
+        along_whisk.resolution_along_push, along_whisk.lateral_sweep, along_whisk.reversal
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="radial_distance must be above zero, got -1"):
+            made(WHISKER, -1.0, [0.1])

@@ -425,6 +425,10 @@ def test_fewer_whiskers_discriminate_worse() -> None:
         ww.array_by_count(ww.ArrayObserver(WhiskerArray()), 20e-3, places)
     with pytest.raises(ValueError, match="There are 8 whiskers"):
         ww.array_by_count(o, 20e-3, places, (9,))
+    with pytest.raises(ValueError, match=r"A place is x and y in metres, got shape \(3,\)"):
+        ww.array_by_whisker(o, [20e-3, 0.0, 0.0])
+    with pytest.raises(ValueError, match="identity 'Z9' is unknown"):
+        WhiskerArray(identities=["Z9"])
 
 
 def test_arrays_places_and_maps_are_drawn() -> None:

@@ -167,7 +167,8 @@ def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...
     hint = f"write {known[:2]}, say"
     if not np.iterable(names):
         raise ValueError(f"{name} must be a list of names, got {shown(value)}; {hint}.")
-    found = tuple(one_of(name.removesuffix("s"), each, known) for each in names)
+    single = f"{name[:-3]}y" if name.endswith("ies") else name.removesuffix("s")
+    found = tuple(one_of(single, each, known) for each in names)
     if not found or len(set(found)) < len(found):
         raise ValueError(f"{name} must be one or more, each once, got {list(found)}; {hint}.")
     return found

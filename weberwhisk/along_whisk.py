@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import elementwise
 
 from . import _checks
 from .cues import ForceMap
@@ -32,15 +33,13 @@ Array = NDArray[np.float64]
 __all__ = ["lateral_sweep", "limits", "resolution_along_push", "reversal", "speed"]
 
 
-def bodies(distance: float) -> dict[str, Any]:
-    """Objects that a straight whisker meets with its flank at a distance, m."""
-    return {
-        "peg": peg(distance, 0.0),
-        **{
-            f"cylinder, {1e3 * radius:g} mm": cylinder(distance, -radius, radius)
-            for radius in (2e-3, 5e-3, 15e-3)
-        },
+def bodies(distance: float, radii: Sequence[float] = (2e-3, 5e-3, 15e-3)) -> dict[str, Any]:
+    """A peg and cylinders of some radii (m) that a straight whisker meets at a distance, m."""
+    _checks.positive_number("radial_distance", distance, "give metres, such as 25e-3")
+    round_ones = {
+        f"cylinder, {1e3 * radius:g} mm": cylinder(distance, -radius, radius) for radius in radii
     }
+    return {"peg": peg(distance, 0.0), **round_ones}
 
 
 def resolution_along_push(
@@ -144,13 +143,9 @@ def lateral_sweep(
     angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
     rng = np.random.default_rng(seed)
     parts = []
-    objects = {
-        "peg": peg(radial_distance, 0.0),
-        f"cylinder, {1e3 * radius:g} mm": cylinder(radial_distance, -radius, radius),
-    }
-    for name, body in objects.items():
-        felt = sweep(whisker, body, np.concatenate([[-0.2], angles])).bending
-        moment, true = (np.asarray(a)[1:] for a in (felt.moment, felt.radial_distance))
+    for name, body in bodies(radial_distance, [radius]).items():
+        bent = sweep(whisker, body, np.concatenate([[-0.2], angles])).bending
+        moment, true = (np.asarray(a)[1:] for a in (bent.moment, bent.radial_distance))
         held = np.isfinite(moment)
         reading = moment[held] * (1 + weber_fraction * rng.standard_normal(int(held.sum())))
         track = SweepFilter(whisker, Weber(weber_fraction))(angles[held], reading, seed=seed)
@@ -217,24 +212,23 @@ def limits(
     for name, value in (("torque", torque), ("saturation", saturation)):
         _checks.positive(name, value, "give newton metres, such as 1e-6")
     angle = np.full(r.shape, float(push))
+    stopped = np.asarray(press(whisker, r, angle).moment) > torque
+    if stopped.any():  # the moment rises with the angle up to the fold
+
+        def excess(theta: Array, at: Array) -> Array:
+            return np.asarray(press(whisker, at, theta).moment) - torque
+
+        bracket = np.zeros(int(stopped.sum())), angle[stopped]
+        angle[stopped] = elementwise.find_root(excess, bracket, args=(r[stopped],)).x
     moment = np.asarray(press(whisker, r, angle).moment)
-    stopped = moment > torque
-    low, high = np.zeros(r.shape), angle.copy()
-    for _ in range(50):  # the moment rises with the angle up to the fold
-        middle = 0.5 * (low + high)
-        over = np.asarray(press(whisker, r, middle).moment) > torque
-        low, high = np.where(over, low, middle), np.where(over, middle, high)
-    angle = np.where(stopped, low, angle)
-    moment = np.asarray(press(whisker, r, angle).moment)
-    curves = {}
-    for name, noise in {
-        "weber": Weber(weber_fraction),
-        "threshold": GeneralisedWeber(weber_fraction, floor=threshold),
-    }.items():
-        h = 1e-5 * r
-        ends = [np.asarray(press(whisker, r + s * h, angle).moment) for s in (1, -1)]
-        slope = np.abs(ends[0] - ends[1]) / (2 * h)
-        curves[name] = noise.sd(moment[:, None])[:, 0] / slope
+    h = 1e-5 * r
+    ends = [np.asarray(press(whisker, r + s * h, angle).moment) for s in (1, -1)]
+    slope = np.abs(ends[0] - ends[1]) / (2 * h)
+    floored = GeneralisedWeber(weber_fraction, floor=threshold)
+    curves = {
+        name: noise.sd(moment[:, None])[:, 0] / slope
+        for name, noise in (("weber", Weber(weber_fraction)), ("threshold", floored))
+    }
     curves["all"] = np.where(moment < saturation, curves["threshold"], np.nan)
     return pd.DataFrame(
         {"radial_distance": r, "deflection_angle": angle, "moment": moment, **curves,
@@ -278,6 +272,7 @@ def reversal(
     import pandas as pd
 
     theta = np.atleast_1d(_checks.positive("push", push, "give radians"))
+    _checks.positive_number("radial_distance", radial_distance, "give metres, such as 25e-3")
     mu = _checks.non_negative("friction_coefficient", friction_coefficient, "write 0.3, say")
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
     rows = []
@@ -290,38 +285,14 @@ def reversal(
         for direction, sign in (("pressed", -1.0), ("let go", 1.0)):
             bent = press(whisker, r, theta, friction_angle=sign * float(np.arctan(mu)))
             reading = np.stack([bent.moment, bent.axial_force], axis=-1)
-            told = _without_friction(whisker, reading, contact)
+            assumed = ForceMap().contact(whisker, reading)[0][:, 0]
             rows.append(
                 pd.DataFrame(
                     {"base": base, "direction": direction, "deflection_angle": theta,
-                     "radial_distance": r, "jnd": jnd, "bias": told - r}
+                     "radial_distance": r, "jnd": jnd, "bias": assumed - r}
                 )
             )  # fmt: skip
     return pd.concat(rows, ignore_index=True)
-
-
-def _without_friction(whisker: Whisker, reading: Array, start: Array) -> Array:
-    """The distance at which a whisker without friction gives moment and axial force (n, 2)."""
-    contact = start.copy()
-    good = np.isfinite(reading).all(axis=1)
-    for _ in range(60):
-        steps = np.array([1e-5 * contact[:, 0], 1e-5 * contact[:, 1]])
-        at = [press(whisker, *contact.T)]
-        at += [press(whisker, contact[:, 0] + steps[0], contact[:, 1])]
-        at += [press(whisker, contact[:, 0], contact[:, 1] + steps[1])]
-        log = [np.log(np.stack([b.moment, b.axial_force], axis=-1)) for b in at]
-        with np.errstate(invalid="ignore"):
-            off = np.log(reading) - log[0]
-        slope = np.stack([(log[i + 1] - log[0]) / steps[i][:, None] for i in (0, 1)], axis=-1)
-        ok = good & np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(off).all(axis=1)
-        move = np.zeros_like(contact)
-        move[ok] = np.linalg.solve(slope[ok], off[ok][:, :, None])[:, :, 0]
-        contact = contact + np.clip(move, -0.2 * contact, 0.2 * contact)
-        good = ok
-        arrived = np.abs(move / contact).max(axis=1) < 1e-8
-        if not ok.any() or arrived[ok].all():
-            break
-    return np.where(good & arrived, contact[:, 0], np.nan)
 
 
 def speed(

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from ._checks import finite, generator, positive_number, whole
-from .places import ArrayObserver
+from .places import ArrayObserver, one_place
 from .receptors import Seed
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ def array_resolution(observer: ArrayObserver, x: ArrayLike, y: ArrayLike) -> pd.
     some, best = touches.any(axis=1), np.where(touches, alone, np.inf).argmin(axis=1)
     axes = np.sqrt(np.linalg.eigvalsh(covariance))
     names = np.array([*observer.sensors])
-    told = np.linalg.slogdet(each.sum(axis=1) + prior)[1] - np.linalg.slogdet(prior)[1]
     table = pd.DataFrame(1e3 * place, columns=["x_mm", "y_mm"])
     return table.assign(
         touching=touches.sum(axis=1),
@@ -70,7 +69,7 @@ def array_resolution(observer: ArrayObserver, x: ArrayLike, y: ArrayLike) -> pd.
         minor_mm=np.where(some, 1e3 * axes[:, 0], np.nan),
         best=np.where(some, names[best], ""),
         best_error_mm=np.where(some, 1e3 * alone[np.arange(len(best)), best], np.nan),
-        bits=np.where(some, told / 2 / np.log(2), np.nan),
+        bits=np.where(some, _bits(each.sum(axis=1), prior), np.nan),
     )
 
 
@@ -104,26 +103,22 @@ def array_by_whisker(observer: ArrayObserver, place: ArrayLike) -> pd.DataFrame:
     """
     import pandas as pd
 
-    at = finite("place", place, "give x and y in metres").reshape(1, 2)
+    at = one_place(place)[None]
     each, prior = observer.information(at)[0], _prior(observer)
-
-    def bits(told: Array) -> float:
-        gain = np.linalg.slogdet(told + prior)[1] - np.linalg.slogdet(prior)[1]
-        return float(gain / 2 / np.log(2))
 
     sides = [low + (high - low) * (np.arange(64) + 0.5) / 64 for low, high in observer.box]
     region = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-    rows, whole_ = [], bits(each.sum(axis=0))
+    rows, total = [], each.sum(axis=0)
     for own, (name, sensor) in zip(each, observer.sensors.items(), strict=True):
         r, theta = (float(v[0]) for v in sensor.contact(at))
         touches = bool(np.any(own != 0))
-        alone = bits(own)
+        alone = float(_bits(own, prior))
         if not touches:
             r = theta = np.nan
             left = 1 - (1 - observer.missed) * sensor.touch_probability(region).mean()
             alone = float(-np.log2(left))
         error = np.sqrt(np.trace(np.linalg.inv(own + prior))) if touches else np.nan
-        added = whole_ - bits(each.sum(axis=0) - own)
+        added = float(_bits(total, prior) - _bits(total - own, prior))
         rows.append((name, touches, 1e3 * r, np.degrees(theta), 1e3 * error, alone, added))
     columns = "whisker touches distance_mm deflection_deg error_mm bits added_bits"
     table = pd.DataFrame(rows, columns=columns.split())
@@ -142,8 +137,8 @@ def array_by_count(
 ) -> pd.DataFrame:
     """The discrimination of aperture widths by the number of whiskers left intact on each side.
 
-    Two poles stand at the same distance on either side, each felt by its own side; which of two
-    widths it is, a narrow or a wide one, is answered by the ideal observer.
+    Two poles stand at the same distance on either side, each touched by that side alone;
+    which of two widths it is, a narrow or a wide one, is answered by the ideal observer.
 
     Parameters
     ----------
@@ -199,8 +194,8 @@ def array_by_count(
         if n > names:
             raise ValueError(f"There are {names} whiskers on a side, got a count of {n}.")
         intact = rng.random((subsets, names)).argsort(axis=1) < n
-        told = np.einsum("sw,pwij->spij", intact.astype(float), each) + prior
-        width = np.sqrt(2 * np.linalg.inv(told)[..., 0, 0])
+        information = np.einsum("sw,pwij->spij", intact.astype(float), each) + prior
+        width = np.sqrt(2 * np.linalg.inv(information)[..., 0, 0])
         right = ndtr(gap / 2 / width).mean(axis=1)
         sensed = np.einsum("sw,pw->sp", intact.astype(float), touches.astype(float))
         error = right.std(ddof=1) / np.sqrt(subsets)
@@ -213,3 +208,9 @@ def array_by_count(
 def _prior(observer: ArrayObserver) -> Array:
     """Information (2, 2) of a Gaussian as wide as the region, 1/m²."""
     return np.asarray(np.diag(12.0 / np.diff(observer.box, axis=1)[:, 0] ** 2))
+
+
+def _bits(information: Array, prior: Array) -> Array:
+    """What information (..., 2, 2) adds to the prior's, in bits."""
+    gain = np.linalg.slogdet(information + prior)[1] - np.linalg.slogdet(prior)[1]
+    return np.asarray(gain / 2 / np.log(2))

@@ -135,7 +135,7 @@ class ArrayObserver:
 
     def touching(self, place: ArrayLike) -> tuple[str, ...]:
         """Names of the whiskers that touch a pole at (2,), m, more likely than not."""
-        at = _one_place(place)
+        at = one_place(place)
         return tuple(n for n, s in self.sensors.items() if s.touch_probability(at) > 0.5)
 
     def read(self, place: ArrayLike, seed: Seed = None) -> dict[str, Array | None]:
@@ -148,7 +148,7 @@ class ArrayObserver:
         >>> [name for name, reading in readings.items() if reading is not None]
         ['C2']
         """
-        at, rng = _one_place(place), generator(seed)
+        at, rng = one_place(place), generator(seed)
         return {
             name: reading if rng.random() >= self.missed else None
             for name, reading in ((n, s.read(at, rng)) for n, s in self.sensors.items())
@@ -266,7 +266,7 @@ class Place(Shown):
 
     def credibility(self, place: ArrayLike) -> float:
         """The mass of all places more probable than a place (2,): below 0.95 inside its region."""
-        log = self._log_likelihood(_one_place(place)[None])[0] - self._log_evidence
+        log = self._log_likelihood(one_place(place)[None])[0] - self._log_evidence
         return float(self.weights[self.log_density > log].sum())
 
     def area(self, mass: float = 0.95) -> float:
@@ -393,7 +393,7 @@ def _own(value: Any, name: str, what: str) -> Any:
     return value[name]
 
 
-def _one_place(place: ArrayLike) -> Array:
+def one_place(place: ArrayLike) -> Array:
     at = finite("place", place, "give x and y in metres")
     if at.shape != (2,):
         raise ValueError(f"A place is x and y in metres, got shape {at.shape}; write [20e-3, 0.0].")

@@ -247,16 +247,16 @@ class PlaceEncoding:
         along = np.array([np.cos(turn), np.sin(turn)])
         axes = np.stack([along, [-along[1], along[0]]])
         places = np.asarray(self.start) + self.unit * x.reshape(-1, 1) * along
-        told = axes @ self.observer.information(places).sum(axis=1) @ axes.T
-        precision = told[:, 0, 0].copy()
+        information = axes @ self.observer.information(places).sum(axis=1) @ axes.T
+        precision = information[:, 0, 0].copy()
         if not self.sideways_known:
             with np.errstate(divide="ignore", invalid="ignore"):
-                precision -= np.nan_to_num(told[:, 0, 1] ** 2 / told[:, 1, 1])
-        known = precision > 1e-12 * np.maximum(told[:, 0, 0], 1e-300)
+                precision -= np.nan_to_num(information[:, 0, 1] ** 2 / information[:, 1, 1])
+        known = precision > 1e-12 * np.maximum(information[:, 0, 0], 1e-300)
         with np.errstate(divide="ignore", invalid="ignore"):
             sd = np.where(known, precision**-0.5, np.nan)
         return sd.reshape(x.shape) / (self.unit * self.weber_fraction)
 
     def outcome(self, stimulus: float) -> str:
-        """Why no place is told, in words."""
+        """Why no place is known, in words."""
         return "no whisker touches the pole there"

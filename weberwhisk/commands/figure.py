@@ -164,11 +164,9 @@ def lateral_sweep(asked: Asked) -> Made:
     """the distance of a peg and of a cylinder, followed along a sweep by the moment (§2g)"""
     from .. import figures
 
-    push, length = (
-        np.radians(np.arange(1.0, 31.0, 5.0 if asked.short else 1.0)),
-        asked.whisker.length,
-    )
-    table = along_whisk.lateral_sweep(asked.whisker, 0.5 * length, push, seed=asked.seed)
+    push = np.radians(np.arange(1.0, 31.0, 5.0 if asked.short else 1.0))
+    middle = 0.5 * asked.whisker.length
+    table = along_whisk.lateral_sweep(asked.whisker, middle, push, seed=asked.seed)
     return Made({"lateral-sweep": table}, figures.lateral_sweep(table))
 
 

@@ -179,15 +179,15 @@ class Shapes:
         off = np.conj(turn[:, None] * tangent) * (points.at - base[:, None] - turn[:, None] * at)
         across = points.weight * (off.imag - bend * points.spread / 2)
         # Held weakly where the points say nothing.
-        told = [across, p[:, [2]] / 4, (p[:, [4]] - extra.friction) / extra.friction_sd,
-                p[:, [11]] / extra.base_sd]  # fmt: skip
+        friction = (p[:, [4]] - extra.friction) / extra.friction_sd
+        residuals = [across, p[:, [2]] / 4, friction, p[:, [11]] / extra.base_sd]
         if extra.pole is not None:
             way = np.exp(1j * curve.angle[:, _STEPS]) * turn
             to = np.conj(way) * (extra.pole - base - turn * curve.contact)
             side = np.where(p[:, 3] < 0, 1.0, -1.0)  # the pole pushes from behind the force
-            told += [to.real[:, None] / extra.pole_sd,
-                     (to.imag - side * extra.pole_radius)[:, None] / extra.pole_sd]  # fmt: skip
-        return np.concatenate(told, axis=1), off.real
+            off_surface = to.imag - side * extra.pole_radius
+            residuals += [part[:, None] / extra.pole_sd for part in (to.real, off_surface)]
+        return np.concatenate(residuals, axis=1), off.real
 
     def _slopes(self, p: Array, points: Points, extra: Extra, free: Any) -> tuple[Array, Array]:
         """Residuals (n, R), and their derivatives (n, R, P)."""
@@ -196,9 +196,9 @@ class Shapes:
         aside = p[every]
         for k, i in enumerate(free):
             aside[(k + 1) * n : (k + 2) * n, i] += _CHANGE
-        told = self._residuals(aside, points.take(every), extra.take(every))[0]
-        told = told.reshape(many, n, -1)
-        return told[0], np.moveaxis(told[1:] - told[0], 0, -1) / _CHANGE
+        residuals = self._residuals(aside, points.take(every), extra.take(every))[0]
+        here, moved = np.split(residuals.reshape(many, n, -1), [1])
+        return here[0], np.moveaxis(moved - here, 0, -1) / _CHANGE
 
     def fit(
         self, p: Array, points: Points, extra: Extra, free: Any, rounds: int = 60
