@@ -97,6 +97,34 @@ def test_a_beam_stepped_through_time_loses_as_much() -> None:
     assert least * 0.97 < lost < most * 1.03
 
 
+def test_a_first_contact_rings_within_its_bound() -> None:
+    """The modes of 60 finite elements, each with its own damping, from a whisker that strikes."""
+    r, zeta, time = 30e-3, 0.1, np.linspace(2e-3, 0.1, 200)
+    stiff, mass, free = beam(WHISKER, r, 60)
+    inner = np.ix_(free, free)
+    square, shapes = eigh(stiff[inner], mass[inner])
+    omega = np.sqrt(square)
+    places = np.unique(np.r_[np.linspace(0, r, 37), np.linspace(r, 50e-3, 25)])
+    static = np.linalg.solve(stiff[inner], -stiff[free, 1])
+    still = stiff[1, 1] + stiff[1, free] @ static
+    # The whisker comes on straight: a node at s moves with s and turns with 1.
+    coming = np.stack([places, np.ones(len(places))], axis=-1).ravel()[free] - static
+    damped = omega * np.sqrt(1 - zeta**2)
+    start = shapes.T @ (mass[inner] @ coming) / damped
+    wave = np.exp(-zeta * omega * time[:, None]) * np.sin(damped * time[:, None]) * start
+    # Reactions at the clamp: of the element there, whose own mass is next to nothing.
+    rings = np.abs((wave @ shapes.T) @ stiff[1, free]) / (still * time)
+    found = quasi_static(WHISKER, r)
+    most = found.onset(time, zeta)
+    assert (rings < most * 1.02).all()
+    early = time < 0.02
+    assert (rings[early] / most[early]).max() > 0.8
+    for share in (0.1, 1e-3):
+        assert found.onset(found.settled(share)) == pytest.approx(share, rel=1e-6)
+    with pytest.raises(ValueError, match="damping_ratio must be between 0 and 1, got 0"):
+        found.onset(0.01, 0.0)
+
+
 def test_limits_and_notes_of_speed_say_the_same_as_the_bound() -> None:
     found = quasi_static(WHISKER, 30e-3)
     for error in (1e-3, 1e-2, 0.3):
@@ -151,14 +179,25 @@ def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> No
 
 def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
     angles = np.radians([16.0, 24.0])
-    none = along_whisk.reversal(WHISKER, 25e-3, angles, friction_coefficient=0.0)
+    at = along_whisk.bodies(25e-3, [5e-3])
+    none = along_whisk.reversal(WHISKER, 25e-3, angles, friction_coefficient=0.0, objects=at)
     np.testing.assert_allclose(none["bias"], 0.0, atol=1e-9)
-    table = along_whisk.reversal(WHISKER, 25e-3, angles)
-    by = table.set_index(["base", "direction"])
-    assert (by.loc[("rotates", "let go"), "bias"] > 0).all()
-    assert (by.loc[("rotates", "pressed"), "bias"] < 0).all()
-    moved = by.loc[("translates", "pressed"), "radial_distance"].to_numpy()
-    np.testing.assert_allclose(moved, 25e-3 / np.cos(angles))
+    table = along_whisk.reversal(WHISKER, 25e-3, angles, objects=at)
+    by = table.set_index(["object", "base", "direction"])
+    assert (by.loc[("peg", "rotates", "let go"), "bias"] > 0).all()
+    assert (by.loc[("peg", "rotates", "pressed"), "bias"] < 0).all()
+    moved = by.loc[("peg", "translates", "pressed"), "radial_distance"].to_numpy()
+    np.testing.assert_allclose(moved, 25e-3 / np.cos(angles), rtol=1e-9)
+    # By hand, at a peg: what is felt with friction, taken for a contact without.
+    bent = ww.press(WHISKER, 25e-3, angles, -np.arctan(0.3))
+    felt = np.stack([bent.moment, bent.axial_force], axis=-1)
+    off = ww.cues.ForceMap().contact(WHISKER, felt)[0][:, 0] - 25e-3
+    np.testing.assert_allclose(by.loc[("peg", "rotates", "pressed"), "bias"], off, rtol=1e-4)
+    # A base that moves on rolls the contact along a cylinder, inwards as one that turns does.
+    for base in ("rotates", "translates"):
+        there = by.loc[("cylinder, 5 mm", base, "pressed")]
+        assert (np.diff(there["radial_distance"]) < 1e-4).all()
+        assert (there["radial_distance"] < 24e-3).all()
 
 
 def test_a_distance_that_is_none_is_refused_in_one_sentence() -> None:

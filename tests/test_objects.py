@@ -250,12 +250,60 @@ def test_nothing_in_reach_and_a_sweep_that_ends_in_contact():
     assert np.isnan(short.end)
 
 
+@pytest.mark.parametrize("friction", [0.0, -0.2])
+def test_a_base_that_travels_past_a_peg_is_press_at_every_place(friction):
+    travel = np.array([-1e-3, 1e-6, 2e-3, 6e-3, 10e-3])
+    s = sweep(W, peg(30e-3, 0.0), friction_angle=friction, travel=travel)
+    r, theta = np.hypot(30e-3, travel[1:]), np.arctan2(travel[1:], 30e-3)
+    exact = press(W, r, theta, friction)
+    for name in ("moment", "axial_force", "transverse_force", "arc_length"):
+        found, true = getattr(s.bending, name)[1:], getattr(exact, name)
+        np.testing.assert_allclose(found, true, rtol=1e-6, err_msg=name)
+    np.testing.assert_allclose(s.contact[1:], [[30e-3, 0.0]] * 4, atol=1e-10)
+    assert s.first_contact == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("body", "whisker", "span"),
+    [
+        (cylinder(25e-3, -5e-3, 5e-3), W, 9e-3),
+        (cylinder(25e-3, -12e-3, 5e-3), CURLED, 3e-3),
+        (wall(50e-3, 0.0, np.pi / 3), W, 1.5e-3),
+    ],
+)
+def test_the_work_of_a_base_that_travels_is_the_energy_that_bends(body, whisker, span):
+    """∫ Fy dy beside ½ ∫ (EI (κ − κ₀)²) ds along the whisker, drawn by SciPy."""
+    start = sweep(whisker, body, travel=[-10e-3, 20e-3]).first_contact
+    u, weight = np.polynomial.legendre.leggauss(12)
+    u = (u + 1) / 2
+    s = sweep(whisker, body, travel=start + span * np.r_[-0.1, u**2, 1.0])
+    assert np.all(s.bending.held[1:])
+    work = s.bending.transverse_force[1:-1] @ (weight * span * u)
+    axial, across, angle, arc, force = (
+        getattr(s.bending, f"{name}")[-1]
+        for name in ("axial_force", "transverse_force", "contact_angle", "arc_length", "force")
+    )
+    lean = np.arctan2(axial, across) - angle
+
+    def rates(at, state):
+        turn, x, y, _ = state
+        moment = force * (-x * np.cos(lean) - y * np.sin(lean))
+        stiff = whisker.stiffness * (1 - at / whisker.apex_distance) ** 4
+        bent = whisker.curvature + moment / stiff
+        return [bent, np.cos(turn), np.sin(turn), moment**2 / (2 * stiff)]
+
+    energy = -solve_ivp(rates, (arc, 0.0), [0.0] * 4, rtol=1e-10, atol=1e-18).y[3, -1]
+    assert work == pytest.approx(energy, rel=2e-4)
+    assert abs(body.depth(*s.contact[-1])) < 1e-9
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: contour([[0, 0], [1, 0], [0.5, 0.1], [1, 1]]), "must be convex"),
         (lambda: contour([[0, 0], [1, 0]]), "must be convex, of three points"),
-        (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending angles"),
+        (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending numbers"),
+        (lambda: sweep(W, peg(0.03, 0.0)), "rotations or travels of the base, got none"),
         (lambda: sweep(W, wall(0.0, 0.01, 0.0), [0.0, 0.1]), "base of the whisker must be outside"),
         (lambda: sweep(W, cylinder(0.03, 0.0, 2e-3), [0.0, 0.1]), "start clear of the object"),
         (lambda: sweep(Whisker([0.05, 0.04], 1e-4, 5e-6), peg(0.03, 0), [0.0]), "one whisker"),

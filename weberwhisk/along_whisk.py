@@ -6,7 +6,8 @@ rad; a JND is that of the information in the moment and the axial force at the b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from .cues import ForceMap
 from .jnd import fisher_jnd
 from .mechanics import press
 from .mechanics.contact import Outcome
-from .mechanics.objects import cylinder, peg, sweep, wall
+from .mechanics.objects import Body, Sweep, cylinder, peg, sweep, wall
 from .mechanics.whisking import quasi_static
 from .observer import Observer
 from .receptors import GeneralisedWeber, Weber
@@ -77,40 +78,39 @@ def resolution_along_push(
 
     angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
-    length, slope = float(whisker.length), np.radians(60.0)
-    objects = bodies(radial_distance) | {"wall, by the tip": wall(length, 0.0, slope)}
+    objects = bodies(radial_distance) | {"wall, by the tip": leaning(whisker)}
     parts = []
     for name, body in objects.items():
-        before = np.concatenate([[-0.2], angles])
-        found = sweep(whisker, body, before)
+        found = sweep(whisker, body, np.r_[-0.2, angles])
         start = found.first_contact if np.isfinite(found.first_contact) else 0.0
         if abs(start) > 1e-9:
-            found = sweep(whisker, body, np.concatenate([[start - 0.2], start + angles]))
-        r, theta = (
-            np.asarray(a, dtype=float)[1:]
-            for a in (found.bending.radial_distance, found.bending.deflection_angle)
-        )
-        held = np.isfinite(r) & (theta > 0) & ~np.asarray(found.tip)[1:]
-        jnd = np.full(r.shape, np.nan)
-        if held.any():
-            inside = np.stack([r, theta], axis=-1)[held]
-            jnd[held] = fisher_jnd(observer, inside)
+            found = sweep(whisker, body, np.r_[start - 0.2, start + angles])
+        r, theta, jnd, _ = _along(found, observer)
+        tip, outcome = (np.asarray(a)[1:] for a in (found.tip, found.bending.outcome))
         parts.append(
             pd.DataFrame(
-                {
-                    "object": name,
-                    "push": angles,
-                    "radial_distance": r,
-                    "deflection_angle": theta,
-                    "jnd": jnd,
-                    "tip": np.asarray(found.tip)[1:],
-                    "outcome": [
-                        Outcome(int(o)).name for o in np.asarray(found.bending.outcome)[1:]
-                    ],
-                }
+                {"object": name, "push": angles, "radial_distance": r, "deflection_angle": theta,
+                 "jnd": jnd, "tip": tip, "outcome": [Outcome(int(o)).name for o in outcome]}
             )
-        )
+        )  # fmt: skip
     return pd.concat(parts, ignore_index=True)
+
+
+def leaning(whisker: Whisker, angle: float = np.pi / 3) -> Body:
+    """A wall that the tip of a straight whisker meets, at an angle to it, rad."""
+    return wall(float(whisker.length), 0.0, angle)
+
+
+def _along(found: Sweep, observer: Observer) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Distance, deflection and JND along a sweep but for its start, and where the flank touches."""
+    bent = found.bending
+    r, theta = (np.asarray(a, dtype=float)[1:] for a in (bent.radial_distance,
+                                                         bent.deflection_angle))  # fmt: skip
+    flank = np.isfinite(r) & (theta > 0) & ~np.asarray(found.tip)[1:]
+    jnd = np.full(r.shape, np.nan)
+    if flank.any():
+        jnd[flank] = fisher_jnd(observer, np.stack([r, theta], axis=-1)[flank])
+    return r, theta, jnd, flank
 
 
 def lateral_sweep(
@@ -243,26 +243,31 @@ def reversal(
     *,
     friction_coefficient: float = 0.3,
     weber_fraction: float = 0.1,
+    objects: Mapping[str, Body] | None = None,
 ) -> pd.DataFrame:
-    """A peg pressed and let go again, by a base that turns and by one that moves sideways.
+    """Objects pressed and let go again, by a base that turns and by one that moves sideways.
 
     Parameters
     ----------
     whisker, radial_distance, weber_fraction
         As of `resolution_along_push`.
     push : array (n,)
-        Deflection angles on the way in, rad; the way out has the same.
+        On the way in, rad, ascending; the way out has the same. A base that moves sideways goes
+        r₀ tan(push), which deflects it as much at a peg.
     friction_coefficient : float
-        Of the peg. Sliding outwards as it is let go, inwards as it is pressed (see
-        `mechanics.profile`): the friction angle changes sign on reversal.
+        Of the object. The whisker slides outwards over it as it is let go, inwards as it is pressed
+        (see `mechanics.profile`): the friction angle changes sign on reversal.
+    objects : mapping of name to Body, optional
+        By default a peg, a cylinder of 5 mm, and a wall that the tip meets.
 
     Returns
     -------
     DataFrame
-        A row a way of moving, direction and angle: `base` (rotates or translates), `direction`
-        (pressed or let go), `deflection_angle`, `radial_distance`, `jnd`, and `bias`: how far the
-        distance of an observer who takes no account of friction is off, m; NaN where no contact
-        without friction has that moment and axial force.
+        A row an object, way of moving, direction and push: `object`, `base` (rotates or
+        translates), `direction` (pressed or let go), `push`, `deflection_angle`,
+        `radial_distance`, `jnd` (without friction), and `bias`: how far the distance of an observer
+        who takes no account of friction is off, m. NaN where no contact without friction has that
+        moment and axial force, while the tip touches, and from flick-past on.
 
     Notes
     -----
@@ -271,25 +276,27 @@ def reversal(
     """
     import pandas as pd
 
-    theta = np.atleast_1d(_checks.positive("push", push, "give radians"))
-    _checks.positive_number("radial_distance", radial_distance, "give metres, such as 25e-3")
+    angles = np.atleast_1d(_checks.positive("push", push, "give radians"))
+    own = bodies(radial_distance, [5e-3]) | {"wall, by the tip": leaning(whisker)}
     mu = _checks.non_negative("friction_coefficient", friction_coefficient, "write 0.3, say")
+    tilt = float(np.arctan(mu))
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
     rows = []
-    for base in ("rotates", "translates"):
-        r = np.full(theta.shape, radial_distance)
-        if base == "translates":
-            r = radial_distance / np.cos(theta)
-        contact = np.stack([r, theta], axis=-1)
-        jnd = fisher_jnd(observer, contact)
+    for (name, body), base in product((objects or own).items(), ("rotates", "translates")):
+        way = np.r_[-0.1, angles]
+        how = {"rotation": way} if base == "rotates" else {"travel": radial_distance * np.tan(way)}
         for direction, sign in (("pressed", -1.0), ("let go", 1.0)):
-            bent = press(whisker, r, theta, friction_angle=sign * float(np.arctan(mu)))
-            reading = np.stack([bent.moment, bent.axial_force], axis=-1)
-            assumed = ForceMap().contact(whisker, reading)[0][:, 0]
+            found = sweep(whisker, body, friction_angle=sign * tilt, **how)
+            r, theta, jnd, flank = _along(found, observer)
+            reading = np.stack([found.bending.moment, found.bending.axial_force], axis=-1)[1:]
+            assumed = np.full(r.shape, np.nan)
+            if flank.any():
+                assumed[flank] = ForceMap().contact(whisker, reading[flank])[0][:, 0]
             rows.append(
                 pd.DataFrame(
-                    {"base": base, "direction": direction, "deflection_angle": theta,
-                     "radial_distance": r, "jnd": jnd, "bias": assumed - r}
+                    {"object": name, "base": base, "direction": direction, "push": angles,
+                     "deflection_angle": theta, "radial_distance": r, "jnd": jnd,
+                     "bias": assumed - r}
                 )
             )  # fmt: skip
     return pd.concat(rows, ignore_index=True)
@@ -312,8 +319,10 @@ def speed(
     -------
     DataFrame
         `radial_distance` (m), `first_frequency`, `one_percent` and `ten_percent` (Hz, up to which
-        the moment is off by no more), and for each frequency `error_8Hz`: the largest share that
-        inertia takes off the moment. See `mechanics.quasi_static`.
+        the moment is off by no more), for each frequency `error_8Hz`: the largest share that
+        inertia takes off the moment, and `settled`: s after a first contact from which the moment
+        rings with a tenth of itself at most, one JND at k = 0.1, where modes are damped to a tenth
+        of critical. See `mechanics.quasi_static`.
 
     Examples
     --------
@@ -331,6 +340,6 @@ def speed(
         rows.append(
             {"radial_distance": at, "first_frequency": found.first_frequency,
              "one_percent": float(found.limit(0.01)), "ten_percent": float(found.limit(0.1)),
-             **errors}
+             **errors, "settled": found.settled(0.1)}
         )  # fmt: skip
     return pd.DataFrame(rows)

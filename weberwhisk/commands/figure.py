@@ -181,7 +181,7 @@ def jnd_limits(asked: Asked) -> Made:
 
 
 def reversal(asked: Asked) -> Made:
-    """a peg pressed and let go with friction, by a base that turns and one that translates"""
+    """objects pressed and let go with friction, by a base that turns and one that translates"""
     from .. import figures
 
     push = np.radians(np.linspace(2.0, 25.0, 6 if asked.short else 47))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,12 +111,13 @@ def reversal(table: pd.DataFrame) -> Figure:
     table : DataFrame
         From `along_whisk.reversal`.
     """
-    figure = new_figure(DOUBLE, 3.0)
-    groups = list(table.groupby("base", sort=False))
-    axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
-    for ax, (base, rows) in zip(axes, groups, strict=True):
+    figure = new_figure(DOUBLE, 4.4)
+    bases, objects = (list(dict.fromkeys(table[name])) for name in ("base", "object"))
+    axes = figure.subplots(len(bases), len(objects), sharex=True, sharey=True, squeeze=False)
+    for (base, name), ax in zip(product(bases, objects), axes.flat, strict=True):
+        rows = table[(table["base"] == base) & (table["object"] == name)]
         for i, (direction, mine) in enumerate(rows.groupby("direction", sort=False)):
-            angle = np.degrees(mine["deflection_angle"])
+            angle = np.degrees(mine["push"])
             if i == 0:
                 jnd = 1e3 * mine["jnd"]
                 ax.fill_between(
@@ -123,12 +125,13 @@ def reversal(table: pd.DataFrame) -> Figure:
                 )
             ax.plot(
                 angle, 1e3 * mine["bias"], LINES[i], color=COLOURS[i], marker=MARKERS[i],
-                markevery=max(len(mine) // 8, 1), markersize=3, label=f"peg {direction}",
+                markevery=max(len(mine) // 8, 1), markersize=3, label=str(direction),
             )  # fmt: skip
         ax.axhline(0.0, color="black", linewidth=0.6)
-        ax.set(title=f"base {base}", xlabel="deflection angle (°)")
-    axes[0].set_ylabel("error of the distance (mm)\nwhere friction is not reckoned with")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        ax.set_title(f"{name}: base {base}")
+    figure.supxlabel("push, or the angle of a peg to a base that moves (°)")
+    figure.supylabel("error of the distance (mm) where friction is left out")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
     from .touch import Body, contour, cylinder, peg, wall
+    from .whisking import QuasiStatic, quasi_static
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
@@ -34,8 +35,8 @@ _HOME = {
     "touch": ("Body", "contour", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
-    "modes": ("Modes", "impulse_response", "transfer"),
     "whisking": ("QuasiStatic", "quasi_static"),
+    "modes": ("Modes", "impulse_response", "transfer"),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [

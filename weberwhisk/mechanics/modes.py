@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
+from scipy.linalg import eigh, null_space
 
 from .._checks import finite, non_negative
 from ..whisker import Whisker
 from .chebyshev import Array
 from .shape import Profile
 
-_BASIS = 60
+BASIS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Modes:
 
         The inertia's moment: equal to EI(0) φ_n″(0), and more accurate where a profile has kinks.
         """
-        s, weight = _gauss(self.profile.arc, _BASIS)
+        s, weight = gauss(self.profile.arc, BASIS)
         load = self.profile.line_density(s) * weight * s
         return np.asarray(self.angular_frequency**2 * (self.shape(s) @ load))
 
@@ -85,7 +85,7 @@ class Modes:
     def base_shear(self) -> Array:
         """Transverse force at the base per unit modal coordinate, N: ω² ∫ m φ_n ds."""
         knots = self.profile.arc
-        s, weight = _gauss(knots, _BASIS)
+        s, weight = gauss(knots, BASIS)
         line = self.profile.line_density(s)
         return np.asarray(self.angular_frequency**2 * (self.shape(s) @ (line * weight)))
 
@@ -98,7 +98,7 @@ class Modes:
                 f"arc_length must be on the whisker of {length:g} m, got "
                 f"{s.flat[np.argmax(np.abs(s - length / 2))]:g}; give metres from the base."
             )
-        values = _basis(s.reshape(-1) / length, self.coefficients.shape[1], order)
+        values = basis(s.reshape(-1) / length, self.coefficients.shape[1], order)
         return np.asarray(self.coefficients @ values / length**order).reshape(-1, *s.shape)
 
 
@@ -154,42 +154,48 @@ def modes(
             "write damping_ratio=0.1."
         )
     pieces = int(np.sum(np.diff(profile.arc) > 0))
-    size = _BASIS if pieces == 1 else _BASIS + 10
-    omega, vectors = _ritz(profile, size, count)
-    coarse, _ = _ritz(profile, 3 * size // 4, count)
+    size = BASIS if pieces == 1 else BASIS + 10
+    omega, vectors = ritz(profile, size, count)
+    coarse, _ = ritz(profile, 3 * size // 4, count)
     error = np.abs(coarse / omega - 1) + 1e-12
-    vectors = vectors * np.sign(_basis(np.ones(1), size, 0).T @ vectors)  # up at the tip
+    vectors = vectors * np.sign(basis(np.ones(1), size, 0).T @ vectors)  # up at the tip
     return Modes(omega, np.broadcast_to(zeta, (count,)).astype(float), error, vectors.T, profile)
 
 
-def _ritz(profile: Profile, size: int, count: int) -> tuple[Array, Array]:
+def ritz(profile: Profile, size: int, count: int, held: float | None = None) -> tuple[Array, Array]:
+    """ω (count,) and shapes (size, count) of unit modal mass; clamped, and perhaps `held`."""
     length = float(profile.whisker.length)
-    s, weight = _gauss(profile.arc, size + 8)
-    bent, moved = _basis(s / length, size, 2) / length**2, _basis(s / length, size, 0)
+    s, weight = gauss(profile.arc if held is None else np.append(profile.arc, held), size + 8)
+    bent, moved = basis(s / length, size, 2) / length**2, basis(s / length, size, 0)
+    free = np.eye(size)
+    if held is not None:
+        free = null_space(basis(np.array([held / length]), size, 0).T)
+        bent, moved = free.T @ bent, free.T @ moved
     stiffness = (bent * (weight * profile.stiffness(s))) @ bent.T
     mass = (moved * (weight * profile.line_density(s))) @ moved.T
     # Scaled to a unit diagonal, which keeps a thin tip's rows from drowning.
     scale = 1 / np.sqrt(np.diag(stiffness))
+    last = len(scale)
     # The larger form on the right: its inverse's largest eigenvalues are the lowest frequencies.
     inverse, vectors = eigh(
         mass * np.outer(scale, scale),
         stiffness * np.outer(scale, scale),
-        subset_by_index=(size - count, size - 1),
+        subset_by_index=(last - count, last - 1),
     )
     omega = 1 / np.sqrt(inverse[::-1])
-    shapes = scale[:, None] * vectors[:, ::-1] * omega  # unit modal mass
-    return omega, shapes
+    return omega, free @ (scale[:, None] * vectors[:, ::-1] * omega)
 
 
-def _gauss(knots: Array, n: int) -> tuple[Array, Array]:
+def gauss(knots: Array, n: int) -> tuple[Array, Array]:
     x, w = legendre.leggauss(n)
+    knots = np.sort(knots)
     gaps = np.diff(knots)
     keep = gaps > 0
     start, gap = knots[:-1][keep], gaps[keep]
     return ((x + 1) / 2 * gap[:, None] + start[:, None]).ravel(), (w / 2 * gap[:, None]).ravel()
 
 
-def _basis(x: Array, size: int, order: int) -> Array:
+def basis(x: Array, size: int, order: int) -> Array:
     """The order-th x-derivatives of the twice integrated P_k(2x − 1), shape (size, len(x))."""
     series = np.eye(size)
     for _ in range(2 - order):

@@ -254,30 +254,25 @@ def _first_crossing(
     excess: Any, reach: Array, samples: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Whether and between which angles the excess first falls to zero."""
-    zero = np.zeros_like(reach)
-    lowest = excess(zero)
-    found, at = lowest <= 0, np.zeros(reach.shape, dtype=int)
-    left, right = zero.copy(), zero.copy()
+    k = np.arange(samples + 1).reshape(-1, *(1,) * reach.ndim)
+    # Closer steps towards the fold, about which everything goes as a square root.
+    place = reach * (1 - (1 - k / samples) ** 2)
+    over = excess(place)
 
-    def place(k: ArrayLike) -> Array:
-        # Closer steps towards the fold, about which everything goes as a square root.
-        return np.asarray(reach * (1 - (1 - np.clip(k, 0, samples) / samples) ** 2))
+    def of(index: NDArray[np.intp]) -> Array:
+        return np.take_along_axis(place, np.clip(index, 0, samples)[None], axis=0)[0]
 
-    for k in range(1, samples + 1):
-        now = excess(place(k))
-        falls = ~found & (now <= 0)
-        left, right = np.where(falls, place(k - 1), left), np.where(falls, place(k), right)
-        found = found | falls
-        at = np.where(now < lowest, k, at)
-        lowest = np.minimum(now, lowest)
-        if np.all(found):
-            return found, left, right
-    # A pair of crossings between two samples: look at the very bottom of the lowest dip.
-    low, high = place(at - 1), place(at + 1)
-    for _ in range(60):
-        first, second = low + (high - low) / 3, high - (high - low) / 3
-        lower = excess(first) < excess(second)
-        low, high = np.where(lower, low, first), np.where(lower, second, high)
-    falls = ~found & (excess(low) <= 0)
-    left, right = np.where(falls, place(at - 1), left), np.where(falls, low, right)
-    return found | falls, left, right
+    falls = over <= 0
+    found, first = falls.any(axis=0), np.maximum(falls.argmax(axis=0), 1)
+    left, right = of(first - 1), of(first)
+    if not found.all():
+        # A pair of crossings between two samples: look at the very bottom of the lowest dip.
+        at = over.argmin(axis=0)
+        low, high = of(at - 1), of(at + 1)
+        for _ in range(60):
+            one, other = low + (high - low) / 3, high - (high - low) / 3
+            lower = excess(one) < excess(other)
+            low, high = np.where(lower, low, one), np.where(lower, other, high)
+        left, right = np.where(found, left, of(at - 1)), np.where(found, right, low)
+        found = found | (excess(low) <= 0)
+    return found, left, right

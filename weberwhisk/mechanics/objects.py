@@ -1,4 +1,4 @@
-"""Sweeps against objects: where a whisker touches as its base rotates, up to flick-past.
+"""Sweeps against objects: where a whisker touches as its base turns or moves, up to flick-past.
 
 §2g. A peg, a cylinder of finite radius, a flat wall and a convex contour are all *rounded
 polygons*: corners, straight edges between them, and one radius of rounding. A whisker touches a
@@ -12,9 +12,9 @@ would take it a millionth of its length into the object elsewhere.
 Whisking is quasi-static here: the whisker is in balance at every angle, without inertia. It is
 then a good model where the base turns slowly; `whisking.quasi_static` says up to which frequency.
 
-The base is at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
+The base starts at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
-the other way, and the deflection is positive.
+the other way, and the deflection is positive. A base that travels instead moves towards −y.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class Sweep:
 
     Attributes
     ----------
-    rotation : array (n,)
-        Rotation of the base, rad.
+    rotation, travel : array (n,)
+        Rotation of the base, rad, and how far it has moved, m: one of them 0.
     bending : Bending
         Signals, contact in the base frame, and outcome at each angle. `OUT_OF_REACH` before the
         first contact; NaN from the end of the sweep on.
@@ -55,12 +55,13 @@ class Sweep:
     tip : array (n,) of bool
         Whether it is the tip that touches.
     first_contact, end : float
-        Rotation at first contact and at the end, rad; NaN if never reached.
+        Rotation, rad, or travel, m, at first contact and at the end; NaN if never reached.
     ended_by : Outcome
         `HELD` where the sweep ended still in contact.
     """
 
     rotation: Array
+    travel: Array
     bending: Bending
     contact: Array
     tip: Any
@@ -72,10 +73,12 @@ class Sweep:
 def sweep(
     whisker: Whisker | Profile,
     body: Body,
-    rotation: ArrayLike,
+    rotation: ArrayLike | None = None,
     friction_angle: float = 0.0,
+    *,
+    travel: ArrayLike | None = None,
 ) -> Sweep:
-    """Rotate the base of one whisker against an object, quasi-statically.
+    """Rotate or move the base of one whisker against an object, quasi-statically.
 
     Parameters
     ----------
@@ -87,6 +90,8 @@ def sweep(
         Angles of the base at which to report, rad, ascending, from before the first contact.
     friction_angle : float
         As for `bend`; negative while a whisker is pressed harder.
+    travel : array (n,)
+        In place of angles how far the base has moved towards −y, m.
 
     Returns
     -------
@@ -95,8 +100,8 @@ def sweep(
     Raises
     ------
     ValueError
-        For angles that do not ascend, a whisker that starts inside the object, several whiskers at
-        once, and what `bend` refuses.
+        For angles or travels that do not ascend, none or both of them, a whisker that starts inside
+        the object, several whiskers at once, and what `bend` refuses.
 
     Examples
     --------
@@ -106,17 +111,34 @@ def sweep(
     array([4, 0, 0, 2], dtype=int8)
     >>> print(np.degrees(s.end).round(2), s.ended_by.name)
     24.57 FLICKED_PAST
+
+    A base that moves goes away from a peg:
+
+    >>> s = sweep(w, peg(25e-3, 0.0), travel=[-1e-3, 4e-3, 8e-3])
+    >>> (s.bending.radial_distance * 1e3).round(2)
+    array([  nan, 25.32, 26.25])
     """
     profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
-    angles = np.atleast_1d(finite("rotation", rotation, "give radians"))
+    given = travel if rotation is None else rotation
+    if given is None or (rotation is not None and travel is not None):
+        raise ValueError(
+            "sweep() takes rotations or travels of the base, got "
+            f"{'none' if given is None else 'both'}; write one of them."
+        )
+    moves = rotation is None
+    name, unit = ("travel", "give metres") if moves else ("rotation", "give radians")
+    angles = np.atleast_1d(finite(name, given, unit))
     if angles.ndim != 1 or np.any(np.diff(angles) <= 0):
         raise ValueError(
-            f"rotation must be one row of ascending angles, got shape {angles.shape}; "
-            "write np.linspace(0, 1, 100)."
+            f"{name} must be one row of ascending numbers, got shape {angles.shape}; "
+            f"write np.linspace(0, {0.02 if moves else 1}, 100)."
         )
     if profile.radius.ndim != 1 or np.ndim(profile.whisker.youngs_modulus):
         raise ValueError("sweep() takes one whisker at a time, got several; call it for each.")
-    contact = TouchedBody(profile, body, float(friction_angle))
+    # In radians, or in lengths.
+    size = float(profile.whisker.length) if moves else 1.0
+    angles = angles / size
+    contact = TouchedBody(profile, body, float(friction_angle), moves)
     if body.depth(0.0, 0.0) >= 0:
         raise ValueError(
             f"The base of the whisker must be outside the object, got a body with corners from "
@@ -160,9 +182,10 @@ def sweep(
         if name not in ("outcome", "model", "whisker", "choice")
     }
     b = replace(b, **numbers, outcome=member(Outcome, outcome))
-    world = b.deflection_angle - angles
-    path = np.stack([b.radial_distance * np.cos(world), b.radial_distance * np.sin(world)], axis=-1)
-    return Sweep(angles, b, path, tip, float(begin), float(end), ended)
+    turned, moved = (0 * angles, size * angles) if moves else (angles, 0 * angles)
+    world, r = b.deflection_angle - turned, b.radial_distance
+    path = np.stack([r * np.cos(world), r * np.sin(world) - moved], axis=-1)
+    return Sweep(turned, moved, b, path, tip, size * float(begin), size * float(end), ended)
 
 
 def _advance(

@@ -121,10 +121,14 @@ class TouchSolution:
 
 
 class TouchedBody:
-    """The equations of one whisker on one body, in units of the length and EI₀/L²."""
+    """The equations of one whisker on one body, in units of the length and EI₀/L².
 
-    def __init__(self, profile: Profile, body: Body, friction: float) -> None:
+    The base has been turned by `at`, rad, or where it `translates` moved by that towards −y.
+    """
+
+    def __init__(self, profile: Profile, body: Body, friction: float, translates: bool) -> None:
         self.profile, self.rows = profile, rows_of(profile, (1,))
+        self.translates = translates
         length = float(profile.whisker.length)
         self.corners, self.radius = body.corners / length, body.radius / length
         self.body = Body(self.corners, self.radius)
@@ -132,6 +136,23 @@ class TouchedBody:
         step = np.diff(np.vstack([self.corners, self.corners[:1]]), axis=0)
         self.edges = np.arctan2(step[:, 1], step[:, 0])
         self.spans = np.hypot(step[:, 0], step[:, 1])
+
+    def pose(self, at: float) -> tuple[float, float]:
+        """How far the base has turned, and moved."""
+        return (0.0, at) if self.translates else (at, 0.0)
+
+    def seen(self, place: Array, at: float) -> Array:
+        """A place of the world in the base frame."""
+        angle, shift = self.pose(at)
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([place[0] * c - place[1] * s, place[0] * s + place[1] * c + shift])
+
+    def depth(self, x: Array, y: Array, at: float) -> float:
+        """How deep the deepest of points of the base frame lies in the body."""
+        angle, shift = self.pose(at)
+        c, s = np.cos(angle), np.sin(angle)
+        y = y - shift
+        return float(np.max(self.body.depth(c * x + s * y, c * y - s * x)))
 
     def state(self, touch: Touch, v: Array) -> State:
         """Contact x, y and angle, the angle of the object's tangent there, and the force."""
@@ -145,26 +166,25 @@ class TouchedBody:
         x, y = path.lever * c - path.along * s, path.lever * s + path.along * c
         return x, y, angle - tilt - self.friction, angle - self.friction, v[1]
 
-    def miss(self, touch: Touch, state: State, rotation: float) -> Array:
+    def miss(self, touch: Touch, state: State, at: float) -> Array:
         """The two equations, (2, m)."""
         x, y, _, tangent, _ = state
-        corner = self.corners[touch.feature // 2]
-        c, s = np.cos(rotation), np.sin(rotation)
-        off_x = x + self.radius * np.sin(tangent) - (corner[0] * c - corner[1] * s)
-        off_y = y - self.radius * np.cos(tangent) - (corner[0] * s + corner[1] * c)
+        corner = self.seen(self.corners[touch.feature // 2], at)
+        off_x = x + self.radius * np.sin(tangent) - corner[0]
+        off_y = y - self.radius * np.cos(tangent) - corner[1]
         if touch.feature % 2 == 0:
             return np.stack([off_x, off_y])
-        edge = self.edges[touch.feature // 2] + rotation
+        edge = self.edges[touch.feature // 2] + self.pose(at)[0]
         return np.stack([np.sin(tangent - edge), -off_x * np.sin(edge) + off_y * np.cos(edge)])
 
-    def solve(self, touch: Touch, v: Array, rotation: float) -> TouchSolution | None:
+    def solve(self, touch: Touch, v: Array, at: float) -> TouchSolution | None:
         """Newton's method; the point, the sign of its Jacobian and its state, or None."""
         step = 1e-6
         for _ in range(7):
             f_step = step * max(1.0, abs(v[1]))
             probes = v[:, None] + np.array([[0, -step, 0], [0, 0, f_step]])
             state = self.state(touch, probes)
-            f = self.miss(touch, state, rotation)
+            f = self.miss(touch, state, at)
             if not np.all(np.isfinite(f)):
                 return None
             jacobian = np.stack([(f[:, 0] - f[:, 1]) / step, (f[:, 2] - f[:, 0]) / f_step], axis=1)
@@ -182,18 +202,16 @@ class TouchedBody:
                 )
         return None
 
-    def next_touch(
-        self, touch: Touch, at: TouchSolution, rotation: float
-    ) -> Touch | Outcome | None:
+    def next_touch(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
         """None if this touch is valid, else what it turns into, or what it ends by."""
-        change = self._change(touch, at, rotation)
-        if change is None and self.rows.law and self._overlap(touch, at, rotation) > OVERLAP:
+        change = self._change(touch, found, at)
+        if change is None and self.rows.law and self._overlap(touch, found, at) > OVERLAP:
             return Outcome.TOUCHES_TWICE
         return change
 
-    def _overlap(self, touch: Touch, at: TouchSolution, rotation: float) -> float:
+    def _overlap(self, touch: Touch, found: TouchSolution, at: float) -> float:
         """How deep in the object the whisker lies elsewhere: a straight one never does."""
-        v, (x, y, angle, _, force) = at.point, at.state
+        v, (x, y, angle, _, force) = found.point, found.state
         arc, push = 1.0 if touch.tip else min(float(v[0]), 1.0), angle + self.friction
         push += float(v[0]) if touch.tip else 0.0
         length, law = self.profile.whisker.length, self.rows.law
@@ -215,11 +233,10 @@ class TouchedBody:
         c, s = np.cos(turn), np.sin(turn)
         px = np.concatenate([held[1], x + c * rest[0] - s * rest[1]])
         py = np.concatenate([held[2], y + s * rest[0] + c * rest[1]])
-        c, s = np.cos(rotation), np.sin(rotation)
-        return float(np.max(self.body.depth(c * px + s * py, c * py - s * px)))
+        return self.depth(px, py, at)
 
-    def _change(self, touch: Touch, at: TouchSolution, rotation: float) -> Touch | Outcome | None:
-        v, (x, y, _, tangent, _) = at.point, at.state
+    def _change(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
+        v, (x, y, _, tangent, _) = found.point, found.state
         if not touch.tip and v[0] > 1 + 1e-9:
             return Outcome.SLIPPED_OFF_TIP
         if v[1] < -1e-9:
@@ -228,59 +245,55 @@ class TouchedBody:
             return Touch(touch.feature, False)
         i, k = touch.feature // 2, len(self.corners)
         if touch.feature % 2:
-            c, s = np.cos(rotation), np.sin(rotation)
-            corner = self.corners[i]
-            edge = self.edges[i] + rotation
-            along = (x - corner[0] * c + corner[1] * s) * np.cos(edge)
-            along += (y - corner[0] * s - corner[1] * c) * np.sin(edge)
+            corner = self.seen(self.corners[i], at)
+            edge = self.edges[i] + self.pose(at)[0]
+            along = (x - corner[0]) * np.cos(edge) + (y - corner[1]) * np.sin(edge)
             if along > self.spans[i]:
                 return Touch(2 * ((i + 1) % k), touch.tip)
             return Touch(2 * i, touch.tip) if along < 0 else None
         if k == 1:
             return None
-        after = _turn(tangent - rotation - self.edges[i])
-        before = _turn(tangent - rotation - self.edges[i - 1])
+        tangent = tangent - self.pose(at)[0]
+        after, before = (_turn(tangent - self.edges[k]) for k in (i, i - 1))
         if after < -1e-9:
             return Touch(2 * i + 1, touch.tip)
         return Touch(2 * ((i - 1) % k) + 1, touch.tip) if before > 1e-9 else None
 
-    def at_rest(self) -> tuple[Array, Array, Array]:
-        """Arc, x and y of 4001 points of the whisker in the base frame."""
-        s = np.linspace(0, 1, 4001)
-        return s, *(rest_point(self.rows.law, s) if self.rows.law else (s, np.zeros_like(s)))
-
     def first(self, begin: float, end: float) -> tuple[float, Touch, Array] | None:
-        """Rotation in the range, touch and start of the first contact, the whisker at rest."""
-        s, x, y = self.at_rest()
-        c, q = np.cos(begin), np.sin(begin)
-        if np.max(self.body.depth(c * x + q * y, c * y - q * x)) > OVERLAP:
+        """Pose in the range, touch and start of the first contact, the whisker at rest."""
+        s = np.linspace(0, 1, 4001)
+        x, y = rest_point(self.rows.law, s) if self.rows.law else (s, np.zeros_like(s))
+        if self.depth(x, y, begin) > OVERLAP:
             raise ValueError(
-                f"The whisker must start clear of the object, got it inside at {begin:g} rad; "
-                "start `rotation` from a smaller angle."
+                f"The whisker must start clear of the object, got it inside at {begin:g} "
+                f"{'lengths' if self.translates else 'rad'}; start from further back."
             )
-        rest_r, rest_angle = np.hypot(x, y), np.arctan2(y, x)
-        top = int(np.argmax(rest_r)) + 1  # a whisker that curls back is touched before it does
-        places, features = self._outline(rest_r[top - 1])
-        r, angle = np.hypot(*places), np.arctan2(places[1], places[0])
-        reach = r <= rest_r[top - 1] * (1 + 1e-12)
-        if not np.any(reach):
-            return None
-        needed = _turn(np.interp(r, rest_r[:top], rest_angle[:top]) - angle)
-        needed = begin + (needed - begin + 1e-12) % (2 * np.pi) - 1e-12
+        # What is swept, and when, by its place along: outwards, or ahead.
+        along, across = (x, y) if self.translates else (np.hypot(x, y), np.arctan2(y, x))
+        top = int(np.argmax(along)) + 1  # a whisker that curls back is touched before it does
+        places, features = self._outline(along[top - 1])
+        out, high = places if self.translates else (np.hypot(*places), np.arctan2(*places[::-1]))
+        reach = (out > 0) & (out <= along[top - 1] * (1 + 1e-12))
+        needed = np.interp(out, along[:top], across[:top]) - high
+        if self.translates:
+            reach &= needed >= begin - 1e-12
+        else:
+            needed = begin + (_turn(needed) - begin + 1e-12) % (2 * np.pi) - 1e-12
         needed = np.where(reach, needed, np.inf)
-        rotation = float(np.min(needed))
-        if rotation > end:
+        first = float(np.min(needed))
+        if first > end:
             return None
+        turned = self.pose(first)[0]
         # A point may belong to an edge and to its corner: which one touches, the tangents say.
-        for at in np.flatnonzero(needed <= rotation + 1e-10):
-            feature, arc = int(features[at]), float(np.interp(r[at], rest_r[:top], s[:top]))
+        for at in np.flatnonzero(needed <= first + 1e-10):
+            feature, arc = int(features[at]), float(np.interp(out[at], along[:top], s[:top]))
             tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
-            tilt = float(_turn(self._tangent_at(places[:, at], feature) + rotation - tangent))
+            tilt = float(_turn(self._tangent_at(places[:, at], feature) + turned - tangent))
             flat = abs(tilt) < 1e-6
             if arc > 1 - 1e-6 and 1e-6 < tilt < np.pi / 2 and (feature % 2 or self.radius > 0):
-                return rotation, Touch(feature, True), np.array([tilt, 0.0])
+                return first, Touch(feature, True), np.array([tilt, 0.0])
             if flat or (feature % 2 == 0 and (self.radius == 0 or abs(tilt) < 0.02)):
-                return rotation, Touch(feature, False), np.array([arc, 0.0])
+                return first, Touch(feature, False), np.array([arc, 0.0])
         return None
 
     def _outline(self, reach: float) -> tuple[Array, Array]:
@@ -299,9 +312,13 @@ class TouchedBody:
             edge = np.array([np.cos(self.edges[i]), np.sin(self.edges[i])])
             start = self.corners[i] + self.radius * np.array([-edge[1], edge[0]])
             # Where the edge leaves the whisker's reach is where a tip would meet it.
-            middle, gap = -start @ edge, abs(start[1] * edge[0] - start[0] * edge[1])
-            half = np.sqrt(max(reach**2 - gap**2, 0.0))
-            t = np.clip(np.linspace(middle - half, middle + half, 4001), 0, self.spans[i])
+            if self.translates:
+                low, high = np.sort((np.array([0.0, reach]) - start[0]) / (edge[0] or 1e-12))
+            else:
+                middle, gap = -start @ edge, abs(start[1] * edge[0] - start[0] * edge[1])
+                half = np.sqrt(max(reach**2 - gap**2, 0.0))
+                low, high = middle - half, middle + half
+            t = np.clip(np.linspace(low, high, 4001), 0, self.spans[i])
             places.append(start[:, None] + t * edge[:, None])
             features += [2 * i + 1] * t.size
         return np.concatenate(places, axis=1), np.array(features)

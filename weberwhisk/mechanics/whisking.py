@@ -1,15 +1,22 @@
 """How fast a whisker may whisk before its own inertia shows in the moment at its base.
 
-Everywhere else the whisker is in balance at every angle. Here its base turns by θ cos ωt while a
-peg holds it at r. To first order in the angle the exact displacement is u₀ + v: u₀ the static shape
-(base at slope θ, held at r, straight beyond), v the response of the beam that is clamped and pinned
-there to the inertia of u₀. With its modes ψₙ of unit modal mass and pₙ = ∫ m u₀ ψₙ ds, and as
-EI ψₙ″(0) = ωₙ² pₙ/θ by reciprocity, the moment at the base falls by
+Everywhere else the whisker is in balance at every angle; `quasi_static` says how slowly it must
+whisk for that. Its base turns by θ while a peg holds it at r. To first order in the angle the exact
+displacement is u₀θ + v: u₀ the static shape (base at slope 1, held at r, straight beyond), v the
+motion of the beam that is clamped and pinned there. With its modes ψₙ of unit modal mass and
+pₙ = ∫ m u₀ ψₙ ds, and as EI ψₙ″(0) = ωₙ² pₙ by reciprocity, a steady sinusoid makes the moment
+fall short by
 
-    1 − M(ω)/M(0) = Σ pₙ² ωₙ² / (θ M(0)) · ω²/(ωₙ² − ω²).
+    1 − M(ω)/M(0) = Σ pₙ² ωₙ²/M(0) · ω²/(ωₙ² − ω²).
 
 All terms have one sign, and Σ pₙ² = ∫ m u₀² ds. So the error lies between (ω/ω_q)² and
-(ω/ω_q)² / (1 − (ω/ω₁)²), where ω_q² = θ M(0)/∫ m u₀² ds is the static shape's Rayleigh quotient.
+(ω/ω_q)² / (1 − (ω/ω₁)²), where ω_q² = M(0)/∫ m u₀² ds is the static shape's Rayleigh quotient.
+
+A whisker that comes on at a steady rate and strikes the peg at t = 0 has the velocity s where the
+static shape's is u₀: v starts at s − u₀, with bₙ = ∫ m (s − u₀) ψₙ ds of it in each mode (what the
+peg stops at once is orthogonal to them), and rings with the moment, over M(0) t,
+
+    − Σ ωₙ pₙ bₙ exp(−ζωₙt) sin(ωₙ√(1 − ζ²) t) / (√(1 − ζ²) M(0) t).
 """
 
 from __future__ import annotations
@@ -19,11 +26,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh, null_space
+from scipy.optimize import brentq
 
-from .._checks import finite, positive
+from .._checks import finite, number, positive
 from ..whisker import Whisker
-from .modes import _BASIS, _basis, _gauss
+from .chebyshev import Array
+from .modes import BASIS, basis, gauss, ritz
 from .shape import Profile
 
 
@@ -37,10 +45,14 @@ class QuasiStatic:
         Hz; of the whisker clamped at its base and pinned at the contact.
     rayleigh_frequency : float
         Hz; f_q, of the static shape.
+    angular_frequency, blow : array (n,)
+        Of its modes, rad/s, and what a first contact excites of each: ω p b/M(0), s.
     """
 
     first_frequency: float
     rayleigh_frequency: float
+    angular_frequency: Array
+    blow: Array
 
     def error(self, frequency: ArrayLike) -> tuple[Any, Any]:
         """Least and largest 1 − M(f)/M(0) of a steady sinusoidal whisk, Hz.
@@ -62,6 +74,40 @@ class QuasiStatic:
         e = positive("error", error, "write 0.01, say")
         slow = self.rayleigh_frequency**-2.0 + e / self.first_frequency**2
         return np.sqrt(e / slow)[()]
+
+    def onset(self, time: ArrayLike, damping_ratio: float = 0.1) -> Array:
+        """Largest share of the moment that a first contact still rings with, s after it.
+
+        Parameters
+        ----------
+        time : float or array (...)
+            Since a whisker that came on at a steady rate, and goes on so, met a peg, s.
+        damping_ratio : float
+            Of every mode, above 0: without damping the blow of a peg never has a bound.
+
+        Examples
+        --------
+        >>> found = quasi_static(Whisker(50e-3, 100e-6, 5e-6), 30e-3)
+        >>> found.onset([5e-3, 20e-3]).round(3)
+        array([0.498, 0.025])
+        """
+        t = positive("time", time, "give seconds, such as 0.01")
+        zeta = number("damping_ratio", damping_ratio, "write 0.1")
+        if not 0 < zeta < 1:
+            raise ValueError(f"damping_ratio must be between 0 and 1, got {zeta:g}; write 0.1.")
+        rings = np.exp(-zeta * t[..., None] * self.angular_frequency) @ np.abs(self.blow)
+        return np.asarray(rings / (t * np.sqrt(1 - zeta**2)))
+
+    def settled(self, error: float, damping_ratio: float = 0.1) -> float:
+        """Time, s, from which on a first contact rings with no more than a share of the moment."""
+        e = float(positive("error", error, "write 0.01, say"))
+
+        def excess(log: float) -> float:
+            rings = float(self.onset(np.exp(log), damping_ratio))
+            return float(np.log(max(rings, 1e-300) / e))
+
+        slowest = 1 / self.angular_frequency[0]
+        return float(np.exp(brentq(excess, np.log(1e-6 * slowest), np.log(1e4 * slowest))))
 
     def note(self, frequency: float, weber_fraction: float = 0.1) -> str:
         """Whether a quasi-static answer holds at a whisking frequency, in a sentence.
@@ -109,9 +155,9 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
 
     Notes
     -----
-    Of a steady whisk in contact, whose base turns as a sinusoid, to first order in the angle and
-    without damping. What rings when a whisker strikes is `impulse_response`'s. In free air the
-    whisker is a cantilever, whose first frequency (`modes`) is lower.
+    To first order in the angle. `QuasiStatic.error` is of a steady whisk in contact, whose base
+    turns as a sinusoid, without damping; `QuasiStatic.onset` of what rings when a whisker strikes.
+    In free air the whisker is a cantilever, whose first frequency (`modes`) is lower.
 
     Examples
     --------
@@ -127,27 +173,16 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
             f"radial_distance must be on the whisker of {length:g} m, got {r:g}; give metres."
         )
     r = min(r, length)
-    knots = np.unique(np.append(np.asarray(profile.arc, dtype=float).ravel(), r))
-    s, weight = _gauss(knots, 80)
-    stiffness, mass = profile.stiffness(s), profile.line_density(s)
+    omega, shapes = ritz(profile, BASIS, BASIS // 2, r)
+    s, weight = gauss(np.append(profile.arc, r), 80)
+    stiffness, mass = profile.stiffness(s), weight * profile.line_density(s)
     inner = np.where(s < r, r - s, 0.0)
-    # u₀″ = −c (r − s)/EI up to the peg, c by u₀(r) = 0 for θ = 1; the moment at the base is c r.
-    compliance = float(weight @ (inner**2 / stiffness))
-    c = r / compliance
+    # u₀″ = −c (r − s)/EI up to the peg, c by u₀(r) = 0; the moment at the base is c r.
     bent = weight * inner / stiffness
+    c = r / float(inner @ bent)
     static = s - c * np.array([bent[s < x] @ (x - s[s < x]) for x in s])
-    rayleigh = np.sqrt(c * r / float(weight @ (mass * static**2)))
-    curved, moved = _basis(s / length, _BASIS, 2) / length**2, _basis(s / length, _BASIS, 0)
-    pinned = null_space(_basis(np.array([r / length]), _BASIS, 0).T)
-    forms = [
-        pinned.T @ ((values * (weight * load)) @ values.T) @ pinned
-        for values, load in ((curved, stiffness), (moved, mass))
-    ]
-    scale = 1 / np.sqrt(np.diag(forms[0]))
-    bend, move = (form * np.outer(scale, scale) for form in forms)
-    size = len(scale)
-    inverse = eigh(move, bend, eigvals_only=True, subset_by_index=(size - 1, size - 1))
-    return QuasiStatic(float(inverse[0] ** -0.5) / (2 * np.pi), float(rayleigh) / (2 * np.pi))
-
-
-__all__ = ["QuasiStatic", "quasi_static"]
+    rayleigh = np.sqrt(c * r / float(mass @ static**2))
+    modal = mass * (shapes.T @ basis(s / length, BASIS, 0))
+    blow = omega * (modal @ static) * (modal @ (s - static)) / (c * r)
+    turn = 2 * np.pi
+    return QuasiStatic(float(omega[0]) / turn, float(rayleigh) / turn, omega, blow)
