@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -56,7 +57,40 @@ def _dlc(folder: Path) -> Path:
     return path
 
 
-WRITERS = {"whiskers": _whisk, "hdf5": _hdf5, "nwb": _nwb, "dlc": _dlc}
+def _multi(folder: Path) -> Path:
+    """Two individuals of three keypoints, as DeepLabCut writes them; one point is doubtful."""
+    path, who = folder / "multi.csv", np.repeat(["w0", "w1"], 9)
+    parts = np.tile(np.repeat(list("abc"), 3), 2)
+    coords = np.tile(["x", "y", "likelihood"], 6)
+    rows = [["scorer", *(["net"] * 18)], ["individuals", *who], ["bodyparts", *parts],
+            ["coords", *coords]]  # fmt: skip
+    for frame in range(2):
+        values = np.arange(18.0) + 100 * frame
+        values[2::3] = 0.9
+        values[11] = 0.1 if frame else 0.9
+        rows.append([str(frame), *(str(v) for v in values)])
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
+    return path
+
+
+def _wrapped(folder: Path) -> Path:
+    """WhiskiWrap's newer table: every label 0, points from the tip."""
+    path = folder / "wrapped.hdf5"
+    rows = np.zeros(4, [("fid", "u4"), ("wid", "u2"), ("label", "i2"), ("tip_x", "f4"),
+                        ("tip_y", "f4"), ("follicle_x", "f4"), ("follicle_y", "f4"),
+                        ("angle", "f4"), ("length", "f4")])  # fmt: skip
+    rows["fid"], rows["wid"], rows["tip_x"] = [0, 0, 1, 1], [0, 1, 0, 1], 50
+    with h5py.File(path, "w") as file:
+        file["summary"] = rows
+        for name, values in (("x", np.linspace(50, 0, 11)), ("y", np.zeros(11))):
+            column = file.create_dataset(f"pixels_{name}", 4, h5py.vlen_dtype("f4"))
+            for i in range(4):
+                column[i] = values
+    return path
+
+
+WRITERS = {"whiskers": _whisk, "hdf5": _hdf5, "nwb": _nwb, "dlc": _dlc, "multi": _multi,
+           "wrapped": _wrapped}  # fmt: skip
 
 
 def test_the_real_file() -> None:
@@ -84,6 +118,25 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         [3, 50, 51], [4, 60, 61]]  # fmt: skip
     assert tables["nwb"]["angle_deg"].tolist() == [30, 31]
     assert tables["dlc"]["length_px"].tolist() == [5, 10]
+    assert tables["multi"][["frame", "whisker"]].to_numpy().tolist() == [
+        [0, 0], [0, 1], [1, 0], [1, 1]]  # fmt: skip
+    assert [v.tolist() for v in tables["multi"]["x"]] == [
+        [0, 3, 6], [9, 12, 15], [100, 103, 106], [112, 115]]  # fmt: skip
+    assert tables["multi"].attrs["notes"][0].startswith("1 of 12 points")
+    whole = ww.read_tracking(tmp_path / "multi.csv", likelihood=0.0)
+    assert whole["x"][3].tolist() == [109, 112, 115]
+    assert [v[0] for v in tables["wrapped"]["x"]] == [0] * 4
+
+
+def test_whiskers_of_one_label_are_told_apart_by_number(tmp_path: Path) -> None:
+    """WhiskiWrap and ndx-whisk write label 0 for every segment of a frame."""
+    video = ww.read_tracking(_wrapped(tmp_path), pixels_per_mm=2, frame_rate=500)
+    assert "which whisker each is" in video.attrs["notes"][0]
+    whisker = ww.Whisker.from_identity("C2")
+    with pytest.raises(ValueError, match="identity=0"):
+        ww.tracked_signals(video, whisker)
+    with pytest.raises(ValueError, match="ten frames"):
+        ww.tracked_signals(video, whisker, identity=1)
 
 
 @pytest.mark.parametrize("kind", [b"bwhiskpoly1", b"whisk1", b"whiskold"])
@@ -189,7 +242,29 @@ def test_whiskers_are_turned_to_the_face(tmp_path: Path) -> None:
         ww.read_tracking(path, face="up")
 
 
-@pytest.mark.parametrize("kind", ["sleap", "dlc"])
+def _slp(poses: Any, path: Path) -> None:
+    """SLEAP's own project file."""
+    import sleap_io
+
+    place = poses["position"].to_numpy()
+    bones = sleap_io.Skeleton(list("abcd"))
+    tracks = [sleap_io.Track(name) for name in ("w0", "w1")]
+    video = sleap_io.Video(filename="a.mp4", open_backend=False)
+    video.backend_metadata["shape"] = (3, 99, 99, 1)
+    frames = [
+        sleap_io.LabeledFrame(video=video, frame_idx=i, instances=[
+            sleap_io.PredictedInstance.from_numpy(
+                place[i, :, :, w].T, skeleton=bones, track=track, score=1.0,
+                point_scores=np.ones(4))
+            for w, track in enumerate(tracks) if np.isfinite(place[i, :, :, w]).all()
+        ])
+        for i in range(3)
+    ]  # fmt: skip
+    labels = sleap_io.Labels(frames, [video], [bones], tracks)
+    sleap_io.save_slp(labels, str(path))
+
+
+@pytest.mark.parametrize("kind", ["sleap", "slp", "dlc", "csv"])
 def test_poses_are_read_by_movement(tmp_path: Path, kind: str) -> None:
     load_poses = pytest.importorskip("movement.io.load_poses")
     from movement.io import save_poses
@@ -197,9 +272,11 @@ def test_poses_are_read_by_movement(tmp_path: Path, kind: str) -> None:
     place = np.arange(3 * 2 * 4 * 2, dtype=float).reshape(3, 2, 4, 2)  # time, xy, keypoints, rats
     place[1, :, :, 1] = np.nan
     poses = load_poses.from_numpy(place, np.ones((3, 4, 2)), ["w0", "w1"], list("abcd"), fps=100)
-    path = tmp_path / "poses.h5"
+    path = tmp_path / ("poses.h5" if kind in ("sleap", "dlc") else f"poses.{kind}")
     if kind == "sleap":
         save_poses.to_sleap_analysis_file(poses, path)
+    elif kind == "slp":
+        _slp(poses, path)
     else:
         save_poses.to_dlc_file(poses, path, split_individuals=False)
     found = ww.read_tracking(path)
@@ -207,9 +284,10 @@ def test_poses_are_read_by_movement(tmp_path: Path, kind: str) -> None:
     assert found["whisker"].tolist() == [0, 1, 0, 0, 1]
     assert found["x"][1].tolist() == place[0, 0, :, 1].tolist()
     assert found["y"][3].tolist() == place[2, 1, :, 0].tolist()
-    path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(ValueError, match=r"poses\.h5: "):
-        ww.read_tracking(path)
+    if kind != "csv":
+        path.write_bytes(path.read_bytes()[:3000])
+        with pytest.raises(ValueError, match=r"poses\.(h5|slp): "):
+            ww.read_tracking(path)
 
 
 def test_poses_ask_for_movement_where_it_is_not(

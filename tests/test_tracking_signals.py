@@ -187,6 +187,22 @@ def test_either_side_of_a_curved_whisker_and_hidden_contacts() -> None:
     assert (both["sd_mm"] > 2 * both["measurement_sd_mm"]).all()
 
 
+def test_points_in_space_are_taken_in_the_plane_that_they_sweep() -> None:
+    video, truth = _scene(4, [15e-3], frames=45, spacing_px=20.0)
+    pole = truth[["pole_x", "pole_y"]].to_numpy()
+    turn = np.array([[1, 0], [0, np.cos(0.6)], [0, np.sin(0.6)]])
+    points = [turn @ np.stack(row) for row in video[["x", "y"]].to_numpy()]
+    space = video.assign(**{a: [p[i] for p in points] for i, a in enumerate("xyz")})
+    flat = ww.tracked_signals(video, C2, pole=pole)
+    found = ww.tracked_signals(space, C2, pole=pole @ turn.T)
+    for name in ("moment_uNm", "shape_distance_mm", "pole_distance_mm", "side"):
+        np.testing.assert_allclose(found[name], flat[name], atol=1e-6)
+    bulge = space.assign(z=[z + 0.3 * x * (-1) ** i for i, (x, z) in enumerate(
+        zip(space["x"], space["z"], strict=True))])  # fmt: skip
+    with pytest.raises(ValueError, match="sweep no plane"):
+        ww.tracked_signals(bulge, C2)
+
+
 def test_a_table_of_signals_is_the_same_from_a_file(tmp_path: Path) -> None:
     video, _ = _scene(4, [15e-3], frames=40)
     signals = ww.tracked_signals(video, C2).iloc[10:20]

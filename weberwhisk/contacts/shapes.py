@@ -289,11 +289,28 @@ class Extra(NamedTuple):
 # -- what a table of tracking says ----------------------------------------------------------
 
 
-def points_of(table: pd.DataFrame, unit: float) -> Points:
+def in_plane(table: pd.DataFrame, most: float) -> Array:
+    """Unit vectors (2, D) of the plane of the image, or of the one that points in space sweep."""
+    if "z" not in table:
+        return np.eye(2)
+    every = np.concatenate([np.stack(list(row)) for row in table[["x", "y", "z"]].to_numpy()], axis=1)
+    _, size, way = np.linalg.svd(every.T - every.mean(axis=1), full_matrices=False)
+    off = size[2] / np.sqrt(every.shape[1])
+    if off > most or size[2] > 0.2 * size[1]:
+        raise ValueError(
+            f"The points sweep no plane: they lie {off:.3g} px (rms) off the nearest, and "
+            f"{size[1] / np.sqrt(every.shape[1]):.3g} px across it; give x and y of the whisker's."
+        )
+    way[1] *= np.sign(np.cross(way[0], way[1])[2])  # as seen from above: left stays left
+    return np.asarray(way[:2])
+
+
+def points_of(table: pd.DataFrame, plane: Array, unit: float) -> Points:
     """Points of every frame in groups, whiskers' lengths for pixels."""
     rows = []
-    for x, y in zip(table["x"], table["y"], strict=True):
-        z = (np.asarray(x) + 1j * np.asarray(y)) / unit
+    for own in table[list("xyz"[: plane.shape[1]])].to_numpy():
+        x, y = plane @ np.stack(list(own))
+        z = (x + 1j * y) / unit
         n = min(len(z), _GROUPS)
         which = np.arange(len(z)) * n // len(z)
         count = np.bincount(which, minlength=n)
@@ -322,13 +339,14 @@ def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> ND
     return np.asarray(values.loc[table.index].fillna(False).astype(bool))
 
 
-def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame) -> Any:
+def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame, plane: Array) -> Any:
     """Where the pole is in each row, complex pixels."""
-    place = _checks.finite("pole", pole, "give x and y in pixels")
-    if place.shape not in ((2,), (len(tracking), 2)):
+    place, axes = _checks.finite("pole", pole, "give its place in pixels"), plane.shape[1]
+    if place.shape not in ((axes,), (len(tracking), axes)):
         raise ValueError(
-            f"pole must be (x, y), or x and y in each of {len(tracking)} rows, got an array of "
-            f"shape {place.shape}."
+            f"pole must be ({', '.join('xyz'[:axes])}), or that in each of {len(tracking)} rows, "
+            f"got an array of shape {place.shape}."
         )
-    place = np.broadcast_to(place, (len(tracking), 2))[tracking.index.get_indexer(table.index)]
-    return place[:, 0] + 1j * place[:, 1]
+    place = np.broadcast_to(place, (len(tracking), axes))
+    x, y = plane @ place[tracking.index.get_indexer(table.index)].T
+    return x + 1j * y

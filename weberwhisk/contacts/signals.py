@@ -26,9 +26,11 @@ from .shapes import (
     Points,
     Shapes,
     contacts_of,
+    in_plane,
     points_of,
     pole_of,
 )
+from .trackers import identified_by
 
 #: What tables made of shapes say in the column `signals_from`.
 FROM_SHAPE = "shape"
@@ -67,8 +69,9 @@ def tracked_signals(
     identity
         Which whisker, as the table's `label`, or `whisker` where nothing is labelled.
     pole : (x, y) or array (rows, 2), optional
-        Where the whisker is touched, pixels; a row a row of `tracking` where the pole moves. By
-        default the contact is where the shape bends no further.
+        Where the whisker is touched, pixels: the middle of a pole of `pole_radius_px`, or with
+        radius 0 the contact itself; a row a row of `tracking` where it moves; x, y, z with points
+        in three dimensions. By default the contact is where the shape bends no further.
     pole_radius_px, pole_sd_px : float
         Radius of the pole, and the error of its place.
     contact : str or sequence, optional
@@ -101,7 +104,8 @@ def tracked_signals(
     Notes
     -----
     M = EI·Δκ at the base (Clack et al. 2012; Pammer et al. 2013), here of the planar beam that fits
-    all points, held by one force. As both force and moment are of the same stiffness, the modulus
+    all points, held by one force; points in three dimensions are taken in the plane that they
+    sweep. As both force and moment are of the same stiffness, the modulus
     does not matter to the distance, and `locate` takes it as known. Noise is that of the points
     about their fits, and no less than what moves the curvature of free frames.
 
@@ -126,7 +130,8 @@ def tracked_signals(
         raise ValueError(f"false_alarms must be below 1, got {false_alarms:g}; write 0.001, say.")
     length = float(profile.whisker.length)
     unit = 1e3 * length * ppm  # pixels
-    points = points_of(table, unit)
+    plane = in_plane(table, 0.05 * unit)
+    points = points_of(table, plane, unit)
     reach = float(np.median(points.arc[:, -1]))
     if not 0.1 < reach < 1.1:
         raise ValueError(
@@ -134,7 +139,7 @@ def tracked_signals(
             f"and whisker is {length * 1e3:.3g} mm: a tenth of it is needed, and no more than it "
             "is long; correct one of them."
         )
-    where = None if pole is None else pole_of(pole, tracking, table) / unit
+    where = None if pole is None else pole_of(pole, tracking, table, plane) / unit
     shapes = Shapes(profile, reach)
     extra = Extra(float(friction_angle), max(float(friction_sd), 1e-9))
 
@@ -215,7 +220,7 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
             "tracking needs the points x and y of each frame, as of a .whiskers file or a table of "
             "points; measurements alone do not say the shape."
         )
-    by = "label" if (tracking["label"] >= 0).any() else "whisker"
+    by = identified_by(tracking)
     known = sorted(tracking[by].unique().tolist())
     if identity is None and tracking["frame"].duplicated().any():
         raise ValueError(

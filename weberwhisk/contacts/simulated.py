@@ -15,7 +15,8 @@ from ..mechanics import Outcome, Profile, press, rest_angle
 from ..receptors import Seed
 from ..whisker import Whisker
 from .columns import Array
-from .trackers import segment, tidy
+from .tracker_files import segment
+from .trackers import tidy
 
 
 def simulate_tracking(

@@ -1,0 +1,233 @@
+"""What whisker trackers write, each kind as it stands: Whisk, WhiskiWrap, NWB, poses, points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .. import _checks
+from ..behaviour.io import load_table
+
+#: Bytes before the numbers of a row of `.measurements`, by version of the file.
+_HEADS = {b"measV1": (40,), b"measv2": (44, 48), b"measv3": (41,)}
+_REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
+
+
+def measurements(path: Path) -> pd.DataFrame:
+    """Whisk's measurements: rows stand in reverse order."""
+    data = path.read_bytes()
+    heads = _HEADS.get(data[:6])
+    if heads is None or data[6:8] != b"\0\0" or len(data) < 16:
+        raise ValueError(
+            f"{path.name}: not a .measurements file of Whisk (it begins with {data[:6]!r}, not "
+            "measV1, measv2 or measv3); give the file that `measure` wrote."
+        )
+    n, m = (int(v) for v in np.frombuffer(data, "<i4", 2, 8))
+    body = len(data) - 16
+    if n <= 0 or m not in (8, 9) or body % n or body // n - 16 * m not in heads:
+        raise ValueError(
+            f"{path.name}: cut short or damaged: {n} rows of {m} measures do not fill "
+            f"{len(data)} bytes; copy the file again."
+        )
+    row = np.dtype({
+        "names": ["head", "values"], "formats": [("<i4", 10), ("<f8", m)],
+        "offsets": [0, body // n - 16 * m], "itemsize": body // n,
+    })  # fmt: skip
+    rows = np.frombuffer(data, row, n, 16)[::-1]
+    if not (rows["head"][:, 9] == m).all() or not np.isfinite(rows["values"][:, [0, 4, 5]]).all():
+        raise ValueError(f"{path.name}: its rows contradict its header; copy the file again.")
+    head, values = rows["head"], rows["values"]
+    names = ("length_px", "score", "angle_deg", "curvature_per_px", "follicle_x", "follicle_y",
+             "tip_x", "tip_y")  # fmt: skip
+    table = pd.DataFrame({name: values[:, i].copy() for i, name in enumerate(names)})
+    for i, name in ((1, "frame"), (2, "whisker"), (3, "label")):
+        table[name] = head[:, i]
+    return table
+
+
+def whiskers(path: Path) -> pd.DataFrame:
+    """Whisk's segments, with their points in the stored order, which is arbitrary."""
+    data = path.read_bytes()
+    if not data.startswith(b"bwhiskbin1\0\0"):
+        kind = next((k.decode() for k in _REFUSED if data.startswith(k)), repr(data[:10]))
+        raise ValueError(
+            f"{path.name}: of the kind {kind}, where bwhiskbin1 can be read; convert it with "
+            "Whisk's whisker_convert."
+        )
+    broken = ValueError(f"{path.name}: cut short or damaged; copy the file again.")
+    if len(data) < 16:
+        raise broken
+    count, at, rows = int(np.frombuffer(data, "<i4", 1, len(data) - 4)[0]), 12, []
+    end = len(data) - 4
+    while at < end:
+        if at + 12 > end:
+            raise broken
+        number, frame, length = (int(v) for v in np.frombuffer(data, "<i4", 3, at))
+        if length < 2 or at + 12 + 16 * length > end:
+            raise broken
+        numbers = np.frombuffer(data, "<f4", 4 * length, at + 12).astype(float)
+        x, y, _, score = numbers.reshape(4, -1)
+        if not (np.isfinite(x) & np.isfinite(y)).all():
+            raise broken
+        rows.append({"frame": frame, "whisker": number, "score": float(np.median(score)),
+                     **segment(x, y)})  # fmt: skip
+        at += 12 + 16 * length
+    if count != len(rows):
+        raise broken
+    return pd.DataFrame(rows)
+
+
+def segment(*axes: NDArray[np.float64]) -> dict[str, Any]:
+    """What a row tells of points from follicle to tip: x, y and perhaps z."""
+    x, y = axes[:2]
+    return {
+        **dict(zip("xyz", axes, strict=False)), "follicle_x": x[0], "follicle_y": y[0],
+        "tip_x": x[-1], "tip_y": y[-1],
+        "length_px": float(np.linalg.norm(np.diff(axes), axis=0).sum()),
+    }  # fmt: skip
+
+
+def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
+    """WhiskiWrap's `summary`, a table of ndx-whisk anywhere in an NWB file, or poses."""
+    import h5py
+
+    found: dict[str, dict[str, Any]] = {}
+    software = ""
+
+    def look(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Group) and {"frame_id", "whisker_id"} <= set(item):
+            found[name] = {
+                k: v[:] for k, v in item.items()
+                if isinstance(v, h5py.Dataset) and v.ndim == 1 and v.dtype.kind in "iuf"
+            }  # fmt: skip
+
+    try:
+        with h5py.File(path, "r") as file:
+            summary = file.get("summary")
+            if isinstance(summary, h5py.Dataset) and summary.dtype.names:
+                rows = summary[:]
+                own: dict[str, Any] = {name: rows[name] for name in rows.dtype.names}
+                for axis in "xy":
+                    pixels = file.get(f"pixels_{axis}")
+                    if isinstance(pixels, h5py.Dataset) and len(pixels) == len(rows):
+                        own[axis] = list(pixels[:])
+                found["summary"] = own
+            elif "tracks" in file or "track_occupancy" in file:
+                software = "sleap"
+            elif "df_with_missing" in file:
+                software = "deeplabcut"
+            else:
+                file.visititems(look)
+    except Exception as error:  # whatever h5py makes of a damaged file
+        raise ValueError(f"{path.name}: not readable as HDF5; copy the file again.") from error
+    if software:
+        return segments(poses(path, software), path, likelihood, notes)
+    if not found:
+        raise ValueError(
+            f"{path.name}: holds neither WhiskiWrap's summary nor a WhiskerMeasurementTable; name "
+            "a file of tracked whiskers."
+        )
+    name, columns = next(iter(found.items()))
+    if len(found) > 1:
+        notes.append(f"There are {len(found)} tables of whiskers; this is {name}.")
+    if len({len(v) for v in columns.values()}) > 1:
+        raise ValueError(f"{path.name}: its columns differ in length; copy the file again.")
+    return pd.DataFrame(columns)
+
+
+def points(path: Path) -> pd.DataFrame:
+    """A row a point: DeepLabCut's table, whose first rows say bodyparts, or a table of points."""
+    raw, _ = load_table(path, "point")
+    first = raw.iloc[:3, 0].astype(str).tolist() if raw.shape[1] else []
+    if raw.shape[1] > 3 and "coords" in first:
+        rows = first.index("coords") + 1
+        header = dict(zip(first[:rows], raw.iloc[:rows, 1:].to_numpy(dtype=str), strict=True))
+        cells = raw.iloc[rows:, 1:].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+        whisker = pd.factorize(header.get("individuals", np.zeros(cells.shape[1])))[0]
+        parts = []
+        for i in range(whisker.max() + 1):
+            axes = {
+                name: np.flatnonzero((whisker == i) & (header["coords"] == name))
+                for name in ("x", "y", "likelihood")
+            }
+            if not len(axes["x"]) or len(axes["x"]) != len(axes["y"]):
+                raise ValueError(f"{path.name}: its {len(whisker)} columns have no x and y each.")
+            frame = np.repeat(raw.iloc[rows:, 0].to_numpy(), len(axes["x"]))
+            part = {"frame": frame, "whisker": i}
+            part |= {n: cells[:, at].ravel() for n, at in axes.items() if len(at) == len(axes["x"])}
+            parts.append(pd.DataFrame(part))
+        return pd.concat(parts, ignore_index=True)
+    if {"frame", "x", "y"} <= set(raw.columns):
+        return raw
+    raise ValueError(
+        f"{path.name}: no tracker's file that is known, and no table of points with the "
+        f"columns frame, x and y; it has {_checks.listed(map(str, raw.columns), 6)}."
+    )
+
+
+def poses(path: Path, software: str) -> pd.DataFrame:
+    """Poses by movement: an individual is a whisker, its keypoints from follicle to tip."""
+    try:
+        from movement.io import load_poses
+    except ImportError as error:
+        raise ModuleNotFoundError(
+            f"{path.name}: poses of this kind are read by movement, which is not installed; write "
+            'pip install "weberwhisk[tracking]".'
+        ) from error
+    try:
+        load = load_poses.from_sleap_file if software == "sleap" else load_poses.from_dlc_file
+        read = load(path)
+        places = read["position"]
+        order = {str(name)[:4]: name for name in places.dims}  # plural in some versions
+        places = places.transpose(*(order[n] for n in ("time", "indi", "keyp", "spac")))
+    except Exception as error:  # whatever movement and what it reads by make of a damaged file
+        raise ValueError(
+            f"{path.name}: movement does not read it ({str(error).splitlines()[0][:80]}); give a "
+            "file of poses."
+        ) from error
+    n, whiskers, keypoints, axes = places.shape
+    at = np.indices((n, whiskers, keypoints)).reshape(3, -1)
+    out = pd.DataFrame({"frame": at[0], "whisker": at[1]})
+    for i, name in enumerate("xyz"[:axes]):
+        out[name] = np.asarray(places, dtype=float)[..., i].ravel()
+    if "confidence" in read:
+        sure = read["confidence"].transpose(*places.dims[:3])
+        out["likelihood"] = np.asarray(sure, dtype=float).ravel()
+    return out
+
+
+def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
+    """A row a whisker, of a row a point."""
+    axes = ["x", "y", *(["z"] if "z" in points else [])]
+    keys = ["frame", *(["whisker"] if "whisker" in points else [])]
+    sure = ["likelihood"] if "likelihood" in points else []
+    points = points[[*keys, *axes, *sure]].apply(pd.to_numeric, errors="coerce")
+    known = np.isfinite(points[[*keys, *axes]].to_numpy(dtype=float)).all(axis=1)
+    if sure:
+        doubtful = known & (points["likelihood"] < likelihood).to_numpy()
+        known &= ~doubtful
+        if doubtful.any():
+            notes.append(
+                f"{doubtful.sum()} of {len(points)} points are less likely than {likelihood:g}: "
+                "left out."
+            )
+    if known.sum() < 2:
+        raise ValueError(f"{path.name}: it has no points with numbers in frame, x and y.")
+    points = points[known]
+    for name in keys:
+        if (points[name] % 1 != 0).any():
+            raise ValueError(
+                f"{path.name}: {name} must be whole numbers from 0; is another column in its place?"
+            )
+    rows = []
+    for key, own in points.groupby(keys, sort=True):
+        if len(own) > 1:
+            score = {"score": float(own["likelihood"].median())} if sure else {}
+            row = {"whisker": 0, **dict(zip(keys, key, strict=True)), **score}
+            row |= {"label": row["whisker"]} if len(keys) > 1 else {}
+            rows.append({**row, **segment(*own[axes].to_numpy(float).T)})
+    return pd.DataFrame(rows)
