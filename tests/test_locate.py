@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,34 @@ def test_six_signals_are_turned_into_the_plane_of_the_push() -> None:
                          "transverse_force": b.transverse_force})  # fmt: skip
     a, c = (ww.locate(t, KNOWN)["radial_distance_mm"] for t in (six, flat))
     np.testing.assert_allclose(a, c, rtol=1e-9)
+    # Errors alike in all directions are those in the plane.
+    for table, names in ((six, six.columns), (flat, flat.columns)):
+        for name in list(names):
+            table[f"{name}_sd"] = 3e-8 if "moment" in name else 2e-6
+    a, c = (ww.locate(t, KNOWN)["sd_mm"] for t in (six, flat))
+    np.testing.assert_allclose(a, c, rtol=1e-9)
+    curved = ww.Whisker.from_identity("C2", curved=True, youngs_modulus=3e9)
+    with pytest.raises(ValueError, match="how its curvature lies"):
+        ww.locate(six, curved)
+
+
+@pytest.mark.parametrize("angle", [False, True])
+def test_signs_of_a_concave_whisker_are_its_own(angle: bool) -> None:
+    """Light contacts pull it outwards: axial forces and angles below zero are no convention."""
+    w = ww.Whisker.from_identity("C2", curved=True, youngs_modulus=3e9)
+    w = replace(w, curvature=-w.curvature)
+    r = np.array([12e-3, 15e-3, 20e-3, 18e-3, 15e-3])
+    b = ww.press(w, r, ww.rest_angle(w, r) + np.array([0.1, 0.08, 0.1, 0.1, 0.25]))
+    assert (b.axial_force < 0).sum() == 4
+    table = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
+    notes = "taken as SI"
+    if angle:  # told by the rows: where the whisker is, and how it is bent, go together
+        table = table.assign(axial_force=-b.axial_force, deflection_angle=b.deflection_angle)
+        notes = "The axial force has the opposite sign"
+    found = ww.locate(table, w)
+    np.testing.assert_allclose(found["radial_distance_mm"], 1e3 * r, atol=0.4)
+    assert any(notes in note for note in found.attrs["notes"])
+    assert not any("opposite" in note for note in found.attrs["notes"]) or angle
 
 
 def test_angle_in_place_of_a_force() -> None:
@@ -181,7 +210,10 @@ def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:
     [
         ({"moment": [1e-6]}, {}, "the columns 'moment', of which moment is known: needed are two"),
         ({"a": [1], "b": [2]}, {}, "the columns 'a', 'b', of which none is known: needed are two"),
-        ({"moment": [3.0], "axial_force": [80.0]}, {}, "did you pass"),
+        ({"moment": [3e-6], "axial_force": [0.08]}, {}, 'did you pass mN\\?.*"mN"'),
+        ({"moment": [3.0], "axial_force": [8e-5]}, {}, "did you pass uN m\\?"),
+        ({"moment_uNm": [3e-6], "axial_force": [8e-5]}, {}, "far below .* did you pass N m\\?"),
+        ({"moment": [3e-6], "axial_force": [8e-5]}, {"cue": ww.cues.SpaceMap()}, "leave cue out"),
         ({"moment": ["a"], "axial_force": [1e-5]}, {}, "holds text"),
         ({"moment": [1e-6], "axial_force": [1e-5], "sd_mm": [1]}, {}, "already"),
         ({"moment": [1e-6], "axial_force": [1e-5]}, {"units": {"moment": "mm"}}, "no unit"),
@@ -200,7 +232,8 @@ def test_refusals_are_one_sentence(table: dict, options: dict, sentence: str) ->
 @pytest.mark.parametrize(
     ("text", "kind", "factor"),
     [("N m", "moment", 1), ("mN·m", "moment", 1e-3), ("uNm", "moment", 1e-6), ("mN", "force", 1e-3),
-     ("micronewton", "force", 1e-6), ("degrees", "angle", np.pi / 180), ("N m/s", "moment_rate", 1),
+     ("micronewton", "force", 1e-6), ("uN mm", "moment", 1e-9),
+     ("degrees", "angle", np.pi / 180), ("N m/s", "moment_rate", 1),
      ("kg", "force", None), ("mN", "moment", None), ("mrad", "angle", None)],
 )  # fmt: skip
 def test_units(text: str, kind: str, factor: float | None) -> None:

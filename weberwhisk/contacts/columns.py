@@ -15,14 +15,14 @@ from ..behaviour.io import load_table
 
 Array = NDArray[np.float64]
 
-_PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
+PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
 _WORDS = {"nano": "n", "micro": "u", "milli": "m", "kilo": "k"}
 #: Units of each kind of quantity, without prefix, as they are written without blanks.
 _UNITS = {
-    "moment": {"nm": 1.0},
+    "moment": {"nm": 1.0, "nmm": 1e-3},
     "force": {"n": 1.0},
     "angle": {"rad": 1.0, "deg": np.pi / 180},
-    "moment_rate": {"nm/s": 1.0},
+    "moment_rate": {"nm/s": 1.0, "nmm/s": 1e-3},
     "angular_velocity": {"rad/s": 1.0, "deg/s": np.pi / 180},
 }
 #: What a table may hold, and of which kind each is.
@@ -36,6 +36,7 @@ QUANTITIES = {
     **{f"force_{axis}": "force" for axis in "xyz"},
     **{f"moment_{axis}": "moment" for axis in "xyz"},
 }
+IN_PLANE = "Six signals were turned into the plane of each push."
 #: Sds of measurement errors, such as `moment_sd`, have the unit of their quantity.
 NAMES = {**QUANTITIES, **{f"{name}_sd": kind for name, kind in QUANTITIES.items()}}
 
@@ -60,7 +61,7 @@ def unit_factor(text: str, kind: str) -> float | None:
         if plain.lower() == unit:
             return factor
         if kind not in ("angle", "angular_velocity") and plain[1:].lower() == unit:
-            scale = _PREFIX.get(plain[0])
+            scale = PREFIX.get(plain[0])
             return None if scale is None else scale * factor
     return None
 
@@ -136,7 +137,7 @@ def _of(
         if factor is None:
             known = ", ".join(
                 {
-                    "moment": ("N m", "mN m", "uN m"),
+                    "moment": ("N m", "uN m", "mN mm"),
                     "force": ("N", "mN", "uN"),
                     "moment_rate": ("N m/s", "uN m/s"),
                 }.get(kind, tuple(_UNITS[kind]))
@@ -184,26 +185,30 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
         return si
     out = {k: v for k, v in si.items() if k.removesuffix("_sd") not in six}
     out["moment"] = np.hypot(si["moment_y"], si["moment_z"])
-    if "force_x" in si:
-        out["axial_force"] = -si["force_x"]
-    if {"force_y", "force_z"} <= set(si):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # Moment = contact × force: the force across the base, along the push.
-            across = si["force_y"] * si["moment_z"] - si["force_z"] * si["moment_y"]
-            out["transverse_force"] = across / out["moment"]
-    notes.append("Six signals were turned into the plane of each push.")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        y, z = si["moment_y"] / out["moment"], si["moment_z"] / out["moment"]
+    # Moment = contact × force: the force across the base, along the push.
+    parts: dict[str, list[tuple[str, Any]]] = {
+        "moment": [("moment_y", y), ("moment_z", z)], "axial_force": [("force_x", -1.0)],
+        "transverse_force": [("force_y", z), ("force_z", -y)],
+    }  # fmt: skip
+    for name, terms in parts.items():
+        if {part for part, _ in terms} <= set(si):
+            out[name] = np.sum([share * si[part] for part, share in terms], axis=0)
+        if {f"{part}_sd" for part, _ in terms} <= set(si):
+            squares = [(share * si[f"{part}_sd"]) ** 2 for part, share in terms]
+            out[f"{name}_sd"] = np.sqrt(np.sum(squares, axis=0))
+    notes.append(IN_PLANE)
     return out
 
 
 def one_side(si: dict[str, Array], notes: list[str]) -> Array:
-    """Turn every row to positive moments, and forces to the signs of this package, in place.
+    """Turn every row to positive moments in place; the side of each row, 1 or −1.
 
-    Returns the side of each row, 1 or −1.
-
-    Moment, transverse force and angle change sign with the side; axial force is positive in
-    compression. Where most rows have it otherwise, the table's convention is the opposite one.
+    Moment, transverse force and angle change sign with the side.
     """
-    lead = next((n for n in ("moment", "moment_rate", "deflection_angle") if n in si), None)
+    turned = ("moment", "moment_rate", "deflection_angle", "transverse_force")
+    lead = next((n for n in turned if n in si), None)
     if lead is None:
         return np.ones(len(next(iter(si.values()), [])))
     side = np.where(si[lead] < 0, -1.0, 1.0)
@@ -212,25 +217,9 @@ def one_side(si: dict[str, Array], notes: list[str]) -> Array:
             f"{int((side < 0).sum())} of {side.size} rows are pushed to the other side ({lead} "
             "below zero): mirrored."
         )
-    for name in ("moment", "moment_rate", "transverse_force", "deflection_angle"):
-        if name in si:
-            si[name] = si[name] * side
+    si |= {name: si[name] * side for name in turned if name in si}
     if "angular_velocity" in si:
         si["angular_velocity"] = np.abs(si["angular_velocity"])
-    for name, sign in (("axial_force", "compression"), ("transverse_force", "the moment's side")):
-        if name in si:
-            known = np.isfinite(si[name]) & (si[name] != 0)
-            if known.any() and (si[name][known] < 0).mean() > 0.5:
-                si[name] = -si[name]
-                notes.append(
-                    f"The {name.replace('_', ' ')} is below zero in most rows: taken as positive "
-                    f"away from {sign}, and turned round."
-                )
-    if "deflection_angle" in si and lead != "deflection_angle":
-        known = np.isfinite(si["deflection_angle"])
-        if known.any() and (si["deflection_angle"][known] < 0).mean() > 0.5:
-            si["deflection_angle"] = -si["deflection_angle"]
-            notes.append("The angle has the sign opposite to the moment's: turned round.")
     return side
 
 

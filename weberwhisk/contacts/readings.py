@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,27 @@ import numpy as np
 from .. import _checks
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
+from ..mechanics import Profile, rest_angle
+from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import YOUNGS_MODULUS, Whisker
-from .columns import Array
+from .columns import NAMES, PREFIX, Array
 from .signals import CORRELATION
+
+
+def is_curved(whisker: Any) -> bool:
+    """Whether a Whisker or Profile is curved anywhere."""
+    law = whisker.law if isinstance(whisker, Profile) else Profile.of(whisker).law
+    return any(np.any(value) for value in vars(law).values())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredAngle(Cue):
     """A map of forces, and the deflection angle as video shows it, with an error of its own.
+
+    The angle is that from the base tangent, on curved whiskers too, whose unknown deflection angle
+    is counted from the first touch.
 
     Parameters
     ----------
@@ -35,6 +47,7 @@ class MeasuredAngle(Cue):
     """
 
     cue: Cue
+    takes_curved = True
 
     @property
     def signal_names(self) -> tuple[str, ...]:
@@ -48,14 +61,62 @@ class MeasuredAngle(Cue):
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Any:
         """The cue's signals and the angle, (..., S), and the outcome."""
+        _checks.refuse_hinge(whisker, "MeasuredAngle")
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact, model=model)
-        return np.concatenate([signals, contact[..., 1:2]], axis=-1), outcome
+        angle, held = contact[..., 1].copy(), outcome == Outcome.HELD
+        if is_curved(whisker) and held.any():
+            angle[held] += rest_angle(whisker, contact[held, 0])
+        return np.concatenate([signals, angle[..., None]], axis=-1), outcome
 
     def default_noise(self) -> ReceptorNoise:
         """Weber's law with k = 0.1, and a degree of the angle."""
         angle = GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
         return Joint([Weber(0.1), angle], [len(self.cue.signal_names), 1])
+
+
+def turn_round(si: dict[str, Array], sides: list[tuple[Any, Any]], notes: list[str]) -> None:
+    """Give axial force, transverse force and angle the signs of this package, in place.
+
+    Of all conventions that a table may have, the one in which its rows are likest to contacts of
+    the whisker: where the whisker is curved, axial forces and angles may be of either sign.
+
+    Parameters
+    ----------
+    si : dict
+        Signals in SI units, all pushed to positive moments.
+    sides : list of (rows, whisker)
+        As seen from either side.
+    """
+    names = [n for n in (*SIGNALS, "deflection_angle") if n in si]
+    free = names[1:]  # the first says the side
+    if not free:
+        return
+    signs = np.array(list(product([1.0, -1.0], repeat=len(free))))
+    cost = np.zeros(len(signs))
+    for rows, whisker in sides:
+        y = np.stack([si[n][rows] for n in names], axis=-1)
+        y = y[np.isfinite(y).all(axis=1) & (y != 0).all(axis=1)]
+        y = y[:: 1 + len(y) // 60]
+        observer = Observer(whisker, ForceMap())
+        contact = observer.contact(observer.space.spread(np.linspace(0.02, 0.98, 25)))[0]
+        signals, outcome = MeasuredAngle(ForceMap(SIGNALS)).signals(observer.whisker, contact)
+        known = dict(zip((*SIGNALS, "deflection_angle"), signals[outcome == Outcome.HELD].T,
+                         strict=True))  # fmt: skip
+        model = np.stack([known[n] for n in names], axis=-1)
+        softer = np.exp(np.linspace(-1.0, 1.0, 9))[:, None]
+        scale = np.where(np.array(names) == "deflection_angle", 1.0, softer)
+        model = (scale[:, None] * model).reshape(-1, len(names))
+        size = 0.02 * (y[:, None] ** 2 + model**2) + 1e-300
+        for i, sign in enumerate(signs):
+            off = (y[:, None] * np.append(1.0, sign) - model) ** 2 / size
+            cost[i] += np.minimum(off.sum(axis=2).min(axis=1), 30.0).sum()
+    best = int(cost.argmin())
+    # As the package has it, unless another is clearly likelier.
+    for name, sign in zip(free, signs[best] if cost[best] < cost[0] - 6 else [], strict=False):
+        if sign < 0:
+            si[name] = -si[name]
+            notes.append(f"The {name.replace('_', ' ')} has the opposite sign: turned round.")
 
 
 def signals_of(
@@ -85,6 +146,8 @@ def signals_of(
     wanted = [names.get(name, name) for name in cue.signal_names]
     missing = [name for name in wanted if name not in si]
     if missing:
+        if not set(missing) <= set(NAMES):
+            raise ValueError(f"A table has no signals of {cue!r}; leave cue out.")
         raise ValueError(
             f"The cue {cue!r} needs {', '.join(missing)}, which the table has no column of; map "
             f'one with columns={{"{missing[0]}": …}}.'
@@ -125,14 +188,15 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
         times = float(np.median(known)) / usual
         if 1e-5 < times < 30:
             continue
-        prefix = "u" if times > 1e4 or times < 1 else "m"
         unit = {"moment": "N m", "moment_rate": "N m/s"}.get(name, "N")
-        hint = f"did you pass {prefix}{unit}?" if times > 1 else "is the unit right?"
-        header = found[name][0] if name in found else name
+        header, factor, _ = found.get(name, (name, 1.0, False))
+        # The prefix with which the table's own numbers would be as large as usual.
+        sizes = {p: abs(np.log(2 * times * f / factor)) for p, f in PREFIX.items() if p != "k"}
+        unit = min(sizes, key=lambda p: sizes[p]) + unit
         raise ValueError(
             f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker gives, "
-            f"{times:.2g} times the usual {name.replace('_', ' ')}: {hint} Write "
-            f'units={{"{name}": "{prefix}{unit}"}}, say.'
+            f"{times:.2g} times the usual {name.replace('_', ' ')}: did you pass {unit}? Write "
+            f'units={{"{name}": "{unit}"}}, say.'
         )
     measured = [i for i, n in enumerate(observer.cue.signal_names) if n == "measured_angle"]
     angle = np.abs(y[:, measured])

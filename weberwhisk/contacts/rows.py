@@ -19,9 +19,9 @@ from ..posterior import Status
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
 from .calibration import Calibration
-from .columns import Array, one_side, planar, read_contacts
+from .columns import IN_PLANE, Array, one_side, planar, read_contacts
 from .lattice import Cloud, Lattice, Readings
-from .readings import check_magnitudes, signals_of
+from .readings import check_magnitudes, is_curved, signals_of, turn_round
 from .signals import FROM_SHAPE, from_shape
 from .touches import touch_posterior
 
@@ -98,9 +98,10 @@ def locate(
     -------
     DataFrame
         The table, in its own index and columns, and `radial_distance_mm`, `sd_mm`, the 95 %
-        interval `lower_mm` to `upper_mm`, `angle_deg` and `angle_sd_deg`, `status` and
-        `message`; with `touch` also `touch_radial_distance_mm` and so on, the same in all rows of a
-        touch. Rows that tell of no contact stay, empty, and their status says why.
+        interval `lower_mm` to `upper_mm`, `angle_deg` and `angle_sd_deg` of the push (on a curved
+        whisker from the first touch), `status` and `message`; with `touch` also
+        `touch_radial_distance_mm` and so on, the same in all rows of a touch. Rows that tell of no
+        contact stay, empty, and their status says why.
         ``attrs["notes"]`` says what was taken for granted: cue, units, signs, noise.
 
     Raises
@@ -111,9 +112,10 @@ def locate(
 
     Notes
     -----
-    Signs: moment, transverse force and angle change sign with the side of the push; the axial
-    force is positive in compression. Rows of either side, and tables of the opposite convention,
-    are turned, and `notes` says so. Seen from the other side, a curved whisker is a mirrored one.
+    Signs: moment, transverse force and angle (from the base tangent) change sign with the side of
+    the push; the axial force is positive in compression. Rows of either side, and tables whose
+    rows are likelier to be the whisker's in the opposite convention, are turned, and `notes` says
+    so. Seen from the other side, a curved whisker is a mirrored one.
 
     Examples
     --------
@@ -147,7 +149,13 @@ def locate(
         whisker, cue, si, side = from_shape(raw, si, whisker, cue, notes)
     else:
         si = planar(si, notes)
+        if notes[-1:] == [IN_PLANE] and is_curved(whisker):
+            raise ValueError(
+                "Six signals of a curved whisker do not say how its curvature lies; give moment, "
+                "axial_force and transverse_force in its plane, or a straight whisker."
+            )
         side = one_side(si, notes)
+        turn_round(si, _by_side(side, whisker), notes)
     cue, y, covariance = signals_of(si, cue, whisker, notes, header)
     receptors = covariance is None or noise is not None
     named = None if touch is None else _touches(raw, touch)
@@ -223,10 +231,10 @@ def _later(
 
 def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
     """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
-    law = whisker.law if isinstance(whisker, Profile) else Profile.of(whisker).law
     everything = np.arange(len(side))
-    if not any(np.any(value) for value in vars(law).values()):
+    if not is_curved(whisker):
         return [(everything, whisker)]
+    law = whisker.law if isinstance(whisker, Profile) else Profile.of(whisker).law
     out: list[tuple[NDArray[np.intp], Any]] = []
     for sign in (1.0, -1.0):
         rows = everything[side == sign]

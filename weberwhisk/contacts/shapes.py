@@ -293,8 +293,10 @@ def in_plane(table: pd.DataFrame, most: float) -> Array:
     """Unit vectors (2, D) of the plane of the image, or of the one that points in space sweep."""
     if "z" not in table:
         return np.eye(2)
-    every = np.concatenate([np.stack(list(row)) for row in table[["x", "y", "z"]].to_numpy()], axis=1)
-    _, size, way = np.linalg.svd(every.T - every.mean(axis=1), full_matrices=False)
+    every = np.concatenate(
+        [np.stack(list(row)) for row in table[["x", "y", "z"]].to_numpy()], axis=1
+    )
+    size, way = np.linalg.svd(every.T - every.mean(axis=1), full_matrices=False)[1:]
     off = size[2] / np.sqrt(every.shape[1])
     if off > most or size[2] > 0.2 * size[1]:
         raise ValueError(
