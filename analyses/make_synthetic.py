@@ -17,7 +17,7 @@ from command import ANALYSES, options
 
 from weberwhisk import Observer, Whisker, cues, simulate_tracking
 from weberwhisk.behaviour import CueEncoding, Trials, simulate_population, simulate_trials
-from weberwhisk.behaviour.report import data_package, describe_table
+from weberwhisk.behaviour.trials import data_package, describe_table
 
 #: Radial distances are in millimetres.
 WHISKERS = {

@@ -18,7 +18,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.population import joined
-from weberwhisk.behaviour.report import data_package, describe_table
+from weberwhisk.behaviour.trials import data_package, describe_table
 
 
 def digest(path: Path) -> str:

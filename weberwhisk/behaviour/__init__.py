@@ -14,22 +14,21 @@ from .comparison import (
     compare_taper,
 )
 from .criticism import checks, quantile_residuals, residuals_by
-from .encodings import CueEncoding, Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding
+from .cue_encoding import CueEncoding, PooledEncoding
+from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
 from .fit import fit_weber
 from .io import load_numerosity, load_rat_auditory, read_trials
-from .law import WeberLawTest, weber_law_test
-from .located import simulate_moving, with_distances
-from .methods import methods_paragraph
-from .pooled_encoding import PlaceEncoding, PooledEncoding
-from .population import simulate_population
+from .located import with_distances
+from .population import simulate_moving, simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
 from .psychometric import response_probability, threshold
+from .report import methods_paragraph
 from .result import WeberFit
 from .simulate import simulate_trials
 from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
-from .verdict import FitStatus
+from .verdict import FitStatus, WeberLawTest, weber_law_test
 
 __all__ = [
     "TASKS",

@@ -1,9 +1,15 @@
-"""The whisker as an encoding: a radial distance encoded by a cue, with its receptors' noise."""
+"""The whisker as an encoding: a place encoded by a cue, by several looks, or by a whole array.
+
+Independent looks at one distance add their precisions. What is encoded is the distance itself, with
+the sd that they leave together, to first order in the noise.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,12 +135,17 @@ class CueEncoding:
     def _fractions(self) -> Array:
         return self.observer.noise.weber_fractions(len(self.observer.cue.signal_names))
 
+    @property
+    def own_fraction(self) -> float:
+        """The first Weber fraction of the receptors, 1 where there is none."""
+        k = self._fractions
+        return float(k[k > 0][0]) if k.any() else 1.0
+
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
-        noise, k = self.observer.noise, self._fractions
+        noise, k, first = self.observer.noise, self._fractions, self.own_fraction
         encoded = self.mean(stimulus)
         if not k.any():
             return np.where(np.isfinite(encoded), 0.0, np.nan)
-        first = float(k[k > 0][0])
         if self._one_signal:
             signals, _ = self._signals(stimulus)
             if noise.gaussian_on == "log":
@@ -164,7 +175,7 @@ class CueEncoding:
         whole = self._jnd(stimulus, noise)
         if not k.any():
             return whole
-        weber = float(k[k > 0][0]) * self.sd_per_weber_fraction(stimulus)
+        weber = self.own_fraction * self.sd_per_weber_fraction(stimulus)
         floor = np.sqrt(np.maximum(whole**2 - weber**2, 0.0))
         return np.where(floor > 1e-7 * whole, floor, 0.0)
 
@@ -183,3 +194,151 @@ def _varied(noise: ReceptorNoise, signals: int, factor: float, *, floor: bool) -
     """The same receptors with their Weber fractions times a factor, with or without their floor."""
     other = noise.with_weber_fraction(noise.weber_fractions(signals) * factor)
     return other if floor else other.without_floor()
+
+
+class _Distance(CueEncoding):
+    """The distance that a cue tells, also where its one signal would do for a decision."""
+
+    _one_signal = False
+
+
+class PlaceItself:
+    """What is encoded is the place itself: a greater one as greater, NaN where nothing tells it."""
+
+    direction: ClassVar[int] = 1
+
+    def mean(self, stimulus: ArrayLike) -> Array:
+        x = np.asarray(stimulus, dtype=float)
+        return np.where(np.isfinite(self.sd_per_weber_fraction(x)), x, np.nan)
+
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class PooledEncoding(PlaceItself):
+    """One distance from several independent looks, pooled by their precision.
+
+    Parameters
+    ----------
+    looks : sequence of CueEncoding
+        A look each: a touch, with its own deflection angle, or a whisker. All in one unit.
+    offsets : sequence of float, optional
+        How far the base of each look's whisker lies in front of where stimuli are measured from,
+        along the line to the object, in their unit; 0 by default.
+
+    Raises
+    ------
+    ValueError
+        For no looks, looks in different units, another number of offsets, and looks that leave a
+        stiffness or the like unknown, which touches share and no number of them averages away.
+
+    Notes
+    -----
+    Precisions add, 1/σ² = Σ 1/σᵢ², over the looks that reach the object: n equal touches give
+    σ/√n. The Weber fraction is that of a single receptor in a single look. Where a part of the
+    noise does not go with it, the floor is exact at the receptors' own Weber fraction, and for
+    equal looks at any. See `weberwhisk.touches` for the posterior of such a decision.
+
+    Examples
+    --------
+    >>> import weberwhisk as ww
+    >>> observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.ForceMap())
+    >>> one, four = (PooledEncoding.of_touches(observer, [0.2] * n) for n in (1, 4))
+    >>> (one.sd_per_weber_fraction(20e-3) / four.sd_per_weber_fraction(20e-3)).round(6)
+    np.float64(2.0)
+    """
+
+    looks: tuple[CueEncoding, ...]
+    offsets: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        hint = "write PooledEncoding.of_touches(observer, [0.1, 0.2]), say"
+        given = tuple(_checks.several("looks", self.looks, hint))
+        for look in given:
+            _checks.kind("a look", look, "a CueEncoding", "has_weber_fraction", hint)
+        if not given:
+            raise ValueError(f"looks is empty; {hint}.")
+        if len({look.unit for look in given}) > 1:
+            raise ValueError("the looks have stimuli in different units; give all the same unit=.")
+        for look in given:
+            observer = look.observer
+            if observer.bounded < len(observer.unknowns):
+                raise ValueError(
+                    f"all looks share what {observer.cue!r} leaves unknown "
+                    f"({', '.join(observer.unknowns[observer.bounded :])}), which pooling would "
+                    "average away; take a cue that knows it."
+                )
+        offsets = tuple(float(d) for d in self.offsets) or (0.0,) * len(given)
+        if len(offsets) != len(given):
+            raise ValueError(
+                f"offsets has {len(offsets)} numbers for {len(given)} looks; give one a look."
+            )
+        _checks.finite("offsets", offsets, "give the distances between the bases")
+        object.__setattr__(self, "looks", given)
+        object.__setattr__(self, "offsets", offsets)
+
+    @classmethod
+    def of_touches(
+        cls, observer: Any, deflection_angles: ArrayLike, *, unit: float = 1.0
+    ) -> PooledEncoding:
+        """Touches of one whisker, each with its own deflection angle, rad.
+
+        A cue that does not need the angle takes them for the number of touches alone.
+        """
+        angles = np.atleast_1d(
+            _checks.finite("deflection_angles", deflection_angles, "give radians, one a touch")
+        )
+        return cls(tuple(CueEncoding(observer, float(a), unit) for a in angles))
+
+    @property
+    def unit(self) -> float:
+        """Metres in one unit of the stimulus."""
+        return self.looks[0].unit
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """Distances that any look reaches."""
+        ends = [o + np.array(k.domain) for k, o in zip(self.looks, self.offsets, strict=True)]
+        low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+        return float(max(low, 0.0)), float(high)
+
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
+        """Sd of the pooled distance, for a Weber fraction of 1."""
+        k = self.looks[0].own_fraction
+        return self._pooled(
+            stimulus, lambda look, x: look.own_fraction / k * look.sd_per_weber_fraction(x)
+        )
+
+    def floor_sd(self, stimulus: ArrayLike) -> Array:
+        """What is left of the pooled sd without a Weber fraction, at the receptors' own."""
+        together = self._pooled(
+            stimulus,
+            lambda look, x: np.hypot(
+                look.own_fraction * look.sd_per_weber_fraction(x), look.floor_sd(x)
+            ),
+        )
+        weber = self.looks[0].own_fraction * self.sd_per_weber_fraction(stimulus)
+        floor = np.sqrt(np.maximum(together**2 - weber**2, 0.0))
+        return np.where(floor > 1e-6 * together, floor, 0.0)
+
+    def outcome(self, stimulus: float) -> str:
+        """Why no look gives a signal at a distance, in words: the first look's reason."""
+        return self.looks[0].outcome(stimulus - self.offsets[0])
+
+    def _pooled(self, stimulus: ArrayLike, sd: Callable[[CueEncoding, Array], Array]) -> Array:
+        x = np.asarray(stimulus, dtype=float)
+        precision = np.zeros(x.shape)
+        done: dict[tuple[Any, ...], Array] = {}
+        for look, offset in zip(self.looks, self.offsets, strict=True):
+            key = (look, offset)
+            if key not in done:
+                distance = _Distance(look.observer, look.deflection_angle, look.unit)
+                low, high = look.domain
+                inside = (x - offset > low) & (x - offset < high)
+                own = sd(distance, np.where(inside, x - offset, 0.5 * (low + high)))
+                with np.errstate(divide="ignore"):
+                    done[key] = np.where(inside & np.isfinite(own), own**-2.0, 0.0)
+            precision += done[key]
+        with np.errstate(divide="ignore"):
+            return np.where(precision > 0, precision**-0.5, np.nan)

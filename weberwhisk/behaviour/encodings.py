@@ -14,16 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_arguments, renamed_attribute
-from ..mechanics import flick_past
-from .cue_encoding import CueEncoding
-from .pooled_encoding import PlaceEncoding, PooledEncoding
+from .._deprecated import renamed_attribute
+from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
 Array = NDArray[np.float64]
 
 NOISES = ("weber", "equal-variance")
-#: Encodings of a distance in metres, or in units of so many.
-OF_DISTANCE = (CueEncoding, PooledEncoding, PlaceEncoding)
 
 
 class Encoding(Protocol):
@@ -132,6 +128,94 @@ class LogAxisEncoding:
 
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         return np.ones_like(np.asarray(stimulus, dtype=float))
+
+
+@dataclass(frozen=True)
+class PlaceEncoding(PlaceItself):
+    """A pole that slides along a line, sensed by all whiskers of an array that touch it.
+
+    Parameters
+    ----------
+    observer : ArrayObserver
+        The whiskers where they are, their cues and receptors.
+    start : (float, float)
+        x and y, m, in head coordinates, where the stimulus is 0.
+    direction_deg : float
+        Which way the pole goes: 0 to the right of the head, 90 rostrally.
+    length : float
+        How far, in the stimulus's unit.
+    unit : float
+        Metres in one unit of the stimulus.
+    weber_fraction : float
+        Of the receptors of `observer`, by which its sds are divided.
+    sideways_known : bool
+        Whether the animal knows on which line the pole slides.
+
+    Notes
+    -----
+    The sd is that of the Fisher information of all whiskers together, [I⁻¹]ₛₛ^½ along the line (or
+    Iₛₛ^−½ where the line is known). What is known of azimuths, `angle_sd`, does not go with k: it
+    is counted as if it did.
+
+    Examples
+    --------
+    >>> import weberwhisk as ww
+    >>> array = ww.WhiskerArray("rat", "right").protract(np.radians(40))
+    >>> few, all_ = (PlaceEncoding(ww.ArrayObserver(a), (16e-3, 5e-3), length=8e-3)
+    ...              for a in (array.only(["C3"]), array))
+    >>> bool(all_.sd_per_weber_fraction(4e-3) < few.sd_per_weber_fraction(4e-3))
+    True
+    """
+
+    observer: Any
+    start: tuple[float, float]
+    direction_deg: float = 0.0
+    length: float = 10e-3
+    unit: float = 1.0
+    weber_fraction: float = 0.1
+    sideways_known: bool = True
+
+    def __post_init__(self) -> None:
+        hint = "write ArrayObserver(WhiskerArray('rat', 'right').protract(0.7)), say"
+        _checks.kind("observer", self.observer, "an ArrayObserver", "touching", hint)
+        _checks.positive("length", self.length, "write 10e-3, say")
+        _checks.positive("unit", self.unit, "give metres per unit of the stimulus, such as 1e-3")
+        _checks.positive("weber_fraction", self.weber_fraction, "write 0.1, say")
+        if _checks.finite("start", self.start, "give x and y in metres").shape != (2,):
+            raise ValueError(
+                f"start must be x and y, got {self.start!r}; write (20e-3, 5e-3), say."
+            )
+        _checks.number("direction_deg", self.direction_deg, "give degrees")
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """The ends of the line."""
+        return 0.0, float(self.length)
+
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
+        """Sd of the place along the line, for a Weber fraction of 1."""
+        x = np.asarray(stimulus, dtype=float)
+        turn = np.radians(self.direction_deg)
+        along = np.array([np.cos(turn), np.sin(turn)])
+        axes = np.stack([along, [-along[1], along[0]]])
+        places = np.asarray(self.start) + self.unit * x.reshape(-1, 1) * along
+        information = axes @ self.observer.information(places).sum(axis=1) @ axes.T
+        precision = information[:, 0, 0].copy()
+        if not self.sideways_known:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                precision -= np.nan_to_num(information[:, 0, 1] ** 2 / information[:, 1, 1])
+        known = precision > 1e-12 * np.maximum(information[:, 0, 0], 1e-300)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sd = np.where(known, precision**-0.5, np.nan)
+        return sd.reshape(x.shape) / (self.unit * self.weber_fraction)
+
+    def outcome(self, stimulus: float) -> str:
+        """Why no place is known, in words."""
+        return "no whisker touches the pole there"
+
+
+#: Encodings of a distance in metres, or in units of so many.
+OF_DISTANCE = (CueEncoding, PooledEncoding, PlaceEncoding)
 
 
 def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None:
@@ -301,91 +385,3 @@ def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:
     if log_unit is None or noise == "equal-variance":
         return LogAxisEncoding(1.0 if log_unit is None else log_unit)
     return LogEncoding(log_unit)
-
-
-@renamed_arguments(percept="encoding")
-def decision_variable(encoding: Encoding, standard: ArrayLike, comparison: ArrayLike) -> Array:
-    """Difference between the two encodings in its own sds, for a Weber fraction of 1."""
-    s, c = np.asarray(standard, dtype=float), np.asarray(comparison, dtype=float)
-    gap = encoding.direction * (encoding.mean(c) - encoding.mean(s))
-    return gap / np.hypot(encoding.sd_per_weber_fraction(s), encoding.sd_per_weber_fraction(c))
-
-
-@renamed_arguments(percept="encoding")
-def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
-    """Offset that moves the difference between the two signals by one of its sds, for k = 1.
-
-    √2 σ(s)/|μ′(s)|, the small-offset limit: for a tapered whisker's compliance √2 r (1 − r/A).
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> difference_sd(IdentityEncoding(), [1.0, 2.0]).round(6)
-    array([1.414214, 2.828427])
-    """
-    s = np.asarray(standard, dtype=float)
-    low, high = encoding.domain
-    h = 1e-5 * np.minimum(np.where(s != 0, np.abs(s), 1.0), np.minimum(s - low, high - s))
-    slope = (encoding.mean(s + h) - encoding.mean(s - h)) / (2 * h)
-    return np.asarray(np.sqrt(2.0) * encoding.sd_per_weber_fraction(s) / np.abs(slope))
-
-
-def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
-    """Refuse what the whisker cannot feel: past its tip, past its base, or flicked past.
-
-    Raises
-    ------
-    ValueError
-        Naming the farthest offender and by how much it is off.
-    """
-    at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
-    if not at.size:
-        raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
-    low, high = encoding.domain
-
-    def said(value: float) -> str:
-        return in_words(encoding, value)
-
-    if at.max() >= high:
-        raise ValueError(
-            f"{name} {said(at.max())} is off the whisker, by {said(at.max() - high)} past its tip "
-            f"at {said(high)}; stay well inside."
-        )
-    if at.min() <= low:
-        raise ValueError(
-            f"{name} {said(at.min())} is off the whisker, by {said(low - at.min())} before its "
-            f"base at {said(low)}; stay well inside."
-        )
-    encoded = gives_signal(encoding, at)
-    if encoded.all():
-        return
-    worst = float(at[~encoded].max())
-    why = encoding.outcome(worst) if isinstance(encoding, OF_DISTANCE) else "it gives no signal"
-    if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
-        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
-    whisker, unit = encoding.observer.whisker, encoding.unit
-    angle = np.degrees(encoding.deflection_angle)
-    limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
-    if not limit < angle:  # NaN beyond a curved whisker's reach
-        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
-    grid = np.linspace(0.01, 0.999, 400) * high
-    held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
-    farthest = f"stay within {said(float(held.max()))}, or " if held.size else ""
-    raise ValueError(
-        f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and contacts "
-        f"are at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
-    )
-
-
-def in_words(encoding: Encoding, length: float) -> str:
-    """A stimulus with its unit: millimetres where it is a distance along a whisker.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> in_words(IdentityEncoding(), 0.06)
-    '0.06'
-    """
-    if not isinstance(encoding, OF_DISTANCE):
-        return f"{length:.4g}"
-    return f"{1e3 * encoding.unit * length:.4g} mm"

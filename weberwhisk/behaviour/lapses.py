@@ -114,6 +114,32 @@ def lapse_prior(model: WeberModel, low: Array, high: Array) -> Array:
         return np.asarray(density + np.log(share))
 
 
+def lapse_weights(model: WeberModel, low: Array, high: Array) -> Array:
+    """Log prior probability of the lapse nodes, (Lo, Hi).
+
+    A first node so low that no trial is lost stands for everything below it.
+    """
+    pair = [with_tail(model, n, a) for n, a in zip(model.lead[-2:], (low, high), strict=True)]
+    weights = np.exp(lapse_prior(model, *pair))
+    for i, (whole, axis) in enumerate(zip(pair, (low, high), strict=True)):
+        weights *= axis[1] - axis[0] if axis.size > 1 else 1.0
+        weights = np.add.reduceat(
+            weights, np.r_[0, whole.size - axis.size + 1 : whole.size], axis=i
+        )
+    with np.errstate(divide="ignore"):
+        return np.log(weights)
+
+
+def with_tail(model: WeberModel, name: str, axis: Array, lowest: float = -4.5) -> Array:
+    """The nodes of a lapse carried on below the first, where that is none at all, to a score."""
+    if axis.size == 1 or axis[0] > model.no_lapse[name] + 1e-9:
+        return axis
+    transform = model.transforms[model.lead.index(name)]
+    step = axis[1] - axis[0]
+    below = max(int((axis[0] - float(transform.coordinate(lowest))) / step), 0)
+    return axis[0] + step * np.arange(-below, axis.size)
+
+
 @lru_cache(maxsize=64)
 def log_lapses_possible(task: Task, priors: Priors) -> float:
     """Log prior mass of the lapses that leave the curve rising: λ_lo + λ_hi < 1."""

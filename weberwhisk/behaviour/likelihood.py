@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
-from .binning import binned
 from .effects import Effect, Overdispersion
 from .encodings import Encoding, Signals, UnitEncodings
 from .lapses import PLAIN, LapseTransform, lapse_transform
+from .located import binned
 from .priors import TINY, Priors
 from .tasks import Task
 from .trials import SDS, Cells, Trials

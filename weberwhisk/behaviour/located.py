@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from .. import _checks
-from .encodings import CueEncoding, Encoding, Signals, UnitEncodings, gives_signal
+from .cue_encoding import CueEncoding, PooledEncoding
+from .encodings import Encoding, Signals, UnitEncodings, gives_signal
 from .io import load_table
-from .pooled_encoding import PooledEncoding
-from .psychometric import response_probability
 from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
 
@@ -90,7 +89,7 @@ def with_distances(
     >>> whisker = ww.Whisker(50e-3, 100e-6, 5e-6)
     >>> encoding = CueEncoding(ww.Observer(whisker, ww.cues.Compliance()))
     >>> nominal = ww.simulate_trials(standards=20e-3, encoding=encoding, seed=1)
-    >>> trials, located = simulate_moving(
+    >>> trials, located = ww.behaviour.simulate_moving(
     ...     nominal, encoding, weber_fraction=0.1, scatter=2e-3, sd=0.3e-3, seed=2)
     >>> fit = ww.fit_weber(trials, observer=encoding.observer, distances=located)
     >>> low, high = fit.interval(0.95)
@@ -208,6 +207,48 @@ def over_places(
     )
 
 
+def binned(
+    task: Any, encodings: UnitEncodings, cells: Cells, group: NDArray[np.intp], most: int = 1000
+) -> tuple[UnitEncodings, Cells, NDArray[np.intp]]:
+    """Thousands of trials, each at places of its own, in about `most` cells: those of a bias that
+    are alike in D for k = 1, and in its variance.
+
+    A bin is some thousandths of D wide, and what is lost is of second order in its width over k.
+    """
+    n = cells.n
+    if n.size <= most:
+        return encodings, cells, group
+    sd = task.decision_sd(encodings.encoded(np.float64(1.0)))
+    d, variance = (encodings.mean_2 - encodings.mean_1) / sd, encodings.spread / sd**2
+    spread = np.log(np.maximum(variance, 1e-6))
+    level = np.floor(15.99 * (spread - spread.min()) / (np.ptp(spread) + 1e-12))
+    _, pool = np.unique(np.column_stack([level, group]), axis=0, return_inverse=True)
+    pool = pool.reshape(-1)
+    sizes = np.bincount(pool)
+    order = np.lexsort((d, pool))
+    rank = np.empty(n.size, dtype=np.intp)
+    rank[order] = np.arange(n.size) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    each = max(most // sizes.size, 1)
+    _, first, same = np.unique(
+        pool * each + rank * each // sizes[pool], return_index=True, return_inverse=True
+    )
+    same = same.reshape(-1)
+
+    def total(values: Array) -> Array:
+        return np.bincount(same, values).astype(float)
+
+    weight = total(n)
+    ratio = total(n * encodings.sd_2 / encodings.sd_1) / weight
+    unit = UnitEncodings(np.zeros(first.size), np.ones(first.size), ratio, ratio)
+    sd = task.decision_sd(unit.encoded(np.float64(1.0)))
+    fewer = Cells(
+        cells.stimulus_1[first], cells.stimulus_2[first], cells.standard[first], weight,
+        total(cells.count),
+    )  # fmt: skip
+    mean, spread = sd * total(n * d) / weight, sd**2 * total(n * variance) / weight
+    return unit._replace(mean_2=mean, spread=spread), fewer, group[first]
+
+
 def estimate_scatter(gap: Array, sd: Array) -> Scatter:
     """Offset and scatter of places from measured gaps to the nominal ones, by maximum likelihood.
 
@@ -236,67 +277,6 @@ def estimate_scatter(gap: Array, sd: Array) -> Scatter:
     found = minimize_scalar(lambda t: at(t)[1], bounds=ends, method="bounded").x
     tau = float(min((0.0, float(found)), key=lambda t: at(t)[1]))
     return Scatter(at(tau)[0], tau)
-
-
-def simulate_moving(
-    trials: Trials,
-    encoding: CueEncoding,
-    *,
-    weber_fraction: float,
-    scatter: float,
-    sd: float,
-    offset: float = 0.0,
-    seed: int | np.random.SeedSequence | np.random.Generator,
-    **observer: Any,
-) -> tuple[Trials, pd.DataFrame]:
-    """An animal that moves: answers to where its whisker touches, and those places as measured.
-
-    Parameters
-    ----------
-    trials : Trials
-        Nominal stimuli, a row a trial; its answers are drawn anew.
-    encoding : CueEncoding
-    weber_fraction : float
-    scatter, offset : float
-        Sd and mean of the place of a touch about the nominal one, in the stimulus's unit.
-    sd : float
-        Of the measurement.
-    seed : int, SeedSequence or Generator
-    **observer
-        Lapses, bias and noise, as of `response_probability`.
-
-    Returns
-    -------
-    Trials, DataFrame
-        The choices, and a table as `with_distances` takes it, with true places in `true_mm`.
-    """
-    check_trials(trials)
-    for name, value in (("scatter", scatter), ("sd", sd)):
-        _checks.non_negative(name, value, "write 1e-3, say")
-    rng = _checks.generator(seed)
-    frame = trials.frame
-    nominal = frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
-    true = nominal + offset + scatter * rng.standard_normal(nominal.shape)
-    p = response_probability(
-        trials.task, encoding, true[:, 0], true[:, 1], standard=frame["standard"].to_numpy(float),
-        weber_fraction=weber_fraction, **observer,
-    )  # fmt: skip
-    answers = (rng.random(len(p)) < p).astype(float)
-    moved = replace(
-        trials, frame=frame.assign(count=np.where(frame["count"].isna(), np.nan, answers))
-    )
-    mm = 1e3 * encoding.unit
-    keys = [c for c in ("subject", "session", "trial") if c in frame]
-    parts = [
-        frame[keys].assign(
-            interval=i + 1,
-            radial_distance_mm=mm * (true[:, i] + sd * rng.standard_normal(len(frame))),
-            sd_mm=mm * sd,
-            true_mm=mm * true[:, i],
-        )
-        for i in (0, 1)
-    ]
-    return moved, pd.concat(parts, ignore_index=True)
 
 
 def _named(row: Mapping[Any, Any]) -> str:

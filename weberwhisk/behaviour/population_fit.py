@@ -191,8 +191,8 @@ class PopulationFit(Shown):
             "message": self.status.value,
             "notes": list(self.notes),
             "population": {} if none else self.summary().to_dict(orient="index"),
-            "subjects": _plain(self.subjects),
-            "sessions": None if self.sessions is None else _plain(self.sessions),
+            "subjects": report.rows_for_json(self.subjects),
+            "sessions": None if self.sessions is None else report.rows_for_json(self.sessions),
             "log_evidence": None if none else self.log_evidence,
             "error": None if self.population is None else self.population.error,
             "seed": self.seed,
@@ -403,9 +403,3 @@ def _status(found: Population, prior: PopulationPriors, animals: int) -> Populat
     if sd > OF_PRIOR * float(prior.spread.std()):
         return PopulationStatus.SPREAD_UNINFORMED
     return PopulationStatus.DETERMINED
-
-
-def _plain(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows for JSON; what an animal left out lacks is null."""
-    rows = table.astype(object).where(table.notna(), None).to_dict("records")
-    return [{str(k): v for k, v in row.items()} for row in rows]

@@ -177,9 +177,8 @@ class Priors:
         prior = self.of(name)
         if self.is_fixed(name):
             return f"fixed at {float(prior):g}"
-        given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]
         about = " about the levels shown" if getattr(prior, "about_levels", False) else ""
-        return f"{prior.dist.name}({', '.join(given)}){about}"
+        return in_words(prior) + about
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +219,12 @@ class PopulationPriors:
                     f"the prior of {name} must not reach below zero, got support from {low:g}; "
                     "give for example scipy.stats.halfnorm(scale=0.5)."
                 )
+
+
+def in_words(prior: Any) -> str:
+    """A frozen distribution as one would write it."""
+    given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]
+    return f"{prior.dist.name}({', '.join(given)})"
 
 
 @lru_cache(maxsize=256)

@@ -1,4 +1,4 @@
-"""The psychometric function of the observer, and its inverse: the threshold."""
+"""The psychometric function of the observer, its inverse (the threshold), and what is in reach."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_arguments
+from ..mechanics import flick_past
 from .effects import Effect, check_valued
 from .encodings import (
+    OF_DISTANCE,
+    CueEncoding,
     Encoding,
     UnitEncodings,
     checked_encoding,
+    gives_signal,
     refuse_outside,
     unit_encodings,
 )
@@ -237,3 +241,91 @@ def _ladder(encoding: Encoding, standard: float, sign: int) -> Array:
         return standard + (edge - standard) * share
     size = abs(standard) if low == 0 else 1.0
     return standard + sign * size * np.concatenate([[0.0], np.geomspace(1e-6, 1e6, 258)])
+
+
+@renamed_arguments(percept="encoding")
+def decision_variable(encoding: Encoding, standard: ArrayLike, comparison: ArrayLike) -> Array:
+    """Difference between the two encodings in its own sds, for a Weber fraction of 1."""
+    s, c = np.asarray(standard, dtype=float), np.asarray(comparison, dtype=float)
+    gap = encoding.direction * (encoding.mean(c) - encoding.mean(s))
+    return gap / np.hypot(encoding.sd_per_weber_fraction(s), encoding.sd_per_weber_fraction(c))
+
+
+@renamed_arguments(percept="encoding")
+def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
+    """Offset that moves the difference between the two signals by one of its sds, for k = 1.
+
+    √2 σ(s)/|μ′(s)|, the small-offset limit: for a tapered whisker's compliance √2 r (1 − r/A).
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> difference_sd(IdentityEncoding(), [1.0, 2.0]).round(6)
+    array([1.414214, 2.828427])
+    """
+    s = np.asarray(standard, dtype=float)
+    low, high = encoding.domain
+    h = 1e-5 * np.minimum(np.where(s != 0, np.abs(s), 1.0), np.minimum(s - low, high - s))
+    slope = (encoding.mean(s + h) - encoding.mean(s - h)) / (2 * h)
+    return np.asarray(np.sqrt(2.0) * encoding.sd_per_weber_fraction(s) / np.abs(slope))
+
+
+def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
+    """Refuse what the whisker cannot feel: past its tip, past its base, or flicked past.
+
+    Raises
+    ------
+    ValueError
+        Naming the farthest offender and by how much it is off.
+    """
+    at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
+    if not at.size:
+        raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
+    low, high = encoding.domain
+
+    def said(value: float) -> str:
+        return in_words(encoding, value)
+
+    if at.max() >= high:
+        raise ValueError(
+            f"{name} {said(at.max())} is off the whisker, by {said(at.max() - high)} past its tip "
+            f"at {said(high)}; stay well inside."
+        )
+    if at.min() <= low:
+        raise ValueError(
+            f"{name} {said(at.min())} is off the whisker, by {said(low - at.min())} before its "
+            f"base at {said(low)}; stay well inside."
+        )
+    encoded = gives_signal(encoding, at)
+    if encoded.all():
+        return
+    worst = float(at[~encoded].max())
+    why = encoding.outcome(worst) if isinstance(encoding, OF_DISTANCE) else "it gives no signal"
+    if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
+        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
+    whisker, unit = encoding.observer.whisker, encoding.unit
+    angle = np.degrees(encoding.deflection_angle)
+    limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
+    if not limit < angle:  # NaN beyond a curved whisker's reach
+        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
+    grid = np.linspace(0.01, 0.999, 400) * high
+    held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
+    farthest = f"stay within {said(float(held.max()))}, or " if held.size else ""
+    raise ValueError(
+        f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and contacts "
+        f"are at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
+    )
+
+
+def in_words(encoding: Encoding, length: float) -> str:
+    """A stimulus with its unit: millimetres where it is a distance along a whisker.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> in_words(IdentityEncoding(), 0.06)
+    '0.06'
+    """
+    if not isinstance(encoding, OF_DISTANCE):
+        return f"{length:.4g}"
+    return f"{1e3 * encoding.unit * length:.4g} mm"

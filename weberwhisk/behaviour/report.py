@@ -1,29 +1,31 @@
-"""A fit told to others: in plain words, for JSON and ArviZ, and beside other beliefs of lapses."""
+"""A fit reported: in plain words, as a methods section has it, for JSON, and for ArviZ."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
 
+from .. import __version__
 from .._display import interval_text
 from ..posterior.arviz_io import to_arviz as convert
-from ..threads import one_blas_thread
+from ..receptors import Weber
 from . import criticism
-from .criticism import prior_draws
-from .integrate import refined
-from .likelihood import Draws, WeberModel
-from .posteriors import QuadraturePosterior, WeberPosterior
+from .cue_encoding import CueEncoding
+from .encodings import Encoding, IdentityEncoding
+from .likelihood import Draws
+from .priors import Priors, in_words
+from .tasks import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
 if TYPE_CHECKING:
     from .population_fit import PopulationFit
     from .result import WeberFit
+
+Array = NDArray[np.float64]
 
 
 def report(fit: WeberFit) -> str:
@@ -51,8 +53,7 @@ def _answer(fit: WeberFit) -> str:
         unit = f" {fit.unit}" if fit.unit else ""
         lines.append(
             f"Weber fraction{unit}: {fit.weber_fraction:.3g}, 95 % between {low:.3g} and "
-            f"{high:.3g} "
-            f"(prior {fit.model.priors.words('weber_fraction')})."
+            f"{high:.3g} (prior {fit.model.priors.words('weber_fraction')})."
         )
     for name in fit.parameters:
         if name != "weber_fraction":
@@ -86,9 +87,14 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
             f"{worst['observed']:.2f} seen, {worst['expected']:.2f} expected. "
             f"The interval above takes the model for granted and is too narrow.{_remedy(fit)}"
         )
-    lines += _failed_checks(fit, least_p)
+    table = criticism.checks(fit).drop(index="levels", errors="ignore")  # that is the misfit
+    lines += [
+        f"The data show what a stationary observer does not ({name}, posterior-predictive "
+        f"p = {row['p']:.2g}); try {row['remedy']}."
+        for name, row in table[table["p"] < least_p].iterrows()
+    ]
     lines += _sensitivity(fit)
-    if _poor(fit):
+    if fit.status.ok and fit.weber_fraction > 0.5 and not fit.unit and fit.noise == "weber":
         lines.append(
             "At a Weber fraction this large the curve levels off below 1 of itself, as lapses make "
             "it do; the two are hard to distinguish."
@@ -96,16 +102,6 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
     if len(lines) == 1:
         lines.append("Nothing in the table speaks against the model.")
     return "\n".join(lines)
-
-
-def _failed_checks(fit: WeberFit, least_p: float) -> list[str]:
-    """What the data have too much of, but for the misfit, which has its own sentence."""
-    table = criticism.checks(fit).drop(index="levels", errors="ignore")
-    return [
-        f"The data show what a stationary observer does not ({name}, posterior-predictive "
-        f"p = {row['p']:.2g}); try {row['remedy']}."
-        for name, row in table[table["p"] < least_p].iterrows()
-    ]
 
 
 def _sensitivity(fit: WeberFit, least: float = 0.05) -> list[str]:
@@ -129,10 +125,6 @@ def _remedy(fit: WeberFit) -> str:
     if len(fit.trials.sessions) > 1:
         return " Try fewer sessions: the animal may have changed."
     return ""
-
-
-def _poor(fit: WeberFit) -> bool:
-    return fit.status.ok and fit.weber_fraction > 0.5 and not fit.unit and fit.noise == "weber"
 
 
 def _next(fit: WeberFit) -> str:
@@ -191,42 +183,6 @@ def _number(value: float) -> str:
     return f"{value:.4g}" if np.isfinite(value) else "out of reach"
 
 
-# What one might believe instead: an animal that never lapses, seldom, or often.
-BELIEFS = {"never": 0.0, "seldom": stats.beta(1.0, 20.0), "often": stats.beta(1.0, 9.0)}
-
-
-@one_blas_thread
-def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFrame:
-    """Median and 95 % interval of k with other lapse priors than those of the fit.
-
-    Lapses and a poor Weber fraction explain the same errors, so the belief about lapses moves k, by
-    less the more easy trials there are.
-
-    Returns
-    -------
-    DataFrame
-        `lapses` ("as fitted", "never", "seldom": Beta(1, 20), "often": Beta(1, 9)),
-        `weber_fraction`, `lower`, `upper`, `change` (relative to the fit). Only the fit's own row
-        where the Weber fraction is fixed, the task has no free lapse, or emcee was needed.
-    """
-    own = list(posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
-    rows = [("as fitted", *own)]
-    free = [n for n in model.lapse_names if n in model.names]
-    if free and "weber_fraction" in model.names and isinstance(posterior, QuadraturePosterior):
-        for words, belief in BELIEFS.items():
-            changed: dict[str, Any] = dict.fromkeys(free, belief)
-            priors = replace(model.priors, **changed)
-            other = replace(model, priors=priors).merged()
-            grid = QuadraturePosterior(other, refined(other), 0)
-            rows.append((words, *grid.quantile("weber_fraction", [0.5, 0.025, 0.975])))
-    table = pd.DataFrame(rows, columns=["lapses", "weber_fraction", "lower", "upper"])
-    table["change"] = table["weber_fraction"] / own[0] - 1
-    return table
-
-
-Array = NDArray[np.float64]
-
-
 def to_arviz(fit: WeberFit, seed: int = 0) -> Any:
     """Posterior, prior, posterior-predictive, log-likelihood and observed data, for ArviZ.
 
@@ -263,7 +219,7 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> Any:
         dims["bias"], coords["standard"] = ["standard"], fit.trials.standards
     return convert(
         named(draws),
-        prior=named(prior_draws(model, len(draws), rng)),
+        prior=named(criticism.prior_draws(model, len(draws), rng)),
         posterior_predictive={"answers": chained(model.simulate(draws, rng))},
         log_likelihood={"answers": chained(by_cell)},
         observed_data={"answers": cells.count},
@@ -276,79 +232,6 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> Any:
         dims=dims,
         attrs={"status": fit.status.message, "method": fit.method, "source": fit.trials.source},
     )
-
-
-DESCRIPTIONS = {
-    "subject": "who answered",
-    "session": "session, from 1",
-    "trial": "trial within the session, from 1",
-    "standard": "stimulus that the others are compared with",
-    "stimulus_1": "first stimulus",
-    "stimulus_2": "second stimulus",
-    "n": "trials in this row",
-    "choice": "1: the second was reported greater, 0: the first; empty: no answer",
-    "correct": "1: right, 0: wrong; empty: no answer",
-    "n_greater": "of these trials, how many reported the second greater",
-    "n_correct": "of these trials, how many were right",
-}
-_TYPES = {"f": "number", "i": "integer", "u": "integer", "b": "boolean"}
-
-
-def describe_table(
-    name: str, table: pd.DataFrame, *, unit: str = "", **remarks: Any
-) -> dict[str, Any]:
-    """A table's entry in a data package: path, schema, and remarks such as `title` and `truth`.
-
-    Parameters
-    ----------
-    name : str
-        Of the file, without `.csv`.
-    table : DataFrame
-        As `Trials.table` gives it; a column may carry a unit in its name, as `stimulus_1_mm` does.
-    unit : str
-        Of the stimuli.
-    **remarks
-        Anything with a JSON form.
-
-    Examples
-    --------
-    >>> from weberwhisk import simulate_trials
-    >>> entry = describe_table("t", simulate_trials(seed=1).table(), unit="g", title="Weights")
-    >>> entry["schema"]["fields"][2]
-    {'name': 'standard', 'type': 'number', 'description': 'stimulus that the others are compared
-    with', 'unit': 'g'}
-    """
-    fields = []
-    for column in map(str, table.columns):
-        kind = _TYPES.get(table[column].dtype.kind, "string")
-        base = next(
-            (known for known in (column, column.rpartition("_")[0]) if known in DESCRIPTIONS), ""
-        )
-        field = {"name": column, "type": kind, "description": DESCRIPTIONS.get(base, column)}
-        if unit and base in ("standard", "stimulus_1", "stimulus_2"):
-            field["unit"] = unit
-        fields.append(field)
-    title = {"title": remarks.pop("title")} if "title" in remarks else {}
-    return {
-        "name": name.replace("_", "-"),
-        "path": f"{name}.csv",
-        **title,
-        "format": "csv",
-        "mediatype": "text/csv",
-        "encoding": "utf-8",
-        "schema": {"fields": fields, "missingValues": [""]},
-        **remarks,
-    }
-
-
-def data_package(name: str, title: str, resources: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The contents of a `datapackage.json` for tables described by `describe_table`."""
-    return {
-        "name": name,
-        "title": title,
-        "licenses": [{"name": "BSD-3-Clause"}],
-        "resources": [dict(entry) for entry in resources],
-    }
 
 
 def as_dict(fit: WeberFit) -> dict[str, Any]:
@@ -364,8 +247,8 @@ def as_dict(fit: WeberFit) -> dict[str, Any]:
         "message": fit.status.message,
         "notes": list(fit.notes),
         "parameters": fit.summary().to_dict(orient="index"),
-        "thresholds": _plain(fit.threshold().to_dict(orient="records")),
-        "lapse_sensitivity": fit.lapse_sensitivity.to_dict(orient="records"),
+        "thresholds": rows_for_json(fit.threshold()),
+        "lapse_sensitivity": rows_for_json(fit.lapse_sensitivity),
         "log_evidence": fit.log_evidence,
         "error": fit.posterior.error if np.isfinite(fit.posterior.error) else None,
         "misfit": fit.misfit,
@@ -387,17 +270,17 @@ def as_dict(fit: WeberFit) -> dict[str, Any]:
     }
 
 
-def _plain(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
-    """Infinities as None, which JSON can hold."""
+def rows_for_json(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table; what is lacking or infinite is None, which JSON can hold."""
     return [
-        {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
-        for row in rows
+        {str(k): None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
+        for row in table.to_dict("records")
     ]
 
 
 def population_report(fit: PopulationFit) -> str:
     """A population's fit in words, an animal a line."""
-    lines = [f"{fit.status.value[0].upper()}{fit.status.value[1:]}."]
+    lines = [_sentence(fit.status.value)]
     if fit.population is not None:
         for name in fit.parameters:
             low, high = fit.interval(parameter=name)
@@ -412,3 +295,111 @@ def population_report(fit: PopulationFit) -> str:
             k += f"; from its own trials alone {alone}"
         lines.append(f"{row['subject']}: {row['n']} trials; {k}; {row['status']}.")
     return "\n".join([*lines, *fit.notes]) + "\n"
+
+
+_NOISE = {
+    "weber": "an sd of the Weber fraction k times its own signal",
+    "equal-variance": "the sd that the standard's signal gives, k times it",
+}
+
+
+def methods_paragraph(fit: WeberFit | PopulationFit) -> str:
+    """What was done to the choices, as a methods section says it; every number is the fit's.
+
+    Parameters
+    ----------
+    fit : WeberFit or PopulationFit
+
+    Returns
+    -------
+    str
+        One paragraph without line breaks. Priors are named as SciPy names its distributions.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> text = methods_paragraph(fit_weber(simulate_trials(trials_per_level=10, seed=1)))
+    >>> "lapse_low ~ beta(0.7, 20)" in text
+    True
+    """
+    said = _of_one(cast("WeberFit", fit)) if hasattr(fit, "posterior") else _of_many(fit)
+    made = f"weberwhisk {__version__} (NumPy {np.__version__}, SciPy {version('scipy')})"
+    return " ".join([*said, f"Fits were made with {made}."])
+
+
+def _of_one(fit: WeberFit) -> list[str]:
+    trials, cells = fit.trials, fit.model.cells
+    missing = f" ({trials.n_missing} without an answer were left out)" if trials.n_missing else ""
+    said = [
+        f"A model of the observer was fitted to {_counted(trials.n_trials, 'trial')}{missing} of "
+        f"the task {trials.task.name}, with {_counted(cells.n.size, 'pair')} of stimuli at "
+        f"{_counted(trials.standards.size, 'standard')}.",
+        _encoded(fit.encoding, _NOISE[fit.noise]),
+    ]
+    if isinstance(trials.task, SignedChoice) and not fit.effects:
+        shared = "shared by all standards" if fit.bias == "shared" else fit.bias
+        bias = f"; the bias b is {shared}" if fit.bias != "none" else ""
+        said.append(
+            "The second stimulus is reported greater with probability λ_lo + (1 − λ_lo − λ_hi) "
+            f"Φ(d{' + b' * (fit.bias != 'none')}), where d is the difference of the two signals "
+            f"over its sd and λ_lo, λ_hi are lapse rates{bias}."
+        )
+    if fit.effects:
+        said.append(f"The model also has these effects: {', '.join(fit.effects)}.")
+    believed, lapses = fit.model.priors, trials.task.lapses
+    priors = [f"{name} ~ {words}" for name, words in fit.summary()["prior"].items()]
+    given = ("weber_fraction", *lapses)
+    priors += [f"{n} {believed.words(n)}" for n in given if believed.is_fixed(n)]
+    said.append(f"Parameters and priors: {', '.join(priors)}{_correlated(believed, lapses)}.")
+    return [*said, _how(fit.method), f"The fit's status: {fit.status.name}."]
+
+
+def _of_many(fit: PopulationFit) -> list[str]:
+    trials = int(fit.subjects["n"].sum())
+    levels = "" if fit.sessions is None else f" and {_counted(len(fit.sessions), 'session')}"
+    priors = [f"{name} ~ {fit.believed.words(name)}" for name in ("weber_fraction", *fit.lapses)]
+    own = ["spread", *["session_spread"] * (fit.sessions is not None), "lapse_mean", "lapse_spread"]
+    own += ["bias_scale"] * ("bias_scale" in fit.parameters)
+    priors += [f"{name} ~ {in_words(getattr(fit.priors, name))}" for name in own]
+    return [
+        f"A hierarchical model was fitted to {_counted(trials, 'trial')} of "
+        f"{_counted(len(fit.subjects), 'animal')}{levels}: ln k is normal between animals, each "
+        "learning from the others (partial pooling), and so are the normal scores of lapse rates.",
+        f"Parameters and priors: {', '.join(priors)}.",
+        _how("quadrature"),
+        f"The fit's status: {fit.status.name}.",
+    ]
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def _encoded(encoding: Encoding, noise: str) -> str:
+    if isinstance(encoding, IdentityEncoding):
+        return f"The signal of a stimulus is its magnitude, noisy with {noise}."
+    if isinstance(encoding, CueEncoding):
+        observer, whisker = encoding.observer, encoding.observer.whisker
+        cue, receptors = (type(part).__name__ for part in (observer.cue, observer.noise))
+        hinge = whisker.hinge_stiffness
+        on = "" if hinge is None else f" on a hinge of {hinge:.4g} N m/rad"
+        plain = isinstance(observer.noise, Weber) and len(observer.cue.signal_names) == 1
+        return (
+            f"Radial distance is encoded through a whisker {whisker.length * 1e3:.4g} mm long, of "
+            f"radius {whisker.base_radius * 1e6:.4g} µm at its base and "
+            f"{whisker.tip_radius * 1e6:.4g} µm at its tip,{on} by the cue {cue} with receptors "
+            f"{receptors}{f': the signal is noisy with {noise}' * plain}."
+        )
+    return f"Stimuli are encoded by {type(encoding).__name__}."
+
+
+def _correlated(priors: Priors, lapses: tuple[str, ...]) -> str:
+    """How the beliefs about two lapse rates hang together."""
+    if len(lapses) < 2 or any(priors.is_fixed(name) for name in lapses):
+        return ""
+    return f"; the normal scores of the two lapse rates correlate by {priors.lapse_correlation:g}"
+
+
+def _how(method: str) -> str:
+    by = "by quadrature" if method == "quadrature" else f"with {method}"
+    return f"Posteriors were computed {by}; estimates are medians with equal-tailed 95 % intervals."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -21,12 +21,8 @@ from .effects import Effect
 from .encodings import Encoding, refuse_outside
 from .likelihood import Draws, WeberModel
 from .posteriors import WeberPosterior
-from .report import lapse_sensitivity
 from .trials import Trials
-from .verdict import FitStatus
-
-if TYPE_CHECKING:
-    from .law import WeberLawTest
+from .verdict import FitStatus, WeberLawTest, lapse_sensitivity, weber_law_test
 
 Array = NDArray[np.float64]
 
@@ -343,15 +339,11 @@ class WeberFit(Shown):
 
     def weber_law_test(self) -> WeberLawTest:
         """One Weber fraction for all standards, against one for each: a Bayes factor."""
-        from .law import weber_law_test
-
         return weber_law_test(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything a reader needs to use or repeat the fit, ready for JSON."""
-        from .report import as_dict
-
-        return as_dict(self)
+        return report.as_dict(self)
 
     def to_json(self) -> str:
         """`to_dict()` as JSON; an unreachable threshold is null."""
@@ -359,9 +351,7 @@ class WeberFit(Shown):
 
     def to_arviz(self) -> Any:
         """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data."""
-        from .report import to_arviz
-
-        return to_arviz(self)
+        return report.to_arviz(self)
 
 
 def _tails(mass: float) -> tuple[float, float]:

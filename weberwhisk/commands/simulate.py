@@ -11,8 +11,8 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import numbers
 from ..behaviour.effects import effect_valued
-from ..behaviour.report import data_package, describe_table
 from ..behaviour.simulate import SIGNED_OFFSETS
+from ..behaviour.trials import data_package, describe_table
 from ..output import Run, atomic_write, csv_text, to_json
 from .distance import ReceptorsOption, distance_encoding
 from .options import (

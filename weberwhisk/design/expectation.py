@@ -14,9 +14,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
-from ..behaviour.encodings import difference_sd
 from ..behaviour.fit import fit_weber
-from ..behaviour.psychometric import response_probability
+from ..behaviour.psychometric import difference_sd, response_probability
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Cells, Trials
 from ..jnd import criterion_factor

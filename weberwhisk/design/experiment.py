@@ -11,14 +11,8 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from ..behaviour.encodings import (
-    CueEncoding,
-    Encoding,
-    checked_encoding,
-    difference_sd,
-    gives_signal,
-    refuse_out_of_reach,
-)
+from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, gives_signal
+from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..observer import Observer

@@ -13,17 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
 from ..behaviour.comparison import ConstantNoise
-from ..behaviour.encodings import (
-    CueEncoding,
-    Encoding,
-    checked_encoding,
-    refuse_out_of_reach,
-    unit_encodings,
-)
+from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, unit_encodings
 from ..behaviour.fit import BIASES
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors
+from ..behaviour.psychometric import refuse_out_of_reach
 from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import Cells
 from ..cues import Compliance, ForceMap

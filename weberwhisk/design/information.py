@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
 from .. import _checks
-from ..behaviour.encodings import UnitEncodings, difference_sd, refuse_out_of_reach, unit_encodings
+from ..behaviour.encodings import UnitEncodings, unit_encodings
 from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.integrate.windows import bias_at
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.likelihood import WeberModel
+from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct

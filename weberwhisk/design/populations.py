@@ -23,9 +23,9 @@ from ..behaviour.integrate.batch import (
     log_sum,
     narrowest_bias,
 )
-from ..behaviour.integrate.blocks import NOTHING, with_tail
+from ..behaviour.integrate.blocks import NOTHING
 from ..behaviour.integrate.windows import Steps
-from ..behaviour.lapses import AS_BELIEVED, BiasScales
+from ..behaviour.lapses import AS_BELIEVED, BiasScales, with_tail
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors
 

@@ -13,14 +13,8 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from ..behaviour.encodings import (
-    Encoding,
-    checked_encoding,
-    decision_variable,
-    difference_sd,
-    in_words,
-    refuse_out_of_reach,
-)
+from ..behaviour.encodings import Encoding, checked_encoding
+from ..behaviour.psychometric import decision_variable, difference_sd, in_words, refuse_out_of_reach
 from ..behaviour.trials import Cells
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from .. import _checks
-from ..behaviour.encodings import decision_variable
+from ..behaviour.psychometric import decision_variable
 from ..campaign.log import Log
 from .hypotheses import Hypothesis
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog

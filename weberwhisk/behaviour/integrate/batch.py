@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lapses import BiasScales, score_prior
+from ..lapses import BiasScales, lapse_weights, score_prior
 from ..likelihood import WeberModel
-from .blocks import NOTHING, ChoiceNodes, lapse_weights
+from .blocks import NOTHING, ChoiceNodes
 from .windows import Steps, Windows, everything, kept, least_bias_sds, least_sds, outer_signals
 
 Array = NDArray[np.float64]

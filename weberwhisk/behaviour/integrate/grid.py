@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ..lapses import lapse_prior
+from ..lapses import lapse_prior, lapse_weights, with_tail
 from ..likelihood import WeberModel
 from .batch import outer_prior, zoomed
-from .blocks import ChoiceNodes, lapse_weights, with_tail
+from .blocks import ChoiceNodes
 from .windows import Steps, Windows, least_sds
 
 Array = NDArray[np.float64]

@@ -21,9 +21,6 @@ from ..priors import REACH
 
 Array = NDArray[np.float64]
 
-FAR = 8.0  # scores of k, effects and biases beyond which nothing is looked for
-FAR_LAPSE = -3.5, 5.0  # the same of a lapse: below the first there is none
-
 
 @dataclass(frozen=True)
 class Steps:
@@ -102,20 +99,20 @@ def even(low: float, high: float, step: float) -> Array:
     return np.linspace(low, high, int(np.ceil((high - low) / step - 1e-9)) + 1)
 
 
-def everything(model: WeberModel, count: int) -> Windows:
-    """Windows that hold whatever there may be."""
+def everything(model: WeberModel, count: int, far: float = 8.0, far_lapse: float = 5.0) -> Windows:
+    """Windows that hold whatever there may be, up to these scores."""
     lapses = [
-        (model.no_lapse[name], float(transform.coordinate(FAR_LAPSE[1]))) if free else (0.0, 0.0)
+        (model.no_lapse[name], float(transform.coordinate(far_lapse))) if free else (0.0, 0.0)
         for name, transform, free in zip(
             model.lead[-2:], model.transforms[-2:], model.free[-2:], strict=True
         )
     ]
-    bias = (-FAR, FAR) if model.free_bias else (0.0, 0.0)
+    bias = (-far, far) if model.free_bias else (0.0, 0.0)
     box = np.array([*lapses, *[bias] * model.n_groups])
     low, high = (np.repeat(side[:, None, None], count, axis=2) for side in box.T)
-    far = [FAR if free else 0.0 for free in model.free[:-2]]
-    outer = np.array([[np.full(count, -f), np.full(count, f)] for f in far])
-    return Windows(tuple(np.zeros(1) for _ in far), outer, low, high)
+    ends = [far if free else 0.0 for free in model.free[:-2]]
+    outer = np.array([[np.full(count, -f), np.full(count, f)] for f in ends])
+    return Windows(tuple(np.zeros(1) for _ in ends), outer, low, high)
 
 
 def kept(
