@@ -146,21 +146,21 @@ def test_a_push_tells_more_of_a_peg_than_of_anything_round() -> None:
     by = {name: rows.reset_index() for name, rows in table.groupby("object", sort=False)}
     observer = ww.Observer(WHISKER, ww.cues.ForceMap())
     peg = fisher_jnd(observer, np.stack([np.full(3, 25e-3), push], axis=-1))
-    np.testing.assert_allclose(by["peg"]["jnd"], peg, rtol=1e-5)
-    order = [by[name]["jnd"].to_numpy() for name in list(by)[:4]]
+    np.testing.assert_allclose(by["peg"]["jnd_mm"], 1e3 * peg, rtol=1e-5)
+    order = [by[name]["jnd_mm"].to_numpy() for name in list(by)[:4]]
     assert all((a < b).all() for a, b in pairwise(order))
     wall = by["wall, by the tip"]
     assert wall["tip"].tolist() == [True, False, False]
-    assert np.isnan(wall["jnd"][0])
-    assert wall["jnd"][1] < wall["jnd"][2] < by["peg"]["jnd"][2]
+    assert np.isnan(wall["jnd_mm"][0])
+    assert wall["jnd_mm"][1] < wall["jnd_mm"][2] < by["peg"]["jnd_mm"][2]
 
 
 def test_a_followed_distance_lies_in_its_band() -> None:
     table = along_whisk.lateral_sweep(WHISKER, 25e-3, np.radians(np.arange(2.0, 31.0, 4.0)))
-    inside = table["true_distance"].between(table["lower"], table["upper"])
+    inside = table["true_distance_mm"].between(table["lower_mm"], table["upper_mm"])
     assert inside.mean() > 0.8
-    slid = table[table["object"] != "peg"]["true_distance"]
-    assert slid.iloc[0] - slid.iloc[-1] > 4e-3
+    slid = table[table["object"] != "peg"]["true_distance_mm"]
+    assert slid.iloc[0] - slid.iloc[-1] > 4
 
 
 def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> None:
@@ -168,36 +168,37 @@ def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> No
     table = along_whisk.limits(WHISKER, r)
     observer = ww.Observer(WHISKER, ww.cues.Compliance())
     light = along_whisk.limits(WHISKER, r, push=1e-3, torque=1.0, saturation=1.0, threshold=1e-15)
-    np.testing.assert_allclose(light["weber"], fisher_jnd(observer, r[:, None]) * np.sqrt(1.02),
-                               rtol=2e-3)  # fmt: skip
-    np.testing.assert_allclose(light["all"], light["weber"], rtol=1e-5)
-    np.testing.assert_allclose(table.loc[table["stopped"], "moment"], 4e-6, rtol=1e-6)
+    expected = 1e3 * fisher_jnd(observer, r[:, None]) * np.sqrt(1.02)
+    np.testing.assert_allclose(light["weber_mm"], expected, rtol=2e-3)
+    np.testing.assert_allclose(light["all_mm"], light["weber_mm"], rtol=1e-5)
+    moment = table["moment_micronewton_metre"]
+    np.testing.assert_allclose(moment[table["stopped"]], 4, rtol=1e-6)
     assert table["stopped"].any()
-    assert table.loc[table["moment"] > 2.5e-6, "all"].isna().all()
-    assert (table["threshold"] >= table["weber"]).all()
+    assert table.loc[moment > 2.5, "all_mm"].isna().all()
+    assert (table["threshold_mm"] >= table["weber_mm"]).all()
 
 
 def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
     angles = np.radians([16.0, 24.0])
     at = along_whisk.bodies(25e-3, [5e-3])
     none = along_whisk.reversal(WHISKER, 25e-3, angles, friction_coefficient=0.0, objects=at)
-    np.testing.assert_allclose(none["bias"], 0.0, atol=1e-9)
+    np.testing.assert_allclose(none["bias_mm"], 0.0, atol=1e-6)
     table = along_whisk.reversal(WHISKER, 25e-3, angles, objects=at)
     by = table.set_index(["object", "base", "direction"])
-    assert (by.loc[("peg", "rotates", "let go"), "bias"] > 0).all()
-    assert (by.loc[("peg", "rotates", "pressed"), "bias"] < 0).all()
-    moved = by.loc[("peg", "translates", "pressed"), "radial_distance"].to_numpy()
-    np.testing.assert_allclose(moved, 25e-3 / np.cos(angles), rtol=1e-9)
+    assert (by.loc[("peg", "rotates", "let go"), "bias_mm"] > 0).all()
+    assert (by.loc[("peg", "rotates", "pressed"), "bias_mm"] < 0).all()
+    moved = by.loc[("peg", "translates", "pressed"), "radial_distance_mm"].to_numpy()
+    np.testing.assert_allclose(moved, 25 / np.cos(angles), rtol=1e-9)
     # By hand, at a peg: what is felt with friction, taken for a contact without.
     bent = ww.press(WHISKER, 25e-3, angles, -np.arctan(0.3))
     felt = np.stack([bent.moment, bent.axial_force], axis=-1)
-    off = ww.cues.ForceMap().contact(WHISKER, felt)[0][:, 0] - 25e-3
-    np.testing.assert_allclose(by.loc[("peg", "rotates", "pressed"), "bias"], off, rtol=1e-4)
+    off = 1e3 * ww.cues.ForceMap().contact(WHISKER, felt)[0][:, 0] - 25
+    np.testing.assert_allclose(by.loc[("peg", "rotates", "pressed"), "bias_mm"], off, rtol=1e-4)
     # A base that moves on rolls the contact along a cylinder, inwards as one that turns does.
     for base in ("rotates", "translates"):
         there = by.loc[("cylinder, 5 mm", base, "pressed")]
-        assert (np.diff(there["radial_distance"]) < 1e-4).all()
-        assert (there["radial_distance"] < 24e-3).all()
+        assert (np.diff(there["radial_distance_mm"]) < 0.1).all()
+        assert (there["radial_distance_mm"] < 24).all()
 
 
 def test_a_distance_that_is_none_is_refused_in_one_sentence() -> None:

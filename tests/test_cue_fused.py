@@ -159,7 +159,7 @@ def test_two_taps_are_one_of_half_the_variance():
     assert two == pytest.approx(one / np.sqrt(2), rel=1e-12)
     table = ww.fused_jnds(ww.Observer(W, TWO_TAPS), r)
     assert table["gain"].to_numpy() == pytest.approx(np.full(3, np.sqrt(2)))
-    assert table["optimal"].to_numpy() == pytest.approx(table["together"].to_numpy())
+    assert table["optimal_mm"].to_numpy() == pytest.approx(table["together_mm"].to_numpy())
 
 
 def test_intervals_cover_in_one_dimension():
@@ -184,8 +184,8 @@ def test_posteriors_have_the_propagated_width_at_small_noise():
 def test_cues_that_share_distance_alone_combine_optimally():
     contact = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)
     table = ww.fused_jnds(ww.Observer(W, MAP_AND_TAP), contact)
-    assert np.allclose(table["together"], table["optimal"], rtol=1e-9)
-    assert np.all(table["together"] < table["best"])
+    assert np.allclose(table["together_mm"], table["optimal_mm"], rtol=1e-9)
+    assert np.all(table["together_mm"] < table["best_mm"])
     assert np.all(table["gain"] <= np.sqrt(2) * (1 + 1e-9))
 
 
@@ -193,17 +193,17 @@ def test_cues_that_need_the_same_unknown_tell_more_together_than_optimal():
     """Moment and axial force: neither tells anything alone where the angle is unknown."""
     pair = Fused(ForceMap("moment"), ForceMap("axial_force"))
     table = ww.fused_jnds(ww.Observer(W, pair), [25e-3, 0.2])
-    assert np.isinf(table["best"][0])
-    assert np.isinf(table["optimal"][0])
+    assert np.isinf(table["best_mm"][0])
+    assert np.isinf(table["optimal_mm"][0])
     whole = fisher_jnd(ww.Observer(W, ForceMap()), [25e-3, 0.2])
-    assert table["together"][0] == pytest.approx(whole, rel=1e-9)
+    assert table["together_mm"][0] == pytest.approx(1e3 * whole, rel=1e-9)
 
 
 def test_cues_that_share_a_prior_tell_less_together_than_optimal():
     """The stiffness is as well known beforehand as it is, once and not for each cue."""
     table = ww.fused_jnds(ww.Observer(W, SOFT), [25e-3, 0.2, 1.0])
-    assert table["optimal"][0] < 0.95 * table["together"][0]
-    assert table["together"][0] < table["best"][0]
+    assert table["optimal_mm"][0] < 0.95 * table["together_mm"][0]
+    assert table["together_mm"][0] < table["best_mm"][0]
 
 
 # -- bits --------------------------------------------------------------------------------------
@@ -257,10 +257,10 @@ def test_prior_draws_have_the_priors_distribution():
 def test_what_cues_add_is_less_than_what_they_tell_alone():
     table = ww.added_information(ww.Observer(W, MAP_AND_TAP), n_readings=60, seed=1)
     assert table["cue"].tolist() == [*map(repr, MAP_AND_TAP.cues), "all"]
-    error = 4 * np.hypot(table["alone_error"], table["added_error"])
-    assert np.all(table["added"][:2] < (table["alone"] + error)[:2])
-    assert table["alone"][2] > table["alone"][:2].max() - error.max()
-    assert np.all(table["added"][:2] > -error[:2])
+    error = 4 * np.hypot(table["alone_error_bits"], table["added_error_bits"])
+    assert np.all(table["added_bits"][:2] < (table["alone_bits"] + error)[:2])
+    assert table["alone_bits"][2] > table["alone_bits"][:2].max() - error.max()
+    assert np.all(table["added_bits"][:2] > -error[:2])
 
 
 @pytest.mark.parametrize(

@@ -94,10 +94,10 @@ def test_information_is_the_expected_gain_of_brute_force(standard, offset):
     mean = np.array([weight @ p[n] for n in APEX])
     about_model = bits(mean.mean()) - bits(mean).mean()
     # 280 bins of 400 000 draws add 280/(2·400 000·ln 2) = 5e-4 bits of their own.
-    assert table["weber_fraction"] == pytest.approx(about_k, abs=1.2e-3)
-    assert table["jnd"] == pytest.approx(about_jnd, abs=1.2e-3)
+    assert table["weber_fraction_bits"] == pytest.approx(about_k, abs=1.2e-3)
+    assert table["jnd_bits"] == pytest.approx(about_jnd, abs=1.2e-3)
     # The lapses' prior ends where they fill the curve, which its nodes meet to about 1 %.
-    assert table["hypothesis"] == pytest.approx(about_model, rel=0.02, abs=3e-4)
+    assert table["hypothesis_bits"] == pytest.approx(about_model, rel=0.02, abs=3e-4)
 
 
 def test_information_after_trials_is_that_of_brute_force():
@@ -106,7 +106,7 @@ def test_information_after_trials_is_that_of_brute_force():
     animal = SubjectPopulation(0.1, 0.0, 0.03, 0.0)
     table = information(
         (TAPERED,), [15e-3, 45e-3], [2e-3], after=before, expected=animal
-    ).set_index("standard")  # fmt: skip
+    ).set_index("standard_mm")  # fmt: skip
     k, low, high, bias = draws(400_000, 2)
     other = np.random.default_rng(3).standard_normal(k.size)
     log_like = 0.0
@@ -119,7 +119,7 @@ def test_information_after_trials_is_that_of_brute_force():
     for standard, own in ((15e-3, bias), (45e-3, other)):  # a new standard has a bias of its own
         p = probability(standard, standard + 2e-3, APEX["tapered"], k, low, high, own)
         wanted = by_bins(np.log(k), weight, p, EDGES)
-        assert table["weber_fraction"][standard] == pytest.approx(wanted, abs=3e-3)
+        assert table["weber_fraction_bits"][1e3 * standard] == pytest.approx(wanted, abs=3e-3)
 
 
 def test_information_is_the_mean_log_posterior_ratio_of_simulated_answers():
@@ -128,7 +128,7 @@ def test_information_is_the_mean_log_posterior_ratio_of_simulated_answers():
         [Hypothesis("a", IdentityEncoding(), bias="none")], lapse_low=0.02, lapse_high=0.02,
         weber_fraction=lognorm(0.5, scale=0.2),
     )  # fmt: skip
-    wanted = information([known], [1.0], [0.2])["weber_fraction"][0]
+    wanted = information([known], [1.0], [0.2])["weber_fraction_bits"][0]
     rng = np.random.default_rng(1)
     k = 0.2 * np.exp(0.5 * rng.standard_normal(200_000))
 
@@ -159,10 +159,10 @@ def test_information_is_the_slope_of_what_is_expected_to_be_known():
     chance = prior @ p
     drop = entropy(0 * x) - chance * entropy(np.log(p)) - (1 - chance) * entropy(np.log1p(-p))
     table = information([known], [1.0], [0.3])
-    assert table["weber_fraction"][0] == pytest.approx(drop, abs=1e-4)
+    assert table["weber_fraction_bits"][0] == pytest.approx(drop, abs=1e-4)
     # One hypothesis: its JND is k times a number, and there is nothing to tell apart.
-    assert table["jnd"][0] == pytest.approx(drop, abs=1e-4)
-    assert table["hypothesis"][0] == 0
+    assert table["jnd_bits"][0] == pytest.approx(drop, abs=1e-4)
+    assert table["hypothesis_bits"][0] == 0
 
 
 def test_what_is_known_already_is_not_told_again():
@@ -171,16 +171,16 @@ def test_what_is_known_already_is_not_told_again():
         information((TAPERED, CYLINDRICAL), [15e-3, 30e-3, 42e-3], [1.5e-3], after=scheme)
         for scheme in (None, before)
     )
-    for about in ("weber_fraction", "jnd", "hypothesis"):
+    for about in ("weber_fraction_bits", "jnd_bits", "hypothesis_bits"):
         assert (after[about] > 0).all()
-    assert (after["weber_fraction"] < 0.2 * fresh["weber_fraction"]).all()
+    assert (after["weber_fraction_bits"] < 0.2 * fresh["weber_fraction_bits"]).all()
 
 
 def test_any_cue_has_information_and_what_is_not_felt_has_none():
     lapsing = Hypothesis("map", CueEncoding(ww.Observer(WHISKER, kinds.ForceMap()), 0.1))
     table = information([lapsing], [20e-3, 44e-3], [-1e-3, 1e-3, 8e-3])
-    assert np.isnan(table["weber_fraction"].to_numpy()).tolist() == [False] * 5 + [True]
-    assert (table["weber_fraction"].dropna() > 0).all()
+    assert np.isnan(table["weber_fraction_bits"].to_numpy()).tolist() == [False] * 5 + [True]
+    assert (table["weber_fraction_bits"].dropna() > 0).all()
 
 
 # -- the best scheme -----------------------------------------------------------------------------

@@ -296,8 +296,9 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         {"truth": ["tapered", "cylindrical"] * 3, "log_bayes_factor": np.linspace(-1, 6, 6)}
     )
     bits = pd.DataFrame(
-        {"cue": ["vibration, 3 modes with phase (d)", "tap (e)", "both"], "alone": [2.8, 4.0, 5.0],
-         "alone_error": 0.1, "added": [1.0, 1.6, np.nan], "added_error": 0.1}
+        {"cue": ["vibration, 3 modes with phase (d)", "tap (e)", "both"],
+         "alone_bits": [2.8, 4.0, 5.0], "alone_error_bits": 0.1,
+         "added_bits": [1.0, 1.6, np.nan], "added_error_bits": 0.1}
     )  # fmt: skip
     whiskers = ww.WhiskerArray("rat", "right").protract(np.radians(40))
     all_of_them = ww.ArrayObserver(whiskers)

@@ -19,7 +19,8 @@ def test_rows_are_those_of_jnd_curve(angles):
     for (fraction, angle), seed in zip(places, seeds, strict=True):
         cue = ww.cues.Compliance() if angle is None else ww.cues.ForceMap()
         observer = ww.Observer(W, cue, ww.receptors.Weber(fraction))
-        parts.append(ww.jnd_curve(observer, r, angle, n_readings=4, seed=seed).frame)
+        curve = ww.jnd_curve(observer, r, angle, n_readings=4, seed=seed)
+        parts.append(curve.table.reset_index())
         parts[-1].insert(0, "weber_fraction", fraction)
     pd.testing.assert_frame_equal(table, pd.concat(parts, ignore_index=True), check_exact=True)
 

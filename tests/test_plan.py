@@ -86,10 +86,10 @@ def test_every_list_holds_the_scheme_and_is_balanced(
     for _, own in lists.groupby("subject"):
         # The scheme, no more and no less.
         assert own["level"].value_counts(sort=False).sort_index().tolist() == list(levels["trials"])
-        level = levels.iloc[own["level"] - 1]
-        np.testing.assert_array_equal(own["standard"], level["standard"])
+        cells, level = scheme.cells(), own["level"].to_numpy() - 1
+        np.testing.assert_array_equal(own["standard"], cells.standard[level])
         pair = np.sort(own[["stimulus_1", "stimulus_2"]], axis=1)
-        both = np.sort(level[["standard", "comparison"]], axis=1)
+        both = np.sort(np.stack([cells.standard, cells.stimulus_2], axis=-1)[level], axis=1)
         np.testing.assert_array_equal(pair, both)
         # The right answer is what it says.
         farther = np.where(own["stimulus_2"] > own["stimulus_1"], 2, 1)
@@ -603,12 +603,12 @@ def test_expected_jnds_are_the_papers(plan: Plan) -> None:
     whisker = Whisker.from_identity("C3")
     for hypothesis, fit in plan.expected_fits:
         own = plan.jnds.query("hypothesis == @hypothesis")
-        r = own["stimulus"].to_numpy()
-        shape = r if hypothesis == "cylindrical" else r * (1 - r / whisker.apex_distance)
+        r = own["stimulus_mm"].to_numpy()
+        shape = r if hypothesis == "cylindrical" else r * (1 - r / (1e3 * whisker.apex_distance))
         expected = 0.953873 * fit.weber_fraction * shape
-        np.testing.assert_allclose(own["jnd"], expected, rtol=2e-5)
-        assert (own["lower"] < own["jnd"]).all()
-        assert (own["jnd"] < own["upper"]).all()
+        np.testing.assert_allclose(own["jnd_mm"], expected, rtol=2e-5)
+        assert (own["lower_mm"] < own["jnd_mm"]).all()
+        assert (own["jnd_mm"] < own["upper_mm"]).all()
 
 
 def test_expected_shares_hold_95_percent_of_animals(plan: Plan) -> None:

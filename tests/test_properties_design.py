@@ -65,7 +65,7 @@ def test_a_scheme_counts_what_it_holds(scheme: Scheme) -> None:
     assert again == scheme
     more = scheme.with_animals(5).with_trials(3)
     assert more.total_trials == 15 * len(table)
-    offsets = table["comparison"] - table["standard"]
+    offsets = scheme.cells().stimulus_2 - scheme.cells().standard
     # Comparisons are given to twelve digits, so that lists of trials are the same everywhere.
     wanted = np.concatenate(scheme.offsets)
     np.testing.assert_allclose(offsets, wanted, atol=1e-11 * max(scheme.standards))

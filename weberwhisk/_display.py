@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import IntEnum
 from html import escape
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
@@ -57,6 +57,27 @@ class Shown:
         figures = Shown._load_figures()
         drawn: Figure = figures.shown(getattr(figures, self._figure), self, ax, options)
         return drawn
+
+
+def with_units(
+    table: pd.DataFrame, lengths: Iterable[str] = (), angles: Iterable[str] = ()
+) -> pd.DataFrame:
+    """A table in SI units in mm and degrees, which the names of its columns then say.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"at": [20e-3], "push": [0.1], "outcome": ["held"]})
+    >>> with_units(table, ["at"], ["push"]).round(3).to_dict("records")
+    [{'at_mm': 20.0, 'push_deg': 5.73, 'outcome': 'held'}]
+    """
+    named: dict[str, str] = {}
+    found = table.copy()
+    for names, unit, scale in ((lengths, "mm", 1e3), (angles, "deg", 180 / math.pi)):
+        for name in names:
+            found[name] = table[name] * scale
+            named[name] = f"{name}_{unit}"
+    return found.rename(columns=named)
 
 
 Member = TypeVar("Member", bound=IntEnum)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import elementwise
 
 from . import _checks
+from ._display import with_units
 from .cues import ForceMap
 from .jnd import fisher_jnd
 from .mechanics import press
@@ -66,8 +67,9 @@ def resolution_along_push(
     Returns
     -------
     DataFrame
-        A row an object and push: `object`, `push`, `radial_distance`, `deflection_angle`, `jnd`,
-        `tip` (whether the tip touches), `outcome`. NaN once the whisker has flicked past.
+        A row an object and push: `object`, `push_deg`, `radial_distance_mm`,
+        `deflection_angle_deg`, `jnd_mm`, `tip` (whether the tip touches), `outcome`. NaN once the
+        whisker has flicked past.
 
     Notes
     -----
@@ -93,7 +95,8 @@ def resolution_along_push(
                  "jnd": jnd, "tip": tip, "outcome": [Outcome(int(o)).name for o in outcome]}
             )
         )  # fmt: skip
-    return pd.concat(parts, ignore_index=True)
+    table = pd.concat(parts, ignore_index=True)
+    return with_units(table, ["radial_distance", "jnd"], ["push", "deflection_angle"])
 
 
 def leaning(whisker: Whisker, angle: float = np.pi / 3) -> Body:
@@ -135,8 +138,8 @@ def lateral_sweep(
     Returns
     -------
     DataFrame
-        `object`, `push`, `true_distance`, `radial_distance` (posterior mean), `distance_sd`,
-        `lower` and `upper` (95 %), m.
+        `object`, `push_deg`, `true_distance_mm`, `radial_distance_mm` (posterior mean),
+        `distance_sd_mm`, `lower_mm` and `upper_mm` (95 %).
     """
     import pandas as pd
 
@@ -162,7 +165,8 @@ def lateral_sweep(
                 }
             )
         )
-    return pd.concat(parts, ignore_index=True)
+    table = pd.concat(parts, ignore_index=True)
+    return with_units(table, table.columns[2:], ["push"])
 
 
 def limits(
@@ -195,10 +199,10 @@ def limits(
     Returns
     -------
     DataFrame
-        `radial_distance`, `deflection_angle` (the one reached), `moment`, and the JNDs `weber`
-        (Weber's law alone), `threshold` (with the floor) and `all` (with saturation too: NaN where
-        the moment is above it, as no reading tells one distance from another there), m; `stopped`
-        says where the torque was the limit.
+        `radial_distance_mm`, `deflection_angle_deg` (the one reached), `moment_micronewton_metre`,
+        and the JNDs `weber_mm` (Weber's law alone), `threshold_mm` (with the floor) and `all_mm`
+        (with saturation too: NaN where the moment is above it, as no reading tells one distance
+        from another there); `stopped` says where the torque was the limit.
 
     Notes
     -----
@@ -230,10 +234,11 @@ def limits(
         for name, noise in (("weber", Weber(weber_fraction)), ("threshold", floored))
     }
     curves["all"] = np.where(moment < saturation, curves["threshold"], np.nan)
-    return pd.DataFrame(
-        {"radial_distance": r, "deflection_angle": angle, "moment": moment, **curves,
-         "stopped": stopped}
+    table = pd.DataFrame(
+        {"radial_distance": r, "deflection_angle": angle,
+         "moment_micronewton_metre": 1e6 * moment, **curves, "stopped": stopped}
     )  # fmt: skip
+    return with_units(table, ["radial_distance", *curves], ["deflection_angle"])
 
 
 def reversal(
@@ -264,10 +269,10 @@ def reversal(
     -------
     DataFrame
         A row an object, way of moving, direction and push: `object`, `base` (rotates or
-        translates), `direction` (pressed or let go), `push`, `deflection_angle`,
-        `radial_distance`, `jnd` (without friction), and `bias`: how far the distance of an observer
-        who takes no account of friction is off, m. NaN where no contact without friction has that
-        moment and axial force, while the tip touches, and from flick-past on.
+        translates), `direction` (pressed or let go), `push_deg`, `deflection_angle_deg`,
+        `radial_distance_mm`, `jnd_mm` (without friction), and `bias_mm`: how far the distance of an
+        observer who takes no account of friction is off. NaN where no contact without friction has
+        that moment and axial force, while the tip touches, and from flick-past on.
 
     Notes
     -----
@@ -299,7 +304,8 @@ def reversal(
                      "bias": assumed - r}
                 )
             )  # fmt: skip
-    return pd.concat(rows, ignore_index=True)
+    table = pd.concat(rows, ignore_index=True)
+    return with_units(table, ["radial_distance", "jnd", "bias"], ["push", "deflection_angle"])
 
 
 def speed(
@@ -318,16 +324,16 @@ def speed(
     Returns
     -------
     DataFrame
-        `radial_distance` (m), `first_frequency`, `one_percent` and `ten_percent` (Hz, up to which
-        the moment is off by no more), for each frequency `error_8Hz`: the largest share that
-        inertia takes off the moment, and `settled`: s after a first contact from which the moment
+        `radial_distance_mm`, `first_frequency_hz`, `one_percent_hz` and `ten_percent_hz` (up to
+        which the moment is off by no more), for each frequency `error_8Hz`: the largest share that
+        inertia takes off the moment, and `settled_s`: after a first contact, from when the moment
         rings with a tenth of itself at most, one JND at k = 0.1, where modes are damped to a tenth
         of critical. See `mechanics.quasi_static`.
 
     Examples
     --------
     >>> table = speed(Whisker(50e-3, 100e-6, 5e-6), [10e-3, 45e-3])
-    >>> table["one_percent"].round(1).tolist()
+    >>> table["one_percent_hz"].round(1).tolist()
     [22.0, 2.5]
     """
     import pandas as pd
@@ -338,8 +344,8 @@ def speed(
         found = quasi_static(whisker, float(at))
         errors = {f"error_{f:g}Hz": float(found.error(f)[1]) for f in frequencies}
         rows.append(
-            {"radial_distance": at, "first_frequency": found.first_frequency,
-             "one_percent": float(found.limit(0.01)), "ten_percent": float(found.limit(0.1)),
-             **errors, "settled": found.settled(0.1)}
+            {"radial_distance_mm": 1e3 * at, "first_frequency_hz": found.first_frequency,
+             "one_percent_hz": float(found.limit(0.01)), "ten_percent_hz": float(found.limit(0.1)),
+             **errors, "settled_s": found.settled(0.1)}
         )  # fmt: skip
     return pd.DataFrame(rows)

@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 
 from ._checks import generator, whole
 from ._deprecated import renamed_arguments
+from ._display import with_units
 from .cues.fused import Fused
 from .cues.protocol import Array, Cue
 from .jnd import SD, criterion_factor, fisher_jnd
 from .observer import Observer
 from .posterior import posterior
 from .posterior.grid import integrate
+from .posterior.result import UNITS
 from .posterior.tiling import prior_box
 from .receptors import ReceptorNoise, Seed
 
@@ -235,9 +237,9 @@ def added_information(
     Returns
     -------
     pandas.DataFrame
-        A row a cue, and last one of all together: ``cue``, ``alone`` and ``added`` in bits, with
-        Monte Carlo errors ``alone_error`` and ``added_error``. The cues' ``added`` do not sum to
-        the whole: what two of them tell alike, neither adds.
+        A row a cue, and last one of all together: ``cue``, ``alone_bits`` and ``added_bits``, with
+        Monte Carlo errors ``alone_error_bits`` and ``added_error_bits``. What the cues add does
+        not sum to the whole: what two of them tell alike, neither adds.
 
     Raises
     ------
@@ -257,7 +259,7 @@ def added_information(
         added = whole.value - others.value, float(np.hypot(whole.error, others.error))
         rows.append((repr(part.cue), *single, *added))
     rows.append(("all", *whole, *whole))
-    columns = ["cue", "alone", "alone_error", "added", "added_error"]
+    columns = ["cue", "alone_bits", "alone_error_bits", "added_bits", "added_error_bits"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -276,9 +278,9 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
     Returns
     -------
     pandas.DataFrame
-        The unknowns, ``criterion``; Fisher JNDs in metres: of each cue under its name, of the
-        ``best`` of them, of their ``optimal`` combination as though they shared nothing but the
-        distance (1/Δ² = Σ 1/Δᵢ²), and ``together``; and ``gain``, best over together. Where cues
+        The unknowns, ``criterion``; Fisher JNDs: of each cue under its name, of the ``best_mm`` of
+        them, of their ``optimal_mm`` combination as though they shared nothing but the distance
+        (1/Δ² = Σ 1/Δᵢ²), and ``together_mm``; and ``gain``, best over together. Where cues
         share another unknown, together is better than optimal if one tells what the other needs,
         and worse if both lean on the same prior of it.
 
@@ -292,9 +294,9 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
     >>> from weberwhisk import Whisker, cues
     >>> fused = cues.Fused(cues.Compliance(), cues.ForceMap())
     >>> table = fused_jnds(Observer(Whisker(50e-3, 100e-6, 5e-6), fused), [30e-3, 0.2])
-    >>> (table[["best", "optimal", "together"]] * 1e3).round(3)
-        best  optimal  together
-    0  1.277    1.158     1.158
+    >>> table[["best_mm", "optimal_mm", "together_mm"]].round(3)
+       best_mm  optimal_mm  together_mm
+    0    1.277       1.158        1.158
     """
     import pandas as pd
 
@@ -304,11 +306,13 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
     jnds = factor * np.stack([fisher_jnd(o, fused.part(o.cue, place)) for o in parts])
     table = pd.DataFrame(dict(zip(observer.unknowns, place.T, strict=True)))
     table["criterion"] = criterion
-    for i, (part, jnd) in enumerate(zip(parts, jnds, strict=True), start=1):
-        table[f"{i}: {part.cue!r}"] = jnd
+    names = [f"{i}: {part.cue!r}" for i, part in enumerate(parts, start=1)]
+    table[names] = jnds.T
     table["best"] = np.min(jnds, axis=0)
     with np.errstate(divide="ignore"):  # infinite where no cue tells anything alone
         table["optimal"] = np.sum(jnds**-2.0, axis=0) ** -0.5
     table["together"] = factor * fisher_jnd(observer, place)
     table["gain"] = table["best"] / table["together"]
-    return table
+    lengths = [n for n in observer.unknowns if UNITS.get(n) == "m"]
+    angles = [n for n in observer.unknowns if UNITS.get(n) == "rad"]
+    return with_units(table, [*lengths, *names, "best", "optimal", "together"], angles)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._checks import angle, generator, one_of, positive, whole
 from ._deprecated import renamed_arguments
-from ._display import Shown
+from ._display import Shown, with_units
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
 from .mechanics.contact import Outcome
 from .observer import Observer
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Columns of `JNDCurve.frame` that are lengths or angles, beside those that begin with a JND.
-_LENGTHS = ("side", "closed_form", "propagation", "fisher", "posterior", "posterior_error",
-            "estimator", "estimator_error")  # fmt: skip
+#: Columns of `JNDCurve.frame` that are lengths or angles.
+_LENGTHS = ("radial_distance", "side", "closed_form", "propagation", "fisher", "posterior",
+            "posterior_error", "estimator", "estimator_error")  # fmt: skip
 _ANGLES = ("deflection_angle", "bearing")
 
 
@@ -55,14 +55,9 @@ class JNDCurve(Shown):
     @cached_property
     def table(self) -> pd.DataFrame:
         """What `frame` holds, in mm and degrees by name, with the contact as index."""
-        found = self.frame.copy()
-        lengths = [name for name in ("radial_distance", *_LENGTHS) if name in found]
-        angles = [name for name in _ANGLES if name in found]
-        found[lengths] *= 1e3
-        found[angles] = np.degrees(found[angles])
-        units = {name: f"{name}_mm" for name in lengths} | {name: f"{name}_deg" for name in angles}
-        index = [units[n] for n in ("radial_distance", "deflection_angle") if n in found]
-        return found.rename(columns=units).set_index(index)
+        found = in_mm_and_degrees(self.frame)
+        index = ["radial_distance_mm", "deflection_angle_deg"]
+        return found.set_index([name for name in index if name in found])
 
     @overload
     def __getitem__(self, columns: str) -> pd.Series[float]: ...
@@ -123,6 +118,11 @@ class JNDCurve(Shown):
             both = [line, rows[list(line.columns)]]
             parts[label] = pd.concat(both).dropna(subset=["propagation", "posterior"], how="all")
         return parts
+
+
+def in_mm_and_degrees(frame: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a curve with units in its columns' names."""
+    return with_units(frame, *([n for n in names if n in frame] for names in (_LENGTHS, _ANGLES)))
 
 
 @renamed_arguments(draws="n_readings")

@@ -14,7 +14,7 @@ from ._checks import finite, positive
 from ._deprecated import renamed_arguments
 from .cues import Compliance, ForceMap
 from .jnd import SD, criterion_factor
-from .jnd_curves import jnd_curve
+from .jnd_curves import in_mm_and_degrees, jnd_curve
 from .observer import Observer
 from .receptors import Weber
 from .whisker import Whisker
@@ -42,7 +42,7 @@ def jnd_sweep(
     """The JND of every combination of Weber fraction, deflection angle and distance.
 
     With angles that is figure 4b's surface, by full posteriors: 30 distances × 30 angles × 100
-    readings take some 7 s of one core. Its columns ``propagation`` and ``linear`` say what the
+    readings take some 7 s of one core. Its columns ``propagation_mm`` and ``linear`` say what the
     paper's linear surface is there, and where that is not to be believed.
 
     Parameters
@@ -63,18 +63,18 @@ def jnd_sweep(
     Returns
     -------
     pandas.DataFrame
-        The columns of `jnd_curve` after ``weber_fraction``.
+        ``weber_fraction``, and in mm and degrees, as their names say, the columns of `JNDCurve`.
 
     Examples
     --------
     >>> table = jnd_sweep(Whisker(50e-3, 100e-6, 5e-6), [0.05, 0.1], [10e-3, 40e-3],
     ...                   n_readings=20, seed=1)
-    >>> (table[["weber_fraction", "radial_distance", "closed_form"]] * 1e3).round(3)
-       weber_fraction  radial_distance  closed_form
-    0            50.0             10.0        0.405
-    1            50.0             40.0        0.480
-    2           100.0             10.0        0.810
-    3           100.0             40.0        0.960
+    >>> table[["weber_fraction", "radial_distance_mm", "closed_form_mm"]].round(3)
+       weber_fraction  radial_distance_mm  closed_form_mm
+    0            0.05                10.0           0.405
+    1            0.05                40.0           0.480
+    2            0.10                10.0           0.810
+    3            0.10                40.0           0.960
     """
     fields = {name: getattr(whisker, name) for name in whisker.__dataclass_fields__}
     if any(np.ndim(value) for value in fields.values()):
@@ -97,7 +97,7 @@ def jnd_sweep(
         for fraction in k.tolist()
         for angle in angles
     ]
-    return campaign.run(
+    table = campaign.run(
         jnd_rows,
         chunks,
         seed=seed,
@@ -107,6 +107,7 @@ def jnd_sweep(
         title="JNDs",
         progress=progress,
     )
+    return in_mm_and_degrees(table)
 
 
 def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from ._checks import finite, kind, whole
+from ._display import with_units
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .jnd import fisher_jnd
 from .mechanics.contact import Outcome
@@ -256,9 +257,9 @@ def touches_jnd(
     Returns
     -------
     pandas.DataFrame
-        A row a number: ``count``, and in m ``posterior`` (the mean sd of posteriors), its Monte
-        Carlo error ``posterior_error``, ``fisher`` (information summed over touches) and
-        ``root_n`` (the first touch's Fisher JND over √n).
+        A row a number: ``count``, ``posterior_mm`` (the mean sd of posteriors), its Monte Carlo
+        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches) and
+        ``root_n_mm`` (the first touch's Fisher JND over √n).
 
     Raises
     ------
@@ -285,5 +286,5 @@ def touches_jnd(
         error = np.std(sds, ddof=1) / np.sqrt(n_readings)
         fisher = np.sum(jnd**-2.0) ** -0.5
         rows.append((n, np.mean(sds), error, fisher, jnd[0] / np.sqrt(n)))
-    columns = ["count", "posterior", "posterior_error", "fisher", "root_n"]
-    return pd.DataFrame(rows, columns=columns)
+    lengths = ["posterior", "posterior_error", "fisher", "root_n"]
+    return with_units(pd.DataFrame(rows, columns=["count", *lengths]), lengths)

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from . import _checks
 from .design.plan_file import plan_json
 from .design.preregistration import preregistration
@@ -82,19 +80,10 @@ def fill(run: Run, plan: Plan) -> None:
         *((f"{name}.csv", csv_text(table)) for name, table in psychopy_tables(plan.trials)),
     ):
         atomic_write(run.path(name), text)
-    run.table("planned_levels", in_millimetres(plan.levels))
-    run.table("planned_jnds", in_millimetres(plan.jnds))
+    run.table("planned_levels", plan.levels)
+    run.table("planned_jnds", plan.jnds)
     run.figure("planned_psychometric", figures.figure_of(figures.planned_psychometrics(plan)))
     run.figure("planned_jnd", figures.figure_of(figures.planned_jnds(plan)))
     if plan.power is not None:
         run.table("planned_power", plan.power)
         run.figure("planned_power", figures.figure_of(figures.planned_power(plan)))
-
-
-def in_millimetres(table: pd.DataFrame) -> pd.DataFrame:
-    """A table of expectations with its lengths in millimetres, and named so."""
-    lengths = {"standard", "comparison", "stimulus"} & set(table)
-    if "jnd" in table:
-        lengths |= {"jnd", "lower", "upper"}
-    scaled = table.assign(**{name: table[name] * 1e3 for name in lengths})
-    return scaled.rename(columns={name: f"{name}_mm" for name in lengths})

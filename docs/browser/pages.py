@@ -24,7 +24,6 @@ from weberwhisk.behaviour import CueEncoding, methods_paragraph
 from weberwhisk.behaviour.io import load_table
 from weberwhisk.design import Goal, SubjectPopulation
 from weberwhisk.design.preregistration import preregistration
-from weberwhisk.planning import in_millimetres
 
 Fields = dict[str, str]
 Shown = dict[str, Any]
@@ -160,7 +159,7 @@ def plan(fields: Fields) -> Shown:
         seed=int(fields["seed"]),
         progress=lambda more: None,
     )
-    levels, lists = in_millimetres(made.levels), made.trials
+    lists = made.trials
     first = lists[(lists["subject"] == lists["subject"].iloc[0]) & (lists["session"] == 1)]
     lengths = ["standard", "stimulus_1", "stimulus_2"]
     first = first.assign(**{name: (first[name] * 1e3).round(3) for name in lengths})
@@ -177,7 +176,7 @@ def plan(fields: Fields) -> Shown:
             _figure("Expected JND along the whisker", figures.planned_jnds(made)),
         ],
         "tables": [
-            _table("Levels", levels),
+            _table("Levels", made.levels),
             _table("First animal's first session (lengths in mm)", first),
         ],
         "files": [_plan_folder(made)],

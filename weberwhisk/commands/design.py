@@ -17,7 +17,6 @@ from ..campaign import all_cores
 from ..design import Constraints, Goal, Plan, SubjectPopulation
 from ..design.experiment import WIDE
 from ..design.preregistration import assumptions, offsets_in_words
-from ..design.trial_lists import in_millimetres
 from ..output import Run, to_json
 from ..planning import fill
 from .options import (
@@ -230,7 +229,6 @@ def _encoded(cue: str | None, angles_deg: list[str] | None) -> dict[str, Any]:
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
-    scheme = plan.scheme.table()
     return {
         "whisker": describe(whisker),
         "goal": str(plan.goal),
@@ -238,14 +236,7 @@ def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
         "trials_per_animal": plan.scheme.n_trials,
         "total_trials": plan.scheme.total_trials,
         "sessions": plan.sessions,
-        "levels": [
-            {
-                "standard_mm": in_millimetres(row["standard"]),
-                "comparison_mm": in_millimetres(row["comparison"]),
-                "trials": row["trials"],
-            }
-            for row in scheme.to_dict("records")
-        ],
+        "levels": plan.scheme.table().drop(columns="offset_mm").to_dict("records"),
         "power": None if plan.power is None else plan.power.to_dict("records"),
         "trials_sha256": plan.fingerprint,
     }

@@ -67,8 +67,8 @@ def information(
     Returns
     -------
     DataFrame
-        One row a standard and offset: `standard`, `offset`, and in bits `weber_fraction`, `jnd`,
-        `hypothesis`.
+        One row a standard and offset: `standard_mm`, `offset_mm`, `weber_fraction_bits`,
+        `jnd_bits`, `hypothesis_bits`.
 
     Notes
     -----
@@ -81,7 +81,7 @@ def information(
     >>> from weberwhisk.behaviour import IdentityEncoding
     >>> weber = Hypothesis("Weber", IdentityEncoding())
     >>> table = information([weber], [1.0], [0.0, 0.1, 0.2, 0.4])
-    >>> int(table["weber_fraction"].argmax())
+    >>> int(table["weber_fraction_bits"].argmax())
     2
     """
     given = check_distinct(hypotheses)
@@ -108,11 +108,11 @@ def information(
     bits = np.mean(parts, axis=0)  # (S, 3, J)
     return pd.DataFrame(
         {
-            "standard": np.repeat(at, rows.shape[1]),
-            "offset": rows.ravel(),
-            "weber_fraction": bits[:, 0].ravel(),
-            "jnd": bits[:, 1].ravel(),
-            "hypothesis": bits[:, 2].ravel(),
+            "standard_mm": 1e3 * np.repeat(at, rows.shape[1]),
+            "offset_mm": 1e3 * rows.ravel(),
+            "weber_fraction_bits": bits[:, 0].ravel(),
+            "jnd_bits": bits[:, 1].ravel(),
+            "hypothesis_bits": bits[:, 2].ravel(),
         }
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from .. import _checks
-from .._display import Shown
+from .._display import Shown, with_units
 from ..behaviour.fit import fit_weber
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.result import WeberFit
@@ -293,12 +293,14 @@ class Plan(Shown):
     @cached_property
     def levels(self) -> pd.DataFrame:
         """Expected share of "second greater" at every level, and where 95 % of animals fall."""
-        return expectation.expected_levels(self.expected_trials)
+        found = expectation.expected_levels(self.expected_trials)
+        return with_units(found, ["standard", "comparison"])
 
     @cached_property
     def curves(self) -> pd.DataFrame:
         """Expected psychometric functions, by hypothesis."""
-        return expectation.expected_curves(self.expected_fits)
+        found = expectation.expected_curves(self.expected_fits)
+        return with_units(found, ["standard", "comparison"])
 
     @cached_property
     def jnds(self) -> pd.DataFrame:
@@ -306,14 +308,16 @@ class Plan(Shown):
         cells = self.scheme.cells()
         low, high = cells.stimulus_2.min(), cells.stimulus_2.max()
         edge = self.hypotheses[0].encoding.domain[1]
-        return expectation.expected_jnds(
+        found = expectation.expected_jnds(
             self.expected_fits, 0.5 * low, high + 0.5 * (min(edge, 2 * high) - high)
         )
+        return with_units(found, ["stimulus", "jnd", "lower", "upper"])
 
     @cached_property
     def jnds_by_standard(self) -> pd.DataFrame:
         """The JND that each standard's own trials will tell, of one animal."""
-        return expectation.expected_jnds_by_standard(self.expected_trials, self.hypotheses[0])
+        found = expectation.expected_jnds_by_standard(self.expected_trials, self.hypotheses[0])
+        return with_units(found, ["standard", "jnd", "lower", "upper"])
 
     # -- what is done with the data ---------------------------------------------------------------
 

@@ -188,16 +188,15 @@ class Scheme:
         return Cells(standard, comparison, standard, n, np.zeros(n.size))
 
     def table(self) -> pd.DataFrame:
-        """One row a level: standard, offset, comparison, trials."""
+        """One row a level: `standard_mm`, `offset_mm`, `comparison_mm`, `trials`."""
         cells = self.cells()
-        return pd.DataFrame(
-            {
-                "standard": cells.standard,
-                "offset": np.concatenate([np.asarray(row) for row in self.offsets]),
-                "comparison": cells.stimulus_2,
-                "trials": cells.n.astype(int),
-            }
-        )
+        metres = {
+            "standard_mm": cells.standard,
+            "offset_mm": np.concatenate([np.asarray(row) for row in self.offsets]),
+            "comparison_mm": cells.stimulus_2,
+        }
+        table = pd.DataFrame({name: map(in_millimetres, v) for name, v in metres.items()})
+        return table.assign(trials=cells.n.astype(int))
 
     def with_trials(self, trials: int) -> Scheme:
         """The same levels with so many trials each."""
@@ -357,3 +356,8 @@ def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
             "each."
         )
     return [list(row) for row in given]
+
+
+def in_millimetres(metres: float) -> float:
+    """A length as one would write it: 20.1, not 20.100000000000001."""
+    return float(f"{metres * 1e3:.9g}")

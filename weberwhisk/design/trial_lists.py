@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..behaviour.trials import Cells
-from .scheme import Scheme
+from .scheme import Scheme, in_millimetres
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
@@ -320,8 +320,3 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     table["subject"] = table["subject"].str.removeprefix("s").astype(int)
     table.insert(4, "trial_type", table.pop("greater"))
     return table
-
-
-def in_millimetres(metres: float) -> float:
-    """A length as one would write it: 20.1, not 20.100000000000001."""
-    return float(f"{metres * 1e3:.9g}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -34,9 +33,9 @@ def along_push(table: pd.DataFrame) -> Figure:
         }
         if i >= len(LINES):
             look |= {"marker": MARKERS[i], "markevery": 10, "markersize": 3}
-        push = np.degrees(rows["push"])
-        left.plot(push, 1e3 * rows["jnd"], **look)
-        right.plot(push, 1e3 * rows["radial_distance"].where(~rows["tip"]), **look)
+        push = rows["push_deg"]
+        left.plot(push, rows["jnd_mm"], **look)
+        right.plot(push, rows["radial_distance_mm"].where(~rows["tip"]), **look)
     left.set(yscale="log", xlabel="push since contact (°)", ylabel="JND of distance (mm), d'=1")
     left.set_yticks([0.1, 0.2, 0.5, 1.0, 2.0, 5.0], ["0.1", "0.2", "0.5", "1", "2", "5"])
     left.minorticks_off()
@@ -58,13 +57,13 @@ def lateral_sweep(table: pd.DataFrame) -> Figure:
     groups = list(table.groupby("object", sort=False))
     axes = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
     for ax, (name, rows) in zip(axes, groups, strict=True):
-        push = np.degrees(rows["push"])
+        push = rows["push_deg"]
         ax.fill_between(
-            push, 1e3 * rows["lower"], 1e3 * rows["upper"], color=COLOURS[4], alpha=0.35,
+            push, rows["lower_mm"], rows["upper_mm"], color=COLOURS[4], alpha=0.35,
             linewidth=0, label="95 % of the posterior",
         )  # fmt: skip
-        ax.plot(push, 1e3 * rows["radial_distance"], color=COLOURS[0], label="followed")
-        ax.plot(push, 1e3 * rows["true_distance"], "--", color="black", label="true")
+        ax.plot(push, rows["radial_distance_mm"], color=COLOURS[0], label="followed")
+        ax.plot(push, rows["true_distance_mm"], "--", color="black", label="true")
         ax.set(title=str(name), xlabel="push since contact (°)")
     figure.supylabel("radial distance (mm)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -83,12 +82,12 @@ def jnd_limits(table: pd.DataFrame, length: float, ax: Axes | None = None) -> Ax
         Of the whisker, m.
     """
     ax = axes_or_new(ax, SINGLE, 3.2)
-    place = table["radial_distance"] / length
-    ax.plot(place, 1e3 * table["weber"], "--", color=COLOURS[1], label="Weber's law alone")
-    ax.plot(place, 1e3 * table["all"], color=COLOURS[0], label="with threshold and saturation")
-    low, high = 0.0, 1.15e3 * float(table["threshold"].max())
+    place = table["radial_distance_mm"] / (1e3 * length)
+    ax.plot(place, table["weber_mm"], "--", color=COLOURS[1], label="Weber's law alone")
+    ax.plot(place, table["all_mm"], color=COLOURS[0], label="with threshold and saturation")
+    low, high = 0.0, 1.15 * float(table["threshold_mm"].max())
     for shown, name, hatch in (
-        (table["all"].isna() & table["weber"].notna(), "receptors saturated", "//"),
+        (table["all_mm"].isna() & table["weber_mm"].notna(), "receptors saturated", "//"),
         (table["stopped"], "torque stops the push", "\\\\"),
     ):
         if shown.any():
@@ -117,14 +116,14 @@ def reversal(table: pd.DataFrame) -> Figure:
     for (base, name), ax in zip(product(bases, objects), axes.flat, strict=True):
         rows = table[(table["base"] == base) & (table["object"] == name)]
         for i, (direction, mine) in enumerate(rows.groupby("direction", sort=False)):
-            angle = np.degrees(mine["push"])
+            angle = mine["push_deg"]
             if i == 0:
-                jnd = 1e3 * mine["jnd"]
+                jnd = mine["jnd_mm"]
                 ax.fill_between(
                     angle, -jnd, jnd, color="0.85", linewidth=0, label="± a JND (k = 0.1)"
                 )
             ax.plot(
-                angle, 1e3 * mine["bias"], LINES[i], color=COLOURS[i], marker=MARKERS[i],
+                angle, mine["bias_mm"], LINES[i], color=COLOURS[i], marker=MARKERS[i],
                 markevery=max(len(mine) // 8, 1), markersize=3, label=str(direction),
             )  # fmt: skip
         ax.axhline(0.0, color="black", linewidth=0.6)
@@ -147,11 +146,11 @@ def whisking_speed(table: pd.DataFrame, length: float, ax: Axes | None = None) -
         Of the whisker, m.
     """
     ax = axes_or_new(ax, SINGLE, 3.2)
-    place = table["radial_distance"] / length
+    place = table["radial_distance_mm"] / (1e3 * length)
     lines = (
-        ("first_frequency", "first natural frequency, held"),
-        ("ten_percent", "moment off by 10 % (one JND, k = 0.1)"),
-        ("one_percent", "moment off by 1 % (a tenth of it)"),
+        ("first_frequency_hz", "first natural frequency, held"),
+        ("ten_percent_hz", "moment off by 10 % (one JND, k = 0.1)"),
+        ("one_percent_hz", "moment off by 1 % (a tenth of it)"),
     )
     for i, (column, name) in enumerate(lines):
         ax.plot(place, table[column], LINES[i], color=COLOURS[i], label=name)

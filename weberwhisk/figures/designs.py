@@ -60,16 +60,15 @@ def information_map(
     'Standard (mm)'
     """
     ax = axes_or_new(ax)
-    shape = table["standard"].nunique(), -1
-    standard, offset, value = (
-        scale * table[name].to_numpy(float).reshape(shape)
-        for name, scale in (("standard", 1e3), ("offset", 1e3), (about, 1e3))
+    shape = table["standard_mm"].nunique(), -1
+    standard, offset, bits = (
+        table[name].to_numpy(float).reshape(shape)
+        for name in ("standard_mm", "offset_mm", f"{about}_bits")
     )
-    mesh = ax.pcolormesh(
-        standard, offset, np.ma.masked_invalid(value), shading="nearest", cmap="cividis", vmin=0.0
-    )
+    shown = np.ma.masked_invalid(1e3 * bits)
+    mesh = ax.pcolormesh(standard, offset, shown, shading="nearest", cmap="cividis", vmin=0.0)
     figure_of(ax).colorbar(mesh, ax=ax, label=f"About {ABOUT[about]} (millibit)")
-    best = np.unravel_index(np.nanargmax(value), value.shape)
+    best = np.unravel_index(np.nanargmax(bits), bits.shape)
     ring: dict[str, Any] = {
         "linestyle": "none",
         "marker": "o",
@@ -161,14 +160,14 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
             open_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
         )
     for ax, standard in zip(axes, standards, strict=True):
-        levels = plan.levels.query("standard == @standard")
+        levels = plan.levels[np.isclose(plan.levels["standard_mm"], standard / MM)]
         expected = (levels[name] for name in ("expected", "lower", "upper"))
-        at = levels["comparison"] / MM
+        at = levels["comparison_mm"]
         bars(ax, at, expected, 0, color=COLOURS[6], label="expected, 95 % by chance")
         for i, hypothesis in enumerate(plan.hypotheses):
-            own = plan.curves.query("standard == @standard and hypothesis == @hypothesis.name")
-            at = own["comparison"] / MM
-            ax.plot(at, own["median"], **look(i), label=drawable(hypothesis.name))
+            own = plan.curves.query("hypothesis == @hypothesis.name")
+            own = own[np.isclose(own["standard_mm"], standard / MM)]
+            ax.plot(own["comparison_mm"], own["median"], **look(i), label=drawable(hypothesis.name))
         ax.axvline(standard / MM, color="0.8", linewidth=0.8, zorder=0)
         ax.set_ylim(-0.03, 1.03)
         ax.xaxis.set_major_locator(MaxNLocator(4))
@@ -200,14 +199,14 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax)
     for i, hypothesis in enumerate(plan.hypotheses):
         own = plan.jnds.query("hypothesis == @hypothesis.name")
-        at = own["stimulus"] / MM
+        at = own["stimulus_mm"]
         ax.fill_between(
-            at, own["lower"] / MM, own["upper"] / MM, color=COLOURS[i], alpha=0.2, linewidth=0
+            at, own["lower_mm"], own["upper_mm"], color=COLOURS[i], alpha=0.2, linewidth=0
         )
-        ax.plot(at, own["jnd"] / MM, **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
+        ax.plot(at, own["jnd_mm"], **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
     points = plan.jnds_by_standard
-    known = (points[name] / MM for name in ("jnd", "lower", "upper"))
-    bars(ax, points["standard"] / MM, known, 0, color=COLOURS[6], label="each standard alone, 95 %")
+    known = (points[name] for name in ("jnd_mm", "lower_mm", "upper_mm"))
+    bars(ax, points["standard_mm"], known, 0, color=COLOURS[6], label="each standard alone, 95 %")
     ax.set_ylim(bottom=0)
     ax.set_xlabel("Radial distance (mm)")
     ax.set_ylabel(f"JND (mm), {points['criterion'].iloc[0]}")

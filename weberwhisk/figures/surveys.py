@@ -278,10 +278,10 @@ def cue_information(table: pd.DataFrame) -> Figure:
     places = np.arange(len(table))[::-1]
     for i, (shift, column) in enumerate(((0.2, "alone"), (-0.2, "added"))):
         rows = table if column == "alone" else table.iloc[:-1]
-        error = rows[f"{column}_error"]
+        error = rows[f"{column}_error_bits"]
         heights = places[: len(rows)] + shift
         label = f"{column}, ± 1 SE" if i == 0 else "added to the other two, ± 1 SE"
-        ax.barh(heights, rows[column], 0.38, xerr=error, label=label, color=COLOURS[i])
+        ax.barh(heights, rows[f"{column}_bits"], 0.38, xerr=error, label=label, color=COLOURS[i])
     ax.set_yticks(places, table["cue"])
     ax.set_xlabel("information about radial distance (bits)")
     legend_above(ax)
