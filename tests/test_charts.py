@@ -186,6 +186,14 @@ def test_figures_mark_failures_and_limits() -> None:
     assert faults(other) == []
 
 
+def test_the_kept_tables_are_drawn_so_that_they_can_be_read() -> None:
+    kept = Path(__file__).parents[1] / "analyses" / "figures"
+    parts = [pd.read_csv(kept / f"speed_accuracy_{part}.csv") for part in charts.PARTS]
+    table = pd.concat(parts, ignore_index=True)
+    assert faults(figures.speed_accuracy(table)) == []
+    assert faults(figures.fits_and_growth(table)) == []
+
+
 def test_the_command_writes_tables_figures_and_the_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,8 +17,8 @@ from .style import COLOURS, DOUBLE, LINES, MARKERS, SMALL, new_figure, styled
 ROUNDING, ALLOWED = float(np.finfo(float).eps), 0.1
 #: Rows of a posteriors' table that are no method.
 LANDMARKS = ("closed form", "referee")
-#: Letters of small print in a line.
-FOOT = 130
+#: Letters of small print in a line, and where the axes of errors end.
+FOOT, TOP = 130, 3e4
 
 
 @styled
@@ -39,7 +39,7 @@ def speed_accuracy(
     for ax, (_, part) in zip(axes, beams.groupby("scene", sort=False), strict=True):
         _limits(ax, _closed_form(part), ROUNDING, "rounding")
         ax.axhline(ALLOWED * weber_fraction, color="0.6", linewidth=0.7, linestyle="--")
-        ax.set_ylim(1e-17, 30)
+        ax.set_ylim(1e-17, TOP)
         right = ax.secondary_yaxis("right", functions=_scaling(weber_fraction))
         right.yaxis.set_major_locator(LogLocator(numticks=6))
         right.yaxis.set_minor_formatter(NullFormatter())
@@ -52,17 +52,17 @@ def speed_accuracy(
     axes = _row(rows[1], posteriors[~posteriors["method"].isin(LANDMARKS)], set(outside))
     for ax, (_, part) in zip(axes, posteriors.groupby("scene", sort=False), strict=True):
         _limits(ax, _closed_form(part), _doubt(part), "referee")
-        ax.set_ylim(1e-17, 30)
+        ax.set_ylim(1e-17, TOP)
     axes[0].set_ylabel("r.m.s. relative error of the sd")
     rows[1].supxlabel(f"CPU time of one posterior (s), k = {weber_fraction:g}", fontsize=8)
     axes = _row(rows[2], jnds[jnds["method"] != "referee"], set(outside))
     for ax, (_, part) in zip(axes, jnds.groupby("scene", sort=False), strict=True):
-        _limits(ax, _closed_form(part), _doubt(part), "Monte Carlo error of the truth")
-        for _, row in part[part["knob"] > 0].iterrows():
-            ax.annotate(
-                f"{row['knob']:.0f}", (row["seconds"], row["error"]), fontsize=SMALL,
-                textcoords="offset points", xytext=(4, 2),
-            )  # fmt: skip
+        doubt = _doubt(part)
+        _limits(ax, _closed_form(part), doubt, "Monte Carlo error of the truth", below=True)
+        ax.set_ylim(min(ax.get_ylim()[0], doubt / 3))
+        swept = part[part["knob"] > 0]
+        for i, (_, row) in enumerate(swept.iterrows()):  # in turn above and below
+            _beside(ax, f"{row['knob']:.0f}", row, (4, -8 if i % 2 else 2))
     axes[0].set_ylabel("r.m.s. relative error of the JND")
     words = "CPU time of a JND at one distance (s); small numbers: readings"
     rows[2].supxlabel(f"{words}\n{fill(foot, FOOT)}", fontsize=SMALL)
@@ -92,20 +92,19 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
         miss = 100 * (part["coverage"] - 0.95)
         spread = 100 * np.sqrt(0.95 * 0.05 / part["count"])
         right.errorbar(part["seconds"], miss, spread, elinewidth=0.7, **style)
-        for _, row in part.iterrows():
-            left.annotate(
-                f"{row['knob']:.0f}", (row["seconds"], row["error"]), fontsize=SMALL,
-                textcoords="offset points", xytext=(4, 2),
-            )  # fmt: skip
+        for _, row in part.iterrows():  # clear of those of tools as fast
+            place = {"xytext": (4, 2)} if i < 2 else {"xytext": (-4, -3), "ha": "right"}
+            _beside(left, f"{row['knob']:.0f}", row, **place)
+    left.margins(x=0.12)
     left.set(xscale="log", yscale="log")
     left.set(ylabel="relative RMSE of the Weber fraction", xlabel="CPU time of a fit (s)")
     right.axhline(0, color="0.4", linewidth=0.7, linestyle=":")
     right.set(xscale="log", xlabel="CPU time of a fit (s)")
-    right.set_ylabel("coverage of the 95 % interval − 95 (points)")
+    right.set_ylabel("coverage − 95 (points)")
     for axis in (left.xaxis, left.yaxis, right.xaxis):
         _log_ticks(axis)
     left.set_title("small numbers: trials of a data set; bars: standard errors")
-    right.set_title("bars: one standard error of the coverage")
+    right.set_title("95 % intervals; bars: one standard error")
     _legend(rows[0], [left])
     axes = rows[1].subplots(1, 2)
     for ax, column, unit in zip(
@@ -167,35 +166,33 @@ def _line(ax: Axes, part: pd.DataFrame, style: dict[str, Any], label: str) -> No
     ax.plot(answered["seconds"], np.maximum(answered["error"], ROUNDING / 2), label=label, **style)
     for _, row in part[part["failed"] > 0].iterrows():
         lost = not np.isfinite(row["error"])
-        error = 10.0 if lost else max(row["error"], ROUNDING / 2)
+        error = TOP / 30 if lost else max(row["error"], ROUNDING / 2)
         ax.plot(row["seconds"], error, "x", color="black", markersize=6, markeredgewidth=0.9)
         if lost:  # all of them; said once
             if "no answer" not in (text.get_text() for text in ax.texts):
-                ax.text(0.02, 10.0, "no answer", fontsize=SMALL, va="center",
+                ax.text(0.02, error, "no answer", fontsize=SMALL, va="center",
                         transform=ax.get_yaxis_transform())  # fmt: skip
             continue
-        ax.annotate(
-            f"{row['failed']:.0%}", (row["seconds"], error), fontsize=SMALL,
-            textcoords="offset points", xytext=(4, -3), va="top",
-        )  # fmt: skip
+        _beside(ax, f"{row['failed']:.0%}", row, (5, 3), backgroundcolor="white")
 
 
-def _limits(ax: Axes, closed: float, floor: float, name: str) -> None:
+def _beside(ax: Axes, text: str, row: Any, xytext: tuple[float, float], **more: Any) -> None:
+    """Small print beside a mark."""
+    at = row["seconds"], max(row["error"], ROUNDING / 2)
+    drawn = ax.annotate(
+        text, at, xytext=xytext, textcoords="offset points", fontsize=SMALL, **more
+    )
+    if box := drawn.get_bbox_patch():
+        box.set_boxstyle("square", pad=0.05)
+
+
+def _limits(ax: Axes, closed: float, floor: float, name: str, *, below: bool = False) -> None:
     ax.axvline(closed, color="0.4", linewidth=0.7, linestyle=":")
     ax.axhline(floor, color="0.4", linewidth=0.7, linestyle=":")
-    top = ax.get_xaxis_transform()
-    ax.text(
-        closed * 1.15, 0.02, "closed form", rotation=90, fontsize=SMALL, transform=top, va="bottom"
-    )
-    ax.text(
-        0.99,
-        floor,
-        name,
-        fontsize=SMALL,
-        transform=ax.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-    )
+    place: dict[str, Any] = {"fontsize": SMALL, "transform": ax.get_xaxis_transform()}
+    ax.text(closed * 1.15, 0.02, "closed form", rotation=90, va="bottom", **place)
+    place["transform"] = ax.get_yaxis_transform()
+    ax.text(0.99, floor, name, ha="right", va="top" if below else "bottom", **place)
 
 
 def _legend(figure: Any, axes: list[Axes]) -> None:
