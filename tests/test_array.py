@@ -224,6 +224,53 @@ def test_the_error_holds_where_a_sweep_ends_in_the_posterior() -> None:
     assert abs(rough._log_evidence - fine._log_evidence) < 3 * rough.error < 6e-3
 
 
+def test_the_height_of_a_short_pole_is_told_by_who_touches() -> None:
+    """Beside a midpoint sum over x, y and z, planes of whisking by vectors."""
+    o = observer("B2", "C2", "D2", "C3", "D3", "E2", pole_length=6e-3, missed=0.01)
+    readings = o.read([16e-3, -2e-3, 3e-3], seed=3)
+    found = ww.place(o, readings)
+    assert 0 < len(found.touching) < 6
+    assert found.status is Status.CONVERGED
+    (low, high), plain = o.heights, replace(o, pole_length=None)
+    ends = (
+        np.linspace(m - 6 * s, m + 6 * s, 161) for m, s in zip(found.mean, found.sd, strict=True)
+    )
+    x, y = ((a[1:] + a[:-1]) / 2 for a in ends)
+    at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    z = low + (high - low) * (np.arange(300) + 0.5) / 300
+    log, total = np.zeros((len(at), 1)), np.zeros((len(at), len(z)))
+    for name, reading in readings.items():
+        sensor = plain.sensors[name]
+        tangent, base = sensor.follicle.direction, sensor.follicle.base
+        across = np.array([-tangent[1], tangent[0], 0.0])
+        normal = np.cross(tangent, across)
+        plane = base[2] - (at - base[:2]) @ normal[:2] / normal[2]
+        level = np.abs(plane[:, None] - z) < 3e-3
+        if reading is None:
+            total += np.where(level, np.log1p(-0.99 * sensor.touch_probability(at))[:, None], 0.0)
+        else:
+            log += plain.log_likelihood({name: reading})(at)[:, None]
+            total = np.where(level, total, -np.inf)
+    mass = np.exp(log + total - (log + total).max())
+    mass /= mass.sum()
+    for i, mean in enumerate(mass.sum(axis=1) @ at):
+        assert found.mean[i] == pytest.approx(mean, abs=0.02 * found.sd[i])
+    over = mass.sum(axis=0)
+    mean = over @ z
+    sd = np.sqrt(over @ (z - mean) ** 2)
+    assert found.height[0] == pytest.approx(mean, abs=0.02 * sd)
+    assert found.height[1] == pytest.approx(sd, rel=0.02)
+    ends = np.interp([0.025, 0.975], np.cumsum(over) - over / 2, z)
+    np.testing.assert_allclose(found.height[2], ends, atol=0.05 * sd)
+    assert found.height[2][0] < 3e-3 < found.height[2][1]
+    assert list(found.summary()["coordinate"]) == ["x", "y", "z"]
+    assert np.isnan(ww.place(plain, readings).height[0])
+    with pytest.raises(ValueError, match=r"A place is x, y and z in metres, got shape \(2,\)"):
+        o.read([16e-3, 0.0])
+    with pytest.raises(ValueError, match="Fisher information is of poles as high as all"):
+        o.information([16e-3, 0.0])
+
+
 def test_one_whisker_alone_says_what_its_posterior_says() -> None:
     """Places are flat where the distance has a density that grows with it."""
     o = observer("C2", angle_sd=0.0)

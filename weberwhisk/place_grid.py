@@ -1,12 +1,21 @@
-"""An adaptive grid over places: cells that are cut in four until their sums agree."""
+"""The posterior of a place, and its adaptive grid: cells cut in four until their sums agree."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from ._display import Shown
+from .place_sensor import one_place
+from .posterior import Status
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -49,16 +58,150 @@ class Frame(NamedTuple):
         return cls(covariance @ pull, matrix, np.full(2, -reach), np.full(2, reach))
 
 
-class PlaceSums(NamedTuple):
-    """Moments of a density over places, its nodes, and the estimated error in sds."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Place(Shown):
+    """The posterior of an object's place; `place` makes it.
 
+    Attributes
+    ----------
+    observer : ArrayObserver
+    readings : mapping of whisker to array or None
+    status : Status
+        `NO_CONTACT` where no whisker touches: what is left is the region not excluded.
+        `IMPROBABLE_READING` where no one place explains all readings within 5 sd.
+    mean : array, shape (2,)
+        x and y, m.
+    covariance : array, shape (2, 2)
+        m².
+    error : float
+        Estimated error of means and sds, in sds.
+    places, weights, log_density : array, shape (n, 2), (n,), (n,)
+        Nodes, m, the mass that they stand for, and ln of the density, 1/m².
+    """
+
+    observer: Any
+    readings: Mapping[str, Any]
+    status: Status
     mean: Array
     covariance: Array
     error: float
     places: Array
     weights: Array
     log_density: Array
-    log_evidence: float
+    _log_evidence: float
+    _log_likelihood: Callable[[Array], Array]
+    _spans: Callable[[Array], tuple[Array, Array]]
+    _figure = "place"
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """Names of the whiskers that touch."""
+        return tuple(name for name, reading in self.readings.items() if reading is not None)
+
+    @property
+    def sd(self) -> Array:
+        """Sd of x and of y, m."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def interval(self, mass: float = 0.95) -> Array:
+        """Equal-tailed intervals of x and of y, (2, 2), m."""
+        tail = (1 - mass) / 2
+        out = np.full((2, 2), np.nan)
+        for i, values in enumerate(self.places.T):
+            order = np.argsort(values)
+            rise = np.cumsum(self.weights[order]) - self.weights[order] / 2
+            if len(rise):
+                out[i] = np.interp([tail, 1 - tail], rise, values[order])
+        return out
+
+    def ellipse(self, mass: float = 0.95) -> tuple[float, float, float]:
+        """Half axes (m) of the error ellipse, and the angle (rad) of the longer from the x axis.
+
+        The Gaussian's of the same covariance, which holds the place with probability `mass`.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        minor, major = np.sqrt(-2 * np.log1p(-mass) * values)
+        return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
+
+    def credibility(self, place: ArrayLike) -> float:
+        """The mass of all places more probable than a place (2,): below 0.95 inside its region."""
+        log = self._log_likelihood(one_place(place)[None])[0] - self._log_evidence
+        return float(self.weights[self.log_density > log].sum())
+
+    def area(self, mass: float = 0.95) -> float:
+        """Area of the most probable places that hold the object with probability `mass`, m²."""
+        order = np.argsort(-self.log_density)
+        size = np.exp(np.log(self.weights[order]) - self.log_density[order])
+        kept = np.cumsum(self.weights[order]) - self.weights[order] < mass
+        return float(size[kept].sum())
+
+    @cached_property
+    def height(self) -> tuple[float, float, Array]:
+        """Mean and sd of the z of the pole's middle, and its 95 % interval (2,), m.
+
+        NaN for a pole whose length is not given: it is as high as all whiskers.
+        """
+        edges, log = self._spans(self.places)
+        if not edges.size:
+            return np.nan, np.nan, np.full(2, np.nan)
+        top = log.max(axis=1, keepdims=True)
+        share = np.exp(log - top)
+        mass = (self.weights[:, None] * share / share.sum(axis=1, keepdims=True)).ravel()
+        middle, width = ((edges[:, 1:] + edges[:, :-1]) / 2).ravel(), np.diff(edges).ravel()
+        mean = float(mass @ middle)
+        sd = float(np.sqrt(mass @ ((middle - mean) ** 2 + width**2 / 12)))
+        # Each span's mass is spread evenly over it.
+        ends = np.concatenate([middle - width / 2, middle + width / 2])
+        slope = np.concatenate([mass / np.maximum(width, 1e-12), -mass / np.maximum(width, 1e-12)])
+        order = np.argsort(ends)
+        rise = np.cumsum(np.cumsum(slope[order])[:-1] * np.diff(ends[order]))
+        interval = np.interp([0.025, 0.975], np.r_[0.0, rise], ends[order])
+        return mean, sd, interval
+
+    @property
+    def bits(self) -> float:
+        """What the readings told of the place, beside the flat prior over the region, bits."""
+        area = float(np.prod(np.diff(self.observer.box, axis=1)))
+        return float(self.weights @ self.log_density + np.log(area)) / np.log(2)
+
+    @property
+    def note(self) -> str:
+        """What to know of this result beside its numbers; empty if nothing."""
+        out = []
+        if self.status is Status.NO_CONTACT:
+            share = self.area(1.0) / float(np.prod(np.diff(self.observer.box, axis=1)))
+            out.append(f"no whisker touches: {100 * share:.0f} % of the region is left")
+        steep = [
+            name
+            for name in self.touching
+            if abs(self.observer.sensors[name].follicle.elevation) > np.radians(30.0)
+        ]
+        if steep:
+            out.append(
+                f"{', '.join(steep)} more than 30° out of the horizontal: slip along the pole, "
+                "which is left out, may matter"
+            )
+        return "; ".join(out)
+
+    def summary(self) -> pd.DataFrame:
+        """A row each for x, y, z: mean, sd, 95 % interval in mm, how many touch, the status."""
+        import pandas as pd
+
+        mean, sd, interval = self.height
+        rows = np.column_stack([self.mean, self.sd, self.interval()])
+        if not np.isnan(mean):
+            rows = np.vstack([rows, [mean, sd, *interval]])
+        table = 1e3 * pd.DataFrame(rows, columns=["mean_mm", "sd_mm", "low_95_mm", "high_95_mm"])
+        table.insert(0, "coordinate", list("xyz")[: len(rows)])
+        return table.assign(touching=len(self.touching), status=self.status.message)
+
+    def _line(self) -> str:
+        (x, y), (dx, dy) = 1e3 * self.mean, 1e3 * self.sd
+        where = f"x = {x:.3g} ± {dx:.2g} mm, y = {y:.3g} ± {dy:.2g} mm"
+        z, dz = (1e3 * v for v in self.height[:2])
+        where += "" if np.isnan(z) else f", z = {z:.3g} ± {dz:.2g} mm"
+        said = f"{where}, {len(self.touching)} of {len(self.readings)} whiskers touch"
+        return "; ".join(filter(None, (said, self.status.message, self.note)))
 
 
 class _Cells(NamedTuple):
@@ -87,8 +230,8 @@ def integrate(
     *,
     depth: float = 26.0,
     most: int = 40_000,
-) -> PlaceSums:
-    """Sum a density over places, given as ln of it at (n, 2).
+) -> dict[str, Any]:
+    """Sum a density over places, given as ln of it at (n, 2): what `Place` has of sums.
 
     Cells of 4 × 4 nodes are cut in four where they have mass, and again where a cell and its
     quarters differ, until twice the root of the summed squares of all differences is below the
@@ -207,24 +350,24 @@ def _errors(cells: _Cells, top: float, known: NDArray[np.bool_]) -> tuple[float,
     return 2 * float(np.sqrt(np.sum(size**2))), size
 
 
-def _sums(cells: _Cells, frame: Frame, error: float) -> PlaceSums:
+def _sums(cells: _Cells, frame: Frame, error: float) -> dict[str, Any]:
+    names = ("mean", "covariance", "error", "places", "weights", "log_density", "_log_evidence")
     top = float(cells.log.max())
     if not np.isfinite(top):
         nan, none = np.full(2, np.nan), np.empty(0)
-        unknown = np.full((2, 2), np.nan)
-        return PlaceSums(nan, unknown, np.inf, np.empty((0, 2)), none, none, -np.inf)
+        empty = (nan, np.diag(nan) * np.nan, np.inf, np.empty((0, 2)), none, none, -np.inf)
+        return dict(zip(names, empty, strict=True))
     total, mean, covariance = _moments(cells, top)
-    size = abs(np.linalg.det(frame.matrix))
-    evidence = top + np.log(total * size)
+    evidence = top + np.log(total * abs(np.linalg.det(frame.matrix)))
     weight = np.exp(cells.log - top) * _WEIGHTS * cells.side.prod(axis=1)[:, None] / total
     kept = weight > 0
-    places = (frame.middle + cells.points() @ frame.matrix.T)[kept]
-    return PlaceSums(
+    found = (
         frame.middle + frame.matrix @ mean,
         frame.matrix @ covariance @ frame.matrix.T,
         error,
-        places,
+        (frame.middle + cells.points() @ frame.matrix.T)[kept],
         weight[kept],
         cells.log[kept] - evidence,
         evidence,
     )
+    return dict(zip(names, found, strict=True))

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from ._checks import finite, generator, positive_number, whole
-from .places import ArrayObserver, one_place
+from .place_sensor import one_place
+from .places import ArrayObserver
 from .receptors import Seed
 
 if TYPE_CHECKING:

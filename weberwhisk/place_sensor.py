@@ -50,6 +50,12 @@ class Sensor:
             out[near] -= self.observer.forward.rest(r[near])
         return r, out
 
+    def height(self, place: Array) -> Array:
+        """z (...) at which the plane of whisking meets a pole at (..., 2), m."""
+        r, angle = self.follicle.in_plane(place)
+        rise = r * np.cos(angle) * np.sin(self.follicle.elevation)
+        return np.asarray(self.follicle.base[2] + rise)
+
     def largest(self, r: Array) -> Array:
         """Deflection up to which it touches at distances (n,): swept, or flicked past."""
         swept = np.full(np.shape(r), self.follicle.swept_in_plane)
@@ -329,3 +335,14 @@ def _moments(log: Array, phi: Array, weight: Array) -> tuple[Array, Array, Array
     mean = (mass * phi).sum(axis=1) / mass.sum(axis=1)
     variance = (mass * (phi - mean[:, None]) ** 2).sum(axis=1) / mass.sum(axis=1)
     return mean, variance, mass.sum(axis=1) * np.exp(log.max(axis=1) - log.max())
+
+
+def one_place(place: ArrayLike, count: int = 2) -> Array:
+    """A place as x and y, or x, y and z."""
+    at = finite("place", place, "give x and y in metres")
+    if at.shape != (count,):
+        what, such = "x and y", "[20e-3, 0.0]"
+        if count == 3:
+            what, such = "x, y and z", "[20e-3, 0.0, 5e-3]"
+        raise ValueError(f"A place is {what} in metres, got shape {at.shape}; write {such}.")
+    return at

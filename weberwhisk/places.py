@@ -10,26 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
 
-from ._checks import finite, generator, kind, non_negative_number, one_of
-from ._display import Shown
+from ._checks import finite, generator, kind, non_negative_number, one_of, positive_number
 from .array import WhiskerArray
 from .observer import Observer
-from .place_grid import Frame, integrate
-from .place_sensor import Evidence, Sensor
+from .place_grid import Frame, Place, integrate
+from .place_sensor import Evidence, Sensor, one_place
 from .posterior import Status
 from .receptors import Seed
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Readings = Mapping[str, Any]
 
 
@@ -53,9 +49,12 @@ class ArrayObserver:
         J Neurosci 26:8451). 0 where it is known, but for taps.
     missed : float
         Probability that a touch is not noticed.
+    pole_length : float, optional
+        Of a short pole, m, whose height is to be told by which whiskers touch it and which do not:
+        one touches where its plane of whisking meets the pole. By default it is as high as all.
     region : ((float, float), (float, float)), optional
         x and y, m, between which the place is; its prior is flat. By default all places that any
-        whisker can touch lie inside.
+        whisker can touch lie inside. The height's prior is flat over all heights of these.
 
     Raises
     ------
@@ -68,7 +67,7 @@ class ArrayObserver:
     A whisker is bent in its plane of whisking, which holds its base tangent and the horizontal
     across it, and there the pole is a point. Left out: slip along the pole and out of that plane,
     which grows with elevation (`Place.note` names whiskers above 30° that touch), friction, and
-    several contacts of one whisker. The height of a pole is told by none.
+    several contacts of one whisker. The height of a long pole is told by none.
 
     Examples
     --------
@@ -83,6 +82,7 @@ class ArrayObserver:
     noise: Any = None
     angle_sd: float = float(np.radians(1.0))
     missed: float = 0.0
+    pole_length: float | None = None
     region: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -90,6 +90,8 @@ class ArrayObserver:
         non_negative_number("angle_sd", self.angle_sd, "give radians, such as 0.02")
         if not non_negative_number("missed", self.missed, "write 0.02, say") < 1:
             raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
+        if self.pole_length is not None:
+            positive_number("pole_length", self.pole_length, "give metres, such as 5e-3")
         if self.region is not None:
             box = finite("region", self.region, "give metres")
             if box.shape != (2, 2) or np.any(box[:, 0] >= box[:, 1]):
@@ -133,13 +135,35 @@ class ArrayObserver:
         ends = np.concatenate(rim)
         return np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1)
 
+    @cached_property
+    def heights(self) -> tuple[float, float]:
+        """Least and largest z of a short pole's middle, m."""
+        ends = []
+        for sensor in self.sensors.values():
+            rise = sensor.observer.reach[1] * np.sin(sensor.follicle.elevation)
+            ends += [sensor.follicle.base[2], sensor.follicle.base[2] + rise]
+        half = (self.pole_length or 0.0) / 2
+        return float(min(ends)) - half, float(max(ends)) + half
+
+    def _one(self, place: ArrayLike) -> tuple[Array, dict[str, Sensor]]:
+        """x and y of a pole, and the whiskers that are at its height."""
+        at = one_place(place, 2 if self.pole_length is None else 3)
+        if self.pole_length is None:
+            return at, self.sensors
+        level = {n: abs(float(s.height(at[:2])) - at[2]) for n, s in self.sensors.items()}
+        half = self.pole_length / 2
+        return at[:2], {n: s for n, s in self.sensors.items() if level[n] < half}
+
     def touching(self, place: ArrayLike) -> tuple[str, ...]:
-        """Names of the whiskers that touch a pole at (2,), m, more likely than not."""
-        at = one_place(place)
-        return tuple(n for n, s in self.sensors.items() if s.touch_probability(at) > 0.5)
+        """Names of the whiskers that touch a pole at (2,), m, more likely than not.
+
+        A place (3,), with the z of its middle, of a pole whose length is given.
+        """
+        at, level = self._one(place)
+        return tuple(n for n, s in level.items() if s.touch_probability(at) > 0.5)
 
     def read(self, place: ArrayLike, seed: Seed = None) -> dict[str, Array | None]:
-        """Noisy readings of a pole at (2,), m, by whisker; None where it does not touch.
+        """Noisy readings of a pole at (2,) or (3,), m, by whisker; None where it does not touch.
 
         Examples
         --------
@@ -148,9 +172,9 @@ class ArrayObserver:
         >>> [name for name, reading in readings.items() if reading is not None]
         ['C2']
         """
-        at, rng = one_place(place), generator(seed)
+        (at, level), rng = self._one(place), generator(seed)
         return {
-            name: reading if rng.random() >= self.missed else None
+            name: reading if rng.random() >= self.missed and name in level else None
             for name, reading in ((n, s.read(at, rng)) for n, s in self.sensors.items())
         }
 
@@ -171,6 +195,12 @@ class ArrayObserver:
             for evidence in touched:  # where these cannot be, nothing else need be asked
                 live = np.flatnonzero(out > -np.inf)
                 out[live] += evidence(place[live])
+            if self.pole_length is not None:
+                live = np.flatnonzero(out > -np.inf)
+                _, log = self._spans(touched, apart, place[live])
+                low, high = self.heights
+                out[live] += logsumexp(log, axis=1) - np.log(high - low)
+                return out
             for sensor in apart:
                 live = np.flatnonzero(out > -np.inf)
                 noticed = (1 - self.missed) * sensor.touch_probability(place[live])
@@ -180,8 +210,39 @@ class ArrayObserver:
 
         return log_likelihood
 
+    def _spans(
+        self, touched: list[Evidence], apart: list[Sensor], place: Array
+    ) -> tuple[Array, Array]:
+        """Ends (n, k + 1) of spans of z, and ln of the mass (n, k) that readings leave in each.
+
+        Given x and y, whether a whisker meets a short pole is a matter of z alone.
+        """
+        if self.pole_length is None:
+            return np.empty((0, 0)), np.empty((0, 0))
+        half, n = self.pole_length / 2, len(place)
+        low, high = (np.full(n, end) for end in self.heights)
+        for evidence in touched:
+            z = evidence.sensor.height(place)
+            low, high = np.maximum(low, z - half), np.minimum(high, z + half)
+        high = np.maximum(low, high)
+        noticed = [((1 - self.missed) * s.touch_probability(place), s.height(place)) for s in apart]
+        noticed = [(p, z) for p, z in noticed if p.any()]
+        ends = [low, high, *(z + d for _, z in noticed for d in (-half, half))]
+        edges = np.sort(np.clip(ends, low, high), axis=0).T
+        with np.errstate(divide="ignore"):
+            log = np.log(np.diff(edges))
+            for p, z in noticed:
+                level = np.abs((edges[:, 1:] + edges[:, :-1]) / 2 - z[:, None]) < half
+                log += np.where(level, np.log1p(-p)[:, None], 0.0)
+        return edges, log
+
     def information(self, place: ArrayLike) -> Array:
         """Fisher information about places (n, 2) by whisker, (n, whiskers, 2, 2), 1/m²."""
+        if self.pole_length is not None:
+            raise ValueError(
+                "Fisher information is of poles as high as all whiskers, got a pole_length of "
+                f"{self.pole_length:g} m; leave it out."
+            )
         at = np.atleast_2d(finite("place", place, "give metres"))
         return np.stack([s.information(at) for s in self.sensors.values()], axis=1)
 
@@ -198,125 +259,6 @@ class ArrayObserver:
             else self.sensors[name].checked(name, reading)
             for name, reading in readings.items()
         }
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Place(Shown):
-    """The posterior of an object's place; `place` makes it.
-
-    Attributes
-    ----------
-    observer : ArrayObserver
-    readings : mapping of whisker to array or None
-    status : Status
-        `NO_CONTACT` where no whisker touches: what is left is the region not excluded.
-        `IMPROBABLE_READING` where no one place explains all readings within 5 sd.
-    mean : array, shape (2,)
-        x and y, m.
-    covariance : array, shape (2, 2)
-        m².
-    error : float
-        Estimated error of means and sds, in sds.
-    places, weights, log_density : array, shape (n, 2), (n,), (n,)
-        Nodes, m, the mass that they stand for, and ln of the density, 1/m².
-    """
-
-    observer: ArrayObserver
-    readings: Readings
-    status: Status
-    mean: Array
-    covariance: Array
-    error: float
-    places: Array
-    weights: Array
-    log_density: Array
-    _log_evidence: float
-    _log_likelihood: Callable[[Array], Array]
-    _figure = "place"
-
-    @property
-    def touching(self) -> tuple[str, ...]:
-        """Names of the whiskers that touch."""
-        return tuple(name for name, reading in self.readings.items() if reading is not None)
-
-    @property
-    def sd(self) -> Array:
-        """Sd of x and of y, m."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def interval(self, mass: float = 0.95) -> Array:
-        """Equal-tailed intervals of x and of y, (2, 2), m."""
-        tail = (1 - mass) / 2
-        out = np.full((2, 2), np.nan)
-        for i, values in enumerate(self.places.T):
-            order = np.argsort(values)
-            rise = np.cumsum(self.weights[order]) - self.weights[order] / 2
-            if len(rise):
-                out[i] = np.interp([tail, 1 - tail], rise, values[order])
-        return out
-
-    def ellipse(self, mass: float = 0.95) -> tuple[float, float, float]:
-        """Half axes (m) of the error ellipse, and the angle (rad) of the longer from the x axis.
-
-        The Gaussian's of the same covariance, which holds the place with probability `mass`.
-        """
-        values, vectors = np.linalg.eigh(self.covariance)
-        minor, major = np.sqrt(-2 * np.log1p(-mass) * values)
-        return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
-
-    def credibility(self, place: ArrayLike) -> float:
-        """The mass of all places more probable than a place (2,): below 0.95 inside its region."""
-        log = self._log_likelihood(one_place(place)[None])[0] - self._log_evidence
-        return float(self.weights[self.log_density > log].sum())
-
-    def area(self, mass: float = 0.95) -> float:
-        """Area of the most probable places that hold the object with probability `mass`, m²."""
-        order = np.argsort(-self.log_density)
-        size = np.exp(np.log(self.weights[order]) - self.log_density[order])
-        kept = np.cumsum(self.weights[order]) - self.weights[order] < mass
-        return float(size[kept].sum())
-
-    @property
-    def bits(self) -> float:
-        """What the readings told of the place, beside the flat prior over the region, bits."""
-        area = float(np.prod(np.diff(self.observer.box, axis=1)))
-        return float(self.weights @ self.log_density + np.log(area)) / np.log(2)
-
-    @property
-    def note(self) -> str:
-        """What to know of this result beside its numbers; empty if nothing."""
-        out = []
-        if self.status is Status.NO_CONTACT:
-            share = self.area(1.0) / float(np.prod(np.diff(self.observer.box, axis=1)))
-            out.append(f"no whisker touches: {100 * share:.0f} % of the region is left")
-        steep = [
-            name
-            for name in self.touching
-            if abs(self.observer.sensors[name].follicle.elevation) > np.radians(30.0)
-        ]
-        if steep:
-            out.append(
-                f"{', '.join(steep)} more than 30° out of the horizontal: slip along the pole, "
-                "which is left out, may matter"
-            )
-        return "; ".join(out)
-
-    def summary(self) -> pd.DataFrame:
-        """A row each for x and y: mean, sd, 95 % interval in mm, how many touch, the status."""
-        import pandas as pd
-
-        low, high = 1e3 * self.interval().T
-        columns = {"mean_mm": 1e3 * self.mean, "sd_mm": 1e3 * self.sd, "low_95_mm": low}
-        columns |= {"high_95_mm": high, "touching": len(self.touching)}
-        table = pd.DataFrame(columns | {"status": self.status.message})
-        table.insert(0, "coordinate", ["x", "y"])
-        return table
-
-    def _line(self) -> str:
-        (x, y), (dx, dy) = 1e3 * self.mean, 1e3 * self.sd
-        where = f"x = {x:.3g} ± {dx:.2g} mm, y = {y:.3g} ± {dy:.2g} mm"
-        said = f"{where}, {len(self.touching)} of {len(self.readings)} whiskers touch"
-        return "; ".join(filter(None, (said, self.status.message, self.note)))
 
 
 def place(
@@ -370,18 +312,19 @@ def place(
         return out
 
     found = integrate(log_density, frame, tolerance, some)
-    if touched and not np.isfinite(found.log_evidence):  # the readings contradict each other
+    if touched and not np.isfinite(found["_log_evidence"]):  # the readings contradict each other
         found = integrate(log_density, Frame.of_box(box), tolerance, some)
-    status = Status.CONVERGED if found.error <= tolerance else Status.IMPRECISE
-    if not np.isfinite(found.log_evidence):
+    status = Status.CONVERGED if found["error"] <= tolerance else Status.IMPRECISE
+    if not np.isfinite(found["_log_evidence"]):
         status = Status.IMPROBABLE_READING
     elif not touched:
         status = Status.NO_CONTACT
     else:
-        best = found.places[np.argmax(found.log_density)]
+        best = found["places"][np.argmax(found["log_density"])]
         if any(evidence.is_improbable(best) for evidence in touched):
             status = Status.IMPROBABLE_READING
-    return Place(observer, y, status, *found, log_likelihood)
+    spans = partial(observer._spans, touched, apart)
+    return Place(observer, y, status, **found, _log_likelihood=log_likelihood, _spans=spans)
 
 
 def _own(value: Any, name: str, what: str) -> Any:
@@ -391,10 +334,3 @@ def _own(value: Any, name: str, what: str) -> Any:
     if name not in value:
         raise ValueError(f"{name} has no {what}; leave it out of the array, or give it one.")
     return value[name]
-
-
-def one_place(place: ArrayLike) -> Array:
-    at = finite("place", place, "give x and y in metres")
-    if at.shape != (2,):
-        raise ValueError(f"A place is x and y in metres, got shape {at.shape}; write [20e-3, 0.0].")
-    return at
