@@ -207,7 +207,7 @@ def test_place_is_that_of_brute_force(place: Any, angle_sd: float, k: float) -> 
     found = ww.place(o, readings)
     assert 0 < len(found.touching) < 4
     assert found.status is Status.CONVERGED
-    mean, sd, evidence = brute_force(o, readings, around(found), 60 if angle_sd else 300, 400)
+    mean, sd, evidence = brute_force(o, readings, around(found), 50 if angle_sd else 200, 160)
     off = np.abs([(found.mean - mean) / sd, found.sd / sd - 1])
     assert np.max(off) < max(3 * found.error, 2e-3)
     assert abs(found._log_evidence - evidence) < 3e-3
@@ -368,7 +368,7 @@ def test_information_predicts_the_spread_of_posteriors() -> None:
     o = observer("C2", "C3", "D3", noise=receptors.Weber(0.02), angle_sd=np.radians(0.2))
     place = np.array([16e-3, -1e-3])
     told = np.linalg.inv(o.information(place)[0].sum(axis=0))
-    sds = [ww.place(o, o.read(place, seed)).sd for seed in range(6)]
+    sds = [ww.place(o, o.read(place, seed)).sd for seed in range(4)]
     np.testing.assert_allclose(np.mean(sds, axis=0), np.sqrt(np.diag(told)), rtol=0.1)
 
 
@@ -385,7 +385,7 @@ def coverage(count: int) -> Any:
 
 
 def test_regions_cover_what_they_say() -> None:
-    found = coverage(30)
+    found = coverage(12)
     assert kstest(found, "uniform").pvalue > 0.01
 
 
@@ -449,9 +449,9 @@ def test_a_map_is_that_of_the_posterior_region() -> None:
     o = observer("C2", "D2", "C3", noise=receptors.Weber(0.03))
     row = ww.array_resolution(o, 16e-3, -1e-3).iloc[0]
     said = np.pi * -2 * np.log(0.05) * row.major_mm * row.minor_mm
-    areas = [ww.place(o, o.read([16e-3, -1e-3], seed)).area() for seed in range(4)]
-    assert np.mean(areas) * 1e6 == pytest.approx(said, rel=0.25)
-    told = [ww.place(o, o.read([16e-3, -1e-3], seed)).bits for seed in range(4)]
+    found = [ww.place(o, o.read([16e-3, -1e-3], seed)) for seed in range(4)]
+    assert np.mean([one.area() for one in found]) * 1e6 == pytest.approx(said, rel=0.25)
+    told = [one.bits for one in found]
     # The prior counts as a Gaussian of the same variance, which has 0.51 bits more than the box.
     assert np.mean(told) == pytest.approx(row.bits - 0.51, abs=0.4)
 
