@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -92,6 +94,15 @@ def _global_random_state_is_left_alone() -> Iterator[None]:
     after = np.random.get_state(legacy=False)  # noqa: NPY002
     assert before["state"]["pos"] == after["state"]["pos"], "NumPy's global generator was used"
     np.testing.assert_array_equal(before["state"]["key"], after["state"]["key"])
+
+
+@pytest.fixture(scope="session")
+def arviz() -> Any:
+    """ArviZ; on the first import of a day 0.23 announces its successor, and warnings are errors."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+    return arviz
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,6 @@ from weberwhisk.posterior import diagnostics
 from weberwhisk.posterior.arviz_io import to_arviz
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def arviz() -> Any:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # 0.23 announces its successor
-        import arviz
-    return arviz
 
 
 def chains(draws: int, memory: float, *, ties: bool, seed: int) -> Array:

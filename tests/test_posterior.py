@@ -263,9 +263,7 @@ def test_one_reading_gives_scalars_and_many_give_arrays(method):
 
 
 @pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
-def test_to_arviz_has_draws_of_the_posterior(method):
-    import arviz
-
+def test_to_arviz_has_draws_of_the_posterior(arviz, method):
     observer = ww.Observer(W, ForceMap(), Weber(0.05))
     p = ww.posterior(observer, observer.read([30e-3, 0.15], seed=1), method, seed=3)
     data = p.to_arviz(draws=400)

@@ -1,6 +1,5 @@
 """Unknowns that the whisker does not bound: priors of their own, integrated out by every engine."""
 
-import arviz
 import numpy as np
 import pytest
 from analysis_scripts import load
@@ -68,7 +67,7 @@ def test_a_third_unknown_that_is_known_changes_nothing(method):
 
 
 @pytest.mark.parametrize("cue", [UnknownStiffness(ForceMap()), SpaceMap()], ids=repr)
-def test_emcee_knows_how_three_unknowns_go_together(cue):
+def test_emcee_knows_how_three_unknowns_go_together(arviz, cue):
     """Means, sds, correlations and the third unknown's quantiles are those of quadrature."""
     observer = ww.Observer(W, cue, None if isinstance(cue, SpaceMap) else Weber(0.1))
     reading = observer.read([25e-3, 0.3, 1.0], seed=4)
