@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from weberwhisk.posterior import diagnostics
+from weberwhisk.posterior import arviz_io as diagnostics
 from weberwhisk.posterior.arviz_io import to_arviz
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from scipy import integrate, stats
 import weberwhisk as ww
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.jnd import fisher_jnd, weber_propagation
-from weberwhisk.posterior.mode import find_mode
 from weberwhisk.posterior.panels import Panels
+from weberwhisk.posterior.peaks import find_mode
 from weberwhisk.posterior.solution import is_improbable
 from weberwhisk.receptors import Afferents, SpikeCount, Weber
 

@@ -16,9 +16,9 @@ from weberwhisk.cues import (
 )
 from weberwhisk.fusion import prior_draws
 from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.posterior.grid import OwnGrids
 from weberwhisk.posterior.likelihood import likelihood_of
-from weberwhisk.posterior.mode import find_mode
-from weberwhisk.posterior.own_grid import OwnGrids
+from weberwhisk.posterior.peaks import find_mode
 from weberwhisk.posterior.summed_tiles import SummedTiles
 from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber

@@ -21,8 +21,7 @@ from ..mechanics import flick_past
 from ..mechanics.chebyshev import Array
 from ..observer import Observer
 from ..posterior import Posterior, Status, posterior
-from ..posterior.mode import find_mode
-from ..posterior.solution import mode_root
+from ..posterior.peaks import find_mode
 from ..whisker import Whisker
 from .timing import Row, timed
 
@@ -144,7 +143,7 @@ def importance(observer: Observer, rows: Array, n: int, seed: int = 5) -> Array:
     from scipy import stats
 
     mode = find_mode(observer, rows)
-    root = mode_root(mode, widen=1.2)
+    root = mode.root(widen=1.2)
     t = stats.multivariate_t(shape=np.eye(root.shape[1]), df=5, seed=seed)
     z = t.rvs(n).reshape(n, -1)
     value, contact = observer.log_density_and_contact(

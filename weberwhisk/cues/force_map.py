@@ -217,6 +217,7 @@ class ForceMap(Cue):
         contact = np.stack([np.minimum(r, 0.98 * length), theta], axis=-1)
         found, size = np.full(wanted.shape, np.nan), self._size(whisker, wanted)
         left = np.arange(len(wanted))
+        least, since = np.full(len(wanted), np.inf), np.zeros(len(wanted), dtype=int)
         for _ in range(steps):
             r, theta = contact[left].T
             point = np.stack([r, np.minimum(theta, 0.995 * forward.limit(r))], axis=-1)
@@ -233,8 +234,12 @@ class ForceMap(Cue):
             near = np.all(np.abs(miss) < 1e-9, axis=-1)
             found[left] = np.where(near[:, None], after, np.nan)
             contact[left] = after
-            # A point at which the signals depend on one unknown alone leads nowhere.
-            going = np.any(np.abs(miss) >= 1e-13, axis=-1) & np.isfinite(after).all(axis=-1)
+            # A point at which the signals depend on one unknown alone leads nowhere, nor do ten
+            # steps that come no nearer.
+            far = np.abs(miss).max(axis=-1)
+            since[left] = np.where(far < 0.99 * least[left], 0, since[left] + 1)
+            least[left] = np.fmin(far, least[left])
+            going = (far >= 1e-13) & np.isfinite(after).all(axis=-1) & (since[left] < 10)
             left = left[going]
             if not left.size:
                 break

@@ -18,16 +18,22 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
-from .densities import refuse_impossible
+from .grid import OwnGrids
 from .likelihood import likelihood_of
 from .marginals import by_draws, draws, tile_quantiles
-from .own_grid import OwnGrids
 from .result import Estimate, Status
-from .solution import Array, Solution, is_outside, is_unidentified
+from .solution import (
+    Array,
+    Index,
+    Solution,
+    is_outside,
+    is_unidentified,
+    refuse_impossible,
+)
 from .summed import LastSummed
 from .summed_tiles import SummedTiles
 from .tiled import Moments, TiledObserver
-from .tiling import Index, Tiles, TooManyTiles, expected_tiles, tiles_of
+from .tiling import Tiles, TooManyTiles, expected_tiles, tiles_of
 
 #: Error of mean and sd, over the sd, above which a posterior is called imprecise.
 TOLERANCE = 1e-2

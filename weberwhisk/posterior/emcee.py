@@ -20,12 +20,12 @@ from ..coordinates import FARTHEST
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
-from .densities import refuse_impossible
 from .ensemble import MoveMaker, StackedSample, default_moves, recommended_walkers, sample_stacked
 from .moves import StackedMixture, student_t
-from .peaks import over_all_peaks
+from .panels import panels_of
+from .peaks import is_divided
 from .result import Estimate, Status
-from .solution import Array, Solution, is_improbable, is_unidentified
+from .solution import Array, Solution, is_improbable, is_unidentified, refuse_impossible
 
 Density = Callable[[Array, NDArray[np.intp]], Array]
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for, and the steps after which a
@@ -153,13 +153,15 @@ def _solution(
 def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> NDArray[np.bool_]:
     """Of which posteriors of one unknown (B,), their mass being apart, walkers missed some.
 
-    No diagnostic of the walkers sees a peak where none of them is, so all peaks are summed up
-    beside them: one of 40 readings of two modes of vibration had an sd ten times too small.
+    No diagnostic of the walkers sees a peak where none of them is, so these are held against
+    quadrature: one of 40 readings of two modes of vibration had an sd ten times too small.
     """
-    found, missing = over_all_peaks(observer, reading)
-    for row, (mean, sd) in found.items():
-        off = np.abs([mean - sampled.mean[row], sd - sampled.sd[row]])
-        missing[row] |= bool(np.any(off > 4 * np.array([s[row] for s in sampled[2:]])))
+    missing = is_divided(observer, reading)
+    if missing.any():
+        exact = panels_of(observer).moments(reading[missing])
+        mean, sd, *errors = (column[missing] for column in sampled)
+        off = np.abs([exact.mean - mean, exact.sd - sd])
+        missing[missing] = (off > 4 * np.array(errors)).any(axis=0)
     return missing
 
 

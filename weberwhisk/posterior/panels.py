@@ -19,44 +19,29 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .densities import refuse_impossible
-from .solution import IMPROBABLE
+from .solution import IMPROBABLE, Array, Index, refuse_impossible
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
-# The 7-point Gauss and 15-point Kronrod rule of QUADPACK (qk15), positive half, outermost first.
-_X = (
-    0.991455371120812639206854697526329,
-    0.949107912342758524526189684047851,
-    0.864864423359769072789712788640926,
-    0.741531185599394439863864773280788,
-    0.586087235467691130294144691693013,
-    0.405845151377397166906606412076961,
-    0.207784955007898467600689403773245,
-)
-_KRONROD = (
-    0.022935322010529224963732008058970,
-    0.063092092629978553290700663189204,
-    0.104790010322250183839876322541518,
-    0.140653259715525918745189590510238,
-    0.169004726639267902826583426598550,
-    0.190350578064785409913256402421014,
-    0.204432940075298892414161999234649,
-)
-_KRONROD_CENTRE = 0.209482141084727828012999174891714
-_GAUSS = (
-    0.129484966168869693270611432679082,
-    0.279705391489276667901467771423780,
-    0.381830050505118944950369775488975,
-)
-_GAUSS_CENTRE = 0.417959183673469387755102040816327
+def _gauss_kronrod(count: int = 7) -> tuple[Array, Array, Array]:
+    """Nodes of Kronrod's rule (2n + 1,), its weights and those of Gauss's rule among them.
 
-NODES = np.array([*(-x for x in _X), 0.0, *_X[::-1]])
-KRONROD = np.array([*_KRONROD, _KRONROD_CENTRE, *_KRONROD[::-1]])
-GAUSS = np.zeros(15)
-GAUSS[[1, 3, 5, 9, 11, 13]] = [*_GAUSS, *_GAUSS[::-1]]
-GAUSS[7] = _GAUSS_CENTRE
+    The n + 1 further nodes are the zeros of Stieltjes' polynomial: times Legendre's of degree n it
+    is orthogonal to all powers up to n. (QUADPACK's qk15, with n = 7, to rounding.)
+    """
+    x, w = legendre.leggauss(2 * count)
+    terms = legendre.legvander(x, count + 1)
+    moments = (w * terms[:, count]) @ (terms[:, :, None] * terms[:, None]).reshape(len(x), -1)
+    moments = moments.reshape(count + 2, count + 2)[: count + 1]
+    stieltjes = np.append(np.linalg.lstsq(moments[:, :-1], -moments[:, -1], rcond=None)[0], 1.0)
+    gauss, weights = legendre.leggauss(count)
+    nodes = np.sort(np.concatenate([gauss, legendre.legroots(stieltjes).real]))
+    kronrod = np.linalg.solve(legendre.legvander(nodes, 2 * count).T, [2.0] + [0.0] * 2 * count)
+    among = np.zeros(len(nodes))
+    among[1::2] = weights
+    return nodes, np.asarray(kronrod, dtype=np.float64), among
+
+
+NODES, KRONROD, GAUSS = _gauss_kronrod()
 _TO_LEGENDRE = np.linalg.inv(legendre.legvander(NODES, 14))
 #: Integral from −1 to each node of the interpolant through the nodes, (15, 15).
 _RISE = (

@@ -9,9 +9,9 @@ import emcee
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from weberwhisk.posterior import diagnostics
-from weberwhisk.posterior.densities import checked_density
+from weberwhisk.posterior import arviz_io as diagnostics
 from weberwhisk.posterior.moves import Array, StackedMove
+from weberwhisk.posterior.solution import checked_density
 
 
 class Shortfall(IntFlag):
@@ -165,7 +165,6 @@ class EnsembleRun:
         asked for is tightened by √2. What takes the draws (kurtosis, R-hat) is worked out where
         nothing else is wrong, or for `every` posterior.
         """
-        self.recentre()
         burn = self.burn_in()
         parts = [np.flatnonzero(burn == cut) for cut in np.unique(burn)]
         joined = [self.statistics(rows, int(burn[rows[0]])) for rows in parts]
@@ -194,21 +193,6 @@ class EnsembleRun:
         kept = np.full((len(burn), *values.shape[1:]), np.nan)
         kept[asked] = values
         return out | {"shortfall": fault, "rhat": rhat, "values": kept}
-
-    def recentre(self) -> None:
-        """Sum about the draws themselves where walkers started 10 000 sds away: digits are lost.
-
-        The steps on record stand for all of them, where these are averaged in batches.
-        """
-        late = self.series[..., self.series.shape[-1] // 2 :]
-        first, second = late.mean(axis=(-2, -1))
-        least = np.maximum(second - first**2, (np.finfo(float).eps * self.origin) ** 2)
-        rows = np.flatnonzero((first**2 > 1e8 * least).any(axis=1))
-        if rows.size:
-            self.origin[rows] += first[rows]
-            values = self.columns(self.coords[:, rows]) - self.origin[rows, None, None]
-            both = [v.mean(axis=3) for v in (values, np.square(values))]
-            self.series[:, rows] = np.stack(both).transpose(0, 2, 4, 3, 1)
 
     def burn_in(self) -> NDArray[np.intp]:
         """The shortest of n/8, n/4 and n/2 batches after which no drift of 3 errors is left."""

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .result import Estimate, Status
-
-if TYPE_CHECKING:
-    from .mode import Mode
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 #: A reading this many sd from the signals is improbable under the model.
 IMPROBABLE = 5.0
-#: Widest start of a search or of the walkers, in x: the prior itself is a few units wide.
-WIDEST = 2.0
 
 
 class Solution(NamedTuple):
@@ -84,17 +79,6 @@ def of_nothing(unknowns: int) -> Solution:
     )
 
 
-def mode_root(mode: Mode, *, widen: float = 1.0) -> Array:
-    """A square root of each mode's covariance, (B, U, U), no wider than `WIDEST`.
-
-    On a ridge the curvature knows no bound; the prior's width in x is a few units.
-    """
-    root = widen * np.linalg.cholesky(mode.covariance)
-    return np.asarray(
-        root * np.minimum(1.0, WIDEST / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
-    )
-
-
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:
     """Readings with a number more than 5 sd from what their own most probable contact gives."""
     return is_outside(observer.noise, reading, observer.signals(contact)[0])
@@ -136,3 +120,30 @@ def is_unidentified(observer: Observer, contact: Array) -> NDArray[np.bool_]:
     known = np.isfinite(told).all(axis=(1, 2))
     least[known] = np.linalg.eigvalsh(information[:, :n, :n] - shared)[:, 0]
     return least < 0.25
+
+
+def checked_density(value: ArrayLike, points: Array, index: Index) -> Array:
+    """The log-density as (b, N), refused where it is NaN, +inf or of another shape."""
+    out = np.asarray(value, dtype=float)
+    if out.shape != points.shape[:2]:
+        raise ValueError(
+            f"The log-density must have shape {points.shape[:2]} for points of shape "
+            f"{points.shape}, got {out.shape}; return one value for each point."
+        )
+    if not np.max(out) < np.inf:
+        bad = tuple(np.argwhere(~(out < np.inf))[0])
+        raise ValueError(
+            f"The log-density of posterior {index[bad[0]]} is {out[bad]} at "
+            f"{points[bad].tolist()}; return -inf where the density is zero."
+        )
+    return out
+
+
+def refuse_impossible(reading: Array, highest: Array) -> None:
+    """Refuse readings (B, R) whose log-density is −inf everywhere: there is no posterior."""
+    impossible = np.isneginf(highest)
+    if np.any(impossible):
+        raise ValueError(
+            f"No contact can give the reading {reading[impossible][0].tolist()} under this noise; "
+            "check its sign, or choose noise that allows it, such as Weber."
+        )

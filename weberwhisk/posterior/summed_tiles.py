@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from .likelihood import ORDER, Rule
 from .solution import Array, Index
 from .summed import LastCurve, LastSummed, Peak, Quadratic
 from .tiled import TiledObserver, Weighed
-from .tiling import ORDER, Rule
 
 
 class SummedTiles(TiledObserver):

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
-from .tiling import NEGLIGIBLE, ORDER, Array, Index, Tiles
+from .likelihood import ORDER
+from .solution import Array, Index
+from .tiling import NEGLIGIBLE, Tiles
 
 #: Tiles that are looked for together.
 GROUP = 16
