@@ -13,7 +13,7 @@ from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.posterior.panels import Panels
 from weberwhisk.posterior.peaks import find_mode
-from weberwhisk.posterior.solution import is_improbable
+from weberwhisk.posterior.result import is_improbable
 from weberwhisk.receptors import Afferents, SpikeCount, Weber
 
 SLOW, RAPID = Afferents(75, 1e-8, 1e-5), Afferents(25, 1e-6, 1e-3)

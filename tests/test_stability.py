@@ -80,6 +80,17 @@ def test_a_hunt_finds_nothing_wrong_in_silence(name: str) -> None:
     pytest.fail(f"Ten hunts from seed {first} on had nothing that could be judged.")
 
 
+@pytest.mark.slow
+def test_a_long_hunt_of_fusions_finds_nothing_wrong_in_silence() -> None:
+    """150 fusions, which missed modes in silence once: some ten minutes of a core."""
+    fresh = np.random.SeedSequence().generate_state(1)[0]
+    seed = int(os.environ.get("WEBERWHISK_HUNT_SEED", fresh))
+    cases = hunting.hunt(DOMAINS["fusions of any whisker"], 30, 3, seed)
+    wrong = hunting.silent(cases)
+    assert wrong.empty, f"WEBERWHISK_HUNT_SEED={seed} replays these:\n{wrong.to_string()}"
+    assert (cases["fate"] == hunting.Fate.RIGHT).mean() > 0.3
+
+
 def test_the_hunt_can_find() -> None:
     """A wrong answer is found: signals of a whisker taken for 1 % stiffer."""
     rungs = stability.stability_rungs

@@ -16,7 +16,7 @@ from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .mechanics.contact import Outcome
 from .observer import Observer
 from .posterior import posterior
-from .posterior.solution import is_outside
+from .posterior.result import is_outside
 
 Array = NDArray[np.float64]
 

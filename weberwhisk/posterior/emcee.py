@@ -24,8 +24,16 @@ from .ensemble import MoveMaker, StackedSample, default_moves, recommended_walke
 from .moves import StackedMixture, student_t
 from .panels import panels_of
 from .peaks import is_divided
-from .result import Estimate, Status
-from .solution import Array, Solution, is_improbable, is_unidentified, refuse_impossible
+from .quadrature import quadrature
+from .result import (
+    Array,
+    Estimate,
+    Solution,
+    Status,
+    is_improbable,
+    is_unidentified,
+    refuse_impossible,
+)
 
 Density = Callable[[Array, NDArray[np.intp]], Array]
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for, and the steps after which a
@@ -365,9 +373,7 @@ def _score(observer: Observer, reading: Array, x: Array) -> tuple[Array, Array, 
 
 def _from_quadrature(observer: Observer, reading: Array, rng: np.random.Generator) -> Array:
     """Draws (B, N, U) of the contact by quadrature."""
-    from .solve import posterior
-
-    draws = posterior(observer, reading).draws_of(48, rng)
+    draws = quadrature(observer, reading, rng, None, None).draws_of(48, rng)
     return draws.reshape(len(reading), -1, draws.shape[-1])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..observer import Observer
-from .solution import Array, Index, checked_density
+from .result import Array, Index, checked_density
 from .tiled import Moments
 from .tiling import prior_box
 

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .solution import Array
+from .result import Array
 from .summed import LastSummed, NotSmooth
 
 #: Nodes along each axis of a tile.

@@ -14,7 +14,7 @@ from scipy.special import logit, wrightomega
 
 from ..coordinates import constrain_angle
 from .likelihood import ORDER
-from .solution import Array, Index
+from .result import Array, Index
 from .tiled import TiledObserver, Weighed, summed
 
 _X, _W = legendre.leggauss(ORDER)

@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .solution import IMPROBABLE, Array, Index, refuse_impossible
+from .result import IMPROBABLE, Array, Index, refuse_impossible
 
 
 def _gauss_kronrod(count: int = 7) -> tuple[Array, Array, Array]:

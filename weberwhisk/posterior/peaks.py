@@ -15,10 +15,11 @@ from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
 from .panels import panels_of
-from .result import Estimate, Status
-from .solution import (
+from .result import (
     Array,
+    Estimate,
     Solution,
+    Status,
     contact_slope,
     is_improbable,
     is_unidentified,

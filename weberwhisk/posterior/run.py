@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from weberwhisk.posterior import arviz_io as diagnostics
 from weberwhisk.posterior.moves import Array, StackedMove
-from weberwhisk.posterior.solution import checked_density
+from weberwhisk.posterior.result import checked_density
 
 
 class Shortfall(IntFlag):

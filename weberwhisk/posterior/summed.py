@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .solution import Array, Index
+from .result import Array, Index
 
 
 class Peak(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from .likelihood import ORDER, Rule
-from .solution import Array, Index
+from .result import Array, Index
 from .summed import LastCurve, LastSummed, Peak, Quadratic
 from .tiled import TiledObserver, Weighed
 

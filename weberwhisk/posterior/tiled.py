@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from .likelihood import ORDER
-from .solution import Array, Index
+from .result import Array, Index
 from .tiling import NEGLIGIBLE, Tiles
 
 #: Tiles that are looked for together.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from .likelihood import Boxes, Nodes, Rule, likelihood_of, measured, nodes_of
-from .solution import Array, Index
+from .result import Array, Index
 
 #: ln of the share of the prior below which a box is not cut further and, `LEFT_OUT` below that,
 #: left out: of all contacts, over the share of an average tile; where readings are followed.
