@@ -1,11 +1,14 @@
-"""A Weber fraction from a table of choices."""
+"""A Weber fraction from a table of choices, by quadrature or by emcee."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
 
 from .. import _checks
 from .._deprecated import renamed_arguments
@@ -22,17 +25,25 @@ from .encodings import (
     unit_encodings,
 )
 from .integrate import refined
-from .likelihood import WeberModel, gather
+from .likelihood import Draws, WeberModel, gather
 from .located import over_places, with_distances
-from .posteriors import QuadraturePosterior, WeberPosterior
-from .priors import priors_for
+from .posteriors import (
+    QuadraturePosterior,
+    WeberPosterior,
+    find_mode,
+    lead_values,
+    map_point,
+    score_precision,
+)
+from .priors import REACH, priors_for
 from .result import WeberFit
 from .trials import Cells, Trials, check_trials
 from .verdict import verdict
 
+Array = NDArray[np.float64]
+
 BIASES = ("none", "shared", "per standard")
 METHODS = ("quadrature", "emcee")
-MOST_BY_QUADRATURE = 5  # parameters; one more costs a sampler less than a grid
 
 
 @one_blas_thread
@@ -108,15 +119,14 @@ def fit_weber(
         encoded_as = chosen_encoding(encoding, observer) or IdentityEncoding()
         trials = with_distances(trials, distances, encoded_as)
     model, encoded, chosen = build_model(trials, encoding, observer, bias, noise, priors, effects)
-    by_itself = "quadrature" if _dimensions(model) <= MOST_BY_QUADRATURE else "emcee"
+    # One parameter more than five costs a sampler less than a grid.
+    by_itself = "quadrature" if sum(model.free) + model.free_bias <= 5 else "emcee"
     used = by_itself if method is None else method
     _checks.one_of("method", used, METHODS)
     rng = _checks.generator(seed)
     fewer = model.merged()
     posterior: WeberPosterior
     if used == "emcee":
-        from .sampling import sample
-
         posterior = sample(fewer, seed=rng)
     else:
         posterior = QuadraturePosterior(fewer, refined(fewer), int(rng.integers(2**63)))
@@ -124,10 +134,6 @@ def fit_weber(
     return WeberFit(
         trials, model, encoded, noise, chosen, used, posterior, status, (*trials.notes, *notes)
     )
-
-
-def _dimensions(model: WeberModel) -> int:
-    return sum(model.free) + model.free_bias
 
 
 def build_model(
@@ -198,3 +204,143 @@ def pairs_shown(cells: Cells, encoding: Encoding, noise: str) -> UnitEncodings:
     stimuli = cells.stimulus_1, cells.stimulus_2, cells.standard
     refuse_unencoded(encoding, np.concatenate(stimuli))
     return unit_encodings(encoding, *stimuli, noise)
+
+
+@dataclass(frozen=True)
+class SampledPosterior:
+    """Draws by emcee: `chains` independent ensembles one after another."""
+
+    model: WeberModel
+    sample: Draws
+    chains: int
+    error: float
+    trouble: str
+    log_evidence: float | None = None
+
+    def mean(self, name: str) -> float:
+        return float(self._column(name).mean())
+
+    def sd(self, name: str) -> float:
+        return float(self._column(name).std())
+
+    def quantile(self, name: str, probability: ArrayLike) -> Array:
+        at = np.asarray(probability, dtype=float)
+        return np.asarray(np.quantile(self._column(name), at), dtype=float)
+
+    def score_curve(self) -> tuple[Array, Array]:
+        """ln of the posterior density of k's score: its own given the rest, averaged over draws.
+
+        Counts of draws would say nothing of ends where there is one in a thousand of them.
+        """
+        axis = np.linspace(-REACH, REACH, 73)
+        few = self.sample.thinned(400)
+        low, high, bias, effects = (
+            np.repeat(values[:, None], axis.size, axis=1)
+            for values in (few.lapse_low, few.lapse_high, few.bias, few.effects)
+        )
+        k = np.broadcast_to(self.model.value("weber_fraction", axis), low.shape)
+        log = self.model.log_likelihood(k, low, high, bias, effects) - 0.5 * axis**2
+        log -= logsumexp(log, axis=1, keepdims=True)
+        return axis, logsumexp(log, axis=0)
+
+    def mode(self) -> dict[str, float]:
+        return map_point(self.model, np.zeros(len(self.model.lead)))
+
+    def draws(self) -> Draws:
+        return self.sample
+
+    def _column(self, name: str) -> Array:
+        named = self.sample.named(self.model)
+        return named[name] if name in named else np.full(2, self.model.fixed_value(name))
+
+
+def sample(
+    model: WeberModel,
+    *,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+    ensembles: int = 4,
+    precision: float = 0.03,
+) -> SampledPosterior:
+    """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
+
+    Parameters
+    ----------
+    model : WeberModel
+    seed : int, SeedSequence or Generator
+    ensembles : int
+        Independent ensembles; R-hat compares them.
+    precision : float
+        Monte Carlo error asked for, in posterior sds.
+
+    Returns
+    -------
+    SampledPosterior
+        `trouble` says so where the run has not converged.
+    """
+    from ..posterior.ensemble import sample_stacked
+    from ..posterior.run import Shortfall
+
+    rng = np.random.default_rng(seed)
+    free = np.flatnonzero(model.free)
+    n_bias = model.n_groups if model.free_bias else 0
+    dim = free.size + n_bias
+    if dim == 0:
+        raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
+    of_scores = score_precision(model)
+    transforms = [model.transforms[i] for i in free]
+    ends = np.array([s.ends for s in transforms]).reshape(-1, 2).T
+
+    def scores_of(theta: Array) -> Array:
+        columns = [s.score(theta[..., i]) for i, s in enumerate(transforms)]
+        return np.stack(columns, axis=-1) if columns else theta[..., :0]
+
+    def unpack(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
+        z = np.zeros((*theta.shape[:-1], len(model.lead)))
+        z[..., free] = scores_of(theta)
+        k, effects, low, high = lead_values(model, z)
+        if n_bias:
+            bias = theta[..., free.size :]
+        else:
+            bias = np.full((*k.shape, model.n_groups), model.fixed_bias())
+        return k, low, high, bias, effects
+
+    def log_density(theta: Array) -> Array:
+        k, low, high, bias, effects = unpack(theta)
+        t, scores = theta[..., : free.size], scores_of(theta)
+        inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
+        possible = (sum(model.lapses(low, high)) < 1) & inside
+        out = model.log_likelihood(k, low, high, bias, effects)
+        out = out - 0.5 * np.einsum("...i,ij,...j->...", scores, of_scores, scores)
+        for i, transform in enumerate(transforms):
+            out = out + np.log(transform.slope(t[..., i]))
+        if n_bias:
+            out = out + model.log_bias_prior(bias).sum(axis=-1)
+        return np.where(possible, out, -np.inf)
+
+    start_bias = np.full(model.n_groups, model.priors.moments("bias")[0] if n_bias else 0.0)
+    mode, information = find_mode(model, np.zeros(len(model.lead)), start_bias)
+    scores, bias = mode
+    root = np.linalg.cholesky(np.linalg.inv(information))
+    walkers = max(64, 4 * dim)
+    at = [s.coordinate(z) for s, z in zip(transforms, scores[free], strict=True)]
+    centre = np.r_[at, bias if n_bias else ()]
+    # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
+    for _ in range(60):
+        if np.isfinite(log_density(centre)):
+            break
+        centre[: free.size] *= 0.9
+    per_score = np.ones(dim)
+    at = centre[: free.size]
+    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(transforms, at, strict=True)]
+    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
+    # A start outside the support is pulled towards the mode until it is inside.
+    for _ in range(60):
+        lost = ~np.isfinite(log_density(start))
+        if not lost.any():
+            break
+        start[lost] = centre + 0.5 * (start[lost] - centre)
+    run = sample_stacked(log_density, start, seed=rng, precision=precision)
+    flat = run.values[0].reshape(-1, dim)
+    error = float(np.max(run.mcse_mean[0, :dim] / run.sd[0, :dim]))
+    trouble = "" if run.converged[0] else f"emcee: {Shortfall(int(run.shortfall[0])).message}"
+    return SampledPosterior(model, Draws(*unpack(flat)), ensembles, error, trouble)

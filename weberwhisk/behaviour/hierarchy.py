@@ -26,16 +26,7 @@ Array = NDArray[np.float64]
 NAMES = (
     "log_weber_fraction", "spread", "session_spread", "bias_scale", "lapse_mean", "lapse_spread",
 )  # fmt: skip
-COARSE = (13, 13, 7, 7, 7, 4)
-FINE = (23, 27, 11, 11, 21, 9)
-FINER_BIASES = (23, 27, 11, 27, 21, 9)  # where their scale has a peak and a long tail
-PLENTY = 0.1  # what half the nodes may miss
 ALL = range(len(NAMES))
-CUT_OFF = 1e-3  # of the peak: density at the last scale of biases, at which more should be known
-ROOM = 10_000_000  # numbers of kernels that are kept for other lapses
-MIRRORED = 2  # nodes beyond an end that Akima's slope at it needs
-BULGE = 0.5  # nats: a normal's log between nodes two of its sds apart lies so far above them
-KEPT = 1e-6  # of the peak: what a marginal density may fall to within the axes
 
 
 @dataclass(frozen=True)
@@ -62,10 +53,12 @@ class Population:
         The nodes are few, being made for integrals: they are interpolated to many, so that sums up
         to a value make a quantile.
         """
-        needed = sorted({j for name in names for j in _AXES_OF[name]})
+        first = NAMES[0]  # depends on the spreads as well
+        needed = sorted({j for n in names for j in (range(4) if n == first else [NAMES.index(n)])})
         mass = self.mass.sum(axis=tuple(j for j in ALL if j not in needed), keepdims=True)
         many = [j for j in needed if mass.shape[j] > 1]
-        factor = [FINER[len(many)] if j in many else 1 for j in ALL]
+        finer = (1, 24, 8, 5, 3)[len(many)]  # by how many axes are interpolated at once
+        factor = [finer if j in many else 1 for j in ALL]
         ends = _end_weights(mass.shape)
         fine = np.exp(_zoomed(np.log(np.maximum(mass / ends, 1e-300)), factor))
         fine *= _end_weights(fine.shape)
@@ -96,15 +89,13 @@ class Population:
         return out
 
 
-_AXES_OF = {name: (j,) for j, name in enumerate(NAMES)} | {NAMES[0]: (0, 1, 2, 3)}
-FINER = {0: 1, 1: 24, 2: 8, 3: 5, 4: 3}  # by how many axes are interpolated at once
-
-
-def _zoomed(values: Array, factor: Sequence[int]) -> Array:
+def _zoomed(values: Array, factor: Sequence[int], mirrored: int = 2, bulge: float = 0.5) -> Array:
     """Cubic interpolation, the ends kept; level at the ends, as a density is about no spread.
 
     By Akima's slopes, which are local: a log density that is cut off at a node, a bounded prior's,
     made a spline overshoot its neighbours by hundreds, and what lay there was the whole posterior.
+    `mirrored` nodes beyond an end are what Akima's slope at it needs; `bulge` is how far, in nats,
+    a normal's log lies above nodes two of its sds apart.
     """
     for axis, f in enumerate(factor):
         n = values.shape[axis]
@@ -112,14 +103,13 @@ def _zoomed(values: Array, factor: Sequence[int]) -> Array:
             continue
         known = np.moveaxis(values, axis, 0)
         # Mirrored at either end, so that the slope is zero there.
-        mirrored = np.abs(np.arange(-MIRRORED, n + MIRRORED))
-        mirrored = np.where(mirrored < n, mirrored, 2 * (n - 1) - mirrored)
-        curve = Akima1DInterpolator(np.arange(-MIRRORED, n + MIRRORED), known[mirrored])
+        place = np.arange(-mirrored, n + mirrored)
+        curve = Akima1DInterpolator(place, known[n - 1 - np.abs(n - 1 - np.abs(place))])
         fine = curve(np.linspace(0, n - 1, n * f - f + 1))
         # Two nodes between two cut-offs still overshoot: no bump that the nodes can tell does so.
         cell = np.minimum(np.arange(len(fine)) // f, n - 2)
         ends = known[cell], known[cell + 1]
-        fine = np.clip(fine, np.minimum(*ends) - BULGE, np.maximum(*ends) + BULGE)
+        fine = np.clip(fine, np.minimum(*ends) - bulge, np.maximum(*ends) + bulge)
         values = np.moveaxis(fine, 0, axis)
     return values
 
@@ -149,12 +139,14 @@ def integrate_population(
     """
     grid = _Grid(Work(members), priors, log_weber_fraction)
     ranges = list(grid.bounds)
-    for counts in (COARSE, COARSE, COARSE, FINE):
+    coarse, fine = (13, 13, 7, 7, 7, 4), (23, 27, 11, 11, 21, 9)
+    finer_biases = (23, 27, 11, 27, 21, 9)  # where their scale has a peak and a long tail
+    for counts in (coarse, coarse, coarse, fine):
         grid.lay(ranges, counts)
         log_mass = grid.log_mass()
         mass = np.exp(log_mass - log_mass.max())
         ranges = [_narrowed(mass, j, grid.axes[j], grid.bounds[j]) for j in ALL]
-    for counts in (FINE, FINER_BIASES):
+    for counts in (fine, finer_biases):
         grid.lay(ranges, counts)
         log_mass = grid.log_mass()
         top = log_mass.max()
@@ -162,7 +154,7 @@ def integrate_population(
         total = mass.sum()
         mass /= total
         missed = [_thinned(mass, j) for j in ALL]
-        if missed[3] < PLENTY:
+        if missed[3] < 0.1:
             break
     of_members, of_animals = grid.shrunken(mass)
     # What half the nodes miss, squared: sums over whole bumps converge exponentially. The last
@@ -217,11 +209,12 @@ class _Grid:
             for r, n, f in zip(ranges, counts, self.fixed, strict=True)
         ]
 
-    def cut_off(self, mass: Array) -> bool:
-        """Whether scales of the biases that were not tabulated are likely too."""
+    def cut_off(self, mass: Array, share: float = 1e-3) -> bool:
+        """Whether scales of the biases that were not tabulated are likely too: whether the density
+        at the last is more than that share of the peak."""
         by_scale, ends = mass.sum(axis=(0, 1, 2, 4, 5)), self.work.members.scales.nodes[[0, -1]]
         at_end = np.isclose(self.on_axes()[0][3][[0, -1]], ends) & (ends != 0) & (not self.fixed[3])
-        return bool(np.any(at_end & (2 * by_scale[[0, -1]] > CUT_OFF * by_scale.max())))
+        return bool(np.any(at_end & (2 * by_scale[[0, -1]] > share * by_scale.max())))
 
     def on_axes(self) -> tuple[list[Array], list[Array]]:
         """The parameters on their axes (the first is a place yet), and the logs of their slopes."""
@@ -259,9 +252,10 @@ class _Grid:
             out += weight.reshape([-1 if i == j else 1 for i in ALL])
         return out
 
-    def _slices(self) -> Iterator[tuple[Any, Array, Array | None, Array]]:
+    def _slices(self, room: int = 10_000_000) -> Iterator[tuple[Any, Array, Array | None, Array]]:
         """Populations that differ in ln k, its spread and the lapses' spread alone: where they go,
-        the members' likelihood (J, U, X), and the kernels of sessions and of animals (X, MT)."""
+        the members' likelihood (J, U, X), and the kernels of sessions and of animals (X, MT), of
+        which so many numbers are kept for other lapses."""
         _, tau, sigma, scale, mean, spread = self.on_axes()[0]
         log_k = self.values()[NAMES[0]][..., 0, 0]
         tiled = np.broadcast_to(tau, log_k.shape[:2]).ravel()
@@ -274,7 +268,7 @@ class _Grid:
                     between = known.get((s, b))
                     if between is None:
                         between = self.work.kernel(log_k[..., s, b].ravel(), tiled)
-                        if (len(known) + 1) * between.size <= ROOM:
+                        if (len(known) + 1) * between.size <= room:
                             known[s, b] = between
                     yield (slice(None), slice(None), s, b, i), log_like[b], within, between
 
@@ -309,14 +303,14 @@ class _Grid:
 
 
 def _narrowed(
-    mass: Array, index: int, axis: Array, bounds: tuple[float, float]
+    mass: Array, index: int, axis: Array, bounds: tuple[float, float], least: float = 1e-6
 ) -> tuple[float, float]:
-    """The part of an axis that holds the mass, a step more on either side."""
+    """The part of an axis with at least that share of the peak, a step more on either side."""
     if axis.size == 1:
         return bounds
     marginal = mass.sum(axis=tuple(i for i in ALL if i != index))
     marginal[[0, -1]] *= 2.0
-    held = axis[marginal > KEPT * marginal.max()]
+    held = axis[marginal > least * marginal.max()]
     step = axis[1] - axis[0]
     return max(held[0] - step, bounds[0]), min(held[-1] + step, bounds[1])
 

@@ -164,13 +164,6 @@ def log_score_prior(low: Array, high: Array, correlation: float) -> Array:
     return np.asarray(-0.5 * square / (1 - rho**2) - norm)
 
 
-STEP = 0.35  # between nodes, in asinh(scale / unit): log-likelihoods of one bias err by 1e-3 there
-NARROWEST = 0.8  # of the step of the bias nodes: a narrower density cannot be seen on them
-MARGIN = 2.0  # by what factor a scale may be off that was guessed from the animals one by one
-LIKELY = 20.0  # nats under the best guess, where scales are left out
-FAR = 1e-12  # of the scale's prior, beyond which it is not looked for
-
-
 @dataclass(frozen=True)
 class BiasScales:
     """Scales at which members are tabulated, and what lies between them.
@@ -183,8 +176,9 @@ class BiasScales:
     unit: float
 
     @classmethod
-    def between(cls, low: float, high: float, unit: float, step: float = STEP) -> BiasScales:
-        """Nodes over a range, from zero where that is close."""
+    def between(cls, low: float, high: float, unit: float, step: float = 0.35) -> BiasScales:
+        """Nodes over a range, from zero where that is close, so far apart in asinh(scale / unit):
+        by default log-likelihoods of one bias err by 1e-3 between them."""
         first, last = np.arcsinh(low / unit), np.arcsinh(high / unit)
         first = 0.0 if first < 2 * step else first
         count = max(int(np.ceil((last - first) / step)), 3) + 1
@@ -224,12 +218,21 @@ def scaled_prior(priors: Priors, bias: Array, step: Array, scales: Array) -> Arr
     scales : ndarray, shape (S,)
     """
     sd = priors.moments("bias")[1]
-    width = np.maximum(scales, NARROWEST * step[..., None] / sd)
+    # A density narrower than the step of the nodes cannot be seen on them.
+    width = np.maximum(scales, 0.8 * step[..., None] / sd)
     density = priors.log_density("bias", bias[..., None] / width) - np.log(width)
     return np.asarray(density + np.log(step)[..., None])
 
 
-def likely_scales(models: Sequence[WeberModel], draws: Sequence[Draws], prior: Any) -> BiasScales:
+def likely_scales(
+    models: Sequence[WeberModel],
+    draws: Sequence[Draws],
+    prior: Any,
+    *,
+    margin: float = 2.0,
+    likely: float = 20.0,
+    far: float = 1e-12,
+) -> BiasScales:
     """Nodes over the scales that the members, each fitted alone, do not exclude.
 
     Their biases are taken for normal here, which decides where the nodes lie and nothing else.
@@ -240,6 +243,12 @@ def likely_scales(models: Sequence[WeberModel], draws: Sequence[Draws], prior: A
         Of every member.
     prior : frozen distribution
         Of the scale.
+    margin : float
+        By what factor a scale may be off that is guessed so.
+    likely : float
+        Nats under the best guess, where scales are left out.
+    far : float
+        Of the prior, beyond which scales are not looked for.
     """
     priors = models[0].priors
     if not any(model.free_bias for model in models):
@@ -250,10 +259,10 @@ def likely_scales(models: Sequence[WeberModel], draws: Sequence[Draws], prior: A
     # A posterior no narrower than the prior says nothing.
     precision = np.maximum(1 / variance - sd**-2, 1e-6 * sd**-2)
     seen, noise = (own / variance - mean / sd**2) / precision, np.sqrt(1 / precision)
-    last = float(prior.isf(FAR))
+    last = float(prior.isf(far))
     unit = float(np.sqrt(variance.min()) / sd)
-    scales = BiasScales.between(0.0, last, unit, STEP / 4).nodes
+    scales = BiasScales.between(0.0, last, unit, 0.1).nodes
     log_density = norm.logpdf(seen, scales[:, None] * mean, np.hypot(scales[:, None] * sd, noise))
     total = np.sum(log_density, axis=1)
-    kept = scales[total > total.max() - LIKELY]
-    return BiasScales.between(kept[0] / MARGIN, min(kept[-1] * MARGIN, last), unit)
+    kept = scales[total > total.max() - likely]
+    return BiasScales.between(kept[0] / margin, min(kept[-1] * margin, last), unit)

@@ -23,7 +23,7 @@ from .fit import encoding_of, fit_weber, pairs_shown
 from .hierarchy import NAMES, Population, integrate_population
 from .lapses import likely_scales
 from .priors import PopulationPriors, Priors, priors_for
-from .result import WeberFit
+from .result import WeberFit, tails
 from .tabulated import Members, tabulate
 from .trials import Trials, check_trials
 from .verdict import FitStatus
@@ -31,7 +31,6 @@ from .verdict import FitStatus
 Array = NDArray[np.float64]
 
 LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
-OF_PRIOR = 0.8  # posterior sd over prior sd of a spread, above which the data say little
 
 
 class PopulationStatus(Enum):
@@ -115,12 +114,12 @@ class PopulationFit(Shown):
         self, mass: float = 0.95, parameter: str = "weber_fraction"
     ) -> tuple[float, float]:
         """Equal-tailed posterior interval."""
-        low, high = self.quantile(parameter, _ends(mass))
+        low, high = self.quantile(parameter, tails(mass))
         return float(low), float(high)
 
     def summary(self, mass: float = 0.95) -> pd.DataFrame:
         """One row a parameter of the population: mean, sd, median, interval."""
-        rows, (first, last) = [], _ends(mass)
+        rows, (first, last) = [], tails(mass)
         for name in self.parameters:
             values, weight = self._nodes(name)
             mean = weight @ values
@@ -223,14 +222,6 @@ def _quantile(values: Array, mass: Array, probability: ArrayLike) -> Array:
     order = np.argsort(values)
     below = np.cumsum(mass[order]) - 0.5 * mass[order]
     return np.interp(np.asarray(probability, dtype=float), below, values[order])
-
-
-def _ends(mass: float) -> list[float]:
-    """Probabilities below the ends of an equal-tailed interval."""
-    tail = 0.5 * (1 - float(_checks.positive("mass", mass, "write for example 0.95")))
-    if tail <= 0:
-        raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
-    return [tail, 1 - tail]
 
 
 @one_blas_thread
@@ -393,13 +384,16 @@ def _with_quantiles(table: pd.DataFrame, rows: pd.Index, log_k: Array, mass: Arr
     return table.join(pd.DataFrame(found, index=rows, columns=names))
 
 
-def _status(found: Population, prior: PopulationPriors, animals: int) -> PopulationStatus:
+def _status(
+    found: Population, prior: PopulationPriors, animals: int, of_prior: float = 0.8
+) -> PopulationStatus:
+    """The spread is uninformed where its sd is more than that share of the prior's."""
     if found.error > 0.02:
         return PopulationStatus.NOT_CONVERGED
     if animals == 1:
         return PopulationStatus.ONE_ANIMAL
     (values,), mass = found.nodes("spread")
     sd = np.sqrt(mass @ (values - mass @ values) ** 2)
-    if sd > OF_PRIOR * float(prior.spread.std()):
+    if sd > of_prior * float(prior.spread.std()):
         return PopulationStatus.SPREAD_UNINFORMED
     return PopulationStatus.DETERMINED

@@ -130,8 +130,6 @@ def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
 
 Array = NDArray[np.float64]
 
-GIVEN_BIAS = 0.2  # what half the lapse nodes may miss at each bias
-
 
 class WeberPosterior(Protocol):
     """What a fit asks of its posterior, whichever engine made it."""
@@ -223,9 +221,10 @@ class QuadraturePosterior:
     @cached_property
     def _grid_of_biases(self) -> PosteriorGrid:
         """The grid, finer in the lapses where each bias by itself leaves these little room."""
-        if self.grid.given_bias < GIVEN_BIAS or np.isinf(self.grid.error):
+        wanted = Tolerance(given_bias=0.2)
+        if self.grid.given_bias < wanted.given_bias or np.isinf(self.grid.error):
             return self.grid
-        finer = integrate(self.model, Tolerance(given_bias=GIVEN_BIAS))
+        finer = integrate(self.model, wanted)
         return finer if np.isfinite(finer.error) else self.grid
 
     def _bias_density(self, group: int) -> tuple[Array, Array]:

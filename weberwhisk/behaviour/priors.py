@@ -27,6 +27,7 @@ DISTRIBUTION = "give a frozen distribution such as scipy.stats.beta(1, 20)"
 
 _WEBER = stats.lognorm(np.log(3.0), scale=0.1)
 _LAPSE = stats.beta(0.7, 20.0)
+_LAPSE_BY_LEVELS = stats.beta(0.5, 9.5)
 _BIAS = stats.norm(0.0, 1.0)
 # "Different" must be said of a difference: a criterion below zero says it of everything.
 _SAME_DIFFERENT = stats.lognorm(0.7, scale=1.3)
@@ -41,8 +42,9 @@ class Priors:
     - `weber_fraction`: log-normal, median 0.1, a factor of 3 either way as one sd (no Weber
       fraction is known for whisker force or moment): 0.012 to 0.86 in 95 %, and 3 is still within
       reach of a few dozen trials of a poor animal. An experimenter who chose levels that bracket
-      the animal's thresholds may say so by name, `priors={"weber_fraction": "levels"}`; see
-      `levels_prior` for what that assumes, and when it must not be used.
+      the animal's thresholds may say so by name, `priors={"weber_fraction": "levels"}`, which lays
+      k about them and expects more lapses; see `levels_prior` for what that assumes, and when it
+      must not be used.
     - `lapse_low`, `lapse_high`: Beta(0.7, 20), the share of trials lost at each end: mean 3.4 %,
       half of it below 2 %, one in ten above 8 %; normal scores correlated by 0.7, as an animal that
       does not attend errs at both ends. A lapse and a poor Weber fraction explain the same errors,
@@ -268,19 +270,21 @@ DEFAULTS = Priors()
 def levels_prior(
     shown: Iterable[UnitEncodings], task: Task, easiest: float = 1.5, spread: float = 0.46
 ) -> Any:
-    """The belief that the levels shown bracket the thresholds: a log-normal prior of k.
+    """The belief that the levels shown bracket the thresholds: a log-logistic prior of k.
 
     Its median is the Weber fraction for which the two signals of the easiest pair shown lie 1.5 sds
-    of their difference apart, with a factor of 1.6 either way as one sd: from 0.6 to 3.7 sds in
-    95 %, so that but for lapses and bias 73 to 99.99 % of the answers to that pair are right. Over
-    a stated population of animals and designs the RMSE of ln k is 0.24 (held out 0.21), and 0.28
-    (0.23) with the fixed prior; `analyses/lapse_prior.md` has other medians and spreads.
+    of their difference apart, with a factor of 1.6 either way as one sd: from 0.6 to 3.8 sds in
+    95 %, so that but for lapses and bias 72 to 99.99 % of the answers to that pair are right. With
+    it lapses are believed to be Beta(0.5, 9.5) unless something else is said of them. Over a stated
+    population of animals and designs the RMSE of ln k is 0.23 (held out 0.21), and 0.28 (0.23) by
+    default; `analyses/lapse_prior.md` has other medians, spreads and lapses.
 
     It assumes that the experimenter chose the levels knowing the animal. It must not be used
 
     - to compare designs, or animals that were shown different levels: the belief moves with them;
     - with data collected in stages whose levels changed: the same trials fitted at once and one
       after another then disagree;
+    - with a staircase: its easiest pair is where it began, and k comes out twice too high;
     - where levels may have been chosen badly: k comes out nearer to them than the answers say.
 
     Parameters
@@ -305,7 +309,7 @@ def levels_prior(
     >>> pair = UnitEncodings(np.ones(1), np.ones(1), np.array([1.3]), np.array([1.3]))
     >>> from .tasks import task_named
     >>> prior = levels_prior([pair], task_named("2AFC"))
-    >>> float(prior.median().round(4))  # 0.3 / hypot(1, 1.3) / 1.5
+    >>> float(np.round(prior.median(), 4))  # 0.3 / hypot(1, 1.3) / 1.5
     0.1219
     """
     widest = []
@@ -330,7 +334,7 @@ def levels_prior(
 
 @lru_cache(maxsize=256)
 def _about_levels(middle: float, spread: float) -> Any:
-    prior: Any = stats.lognorm(spread, scale=middle)
+    prior: Any = stats.fisk(np.pi / (np.sqrt(3) * spread), scale=middle)
     prior.about_levels = True  # for `Priors.words`: reports say where a belief came from
     return prior
 
@@ -381,6 +385,7 @@ def priors_for(
             )
         assert task is not None
         changes["weber_fraction"] = levels_prior(shown, task)
+        changes = dict.fromkeys(("lapse_low", "lapse_high"), _LAPSE_BY_LEVELS) | changes
     if task is not None and task.name == "same-different":
         changes = {"bias": _SAME_DIFFERENT} | changes
     steps = np.abs(cells.stimulus_2 - cells.stimulus_1)

@@ -17,7 +17,7 @@ from . import criticism
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding
 from .likelihood import Draws
-from .priors import Priors, in_words
+from .priors import in_words
 from .tasks import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
@@ -93,7 +93,13 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
         f"p = {row['p']:.2g}); try {row['remedy']}."
         for name, row in table[table["p"] < least_p].iterrows()
     ]
-    lines += _sensitivity(fit)
+    if fit.status.ok and (change := fit.lapse_sensitivity["change"]).abs().max() >= 0.05:
+        lines.append(
+            "What is believed about lapses moves the Weber fraction: by "
+            f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
+            "lapses to one that never does. Easy trials, or more sessions or animals fitted "
+            "together, tell the lapses."
+        )
     if fit.status.ok and fit.weber_fraction > 0.5 and not fit.unit and fit.noise == "weber":
         lines.append(
             "At a Weber fraction this large the curve levels off below 1 of itself, as lapses make "
@@ -102,21 +108,6 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
     if len(lines) == 1:
         lines.append("Nothing in the table speaks against the model.")
     return "\n".join(lines)
-
-
-def _sensitivity(fit: WeberFit, least: float = 0.05) -> list[str]:
-    """How far the answer hangs on what is believed about lapses."""
-    if not fit.status.ok:
-        return []
-    change = fit.lapse_sensitivity["change"]
-    if change.abs().max() < least:
-        return []
-    return [
-        "What is believed about lapses moves the Weber fraction: by "
-        f"{100 * change.min():+.0f} to {100 * change.max():+.0f} % from an animal that often "
-        "lapses to one that never does. Easy trials, or more sessions or animals fitted together, "
-        "tell the lapses."
-    ]
 
 
 def _remedy(fit: WeberFit) -> str:
@@ -347,10 +338,14 @@ def _of_one(fit: WeberFit) -> list[str]:
     if fit.effects:
         said.append(f"The model also has these effects: {', '.join(fit.effects)}.")
     believed, lapses = fit.model.priors, trials.task.lapses
+    correlated = ""
+    if len(lapses) == 2 and not any(believed.is_fixed(name) for name in lapses):
+        rho = believed.lapse_correlation
+        correlated = f"; the normal scores of the two lapse rates correlate by {rho:g}"
     priors = [f"{name} ~ {words}" for name, words in fit.summary()["prior"].items()]
     given = ("weber_fraction", *lapses)
     priors += [f"{n} {believed.words(n)}" for n in given if believed.is_fixed(n)]
-    said.append(f"Parameters and priors: {', '.join(priors)}{_correlated(believed, lapses)}.")
+    said.append(f"Parameters and priors: {', '.join(priors)}{correlated}.")
     return [*said, _how(fit.method), f"The fit's status: {fit.status.name}."]
 
 
@@ -391,13 +386,6 @@ def _encoded(encoding: Encoding, noise: str) -> str:
             f"{receptors}{f': the signal is noisy with {noise}' * plain}."
         )
     return f"Stimuli are encoded by {type(encoding).__name__}."
-
-
-def _correlated(priors: Priors, lapses: tuple[str, ...]) -> str:
-    """How the beliefs about two lapse rates hang together."""
-    if len(lapses) < 2 or any(priors.is_fixed(name) for name in lapses):
-        return ""
-    return f"; the normal scores of the two lapse rates correlate by {priors.lapse_correlation:g}"
 
 
 def _how(method: str) -> str:

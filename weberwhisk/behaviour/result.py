@@ -109,11 +109,11 @@ class WeberFit(Shown):
         _checks.one_of("kind", kind, ("equal-tailed", "hdi"))
         if kind == "hdi":
             return self._shortest(parameter, mass)
-        low, high = self.posterior.quantile(parameter, _tails(mass))
+        low, high = self.posterior.quantile(parameter, tails(mass))
         return float(low), float(high)
 
     def _shortest(self, parameter: str, mass: float) -> tuple[float, float]:
-        below = np.linspace(0, 1, 2001) * 2 * _tails(mass)[0]
+        below = np.linspace(0, 1, 2001) * 2 * tails(mass)[0]
         low, high = (self.posterior.quantile(parameter, p) for p in (below, below + mass))
         at = int(np.argmin(high - low))
         return float(low[at]), float(high[at])
@@ -182,9 +182,9 @@ class WeberFit(Shown):
             (comparison − standard), and `unreachable`: the posterior probability that no comparison
             reaches the proportion, where an end may be infinite.
         """
-        model, tails = self.model, _tails(mass)
+        model, ends_at = self.model, tails(mass)
         biased = model.task.bias_name == "criterion" if with_bias is None else with_bias
-        at = np.array([tails[0], 0.5, tails[1]])
+        at = np.array([ends_at[0], 0.5, ends_at[1]])
         rows = []
         for s in np.atleast_1d(
             self.trials.standards
@@ -269,7 +269,7 @@ class WeberFit(Shown):
             standard = float(self.trials.standards[0])
         standard = _checks.number("standard", standard, "name one standard")
         p = self._probability(np.full(levels.shape, standard), levels, standard)
-        low, median, high = np.quantile(p, [_tails(mass)[0], 0.5, _tails(mass)[1]], axis=0)
+        low, median, high = np.quantile(p, [tails(mass)[0], 0.5, tails(mass)[1]], axis=0)
         return pd.DataFrame({"comparison": levels, "median": median, "lower": low, "upper": high})
 
     def _probability(self, s1: Array, s2: Array, standard: float) -> Array:
@@ -354,7 +354,8 @@ class WeberFit(Shown):
         return report.to_arviz(self)
 
 
-def _tails(mass: float) -> tuple[float, float]:
+def tails(mass: float) -> tuple[float, float]:
+    """Probabilities below the ends of an equal-tailed interval."""
     value = _checks.number("mass", mass, "write for example 0.95")
     if not 0 < value < 1:
         raise ValueError(f"mass must lie between 0 and 1, got {value:g}; write for example 0.95.")

@@ -18,9 +18,6 @@ from scipy.stats import norm
 from .lapses import AS_BELIEVED, BiasScales, scaled_prior
 from .likelihood import Draws, WeberModel
 
-NODES_PER_SD = 4.0  # of ln k, for the sharpest member
-COARSEST = 0.15  # nodes of ln k, however little members tell: spreads are distinguished from 0.1 on
-
 
 @dataclass(frozen=True)
 class Members:
@@ -56,7 +53,8 @@ class Work:
         moments = np.array([_moments(t) for t in members.tables])  # (U, 2, S)
         self._mean, self._log_sd = moments[:, 0], moments[:, 1]
         finest = float(np.exp(self._log_sd.min()))
-        self.x = members.axis(min(finest / NODES_PER_SD, COARSEST))
+        # However little members tell, spreads are distinguished from 0.1 on.
+        self.x = members.axis(min(finest / 4, 0.15))
         self.step = self.x[1] - self.x[0]
 
     def middle(
@@ -147,13 +145,7 @@ def _moments(table: Table) -> tuple[Array, Array]:
 
 Array = NDArray[np.float64]
 
-LAPSE_STEP = 0.3  # scores between lapse nodes, at most
-NO_LAPSE = 0.02  # trials lost, below which a lapse is none
-NARROW_REACH, WIDE_REACH = 8.0, 4.0  # of bias nodes, in sds: with the prior, and the widest scale
-FARTHEST = 32.0  # the same at most: answers that say nothing of a bias say it of all
-FINER = 4  # bias nodes between those where the likelihood is computed
 LEAST = 1e-35  # of a likelihood, over the highest
-VALUES = 400_000  # computed at once
 
 
 @dataclass(frozen=True)
@@ -222,10 +214,10 @@ def _with_tail(axis: Array, reach: float = 9.0) -> tuple[Array, int]:
     return axis[0] + step * np.arange(-more, axis.size), more
 
 
-def tabulate(model: WeberModel, draws: Draws, scales: Array) -> Table:
+def tabulate(model: WeberModel, draws: Draws, scales: Array, values: int = 400_000) -> Table:
     """The table of a model without effects, on nodes laid around draws from its posterior.
 
-    Its biases have their prior times each of the scales (S,).
+    Its biases have their prior times each of the scales (S,). So many values are computed at once.
     """
     log_k = np.log(draws.weber_fraction)
     if model.free[0]:
@@ -233,15 +225,12 @@ def tabulate(model: WeberModel, draws: Draws, scales: Array) -> Table:
         log_k = np.arange(log_k.min() - 8 * step, log_k.max() + 9 * step, step)
     else:  # known: a population of it says nothing, but costs nothing either
         log_k = log_k[0] + np.linspace(-1e-3, 1e-3, 5)
-    low, high = (
-        _lapse_axis(model, name, values)
-        for name, values in (("lapse_low", draws.lapse_low), ("lapse_high", draws.lapse_high))
-    )
+    low, high = (_lapse_axis(model, n, getattr(draws, n)) for n in ("lapse_low", "lapse_high"))
     lapses = model.value("lapse_low", low), model.value("lapse_high", high)
     lo, hi = (a.ravel() for a in np.meshgrid(*lapses, indexing="ij"))
     k = np.exp(log_k)
     bias, finer, prior = _bias_nodes(model, k, draws, scales)
-    rows = max(1, VALUES // (lo.size * len(finer) * max(model.cells.n.size, model.n_groups)))
+    rows = max(1, values // (lo.size * len(finer) * max(model.cells.n.size, model.n_groups)))
     parts = []
     for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
         cells = model.cell_log_likelihood(
@@ -258,10 +247,14 @@ def tabulate(model: WeberModel, draws: Draws, scales: Array) -> Table:
 
 
 def _bias_nodes(
-    model: WeberModel, k: Array, draws: Draws, scales: Array
+    model: WeberModel, k: Array, draws: Draws, scales: Array, finer: int = 4
 ) -> tuple[Array, Array, Array]:
     """Nodes of every bias for each k, (K, B, G); and nodes between them, as narrow a prior needs:
-    their shares of the former (F, B), and their prior probabilities (K, G, F, S)."""
+    their shares of the former (F, B), and their prior probabilities (K, G, F, S).
+
+    Nodes go to 8 sds with the prior and 4 with the widest scale, but not beyond 32: answers that
+    say nothing of a bias say it of all.
+    """
     if not model.free_bias:
         bias = np.full((k.size, 1, model.n_groups), model.fixed_bias())
         return bias, np.ones((1, 1)), np.ones((k.size, model.n_groups, 1, scales.size))
@@ -270,16 +263,16 @@ def _bias_nodes(
     modes = [model.bias_mode(encoded, lo, hi) for lo, hi in zip(*at, strict=True)]
     (centre, spread), *others = modes
     # The nodes must also serve other lapses than the likeliest, and wider biases than believed.
-    far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in others) + NARROW_REACH
+    far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in others) + 8
     if scales[-1] > 1:
         c, wide = _widened(model, scales[-1]).bias_mode(encoded, at[0][0], at[1][0])
-        reach = float(np.max((np.abs(c - centre) + WIDE_REACH * wide) / spread))
-        far = max(far, min(reach, FARTHEST))
+        reach = float(np.max((np.abs(c - centre) + 4 * wide) / spread))
+        far = max(far, min(reach, 32.0))
     offsets = np.arange(-np.ceil(far), np.ceil(far) + 1)
-    fine = np.linspace(offsets[0], offsets[-1], FINER * (offsets.size - 1) + 1)
+    fine = np.linspace(offsets[0], offsets[-1], finer * (offsets.size - 1) + 1)
     between = centre[..., None] + spread[..., None] * fine  # (K, G, F)
     prior = scaled_prior(
-        model.priors, between, np.broadcast_to((spread / FINER)[..., None], between.shape), scales
+        model.priors, between, np.broadcast_to((spread / finer)[..., None], between.shape), scales
     )
     bias = centre[:, None, :] + spread[:, None, :] * offsets[:, None]
     return bias, CubicSpline(offsets, np.eye(offsets.size))(fine), np.exp(prior)
@@ -291,15 +284,18 @@ def _widened(model: WeberModel, scale: float) -> WeberModel:
     return replace(model, priors=replace(model.priors, bias=norm(scale * mean, scale * sd)))
 
 
-def _lapse_axis(model: WeberModel, name: str, values: Array) -> Array:
-    """Scores from where the lapse is none to where the answers exclude it."""
+def _lapse_axis(
+    model: WeberModel, name: str, values: Array, widest: float = 0.3, none_lost: float = 0.02
+) -> Array:
+    """Scores from where the lapse is none, so few trials being lost, to where the answers exclude
+    it, no farther apart than the widest step."""
     if name not in model.lapse_names or model.priors.is_fixed(name):
         return np.zeros(1)
     scores = ndtri(np.clip(model.priors.of(name).cdf(values), 1e-12, 1 - 1e-12))
-    step = min(_node_step(scores, below=False), LAPSE_STEP)
+    step = min(_node_step(scores, below=False), widest)
     last = scores.max() + 8 * step
     scan = np.arange(-6.0, last, 0.05)
-    none = scan[model.value(name, scan) * max(model.cells.n.sum(), 1) < NO_LAPSE]
+    none = scan[model.value(name, scan) * max(model.cells.n.sum(), 1) < none_lost]
     first = min(none[-1] if none.size else scan[0], last - 4 * step)
     return np.arange(first, last + step, step)
 

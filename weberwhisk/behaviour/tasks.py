@@ -19,8 +19,6 @@ from .encodings import Signals
 
 Array = NDArray[np.float64]
 
-NODES = np.linspace(-8.5, 8.5, 115)  # of the target's noise, in sds
-
 
 class Task(Protocol):
     """A question put to the observer."""
@@ -152,9 +150,10 @@ class PercentCorrect(_Compared):
         gap = np.abs(m2 - m1)
         if self.alternatives == 2:
             return gap / np.hypot(s1, s2) + shift, 0.0
-        # The trapezoid rule converges exponentially here: 1e-14 with these nodes.
-        weights = np.exp(-0.5 * NODES**2)
-        margin = gap[..., None] + np.asarray(s2)[..., None] * NODES
+        # The trapezoid rule converges exponentially here: 1e-14 with these nodes of its noise.
+        z = np.linspace(-8.5, 8.5, 115)
+        weights = np.exp(-0.5 * z**2)
+        margin = gap[..., None] + np.asarray(s2)[..., None] * z
         others = log_ndtr(margin / np.asarray(s1)[..., None])
         missed = -np.expm1((self.alternatives - 1) * others)
         return -ndtri(missed @ (weights / weights.sum())) + shift, 0.0

@@ -68,11 +68,6 @@ class FitStatus(Enum):
 
 Array = NDArray[np.float64]
 
-FAR = 3.0  # prior sds at which an end counts as the prior's
-LIKELY = 0.1  # likelihood ratio to the best k above which that end is not excluded
-ALIKE = 0.1  # of the largest d, below which two pairs of stimuli are of one kind
-STRONG = np.log(100.0)  # evidence for exchanged labels
-
 
 def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tuple[str, ...]]:
     """The status of a fit, and sentences beside it."""
@@ -144,7 +139,7 @@ def too_few_kinds(model: WeberModel) -> bool:
 def _kinds(model: WeberModel) -> int:
     """How many proportions the observer could give: pairs that differ in d by a tenth or more."""
     d = np.sort(model.task.decide(model.encodings.encoded(np.float64(1.0)))[0])
-    alike, kinds, first = ALIKE * np.abs(d).max(), 1, d[0]
+    alike, kinds, first = 0.1 * np.abs(d).max(), 1, d[0]
     for value in d:  # measured distances leave no gaps
         if value - first > alike:
             kinds, first = kinds + 1, value
@@ -167,7 +162,7 @@ def _one_sided(model: WeberModel) -> bool:
 
 
 def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
-    """Whether the opposite answers would be far more probable, judged by the evidence."""
+    """Whether the opposite answers would be a hundred times as probable, by the evidence."""
     c = model.cells
     if model.task.guess_rate is None:
         drive = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
@@ -182,24 +177,27 @@ def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
     as_they_are = posterior.log_evidence if not model.effects else None
     if as_they_are is None:
         as_they_are = integrate(plain).log_evidence
-    return integrate(exchanged).log_evidence - as_they_are > STRONG
+    return integrate(exchanged).log_evidence - as_they_are > np.log(100.0)
 
 
-def _open_ends(axis: Array, log_density: Array) -> tuple[bool, bool]:
+def _open_ends(
+    axis: Array, log_density: Array, far: float = 3.0, likely: float = 0.1
+) -> tuple[bool, bool]:
     """Whether the likelihood leaves very small, or very large, Weber fractions open.
 
     The likelihood of k is its posterior over its prior, everything else integrated; in normal
-    scores the prior is known, and scores that the posterior does not reach are excluded.
+    scores the prior is known, and scores that the posterior does not reach are excluded. An end is
+    open where the likelihood, `far` prior sds away, is more than `likely` of the best.
     """
     likelihood = log_density + 0.5 * axis**2
-    inside = np.abs(axis) <= FAR + 0.5
+    inside = np.abs(axis) <= far + 0.5
     best = likelihood[inside].max() if inside.any() else likelihood.max()
 
     def is_open(end: float) -> bool:
         within = axis[0] <= end <= axis[-1]
-        return bool(within and np.interp(end, axis, likelihood) > best + np.log(LIKELY))
+        return bool(within and np.interp(end, axis, likelihood) > best + np.log(likely))
 
-    return is_open(-FAR), is_open(FAR)
+    return is_open(-far), is_open(far)
 
 
 # What one might believe instead: an animal that never lapses, seldom, or often.
