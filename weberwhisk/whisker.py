@@ -249,39 +249,39 @@ class Whisker(Value):
         return getattr(self, "_identity", None)
 
     @property
-    def radius_ratio(self) -> Any:
+    def radius_ratio(self) -> NDArray[np.float64]:
         """Base radius over tip radius: 1 for a cylinder, infinite for a perfect cone."""
         with np.errstate(divide="ignore"):
             return np.divide(self.base_radius, self.tip_radius)
 
     @property
-    def taper(self) -> Any:
+    def taper(self) -> NDArray[np.float64]:
         """Length over apex distance, 1 − 1/R: 0 for a cylinder, 1 for a perfect cone."""
         return 1.0 - np.divide(self.tip_radius, self.base_radius)
 
     @property
-    def apex_distance(self) -> Any:
+    def apex_distance(self) -> NDArray[np.float64]:
         """Distance A from the base at which the taper would reach zero width, m."""
         with np.errstate(divide="ignore"):
             return np.divide(self.length, self.taper)
 
     @property
-    def stiffness(self) -> Any:
+    def stiffness(self) -> NDArray[np.float64]:
         """Bending stiffness at the base EI₀ = E π/4 · base_radius⁴, N m²."""
         return self.youngs_modulus * np.pi / 4 * np.power(self.base_radius, 4)
 
     @property
-    def moment_scale(self) -> Any:
+    def moment_scale(self) -> NDArray[np.float64]:
         """EI₀/L, N m: the paper's unit of moment."""
         return self.stiffness / self.length
 
     @property
-    def force_scale(self) -> Any:
+    def force_scale(self) -> NDArray[np.float64]:
         """EI₀/L², N: the paper's unit of force."""
         return self.stiffness / self.length**2
 
     @property
-    def compliance_constant(self) -> Any:
+    def compliance_constant(self) -> NDArray[np.float64]:
         """C = 3EI₀ of equations (2.1) and (2.3), N m²."""
         return 3 * self.stiffness
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from .._deprecated import renamed_arguments
 from .._display import Shown, interval_text
-from ..posterior.arviz_io import to_arviz
+from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report
 from .fit import encoding_of, fit_weber, pairs_shown
@@ -83,7 +83,7 @@ class PopulationFit(Shown):
     lapses: tuple[str, ...] = field(repr=False)
     notes: tuple[str, ...]
     seed: int
-    fits: Mapping[tuple[Any, ...], WeberFit] = field(default_factory=dict, repr=False)
+    fits: Mapping[tuple[Hashable, ...], WeberFit] = field(default_factory=dict, repr=False)
 
     @property
     def weber_fraction(self) -> float:
@@ -182,7 +182,7 @@ class PopulationFit(Shown):
         """What the animals say together, and each of them, in words."""
         return report.population_report(self)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use the fit, ready for JSON."""
         none = self.population is None
         return {
@@ -201,7 +201,7 @@ class PopulationFit(Shown):
         """`to_dict()` as JSON."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
-    def to_arviz(self, draws: int = 1000) -> Any:
+    def to_arviz(self, draws: int = 1000) -> ArvizData:
         """Independent draws of the population's parameters, in four chains, for ArviZ."""
         if self.population is None:
             raise ValueError(f"there is no population to draw from: {self.status.value}.")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from .._display import interval_text
+from ..posterior.arviz_io import ArvizData
 from ..posterior.arviz_io import to_arviz as convert
 from ..receptors import Weber
 from . import criticism
@@ -174,7 +175,7 @@ def _number(value: float) -> str:
     return f"{value:.4g}" if np.isfinite(value) else "out of reach"
 
 
-def to_arviz(fit: WeberFit, seed: int = 0) -> Any:
+def to_arviz(fit: WeberFit, seed: int = 0) -> ArvizData:
     """Posterior, prior, posterior-predictive, log-likelihood and observed data, for ArviZ.
 
     A cell is a pair of stimuli: `n` trials of which `count` had the answer. Its log-likelihood is
@@ -225,7 +226,7 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> Any:
     )
 
 
-def as_dict(fit: WeberFit) -> dict[str, Any]:
+def as_dict(fit: WeberFit) -> dict[str, object]:
     """Everything a reader needs to use or repeat a fit, ready for JSON."""
     low, high = fit.interval() if "weber_fraction" in fit.parameters else (fit.weber_fraction,) * 2
     return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from .._deprecated import renamed_attribute
 from .._display import Shown, interval_text
+from ..posterior.arviz_io import ArvizData
 from . import criticism, report
 from . import psychometric as curve
 from .criticism import predicted, prior_draws
@@ -341,7 +342,7 @@ class WeberFit(Shown):
         """One Weber fraction for all standards, against one for each: a Bayes factor."""
         return weber_law_test(self)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use or repeat the fit, ready for JSON."""
         return report.as_dict(self)
 
@@ -349,7 +350,7 @@ class WeberFit(Shown):
         """`to_dict()` as JSON; an unreachable threshold is null."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
-    def to_arviz(self) -> Any:
+    def to_arviz(self) -> ArvizData:
         """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data."""
         return report.to_arviz(self)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -125,12 +125,12 @@ class Trials:
         return int(self.frame.loc[self.frame["count"].isna(), "n"].sum())
 
     @property
-    def subjects(self) -> list[Any]:
+    def subjects(self) -> list[Hashable]:
         """Subjects in the table, empty where it has no such column."""
         return self._levels("subject")
 
     @property
-    def sessions(self) -> list[Any]:
+    def sessions(self) -> list[Hashable]:
         """Sessions in the table, empty where it has no such column."""
         return self._levels("session")
 

@@ -79,7 +79,7 @@ def jnd(
         asked = numbers("--radial-distance-mm", radial_distance_mm)
         _checks.positive("--radial-distance-mm", asked, "give millimetres, such as 20")
     else:
-        asked = np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6)
+        asked = np.asarray(np.round(np.linspace(0.05, 0.95, 10) * whisker.length * 1e3, 6))
     enough_draws(draws)
     for name in ("out", "as_json", "seed"):
         inputs.pop(name)

@@ -15,6 +15,7 @@ from scipy.stats import f as f_distribution
 
 from .. import _checks
 from ..cues import Cue
+from ..cues.protocol import Felt
 from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
@@ -58,7 +59,7 @@ class HingedTap(Cue):
     angular_velocity: float = 1.0
     signal_names = ("moment_rate",)
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Any:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """The slope (..., 1) and the outcome of contacts (..., 1)."""
         _checks.refuse_hinge(whisker, "HingedTap, which has a hinge of its own,")
         r = np.asarray(contact, dtype=float)[..., 0]
@@ -234,7 +235,7 @@ def _as_found(x: Array, whisker: Whisker, counts: bool) -> tuple[Whisker, Hinged
     if not counts:
         modulus = scale / 3 / (np.pi / 4 * whisker.base_radius**4)
     found = replace(whisker, tip_radius=tip, youngs_modulus=modulus)
-    return found, HingedTap(give, scale / found.compliance_constant if counts else 1.0)
+    return found, HingedTap(give, float(scale / found.compliance_constant) if counts else 1.0)
 
 
 def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array, Array]:

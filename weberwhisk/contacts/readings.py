@@ -12,6 +12,7 @@ import numpy as np
 from .. import _checks
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
+from ..cues.protocol import Felt
 from ..mechanics import Profile, rest_angle
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -59,7 +60,7 @@ class MeasuredAngle(Cue):
         """Those of the cue."""
         return self.cue.unknowns
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Any:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """The cue's signals and the angle, (..., S), and the outcome."""
         _checks.refuse_hinge(whisker, "MeasuredAngle")
         contact = np.asarray(contact, dtype=float)

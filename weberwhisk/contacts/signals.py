@@ -394,7 +394,7 @@ def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> 
 
 def _write(out: pd.DataFrame, rows: Any, columns: dict[str, Any], whisker: Whisker) -> None:
     """Put the signals of some rows into the table, in its units."""
-    scales = {
+    scales: dict[str, Any] = {
         "moment": whisker.moment_scale, "axial_force": whisker.force_scale,
         "transverse_force": whisker.force_scale, "shape_distance": whisker.length,
         "pole_distance": whisker.length,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import pandas as pd
@@ -23,6 +23,15 @@ Array = NDArray[np.float64]
 MOST_TRIALS = 10_000_000
 #: Levels of a default design, in sds of the expected difference between the two signals.
 LEVELS = (-2.0, -1.2, -0.6, 0.6, 1.2, 2.0)
+
+
+class SchemeFields(TypedDict):
+    """What `Scheme(**...)` takes, for a JSON file."""
+
+    standards: list[float]
+    offsets: list[list[float]]
+    trials: list[list[int]]
+    animals: int
 
 
 @dataclass(frozen=True, init=False)
@@ -206,7 +215,7 @@ class Scheme:
         """The same for so many animals."""
         return replace(self, animals=animals)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> SchemeFields:
         """What `Scheme(**...)` takes, for a JSON file."""
         return {
             "standards": list(self.standards),

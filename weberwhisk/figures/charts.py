@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SMALL, new_figure, styled
@@ -24,7 +25,7 @@ FOOT, TOP = 130, 3e4
 @styled
 def speed_accuracy(
     table: pd.DataFrame, *, weber_fraction: float = 0.1, foot: str = "", outside: Iterable[str] = ()
-) -> Any:
+) -> Figure:
     """Beams, posteriors and JND curves, a panel for each scene; every method a line over its knob.
 
     Crosses mark settings at which a method fails or flags answers, with their share; at the upper
@@ -80,7 +81,7 @@ def _doubt(part: pd.DataFrame) -> float:
 
 
 @styled
-def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[str] = ()) -> Any:
+def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[str] = ()) -> Figure:
     """RMSE and coverage of fits against time, above; time and memory against size, below."""
     figure = new_figure(DOUBLE, 6.6)
     rows: Any = figure.subfigures(2, 1)

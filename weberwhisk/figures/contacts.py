@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -50,7 +50,7 @@ def bending(
     *,
     points: Bending | None = None,
     against: str = "deflection_angle",
-) -> NDArray[Any]:
+) -> NDArray[np.object_]:
     """The three signals at the base of a bent whisker, a line for each contact distance.
 
     Parameters

@@ -128,7 +128,7 @@ MM = 1e-3
 
 
 @styled
-def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDArray[Any]:
+def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDArray[np.object_]:
     """Expected answers at every standard, with the curve of every hypothesis fitted to them.
 
     The animal is a typical one and as the first hypothesis has it; bars hold 95 % of the shares
@@ -300,7 +300,7 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
 @styled
 def adaptive(
     tables: Mapping[str, pd.DataFrame], axes: Sequence[Axes] | None = None
-) -> NDArray[Any]:
+) -> NDArray[np.object_]:
     """What simulated experiments know after so many trials, a line a method; returns the axes.
 
     Parameters

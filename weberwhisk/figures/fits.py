@@ -86,7 +86,7 @@ def psychometrics(
     *,
     standard: float | None = None,
     unit: str = "",
-) -> NDArray[Any]:
+) -> NDArray[np.object_]:
     """`psychometric` at every standard, or at one, in small multiples; returns their axes."""
     known = fit.trials.standards if standard is None else np.array([float(standard)])
     if axes is not None:
@@ -224,7 +224,9 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
 
 
 @styled
-def pairs(fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800) -> NDArray[Any]:
+def pairs(
+    fit: WeberFit, axes: Sequence[Axes] | None = None, *, draws: int = 800
+) -> NDArray[np.object_]:
     """The joint posterior of a fit's parameters, two at a time, and each one's alone.
 
     Returns
@@ -318,7 +320,9 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
 
 
 @styled
-def population(fit: PopulationFit, ax: Axes | None = None, *, unit: str = "") -> Any:
+def population(
+    fit: PopulationFit, ax: Axes | None = None, *, unit: str = ""
+) -> Axes | NDArray[np.object_]:
     """Every animal's choices and curve at up to three standards, and `shrinkage` beside them.
 
     The curves are those of each animal's own trials. On one `ax` `shrinkage` alone is drawn.

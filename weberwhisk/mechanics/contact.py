@@ -118,10 +118,10 @@ class Choice:
         What bias and tolerance are in, in words.
     """
 
-    model: Any
+    model: Model | NDArray[np.int8]
     error: NDArray[np.float64]
     bias: NDArray[np.float64]
-    tolerance: Any
+    tolerance: ArrayLike
     unit: str = "JND"
 
     @classmethod
@@ -133,14 +133,14 @@ class Choice:
     rung = renamed_attribute("Choice", "rung", "model")
 
     @property
-    def why(self) -> Any:
+    def why(self) -> str | NDArray[np.object_]:
         """The reason in words: one sentence, or an array of them."""
         tolerance = np.broadcast_to(self.tolerance, np.shape(self.model))
         why = np.empty(np.shape(self.model), dtype=object)
         for at in np.ndindex(why.shape):
             model = Model(int(np.asarray(self.model)[at]))
             why[at] = _reason(model, self.bias[at], float(tolerance[at]), self.unit)
-        return why[()]
+        return str(why[()]) if why.ndim == 0 else why
 
 
 def _reason(model: Model, bias: NDArray[np.float64], allowed: float, unit: str) -> str:
@@ -207,13 +207,13 @@ class Bending(Shown):
     arc_length: Array
     force: Array
     outcome: Outcome
-    model: Model
+    model: Model | NDArray[np.int8]
     error: Array
     whisker: Whisker
     choice: Choice | None = None
 
     @property
-    def why(self) -> str:
+    def why(self) -> str | NDArray[np.object_]:
         """Why this model, in words: one sentence, or an array of them."""
         return "it was asked for by name" if self.choice is None else self.choice.why
 
@@ -354,7 +354,7 @@ class FlickPast:
         an imposed base angle, and under a muscle of limited moment.
     """
 
-    deflection_angle: Any
-    ended_by: Any
+    deflection_angle: NDArray[np.float64]
+    ended_by: Outcome | NDArray[np.int8]
     at_end: Bending
     at_moment_peak: Bending

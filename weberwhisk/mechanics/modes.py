@@ -14,11 +14,10 @@ intrinsic curvature is left out, as whiskers are nearly straight over a mode's w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh, null_space
 
 from .._checks import finite, non_negative
@@ -272,7 +271,7 @@ def impulse_response(
     )
 
 
-def transfer(modes: Modes, arc_length: ArrayLike, frequency: ArrayLike) -> Any:
+def transfer(modes: Modes, arc_length: ArrayLike, frequency: ArrayLike) -> NDArray[np.complex128]:
     """Spectrum of the base moment for a unit impulse at a place: the transform of the ringing.
 
     Parameters
@@ -292,4 +291,4 @@ def transfer(modes: Modes, arc_length: ArrayLike, frequency: ArrayLike) -> Any:
     w = 2 * np.pi * finite("frequency", frequency, "give hertz").reshape(-1)
     omega, zeta = modes.angular_frequency[:, None], modes.damping_ratio[:, None]
     gain = modes.base_moment[:, None] / (omega**2 - w**2 + 2j * zeta * omega * w)
-    return np.moveaxis(modes.shape(arc_length), 0, -1) @ gain
+    return np.asarray(np.moveaxis(modes.shape(arc_length), 0, -1) @ gain, dtype=complex)

@@ -133,10 +133,10 @@ class MomentBalance:
         Where the rotation ended for whatever reason, rad past the impact.
     """
 
-    balance_angle: Any
-    moment: Any
-    outcome: Any
-    end_angle: Any
+    balance_angle: Array
+    moment: Array
+    outcome: NDArray[np.int8]
+    end_angle: Array
 
 
 def moment_balance(
@@ -245,7 +245,7 @@ def moment_balance(
     return MomentBalance(
         angle[()],
         np.where(balanced, moment, np.nan)[()],
-        outcome if shape else Balance(int(outcome)),
+        outcome if shape else Balance(int(outcome)),  # type: ignore[arg-type]
         end[()],
     )
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
 from .._display import member
@@ -64,7 +64,7 @@ class Sweep:
     travel: Array
     bending: Bending
     contact: Array
-    tip: Any
+    tip: NDArray[np.bool_]
     first_contact: float
     end: float
     ended_by: Outcome

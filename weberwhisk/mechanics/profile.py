@@ -16,10 +16,9 @@ is negative. The sign of the friction angle does not depend on the side.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite, non_negative, positive
 from ..whisker import Whisker
@@ -342,8 +341,8 @@ class Sticking:
 
     inward: Bending
     outward: Bending
-    stuck_inward: Any
-    stuck_outward: Any
+    stuck_inward: NDArray[np.bool_]
+    stuck_outward: NDArray[np.bool_]
 
 
 def sticking(

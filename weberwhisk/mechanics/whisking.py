@@ -22,7 +22,6 @@ peg stops at once is orthogonal to them), and rings with the moment, over M(0) t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,7 +53,7 @@ class QuasiStatic:
     angular_frequency: Array
     blow: Array
 
-    def error(self, frequency: ArrayLike) -> tuple[Any, Any]:
+    def error(self, frequency: ArrayLike) -> tuple[Array, Array]:
         """Least and largest 1 − M(f)/M(0) of a steady sinusoidal whisk, Hz.
 
         The largest is infinite from the first natural frequency on.
@@ -65,7 +64,7 @@ class QuasiStatic:
         most = np.where(left > 0, least / np.where(left > 0, left, 1.0), np.inf)
         return least, most[()]
 
-    def limit(self, error: ArrayLike) -> Any:
+    def limit(self, error: ArrayLike) -> Array:
         """Frequency, Hz, up to which the moment is off by no more than a relative error.
 
         With a moment of which distance is judged under Weber's law, an error of k/10 moves the

@@ -88,7 +88,7 @@ def surface(
         "radial_distance": share.ravel(),
         "impact_angle_deg": impact.ravel(),
         "balance_angle_deg": np.degrees(b.balance_angle).ravel(),
-        "outcome": [Balance(k).name for k in b.outcome.ravel()],
+        "outcome": [Balance(int(k)).name for k in b.outcome.ravel()],
     }
     return pd.DataFrame(columns)
 

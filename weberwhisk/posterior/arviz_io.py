@@ -16,13 +16,28 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, special
 
+if TYPE_CHECKING:
+    from xarray import Dataset
+
 Array = NDArray[np.float64]
+
+
+class ArvizData(Protocol):
+    """What ArviZ takes: its InferenceData on 0.23, xarray's DataTree on 1.x."""
+
+    def __getitem__(self, group: str, /) -> Dataset:
+        """A group, such as "posterior"."""
+
+    def to_netcdf(self, filepath: str, /) -> object:
+        """Keep all groups in a file."""
+
+
 Variables = Mapping[str, ArrayLike]
 
 
@@ -37,7 +52,7 @@ def to_arviz(
     coords: Mapping[str, ArrayLike] | None = None,
     dims: Mapping[str, Sequence[str]] | None = None,
     attrs: Mapping[str, Any] | None = None,
-) -> Any:
+) -> ArvizData:
     """Draws as ArviZ data.
 
     Parameters

@@ -20,6 +20,7 @@ from .._display import Shown, interval_text, member
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
+from .arviz_io import ArvizData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -249,7 +250,7 @@ class Posterior(Shown):
             parts.append(f"θ_d = {np.degrees(angle.mean):.3g} ± {np.degrees(angle.sd):.2g}°")
         return f"{', '.join(parts)}, by {self.method}; {self.status.message}{note}"
 
-    def to_arviz(self, *, draws: int = 1000, seed: Seed = 0) -> Any:
+    def to_arviz(self, *, draws: int = 1000, seed: Seed = 0) -> ArvizData:
         """ArviZ data with draws of every unknown (InferenceData on 0.23, DataTree on 1.x).
 
         Draws of emcee are the walkers' own, four or more independent ensembles as chains;
