@@ -37,7 +37,8 @@ from matplotlib.patches import Patch
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.charts.timing import machine, timed
+from weberwhisk.charts.beams import timed
+from weberwhisk.citing import machine
 from weberwhisk.figures.style import SMALL
 from weberwhisk.mechanics import Choice
 

@@ -39,7 +39,7 @@ import weberwhisk as ww
 from weberwhisk import charts, figures
 from weberwhisk.behaviour import Trials
 from weberwhisk.charts import beams, fits, posteriors
-from weberwhisk.charts.timing import timed
+from weberwhisk.charts.beams import timed
 from weberwhisk.mechanics import closed_form
 from weberwhisk.output import Run
 

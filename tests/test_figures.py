@@ -16,11 +16,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import design, figures
+from weberwhisk import design, figures, paper
 from weberwhisk.commands import figure
 from weberwhisk.mechanics.muscle import MuscleCurve
-from weberwhisk.paper import balance
-from weberwhisk.paper import contacts as contacts_2
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
@@ -346,8 +344,8 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         "pairs": figures.pairs(fit),
         "paper_1d": figures.paper_1d(rate.assign(whisker="tapered, R = 20")),
         "paper_2": figures.paper_2(
-            contacts_2.examples(), contacts_2.lines(),
-            contacts_2.contacts(contacts_2.ARCS, contacts_2.DEGREES[::6]),
+            paper.examples(), paper.lines(),
+            paper.contacts(paper.ARCS, paper.DEGREES[::6]),
         ),
         "paper_3": paper_3(),
         "place": figures.place(ww.place(all_of_them, touching)),
@@ -382,12 +380,12 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
 
 def paper_3() -> Figure:
     step = slice(None, None, 10)
-    line, angle = balance.dashed_line()
-    surface = balance.surface(
-        MuscleCurve.NORMALISED, balance.DISTANCES[step], balance.IMPACTS[step]
+    line, angle = paper.dashed_line()
+    surface = paper.surface(
+        MuscleCurve.NORMALISED, paper.DISTANCES[step], paper.IMPACTS[step]
     )
     return figures.paper_3(
-        balance.moments(), balance.muscle(), balance.balance_angles(), surface,
+        paper.moments(), paper.muscle(), paper.balance_angles(), surface,
         (line[step], angle[step]),
     )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import runpy
@@ -121,3 +122,28 @@ def test_the_version_is_written_once_and_workflows_cover_what_is_supported() -> 
         assert f'"3.{minor}"' in workflow
     assert ".ci/run" in workflow
     assert ".ci/lowest" in workflow
+
+
+def test_nothing_is_of_one_system_alone() -> None:
+    """No module or call that Windows lacks, and no text read or written in a locale's encoding."""
+    modules = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"}
+    calls = {"fork", "getuid", "geteuid", "killpg", "mkfifo", "setsid", "sched_getaffinity",
+             "SIGALRM", "SIGHUP", "SIGKILL", "WNOHANG"}  # fmt: skip
+    found = []
+    for path in sorted((ROOT / "weberwhisk").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = set()
+            if isinstance(node, ast.Import):
+                names = {alias.name for alias in node.names} & modules
+            elif isinstance(node, ast.ImportFrom):
+                names = {node.module} & modules
+            elif isinstance(node, ast.Attribute):
+                names = {node.attr} & calls
+            elif isinstance(node, ast.Call):
+                text = ast.unparse(node)
+                called = ast.unparse(node.func).rpartition(".")[2]
+                plain = called in ("open", "read_text", "write_text") and "os.open" not in text
+                if plain and not re.search(r"utf-8|encoding=|[\"'][rwax]\+?b", text):
+                    names = {text}
+            found += [f"{path.relative_to(ROOT)}: {name}" for name in names]
+    assert found == []

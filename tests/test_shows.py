@@ -178,7 +178,7 @@ REVEALED = """b.moment b.held b.outcome.message p.mean p.sd p.interval() p.quant
 p.status.message p.log_evidence p.outcome p.plot() p.summary() curve curve.table curve["posterior"]
 fit.weber_fraction fit.interval() fit.summary() fit.plot() fit.status population.weber_fraction
 population.subjects both.table both.report() plan.trials plan.plot()
-ww.posterior(observer,[1e-7,1e-5]) w.length w.stiffness
+ww.posterior(observer,[1e-7,1e-5]) w.stiffness
 ww.flick_past(w,0.02).ended_by fit.to_dict() fit.to_arviz()["posterior"] population.fits
 fit.trials.subjects plan.levels"""
 

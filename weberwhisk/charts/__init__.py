@@ -6,8 +6,8 @@ knob: `part`, `scene`, `method`, `knob`, `seconds` (CPU of one core, of one solu
 run. Rows of other tools may be joined to them; `weberwhisk.figures.speed_accuracy` draws either.
 """
 
+from ..citing import machine
 from . import beams, fits, posteriors
-from .timing import machine
 
 #: Name of each part, and what measures it: ``measure(full=...)`` gives its table.
 PARTS = {

@@ -13,8 +13,8 @@ import pandas as pd
 from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
 from ..jnd_curves import jnd_curve
 from ..posterior import posterior
+from .beams import Row
 from .posteriors import OBSERVERS, readings
-from .timing import Row
 
 #: The observer: Weber fraction, lapses at either end; nine signed levels to ±0.30 of one standard.
 K, LAPSE = 0.1, 0.02

@@ -23,7 +23,7 @@ from ..observer import Observer
 from ..posterior import Posterior, Status, posterior
 from ..posterior.peaks import find_mode
 from ..whisker import Whisker
-from .timing import Row, timed
+from .beams import Row, timed
 
 WHISKER = Whisker(50e-3, 100e-6, 5e-6)
 K = 0.1
@@ -34,8 +34,6 @@ OBSERVERS = {
         WHISKER, cues.UnknownStiffness(cues.Compliance(), 0.2), receptors.Weber(K)
     ),
 }
-#: Cells of the referee along each axis, in full and in short.
-CELLS = {1: (20_000, 4000), 2: (1500, 500)}
 Engine = Callable[[Array], Posterior | Array]
 
 
@@ -208,7 +206,7 @@ def posterior_row(
 
 def exact_sds(observer: Observer, rows: Array, *, full: bool) -> tuple[Array, float]:
     """The referee's sds, and its own error: against a sum with half as many cells an axis."""
-    n = CELLS[len(observer.unknowns)][0 if full else 1]
+    n = {1: (4000, 20_000), 2: (500, 1500)}[len(observer.unknowns)][full]
     exact = summed(observer, rows, n, zoom=True)
     half = summed(observer, rows[:8], n // 2, zoom=True)
     # Halving quarters the error of a midpoint sum, or better.

@@ -43,7 +43,8 @@ def paper(
     claim, the numbers found now, the test that shows it, and where the sentence ends.
     """
     from .. import figures
-    from ..paper import balance, claims, contacts
+    from .. import paper as tables
+    from ..paper import claims
 
     inputs = {"radius_ratio": float(surveys.WHISKER.radius_ratio), "short": short}
     with Run(out, "paper", inputs, seed) as run:
@@ -53,18 +54,18 @@ def paper(
             drawn = figures.figure_of(figures.paper_1d(rates))
             made["figure-1d"] = {"figure-1d": rates}, drawn
             advance()
-            arcs, degrees = (contacts.ARCS, contacts.DEGREES)
-            table = contacts.contacts(arcs, degrees[::3] if short else degrees)
-            chart = figures.paper_2(contacts.examples(), contacts.lines(), table)
+            arcs, degrees = (tables.ARCS, tables.DEGREES)
+            table = tables.contacts(arcs, degrees[::3] if short else degrees)
+            chart = figures.paper_2(tables.examples(), tables.lines(), table)
             made["figure-2"] = {"figure-2": table}, chart
             advance()
             step = slice(None, None, 5 if short else 1)
-            place, impact = balance.DISTANCES[step], balance.IMPACTS[step]
-            a, b = balance.moments(), balance.balance_angles()
-            c = balance.surface(MuscleCurve.NORMALISED, place, impact)
-            line, angle = balance.dashed_line()
+            place, impact = tables.DISTANCES[step], tables.IMPACTS[step]
+            a, b = tables.moments(), tables.balance_angles()
+            c = tables.surface(MuscleCurve.NORMALISED, place, impact)
+            line, angle = tables.dashed_line()
             edge = (line[step], angle[step])
-            chart = figures.paper_3(a, balance.muscle(), b, c, edge)
+            chart = figures.paper_3(a, tables.muscle(), b, c, edge)
             made["figure-3"] = {"figure-3a": a, "figure-3b": b, "figure-3c": c}, chart
             advance()
             for name, make in (("figure-4a", figure_4a), ("figure-4b", figure_4b)):

@@ -69,12 +69,8 @@ def information_map(
     mesh = ax.pcolormesh(standard, offset, shown, shading="nearest", cmap="cividis", vmin=0.0)
     figure_of(ax).colorbar(mesh, ax=ax, label=f"About {ABOUT[about]} (millibit)")
     best = np.unravel_index(np.nanargmax(bits), bits.shape)
-    ring: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": "o",
-        "markerfacecolor": "none",
-        "markersize": 7,
-    }
+    ring: dict[str, Any] = {"linestyle": "none", "marker": "o", "markerfacecolor": "none"}
+    ring["markersize"] = 7
     ax.plot(standard[best], offset[best], **ring, color="w")
     ax.plot([], [], **ring, color="black", label="the most")
     ax.axhline(0.0, color="w", linewidth=0.5)
@@ -124,9 +120,6 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
     return ax
 
 
-MM = 1e-3
-
-
 @styled
 def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDArray[np.object_]:
     """Expected answers at every standard, with the curve of every hypothesis fitted to them.
@@ -160,18 +153,19 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
             open_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
         )
     for ax, standard in zip(axes, standards, strict=True):
-        levels = plan.levels[np.isclose(plan.levels["standard_mm"], standard / MM)]
+        mm = 1e3 * standard
+        levels = plan.levels[np.isclose(plan.levels["standard_mm"], mm)]
         expected = (levels[name] for name in ("expected", "lower", "upper"))
         at = levels["comparison_mm"]
         bars(ax, at, expected, 0, color=COLOURS[6], label="expected, 95 % by chance")
         for i, hypothesis in enumerate(plan.hypotheses):
             own = plan.curves.query("hypothesis == @hypothesis.name")
-            own = own[np.isclose(own["standard_mm"], standard / MM)]
+            own = own[np.isclose(own["standard_mm"], mm)]
             ax.plot(own["comparison_mm"], own["median"], **look(i), label=drawable(hypothesis.name))
-        ax.axvline(standard / MM, color="0.8", linewidth=0.8, zorder=0)
+        ax.axvline(mm, color="0.8", linewidth=0.8, zorder=0)
         ax.set_ylim(-0.03, 1.03)
         ax.xaxis.set_major_locator(MaxNLocator(4))
-        ax.set_title(f"standard {standard / MM:.3g} mm")
+        ax.set_title(f"standard {mm:.3g} mm")
     figure = figure_of(axes)
     figure.supxlabel("Comparison (mm)")
     axes[0].set_ylabel("Reported farther")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ..behaviour import Comparison, PopulationFit, WeberFit
+    from ..behaviour.trials import Cells
 
 
 @styled
@@ -136,14 +137,18 @@ def _answer_label(fit: WeberFit) -> str:
     )
 
 
-def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
+def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
+    """Where the choices at the nearest standard stand on the axis, and their counts."""
     every = fit.trials.cells()
     cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
-    first, second, n, count = cells.stimulus_1, cells.stimulus_2, cells.n, cells.count
-    if _relative(fit):
-        x, origin = second - first, standard
-    else:
-        x, origin = standard * second / first, 0.0
+    first, second = cells.stimulus_1, cells.stimulus_2
+    return second - first if _relative(fit) else standard * second / first, cells
+
+
+def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
+    x, cells = _shown_at(fit, standard)
+    n, count = cells.n, cells.count
+    origin = standard if _relative(fit) else 0.0
     if cells.sd_1 is not None and x.size > 20:  # located, every trial has places of its own
         groups = np.array_split(np.argsort(x, kind="stable"), 10)
         x = np.array([x[g].mean() for g in groups])
@@ -153,12 +158,9 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
     if x.size:
         reach = [min(x.min(), standard - origin), max(x.max(), standard - origin)]
         margin = 0.08 * (reach[1] - reach[0]) or 0.1 * abs(standard) or 0.1
-        lowest, highest = fit.encoding.domain
-        edges = np.clip(
-            [reach[0] - margin + origin, reach[1] + margin + origin],
-            lowest + 1e-6 * margin if np.isfinite(lowest) else lowest,
-            highest - 1e-6 * margin if np.isfinite(highest) else highest,
-        )
+        lowest, highest = fit.encoding.domain  # ends of which may be infinite
+        edges = np.array([reach[0] - margin, reach[1] + margin]) + origin
+        edges = np.clip(edges, lowest + 1e-6 * margin, highest - 1e-6 * margin)
         curve = fit.psychometric(np.linspace(edges[0], edges[1], 121), standard)
         at = curve["comparison"] - origin
         ax.fill_between(
@@ -265,18 +267,13 @@ def pairs(
             if i < size - 1:
                 ax.set_xticklabels([])
             else:
-                ax.set_xlabel(_parameter(along))
+                ax.set_xlabel(along.replace("_", " ").capitalize())
             if j:
                 ax.set_yticklabels([])
             elif i:
-                ax.set_ylabel(_parameter(down))
+                ax.set_ylabel(down.replace("_", " ").capitalize())
     figure_of(grid).align_labels()
     return grid
-
-
-def _parameter(name: str) -> str:
-    words = name.replace("_", " ")
-    return f"{words[:1].upper()}{words[1:]}"
 
 
 @styled
@@ -368,16 +365,12 @@ def population(
 
 def _animal(fit: WeberFit, ax: Axes, standard: float, i: int, name: str) -> None:
     """One animal's shares and the median curve of its own fit."""
-    every = fit.trials.cells()
-    cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
-    first, second = cells.stimulus_1, cells.stimulus_2
-    x = second - first if _relative(fit) else standard * second / first
-    reach = np.linspace(x.min(), x.max(), 81) + (standard if _relative(fit) else 0.0)
-    curve = fit.psychometric(reach, standard)
+    x, cells = _shown_at(fit, standard)
+    origin = standard if _relative(fit) else 0.0
+    curve = fit.psychometric(np.linspace(x.min(), x.max(), 81) + origin, standard)
     dot = {"marker": MARKERS[i % len(MARKERS)], "markersize": 3, "linestyle": "none"}
     ax.plot(x, cells.count / cells.n, **look(i) | dot)
-    at = curve["comparison"] - (standard if _relative(fit) else 0.0)
-    ax.plot(at, curve["median"], **look(i, linewidth=1.0), label=name)
+    ax.plot(curve["comparison"] - origin, curve["median"], **look(i, linewidth=1.0), label=name)
 
 
 @styled

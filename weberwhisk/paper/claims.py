@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import paper
 from ..cues import Compliance, ForceMap, Vibration
 from ..jnd import weber_propagation
 from ..mechanics import (
@@ -24,7 +25,6 @@ from ..observer import Observer
 from ..receptors import Weber
 from ..surveys import NONE, WHISKER, K
 from ..whisker import Whisker
-from . import balance, contacts
 
 Array = NDArray[np.float64]
 
@@ -85,15 +85,15 @@ def _monotonic() -> str:
 def _forces_at_90() -> str:
     arc = np.array([0.3, 0.5, 0.7, 0.9]) * L
     taper, cylinder = (
-        contacts.loaded(w, arc, np.array(np.pi / 2)).force for w in contacts.WHISKERS.values()
+        paper.loaded(w, arc, np.array(np.pi / 2)).force for w in paper.WHISKERS.values()
     )
     ratio = ", ".join(f"{v:.3f}" for v in taper / cylinder)
     return f"the taper's force over the cylinder's at 90°, 0.3, 0.5, 0.7 and 0.9 L: {ratio}"
 
 
 def _one_to_one() -> str:
-    signs = set(np.sign(contacts.map_jacobian(WHISKER)).ravel())
-    crossed = contacts.crossings(contacts.map_boundary(WHISKER, 120))
+    signs = set(np.sign(paper.map_jacobian(WHISKER)).ravel())
+    crossed = paper.crossings(paper.map_boundary(WHISKER, 120))
     return (
         f"signs of the map's Jacobian over all contacts to 90°: {len(signs)}; crossings of the "
         f"image of its edge: {crossed}; so no two contacts share their signals"
@@ -114,28 +114,28 @@ def _muscle() -> str:
 
 
 def _flick_past_at() -> str:
-    end = balance.curve_end(MuscleCurve.NORMALISED)
+    end = paper.curve_end(MuscleCurve.NORMALISED)
     return f"from an impact at 60° the balance ends at {end:.3f} L"
 
 
 def _two_of_four() -> str:
-    outcome = moment_balance(WHISKER, np.array(balance.SHOWN) * L, balance.IMPACT).outcome
+    outcome = moment_balance(WHISKER, np.array(paper.SHOWN) * L, paper.IMPACT).outcome
     held = int(np.sum(outcome == 0))
     return f"at 0.3, 0.5, 0.7, 0.9 L: {held} balance, {len(outcome) - held} flick past"
 
 
 def _balance_monotonic() -> str:
-    b = moment_balance(WHISKER, np.linspace(0.3, 0.69, 100) * L, balance.IMPACT).balance_angle
+    b = moment_balance(WHISKER, np.linspace(0.3, 0.69, 100) * L, paper.IMPACT).balance_angle
     low, high = np.degrees(b[[0, -1]])
     falls = int(np.sum(np.diff(b) <= 0))
     return f"from {low:.1f}° at 0.3 L to {high:.1f}° at 0.69 L, with {falls} falls in 99 steps"
 
 
 def _white_areas() -> str:
-    grid = balance.surface(
-        MuscleCurve.NORMALISED, balance.DISTANCES[::10], balance.IMPACTS[::10]
+    grid = paper.surface(
+        MuscleCurve.NORMALISED, paper.DISTANCES[::10], paper.IMPACTS[::10]
     ).query("outcome != 'BALANCED'")
-    share, angle = balance.dashed_line()
+    share, angle = paper.dashed_line()
     below = grid["impact_angle_deg"] <= np.interp(grid["radial_distance"], share, angle) + 1e-9
     wrong = int((below == (grid["outcome"] == "END_OF_WHISKING")).sum())
     return f"{wrong} of {len(grid)} contacts without balance lie on the wrong side of the line"
