@@ -190,9 +190,10 @@ def test_no_public_result_is_of_any_type() -> None:
     classes = {k: v for home in homes for k, v in home.items() if isinstance(v, type)}
     returned: dict[str, str] = {}
     for module in modules:
-        for name in (n for n in getattr(module, "__all__", dir(module)) if n[0] != "_"):
+        for name in getattr(module, "__all__", [n for n in dir(module) if n[0] != "_"]):
             function = inspect.unwrap(getattr(module, name))
-            if inspect.isfunction(function) and function.__module__.startswith("weberwhisk"):
+            listed = hasattr(module, "__all__")
+            if inspect.isfunction(function) and (listed or function.__module__ == module.__name__):
                 returned[f"{module.__name__}.{name}"] = function.__annotations__["return"]
     results = {word for text in returned.values() for word in re.findall(r"\w+", text)}
     for result in {classes[word] for word in results & classes.keys()}:
@@ -208,7 +209,8 @@ def test_no_public_result_is_of_any_type() -> None:
     assert len(returned) > 300
     assert {"WeberFit.to_dict", "Bending.moment", "FlickPast.ended_by"} <= returned.keys()
     vague = {name for name, text in returned.items() if re.search(r"\bAny\b", text)}
-    assert vague <= {"Effect.prior"}  # given, not found: any frozen distribution
+    # Given, not found: any frozen distribution, and an ArrayObserver, which stands above places.
+    assert vague <= {"Effect.prior", "Place.observer"}
 
 
 @pytest.mark.once  # the same types on every Python

@@ -80,7 +80,7 @@ class Place(Shown):
     """
 
     observer: Any
-    readings: Mapping[str, Any]
+    readings: Mapping[str, NDArray[np.float64] | None]
     status: Status
     mean: Array
     covariance: Array

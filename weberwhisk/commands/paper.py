@@ -43,7 +43,7 @@ def paper(
     claim, the numbers found now, the test that shows it, and where the sentence ends.
     """
     from .. import figures
-    from .. import paper as tables
+    from .. import paper as remade
     from ..paper import claims
 
     inputs = {"radius_ratio": float(surveys.WHISKER.radius_ratio), "short": short}
@@ -54,18 +54,18 @@ def paper(
             drawn = figures.figure_of(figures.paper_1d(rates))
             made["figure-1d"] = {"figure-1d": rates}, drawn
             advance()
-            arcs, degrees = (tables.ARCS, tables.DEGREES)
-            table = tables.contacts(arcs, degrees[::3] if short else degrees)
-            chart = figures.paper_2(tables.examples(), tables.lines(), table)
+            arcs, degrees = (remade.ARCS, remade.DEGREES)
+            table = remade.contacts(arcs, degrees[::3] if short else degrees)
+            chart = figures.paper_2(remade.examples(), remade.lines(), table)
             made["figure-2"] = {"figure-2": table}, chart
             advance()
             step = slice(None, None, 5 if short else 1)
-            place, impact = tables.DISTANCES[step], tables.IMPACTS[step]
-            a, b = tables.moments(), tables.balance_angles()
-            c = tables.surface(MuscleCurve.NORMALISED, place, impact)
-            line, angle = tables.dashed_line()
+            place, impact = remade.DISTANCES[step], remade.IMPACTS[step]
+            a, b = remade.moments(), remade.balance_angles()
+            c = remade.surface(MuscleCurve.NORMALISED, place, impact)
+            line, angle = remade.dashed_line()
             edge = (line[step], angle[step])
-            chart = figures.paper_3(a, tables.muscle(), b, c, edge)
+            chart = figures.paper_3(a, remade.muscle(), b, c, edge)
             made["figure-3"] = {"figure-3a": a, "figure-3b": b, "figure-3c": c}, chart
             advance()
             for name, make in (("figure-4a", figure_4a), ("figure-4b", figure_4b)):
