@@ -93,16 +93,16 @@ def test_the_last_of_three_unknowns_has_the_moments_of_a_grid():
     from weberwhisk.posterior.tiling import prior_box
 
     observer = ww.Observer(W, CUES["soft map"])
-    readings = observer.read(prior_draws(observer, 4, seed=4), seed=5)
+    readings = observer.read(prior_draws(observer, 2, seed=4), seed=5)
     p = ww.posterior(observer, readings)
-    boxes = (np.tile(side, (4, 1)) for side in prior_box(observer))
+    boxes = (np.tile(side, (2, 1)) for side in prior_box(observer))
     whole = integrate(
         lambda x, index: observer.log_density(x, readings[index, None]),
         *boxes,
         functions=lambda x: observer.contact(x)[0],
     )
     kept = (whole.error < 2e-3).all(axis=1) & (p.status == 0)
-    assert kept.sum() >= 3
+    assert kept.all()
     assert np.all(np.abs(p.log_evidence - whole.log_evidence)[kept] < 0.01)
     for k, name in enumerate(observer.unknowns):
         found = p.estimates[name]

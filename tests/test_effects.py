@@ -334,7 +334,7 @@ def test_overdispersion_by_brute_force() -> None:
 
 
 def coverage(count: int) -> tuple[int, int]:
-    """How many 95 % intervals cover with the effect and without; bias and lapses known."""
+    """How many 95 % intervals cover with the effect and without; lapses known."""
     known: dict[str, Any] = {"lapse_low": 0.02, "lapse_high": 0.02}
     covered = [0, 0]
     for seed in range(count):
@@ -346,8 +346,8 @@ def coverage(count: int) -> tuple[int, int]:
 
 
 def test_scatter_widens_the_interval() -> None:
-    with_it, _ = coverage(20)
-    assert with_it >= 17  # fewer once in 400 at 95 %
+    with_it, _ = coverage(12)
+    assert with_it >= 9  # fewer once in 500 at 95 %
 
 
 @pytest.mark.slow

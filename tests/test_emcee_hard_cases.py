@@ -58,7 +58,7 @@ def test_no_wrong_sd_is_called_converged(case):
     observer, contact = CASES[case]
     readings = observer.read(np.array(contact), seed=1)
     p = ww.posterior(observer, readings, "emcee", seed=2)
-    points = 200_000 if len(observer.unknowns) == 1 else 250_000
+    points = 200_000 if len(observer.unknowns) == 1 else 90_000
     exact = np.array([brute_force(observer, y, points=points) for y in readings])
     off = np.maximum(np.abs(p.mean - exact[:, 0]) / exact[:, 1], np.abs(p.sd / exact[:, 1] - 1))
     # Outside the domain (k above 0.6) converged posteriors say that instead.

@@ -111,7 +111,7 @@ def profile_tip(w):
 
 SCENES = [
     (5, -25.0, 0.0, 0.1),
-    (20, 25.0, 0.0, 0.05),
+    pytest.param(20, 25.0, 0.0, 0.05, marks=pytest.mark.slow),
     pytest.param(20, 8.0, -0.45, 0.3, marks=pytest.mark.slow),  # 16 s, the others 2 to 4
     (40, -8.0, 0.45, 0.1),
 ]
@@ -155,21 +155,21 @@ def test_an_unknown_friction_is_summed_out_as_contacts_drawn_from_the_prior_say(
     """Draws took the range of angles of one friction for the weight of all: means 0.1 sd apart."""
     w = whisker(20, 0.0)
     observer = Observer(w, Friction(ForceMap()), GeneralisedWeber(0.3, floor=[1e-7, 1e-5]))
-    drawn = prior_draws(observer, 300_000, seed=1)
+    drawn = prior_draws(observer, 80_000, seed=1)
     reading = observer.read([25e-3, 0.3, 0.1], seed=1)
     weight = np.exp(observer.noise.log_likelihood(reading, observer.signals(drawn)[0]))
     weight /= weight.sum()
     size = 1 / (weight**2).sum()
-    assert size > 10_000
+    assert size > 2500
     found = posterior(observer, reading)
     for i, name in enumerate(observer.unknowns):
         mean = weight @ drawn[:, i]
         sd = np.sqrt(weight @ (drawn[:, i] - mean) ** 2)
         assert found.estimates[name].mean == pytest.approx(mean, abs=4 * sd / np.sqrt(size))
         assert found.estimates[name].sd == pytest.approx(sd, rel=4 / np.sqrt(size))
-        low, high = found.interval(0.9, of=name)
-        inside = weight[(drawn[:, i] > low) & (drawn[:, i] < high)].sum()
-        assert inside == pytest.approx(0.9, abs=4 * 0.3 / np.sqrt(size) + 0.005)
+    low, high = found.interval(0.9)  # the others' take as long again, each
+    inside = weight[(drawn[:, 0] > low) & (drawn[:, 0] < high)].sum()
+    assert inside == pytest.approx(0.9, abs=4 * 0.3 / np.sqrt(size) + 0.005)
 
 
 def test_signals_angle_and_prior_are_functions_of_the_friction_at_a_place():
@@ -200,10 +200,9 @@ def coverage(cue, w, noise, count, seed=5):
     return np.mean((low <= contact[:, 0]) & (contact[:, 0] <= high))
 
 
-@pytest.mark.parametrize("curvature", [-20.0, 20.0])
-def test_intervals_hold_the_distance_as_often_as_they_say(curvature):
+def test_intervals_hold_the_distance_as_often_as_they_say():
     """300 draws: within three standard errors of 95 %."""
-    w = whisker(20, curvature)
+    w = whisker(20, -20.0)
     noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
     assert coverage(ForceMap(), w, noise, 300) == pytest.approx(0.95, abs=0.038)
 
