@@ -46,6 +46,7 @@ for name, examples in (("quick", 10), ("slow", 300)):
 
 def pytest_configure(config: pytest.Config) -> None:
     """More cases of every property where the full-length tests are asked for."""
+    config.option.loadscopereorder = False  # xdist's: files of many tests first, however short
     slow = "slow" in config.getoption("markexpr")
     hypothesis.settings.load_profile("slow" if slow else "quick")
 
@@ -72,10 +73,14 @@ ONCE = {
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave the full-length tests to ``pytest -m slow``; say which a second Python may leave."""
+    """Leave the full-length tests to ``pytest -m slow``; say which a second Python may leave.
+
+    Long files come first and doctests last, so that workers end together.
+    """
     for item in items:
         if item.path.stem in ONCE:
             item.add_marker("once")
+    items.sort(key=lambda item: (isinstance(item, pytest.DoctestItem), item.path.stem not in ONCE))
     if "slow" in config.getoption("markexpr"):
         for item in items:
             if hypothesis.is_hypothesis_test(getattr(item, "obj", None)):

@@ -565,11 +565,10 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     "scene",
     [
-        ["--cue", "three-forces", "--deflection-angle-deg", "5"],
         ["--cue", "moment", "--deflection-angle-deg", "5"],
         ["--cue", "fused"],
         ["--receptors", "log-normal"],
-        ["--cue", "force-map", "--receptors", "near-miss=0.7"],
+        ["--receptors", "near-miss=0.7"],
         ["--receptors", "floor=0.05"],
         ["--receptors", "saturating=2"],
     ],

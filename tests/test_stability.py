@@ -28,9 +28,9 @@ DOMAINS = {d.name: d for d, *_ in stability.domains()}
 SIZES = {
     "closed form": (4, 1),
     "elastica": (4, 1),
-    "profile": (3, 1),
+    "profile": (2, 1),
     "rod, in the plane": (2, 1),
-    "rod, out of the plane": (4, 0),
+    "rod, out of the plane": (3, 0),
     "JND by propagation": (3, 1),
     "fit of choices": (1, 1),
     "quadrature, vibration, phase": (6, 1),
@@ -272,7 +272,7 @@ def test_a_cliff_in_the_posterior_of_a_fit_is_resolved() -> None:
 @pytest.mark.parametrize(
     ("span", "levels", "n", "answers"),
     [
-        (0.11309, 9, 1, [1] * 9),
+        pytest.param(0.11309, 9, 1, [1] * 9, marks=pytest.mark.slow),
         (0.03253, 7, 4, [1, 3, 2, 1, 3, 2, 0]),
     ],
 )
@@ -299,22 +299,23 @@ def judged_population(*numbers: float) -> Any:
     return populations.judge({name: np.array([value]) for name, value in case})
 
 
+@pytest.mark.parametrize("animals", [3.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, animals: float
 ) -> None:
     """Five animals of five trials: nodes of ln k were as coarse as one animal alone is vague.
 
     What is known of all was smeared by that: animals were 0.4 to 1 sd of their posterior off.
     """
     populations = load("stability_populations")
-    # Half the weighed draws: ends of intervals err by 0.05 sds.
+    # A quarter of the weighed draws: ends of intervals err by 0.07 sds.
     drawn, *each = populations.ANIMALS
-    monkeypatch.setattr(populations, "ANIMALS", (drawn // 2, *each))
+    monkeypatch.setattr(populations, "ANIMALS", (drawn // 4, *each))
     judged = judged_population(
-        0.789403, 0.221883, 0.001747, 0.5688905, 5.0, 1.0, 0.626083, 0.065299
+        0.789403, 0.221883, 0.001747, 0.5688905, animals, 1.0, 0.626083, 0.065299
     )
-    assert judged.seen["count"][0] > 2500
-    assert judged.seen["error"][0] < 0.15
+    assert judged.seen["count"][0] > 1250
+    assert judged.seen["error"][0] < 0.2
 
 
 def test_the_referee_of_populations_knows_how_widely_biases_spread() -> None:
@@ -371,7 +372,7 @@ def test_the_rod_flicks_past_sideways() -> None:
     """
     curved = Whisker(50e-3, 100e-6, 97.18e-6, 3e9, -29.4)
     distance, friction = 0.215422 * 50e-3, -0.621676
-    angle = np.linspace(1.5, 3.2, 60)
+    angle = np.linspace(1.5, 3.2, 30)
     planar, rod = (ww.press(curved, distance, angle, friction, model=m) for m in ("profile", "rod"))
     assert np.all(planar.outcome == Outcome.HELD)
     same = np.ones(angle.size)
@@ -380,7 +381,7 @@ def test_the_rod_flicks_past_sideways() -> None:
     )
     give = beams.sideways(planar.arc_length, planar.force)
     clear = np.abs(give) > 0.02
-    assert clear.sum() > 55
+    assert clear.sum() > 27
     assert (give < 0).any()
     found = np.where(rod.outcome == Outcome.HELD, 1.0, -1.0)
     np.testing.assert_array_equal(found[clear], np.sign(give[clear]))
