@@ -11,8 +11,7 @@ from scipy.special import logsumexp
 
 from weberwhisk.behaviour import fit_weber, simulate_trials
 from weberwhisk.behaviour.effects import Floor
-from weberwhisk.behaviour.integrate import integrate, marginal
-from weberwhisk.behaviour.integrate.grid import Tolerance
+from weberwhisk.behaviour.integrate import Tolerance, integrate, marginal
 from weberwhisk.behaviour.lapses import log_lapses_possible, score_prior
 from weberwhisk.behaviour.likelihood import WeberModel
 

@@ -30,6 +30,7 @@ from .encodings import CueEncoding, Encoding, chosen_encoding, encoding_for
 from .fit import fit_weber
 from .result import WeberFit
 from .trials import Trials, check_trials
+from .verdict import strength
 
 Array = NDArray[np.float64]
 
@@ -67,13 +68,11 @@ class Comparison(Shown):
             return "There is nothing to compare by evidence."
         best, second = self.table.index[:2]
         lead = -float(self.table["log_bayes_factor"].iloc[1])
-        words = ("no evidence either way", "some evidence", "strong evidence", "decisive evidence")
-        size = words[int(np.searchsorted(np.log([3, 10, 100]), lead))]
         row = self.table.loc[second]
         return (
-            f"{best} against {second}: log Bayes factor {lead:+.2f}, {size}; {second} predicts a "
-            f"trial left out by {row['elpd_difference']:.1f} ± {row['difference_se']:.1f} nats in "
-            "all, from the best predictor."
+            f"{best} against {second}: log Bayes factor {lead:+.2f}, {strength(lead)}; {second} "
+            f"predicts a trial left out by {row['elpd_difference']:.1f} ± "
+            f"{row['difference_se']:.1f} nats in all, from the best predictor."
         )
 
 

@@ -119,8 +119,8 @@ class CueEncoding:
     def mean(self, stimulus: ArrayLike) -> Array:
         signals, outcome = self._signals(stimulus)
         if not self._one_signal:
-            held = (outcome == Outcome.HELD) & np.isfinite(signals).all(axis=-1)
-            return np.where(held, np.asarray(stimulus, dtype=float), np.nan)
+            encoded = (outcome == Outcome.HELD) & np.isfinite(signals).all(axis=-1)
+            return np.where(encoded, np.asarray(stimulus, dtype=float), np.nan)
         noise = self.observer.noise
         if noise.gaussian_on == "log":
             return np.log(np.abs(signals[..., 0]))

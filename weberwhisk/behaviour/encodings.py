@@ -1,4 +1,4 @@
-"""What a stimulus feels like: the mean of its signal, and its noise per unit Weber fraction.
+"""How a stimulus is encoded: the mean of its signal, and its noise per unit Weber fraction.
 
 An encoding is the only thing a fit knows about a stimulus. Anything with the four members of
 `Encoding` will do; the whisker enters through `CueEncoding` alone.
@@ -103,7 +103,7 @@ class LogEncoding:
 
 
 @dataclass(frozen=True)
-class LogAxisEncoding:
+class LogAxisEncoding(LogEncoding):
     """The logarithm itself, with one sd everywhere: the textbook equal-variance form.
 
     With `log_unit = 1` the Weber fraction is counted *per unit of the column*: the choice left when
@@ -115,13 +115,7 @@ class LogAxisEncoding:
     array([1., 1.])
     """
 
-    log_unit: float = 1.0
-    direction: int = 1
-    domain: tuple[float, float] = (-np.inf, np.inf)
     unit_sd = renamed_attribute("LogAxisEncoding", "unit_sd", "sd_per_weber_fraction")
-
-    def __post_init__(self) -> None:
-        _checks.positive("log_unit", self.log_unit, "give natural-log units per unit of the column")
 
     def mean(self, stimulus: ArrayLike) -> Array:
         return self.log_unit * np.asarray(stimulus, dtype=float)

@@ -270,7 +270,7 @@ def sample(
     ensembles : int
         Independent ensembles; R-hat compares them.
     precision : float
-        Monte Carlo error asked for, in posterior sds.
+        Monte Carlo error requested, in posterior sds.
 
     Returns
     -------

@@ -310,9 +310,9 @@ def _narrowed(
         return bounds
     marginal = mass.sum(axis=tuple(i for i in ALL if i != index))
     marginal[[0, -1]] *= 2.0
-    held = axis[marginal > least * marginal.max()]
+    above = axis[marginal > least * marginal.max()]
     step = axis[1] - axis[0]
-    return max(held[0] - step, bounds[0]), min(held[-1] + step, bounds[1])
+    return max(above[0] - step, bounds[0]), min(above[-1] + step, bounds[1])
 
 
 def _thinned(mass: Array, index: int) -> float:

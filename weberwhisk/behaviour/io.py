@@ -102,7 +102,7 @@ def read_trials(
     if whisker is not None:
         hint = "write Whisker.from_identity('C2'), say"
         _checks.kind("whisker", whisker, "a Whisker", "length", hint)
-    asked = None if task is None else task_named(task)
+    named = None if task is None else task_named(task)
     if log_unit is not None:
         hint = "give natural-log units per unit of the column"
         log_unit = _checks.number("log_unit", log_unit, hint)
@@ -111,7 +111,7 @@ def read_trials(
     if not len(raw):
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
     check = TableCheck(pd.DataFrame(index=raw.index), name)
-    stimuli, answer = _choose_columns(check, raw, dict(columns or {}), asked)
+    stimuli, answer = _choose_columns(check, raw, dict(columns or {}), named)
     if scale == "linear" and log_unit is not None and stimuli != ("log_ratio",):
         raise ValueError(
             f"log_unit={log_unit:g} was given for magnitudes; write scale='log', or leave it out."
@@ -143,7 +143,7 @@ def read_trials(
             "count": count,
         }
     )
-    chosen = asked or task_named(ANSWERS[answer])
+    chosen = named or task_named(ANSWERS[answer])
     rows = table.index.to_numpy()
     return Trials(frame, chosen, scale, log_unit, name, notes_of(frame, rows), rows)
 
@@ -176,7 +176,7 @@ def _choose_columns(
     answers = [a for a in ANSWERS if a in expected]
     if task is not None:
         answers = [a for a in answers if TASKS[ANSWERS[a]].response == task.response]
-    # A mapped answer was asked for; one that merely has our name may be a by-product.
+    # A mapped answer is wanted; one that merely has our name may be a by-product.
     answer = next((a for a in answers if a in mapping), answers[0] if answers else None)
     if answer is None:
         answer = task.response if task else "choice"

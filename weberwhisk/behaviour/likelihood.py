@@ -16,7 +16,7 @@ from .lapses import PLAIN, LapseTransform, lapse_transform
 from .located import binned
 from .priors import TINY, Priors
 from .tasks import Task
-from .trials import SDS, Cells, Trials
+from .trials import Cells, Trials
 
 Array = NDArray[np.float64]
 
@@ -367,20 +367,5 @@ class WeberModel:
 def gather(trials: Trials, effects: tuple[Effect, ...], encoding: Encoding) -> tuple[Cells, Array]:
     """Trials in cells, those apart that differ in what an effect goes with; columns (E, C)."""
     named = [e.column(trials, encoding) for e in effects]
-    if all(c is None for c in named):
-        cells = trials.cells()
-        return cells, np.zeros((len(effects), cells.n.size))
-    size = len(trials.frame)
-    columns = [np.zeros(size) if c is None else c for c in named]
-    sds = [c for c in SDS if c in trials.frame]
-    numbers = [
-        trials.frame[c].to_numpy(float) for c in ("standard", "stimulus_1", "stimulus_2", *sds, "n",
-                                                  "count")
-    ]  # fmt: skip
-    rows = np.column_stack([*numbers[:-2], *columns, *numbers[-2:]])
-    rows = rows[~np.isnan(rows[:, -1]) & (rows[:, -2] > 0)]
-    keys, same = np.unique(rows[:, :-2], axis=0, return_inverse=True)
-    n, count = (np.bincount(same.reshape(-1), rows[:, i], len(keys)) for i in (-2, -1))
-    standard, s1, s2, *own = keys[:, : 3 + len(sds)].T
-    cells = Cells(s1, s2, standard, n.astype(float), count.astype(float), *own)
-    return cells, keys[:, 3 + len(sds) :].T
+    zeros = np.zeros(len(trials.frame))
+    return trials.gathered(*(zeros if c is None else c for c in named))

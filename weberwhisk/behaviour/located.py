@@ -1,6 +1,6 @@
 """Trials at the places where the whisker was, as measured, in place of where the pole stood.
 
-What an animal feels is where its whisker touches, and that moves with its head. `with_distances`
+What an animal encodes is where its whisker touches, and that moves with its head. `with_distances`
 puts the located place of every trial into the table, with the sd of its posterior. `fit_weber` then
 integrates each trial over it, so that two things stay out of the Weber fraction: how far the animal
 moved (the place is known) and how well the experimenter measured (the sd is known).
@@ -99,7 +99,7 @@ def with_distances(
     check_trials(trials)
     if not isinstance(encoding, CueEncoding | PooledEncoding):
         raise ValueError(
-            "distances were given without a whisker to feel them; write observer=Observer(whisker, "
+            "distances were given without a whisker; write observer=Observer(whisker, "
             "cue), and nominal distances in metres."
         )
     frame = trials.frame
@@ -125,19 +125,19 @@ def with_distances(
     if not joined.any():
         raise ValueError(
             f"none of the {len(table)} located touches belongs to a trial of {trials.source}; the "
-            f"columns {_checks.listed(keys)} of both must hold the same names."
+            f"columns {_checks.listed(keys)} of both must have the same names."
         )
     which = place[joined], table["interval"].to_numpy(np.intp)[joined] - 1
     mean[which], sd[which] = table.loc[joined, "mean"], table.loc[joined, "sd"]
     _check_unit(mean, nominal)
     scatter = estimate_scatter((mean - nominal).ravel(), sd.ravel())
     seen = np.isfinite(mean)
-    asked = seen.any(axis=0) | ~np.array([isinstance(trials.task, YesNo), False])
-    prior = np.where(asked, nominal + scatter.offset, nominal)
+    wanted = seen.any(axis=0) | ~np.array([isinstance(trials.task, YesNo), False])
+    prior = np.where(wanted, nominal + scatter.offset, nominal)
     with np.errstate(divide="ignore"):
         weight = np.where(seen, scatter.sd**2 / (scatter.sd**2 + sd**2), 0.0)
     at = np.where(seen, weight * np.where(seen, mean, 0.0) + (1 - weight) * prior, prior)
-    own = np.where(seen, np.sqrt(weight) * np.where(seen, sd, 0.0), np.where(asked, scatter.sd, 0))
+    own = np.where(seen, np.sqrt(weight) * np.where(seen, sd, 0.0), np.where(wanted, scatter.sd, 0))
     lost = ~gives_signal(encoding, at)
     if lost.any():
         raise ValueError(
@@ -146,7 +146,7 @@ def with_distances(
             "or change the whisker or the cue."
         )
     unit = 1e3 * encoding.unit
-    missing, stray = int((asked & ~seen).sum()), int((~joined).sum())
+    missing, stray = int((wanted & ~seen).sum()), int((~joined).sum())
     notes = [
         f"Distances were located: {unit * scatter.offset:+.3g} mm from the nominal places on "
         f"average, scattered by {unit * scatter.sd:.3g} mm, measured to "
@@ -168,7 +168,7 @@ def over_places(
 
     The decision variable D for k = 1 is a far straighter function of the places than the signals
     are: of a signal r^−p it depends on the ratio of the distances alone. Its moments over the two
-    normal posteriors, by Gauss and Hermite's rule and cut off where the whisker feels nothing, make
+    normal posteriors, by Gauss and Hermite's rule and cut off where nothing is encoded, make
     the difference between the means, E D · σ, and the `spread`, Var D · σ².
     """
     if not isinstance(task, SignedChoice | YesNo | SameDifferent):
@@ -308,7 +308,7 @@ def _table(distances: Any, keys: list[str], yes_no: bool, unit: float) -> pd.Dat
         own = own[distances[status].astype(str).isin(_GOOD)]
     own = own[own["mean"].notna()]
     if not len(own):
-        raise ValueError(f"distances holds no located touch; {_HINT}.")
+        raise ValueError(f"distances has no located touch; {_HINT}.")
     wrong = own.loc[~own["interval"].isin((1, 2)), "interval"]
     if len(wrong):
         raise ValueError(

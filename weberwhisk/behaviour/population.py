@@ -296,7 +296,7 @@ def simulate_responses(
     >>> simulate_responses(table, animal, encoding=IdentityEncoding(), seed=1).frame["count"].values
     array([1., 0.])
     """
-    asked = task_named(task)
+    chosen = task_named(task)
     share = _checks.number("missing", missing, "write for example 0.02")
     _checks.non_negative("missing", share, "write for example 0.02")
     for name, frame in (("table", table), ("animals", animals)):
@@ -322,7 +322,7 @@ def simulate_responses(
         rows = own.index.to_numpy()
         k, lapse_low, lapse_high, bias = (float(own[name].iloc[0]) for name in TRUTH)
         p[rows] = response_probability(
-            asked, encoding, s1[rows], s2[rows], standard=standard[rows], weber_fraction=k,
+            chosen, encoding, s1[rows], s2[rows], standard=standard[rows], weber_fraction=k,
             lapse_low=lapse_low, lapse_high=lapse_high, bias=bias, noise=noise,
         )  # fmt: skip
     # Uniform numbers alone: the streams of the other distributions may change between versions.
@@ -332,5 +332,5 @@ def simulate_responses(
         standard=standard, stimulus_1=s1, stimulus_2=s2, n=np.ones(p.size, np.int64), count=answer
     )
     return Trials(
-        frame.reset_index(drop=True), asked, source="simulated trials", notes=notes_of(frame)
+        frame.reset_index(drop=True), chosen, source="simulated trials", notes=notes_of(frame)
     )

@@ -43,7 +43,7 @@ class PopulationStatus(Enum):
     """
 
     NO_TRIALS = "no animal has trials that can be used"
-    NOT_CONVERGED = "the posterior was not computed to the accuracy asked for"
+    NOT_CONVERGED = "the posterior was not computed to the accuracy requested"
     ONE_ANIMAL = "there is one animal: the spread between animals is the prior's"
     SPREAD_UNINFORMED = "the animals are too few, or tell too little, to say how they differ"
     DETERMINED = "the data determine the population and how its animals differ"
@@ -300,7 +300,7 @@ def fit_population(
     unit_known = trials.scale == "linear" or trials.log_unit is not None
     each = (trials.select(subject=subject).cells() for subject in trials.subjects)
     encoded = encoding_of(trials, encoding, observer, noise)
-    shown = (pairs_shown(cells, encoded, noise) for cells in each)  # asked for by "levels" alone
+    shown = (pairs_shown(cells, encoded, noise) for cells in each)  # of use to "levels" alone
     believed = priors_for(priors, trials.cells(), unit_known, trials.task, shown=shown)
     if believed.is_fixed("weber_fraction"):
         raise ValueError(

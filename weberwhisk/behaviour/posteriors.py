@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from .integrate.grid import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
+from .integrate import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
 from .integrate.windows import bias_at
 from .lapses import log_lapses_possible
 from .likelihood import Draws, WeberModel
@@ -132,7 +132,7 @@ Array = NDArray[np.float64]
 
 
 class WeberPosterior(Protocol):
-    """What a fit asks of its posterior, whichever engine made it."""
+    """What a fit needs of its posterior, whichever engine made it."""
 
     def mean(self, name: str) -> float:
         """Posterior mean of a parameter."""
@@ -220,7 +220,7 @@ class QuadraturePosterior:
 
     @cached_property
     def _grid_of_biases(self) -> PosteriorGrid:
-        """The grid, finer in the lapses where each bias by itself leaves these little room."""
+        """The grid, finer in the lapses where each bias by itself leaves these little width."""
         wanted = Tolerance(given_bias=0.2)
         if self.grid.given_bias < wanted.given_bias or np.isinf(self.grid.error):
             return self.grid
@@ -235,14 +235,14 @@ class QuadraturePosterior:
         factor = 32 if sum(len(nodes) for nodes, _ in blocks) < 100 else 8
         places, weights = [], []
         for nodes, mass in blocks:
-            held = mass.sum(axis=1) > 1e-7 * most
-            if not held.any():
+            above = mass.sum(axis=1) > 1e-7 * most
+            if not above.any():
                 continue
             count = nodes.shape[1]
             finer = np.linspace(0, count - 1, factor * (count - 1) + 1)
-            log_mass = np.log(np.maximum(mass[held], 1e-40))
+            log_mass = np.log(np.maximum(mass[above], 1e-40))
             weights.append(np.exp(CubicSpline(np.arange(count), log_mass, axis=1)(finer)).ravel())
-            score = nodes[held, :1] + (nodes[held, 1:2] - nodes[held, :1]) * finer
+            score = nodes[above, :1] + (nodes[above, 1:2] - nodes[above, :1]) * finer
             places.append(bias_at(self.model, score).ravel())
         place, weight = np.concatenate(places), np.concatenate(weights)
         keep = weight > 1e-12 * weight.max()
@@ -270,8 +270,8 @@ class QuadraturePosterior:
 
     def score_curve(self) -> tuple[Array, Array]:
         log_density = log_marginal(self.grid.joint, 0)
-        held = np.flatnonzero(np.isfinite(log_density))
-        span = slice(held[0], held[-1] + 1)
+        above = np.flatnonzero(np.isfinite(log_density))
+        span = slice(above[0], above[-1] + 1)
         return self.grid.axes[0][span], log_density[span]
 
     def mode(self) -> dict[str, float]:

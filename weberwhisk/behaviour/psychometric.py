@@ -271,7 +271,7 @@ def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
 
 
 def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
-    """Refuse what the whisker cannot feel: past its tip, past its base, or flicked past.
+    """Refuse what the whisker cannot reach: past its tip, past its base, or flicked past.
 
     Raises
     ------
@@ -309,8 +309,8 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
     if not limit < angle:  # NaN beyond a curved whisker's reach
         raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
     grid = np.linspace(0.01, 0.999, 400) * high
-    held = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
-    farthest = f"stay within {said(float(held.max()))}, or " if held.size else ""
+    inside = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
+    farthest = f"stay within {said(float(inside.max()))}, or " if inside.size else ""
     raise ValueError(
         f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and contacts "
         f"are at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."

@@ -17,7 +17,6 @@ from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
     Encoding,
     IdentityEncoding,
-    LogAxisEncoding,
     LogEncoding,
     UnitEncodings,
     chosen_encoding,
@@ -120,12 +119,12 @@ def simulate_trials(
     >>> trials.n_trials, trials.standards
     (720, array([1., 2.]))
     """
-    asked = task_named(task)
+    chosen = task_named(task)
     check_valued(effects)
     for effect, value in effects:
         _checks.number(f"the value of {effect.name}", value, "write 0.2, say")
     _checks.one_of("order", order, ORDERS)
-    if order == "random" and asked.bias_name != "bias":
+    if order == "random" and chosen.bias_name != "bias":
         raise ValueError(
             f"order={order!r} needs a task of two intervals, got task {task!r}; write task='2AFC', "
             "or leave order out."
@@ -145,7 +144,8 @@ def simulate_trials(
     if subject is not None and not isinstance(subject, str | int):
         raise ValueError(f"subject must be a name, got {_checks.shown(subject)}; write 'r1', say.")
     encoded = chosen_encoding(encoding, observer) or IdentityEncoding()
-    is_log = isinstance(encoded, (LogEncoding, LogAxisEncoding))
+    log_unit = encoded.log_unit if isinstance(encoded, LogEncoding) else None
+    is_log = log_unit is not None
     base = np.atleast_1d(
         _checks.finite("standards", standards, "give one stimulus or several")
     ).ravel()
@@ -172,7 +172,7 @@ def simulate_trials(
     p = np.concatenate(
         [
             response_probability(
-                asked,
+                chosen,
                 encoded,
                 first[own],
                 second[own],
@@ -215,9 +215,8 @@ def simulate_trials(
             "count": answer[place],
         }
     )
-    unit = encoded.log_unit if isinstance(encoded, (LogEncoding, LogAxisEncoding)) else None
     scale = "log" if is_log else "linear"
-    trials = Trials(frame, asked, scale, unit, "simulated trials", notes_of(frame))
+    trials = Trials(frame, chosen, scale, log_unit, "simulated trials", notes_of(frame))
     if not effects:
         return trials
     moved = responses_with_effects(

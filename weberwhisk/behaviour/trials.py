@@ -175,20 +175,20 @@ class Trials:
 
     def cells(self) -> Cells:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
+        return self.gathered()[0]
+
+    def gathered(self, *columns: Array) -> tuple[Cells, Array]:
+        """The same, those apart that differ in further columns, a number a row; these, (E, C)."""
         sds = [c for c in SDS if c in self.frame]
-        names = (*COLUMNS[:3], *sds, *COLUMNS[3:])
-        rows = np.column_stack([self.frame[c].to_numpy(float) for c in names])
+        numbers = [self.frame[c].to_numpy(float) for c in (*COLUMNS[:3], *sds, "n", "count")]
+        rows = np.column_stack([*numbers[:-2], *columns, *numbers[-2:]])
         rows = rows[~np.isnan(rows[:, -1]) & (rows[:, -2] > 0)]
-        order = np.lexsort(rows[:, -3::-1].T)
-        rows = rows[order]
-        if not len(rows):
-            empty = np.zeros(0)
-            return Cells(empty, empty, empty, empty, empty)
-        new = np.r_[True, np.any(np.diff(rows[:, :-2], axis=0) != 0, axis=1)]
-        starts = np.flatnonzero(new)
+        rows = rows[np.lexsort(rows[:, -3::-1].T)]
+        new = np.any(np.diff(rows[:, :-2], axis=0) != 0, axis=1)
+        starts = np.flatnonzero(np.r_[len(rows) > 0, new])
         n, count = np.add.reduceat(rows[:, -2:], starts, axis=0).T
-        standard, s1, s2, *own = rows[starts, :-2].T
-        return Cells(s1, s2, standard, n, count, *own)
+        standard, s1, s2, *own = rows[starts, : 3 + len(sds)].T
+        return Cells(s1, s2, standard, n, count, *own), rows[starts, 3 + len(sds) : -2].T
 
     def table(self) -> pd.DataFrame:
         """The trials under the names that `read_trials` takes without a mapping."""

@@ -43,7 +43,7 @@ class FitStatus(Enum):
         "all answers are the same: they tell of a preference, not of the stimuli, and the Weber "
         "fraction below means nothing"
     )
-    NOT_CONVERGED = "the posterior was not computed to the accuracy asked for"
+    NOT_CONVERGED = "the posterior was not computed to the accuracy requested"
     UNINFORMED = "the data say next to nothing about the Weber fraction: the posterior is the prior"
     UPPER_BOUND = (
         "the data only bound the Weber fraction from above: the lower end of the interval is the "
@@ -233,6 +233,13 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     return table
 
 
+def strength(log_bayes_factor: float) -> str:
+    """The evidence of a Bayes factor above 1 in words: some from 3 on, strong from 10, decisive
+    from 100."""
+    words = ("no evidence either way", "some evidence", "strong evidence", "decisive evidence")
+    return words[int(np.searchsorted(np.log([3, 10, 100]), log_bayes_factor))]
+
+
 @dataclass(frozen=True)
 class WeberLawTest:
     """The comparison of two observers with the same lapses and biases.
@@ -257,15 +264,13 @@ class WeberLawTest:
 
     def report(self) -> str:
         """The verdict in words."""
-        strength = abs(self.log_bayes_factor)
-        words = ("no evidence either way", "some evidence", "strong evidence", "decisive evidence")
-        size = words[int(np.searchsorted([np.log(3), np.log(10), np.log(100)], strength))]
-        side = "for Weber's law" if self.log_bayes_factor > 0 else "against Weber's law"
-        tail = "" if size == words[0] else f" {side}"
+        size = strength(abs(self.log_bayes_factor))
+        side = " for Weber's law" if self.log_bayes_factor > 0 else " against Weber's law"
+        side = "" if size.startswith("no") else side
         return (
             f"One Weber fraction for all standards against one for each: log Bayes factor "
-            f"{self.log_bayes_factor:+.2f}, {size}{tail}. The alternative gives every standard the "
-            "wide prior of the fit, which favours the law when data are few."
+            f"{self.log_bayes_factor:+.2f}, {size}{side}. The alternative gives every "
+            "standard the wide prior of the fit, which favours the law when data are few."
         )
 
 

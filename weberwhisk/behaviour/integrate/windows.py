@@ -100,7 +100,7 @@ def even(low: float, high: float, step: float) -> Array:
 
 
 def everything(model: WeberModel, count: int, far: float = 8.0, far_lapse: float = 5.0) -> Windows:
-    """Windows that hold whatever there may be, up to these scores."""
+    """Windows with whatever there may be, up to these scores."""
     lapses = [
         (model.no_lapse[name], float(transform.coordinate(far_lapse))) if free else (0.0, 0.0)
         for name, transform, free in zip(
@@ -140,7 +140,7 @@ def kept(
     shape = [a.size for a in axes]
     top = profiles[0][1].max(axis=1)  # (M, R)
     least = top.max(axis=0) - cut
-    held = top > least
+    above = top > least
     ends = np.empty((len(axes), 2, top.shape[1]))
     folded = top.reshape(*shape, -1)
     for e, axis in enumerate(axes):
@@ -155,9 +155,9 @@ def kept(
         sides = _ends(nodes, values, np.broadcast_to(least, top.shape), beyond)
         finite = np.isfinite(before.low[i]), np.isfinite(before.high[i])
         first, last = before.low[i][finite[0]].min(), before.high[i][finite[1]].max()
-        low[i] = np.where(held, np.maximum(sides[0], first), np.inf)
-        high[i] = np.where(held, np.minimum(sides[1], last), -np.inf)
-    # Outer axes go on beyond the last node held, and the windows with them.
+        low[i] = np.where(above, np.maximum(sides[0], first), np.inf)
+        high[i] = np.where(above, np.minimum(sides[1], last), -np.inf)
+    # Outer axes go on beyond the last node kept, and the windows with them.
     for e in range(len(axes)):
         if shape[e] == 1:
             continue
@@ -187,7 +187,7 @@ def _ends(
     for at, step in ((full.argmax(axis=1), -1), (size - 1 - full[:, ::-1].argmax(axis=1), 1)):
         outside = np.minimum(np.maximum(at + step, 0), size - 1)
         outer = np.maximum(np.where(outside == at, -np.inf, values[m, outside, r]), least - 20.0)
-        inner = np.maximum(values[m, at, r], least)  # where nothing is held, whatever
+        inner = np.maximum(values[m, at, r], least)  # where nothing is above, whatever
         share = beyond + (inner - least) / np.maximum(inner - outer, 1e-9)
         out.append(nodes[m, at] + step * share * gap)
     return out[0], out[1]
