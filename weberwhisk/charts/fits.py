@@ -16,8 +16,6 @@ from ..posterior import posterior
 from .beams import Row
 from .posteriors import OBSERVERS, readings
 
-#: The observer: Weber fraction, lapses at either end; nine signed levels to ±0.30 of one standard.
-K, LAPSE = 0.1, 0.02
 #: Trials a level.
 SIZES = (13, 33, 111)
 #: Middle and 95 % interval of the Weber fraction; NaN where a tool gives no interval.
@@ -42,22 +40,25 @@ TOOLS: dict[str, Tool] = {
 }
 
 
-def measure_tool(name: str, tool: Tool, per_level: int, sets: int) -> Row:
+def measure_tool(
+    name: str, tool: Tool, per_level: int, sets: int, k: float = 0.1, lapse: float = 0.02
+) -> Row:
     """One row: median CPU time, relative RMSE with its standard error, bias and coverage.
 
-    The data sets go by their number and size alone, so that every tool has the same.
+    The data sets go by their number and size alone, so that every tool has the same: nine signed
+    levels to ±0.30 of one standard, answered with the Weber fraction k and lapses at either end.
     """
     times, middle, inside = [], [], []
     for seed in range(sets):
         trials = simulate_trials(
-            weber_fraction=K, lapse_low=LAPSE, lapse_high=LAPSE, trials_per_level=per_level,
+            weber_fraction=k, lapse_low=lapse, lapse_high=lapse, trials_per_level=per_level,
             seed=400_000 + 1000 * per_level + seed,
         )  # fmt: skip
         start = time.process_time()
         value, low, high = tool(trials)
         times.append(time.process_time() - start)
-        middle.append(value / K - 1)
-        inside.append(np.nan if np.isnan(low) else low < K < high)
+        middle.append(value / k - 1)
+        inside.append(np.nan if np.isnan(low) else low < k < high)
     off = np.array(middle)
     square = off[np.isfinite(off)] ** 2
     error = float(np.sqrt(square.mean()))
@@ -93,16 +94,6 @@ def measure(*, full: bool = False, sets: int | None = None) -> pd.DataFrame:
 
 # -- growth ----------------------------------------------------------------------------------------
 
-#: Largest count of each, in full and in short; 0 leaves it out, as what takes seconds a call.
-MOST = {
-    "posteriors, quadrature, r": (65_536, 1024),
-    "posteriors, quadrature, r and θ_d": (4096, 64),
-    "posteriors, emcee, r": (1024, 64),
-    "trials, fit": (262_144, 4096),
-    "subjects, population fit": (32, 0),
-    "distances, JND curve": (1024, 64),
-}
-
 
 def _job(what: str, n: int) -> Callable[[], Any]:
     """The call whose size is n; what it needs is made here."""
@@ -122,8 +113,7 @@ def _job(what: str, n: int) -> Callable[[], Any]:
     return lambda: jnd_curve(one, r, n_readings=20, seed=1)
 
 
-def _sizes(what: str, full: bool) -> Iterator[int]:
-    most = MOST[what][0 if full else 1]
+def _sizes(what: str, most: int) -> Iterator[int]:
     n = 2 if what.startswith("subjects") else 16 if what.startswith("trials") else 1
     while n <= most:
         yield n
@@ -133,12 +123,20 @@ def _sizes(what: str, full: bool) -> Iterator[int]:
 def measure_growth(*, full: bool = False) -> pd.DataFrame:
     """CPU seconds and peak bytes of one call against its size, with the exponents of both."""
     tables = []
-    for what, most in MOST.items():
-        if not most[0 if full else 1]:
+    largest = {  # in short, and in full; 0 leaves out what takes seconds a call
+        "posteriors, quadrature, r": (1024, 65_536),
+        "posteriors, quadrature, r and θ_d": (64, 4096),
+        "posteriors, emcee, r": (64, 1024),
+        "trials, fit": (4096, 262_144),
+        "subjects, population fit": (0, 32),
+        "distances, JND curve": (64, 1024),
+    }
+    for what, most in largest.items():
+        if not most[full]:
             continue
         _job(what, 2)()  # what is made once is not counted
         rows = []
-        for n in _sizes(what, full):
+        for n in _sizes(what, most[full]):
             job = _job(what, n)
             start = time.process_time()
             job()

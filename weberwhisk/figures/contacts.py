@@ -20,6 +20,7 @@ from .style import (
     drawable,
     figure_of,
     legend_above,
+    legend_over,
     look,
     open_figure,
     styled,
@@ -30,17 +31,6 @@ if TYPE_CHECKING:
 
     from ..mechanics import Bending
     from ..posterior import Posterior
-
-#: What a panel of `bending` shows: attribute of Bending, label, and unit in SI.
-_SIGNALS = (
-    ("moment", "Moment M (µN m)", 1e-6),
-    ("axial_force", "Axial force F$_x$ (µN)", 1e-6),
-    ("transverse_force", "Transverse force F$_y$ (µN)", 1e-6),
-)
-_AGAINST = {
-    "deflection_angle": ("Deflection angle θ$_d$ (degrees)", np.pi / 180, "radial_distance", "r"),
-    "force": ("Contact force (µN)", 1e-6, "arc_length", "s"),
-}
 
 
 @styled
@@ -77,8 +67,16 @@ def bending(
     """
     if axes is None:
         axes = list(open_figure(DOUBLE, 2.7).subplots(1, 3))
-    label, unit, name, symbol = _AGAINST[against]
-    for ax, (attribute, title, scale) in zip(axes, _SIGNALS, strict=True):
+    label, unit, name, symbol = "Contact force (µN)", 1e-6, "arc_length", "s"
+    if against != "force":
+        label, unit = _UNKNOWNS[against]
+        name, symbol = "radial_distance", "r"
+    signals = (
+        ("moment", "Moment M (µN m)", 1e-6),
+        ("axial_force", "Axial force F$_x$ (µN)", 1e-6),
+        ("transverse_force", "Transverse force F$_y$ (µN)", 1e-6),
+    )
+    for ax, (attribute, title, scale) in zip(axes, signals, strict=True):
         x, y, place = (_rows(curves, which) for which in (against, attribute, name))
         for i, held in enumerate(np.isfinite(y)):
             if not held.any():  # out of reach: there is no line
@@ -92,12 +90,8 @@ def bending(
                 ax.plot(at[0] / unit, at[1] / scale, **look(i, **marks) | {"linestyle": "none"})
         ax.set_xlabel(label)
         ax.set_ylabel(title)
-    handles, labels = axes[0].get_legend_handles_labels()
-    if handles:
-        figure_of(axes).legend(
-            handles, labels, loc="outside upper center", ncols=min(len(handles), 5)
-        )
-    else:
+    legend_over(figure_of(axes), axes[:1], 5)
+    if not axes[0].lines:
         axes[1].text(
             0.5, 0.5, "no contact is held", transform=axes[1].transAxes, ha="center", va="center"
         )
@@ -112,7 +106,7 @@ def _rows(curves: Bending, name: str) -> NDArray[np.float64]:
 
 _UNKNOWNS = {
     "radial_distance": ("Radial distance (mm)", 1e-3),
-    "deflection_angle": ("Deflection angle (degrees)", np.pi / 180),
+    "deflection_angle": ("Deflection angle θ$_d$ (degrees)", np.pi / 180),
 }
 
 

@@ -22,6 +22,7 @@ from .style import (
     drawable,
     figure_of,
     legend_above,
+    legend_over,
     look,
     open_figure,
     styled,
@@ -169,8 +170,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
     figure = figure_of(axes)
     figure.supxlabel("Comparison (mm)")
     axes[0].set_ylabel("Reported farther")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_over(figure, axes[:1], 9)
     return np.array(axes, dtype=object)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,6 +22,7 @@ from .style import (
     drawable,
     figure_of,
     legend_above,
+    legend_over,
     look,
     open_figure,
     styled,
@@ -114,8 +115,7 @@ def psychometrics(
             ax.set_title(f"standard {s:.3g}")
     figure.supxlabel(_stimulus_label(fit, unit))
     figure.supylabel(_answer_label(fit))
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    legend_over(figure, axes[:1], 3)
     return np.array(axes[: len(known)], dtype=object)
 
 
@@ -354,11 +354,7 @@ def population(
         axes[-1].xaxis.set_major_locator(MaxNLocator(4))
         axes[-1].set_xlabel(_stimulus_label(one, unit))
     axes[0].set_ylabel(_answer_label(one))
-    named: dict[str, Any] = {}
-    for each in axes:
-        handles, labels = each.get_legend_handles_labels()
-        named |= dict(zip(labels, handles, strict=True))
-    figure.legend(list(named.values()), list(named), loc="outside upper center", ncols=6)
+    legend_over(figure, axes, 6)
     axes.append(shrinkage(fit, figure.add_subplot(grid[-1])))
     return np.array(axes, dtype=object)
 

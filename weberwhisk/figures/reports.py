@@ -23,6 +23,7 @@ from .style import (
     SMALL,
     axes_or_new,
     legend_above,
+    legend_over,
     look,
     new_figure,
     styled,
@@ -213,15 +214,8 @@ def _limits(ax: Axes, closed: float, floor: float, name: str, *, below: bool = F
 
 def _legend(figure: Any, axes: list[Axes]) -> None:
     """Every method once, in as many columns as its names leave room for."""
-    found: dict[str, Any] = {}
-    for ax in axes:
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    columns = max(FOOT // (max(map(len, found), default=0) + 9), 1)
-    figure.legend(
-        found.values(), found.keys(), loc="outside upper center", ncols=min(columns, 4),
-        fontsize=SMALL,
-    )  # fmt: skip
+    names = [label for ax in axes for label in ax.get_legend_handles_labels()[1]]
+    legend_over(figure, axes, max(min(FOOT // (max(map(len, names), default=0) + 9), 4), 1))
 
 
 # -- the paper's figures ---------------------------------------------------------------------------

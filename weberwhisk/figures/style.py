@@ -173,3 +173,14 @@ def legend_above(ax: Axes) -> None:
         ax.legend(
             handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=2,
         )  # fmt: skip
+
+
+def legend_over(figure: Any, axes: Iterable[Axes], columns: int) -> None:
+    """Every name of several axes once, above them all; no legend where nothing has a name."""
+    found: dict[str, Any] = {}
+    for ax in axes:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    if found:
+        names, columns = list(found), min(columns, len(found))
+        figure.legend(found.values(), names, loc="outside upper center", ncols=columns)

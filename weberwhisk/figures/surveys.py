@@ -21,6 +21,7 @@ from .style import (
     SMALL,
     figure_of,
     legend_above,
+    legend_over,
     new_figure,
     styled,
 )
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-#: The first words of the outcome that is no failure.
-WORKS = Outcome.HELD.message.split(":")[0]
 #: Panels of `cue_jnds`: a title and the paper's sections in it.
 _GROUPS = (
     ("events (§2a, b)", "ab"),
@@ -109,7 +108,7 @@ def _where_it_works(
     ax: Axes, rows: pd.DataFrame, name: str, height: float, look: Mapping[str, Any]
 ) -> None:
     """A cue's name over a line where it works, and under it the names of what fails elsewhere."""
-    works = rows["outcome"].str.split(":").str[0].eq(WORKS).to_numpy()
+    works = rows["outcome"].str.split(":").str[0].eq(_works()).to_numpy()
     place = rows["place"].to_numpy()
     ax.plot(np.where(works, place, np.nan), np.full(place.size, height), **look)
     ax.text(0.0, height + 0.12, name, fontsize=SMALL, color=look["color"], va="bottom")
@@ -121,6 +120,11 @@ def _where_it_works(
         ax.text(
             x, height - 0.16 - 0.28 * line, words, fontsize=SMALL, color="0.3", va="top", ha=side
         )
+
+
+def _works() -> str:
+    """The first words of the outcome that is no failure."""
+    return Outcome.HELD.message.partition(":")[0]
 
 
 def _outcome_looks() -> dict[str, dict[str, Any]]:
@@ -164,9 +168,9 @@ def cue_outcomes(table: pd.DataFrame) -> Figure:
         ax.set(title=cue, xlim=(place[0], place[-1]), ylim=(0, 1))
     for name, look in looks.items():
         if (table["outcome"] == name).any():
-            label = "distance found" if name == WORKS else name
+            label = "distance found" if name == _works() else name
             axes[0].fill_between([], [], label=label, **look)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    legend_over(figure, axes[:1], 5)
     figure.supxlabel("Radial distance r/L")
     figure.supylabel("share of readings")
     return figure
