@@ -72,7 +72,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_curves": ("jnd",),
     "jnd_surface": ("jnd_curves", "campaign"),
     "along_whisk": ("jnd", "sweeping"),
-    "surveys": ("fusion", "jnd_curves"),
+    "surveys": ("fusion", "jnd_curves", "array"),
     "paper": ("surveys",),
     "output": (),
     "contacts": ("behaviour",),

@@ -105,7 +105,7 @@ class Sensor:
         """What a reading says of places."""
         if self.taps:
             return Tap(self, reading)
-        return Deflected(self, reading) if self.angle_sd == 0 else Blurred(self, reading)
+        return Evidence(self, reading) if self.angle_sd == 0 else Blurred(self, reading)
 
     # -- information ---------------------------------------------------------------------------
 
@@ -145,7 +145,7 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What one reading of one whisker says of the place of a pole."""
+    """What one reading of one whisker says of the place of a pole, its azimuth being known."""
 
     sensor: Sensor
     reading: Array
@@ -160,7 +160,13 @@ class Evidence:
         return out
 
     def _at(self, r: Array, theta: Array) -> Array:
-        raise NotImplementedError
+        """ln p(reading | r, θ), (n,)."""
+        touches = (theta > 0) & (theta < self.sensor.largest(r))
+        out = np.full(r.shape, -np.inf)
+        contact = np.stack([r, theta], axis=-1)[touches]
+        if len(contact):
+            out[touches] = self.sensor.observer.log_likelihood(self.reading, contact)
+        return out
 
     def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
         """The deflection that most likely is behind the reading, and how many sds that is off."""
@@ -213,13 +219,6 @@ class Tap(Evidence):
     def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
         off = self.reading[-1] - self.sensor.azimuth(np.array(theta))
         return theta, abs(float(off)) / self.sensor.angle_sd
-
-
-class Deflected(Evidence):
-    """Distance and deflection by the cue, the azimuth known."""
-
-    def _at(self, r: Array, theta: Array) -> Array:
-        return _known(self, r, theta)
 
 
 class Blurred(Evidence):
@@ -301,7 +300,7 @@ class Blurred(Evidence):
         out = np.full(r.shape, -np.inf)
         some = (r >= self._ends[0]) & (r <= self._ends[1])
         if self._table is None:
-            return _known(self, r, theta)
+            return super()._at(r, theta)
         mean, variance = self._line(r[some]).T
         t = (theta[some] - mean) / np.sqrt(np.maximum(variance, 0.0) + self.sensor.angle_sd**2)
         out[some] = self._table.ev(r[some], np.clip(t, -8.0, 8.0)) - t**2 / 2
@@ -317,16 +316,6 @@ class Blurred(Evidence):
         precise = 1 / variance + self.sensor.angle_sd**-2.0
         phi = float((mean / variance + theta / self.sensor.angle_sd**2) / precise)
         return phi, abs(phi - theta) / self.sensor.angle_sd
-
-
-def _known(evidence: Evidence, r: Array, theta: Array) -> Array:
-    """ln p(reading | r, θ), (n,), where the azimuth is known."""
-    touches = (theta > 0) & (theta < evidence.sensor.largest(r))
-    out = np.full(r.shape, -np.inf)
-    contact = np.stack([r, theta], axis=-1)[touches]
-    if len(contact):
-        out[touches] = evidence.sensor.observer.log_likelihood(evidence.reading, contact)
-    return out
 
 
 def _moments(log: Array, phi: Array, weight: Array) -> tuple[Array, Array, Array]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .array import published
 from .cues import (
     AngleSideAngle,
     BalanceOfMoments,
@@ -81,12 +82,10 @@ def neighbours(whisker: Whisker = WHISKER, identity: str | None = None) -> Compa
 
 
 def _base(row: str, column: int) -> Array:
-    """A base's place, m, by Belli et al. 2018, whose columns count from 1."""
-    r, c = "ABCDE".index(row) + 1, column + 1
-    azimuth, elevation = 13.4 * c - 48.6, 1.49 * r**2 - 26.3 * r + 68.0
-    distance = 0.000511 * azimuth**2 - 0.0295 * azimuth - 0.0162 * elevation + 6.5
-    a, e = np.radians([azimuth, elevation])
-    return 1e-3 * distance * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    """A base's place, m, by the published equations."""
+    at = published(f"{row}{column}")
+    a, e = np.radians([at.theta, at.phi])
+    return 1e-3 * at.radius * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 #: One line a cue, in the order of the paper's sections.
@@ -253,8 +252,6 @@ FAMILY = {
     "both alike": (K, K),
     "axial force noise alone": (NONE, K),
 }
-#: Noise in the moment that is next to none, and still has posteriors.
-SLIGHT = 0.003
 #: Where the false zero is shown.
 PLACE = 0.7
 
@@ -309,13 +306,16 @@ def surface(
 def false_zero(
     draws: int, degrees: Array | None = None, *, whisker: Whisker = WHISKER, seed: int = SEED
 ) -> pd.DataFrame:
-    """Linear, Fisher and posterior JNDs (m) with noise in the axial force and next to none else."""
+    """Linear, Fisher and posterior JNDs (m) with noise in the axial force and next to none else.
+
+    A noise of 0.003 in the moment, which still has posteriors.
+    """
     limit = np.degrees(float(flick_past(whisker, PLACE * whisker.length).deflection_angle))
     share = np.array([0.08, 0.2, 0.33, 0.45, 0.57, 0.7, 0.77, 0.81, 0.85, 0.875, 0.915, 0.955])
     theta = np.radians(limit * share if degrees is None else degrees)
     place = PLACE * whisker.length
     table = jnd_curve(
-        observer(SLIGHT, K, whisker=whisker), place, theta, n_readings=draws, seed=seed
+        observer(0.003, K, whisker=whisker), place, theta, n_readings=draws, seed=seed
     ).frame
     contact = table[["radial_distance", "deflection_angle"]].to_numpy()
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)

@@ -8,7 +8,7 @@ the whisker's tangent at the contact,
     r d(θ_d − ρ) = tan β dr.                                                            (slip)
 
 With dM = ∂M/∂r dr + ∂M/∂θ_d dθ_d that gives the changes of r and θ_d from those of M and ρ: no map
-is looked up, and what was felt before is what is built on. Where the tip is what touches, (slip)
+is looked up, and what was inferred before is what is built on. Where the tip is what touches, (slip)
 does not hold; nor does the algorithm.
 """
 
@@ -84,7 +84,7 @@ def follow(
     """The iterative update of §2g: contact after contact, from exact moments.
 
     The first contact is that of the compliance cue; after it each push moves the contact along
-    (slip), by the trapezoid rule, to where the moment is the one felt.
+    (slip), by the trapezoid rule, to where the moment is the one read.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def follow(
     >>> from weberwhisk.mechanics.objects import peg, sweep
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> push = np.radians([2.0, 4.0, 8.0, 16.0])
-    >>> felt = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
-    >>> (follow(w, push, felt).radial_distance * 1e3).round(3)
+    >>> moments = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
+    >>> (follow(w, push, moments).radial_distance * 1e3).round(3)
     array([30., 30., 30., 30.])
     """
     straight(whisker)
-    push, felt = _checked(push_angle, moment)
+    push, moments = _checked(push_angle, moment)
     r, theta, before = 0.0, 0.0, 0.0
     if start is not None:
         r, theta = (float(v) for v in positive("start", start, "give r in m and θ_d in rad"))
@@ -132,7 +132,7 @@ def follow(
     for k, angle in enumerate(push):
         known = start is not None or k > 0
         place = partial(_next if known else _first, whisker, r, theta, float(angle) - before)
-        solved = _where_felt(whisker, place, float(felt[k]), r if known else None)
+        solved = _at_moment(whisker, place, float(moments[k]), r if known else None)
         if solved is None:
             break
         (r, theta), before = solved, float(angle)
@@ -163,10 +163,10 @@ def _next(whisker: Whisker, r: float, theta: float, push: float, place: Array) -
     return slid(whisker, *start, place - r, push)[1]
 
 
-def _where_felt(
+def _at_moment(
     whisker: Whisker,
     place: Callable[[Array], Array],
-    felt: float,
+    reading: float,
     near: float | None,
 ) -> tuple[float, float] | None:
     """The contact, among those at radial distances (n,), that has this moment: the nearest."""
@@ -176,7 +176,7 @@ def _where_felt(
         r = np.linspace(low, high, 65)
         theta = place(r)
         bent = elastica.press(whisker, r, np.maximum(theta, 0.0))
-        miss = np.where(bent.held & (theta >= 0), bent.moment, np.nan) - felt
+        miss = np.where(bent.held & (theta >= 0), bent.moment, np.nan) - reading
         crossed = np.flatnonzero(np.sign(miss[1:]) * np.sign(miss[:-1]) <= 0)
         if not crossed.size:
             return None
@@ -226,8 +226,8 @@ class SweepFilter:
     >>> from weberwhisk.mechanics.objects import peg, sweep
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> push = np.radians(np.arange(1.0, 21.0))
-    >>> felt = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
-    >>> track = SweepFilter(w, Weber(0.1), slip_rate=0.0, slip_change=0.0)(push, felt, seed=1)
+    >>> moments = sweep(w, peg(30e-3, 0.0), [-0.1, *push]).bending.moment[1:]
+    >>> track = SweepFilter(w, Weber(0.1), slip_rate=0.0, slip_change=0.0)(push, moments, seed=1)
     >>> print("%.0f ± %.1f mm" % (1e3 * track.radial_distance[-1], 1e3 * track.distance_sd[-1]))
     30 ± 0.3 mm
     """
@@ -318,17 +318,15 @@ class SweepFilter:
         -------
         Track
         """
-        push, felt = _checked(push_angle, moment)
+        push, moments = _checked(push_angle, moment)
         rng = np.random.default_rng(seed)
         state = self.start(rng)
         log_weight = np.zeros(len(state))
-        columns: dict[str, Any] = {
-            name: np.full((push.size, *shape), np.nan) for name, shape in _COLUMNS.items()
-        }
+        rows = [_summary(state, np.full(len(state), np.nan), 0.0)] * push.size
         outcome = np.full(push.size, Outcome.FLICKED_PAST, dtype=np.int8)
         for k, step in enumerate(np.diff(push, prepend=0.0)):
             state = self.move(state, step, rng)
-            value, fate = self._weigh(state, felt[k])
+            value, fate = self._weigh(state, moments[k])
             log_weight = log_weight + value
             top = log_weight.max()
             if not np.isfinite(top):
@@ -341,14 +339,13 @@ class SweepFilter:
             if weight @ self._at_limit(state) > MOST_AT_LIMIT:
                 outcome[k] = Outcome.AT_LIMIT
             else:
-                for name, column in _summary(state, weight, push[k]).items():
-                    columns[name][k] = column
+                rows[k] = _summary(state, weight, push[k])
             if 1 / np.square(weight).sum() < 0.5 * len(state):
                 state = state[_resampled(weight, rng)]
                 log_weight = np.zeros(len(state))
             else:
                 log_weight = log_weight - top
-        return Track(push, **columns, outcome=outcome)
+        return Track(push, *map(np.array, zip(*rows, strict=True)), outcome)
 
     def _at_limit(self, state: Array) -> NDArray[np.bool_]:
         """States of walls at which the tip still touches, or that are about to flick past."""
@@ -356,7 +353,7 @@ class SweepFilter:
         limit = surface_of(self.observer.whisker).limit(r)
         return (release > 0) & ~(theta < NEAR_LIMIT * limit)
 
-    def _weigh(self, state: Array, felt: float) -> tuple[Array, NDArray[np.int8]]:
+    def _weigh(self, state: Array, reading: float) -> tuple[Array, NDArray[np.int8]]:
         """ln p(moment | state), −∞ where not held, and the outcome of every state."""
         contact = state[:, :2]
         inside = (contact[:, 0] > 0) & (contact[:, 1] > 0)
@@ -364,31 +361,20 @@ class SweepFilter:
         signals, outcome = self.observer.signals(safe)
         outcome = np.where(inside, outcome, Outcome.OUT_OF_REACH).astype(np.int8)
         held = outcome == Outcome.HELD
-        value = self.observer.noise.log_likelihood([felt], np.where(held[:, None], signals, 1.0))
+        value = self.observer.noise.log_likelihood([reading], np.where(held[:, None], signals, 1.0))
         return np.where(held, value, -np.inf), outcome
 
 
-_COLUMNS: dict[str, tuple[int, ...]] = {
-    "radial_distance": (),
-    "deflection_angle": (),
-    "distance_sd": (),
-    "angle_sd": (),
-    "interval": (2,),
-    "path": (2,),
-    "path_sd": (2,),
-}
-
-
-def _summary(state: Array, weight: Array, push: float) -> dict[str, Any]:
-    """What weighted states say of the contact."""
-    state, weight = state[weight > 0], weight[weight > 0]  # the others may be nowhere
+def _summary(state: Array, weight: Array, push: float) -> tuple[Any, ...]:
+    """What weighted states say of the contact, as `Track` has it; NaN of weights that are."""
+    state, weight = state[weight != 0], weight[weight != 0]  # the others may be nowhere
     contact, path = state[:, :2], _world(state[:, 0], state[:, 1], push)
     mean, middle = weight @ contact, weight @ path
     sd, path_sd = (np.sqrt(weight @ np.square(v - m)) for v, m in ((contact, mean), (path, middle)))
     order = np.argsort(contact[:, 0])
     rank = np.cumsum(weight[order])
     interval = np.interp([0.025, 0.975], rank - weight[order] / 2, contact[order, 0])
-    return dict(zip(_COLUMNS, (*mean, *sd, interval, middle, path_sd), strict=True))
+    return *mean, *sd, interval, middle, path_sd
 
 
 def _resampled(weight: Array, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -400,10 +386,11 @@ def _resampled(weight: Array, rng: np.random.Generator) -> NDArray[np.intp]:
 
 def _checked(push_angle: ArrayLike, moment: ArrayLike) -> tuple[Array, Array]:
     push = np.atleast_1d(positive("push_angle", push_angle, "give radians since first contact"))
-    felt = np.atleast_1d(finite("moment", moment, "give newton metres, up to the last contact"))
-    if push.ndim != 1 or np.any(np.diff(push) <= 0) or felt.shape != push.shape:
+    moments = np.atleast_1d(finite("moment", moment, "give newton metres, up to the last contact"))
+    if push.ndim != 1 or np.any(np.diff(push) <= 0) or moments.shape != push.shape:
         raise ValueError(
-            f"A sweep is one row of ascending push angles and as many moments, got shapes "
-            f"{push.shape} and {felt.shape}; write np.radians(np.arange(1, 31)) for the first, say."
+            "A sweep is one row of ascending push angles and as many moments, got shapes "
+            f"{push.shape} and {moments.shape};"
+            " write np.radians(np.arange(1, 31)) for the first, say."
         )
-    return push, felt
+    return push, moments

@@ -16,10 +16,6 @@ from .chebyshev import Array, nodes, the_map, unfold
 from .continuation import zero_load
 from .shape import Profile
 
-#: Runge–Kutta steps a piece: relative errors of 1e-9, and 1e-7 at thin curved tips.
-STEPS = 12
-#: How far a whisker is thought to go on beyond its tip, over its length: to its apex, or so far.
-BEYOND = 2.5
 #: Where some of the whiskers that are possible have folds at their tips and some have none, tips
 #: count as folds of a longer whisker, in as much of the reach as lies beyond this.
 LAST = 0.97
@@ -50,7 +46,8 @@ class Grid:
         return Grid(rows, self.friction * share, self.taper)
 
     def path(self, arc: Array, force: Array) -> Path:
-        return follow_blocks(self.rows, arc, force, self.friction, STEPS)
+        """By 12 steps a piece: relative errors of 1e-9, and 1e-7 at thin curved tips."""
+        return follow_blocks(self.rows, arc, force, self.friction, 12)
 
     @property
     def stages(self) -> int:
@@ -61,14 +58,17 @@ class Grid:
         return int(max(1, np.ceil(turn / 0.4), np.ceil(np.max(np.abs(self.friction)) / 0.15)))
 
 
-def grid_of(profile: Profile, friction: Array, offset: Array) -> Grid:
-    """The rows in units of length, base radius and stiffness, extended beyond the tip."""
+def grid_of(profile: Profile, friction: Array, offset: Array, beyond: float = 2.5) -> Grid:
+    """The rows in units of length, base radius and stiffness.
+
+    They go on beyond the tip, to the apex or `beyond`.
+    """
     length, radius = float(profile.whisker.length), float(profile.whisker.base_radius)
     arc, wide, core = profile.arc / length, profile.radius / radius, profile.core / radius
     # The last thousandth of a perfect cone has no stiffness to speak of.
     wide = np.append(wide[:-1], max(wide[-1], 1e-3))
     slope = (wide[-1] - wide[-2]) / (arc[-1] - arc[-2])
-    end = BEYOND if slope >= 0 else min(1.0 - wide[-1] / slope, BEYOND)
+    end = beyond if slope >= 0 else min(1.0 - wide[-1] / slope, beyond)
     if end > 1.0:
         wide = np.append(wide[:-1], wide[-1] + slope * (end - 1.0))
         arc = np.append(arc[:-1], end)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -285,7 +285,10 @@ TOLERANCE = 1e-9
 #: Rows solved at a time: pieces that fit the cache halve the time of large calls.
 ROWS = 8192
 #: The numbers of a `Bending`, in order.
-NUMBERS = tuple(f.name for f in fields(Bending))[:8]
+NUMBERS = (
+    "moment", "axial_force", "transverse_force", "radial_distance", "deflection_angle",
+    "contact_angle", "arc_length", "force",
+)  # fmt: skip
 
 
 #: A contact this close beyond the tip (relative) is rounding, not a contact beyond the tip.

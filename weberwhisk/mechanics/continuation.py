@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .beam import Path, Rows, needed, resolve
 from .chebyshev import Array
-from .shape import Law
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)
 #: Steps along a branch: the first, the longest, and the shortest, where a walk gives up.
@@ -38,7 +37,7 @@ def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
     for _ in range(60):
         law, arc = rows.take(active).law, s[active]
         assert law is not None
-        x, y = rest_point(law, arc)
+        x, y = law.point(arc)
         turn = law.turn(arc)
         distance = np.hypot(x, y)
         miss = r[active] - distance
@@ -55,11 +54,6 @@ def zero_load(rows: Rows, r: Array) -> tuple[Array, Array]:
         if not active.size:
             break
     return s, theta
-
-
-def rest_point(law: Law, arc: Array) -> tuple[Array, Array]:
-    """Where the points at the arc lengths `arc` of the whisker at rest lie."""
-    return law.point(arc)
 
 
 @dataclass(frozen=True, eq=False)

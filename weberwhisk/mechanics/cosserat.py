@@ -15,8 +15,9 @@ from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot, rows_of
 from .chebyshev import Array
 from .contact import Outcome
-from .continuation import rest_point, zero_load
+from .continuation import zero_load
 from .equilibrium import ROUNDING, on_whisker
+from .equilibrium import friction as check_friction
 from .shape import Profile
 
 #: Of keratin; sets the torsional stiffness.
@@ -92,13 +93,8 @@ class RodScenes:
         plane: ArrayLike,
         poisson_ratio: float,
     ) -> RodScenes:
-        tilt = finite("friction_angle", friction_angle, "give radians, 0 for no friction")
+        tilt = check_friction(friction_angle)
         roll = finite("plane", plane, "give radians, 0 for the xy plane")
-        if np.any(np.abs(tilt) >= np.pi / 2):
-            raise ValueError(
-                f"friction_angle must be between −π/2 and π/2, got {np.max(np.abs(tilt)):g}; "
-                "give radians, such as np.arctan(0.48)."
-            )
         if not -1 < poisson_ratio <= 0.5:
             raise ValueError(
                 f"poisson_ratio must be between -1 and 0.5, got {poisson_ratio:g}; write 0.38."
@@ -260,18 +256,6 @@ class RodScenes:
             size = (b + np.sqrt(b * b + a * (smooth[1:] ** 2).sum(axis=0))) / a
             return np.where(a > 0, np.nan_to_num(smooth + size * leaning), 0.0)
 
-    def central_slopes(self, v: Array, target: Array) -> tuple[Array, Array]:
-        """Slopes of the contact's place and of the signals to v, to 1e-9 or so: of both sides."""
-        steps = self.resolve(v, 1e-12).steps
-        h = 1e-5
-        sides = [self._slopes(v, target, steps, nudge)[1:] for nudge in (h, -h)]
-        # Beyond the very tip there is no other side.
-        tip = (v[0] + h > 1)[:, None, None]
-        places, signals = (
-            np.where(tip, near, (near + far) / 2) for near, far in zip(*sides, strict=True)
-        )
-        return places, signals
-
     def moved(self, v: Array, target: Array, base: Base) -> Array:
         """What the signals (6, n) are off by as the contacts are off `target`, at most."""
         miss, places, signals = self._slopes(v, target, base.steps)
@@ -293,7 +277,7 @@ class RodScenes:
         v = np.stack([np.nan_to_num(start, nan=0.5), np.zeros(n), np.zeros(n)])
         good = np.isfinite(start) & on_whisker(self.rows, np.nan_to_num(start, nan=2.0))
         outcome[good] = Outcome.FLICKED_PAST
-        x, y = rest_point(self.rows.law, v[0]) if self.rows.law else (v[0], np.zeros(n))
+        x, y = self.rows.law.point(v[0]) if self.rows.law else (v[0], np.zeros(n))
         r = np.hypot(x, y)
         rest = np.stack([x, y * np.cos(self.plane), y * np.sin(self.plane)]) / r
         across = target - rest * (rest * target).sum(axis=0)

@@ -36,7 +36,7 @@ from .chebyshev import Array
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
 from .cosserat import POISSON_RATIO, RodScenes
 from .equilibrium import Scenes, friction, numbers_of, signal_slopes
-from .scene import SceneRows, _closed_form, _elastica, _planar
+from .scene import SceneRows, planar, straight
 from .shape import Profile
 
 #: Largest relative Newton step that is believed.
@@ -71,9 +71,9 @@ def estimate(scene: SceneRows) -> Estimates:
     push = np.where(np.abs(scene.push) < least, nudge, scene.push)
     scene = replace(scene, push=push, angle=scene.angle + push - scene.push)
 
-    numbers, outcome, _ = _elastica(scene)
-    small, straight = _closed_form(scene)[0][:3], numbers[:3]
-    planar, true = straight.copy(), straight.copy()
+    numbers, outcome, _ = straight(scene, Model.ELASTICA)
+    small, elastic = straight(scene, Model.CLOSED_FORM)[0][:3], numbers[:3]
+    flat_beam, true = elastic.copy(), elastic.copy()
     unit = np.ones_like(push)
     slopes = np.moveaxis(
         elastica._signal_jacobian(unit, scene.taper, unit, scene.distance, np.nan_to_num(push)),
@@ -91,8 +91,8 @@ def estimate(scene: SceneRows) -> Estimates:
     high = np.flatnonzero(top == Model.ROD)
     if high.size:
         part = scene.take(high)
-        numbers, outcome, _ = _planar(part, 1e-9)
-        planar[:, high] = numbers[:3]
+        numbers, outcome, _ = planar(part, 1e-9)
+        flat_beam[:, high] = numbers[:3]
         vouched[2, high] = outcome == Outcome.HELD
         high, part, contact = _where(outcome == Outcome.HELD, high, part, numbers[6:])
     if high.size:
@@ -102,7 +102,7 @@ def estimate(scene: SceneRows) -> Estimates:
     vouched[:2] &= vouched[2]
 
     misses = np.zeros((4, 3, push.size))
-    for model, signals in enumerate((small, straight, planar)):
+    for model, signals in enumerate((small, elastic, flat_beam)):
         miss = np.where(vouched[model], signals - true, np.inf)
         if model < Model.PROFILE:  # what one step leaves is of the order of its square: twice it
             miss = miss + np.copysign(2.0 * moved**2 * true, miss)

@@ -36,8 +36,6 @@ from .touch import Body, Touch, TouchedBody, contour, cylinder, peg, wall
 
 __all__ = ["Body", "Sweep", "contour", "cylinder", "peg", "sweep", "wall"]
 
-_SMALLEST = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -197,9 +195,10 @@ def _advance(
     goal: float,
     last: Array,
     stride: float,
+    smallest: float = 1e-6,
 ) -> tuple[Touch, Array, float, float, Array, Outcome]:
     """One step of a sweep towards `goal`, halved until it is taken or the end is found."""
-    step = min(goal - now, max(stride, 2 * _SMALLEST))
+    step = min(goal - now, max(stride, 2 * smallest))
     while True:
         there = goal if step == goal - now else now + step
         solved = contact.solve(touch, v + last * step, there)
@@ -213,10 +212,10 @@ def _advance(
                 slope = (solved.point - v) / step
                 return touch, solved.point, solved.sign, there, slope, Outcome.HELD
         step /= 2
-        if step <= _SMALLEST:
+        if step <= smallest:
             break
     # No further this way: something else is touched from here on, or the sweep ends.
-    there = now + 4 * _SMALLEST
+    there = now + 4 * smallest
     solved = contact.solve(touch, v + last * step, there)
     change = contact.next_touch(touch, solved, there) if solved else None
     if isinstance(change, Touch):
@@ -229,6 +228,6 @@ def _advance(
             change = after
     if change is Outcome.TOUCHES_TWICE:
         return touch, v, sign, now, last, Outcome.TOUCHES_TWICE
-    if not touch.tip and v[0] > 1 - 10 * _SMALLEST:
+    if not touch.tip and v[0] > 1 - 10 * smallest:
         return touch, v, sign, now, last, Outcome.SLIPPED_OFF_TIP
     return touch, v, sign, now, last, Outcome.FLICKED_PAST

@@ -20,7 +20,6 @@ from .._checks import finite, non_negative, positive
 from .beam import follow, pilot, rows_of
 from .chebyshev import Array
 from .contact import Outcome
-from .continuation import rest_point
 from .shape import Profile
 
 
@@ -228,7 +227,7 @@ class TouchedBody:
         ).y
         free = np.linspace(arc, 1, 100)
         turn = angle - float(law.turn(np.array([arc]))[0])
-        rest = np.stack(rest_point(law, free))
+        rest = np.stack(law.point(free))
         rest = rest - rest[:, :1]
         c, s = np.cos(turn), np.sin(turn)
         px = np.concatenate([held[1], x + c * rest[0] - s * rest[1]])
@@ -262,7 +261,7 @@ class TouchedBody:
     def first(self, begin: float, end: float) -> tuple[float, Touch, Array] | None:
         """Pose in the range, touch and start of the first contact, the whisker at rest."""
         s = np.linspace(0, 1, 4001)
-        x, y = rest_point(self.rows.law, s) if self.rows.law else (s, np.zeros_like(s))
+        x, y = self.rows.law.point(s) if self.rows.law else (s, np.zeros_like(s))
         if self.depth(x, y, begin) > OVERLAP:
             raise ValueError(
                 f"The whisker must start clear of the object, got it inside at {begin:g} "
