@@ -8,8 +8,8 @@ the whisker's tangent at the contact,
     r d(θ_d − ρ) = tan β dr.                                                            (slip)
 
 With dM = ∂M/∂r dr + ∂M/∂θ_d dθ_d that gives the changes of r and θ_d from those of M and ρ: no map
-is looked up, and what was inferred before is what is built on. Where the tip is what touches, (slip)
-does not hold; nor does the algorithm.
+is looked up, and each contact builds on the one before. Where the tip is what touches, (slip) does
+not hold; nor does the algorithm.
 """
 
 from __future__ import annotations
