@@ -15,7 +15,7 @@ not hold; nor does the algorithm.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -345,7 +345,9 @@ class SweepFilter:
                 log_weight = np.zeros(len(state))
             else:
                 log_weight = log_weight - top
-        return Track(push, *map(np.array, zip(*rows, strict=True)), outcome)
+        names = [field.name for field in fields(Track)][1:-1]
+        columns: Any = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
+        return Track(push, **columns, outcome=outcome)
 
     def _at_limit(self, state: Array) -> NDArray[np.bool_]:
         """States of walls at which the tip still touches, or that are about to flick past."""

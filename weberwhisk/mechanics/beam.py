@@ -30,12 +30,11 @@ from scipy.integrate import DOP853
 from .chebyshev import Array
 from .shape import Law, Profile
 
-STAGES = 12
-#: Where in a step the stages lie.
+STAGES = DOP853.n_stages
+#: Where in a step they lie.
 PLACES = np.asarray(DOP853.C[:STAGES], dtype=float)
 _ORDER = [1, 2, 0, *range(3, STAGES)]
-#: Where the slope of each stage is kept.
-SLOTS = [_ORDER.index(i) for i in range(STAGES)]
+SLOTS = [_ORDER.index(i) for i in range(STAGES)]  # where the slope of each stage is kept
 
 
 def _stage(i: int) -> tuple[slice, Array]:
@@ -51,10 +50,7 @@ POINTS = [_stage(i) for i in range(STAGES)]
 ENDS: Array = np.ascontiguousarray(np.stack([DOP853.B, DOP853.E5[:STAGES]])[:, _ORDER], dtype=float)
 #: What h⁶ estimates to the power of 3/2 are multiplied with for a bound on the method's own error,
 #: of order h⁹, which then holds in 99 of 100 whiskers and exceeds the error by 7 in the median.
-#: Hairer, Nørsett & Wanner (I, II.10) also use an estimate of order h⁴; but for the norm of all
-#: parts of the state, which do not pass through zero together, this is closer, with less scatter.
 CAUTION = 4.0
-
 
 #: Rows of the state. The derivatives of χ and of X to contact arc and to force, −sin χ, cos χ and
 #: X: these `FED` are what the right side depends on. −Y and its derivatives: on these it does not.

@@ -76,17 +76,17 @@ class Modes:
 
         The inertia's moment: equal to EI(0) φ_n″(0), and more accurate where a profile has kinks.
         """
-        s, weight = gauss(self.profile.arc, BASIS)
-        load = self.profile.line_density(s) * weight * s
-        return np.asarray(self.angular_frequency**2 * (self.shape(s) @ load))
+        return self._inertia(1)
 
     @property
     def base_shear(self) -> Array:
         """Transverse force at the base per unit modal coordinate, N: ω² ∫ m φ_n ds."""
-        knots = self.profile.arc
-        s, weight = gauss(knots, BASIS)
-        line = self.profile.line_density(s)
-        return np.asarray(self.angular_frequency**2 * (self.shape(s) @ (line * weight)))
+        return self._inertia(0)
+
+    def _inertia(self, power: int) -> Array:
+        s, weight = gauss(self.profile.arc, BASIS)
+        load = self.profile.line_density(s) * weight * s**power
+        return np.asarray(self.angular_frequency**2 * (self.shape(s) @ load))
 
     def derivative(self, arc_length: ArrayLike, order: int) -> Array:
         """Derivatives of the shapes to the arc, of order 0 to 2, shape (n, ...)."""
