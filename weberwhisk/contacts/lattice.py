@@ -14,7 +14,7 @@ A stiffness that scales signals is integrated at each cell by Gauss and Hermite'
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -69,7 +69,8 @@ class LatticeCells(NamedTuple):
         )
 
 
-class Cloud(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Cloud:
     """The cells from which alike readings may come, by distance; their steps (U,) in x.
 
     `precise` says whether the lattice is as fine as it should be.
@@ -78,13 +79,45 @@ class Cloud(NamedTuple):
     cells: LatticeCells
     step: Array
     precise: bool
+    observer: Observer
 
-    @property
-    def layers(self) -> tuple[Index, Array]:
-        """Where cells of another distance begin, and the coordinates x of the distances."""
+    @cached_property
+    def first(self) -> Index:
+        """Where cells of another distance begin."""
         place = self.cells.place[:, 0]
-        first = np.flatnonzero(np.diff(place, prepend=place[0] - 1))
-        return first, place[first] * self.step[0]
+        return np.flatnonzero(np.diff(place, prepend=place[0] - 1))
+
+    @cached_property
+    def layers(self) -> Array:
+        """Coordinates x of the distances."""
+        return np.asarray(self.cells.place[self.first, 0] * self.step[0])
+
+    @cached_property
+    def share(self) -> Array:
+        """How far up to the fold the angle of each cell goes, 0 where its prior is given."""
+        observer, contact = self.observer, self.cells.contact
+        if observer.bounded < 2 or "deflection_angle" in observer.prior:
+            return np.zeros(len(contact))
+        low, width = observer.angle_range(contact[:, 0])
+        return np.asarray((contact[:, 1] - low) / width)
+
+    @cached_property
+    def log_prior(self) -> Array:
+        """ln of the prior density of each distance in x."""
+        return log_prior_of_distance(self.observer, self.layers)
+
+
+def distances(observer: Observer, x: Array) -> Array:
+    """Radial distances, m, at coordinates x."""
+    low, high = observer.reach
+    return np.asarray(low + (high - low) * constrain_distance(x)[0])
+
+
+def log_prior_of_distance(observer: Observer, x: Array) -> Array:
+    """ln of the prior density of the distance in coordinates x."""
+    with np.errstate(divide="ignore"):
+        prior = np.log(observer.distance_prior(distances(observer, x)))
+    return np.asarray(prior + constrain_distance(x)[1])
 
 
 class Lattice:
@@ -169,7 +202,8 @@ class Lattice:
     def scaled(self, signals: Array, log_stiffness: Array) -> Array:
         """Signals (..., S) at another stiffness (...)."""
         assert self.soft is not None
-        return signals * np.where(self.soft, np.exp(log_stiffness)[..., None], 1.0)
+        scale = np.exp(log_stiffness)[..., None]
+        return signals * (scale if self.soft.all() else np.where(self.soft, scale, 1.0))
 
     def evidence(self, readings: Readings, signals: Array) -> Array:
         """ln p (n, N) of readings at cells' signals (N, S), the stiffness integrated."""
@@ -250,7 +284,7 @@ class Lattice:
         log = self.evidence(reading, cells.signals)[0] + cells.log_prior
         at = np.flatnonzero(log > log.max() - DROP)
         at = at[np.lexsort(cells.place[at].T[::-1])]
-        return Cloud(cells.take(at), step, not wide.any())
+        return Cloud(cells.take(at), step, not wide.any(), self.observer)
 
     def _tempered(self, reading: Readings, cells: LatticeCells, step: Array) -> tuple[Array, Array]:
         """ln of the density of cells (N,), as blurred as they are wide; their lengths (U,) in sd.
@@ -316,8 +350,7 @@ class Lattice:
         mean = weight @ cells.contact
         middle = mean.mean(axis=0)  # off it, squares lose no digits
         square = weight @ (cells.contact - middle) ** 2 - (mean - middle) ** 2
-        first, x = cloud.layers
-        share = np.add.reduceat(weight, first, axis=1)
+        share = np.add.reduceat(weight, cloud.first, axis=1)
         tails = np.array([(1 - mass) / 2, (1 + mass) / 2])
         signals = cells.signals[best]
         if self.soft is not None:
@@ -325,16 +358,12 @@ class Lattice:
             log_e = [self.match(readings.take([i]), signals[[i]])[0][0, 0] for i in rows]
             signals = self.scaled(signals, np.array(log_e))
         off = np.abs(readings.value - signals) / np.sqrt(self.variance(readings, signals))
+        ends = distances(self.observer, quantiles(share, cloud.layers, tails))
         return Summary(
-            mean, np.sqrt(np.maximum(square, 0)), self.distances(quantiles(share, x, tails)),
+            mean, np.sqrt(np.maximum(square, 0)), ends,
             (top + np.log(total))[:, 0], off.max(axis=1),
             (weight.max(axis=1) < 0.8) & cloud.precise,
         )  # fmt: skip
-
-    def distances(self, x: Array) -> Array:
-        """Radial distances, m, at coordinates x."""
-        low, high = self.observer.reach
-        return np.asarray(low + (high - low) * constrain_distance(x)[0])
 
 
 class Summary(NamedTuple):

@@ -8,11 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..coordinates import constrain_distance
-from .lattice import Array, Cloud, Lattice, Readings, quantiles
+from .lattice import (
+    Array,
+    Cloud,
+    Lattice,
+    Readings,
+    distances,
+    log_prior_of_distance,
+    quantiles,
+)
 
-#: Steps of the distance within the range that every row allows, and of the stiffness.
-_DISTANCES, _STIFFNESSES = 401, 25
 #: How far up to the fold the angles of a touch may go, and the integrals of exp(−(share/span)⁴).
 _SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
 _NORMS = np.exp(-(((np.arange(2000)[:, None] + 0.5) / 2000 / _SPANS) ** 4)).mean(axis=0)
@@ -36,76 +41,79 @@ def touch_posterior(
     posteriors of r would count prior and unknown stiffness once a row, and be far too sure. How far
     the angles go is unknown as well, and shared: with angles flat up to the fold, touches of small
     angles had errors of 1.4 sd.
+
+    The logarithm of each row's integral is smooth where their product is sharp: it is had once on
+    coarse nodes, and the sum over rows is interpolated where the product is.
     """
     nothing = LocatedTouch(np.nan, np.nan, np.full(2, np.nan), False)
-    layers = [cloud.layers for cloud in clouds]
-    low, high = max(x[0] for _, x in layers), min(x[-1] for _, x in layers)
-    if not low < high or min(len(x) for _, x in layers) < 4:
+    low, high = (f([cloud.layers[i] for cloud in clouds]) for f, i in ((max, 0), (min, -1)))
+    if not low < high or min(len(cloud.layers) for cloud in clouds) < 4:
         return nothing
-    log_e: Array | None = None
+    finest = min(cloud.step[0] for cloud in clouds)
+    x = np.linspace(low, high, 8 + int((high - low) / finest))
+    # A row's stiffness at a distance is known to some 2 k.
+    widest = 2.5 * max(lattice.observer.noise.weber_fractions(readings.value.shape[1]))
+    log_e = np.zeros(1)
     if lattice.soft is not None:
-        log_e = lattice.log_median + lattice.log_sd * np.linspace(-4, 4, _STIFFNESSES)
-    for last in (False, False, True):
-        x, density = _density(lattice, clouds, readings, low, high, log_e)
-        if last or not np.isfinite(density).any():
-            break
-        near = density > density.max() - 20.0
-        if log_e is not None:
-            few = np.flatnonzero(near.any(axis=0))
-            least, most = log_e[max(few[0] - 1, 0)], log_e[min(few[-1] + 1, len(log_e) - 1)]
-            log_e = np.linspace(least, most, _STIFFNESSES)
-        # Distance shifts with stiffness: a range is narrowed when the stiffness has been.
-        if log_e is None or len(few) > _STIFFNESSES / 4:
-            across = x[near.any(axis=1)]
-            low, high = max(low, across[0] - x[1] + x[0]), min(high, across[-1] + x[1] - x[0])
-    if not np.isfinite(density).any():
-        return nothing
-    weight = np.exp(density - density.max()).sum(axis=1)
+        steps = int(np.ceil(8 * lattice.log_sd / np.clip(widest, 0.04, 0.14)))
+        log_e = lattice.log_median + lattice.log_sd * np.linspace(-4, 4, steps + 1)
+    # ln of the rows' product, and the fourth root of the sum of their angles' shares⁴, (J, E, 2).
+    total = sum(
+        _row(lattice, cloud, readings.take([i]), x, log_e) for i, cloud in enumerate(clouds)
+    )
+    total[..., 1] **= 0.25
+    ends = [(low, high), (log_e[0], log_e[-1])]
+    for fine in ((101, 51), (401, 101)):
+        axes = [np.linspace(*end, n) for end, n in zip(ends, fine, strict=True)]
+        x_fine, e_fine = axes[0], axes[1] if len(log_e) > 1 else log_e
+        found = make_interp_spline(x, total, 3)(x_fine)
+        if len(log_e) > 1:
+            found = make_interp_spline(log_e, found, 3, axis=1)(e_fine)
+        density = found[..., :1] - (found[..., 1:] / _SPANS) ** 4 - len(clouds) * np.log(_NORMS)
+        density = density + log_prior_of_distance(lattice.observer, x_fine)[:, None, None]
+        if lattice.soft is not None:
+            density += lattice.log_prior_of_stiffness(e_fine)[:, None]
+        if not np.isfinite(density).any():
+            return nothing
+        near = (density > density.max() - 20.0).any(axis=2)
+        ends = [
+            (axis[max(at[0] - 1, 0)], axis[min(at[-1] + 1, len(axis) - 1)])
+            for axis, at in ((axes[0], np.flatnonzero(near.any(axis=1))),
+                             (e_fine, np.flatnonzero(near.any(axis=0))))
+        ]  # fmt: skip
+    weight = np.exp(density - density.max()).sum(axis=(1, 2))
     weight /= weight.sum()
-    r = lattice.distances(x)
+    r = distances(lattice.observer, x_fine)
     mean = weight @ r
     tails = np.array([(1 - mass) / 2, (1 + mass) / 2])
-    ends = lattice.distances(quantiles(weight[None], x, tails)[0])
-    return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), ends, True)
+    interval = distances(lattice.observer, quantiles(weight[None], x_fine, tails)[0])
+    return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), interval, True)
 
 
-def _density(
-    lattice: Lattice,
-    clouds: Sequence[Cloud],
-    readings: Readings,
-    low: float,
-    high: float,
-    log_e: Array | None,
-) -> tuple[Array, Array]:
-    """Coordinates x (J,) between two of them, and ln of the density (J, E) there."""
-    x = np.linspace(low, high, _DISTANCES)
-    _, log_slope = constrain_distance(x)
-    observer = lattice.observer
-    with np.errstate(divide="ignore"):
-        prior = np.log(observer.distance_prior(lattice.distances(x))) + log_slope
-    out = np.repeat(prior[:, None], 1 if log_e is None else len(log_e), axis=1)
-    if log_e is not None:
-        out += lattice.log_prior_of_stiffness(log_e)
-    out = out[..., None]
-    angles_open = observer.bounded > 1 and "deflection_angle" not in observer.prior
-    for i, cloud in enumerate(clouds):
-        row, cells = readings.take([i]), cloud.cells
-        if log_e is None:
-            log = lattice.evidence(row, cells.signals).T
-        else:
-            scaled = lattice.scaled(cells.signals[:, None], log_e)
-            log = lattice.log_likelihood(row, scaled[None])[0]
-        log = log + cells.log_prior[:, None] + np.log(cloud.step[1:]).sum()
-        first, own = cloud.layers
-        top = np.maximum(log.max(axis=0), -1e300)
-        weight = np.exp(log - top)[..., None]
-        if angles_open:
-            low_angle, width = observer.angle_range(cells.contact[:, 0])
-            share = (cells.contact[:, 1] - low_angle) / width
-            weight = weight * np.exp(-((share[:, None] / _SPANS) ** 4) - np.log(_NORMS))[:, None]
-        with np.errstate(divide="ignore"):
-            log = np.log(np.add.reduceat(weight, first, axis=0))
-        log = np.maximum(log, -200.0) + top[:, None]
-        out = out + make_interp_spline(own, log, 3)(x) - prior[:, None, None]
-    top = out.max(axis=-1)
-    return x, top + np.log(np.exp(out - top[..., None]).mean(axis=-1))
+def _row(lattice: Lattice, cloud: Cloud, row: Readings, x: Array, log_e: Array) -> Array:
+    """ln ∫ p(y | r, θ, E) p(θ | r) dθ of a row, and the mean of its angle's share⁴, (J, E, 2)."""
+    cells, own, many = cloud.cells, cloud.layers, len(log_e)
+    if many == 1:
+        cell, at_e = np.arange(len(cells.contact)), np.zeros(1, dtype=np.intp)
+        log = lattice.evidence(row, cells.signals)[0]
+    else:
+        middle, sd = lattice.match(row, cells.signals)
+        cell, at_e = np.nonzero(np.abs(log_e - middle[0][:, None]) < 8 * sd[0][:, None])
+        scaled = lattice.scaled(cells.signals[cell], log_e[at_e])
+        log = lattice.log_likelihood(row, scaled[None])[0]
+    log = log + cells.log_prior[cell]
+    top = log.max()
+    layer = np.repeat(np.arange(len(own)), np.diff(cloud.first, append=len(cells.contact)))
+    at, weight = layer[cell] * many + at_e, np.exp(log - top)
+    mass = np.bincount(at, weight, len(own) * many)
+    fourth = np.bincount(at, weight * cloud.share[cell] ** 4, len(own) * many)
+    known = mass > 1e-26
+    mass, fourth = mass[known], fourth[known]
+    values = np.empty((len(own) * many, 2))
+    values[:] = np.log(1e-26), (fourth.sum() / mass.sum()) ** 0.25
+    values[known] = np.stack([np.log(mass), (fourth / mass) ** 0.25], axis=1)
+    values = values.reshape(len(own), many, 2)
+    values[..., 0] += top - np.maximum(cloud.log_prior, -100.0)[:, None]
+    found = np.asarray(make_interp_spline(own, values, 3)(x))
+    found[..., 1] **= 4
+    return found
