@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.special import ndtr
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -23,6 +24,7 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.fit import build_model
 from weberwhisk.behaviour.located import estimate_scatter
+from weberwhisk.contacts.lattice import Lattice, Readings, distances
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))
@@ -70,6 +72,73 @@ def test_the_likelihood_is_that_of_brute_force_over_the_places(
     assert off.max() < worst
     assert off[cells.sd_2 < 1e-3].max() < usual
     np.testing.assert_allclose(p + q, 1, atol=1e-12)
+
+
+def _touches(
+    cue: ww.cues.Cue, k: float, true: np.ndarray, seed: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Radial distances and their posterior masses, of contacts sensed with noise k."""
+    rng, whisker = np.random.default_rng(seed), ENCODING.observer.whisker
+    lattice = Lattice(ww.Observer(whisker, cue, ww.receptors.Weber(k)))
+    theta = rng.uniform(0.1, 0.7, true.shape) * ww.flick_past(whisker, true).deflection_angle
+    contact = np.stack([true, theta], axis=-1)
+    y = Readings(lattice.observer.read(contact, rng))
+    found = []
+    for i in range(len(true)):
+        row = y.take([i])
+        cloud = lattice.cloud(row)
+        log = lattice.evidence(row, cloud.cells.signals)[0] + cloud.cells.log_prior
+        mass = np.add.reduceat(np.exp(log - log.max()), cloud.first)
+        found.append((distances(lattice.observer, cloud.layers), mass / mass.sum()))
+    return found
+
+
+@pytest.mark.parametrize("each", [9, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("cue", "k", "most"),
+    [
+        (ww.cues.ForceMap(), 0.1, 0.25),
+        (ww.cues.ForceMap(["moment", "transverse_force"]), 0.03, 0.05),
+    ],
+)
+def test_means_and_sds_say_of_k_what_whole_posteriors_do(
+    cue: ww.cues.Cue, k: float, most: float, each: int
+) -> None:
+    """Choices summed over every touch's own density of distance, skew and all, in sds of ln k."""
+    nominal = ww.simulate_trials(standards=20e-3, encoding=ENCODING, trials_per_level=each, seed=1)
+    trials, located = simulate_moving(
+        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.1e-3, seed=2
+    )
+    touches = _touches(cue, k, 1e-3 * located["true_mm"].to_numpy(), seed=3)
+    mean = np.array([r @ p for r, p in touches])
+    sd = np.array([np.sqrt(p @ (r - m) ** 2) for (r, p), m in zip(touches, mean, strict=True)])
+    placed = with_distances(
+        trials, located.assign(radial_distance_mm=1e3 * mean, sd_mm=1e3 * sd), ENCODING
+    )
+    model, _, _ = build_model(placed, ENCODING, None, None, "weber", None)
+    ks, none = np.geomspace(0.04, 0.3, 31), np.full(31, 1e-9)
+    near = model.log_likelihood(ks, none, none, np.zeros((31, 1)))
+    at = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy().T.ravel()
+    scatter = estimate_scatter(mean - at, sd)
+    n, exact = len(trials), np.zeros(31)
+    for i, answer in enumerate(trials.frame["count"]):
+        (r1, p1), (r2, p2) = (
+            (r, p * np.exp(-0.5 * ((r - at[j] - scatter.offset) / scatter.sd) ** 2))
+            for j, (r, p) in ((i, touches[i]), (n + i, touches[n + i]))
+        )
+        m1, m2, s1, s2 = (f(r) for f in (ENCODING.mean, ENCODING.sd_per_weber_fraction)
+                          for r in (r1, r2))  # fmt: skip
+        d = ENCODING.direction * (m2 - m1[:, None]) / np.hypot(s1[:, None], s2)
+        p = np.einsum("i,kij,j->k", p1, ndtr(d / ks[:, None, None]), p2) / p1.sum() / p2.sum()
+        exact += np.log(p if answer else 1 - p)
+    moments = []
+    for log in (near, exact):
+        weight = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+        moments.append(
+            (weight @ np.log(ks), np.sqrt(weight @ (np.log(ks) - weight @ np.log(ks)) ** 2))
+        )
+    assert abs(moments[0][0] - moments[1][0]) < most * moments[1][1]
+    assert moments[0][1] == pytest.approx(moments[1][1], rel=0.1)
 
 
 @cache

@@ -142,6 +142,35 @@ def test_a_pole_gives_the_distance_and_the_mechanics_check_it() -> None:
     assert "does not fit" in wrong.attrs["notes"][2]
 
 
+def test_errors_of_moment_and_forces_are_those_of_monte_carlo_over_the_fit() -> None:
+    """By slopes, as they are had, and by 2000 draws of the fit's own covariance."""
+    from weberwhisk.contacts.shapes import BENT, Extra, Shapes, points_of
+    from weberwhisk.contacts.signals import _bent
+
+    video, truth = _scene(2, [12e-3, 20e-3], frames=80)
+    some = video[truth["contact"].to_numpy()]
+    shapes = Shapes(ww.Profile.of(C2), 1.0)
+    unit = 20e3 * C2.length
+    points = points_of(some, np.eye(2), unit)
+    points = points._replace(weight=points.weight * unit / 0.3)
+    first = np.zeros((len(some), 12))
+    first[:, 0] = np.angle(points.at[:, 2] - points.base)
+    first[:, 5] = C2.curvature * C2.length
+    start = first[:, 5:8] + [0.3, 0.0, 0.0]
+    p, _, points = _bent(shapes, first, start, points, Extra(base_sd=0.3 / unit))
+    own, signals = shapes.covariance(p, points, Extra(base_sd=0.3 / unit), BENT)
+    held = shapes.held(p)
+    clear = np.flatnonzero((held > 0.2) & (held < 0.9))[:12]
+    rng, ratio = np.random.default_rng(1), []
+    for i in clear:
+        drawn = np.tile(p[i], (2000, 1))
+        drawn[:, list(BENT)] += rng.multivariate_normal(np.zeros(len(BENT)), own[i], 2000)
+        ratio.append(shapes.signals(drawn).std(axis=0) / np.sqrt(np.diagonal(signals[i])))
+    assert len(ratio) > 6
+    np.testing.assert_allclose(np.median(ratio, axis=0), 1.0, atol=0.05)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.25)
+
+
 def test_the_middle_of_a_thick_pole_lies_behind_the_contact() -> None:
     video, truth = _scene(2, [15e-3], frames=50, noise_px=0.1)
     middle = truth[["pole_x", "pole_y"]].to_numpy() @ [1, 1j]

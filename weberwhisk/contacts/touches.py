@@ -58,9 +58,8 @@ def touch_posterior(
         steps = int(np.ceil(8 * lattice.log_sd / np.clip(widest, 0.04, 0.14)))
         log_e = lattice.log_median + lattice.log_sd * np.linspace(-4, 4, steps + 1)
     # ln of the rows' product, and the fourth root of the sum of their angles' shares⁴, (J, E, 2).
-    total = sum(
-        _row(lattice, cloud, readings.take([i]), x, log_e) for i, cloud in enumerate(clouds)
-    )
+    every = [_row(lattice, c, readings.take([i]), x, log_e) for i, c in enumerate(clouds)]
+    total = np.sum(every, axis=0)
     total[..., 1] **= 0.25
     ends = [(low, high), (log_e[0], log_e[-1])]
     for fine in ((101, 51), (401, 101)):
@@ -112,8 +111,8 @@ def _row(lattice: Lattice, cloud: Cloud, row: Readings, x: Array, log_e: Array) 
     values = np.empty((len(own) * many, 2))
     values[:] = np.log(1e-26), (fourth.sum() / mass.sum()) ** 0.25
     values[known] = np.stack([np.log(mass), (fourth / mass) ** 0.25], axis=1)
-    values = values.reshape(len(own), many, 2)
-    values[..., 0] += top - np.maximum(cloud.log_prior, -100.0)[:, None]
-    found = np.asarray(make_interp_spline(own, values, 3)(x))
+    surface = values.reshape(len(own), many, 2)
+    surface[..., 0] += top - np.maximum(cloud.log_prior, -100.0)[:, None]
+    found = np.asarray(make_interp_spline(own, surface, 3)(x))
     found[..., 1] **= 4
     return found
