@@ -130,6 +130,15 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
              "--tip-radius-um", "400", "--out", str(tmp_path / "out")]  # fmt: skip
     assert run_app(app, words) in (0, None)
     assert "weber_fraction" in capsys.readouterr().out
+    contacts = _taps(each=1).rename(columns={"radial_distance_mm": "true_mm"})
+    contacts.to_csv(tmp_path / "contacts.csv", index=False)
+    where = ["locate", str(tmp_path / "contacts.csv"), "--taps", str(path), *words[2:-1],
+             str(tmp_path / "located")]  # fmt: skip
+    assert run_app(app, where) in (0, None)
+    assert "The model fits" in capsys.readouterr().out
+    found = pd.read_csv(tmp_path / "located" / "located.csv")
+    off = (found["radial_distance_mm"] - found["true_mm"]) / found["sd_mm"]
+    assert np.abs(off).max() < 3.5
     made = {p.name for p in (tmp_path / "out").iterdir()}
     assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json",
             "calibration.png"} <= made  # fmt: skip

@@ -29,7 +29,7 @@ from .options import (
     wrote,
 )
 
-VIDEO = "Tracked video"
+VIDEO, SENSOR = "Tracked video", "Sensor"
 #: Files of trackers, by their ends.
 TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".nwb", ".slp")
 
@@ -55,6 +55,18 @@ def locate(
             "--weber-fraction", help="Noise of the numbers.  [default: their sds, or 0.1]"
         ),
     ] = None,
+    taps: Annotated[
+        Path | None,
+        typer.Option(
+            rich_help_panel=SENSOR, help="Table of taps at known distances, to calibrate by."
+        ),
+    ] = None,
+    counts: Annotated[
+        bool, typer.Option("--counts", rich_help_panel=SENSOR, help="Slopes are counts a second.")
+    ] = False,
+    clamped: Annotated[
+        bool, typer.Option("--clamped", rich_help_panel=SENSOR, help="The base does not give way.")
+    ] = False,
     pixels_per_mm: Annotated[
         float | None,
         typer.Option(parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="Its scale."),
@@ -89,13 +101,15 @@ def locate(
     Columns are called moment, axial_force, transverse_force, deflection_angle, moment_rate,
     angular_velocity, with the unit behind (moment_uNm), or as --column says. The stiffness is
     unknown unless --youngs-modulus-gpa is given. Of a tracker's file (.whiskers, .hdf5, .nwb, or
-    with --pixels-per-mm a table of points) the forces follow from the shape of the whisker.
+    with --pixels-per-mm a table of points) the forces follow from the shape of the whisker. With
+    --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located by what they tell.
     """
     import pandas as pd
 
     options = as_asked(locals(), "out", "as_json", "pd")
     table_or_path: Any = contacts
     options["contacts"] = str(contacts)
+    options["taps"] = None if taps is None else str(taps)
     whisker, noise = the_whisker(shape), None
     heard: tuple[str, ...] = ()
     if weber_fraction is not None:
@@ -123,9 +137,17 @@ def locate(
             heard = (*video.attrs["notes"], *signals.attrs["notes"])
             table_or_path = signals
         with options_named(["columns", "units", "touch", "noise"]):
+            names = pairs("--column", column, "moment=M_uNm")
+            units = pairs("--unit", unit, "moment=mN m")
+            by: Any = whisker
+            if taps is not None:
+                by = ww.calibrate(
+                    taps, whisker, columns=names, units=units, counts=counts, hinge=not clamped
+                )
+                heard = (by.message,)
             table = ww.locate(
-                table_or_path, whisker, columns=pairs("--column", column, "moment=M_uNm"),
-                units=pairs("--unit", unit, "moment=mN m"), touch=touch, noise=noise, progress=step,
+                table_or_path, by, columns=names, units=units, touch=touch, noise=noise,
+                progress=step,
             )  # fmt: skip
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])

@@ -134,7 +134,7 @@ def locate(
                 "A calibration has its own cue and noise and locates row by row; leave cue, noise "
                 "and touch out, or write locate(table, c.whisker, cue=c.cue, noise=c.noise)."
             )
-        return _calibrated(table, whisker, columns=columns, units=units, prior=prior)
+        return _calibrated(table, whisker, progress, columns=columns, units=units, prior=prior)
     _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
@@ -198,12 +198,20 @@ def locate(
     return out
 
 
-def _calibrated(table: Any, calibration: Calibration, **options: Any) -> pd.DataFrame:
+def _calibrated(
+    table: Any,
+    calibration: Calibration,
+    progress: Callable[[int, int], None] | None,
+    **options: Any,
+) -> pd.DataFrame:
     """Distances under each of the calibration's samples, as one."""
-    every = [locate(table, w, cue=c, noise=n, **options) for w, c, n in calibration.samples]
-    out = locate(
-        table, calibration.whisker, cue=calibration.cue, noise=calibration.noise, **options
-    )
+    best = (calibration.whisker, calibration.cue, calibration.noise)
+    every, passes = [], (*calibration.samples, best)
+    for w, c, n in passes:
+        every.append(locate(table, w, cue=c, noise=n, **options))
+        if progress:
+            progress(len(every) * len(every[0]) // len(passes), len(every[0]))
+    *every, out = every
     # A draw that has a row beyond the whisker says nothing of it.
     mean, sd = (np.array([e[name] for e in every]) for name in RESULTS[:2])
     known = np.isfinite(mean).sum(axis=0) > len(every) / 2
