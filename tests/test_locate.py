@@ -255,7 +255,7 @@ def test_the_command_writes_table_touches_and_figure(
     assert run_app(app, words) in (0, None)
     assert "4 of 4 rows: converged." in capsys.readouterr().out
     made = {p.name for p in (tmp_path / "out").iterdir()}
-    assert {"located.csv", "touches.csv", "located.png", "locate.run.json"} <= made
+    assert {"located.csv", "touches.csv", "located.png", "touches.png", "locate.run.json"} <= made
     assert len(pd.read_csv(tmp_path / "out" / "touches.csv")) == 2
     assert run_app(app, ["locate", str(path), "--identity", "C2"]) == 2
     assert "No distance follows" in capsys.readouterr().err

@@ -137,16 +137,16 @@ def locate(
             heard = (*video.attrs["notes"], *signals.attrs["notes"])
             table_or_path = signals
         with options_named(["columns", "units", "touch", "noise"]):
-            names = pairs("--column", column, "moment=M_uNm")
+            mapped = pairs("--column", column, "moment=M_uNm")
             units = pairs("--unit", unit, "moment=mN m")
             by: Any = whisker
             if taps is not None:
                 by = ww.calibrate(
-                    taps, whisker, columns=names, units=units, counts=counts, hinge=not clamped
+                    taps, whisker, columns=mapped, units=units, counts=counts, hinge=not clamped
                 )
                 heard = (by.message,)
             table = ww.locate(
-                table_or_path, by, columns=names, units=units, touch=touch, noise=noise,
+                table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
                 progress=step,
             )  # fmt: skip
         if time is not None and not (
@@ -163,6 +163,9 @@ def locate(
 
             axes = figures.located(table, against=time, by=touch or "")
             run.figure("located", figures.figure_of(axes))
+            if touch is not None:
+                axes = figures.located(table, against=touch, by=touch)
+                run.figure("touches", figures.figure_of(axes))
     notes = (*heard, *table.attrs["notes"])
     if as_json:
         rows = table.to_dict("records")
@@ -173,8 +176,7 @@ def locate(
     print(few.drop(columns="message").to_string(float_format="{:.6g}".format, na_rep="-"))
     if len(few) < len(table):
         print(f"… and {len(table) - len(few)} more rows.")
-    counts = table["message"].value_counts()
-    for message, count in counts.items():
+    for message, count in table["message"].value_counts().items():
         print(f"{count} of {len(table)} rows: {message}.")
     for note in notes:
         print(note)

@@ -22,12 +22,6 @@ from ..whisker import Whisker
 from .columns import read_contacts
 
 Array = NDArray[np.float64]
-#: Prior mean and sd of: logit of length over apex distance, ln of hinge over length, ln k.
-_PRIORS = np.array([[1.5, 2.0], [-3.0, 2.0], [-3.0, 1.5]])
-#: Draws that `locate` goes by: their mean's sd is a fifth of what they add.
-_SAMPLES = 24
-#: Degrees of freedom of the proposals about the mode.
-_DF = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,10 +185,11 @@ def calibrate(
     mode, covariance = _mode(r, y, whisker, hinge)
     root = np.linalg.cholesky(covariance)
     normal = rng.standard_normal((draws, len(mode)))
-    wider = np.sqrt(_DF / rng.chisquare(_DF, draws))[:, None]
+    df = 5  # Student's tails about the mode, heavier than the posterior's
+    wider = np.sqrt(df / rng.chisquare(df, draws))[:, None]
     x = mode + (normal * wider) @ root.T
     log = _log_density(x, r, y, whisker)
-    log += 0.5 * (_DF + len(mode)) * np.log1p(((normal * wider) ** 2).sum(axis=1) / _DF)
+    log += 0.5 * (df + len(mode)) * np.log1p(((normal * wider) ** 2).sum(axis=1) / df)
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     scale, apex, give, k = _natural(x, whisker)
@@ -218,12 +213,13 @@ def calibrate(
     residuals = pd.DataFrame(
         {"radial_distance_mm": 1e3 * r, "slope": y, "fitted": fitted, "residual_sd": residual}
     )
+    # Draws that `locate` goes by: their mean's sd is a fifth of what they add.
+    kept = rng.choice(draws, 24, p=weight)
     return Calibration(
         found, cue, noise, parameters, residuals,
         _left_out(r, y, whisker, hinge), _lack_of_fit(r, y / fitted, len(mode) - 1, places),
         float(1 / (weight**2).sum()),
-        tuple((*_as_found(x[i], whisker, counts), Weber(float(k[i])))
-              for i in rng.choice(draws, _SAMPLES, p=weight)),
+        tuple((*_as_found(x[i], whisker, counts), Weber(float(k[i]))) for i in kept),
     )  # fmt: skip
 
 
@@ -278,7 +274,9 @@ def _log_density(x: Array, r: Array, y: Array, whisker: Whisker) -> Array:
     scale, apex, give, k = (v[..., None] for v in _natural(x, whisker))
     mean = scale * _slope(r, apex, give)
     log = (-0.5 * ((y / mean - 1) / k) ** 2 - np.log(k * mean)).sum(axis=-1)
-    prior = _PRIORS if x.shape[-1] > 3 else _PRIORS[[0, 2]]
+    # Mean and sd of: logit of length over apex distance, ln of hinge over length, ln k.
+    prior = np.array([[1.5, 2.0], [-3.0, 2.0], [-3.0, 1.5]])
+    prior = prior if x.shape[-1] > 3 else prior[[0, 2]]
     return log - 0.5 * (((x[..., 1:] - prior[:, 0]) / prior[:, 1]) ** 2).sum(axis=-1)
 
 

@@ -1,13 +1,12 @@
 """Posteriors of many measured contacts: sums over a lattice in the observer's own coordinates.
 
-A table of measured contacts differs from the readings of an experiment in two ways: each row may
-have a measurement error of its own, and the rows of one touch share distance and stiffness while
-the deflection angle moves. So what is wanted is the evidence of each row over distance and
-stiffness, the angle summed out; and intervals of every row at the cost of its mean.
+Rows of a table of contacts may each have a measurement error, and those of one touch share distance
+and stiffness while the deflection angle moves. So what is wanted is the evidence of each row over
+both, the angle summed out; and intervals of every row at the cost of its mean.
 
 Rows whose readings are alike share a set of cells. It starts from all contacts at a coarse spacing;
 cells that could explain the reading, were it as uncertain as the signals vary across a cell, are
-split along the coordinates in which signals change by more than `WIDEST` sd. The coordinates have
+split along the coordinates in which signals change by more than 1.9 sd. The coordinates have
 no edges, so that sums over a lattice (the trapezoidal rule) converge as they do for a Gaussian.
 A stiffness that scales signals is integrated at each cell by Gauss and Hermite's rule.
 """
@@ -29,11 +28,6 @@ from ..observer import Observer
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-
-#: ln of the density that is left out, below the best: 5 sd beyond readings 1 sd from the middle.
-DROP = 23.0
-#: Sds by which signals may change from a cell to the next, where the density is highest.
-WIDEST = 1.9
 
 
 class Readings(NamedTuple):
@@ -262,13 +256,20 @@ class Lattice:
         held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
         return contact, np.where(held[:, None], signals, 0.0), np.where(held, log_prior, -np.inf)
 
-    def cloud(self, reading: Readings, most: int = 60_000) -> Cloud:
-        """The cells from which one reading (1, S), and those within 1 sd of it, may come."""
+    def cloud(
+        self, reading: Readings, most: int = 60_000, drop: float = 23.0, widest: float = 1.9
+    ) -> Cloud:
+        """The cells from which one reading (1, S), and those within 1 sd of it, may come.
+
+        Left out are those whose ln of the density is `drop` below the best: 5 sd beyond readings
+        1 sd from the middle. `widest` is by how many sds signals may change from a cell to the next
+        where the density is highest.
+        """
         cells, step = self._start
         for _ in range(14):
             log, lengths = self._tempered(reading, cells, step)
-            kept = log > log.max() - 1.2 * DROP
-            wide = lengths > WIDEST
+            kept = log > log.max() - 1.2 * drop
+            wide = lengths > widest
             if not wide.any() or kept.sum() * 2 ** int(wide.sum()) > most:
                 break
             step = np.where(wide, step / 2, step)
@@ -276,13 +277,13 @@ class Lattice:
             place = np.where(wide, 2 * cells.place[kept], cells.place[kept])
             place = (place[:, None] + halves.reshape(self.unknowns, -1).T).reshape(-1, len(step))
             # Half the step changes signals half as much: where that will do, it is the last.
-            last = bool((np.where(wide, lengths / 2, lengths) <= WIDEST).all())
+            last = bool((np.where(wide, lengths / 2, lengths) <= widest).all())
             cells = self._cells(place, step, changes=not last)
             if last:
                 wide[:] = False
                 break
         log = self.evidence(reading, cells.signals)[0] + cells.log_prior
-        at = np.flatnonzero(log > log.max() - DROP)
+        at = np.flatnonzero(log > log.max() - drop)
         at = at[np.lexsort(cells.place[at].T[::-1])]
         return Cloud(cells.take(at), step, not wide.any(), self.observer)
 

@@ -8,18 +8,20 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from .. import _checks
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
 from ..cues.protocol import Felt
-from ..mechanics import Profile, rest_angle
+from ..cues.rubbing import Friction
+from ..mechanics import Profile, Spiral, rest_angle
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import YOUNGS_MODULUS, Whisker
 from .columns import NAMES, PREFIX, Array
-from .signals import CORRELATION
+from .signals import AT_REST, CORRELATION
 
 
 def is_curved(whisker: Any) -> bool:
@@ -207,3 +209,26 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
             "The deflection angle is above half a turn in most rows: did you pass degrees? Write "
             'units={"deflection_angle": "deg"}.'
         )
+
+
+def from_shape(
+    raw: pd.DataFrame, si: dict[str, Array], whisker: Any, cue: Cue | None, notes: list[str]
+) -> tuple[Profile, Cue, dict[str, Array], Array]:
+    """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
+    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    rest = [float(pd.to_numeric(raw[name]).iloc[0]) for name in AT_REST]
+    side = np.where(si["moment"] < 0, -1.0, 1.0)
+    free = ~raw["contact"].astype(str).str.lower().isin(("true", "1", "1.0")).to_numpy()
+    out = {name: np.where(free, 0.0, v * (1 if name.endswith("_sd") else side))
+           for name, v in si.items()}  # fmt: skip
+    out |= {name: np.where(free, 1.0, v) for name, v in out.items() if name.endswith("_sd")}
+    out[CORRELATION] = np.where(free, 0.0, raw[CORRELATION].to_numpy(dtype=float))
+    if cue is None:
+        cue = ForceMap(["moment", "transverse_force"])
+        angle = float(np.radians(pd.to_numeric(raw["friction_angle_deg"]).iloc[0]))
+        cue = cue if angle == 0 else Friction(cue, angle)
+    notes.append(
+        "Signals are of tracked shapes: the whisker's stiffness drops out of the distance, and its "
+        f"curvature at rest is {rest[0]:.3g} + {rest[1]:.3g} s /m."
+    )
+    return profile.curved(Spiral(*rest)), cue, out, side

@@ -21,8 +21,8 @@ from ..whisker import Whisker
 from .calibration import Calibration
 from .columns import IN_PLANE, Array, one_side, planar, read_contacts
 from .lattice import Cloud, Lattice, Readings
-from .readings import check_magnitudes, is_curved, signals_of, turn_round
-from .signals import FROM_SHAPE, from_shape
+from .readings import check_magnitudes, from_shape, is_curved, signals_of, turn_round
+from .signals import FROM_SHAPE
 from .touches import touch_posterior
 
 #: What `locate` adds to a table.
@@ -231,12 +231,6 @@ def _calibrated(
     return out
 
 
-def _later(
-    progress: Callable[[int, int], None], before: int, total: int, done: int, _: int
-) -> None:
-    progress(before + done, total)
-
-
 def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
     """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
     everything = np.arange(len(side))
@@ -253,6 +247,10 @@ def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
             profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
             out.append((rows, profile.curved(mirrored)))
     return out
+
+
+def _later(tell: Callable[[int, int], None], before: int, total: int, done: int, _: int) -> None:
+    tell(before + done, total)
 
 
 def _rows(

@@ -31,10 +31,6 @@ FREE, PLACED, BENT = (0, 1, 5, 6, 7), (0, 1, 3), (0, 1, 2, 3, 11)
 NEAR_BASE = (0, 1, 8, 9, 10)
 #: Steps from contact to base and to the tip: shapes are good to 1e-6 of the length.
 _STEPS, _BEYOND = 24, 12
-#: Groups of points along a whisker: enough for its shape, and no more work for finer tracking.
-_GROUPS = 32
-#: Small changes for derivatives.
-_CHANGE = 1e-5
 
 
 class Points(NamedTuple):
@@ -97,10 +93,13 @@ class Shapes:
     profile : Profile
     reach : float
         How far it was tracked, in lengths.
+    change : float
+        Of the numbers of a shape, for derivatives.
     """
 
     profile: Profile
     reach: float
+    change: float = 1e-5
 
     def held(self, p: Array) -> Array:
         """Arc of the contact, from 1 % of the length to the tip."""
@@ -195,10 +194,10 @@ class Shapes:
         every = np.tile(np.arange(n), many)
         aside = p[every]
         for k, i in enumerate(free):
-            aside[(k + 1) * n : (k + 2) * n, i] += _CHANGE
+            aside[(k + 1) * n : (k + 2) * n, i] += self.change
         residuals = self._residuals(aside, points.take(every), extra.take(every))[0]
         here, moved = np.split(residuals.reshape(many, n, -1), [1])
-        return here[0], np.moveaxis(moved - here, 0, -1) / _CHANGE
+        return here[0], np.moveaxis(moved - here, 0, -1) / self.change
 
     def fit(
         self, p: Array, points: Points, extra: Extra, free: Any, rounds: int = 60
@@ -258,8 +257,8 @@ class Shapes:
         here = self.signals(p)
         for i in range(len(NAMES)):
             aside = p.copy()
-            aside[:, i] += _CHANGE
-            gain[:, :, i] = (self.signals(aside) - here) / _CHANGE
+            aside[:, i] += self.change
+            gain[:, :, i] = (self.signals(aside) - here) / self.change
         to_free = gain[:, :, list(free)]
         out = to_free @ own @ np.swapaxes(to_free, 1, 2)
         if shared is not None:
@@ -307,19 +306,22 @@ def in_plane(table: pd.DataFrame, most: float) -> Array:
     return np.asarray(way[:2])
 
 
-def points_of(table: pd.DataFrame, plane: Array, unit: float) -> Points:
-    """Points of every frame in groups, whiskers' lengths for pixels."""
+def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) -> Points:
+    """Points of every frame, whiskers' lengths for pixels.
+
+    In groups along the whisker: enough for its shape, and no more work for finer tracking.
+    """
     rows = []
     for own in table[list("xyz"[: plane.shape[1]])].to_numpy():
         x, y = plane @ np.stack(list(own))
         z = (x + 1j * y) / unit
-        n = min(len(z), _GROUPS)
+        n = min(len(z), groups)
         which = np.arange(len(z)) * n // len(z)
         count = np.bincount(which, minlength=n)
         at = (np.bincount(which, z.real) + 1j * np.bincount(which, z.imag)) / count
         spread = np.bincount(which, np.abs(z - at[which]) ** 2) / count
         arc = np.append(0.0, np.cumsum(np.abs(np.diff(np.append(z[0], at)))))[1:]
-        room = [(0, _GROUPS - n)]
+        room = [(0, groups - n)]
         values = (at, spread, np.sqrt(count), arc)
         rows.append((z[0], *(np.pad(v, room, "edge") for v in values)))
         rows[-1][3][n:] = 0.0

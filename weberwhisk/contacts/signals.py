@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from .. import _checks
-from ..cues import Cue, ForceMap
-from ..cues.rubbing import Friction
-from ..mechanics import Profile, Spiral
+from ..mechanics import Profile
 from ..whisker import Whisker
 from .columns import Array
 from .shapes import (
@@ -290,29 +288,6 @@ def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
     bends = own[:, 5:8] - np.median(own[:, 5:8], axis=0)
     far = np.einsum("ni,nij,nj->n", bends, np.linalg.inv(covariance[:, 2:, 2:]), bends)
     return max(points_sd, float(np.sqrt(np.median(far) / chi2.median(3))))
-
-
-def from_shape(
-    raw: pd.DataFrame, si: dict[str, Array], whisker: Any, cue: Cue | None, notes: list[str]
-) -> tuple[Profile, Cue, dict[str, Array], Array]:
-    """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
-    rest = [float(pd.to_numeric(raw[name]).iloc[0]) for name in AT_REST]
-    side = np.where(si["moment"] < 0, -1.0, 1.0)
-    free = ~raw["contact"].astype(str).str.lower().isin(("true", "1", "1.0")).to_numpy()
-    out = {name: np.where(free, 0.0, v * (1 if name.endswith("_sd") else side))
-           for name, v in si.items()}  # fmt: skip
-    out |= {name: np.where(free, 1.0, v) for name, v in out.items() if name.endswith("_sd")}
-    out[CORRELATION] = np.where(free, 0.0, raw[CORRELATION].to_numpy(dtype=float))
-    if cue is None:
-        cue = ForceMap(["moment", "transverse_force"])
-        angle = float(np.radians(pd.to_numeric(raw["friction_angle_deg"]).iloc[0]))
-        cue = cue if angle == 0 else Friction(cue, angle)
-    notes.append(
-        "Signals are of tracked shapes: the whisker's stiffness drops out of the distance, and its "
-        f"curvature at rest is {rest[0]:.3g} + {rest[1]:.3g} s /m."
-    )
-    return profile.curved(Spiral(*rest)), cue, out, side
 
 
 Fit = tuple[Array, Array, Points]

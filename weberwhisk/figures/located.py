@@ -17,8 +17,21 @@ if TYPE_CHECKING:
 def located(
     table: pd.DataFrame, ax: Axes | None = None, *, against: str | None = None, by: str = ""
 ) -> Axes:
-    """Distance with its 95 % interval, over rows or the column `against`; `by` names touches."""
+    """Distance with its 95 % interval, over rows or the column `against`; `by` names touches.
+
+    With the same column for both, over touches: one posterior each.
+    """
     ax = axes_or_new(ax, DOUBLE)
+    ax.set_ylabel("radial distance (mm)")
+    if by and against == by:
+        first = table[table["touch_status"] == "converged"].groupby(by, sort=False).first()
+        names = ("radial_distance_mm", "lower_mm", "upper_mm")
+        at = np.arange(len(first))
+        bars(ax, at, [first[f"touch_{n}"] for n in names], 0, label="each touch, 95 % interval")
+        ax.set_xticks(at[:: 1 + len(at) // 20], first.index[:: 1 + len(at) // 20])
+        ax.set_xlabel(by.replace("_", " "))
+        legend_above(ax)
+        return ax
     x = np.arange(len(table)) if against is None else table[against].to_numpy(dtype=float)
     order = np.argsort(x, kind="stable")
     part = table.iloc[order]
@@ -35,7 +48,6 @@ def located(
             ends = [first[f"touch_{name}"] for name in names]
             bars(ax, groups["place"].mean(), ends, 1, label="each touch")
     ax.set_xlabel("row" if against is None else against.replace("_", " "))
-    ax.set_ylabel("radial distance (mm)")
     legend_above(ax)
     return ax
 
