@@ -82,6 +82,18 @@ def test_own_names_units_signs_and_index() -> None:
     assert "turned round" in notes
 
 
+def test_forces_alone_tell_side_and_sign() -> None:
+    b = ww.press(KNOWN, [10e-3, 20e-3, 15e-3], 0.3)
+    side = np.array([1, -1, 1])
+    table = pd.DataFrame(
+        {"transverse_force": side * b.transverse_force, "axial_force": -b.axial_force}
+    )
+    found = ww.locate(table, KNOWN)
+    np.testing.assert_allclose(found["radial_distance_mm"], [10, 20, 15], rtol=0.03)
+    assert "1 of 3 rows" in found.attrs["notes"][1]
+    assert "The axial force has the opposite sign" in found.attrs["notes"][2]
+
+
 def test_six_signals_are_turned_into_the_plane_of_the_push() -> None:
     b = ww.press(KNOWN, [10e-3, 20e-3], 0.3)
     phi = 0.7
@@ -154,7 +166,7 @@ def _touch_readings(cue: ww.cues.Cue, seed: int) -> tuple[float, Lattice, Readin
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool) -> None:
     """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
-    from weberwhisk.contacts.touches import _NORMS, _SPANS
+    from weberwhisk.contacts.touches import _SPANS
 
     _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), seed=4)
     clouds = [lattice.cloud(readings.take([i])) for i in range(8)]
@@ -168,7 +180,8 @@ def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool)
     signals = observer.signals(contact)[0]
     z = np.linspace(-4, 4, 61) if soft else np.zeros(1)
     total = np.log(observer.distance_prior(r))[:, None, None] - 0.5 * z[:, None] ** 2
-    spans = np.exp(-((share[:, None] / _SPANS) ** 4)) / _NORMS / len(share)
+    spans = np.exp(-((share[:, None] / _SPANS) ** 4))
+    spans /= spans.sum(axis=0)
     for y in readings.value:
         log = np.stack([observer.noise.log_likelihood(y, signals * np.exp(0.42 * a)) for a in z], 1)
         top = log.max(axis=2)

@@ -362,13 +362,13 @@ class Lattice:
         ends = distances(self.observer, quantiles(share, cloud.layers, tails))
         return Summary(
             mean, np.sqrt(np.maximum(square, 0)), ends,
-            (top + np.log(total))[:, 0], off.max(axis=1),
+            off.max(axis=1),
             (weight.max(axis=1) < 0.8) & cloud.precise,
         )  # fmt: skip
 
 
 class Summary(NamedTuple):
-    """Of each of n posteriors: mean and sd (n, U), ends of the interval (n, 2), ln of the evidence.
+    """Of each of n posteriors: mean and sd (n, U), ends of the interval (n, 2).
 
     And how many sds the best cell's signals are off, and whether the sums are reliable.
     """
@@ -376,7 +376,6 @@ class Summary(NamedTuple):
     mean: Array
     sd: Array
     ends: Array
-    log_evidence: Array
     off: Array
     precise: NDArray[np.bool_]
 

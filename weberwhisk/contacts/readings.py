@@ -91,7 +91,8 @@ def turn_round(si: dict[str, Array], sides: list[tuple[Any, Any]], notes: list[s
     sides : list of (rows, whisker)
         As seen from either side.
     """
-    names = [n for n in (*SIGNALS, "deflection_angle") if n in si]
+    order = ("moment", "deflection_angle", "transverse_force", "axial_force")
+    names = [n for n in order if n in si]
     free = names[1:]  # the first says the side
     if not free:
         return

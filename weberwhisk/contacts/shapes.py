@@ -27,8 +27,7 @@ Complex = NDArray[np.complex128]
 NAMES = ("direction", "offset", "place", "force", "friction", "k0", "k1", "k2", "m0", "m1", "m2",
          "slide")  # fmt: skip
 #: What is fitted: a whisker at rest of any shape, a bent one, and the moment near the base.
-FREE, PLACED, BENT = (0, 1, 5, 6, 7), (0, 1, 3), (0, 1, 2, 3, 11)
-NEAR_BASE = (0, 1, 8, 9, 10)
+FREE, PLACED, BENT, NEAR_BASE = (0, 1, 5, 6, 7), (0, 1, 3), (0, 1, 2, 3, 11), (0, 1, 8, 9, 10)
 #: Steps from contact to base and to the tip: shapes are good to 1e-6 of the length.
 _STEPS, _BEYOND = 24, 12
 

@@ -36,6 +36,8 @@ FROM_SHAPE = "shape"
 CORRELATION = "moment_transverse_corr"
 #: And of the curvature at rest, at the base and its rate along the whisker.
 AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
+#: What is read off a shape, in the order of `Shapes.signals`.
+_SIGNALS = ("moment", "axial_force", "transverse_force", "shape_distance", "deflection_angle")
 Bools = NDArray[np.bool_]
 
 
@@ -191,25 +193,13 @@ def tracked_signals(
             by_pole["pole_distance"] = by_pole.pop("shape_distance")
             columns = columns | by_pole
         notes += _check(shapes, held, shared, columns)
-        _write(out, touched, columns, profile.whisker)
-    for name in (n for n in _UNITS if n not in ("pole_distance",) or pole is not None):
-        for column in (_named(name), _named(name, sd=True)):
-            if column not in out:
-                out[column] = np.nan
+    else:
+        names = (*_SIGNALS, *([] if where is None else ["pole_distance"]))
+        columns = {name: (np.zeros(0), np.zeros(0)) for name in names}
+        columns |= {"corr": np.zeros(0), "misfit": np.zeros(0)}
+    out = out.join(_in_units(columns, profile.whisker).set_index(out.index[touched]))
     out.attrs = {"notes": tuple(notes)}
     return out
-
-
-#: Columns: the index among the signals of a shape, unit and its factor from SI.
-_UNITS = {
-    "moment": ("uNm", 1e6), "axial_force": ("uN", 1e6), "transverse_force": ("uN", 1e6),
-    "shape_distance": ("mm", 1e3), "deflection_angle": ("deg", 180 / np.pi),
-    "pole_distance": ("mm", 1e3),
-}  # fmt: skip
-
-
-def _named(name: str, *, sd: bool = False) -> str:
-    return f"{name}{'_sd' if sd else ''}_{_UNITS[name][0]}"
 
 
 def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
@@ -316,8 +306,7 @@ def _columns(shapes: Shapes, fit: Fit, extra: Extra, shared: Array) -> dict[str,
     _, covariance = shapes.covariance(p, points, extra, free, shared)
     values = shapes.signals(p)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    names = ("moment", "axial_force", "transverse_force", "shape_distance", "deflection_angle")
-    out: dict[str, Any] = {n: (values[:, i], sd[:, i]) for i, n in enumerate(names)}
+    out: dict[str, Any] = {n: (values[:, i], sd[:, i]) for i, n in enumerate(_SIGNALS)}
     out["corr"] = covariance[:, 0, 2] / (sd[:, 0] * sd[:, 2])
     degrees = (points.weight > 0).sum(axis=1) + 2 * (extra.pole is not None) - len(free)
     out["misfit"] = cost / np.maximum(degrees, 1)
@@ -367,21 +356,18 @@ def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> 
     return notes
 
 
-def _write(out: pd.DataFrame, rows: Any, columns: dict[str, Any], whisker: Whisker) -> None:
-    """Put the signals of some rows into the table, in its units."""
-    scales: dict[str, Any] = {
-        "moment": whisker.moment_scale, "axial_force": whisker.force_scale,
-        "transverse_force": whisker.force_scale, "shape_distance": whisker.length,
-        "pole_distance": whisker.length,
+def _in_units(columns: dict[str, Any], whisker: Whisker) -> pd.DataFrame:
+    """The signals of shapes in the units of the table, each beside its sd."""
+    force = ("uN", 1e6 * whisker.force_scale)
+    length = ("mm", 1e3 * whisker.length)
+    units: dict[str, tuple[str, Any]] = {
+        "moment": ("uNm", 1e6 * whisker.moment_scale), "axial_force": force,
+        "transverse_force": force, "shape_distance": length,
+        "deflection_angle": ("deg", 180 / np.pi), "pole_distance": length,
     }  # fmt: skip
-    flat: dict[str, Any] = {}
-    for name, (_, factor) in _UNITS.items():
+    out = {}
+    for name, (unit, factor) in units.items():
         if name in columns:
-            values, sd = (float(scales.get(name, 1.0)) * factor * v for v in columns[name])
-            flat |= {_named(name): values, _named(name, sd=True): sd}
-    flat |= {CORRELATION: columns["corr"], "misfit": columns["misfit"],
-             "side": np.sign(columns["moment"][0])}  # fmt: skip
-    for name, values in flat.items():
-        column = np.full(len(out), np.nan)
-        column[rows] = values
-        out[name] = column
+            out[f"{name}_{unit}"], out[f"{name}_sd_{unit}"] = (factor * v for v in columns[name])
+    out |= {CORRELATION: columns["corr"], "misfit": columns["misfit"]}
+    return pd.DataFrame(out | {"side": np.sign(columns["moment"][0])})

@@ -18,9 +18,8 @@ from .lattice import (
     quantiles,
 )
 
-#: How far up to the fold the angles of a touch may go, and the integrals of exp(−(share/span)⁴).
+#: How far up to the fold the angles of a touch may go: shares have the density exp(−(share/span)⁴).
 _SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
-_NORMS = np.exp(-(((np.arange(2000)[:, None] + 0.5) / 2000 / _SPANS) ** 4)).mean(axis=0)
 
 
 class LocatedTouch(NamedTuple):
@@ -61,6 +60,7 @@ def touch_posterior(
     every = [_row(lattice, c, readings.take([i]), x, log_e) for i, c in enumerate(clouds)]
     total = np.sum(every, axis=0)
     total[..., 1] **= 0.25
+    norms = np.exp(-(((np.arange(2000)[:, None] + 0.5) / 2000 / _SPANS) ** 4)).mean(axis=0)
     ends = [(low, high), (log_e[0], log_e[-1])]
     for fine in ((101, 51), (401, 101)):
         axes = [np.linspace(*end, n) for end, n in zip(ends, fine, strict=True)]
@@ -68,7 +68,7 @@ def touch_posterior(
         found = make_interp_spline(x, total, 3)(x_fine)
         if len(log_e) > 1:
             found = make_interp_spline(log_e, found, 3, axis=1)(e_fine)
-        density = found[..., :1] - (found[..., 1:] / _SPANS) ** 4 - len(clouds) * np.log(_NORMS)
+        density = found[..., :1] - (found[..., 1:] / _SPANS) ** 4 - len(clouds) * np.log(norms)
         density = density + log_prior_of_distance(lattice.observer, x_fine)[:, None, None]
         if lattice.soft is not None:
             density += lattice.log_prior_of_stiffness(e_fine)[:, None]

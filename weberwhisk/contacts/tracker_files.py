@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..behaviour.io import load_table
 
-#: Bytes before the numbers of a row of `.measurements`, by version of the file.
-_HEADS = {b"measV1": (40,), b"measv2": (44, 48), b"measv3": (41,)}
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
 
 def measurements(path: Path) -> pd.DataFrame:
     """Whisk's measurements: rows stand in reverse order."""
     data = path.read_bytes()
-    heads = _HEADS.get(data[:6])
+    # Bytes before the numbers of a row, by version of the file.
+    heads = {b"measV1": (40,), b"measv2": (44, 48), b"measv3": (41,)}.get(data[:6])
     if heads is None or data[6:8] != b"\0\0" or len(data) < 16:
         raise ValueError(
             f"{path.name}: not a .measurements file of Whisk (it begins with {data[:6]!r}, not "
