@@ -165,9 +165,7 @@ def _by_answer(fit: WeberFit, cell: NDArray[np.intp]) -> tuple[Array, Array]:
     chains = fit.posterior.chains
     draws = fit.posterior.draws()
     size = len(draws) // chains
-    p, q = model.probability(
-        draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
-    )
+    p, q = model.probability(*draws.values)
     both = np.log(np.stack([p, q], axis=1))[: size * chains]  # (D, 2, C)
     both = both.reshape(chains, size, -1)
     used = np.stack([model.cells.count, model.cells.n - model.cells.count]).ravel() > 0

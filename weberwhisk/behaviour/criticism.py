@@ -44,7 +44,7 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
         `z`: their difference in binomial standard errors.
     """
     c = model.cells
-    expected = _probability(model, draws.thinned(1000))[0].mean(axis=0)
+    expected = model.probability(*draws.thinned(1000).values)[0].mean(axis=0)
     labels = {name: getattr(c, name) for name in ("standard", "stimulus_1", "stimulus_2")}
     return pd.DataFrame(labels | _compared(c.n, c.count, c.n * expected, expected * (1 - expected)))
 
@@ -59,7 +59,7 @@ def misfit(model: WeberModel, draws: Draws) -> float:
     if not c.n.size:
         return 1.0
     few = draws.thinned(1000)
-    p, q = _probability(model, few)
+    p, q = model.probability(*few.values)
     again = model.simulate(few, np.random.default_rng(0))
     spread = c.n * p * q
 
@@ -96,7 +96,7 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         _checks.one_of("column", column, map(str, rows.frame.columns))
-    p = _probability(fit.model, fit.posterior.draws().thinned(1000))[0].mean(axis=0)[rows.cell]
+    p = _expected(fit)[0].mean(axis=0)[rows.cell]
     table = rows.frame[list(columns)].assign(
         n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
     )
@@ -123,7 +123,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     True
     """
     gathered, cell = _Rows.of(fit).gathered()
-    p = _probability(fit.model, fit.posterior.draws().thinned(1000))[0][:, cell]
+    p = _expected(fit)[0][:, cell]
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
@@ -166,7 +166,7 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     if not len(rows.frame):
         return pd.DataFrame(columns=["observed", "expected", "p", "remedy"])
     draws = fit.posterior.draws().thinned(250)  # every trial is looked at
-    by_cell = _probability(fit.model, draws)
+    by_cell = fit.model.probability(*draws.values)
     rng = _checks.generator(seed)
     statistics = rows.statistics()
     # (seen, made) of every statistic; few draws at a time where there are many rows.
@@ -322,11 +322,9 @@ def _compared(n: Array, count: Array, mean: Array, spread: Array) -> dict[str, A
     }
 
 
-def _probability(model: WeberModel, draws: Draws) -> tuple[Array, Array]:
-    """P and 1 − P of every cell at every draw, (D, C)."""
-    return model.probability(
-        draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
-    )
+def _expected(fit: WeberFit) -> tuple[Array, Array]:
+    """P and 1 − P of every cell at some draws, (D, C)."""
+    return fit.model.probability(*fit.posterior.draws().thinned(1000).values)
 
 
 def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws:

@@ -235,8 +235,7 @@ class SampledPosterior:
         axis = np.linspace(-REACH, REACH, 73)
         few = self.sample.thinned(400)
         low, high, bias, effects = (
-            np.repeat(values[:, None], axis.size, axis=1)
-            for values in (few.lapse_low, few.lapse_high, few.bias, few.effects)
+            np.repeat(values[:, None], axis.size, axis=1) for values in few.values[1:]
         )
         k = np.broadcast_to(self.model.value("weber_fraction", axis), low.shape)
         log = self.model.log_likelihood(k, low, high, bias, effects) - 0.5 * axis**2

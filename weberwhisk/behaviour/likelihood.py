@@ -40,10 +40,15 @@ class Draws:
     def __len__(self) -> int:
         return len(self.weber_fraction)
 
+    @property
+    def values(self) -> tuple[Array, Array, Array, Array, Array]:
+        """All, in the order of the arguments of a likelihood."""
+        return self.weber_fraction, self.lapse_low, self.lapse_high, self.bias, self.effects
+
     def thinned(self, most: int) -> Draws:
         """Every so many of them, about `most` or fewer than twice that."""
         step = max(len(self) // most, 1)
-        return Draws(*(getattr(self, f)[::step] for f in self.__dataclass_fields__))
+        return Draws(*(values[::step] for values in self.values))
 
     def named(self, model: WeberModel) -> dict[str, Array]:
         """The inferred parameters by name, each (N,)."""
@@ -252,9 +257,7 @@ class WeberModel:
 
     def simulate(self, draws: Draws, rng: np.random.Generator) -> Array:
         """Counts that observers with these parameters would give to the same trials, (N, C)."""
-        p, q = self.probability(
-            draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
-        )
+        p, q = self.probability(*draws.values)
         if self.dispersed is not None:
             rho = np.maximum(draws.effects[:, self.dispersed, None], RHO_TINY)
             p = rng.beta(*(np.maximum(side * (1 - rho) / rho, TINY) for side in (p, q)))

@@ -202,9 +202,7 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> ArvizData:
             columns["bias"] = chained(of.bias if many else of.bias[:, 0])
         return columns
 
-    by_cell = model.cell_log_likelihood(
-        draws.weber_fraction, draws.lapse_low, draws.lapse_high, draws.bias, draws.effects
-    )
+    by_cell = model.cell_log_likelihood(*draws.values)
     dims = {name: ["cell"] for name in ("answers", "n", "stimulus_1", "stimulus_2")}
     coords: dict[str, Any] = {"cell": np.arange(cells.n.size)}
     if model.free_bias and many:
