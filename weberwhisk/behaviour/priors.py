@@ -284,7 +284,7 @@ def levels_prior(
     - to compare designs, or animals that were shown different levels: the belief moves with them;
     - with data collected in stages whose levels changed: the same trials fitted at once and one
       after another then disagree;
-    - with a staircase: its easiest pair is where it began, and k comes out twice too high;
+    - with a staircase: its easiest pair is where it began, and k comes out 20 to 60 % too high;
     - where levels may have been chosen badly: k comes out nearer to them than the answers say.
 
     Parameters
