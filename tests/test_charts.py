@@ -200,6 +200,8 @@ def test_the_command_writes_tables_figures_and_the_machine(
     tables = made_up()
     parts = {name: lambda full, table=table: table for name, table in tables.items()}
     monkeypatch.setattr(charts, "PARTS", parts)
+    for name in ("speed_accuracy", "fits_and_growth"):  # drawn above
+        monkeypatch.setattr(figures, name, lambda *a, **k: figures.new_figure())
     assert run_app(cli.app, ["chart", "--out", str(tmp_path), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert "numpy" in printed["machine"]
@@ -210,8 +212,6 @@ def test_the_command_writes_tables_figures_and_the_machine(
         "beams.csv", "posteriors.csv", "jnds.csv", "fits.csv", "growth.csv", "speed_accuracy.png",
         "speed_accuracy.svg", "fits_and_growth.png", "fits_and_growth.svg", "chart.run.json",
     }  # fmt: skip
-    for name in ("speed_accuracy", "fits_and_growth"):  # drawn once is enough
-        monkeypatch.setattr(figures, name, lambda *a, **k: figures.new_figure())
     assert run_app(cli.app, ["chart", "--out", str(tmp_path)]) == 0
     assert "closed form" in capsys.readouterr().out
 

@@ -106,7 +106,7 @@ def test_the_posterior_has_the_closed_forms_sd_where_the_noise_is_small(side_sd)
     noise = GeneralisedWeber(0.0, floor=np.radians(0.1))
     observer = ww.Observer(W, cue, noise)
     r = np.array([10e-3, 20e-3, 30e-3])
-    table = ww.jnd_curve(observer, r, n_readings=60, seed=1)
+    table = ww.jnd_curve(observer, r, n_readings=30, seed=1)
     expected = triangle_jnd(r, np.pi / 2, 10e-3, angle_sd=np.radians(0.1), side_sd=side_sd)
     assert np.all(table["unreliable"] == 0)
     # The curvature of r(θ) tells at the order of the noise's square; the mean sd has an error.

@@ -204,7 +204,7 @@ def test_friction_at_which_nothing_slides():
     assert np.all(np.isnan(got.moment[1]))
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
+@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-9, marks=pytest.mark.slow)])
 def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance):
     """Near the fold a contact a little off its place makes signals that are far off."""
     r = np.array([10e-3, 25e-3, 38e-3])[:, None]
