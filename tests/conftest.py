@@ -54,20 +54,22 @@ def pytest_configure(config: pytest.Config) -> None:
 #: Files of long arithmetic in which ArviZ has no part: CI runs them on one Python alone. What
 #: another Python, NumPy or pandas may take away, doctests of every public name and the rest call.
 ONCE = {
-    "test_adaptive", "test_all_cues", "test_calibration", "test_campaign", "test_charts",
-    "test_cli_design", "test_closed_form", "test_coverage", "test_cue_angle_side_angle",
+    "test_adaptive", "test_all_cues", "test_along_whisk", "test_array", "test_browser",
+    "test_calibration", "test_campaign", "test_charts", "test_cli_design", "test_closed_form",
+    "test_contact_calibration", "test_coverage", "test_criticism", "test_cue_angle_side_angle",
     "test_cue_balance_of_moments", "test_cue_compliance", "test_cue_force_map", "test_cue_fused",
     "test_cue_space_map", "test_cue_sweep", "test_cue_vibration", "test_cue_vibrissa_length",
     "test_design_information", "test_effects", "test_elastica", "test_emcee_hard_cases",
     "test_ensemble", "test_events", "test_factors", "test_fuzz", "test_fuzz_commands", "test_grid",
-    "test_integrate", "test_jnd", "test_jnd_sweep", "test_ladder", "test_lapse_prior",
-    "test_limits", "test_memory", "test_modes", "test_muscle", "test_objects", "test_paper",
-    "test_paper_figures", "test_pathology", "test_placement", "test_plan", "test_power",
-    "test_profile", "test_properties", "test_properties_choices", "test_properties_design",
-    "test_properties_inference", "test_properties_scenes", "test_receptors", "test_referees",
-    "test_rehearse", "test_ridge_status", "test_rod", "test_scale_out", "test_scene_costs",
-    "test_second_peak", "test_session", "test_spike_count", "test_stability",
-    "test_stability_three", "test_surface", "test_tasks", "test_weber_2d",
+    "test_hinge", "test_integrate", "test_jnd", "test_jnd_sweep", "test_ladder", "test_lapse_prior",
+    "test_limits", "test_memory", "test_modes", "test_muscle", "test_objects",
+    "test_paper", "test_paper_figures", "test_pathology", "test_placement", "test_plan",
+    "test_pooled", "test_power", "test_profile", "test_properties", "test_properties_choices",
+    "test_properties_design", "test_properties_inference", "test_properties_scenes",
+    "test_real_whiskers", "test_receptors", "test_referees", "test_rehearse", "test_ridge_status",
+    "test_rod", "test_scale_out", "test_scene_costs", "test_second_peak", "test_session",
+    "test_spike_count", "test_stability", "test_stability_three", "test_surface", "test_tasks",
+    "test_three_unknowns", "test_tiling", "test_weber_2d",
 }  # fmt: skip
 
 

@@ -531,7 +531,7 @@ def test_sessions_without_a_subject_are_one_animals() -> None:
 
 def test_reading_off_a_fit() -> None:
     trials, _ = animals(4)
-    fit = fit_population(trials, sessions=False)
+    fit = fit_population(trials, sessions=False, priors=KNOWN)
     summary = fit.summary(0.9)
     assert summary.index.tolist() == list(fit.parameters)
     posterior = fit.to_arviz(draws=5000)["posterior"]

@@ -28,7 +28,7 @@ DOMAINS = {d.name: d for d, *_ in stability.domains()}
 SIZES = {
     "closed form": (4, 1),
     "elastica": (4, 1),
-    "profile": (2, 1),
+    "profile": (2, 0),
     "rod, in the plane": (2, 1),
     "rod, out of the plane": (3, 0),
     "JND by propagation": (3, 1),
@@ -51,11 +51,12 @@ SIZES = {
 }
 
 
-#: Hunts of 3 to 4 s, whose subject a cheaper one of the same engine hunts too, or tests of its own
-#: hold to brute force: out of the plane, the log-normal map, `test_three_unknowns`, `test_fit`,
+#: Hunts whose subject a cheaper one of the same engine hunts too, or tests of its own hold to brute
+#: force: out of the plane, fusions of any whisker, `test_three_unknowns`, `test_fit`,
 #: `test_emcee_hard_cases`.
 LONG = {
-    "rod, in the plane", "fit of choices", "quadrature, map, stiffness unknown",
+    "rod, in the plane", "fit of choices", "quadrature, tap and map fused",
+    "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
     "quadrature, angle-side-angle, side unknown", "emcee, compliance",
 }  # fmt: skip
 

@@ -22,8 +22,6 @@ from weberwhisk.posterior.tiled import TiledObserver
 from weberwhisk.posterior.tiling import TooManyTiles, tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 fusions = load("stability_fusions")
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 WHISKERS = {
