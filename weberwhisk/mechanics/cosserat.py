@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
 from ..whisker import Whisker
-from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot, rows_of
+from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
 from .chebyshev import Array
 from .contact import Outcome
 from .continuation import zero_load
-from .equilibrium import ROUNDING, on_whisker
+from .equilibrium import ROUNDING, Scenes, on_whisker
 from .equilibrium import friction as check_friction
 from .shape import Profile
 
@@ -99,16 +99,11 @@ class RodScenes:
             raise ValueError(
                 f"poisson_ratio must be between -1 and 0.5, got {poisson_ratio:g}; write 0.38."
             )
-        profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
-        w = profile.whisker
-        parts = (profile.radius[0], w.stiffness, *vars(profile.law).values(), *scenes, tilt, roll)
-        shape = np.broadcast_shapes(*(np.shape(a) for a in parts))
-        length, force, friction, rolled = (
-            np.broadcast_to(a, shape).reshape(-1).astype(float)
-            for a in (w.length, w.force_scale, tilt, roll)
-        )
-        rows = rows_of(profile, shape)
-        return cls(rows, shape, length, force, friction, rolled, 1 + poisson_ratio, w)
+        given = {f"argument_{k}": value for k, value in enumerate(scenes)}
+        made = Scenes.of(whisker, friction_angle=tilt, plane=roll, **given)
+        friction, rolled = made.given[:2]
+        unit = made.length, made.force
+        return cls(made.rows, made.shape, *unit, friction, rolled, 1 + poisson_ratio, made.whisker)
 
     def flat(self, value: ArrayLike) -> Array:
         return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
