@@ -130,27 +130,58 @@ def test_slopes_are_those_of_the_signals(curvature):
     np.testing.assert_allclose(forward.jacobian(r, theta), rough, rtol=1e-5, atol=1e-9)
 
 
-def test_posterior_is_that_of_a_plain_sum_over_bent_whiskers():
-    observer = ww.Observer(hinged(), cues.ForceMap(), receptors.Weber(0.1))
-    reading = observer.read([30e-3, 0.5], seed=3)
+@pytest.mark.parametrize("spread", [0.0, 0.5])
+def test_posterior_is_that_of_a_plain_sum_over_bent_whiskers(spread):
+    """Of a hinge that is known, and of one whose stiffness has a log-normal prior."""
+    noise = receptors.Weber(0.1)
+    cue = cues.UnknownHinge(cues.ForceMap(), spread) if spread else cues.ForceMap()
+    observer = ww.Observer(hinged(), cue, noise)
+    reading = observer.read([30e-3, 0.5, SOFT][: len(observer.unknowns)], seed=3)
     found = ww.posterior(observer, reading)
     # Over distances and what bends the whisker: dθ = dθ′ (1 + M′/K), up to where θ is largest.
-    r = (np.arange(400) + 0.5) / 400 * PLAIN.length
+    n, m = (120, 1201) if spread else (400, 1601)
+    r = (np.arange(n) + 0.5) / n * PLAIN.length
     end = elastica.flick_past(PLAIN, r).deflection_angle
-    inner = np.linspace(0, 1, 1601) ** 2 * end[:, None] * (1 - 1e-9)
+    inner = np.linspace(0, 1, m) ** 2 * end[:, None] * (1 - 1e-9)
     bent = elastica.press(PLAIN, r[:, None], inner)
-    angle = inner[:, ::2] + bent.moment[:, ::2] / SOFT
-    weight = np.diff(angle, axis=1)
-    weight = np.where(np.minimum.accumulate(weight > 0, axis=1), weight, 0.0)
-    weight *= angle[:, 1:] < np.pi
     signals = np.stack([bent.moment, bent.axial_force], axis=-1)[:, 1::2]
-    weight *= np.exp(receptors.Weber(0.1).log_likelihood(reading, signals) - 60)
-    density = weight.sum(axis=1) / weight.sum()
-    mean = density @ r
-    sd = np.sqrt(density @ (r - mean) ** 2)
+    likelihood = np.exp(noise.log_likelihood(reading, signals) - 60)
+    z, mass = np.polynomial.hermite_e.hermegauss(40) if spread else (np.zeros(1), np.ones(1))
+    stiffness = SOFT * np.exp(spread * z)
+    density = []
+    for soft in stiffness:
+        angle = inner[:, ::2] + bent.moment[:, ::2] / soft
+        weight = np.diff(angle, axis=1)
+        weight = np.where(np.minimum.accumulate(weight > 0, axis=1), weight, 0.0)
+        weight *= (angle[:, 1:] < np.pi) * likelihood
+        density.append(weight.sum(axis=1))
+    density = np.array(density) * mass[:, None]
+    density /= density.sum()
     assert found.status.name == "CONVERGED"
-    assert abs(found.mean - mean) < 2e-3 * sd
-    assert abs(found.sd / sd - 1) < 2e-3
+    for name, of, value in (
+        ("radial_distance", density.sum(axis=0), r),
+        ("hinge_stiffness", density.sum(axis=1), stiffness),
+    )[: 1 + (spread > 0)]:
+        mean = of @ value
+        sd = np.sqrt(of @ (value - mean) ** 2)
+        assert abs(found.estimates[name].mean - mean) < 2e-3 * sd
+        assert abs(found.estimates[name].sd / sd - 1) < 2e-3
+
+
+def test_a_muscle_turns_a_whisker_on_a_hinge():
+    """By as much more as the hinge gives: the same moment at a larger angle."""
+    cue, r = cues.BalanceOfMoments(effort=None), np.array([15e-3, 25e-3])
+    inner = np.array([0.1, 0.08])
+    moment = elastica.press(PLAIN, r, inner).moment
+    angle = inner + moment / SOFT
+    signals, outcome = cue.signals(hinged(), np.stack([r, angle], axis=-1))
+    muscle = cue.curve.moment(cue.impact_angle + angle)
+    assert np.all(outcome == Outcome.HELD)
+    np.testing.assert_allclose(signals[:, 1], cue.gain * moment / PLAIN.moment_scale / muscle)
+    known = cues.BalanceOfMoments(effort=0.3)
+    soft = cues.UnknownHinge(known, 0.3)
+    both = soft.signals(hinged(), np.stack([r, [SOFT, SOFT]], axis=-1))[0]
+    np.testing.assert_allclose(both, known.signals(hinged(), r[:, None])[0], rtol=1e-6)
 
 
 def test_jnd_of_a_tap_grows_by_the_share_of_the_hinge():
@@ -203,7 +234,6 @@ CLAMPED_ONLY = {
     "distance": lambda: closed_form.distance_from_moment(W, 1e-6, 0.1),
     "contact": lambda: closed_form.contact_from_signals(W, 1e-6, 1e-5),
     "SpaceMap": lambda: ww.Observer(W, cues.SpaceMap()),
-    "BalanceOfMoments": lambda: ww.Observer(W, cues.BalanceOfMoments()),
     "AngleSideAngle": lambda: ww.Observer(W, cues.AngleSideAngle()),
     "UnknownStiffness": lambda: ww.Observer(W, cues.UnknownStiffness(cues.ForceMap())),
     "Friction": lambda: ww.Observer(W, cues.Friction(cues.ForceMap())),
@@ -219,6 +249,11 @@ CLAMPED_ONLY = {
 def test_what_takes_no_hinge_refuses_it(name):
     with pytest.raises(ValueError, match="clamped base, got hinge_stiffness"):
         CLAMPED_ONLY[name]()
+
+
+def test_an_unknown_hinge_needs_a_whisker_on_one():
+    with pytest.raises(ValueError, match="needs a whisker on a hinge"):
+        ww.Observer(PLAIN, cues.UnknownHinge(cues.ForceMap(), 0.3))
 
 
 def test_known_friction_goes_with_a_hinge():

@@ -8,7 +8,14 @@ from scipy.stats import uniform
 
 import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, posterior
-from weberwhisk.cues import Compliance, ForceMap, Friction, Fused, UnknownCurvature
+from weberwhisk.cues import (
+    BalanceOfMoments,
+    Compliance,
+    ForceMap,
+    Friction,
+    Fused,
+    UnknownCurvature,
+)
 from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
@@ -227,6 +234,72 @@ def test_compliance_of_a_curved_whisker():
     observer = Observer(w, Fused(Compliance(), ForceMap()))
     found = posterior(observer, observer.read([25e-3, 0.1], seed=2))
     assert abs(found.mean - 25e-3) < 4 * found.sd
+
+
+@pytest.mark.parametrize("effort", [1.0, None])
+def test_a_curved_whisker_balances_where_the_planar_beam_says(effort):
+    """The effort is the muscle's at the balance, up to where it would peak; so with friction."""
+    w, friction = whisker(20, 8.0), -0.3
+    cue = BalanceOfMoments(effort=effort)
+    rubbing = Friction(cue, friction)
+    r = np.array([8e-3, 20e-3, 28e-3])
+    push = np.array([0.05, 0.1, 0.2])
+    contact = r[:, None] if effort else np.stack([r, push], axis=-1)
+    for felt, psi in ((cue, 0.0), (rubbing, friction)):
+        signals, outcome = felt.signals(w, contact)
+        assert (outcome == 0).all()
+        angle, wanted = signals[:, 0], signals[:, 1] if effort is None else effort
+        moment = planar_signals(w, r, angle, psi)[0][:, 0] / w.moment_scale
+        muscle = cue.curve.moment(cue.impact_angle + angle)
+        assert cue.gain * moment / muscle == pytest.approx(wanted, rel=2e-5)
+        edge = felt.largest_angle(felt.forward(w, contact), r)
+        end = profile.flick_past(w, r, psi).deflection_angle - profile.rest_angle(w, r)
+        theta = np.linspace(0.01, 0.999, 200) * np.minimum(end, cue.room)[:, None]
+        moments = planar_signals(w, r[:, None], theta, psi)[0][..., 0]
+        peak = (moments / cue.curve.moment(cue.impact_angle + theta)).argmax(axis=1)
+        assert np.take_along_axis(theta, peak[:, None], 1)[:, 0] == pytest.approx(edge, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("effort", "unknown"),
+    [(1.0, False), (None, False), pytest.param(1.0, True, marks=pytest.mark.slow)],  # 8, 2, 1 s
+)
+def test_posteriors_of_a_curved_balance_are_a_plain_sum(effort, unknown):
+    """Over distances and rotations, by the planar beam's moments, with a friction known or not."""
+    w = whisker(20, -10.0)
+    cue = BalanceOfMoments(effort=effort)
+    place = [20e-3, 0.1][: len(cue.unknowns)]
+    n = 60
+    r = (np.arange(n) + 0.5) / n * 35e-3
+    theta = (
+        (np.arange(2 * n) + 0.5) / (2 * n) * 0.9 if effort is None else np.linspace(0.01, 0.9, n)
+    )
+    observer = Observer(w, Friction(cue) if unknown else cue)
+    reading = observer.read([*place, *[0.1] * unknown], seed=3)
+    found = posterior(observer, reading)
+    log = []
+    for psi in MU * np.polynomial.legendre.leggauss(5)[0] if unknown else [0.0]:
+        signals, outcome = planar_signals(w, r[:, None], theta, psi)
+        muscle = cue.curve.moment(cue.impact_angle + theta)
+        held = np.where(outcome == 0, signals[..., 0] / w.moment_scale, 0.0)
+        effort_of = cue.gain * held / muscle
+        peak = effort_of.argmax(axis=1)
+        if effort is None:
+            felt = np.stack([np.broadcast_to(theta, held.shape), effort_of], axis=-1)
+            each = observer.noise.log_likelihood(reading, felt)
+            log.append(np.where(np.arange(theta.size) <= peak[:, None], each, -np.inf))
+            continue
+        rising = [e[: k + 1] for e, k in zip(effort_of, peak, strict=True)]
+        at = [np.interp(1.0, e, theta[: len(e)], right=np.nan) for e in rising]
+        each = observer.noise.log_likelihood(reading, np.nan_to_num(at)[:, None])
+        log.append(np.where(np.isfinite(at), each, -np.inf))
+    weights = np.polynomial.legendre.leggauss(5)[1] if unknown else [1.0]
+    each = [np.exp(a).reshape(n, -1).sum(axis=1) for a in log]
+    density = sum(a * b for a, b in zip(weights, each, strict=True))
+    mean = density @ r / density.sum()
+    sd = np.sqrt(density @ (r - mean) ** 2 / density.sum())
+    assert found.mean == pytest.approx(mean, abs=5e-3 * sd)
+    assert found.sd == pytest.approx(sd, rel=5e-3)
 
 
 def test_a_nuisance_that_is_known_after_all_changes_nothing():

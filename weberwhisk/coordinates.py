@@ -180,12 +180,12 @@ class ContactCoordinates:
         """
         count = len(self.cue.unknowns)
         if contact is not None and contact.shape[-1] == count:
-            limit = self.cue.forward(self.whisker, contact).limit(r)
+            models = [self.cue.forward(self.whisker, contact)]
         else:
-            forward = self.cue.forward(self.whisker, np.zeros((*r.shape, count)))
-            limit = np.max([f.limit(r) for f in forward.extremes(5)], axis=0)
-        if hasattr(self.cue, "largest_angle"):
-            limit = np.minimum(limit, self.cue.largest_angle(self.whisker, r))
+            models = self.cue.forward(self.whisker, np.ones((*r.shape, count))).extremes(5)
+        whiskers = models if self.cue.takes_curved else [self.whisker]
+        limit = np.max([f.limit(r) for f in models], axis=0)
+        limit = np.minimum(limit, np.max([self.cue.largest_angle(w, r) for w in whiskers], axis=0))
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)
@@ -202,7 +202,7 @@ class ContactCoordinates:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""
         w = forward_of(self.whisker)
         room = np.maximum(1 / r - 1 / (w.base.apex_distance * w.reach / w.length), 1e-300)
-        if w.give:  # in series
+        if w.is_hinged:  # in series
             room = 1 / (1 / room + w.give * w.base.compliance_constant)
         # Where a prior leaves no angle there is nothing to carry.
         width = np.maximum(width, np.finfo(float).tiny)

@@ -8,9 +8,8 @@ from .force_map import ForceMap
 from .fused import Fused
 from .lateral_slip import LateralSlip
 from .protocol import Cue
-from .rubbing import Friction, UnknownCurvature
 from .space_map import SpaceMap
-from .unknown_stiffness import UnknownStiffness
+from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownStiffness
 from .vibration import Vibration
 from .vibrissa_length import VibrissaLength
 
@@ -28,6 +27,7 @@ __all__ = [
     "SpaceMap",
     "TwoWhiskers",
     "UnknownCurvature",
+    "UnknownHinge",
     "UnknownStiffness",
     "Vibration",
     "VibrissaLength",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,17 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import number, positive, positive_number, shown
-from ..mechanics import closed_form, ladder
+from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
+from ..mechanics.forward import ForwardModel, forward_of
 from ..mechanics.muscle import SEPARATION, WHISKING, MuscleCurve, whisking_range
-from ..mechanics.surface import base_signals, surface_of
 from ..receptors import GeneralisedWeber
-from ..whisker import Whisker
 from .angle_side_angle import ANGLE_SD
-from .protocol import Array, Cue, Felt, straight
-
-#: Steps of Newton's method, with slopes read off a table; relative size of the last that ends it.
-STEPS, ENDED = 2, 1e-8
+from .protocol import Array, Cue, Felt
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,7 +27,8 @@ class BalanceOfMoments(Cue):
     The muscle turns the follicle past the impact until the whisker's moment is the muscle's:
     gain·M(r, θ_b)·L/EI₀ = effort·curve(impact + θ_b). With a known effort the angle alone tells of
     distance. Otherwise the effort is felt, with noise, as a second signal, and the deflection
-    angle at the balance, which is the true θ_b, is a second unknown.
+    angle at the balance, which is the true θ_b, is a second unknown. Angles of a curved whisker are
+    from where it first touches.
 
     Parameters
     ----------
@@ -54,7 +51,8 @@ class BalanceOfMoments(Cue):
     -----
     The first crossing of the two curves is on the rising flank of effort(θ) = gain·M(r,
     θ)/curve(impact + θ): beyond its peak the whisker flicks past. Known and felt effort differ in
-    what is flat beforehand: r alone, or r and θ_d.
+    what is flat beforehand: r alone, or r and θ_d. Of models that are named, the closed form and
+    the straight elastica serve; any other is the table of the one that leaves nothing out.
 
     Examples
     --------
@@ -68,6 +66,7 @@ class BalanceOfMoments(Cue):
     array([15., 25.])
     """
 
+    takes_curved = True
     impact_angle: float = float(np.radians(60.0))
     _: KW_ONLY
     effort: float | None = 1.0
@@ -123,124 +122,105 @@ class BalanceOfMoments(Cue):
         """The largest muscle moment at a rotation past the impact."""
         return self.curve.moment(self.impact_angle + theta, self.separation)
 
-    def _effort(self, whisker: Whisker, r: Array, theta: Array, model: str | None = None) -> Array:
+    def _effort(self, whisker: Any, r: Array, theta: Array, model: str | None = None) -> Array:
         """The effort that holds a deflection; NaN where the contact is not held."""
+        forward = _served(whisker, model)
         if model == "closed_form":
-            moment = closed_form.moment(whisker, r, theta)
+            moment = closed_form.moment(forward.base, r, 1.0)
+            moment = theta * moment / (1 + forward.give * moment)
         else:
-            moment = base_signals(whisker, r, theta)[0][..., 0]
-        return np.asarray(self.gain * moment / whisker.moment_scale / self._muscle(theta))
+            moment = forward.signals(r, theta)[0][..., 0]
+        return np.asarray(self.gain * moment / forward.base.moment_scale / self._muscle(theta))
 
     def _slopes(
-        self, whisker: Whisker, r: Array, theta: Array, model: str | None = None
+        self, whisker: Any, r: Array, theta: Array, model: str | None = None
     ) -> tuple[Array, Array]:
         """d effort/dr and d effort/dθ."""
-        jacobian = (closed_form if model == "closed_form" else ladder).signal_jacobian(
-            whisker, r, theta
-        )
-        by_r, by_theta = np.moveaxis(jacobian[..., 0, :] / whisker.moment_scale, -1, 0)
+        forward = _served(whisker, model)
+        if model == "closed_form":
+            forward = replace(forward, model=model)
+        jacobian = forward.jacobian(r, theta)
+        by_r, by_theta = np.moveaxis(jacobian[..., 0, :] / forward.base.moment_scale, -1, 0)
         muscle, h = self._muscle(theta), 1e-5
         rise = (self._muscle(theta + h) - self._muscle(theta - h)) / (2 * h) / muscle
         effort = self._effort(whisker, r, theta, model)
         return self.gain * by_r / muscle, self.gain * by_theta / muscle - effort * rise
 
-    def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
+    def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
         """Largest deflection (...) at which a muscle can be in balance, rad: the observer's edge.
 
         Where effort(θ) peaks, or where whisking or the contact ends before.
         """
-        limit = (
-            surface_of(whisker).limit(radial_distance.reshape(-1)).reshape(radial_distance.shape)
-        )
-        top = np.minimum(limit, self.room)
-        return np.asarray(top * _peaks(self, whisker)(radial_distance / whisker.length))
+        forward = _served(whisker)
+        top = np.minimum(forward.limit(radial_distance), self.room)
+        share = forward.between(_peaks(self, forward.extremes(1)[0])(radial_distance))
+        return np.asarray(top * share)
 
     # -- the cue -------------------------------------------------------------------------------
 
-    def _balance(
-        self, whisker: Whisker, r: Array, model: str | None
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Rotation at which the known effort is reached, and whether it ever is, (n,) each."""
-        assert self.effort is not None
-        top, balanced = self._ends(whisker, r, model)
-        angle, slope = _guesses(self, whisker, model)(r)
-        near = np.flatnonzero(balanced & (angle > 0))
-        at, end, step = r[near], top[near], np.full(near.shape, np.inf)
-        for _ in range(STEPS):
-            step = (self.effort - self._effort(whisker, at, angle[near], model)) / slope[near]
-            angle[near] = np.clip(angle[near] + step, 0.0, end)
-        # Next to the last balance, within brackets.
-        ended = np.zeros(r.shape, dtype=bool)
-        ended[near] = np.abs(step) <= ENDED * angle[near]
-        left = balanced & ~ended
-        if left.any():
-            angle[left] = self._bracketed(whisker, r[left], top[left], model)
-        return angle, balanced
-
-    def _ends(
-        self, whisker: Whisker, r: Array, model: str | None
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """The largest rotation, and whether the known effort is reached by then, (n,) each."""
+    def _ends(self, whisker: Any, r: Array, model: str | None) -> tuple[Array, NDArray[np.bool_]]:
+        """The largest rotation, and whether the known effort is reached by then, (...) each."""
         assert self.effort is not None
         top = np.full(r.shape, self.room)
         if model != "closed_form":
             top = np.nan_to_num(self.largest_angle(whisker, r)) * (1 - 1e-12)
         return top, np.asarray(self._effort(whisker, r, top, model) >= self.effort)
 
-    def _bracketed(self, whisker: Whisker, r: Array, top: Array, model: str | None) -> Array:
-        """The rotations (n,) below `top` at which the known effort is reached there, or before."""
+    def _balance(
+        self, whisker: Any, r: Array, model: str | None
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Rotation at which the known effort is reached, and whether it ever is, (...) each."""
         from scipy.optimize.elementwise import find_root
 
-        known = self.effort
+        known, (top, balanced) = self.effort, self._ends(whisker, r, model)
         assert known is not None
+        forward = _served(whisker, model)
+        given = {n: getattr(forward, n) for n in ("friction", "offset", "hinge")}
+        given = {name: value for name, value in given.items() if value is not None}
 
-        def excess(theta: Array, *r: Any) -> Array:
-            return self._effort(whisker, r[0], theta, model) - known
+        def excess(theta: Array, r: Array, *values: Array) -> Array:
+            under = replace(forward, **dict(zip(given, values, strict=True)))
+            return self._effort(under, r, theta, model) - known
 
-        ends = (np.zeros(r.shape), top)
-        found = find_root(excess, ends, args=(r,), tolerances={"fatol": 0.0})
-        return np.asarray(found.x)
+        with np.errstate(invalid="ignore"):
+            found = find_root(excess, (np.zeros(r.shape), top), args=(r, *given.values()))
+        return np.asarray(found.x), balanced
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
         """Balance angle, rad, and effort where it is felt (..., S), and the outcome (...)."""
-        straight(whisker)
         contact = np.asarray(contact, dtype=float)
-        r = contact[..., 0]
-        on_whisker = (r > 0) & (r <= whisker.length) & (r < whisker.apex_distance)
-        r = np.where(on_whisker, r, whisker.length / 2)
+        forward = _served(whisker)
+        r, limit = contact[..., 0], forward.limit(contact[..., 0])
+        on_whisker = (r > 0) & (r < forward.base.apex_distance) & np.isfinite(limit)
+        r = np.where(on_whisker, r, forward.reach / 2)
         if self.effort is None:
             theta = contact[..., 1]
             balanced = np.asarray(on_whisker & (theta > 0))
             if model != "closed_form":
                 balanced &= theta <= self.largest_angle(whisker, r)
-            theta = np.where(balanced, theta, np.nan)
-            safe = np.where(balanced, theta, 1e-3)
-            effort = np.where(balanced, self._effort(whisker, r, safe, model), np.nan)
+            effort = self._effort(whisker, r, np.where(balanced, theta, 1e-3), model)
+            balanced &= np.isfinite(effort)
             signals = np.stack([theta, effort], axis=-1)
         else:
-            angle, reached = self._balance(whisker, r.reshape(-1), model)
-            balanced = on_whisker & reached.reshape(r.shape)
-            signals = np.where(balanced, angle.reshape(r.shape), np.nan)[..., None]
-        outcome = np.zeros(r.shape, dtype=np.int8)
-        lost = ~balanced
-        outcome[lost] = np.where(
-            on_whisker[lost], self._end(whisker, r[lost]), Outcome.OUT_OF_REACH
-        )
-        return signals, outcome
+            angle, reached = self._balance(whisker, r, model)
+            balanced, signals = on_whisker & reached, angle[..., None]
+        outcome = np.where(on_whisker, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        lost = on_whisker & ~balanced
+        if lost.any():
+            beyond = np.nan_to_num(limit) + 1.0
+            end = np.where(
+                limit > self.room, Outcome.END_OF_WHISKING, forward.signals(r, beyond)[1]
+            )
+            outcome[lost] = end[lost]
+        return np.where(balanced[..., None], signals, np.nan), outcome
 
-    def _end(self, whisker: Whisker, r: Array) -> NDArray[np.int8]:
-        """What ends a rotation (n,) without a balance: whisking, or what ends any deflection."""
-        _, end = base_signals(whisker, r, np.full(r.shape, np.pi))
-        whisked = surface_of(whisker).limit(r) > self.room
-        return np.where(whisked, Outcome.END_OF_WHISKING, end).astype(np.int8)
-
-    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
+    def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
         """Slopes of the signals (..., S, U): dθ_b/dr = −(∂effort/∂r)/(∂effort/∂θ) of the known."""
         contact = np.asarray(contact, dtype=float)
         signals, _ = self.signals(whisker, contact, model=model)
         r, theta = contact[..., 0], signals[..., 0]
         held = np.isfinite(theta)
-        safe_r = np.where(held, r, whisker.length / 2)
+        safe_r = np.where(held, r, forward_of(whisker).reach / 2)
         safe = np.where(held, theta, 1e-3)
         by_r, by_theta = self._slopes(whisker, safe_r, safe, model)
         if self.effort is not None:
@@ -255,21 +235,21 @@ class BalanceOfMoments(Cue):
             return GeneralisedWeber([0.0, 0.1], floor=[ANGLE_SD, 0.0])
         return GeneralisedWeber(0.0, floor=ANGLE_SD)
 
-    def farthest(self, whisker: Whisker) -> float:
+    def farthest(self, whisker: Any) -> float:
         """As far as a balance is reached, m; the tip where the effort is felt."""
-        length = float(whisker.length)
-        if self.effort is not None:
-            last = _last_balance(self, whisker, None)
-            if last == 0:
-                raise ValueError(
-                    f"No contact balances an effort of {self.effort:g} after an impact at "
-                    f"{self.impact_angle:.3g} rad; write a smaller effort or an earlier impact."
-                )
-            return last
-        return length
+        forward = forward_of(whisker)
+        if self.effort is None:
+            return forward.reach
+        last = max(_last_balance(self, f, None) for f in forward.extremes())
+        if last == 0:
+            raise ValueError(
+                f"No contact balances an effort of {self.effort:g} after an impact at "
+                f"{self.impact_angle:.3g} rad; write a smaller effort or an earlier impact."
+            )
+        return last
 
     def radial_distance(
-        self, whisker: Whisker, balance_angle: ArrayLike, effort: ArrayLike | None = None
+        self, whisker: Any, balance_angle: ArrayLike, effort: ArrayLike | None = None
     ) -> tuple[Array, NDArray[np.int8]]:
         """The distance at which muscle and whisker balance at an angle, m, and its outcome.
 
@@ -284,7 +264,7 @@ class BalanceOfMoments(Cue):
             )
         wanted = positive("effort", known, "give a part of the largest, 0.5 say")
         theta, wanted = np.broadcast_arrays(theta, wanted)
-        low, high = np.zeros(theta.shape), np.full(theta.shape, float(whisker.length))
+        low, high = np.zeros(theta.shape), np.full(theta.shape, forward_of(whisker).reach)
         for _ in range(60):
             r = (low + high) / 2
             far = ~(theta <= self.largest_angle(whisker, r))
@@ -296,66 +276,46 @@ class BalanceOfMoments(Cue):
         return np.where(found, low, np.nan), outcome
 
 
+def _served(whisker: Any, model: str | None = None) -> ForwardModel:
+    """The forward model whose table serves."""
+    forward = forward_of(whisker)
+    rough = model == "elastica" and not forward.is_plain
+    return replace(forward, model=model if rough else None)
+
+
 @lru_cache(maxsize=64)
-def _peaks(cue: BalanceOfMoments, whisker: Whisker) -> Callable[[Array], Array]:
-    """Where effort(θ) peaks, over the largest angle there is, against r/L."""
+def _peaks(cue: BalanceOfMoments, forward: ForwardModel) -> Callable[[Array], Array]:
+    """Where effort(θ) peaks, over the largest angle there is, against r, at all extremes."""
     from scipy.interpolate import PchipInterpolator
 
     share = (1 - np.cos(np.linspace(0, np.pi, 201)[1:-1])) / 2
-    r = share * whisker.length
-    top = np.minimum(surface_of(whisker).limit(r), cue.room)
-    low, high = np.zeros(r.shape), np.ones(r.shape)
-    for _ in range(30):  # effort is level there: an angle off by 1e-9 is nothing
-        middle = (low + high) / 2
-        rises = cue._slopes(whisker, r, middle * top)[1] > 0
-        low, high = np.where(rises, middle, low), np.where(rises, high, middle)
-    ends = np.concatenate([high[:1], high, high[-1:]])
-    interpolant: Callable[[Array], Array] = PchipInterpolator(
-        np.concatenate([[0.0], share, [1.0]]), ends
-    )
+    r, ends = share * forward.reach, []
+    for model in forward.extremes(5):
+        top = np.minimum(model.limit(r), cue.room)
+        low, high = np.zeros(r.shape), np.ones(r.shape)
+        for _ in range(30):  # effort is level there: an angle off by 1e-9 is nothing
+            middle = (low + high) / 2
+            rises = cue._slopes(model, r, middle * top)[1] > 0
+            low, high = np.where(rises, middle, low), np.where(rises, high, middle)
+        known = np.isfinite(top)
+        high[~known] = high[known][-1]  # beyond its tip: anything smooth
+        ends.append(np.concatenate([high[:1], high, high[-1:]]))
+    places = np.concatenate([[0.0], r, [forward.reach]])
+    interpolant: Callable[[Array], Array] = PchipInterpolator(places, np.stack(ends, axis=-1))
     return interpolant
 
 
 @lru_cache(maxsize=64)
-def _guesses(
-    cue: BalanceOfMoments, whisker: Whisker, model: str | None
-) -> Callable[[Array], tuple[Array, Array]]:
-    """Nearly the rotation at a balance, and d effort/dθ there, as functions of r (n,), m.
-
-    Near the base the one goes with r, the other with 1/r; NaN past the last balance.
-    """
-    from scipy.interpolate import CubicSpline
-
-    # Next to the last balance the rotation changes as a root does: evenly in phi.
-    phi = np.linspace(0, np.pi, 258)[1:-1]
-    last = _last_balance(cue, whisker, model)
-    r = last * (1 - np.cos(phi)) / 2
-    top, balanced = cue._ends(whisker, r, model)
-    if not balanced.all():  # none, or not in one stretch: all by brackets
-        return lambda r: (np.full(r.shape, np.nan), np.full(r.shape, np.nan))
-    angle = cue._bracketed(whisker, r, top, model)
-    slope = cue._slopes(whisker, r, angle, model)[1]
-    table = CubicSpline(phi, np.stack([angle / r, slope * r], axis=-1))
-
-    def guess(at: Array) -> tuple[Array, Array]:
-        place = np.arccos(np.clip(1 - 2 * at / last, -1.0, 1.0))
-        ratio, product = table(np.maximum(place, phi[0])).T
-        return ratio * at, product / at
-
-    return guess
-
-
-@lru_cache(maxsize=64)
-def _last_balance(cue: BalanceOfMoments, whisker: Whisker, model: str | None) -> float:
+def _last_balance(cue: BalanceOfMoments, forward: ForwardModel, model: str | None) -> float:
     """The first distance from the base at which there is no balance, m; 0 where there is none."""
 
     def balances(r: Array) -> NDArray[np.bool_]:
-        return cue._ends(whisker, r, model)[1]
+        return cue._ends(forward, r, model)[1]
 
-    r = np.linspace(0.005, 1 - 1e-9, 400) * whisker.length
+    r = np.linspace(0.005, 1 - 1e-9, 400) * forward.reach
     held = balances(r)
     if held.all():
-        return float(whisker.length)
+        return forward.reach
     if not held[0]:
         return 0.0
     for _ in range(9):  # to the last digits

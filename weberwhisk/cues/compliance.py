@@ -117,7 +117,7 @@ class Compliance(Cue):
             return super().jacobian(whisker, contact, model=model)
         if self.tap_angle == 0 or model == "closed_form":
             slope = -forward.base.compliance_constant / r**2
-            if forward.give:  # in series with a hinge, which takes a share of every angle
+            if forward.is_hinged:  # in series with a hinge, which takes a share of every angle
                 slope = slope * (1 - forward.give * forward.stiffness(r)[0]) ** 2
         else:
             slope = forward.jacobian(r, self.tap_angle)[..., 0, 0] / self.tap_angle

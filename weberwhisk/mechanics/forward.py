@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,7 +52,9 @@ class ForwardModel(Value):
         Friction angle, rad, as in `press`; arrays broadcast with the contacts.
     offset : float or array
         What is added to the curvature at rest, 1/m.
-    friction_range, offset_range : (float, float), optional
+    hinge : float or array, optional
+        Stiffness of the hinge, N m/rad; by default the whisker's own.
+    friction_range, offset_range, hinge_range : (float, float), optional
         Of all that may be asked for; by default what is given.
 
     Examples
@@ -67,8 +70,10 @@ class ForwardModel(Value):
     model: str | None = None
     friction: Any = 0.0
     offset: Any = 0.0
+    hinge: Any = None
     friction_range: tuple[float, float] = (0.0, 0.0)
     offset_range: tuple[float, float] = (0.0, 0.0)
+    hinge_range: tuple[float, float] = (0.0, 0.0)
 
     # -- what it is like -----------------------------------------------------------------------
 
@@ -79,17 +84,30 @@ class ForwardModel(Value):
         return whisker
 
     @cached_property
-    def give(self) -> float:
+    def is_hinged(self) -> bool:
+        """Whether the base is not clamped."""
+        return getattr(self.whisker, "hinge_stiffness", None) is not None
+
+    @cached_property
+    def give(self) -> Any:
         """How far the base turns, rad/(N m); 0 where it is clamped."""
-        stiffness = getattr(self.whisker, "hinge_stiffness", None)
-        return 0.0 if stiffness is None else 1 / stiffness
+        if not self.is_hinged:
+            return 0.0
+        return 1 / (self.whisker.hinge_stiffness if self.hinge is None else self.hinge)
+
+    @cached_property
+    def _gives(self) -> tuple[float, float]:
+        """Between which it lies."""
+        low, high = self.hinge_range
+        return (1 / high, 1 / low) if high > low else (float(self.give), float(self.give))
 
     @cached_property
     def clamped(self) -> ForwardModel:
         """The same without a hinge."""
-        if not self.give:
+        if not self.is_hinged:
             return self
-        return replace(self, whisker=replace(self.whisker, hinge_stiffness=None))
+        bare = replace(self.whisker, hinge_stiffness=None)
+        return replace(self, whisker=bare, hinge=None, hinge_range=(0.0, 0.0))
 
     @property
     def length(self) -> float:
@@ -119,26 +137,45 @@ class ForwardModel(Value):
         """Largest error of the table, over the lateral force."""
         return getattr(self.surface, "error", 1e-9)
 
-    def rubbing(self, friction: Any, ends: tuple[float, float]) -> ForwardModel:
-        """With friction, rad, between two ends."""
-        self._known(ends)
-        return replace(self, friction=friction, friction_range=ends)
-
-    def bowed(self, offset: Any, ends: tuple[float, float]) -> ForwardModel:
-        """With curvature, 1/m, between two ends, added to that at rest."""
-        self._known(ends)
-        return replace(self, offset=offset, offset_range=ends)
-
-    def _known(self, ends: tuple[float, float]) -> None:
-        if ends[1] > ends[0]:
+    def under(self, name: str, value: Any, ends: tuple[float, float]) -> ForwardModel:
+        """With another ``friction``, ``offset`` or ``hinge``, between two ends."""
+        if ends[1] > ends[0] and name != "hinge":
             refuse_hinge(self.whisker, "An unknown friction or curvature")
+        changed: dict[str, Any] = {name: value, f"{name}_range": ends}
+        return replace(self, **changed)
 
     def extremes(self, count: int = 3) -> list[ForwardModel]:
         """Some of all that may be, each with numbers for what is uncertain."""
-        out = []
-        for psi in np.unique(np.linspace(*self.friction_range, count)):
-            for kappa in np.unique(np.linspace(*self.offset_range, count)):
-                out.append(replace(self, friction=float(psi), offset=float(kappa)))
+        grids = self._grids(count)
+        names = list(grids)
+        return [
+            replace(self, **dict(zip(names, values, strict=True)))
+            for values in product(*(map(float, grid) for grid in grids.values()))
+        ]
+
+    def between(self, values: Array, count: int = 5) -> Array:
+        """What values (..., n) at the `extremes` are where this one is, (...): by Lagrange."""
+        weight = np.ones(1)
+        for name, grid in self._grids(count).items():
+            at, nodes = np.asarray(getattr(self, name), dtype=float), grid
+            if name == "hinge":
+                at, nodes = np.log(at), np.log(grid)
+            own = [
+                np.prod([(at - other) / (node - other) for other in nodes if other != node], axis=0)
+                for node in nodes
+            ]
+            both = weight[..., :, None] * np.stack(np.broadcast_arrays(*own), axis=-1)[..., None, :]
+            weight = both.reshape(*both.shape[:-2], -1)
+        return np.asarray((values * weight).sum(axis=-1))
+
+    def _grids(self, count: int) -> dict[str, Array]:
+        """Values of what is uncertain or, of friction and curvature, known."""
+        out = {
+            "friction": np.unique(np.linspace(*self.friction_range, count)),
+            "offset": np.unique(np.linspace(*self.offset_range, count)),
+        }
+        if self.hinge_range[1] > self.hinge_range[0]:
+            out["hinge"] = np.geomspace(*self.hinge_range, count)
         return out
 
     # -- contacts ------------------------------------------------------------------------------
@@ -148,7 +185,8 @@ class ForwardModel(Value):
 
         The surface is then contracted once, not at every contact: ten times as fast.
         """
-        given = [np.asarray(a, dtype=float) for a in (r, *more, self.friction, self.offset)]
+        uncertain = (self.friction, self.offset, self.give)
+        given = [np.asarray(a, dtype=float) for a in (r, *more, *uncertain)]
         shape = np.broadcast_shapes(*(a.shape for a in given))
         flat = [np.broadcast_to(a, shape).reshape(-1) for a in given[: len(more) + 1]]
         for a in given[len(more) + 1 :]:
@@ -158,7 +196,7 @@ class ForwardModel(Value):
 
     def rest(self, r: ArrayLike) -> Array:
         """Deflection angle at which the whisker at rest touches at a distance (...), rad."""
-        shape, (flat, psi, kappa) = self._rows(r)
+        shape, (flat, psi, kappa, _) = self._rows(r)
         if self.is_plain:
             return np.zeros(shape)
         whisker = self.clamped.whisker
@@ -167,9 +205,10 @@ class ForwardModel(Value):
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
-        shape, (flat, psi, kappa) = self._rows(r)
-        if self.give:
-            last = hinge.largest(self._table, self.give, flat)[2]
+        shape, (flat, psi, kappa, give) = self._rows(r)
+        if self.is_hinged:
+            give = np.broadcast_to(give, flat.shape)
+            last = hinge.largest(self._table, self._gives, flat, give)[2]
             return np.minimum(last, np.pi).reshape(shape)
         if isinstance(self.surface, Surface):
             return self.surface.limit(flat).reshape(shape)
@@ -184,7 +223,7 @@ class ForwardModel(Value):
 
     def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Moment, axial and transverse force (..., 3), NaN where not held, and outcome (...)."""
-        if self.give:
+        if self.is_hinged:
             inner, falls = self._bent(r, theta)
             signals, outcome = self.clamped.signals(r, inner)
             outcome[falls & (outcome == Outcome.SLIPPED_OFF_TIP)] = Outcome.FLICKED_PAST
@@ -200,19 +239,20 @@ class ForwardModel(Value):
 
     def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """How much of deflections bends the whisker (...), and whether it lost hold early."""
-        r, theta = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(theta, dtype=float))
+        shape, (flat, angle, _, _, give) = self._rows(r, theta)
+        give = np.broadcast_to(give, flat.shape)
         if self.model == "closed_form":
-            clamped = closed_form.moment(self.base, r, 1.0)
-            return theta / (1 + self.give * clamped), np.zeros(r.shape, dtype=bool)
-        inner, falls = hinge.bent(self._table, self.give, r.reshape(-1), theta.reshape(-1))
-        return inner.reshape(r.shape), falls.reshape(r.shape)
+            inner = angle / (1 + give * closed_form.moment(self.base, flat, 1.0))
+            return inner.reshape(shape), np.zeros(shape, dtype=bool)
+        inner, falls = hinge.bent(self._table, self._gives, flat, angle, give)
+        return inner.reshape(shape), falls.reshape(shape)
 
     def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """`signals` of a clamped base by the table, whichever model is named."""
         surface = self.surface
         if isinstance(surface, Surface):
             return base_signals(_straightened(self.base), np.asarray(r), np.asarray(theta))
-        shape, (flat, push, psi, kappa) = self._rows(r, theta)
+        shape, (flat, push, psi, kappa, _) = self._rows(r, theta)
         out, outcome = np.empty((flat.size, 3)), np.empty(flat.size, dtype=np.int8)
         for start in range(0, flat.size, ROWS):
             part = slice(start, start + ROWS)
@@ -249,12 +289,13 @@ class ForwardModel(Value):
 
         Of curved whiskers by differences, towards the inside at the edges: good to 1e-6.
         """
-        if self.give:
+        if self.is_hinged:
             clamped = self.clamped.jacobian(r, self._bent(r, theta)[0])
             # dθ′ = (dθ − Λ ∂M/∂r dr)/(1 + Λ ∂M/∂θ′)
             by_r, by_theta = clamped[..., 0], clamped[..., 1]
-            share = 1 / (1 + self.give * by_theta[..., :1])
-            by_r = by_r - by_theta * share * self.give * by_r[..., :1]
+            give = np.asarray(self.give)[..., None]
+            share = 1 / (1 + give * by_theta[..., :1])
+            by_r = by_r - by_theta * share * give * by_r[..., :1]
             return np.stack([by_r, by_theta * share], axis=-1)
         if self.model == "closed_form":
             return closed_form.signal_jacobian(self.base, r, theta)
@@ -275,7 +316,7 @@ class ForwardModel(Value):
     def stiffness(self, r: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Moment for each radian of the lightest push, N m, and outcome (...)."""
         r = np.asarray(r, dtype=float)
-        if self.give:
+        if self.is_hinged:
             value, outcome = self.clamped.stiffness(r)
             return value / (1 + self.give * value), outcome
         if isinstance(self.surface, Surface):

@@ -9,7 +9,7 @@ The angle grows with θ′ until the fold, or until the moment falls faster than
 there the whisker flicks past, the earlier the softer the spring. With θ′ = limit·sin p and
 θ = largest·sin q all is smooth on either side. Contacts count as lost from half a turn on, as next
 to the base whatever turns there turns the spring alone. Below, `forward` is the `ForwardModel` of
-the clamped whisker, and `give` is Λ, rad/(N m).
+the clamped whisker, and `give` is Λ (n,), rad/(N m), between the two `ends`.
 """
 
 from __future__ import annotations
@@ -20,63 +20,77 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize.elementwise import find_root
 
 from .chebyshev import Array
 
 
-def largest(forward: Any, give: float, r: Array) -> tuple[Array, Array, Array]:
+def largest(
+    forward: Any, ends: tuple[float, float], r: Array, give: Array
+) -> tuple[Array, Array, Array]:
     """Limits of θ′ and p, and the largest θ, at distances (n,), rad; NaN out of reach."""
     top = forward.limit(r) * (1 - 1e-13)  # rounding must not put it beyond the table's own
-    peak = np.interp(r, *_peaks(forward, give))
-    return top, peak, _angle(forward, give)(peak, r, top)
+    peak = _peaks(forward, *ends)(r, give)
+    return top, peak, _angle(forward, peak, r, top, give)
 
 
-def bent(forward: Any, give: float, r: Array, theta: Array) -> tuple[Array, NDArray[np.bool_]]:
+def bent(
+    forward: Any, ends: tuple[float, float], r: Array, theta: Array, give: Array
+) -> tuple[Array, NDArray[np.bool_]]:
     """θ′ at distances and θ (n,), beyond its limit where θ is; whether not the tip ends it."""
-    top, peak, last = largest(forward, give, r)
+    top, peak, last = largest(forward, ends, r, give)
     size, held = np.abs(theta), np.minimum(last, np.pi)
     inside = (size > 0) & (size < last) & (size <= held)
     # Beyond, as far beyond the clamped whisker's own limit, which then says what becomes of it.
     out = np.where(size > held, 2 * top + size, np.where(size == last, top * np.sin(peak), size))
     if inside.any():
-        angle = _angle(forward, give)
 
-        def excess(p: Array, r: Array, top: Array, last: Array, q: Array) -> Array:
-            return np.asarray(np.arcsin(np.minimum(angle(p, r, top) / last, 1.0)) - q)
+        def excess(p: Array, *given: Array) -> Array:
+            *place, last, q = given
+            angle = _angle(forward, p, *place)
+            return np.asarray(np.arcsin(np.minimum(angle / last, 1.0)) - q)
 
-        q, ends = np.arcsin(size[inside] / last[inside]), peak[inside]
-        args = (r[inside], top[inside], last[inside], q)
+        q, end = np.arcsin(size[inside] / last[inside]), peak[inside]
+        args = (*(a[inside] for a in (r, top, give, last)), q)
         found: Any = find_root(
-            excess, (0 * q, ends), args=args, tolerances={"xrtol": 1e-12, "frtol": 1e-12}
+            excess, (0 * q, end), args=args, tolerances={"xrtol": 1e-12, "frtol": 1e-12}
         )
         # Rounding can leave no root between the ends where θ is all but the largest.
-        p = np.where(found.success, found.x, np.where(q > np.pi / 2 - 1e-6, ends, np.nan))
+        p = np.where(found.success, found.x, np.where(q > np.pi / 2 - 1e-6, end, np.nan))
         out[inside] = top[inside] * np.sin(p)
     return np.copysign(out, theta), (size > held) & ((peak < np.pi / 2) | (last > np.pi))
 
 
-def _angle(forward: Any, give: float) -> Callable[[Array, Array, Array], Array]:
-    def angle(p: Array, r: Array, top: Array) -> Array:
-        inner = top * np.sin(p)
-        return np.asarray(inner + give * forward.tabled(r, inner)[0][..., 0])
-
-    return angle
+def _angle(forward: Any, p: Array, r: Array, top: Array, give: Array) -> Array:
+    inner = top * np.sin(p)
+    return np.asarray(inner + give * forward.tabled(r, inner)[0][..., 0])
 
 
 @lru_cache(maxsize=64)
-def _peaks(forward: Any, give: float, count: int = 400) -> tuple[Array, Array]:
-    """Distances, and p at which θ is largest: to first order no error of p is one of θ."""
-    r = forward.reach * np.sin(np.linspace(1e-3, np.pi / 2 - 1e-3, count)) ** 2
-    step, end = 1e-4, np.full(count, np.pi / 2)
-    angle = _angle(forward, give)
+def _peaks(
+    forward: Any, low: float, high: float, count: int = 400, gives: int = 33
+) -> Callable[[Array, Array], Array]:
+    """p (n,) at which θ is largest, at distances and gives: to first order no error is one of θ."""
+    place = forward.reach * np.sin(np.linspace(1e-3, np.pi / 2 - 1e-3, count)) ** 2
+    soft = np.geomspace(low, high, gives) if high > low else np.array([low])
+    r, give = (a.ravel() for a in np.meshgrid(place, soft, indexing="ij"))
+    step, end, top = 1e-4, np.full(r.shape, np.pi / 2), forward.limit(r)
 
-    def rise(p: Array, r: Array, top: Array) -> Array:
-        return angle(p, r, top) - angle(p - step, r, top)
+    def rise(p: Array, *at: Array) -> Array:
+        return _angle(forward, p, *at) - _angle(forward, p - step, *at)
 
-    top = forward.limit(r)
-    falls = rise(end, r, top) < 0
+    falls = rise(end, r, top, give) < 0
     if falls.any():
-        ends = (np.full(end[falls].shape, step), end[falls])
-        end[falls] = find_root(rise, ends, args=(r[falls], top[falls])).x - step / 2
-    return r, end
+        at = tuple(a[falls] for a in (r, top, give))
+        end[falls] = find_root(rise, (np.full(at[0].shape, step), end[falls]), args=at).x - step / 2
+    peak = end.reshape(count, -1)
+    if not high > low:
+        return lambda r, give: np.interp(r, place, peak[:, 0])
+    table = RegularGridInterpolator((place, np.log(soft)), peak)
+
+    def between(r: Array, give: Array) -> Array:
+        inside = np.clip(r, place[0], place[-1]), np.log(np.clip(give, *soft[[0, -1]]))
+        return np.asarray(table(np.stack(np.broadcast_arrays(*inside), axis=-1)))
+
+    return between

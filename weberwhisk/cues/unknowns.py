@@ -1,0 +1,391 @@
+"""Cues with one more unknown, of the whisker or of the contact, that has a prior of its own.
+
+Each wraps a cue and adds its unknown as the last: `UnknownStiffness`, `UnknownCurvature`,
+`UnknownHinge` and `Friction`, whose angle may be known as well. They nest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import number, one_or_more, positive_number, refuse_hinge
+from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
+from ..receptors import ReceptorNoise
+from .protocol import Array, Cue, Felt, a_cue
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class _Wrapped(Cue):
+    """A cue felt under a condition, which is one more unknown where it is not known."""
+
+    cue: Cue
+    #: The name of the unknown.
+    unknown: ClassVar[str]
+
+    def _wrap(self, cue: Any, **values: Any) -> None:
+        """Give fields their values; refuse what is no cue, and one that has the unknown."""
+        if self.unknown in a_cue(cue).unknowns:
+            raise ValueError(
+                f"The {self.unknown} is unknown in {cue!r} already; leave it as it is."
+            )
+        self._set(cue=cue, **values)
+
+    def _refuse_straight(self) -> None:
+        """Refuse cues that take neither friction nor curvature."""
+        if not self.cue.takes_curved:
+            raise ValueError(
+                f"{self.cue!r} is for straight whiskers without friction; write cues.ForceMap(), "
+                "Compliance() or BalanceOfMoments(), or a fusion of them."
+            )
+
+    @property
+    def known(self) -> float | None:
+        """The condition where it is known."""
+        return None
+
+    def _under(self, whisker: Any, value: Any = None) -> Any:
+        """The whisker under the condition; ready for any of those possible without one."""
+        raise NotImplementedError
+
+    def _prior(self, whisker: Any) -> Any:
+        """Of the unknown, a frozen SciPy distribution."""
+        raise NotImplementedError
+
+    @property
+    def takes_curved(self) -> bool:  # type: ignore[override]
+        """As the cue does."""
+        return self.cue.takes_curved
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Those of the cue."""
+        return self.cue.signal_names
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Those of the cue, and the condition where it is not known."""
+        return (*self.cue.unknowns, self.unknown)[: len(self.cue.unknowns) + (self.known is None)]
+
+    def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
+        """The whisker under the condition, and the rest of the contact."""
+        contact = np.asarray(contact, dtype=float)
+        if self.known is not None:
+            return self._under(whisker, self.known), contact
+        return self._under(whisker, contact[..., -1]), contact[..., :-1]
+
+    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
+        """The cue's, under the condition of each contact."""
+        return self.cue.forward(*self._parts(whisker, contact))
+
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+        """The cue's signals (..., S) under the condition, and the outcome."""
+        return self.cue.signals(*self._parts(whisker, contact), model=model)
+
+    def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
+        """Derivatives of the signals to the unknowns, (..., S, U): by the cue where known."""
+        if self.known is None:
+            return super().jacobian(whisker, contact, model=model)
+        return self.cue.jacobian(*self._parts(whisker, contact), model=model)
+
+    def priors(self, whisker: Any) -> dict[str, Any]:
+        """The cue's, and that of the condition where it is not known."""
+        out = dict(self.cue.priors(self._under(whisker)))
+        return out if self.known is not None else out | {self.unknown: self._prior(whisker)}
+
+    def default_noise(self) -> ReceptorNoise:
+        """The cue's."""
+        return self.cue.default_noise()
+
+    def farthest(self, whisker: Any) -> float:
+        """As far as the cue works under any of the conditions, m."""
+        return self.cue.farthest(self._under(whisker))
+
+    def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
+        """The cue's, on a whisker under the condition."""
+        return self.cue.largest_angle(whisker, radial_distance)
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Friction(_Wrapped):
+    """A cue of contacts that rub: with a friction angle that is known, or one more unknown.
+
+    Coulomb friction tilts the contact force from the normal towards the base by the friction angle
+    ψ: positive while the whisker slides outwards over the object, as while it is let go, negative
+    while it is pressed harder (see `mechanics.profile`).
+
+    Parameters
+    ----------
+    cue : Cue
+        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
+    angle : float, optional
+        ψ, rad, where it is known. By default it is the unknown ``"friction_angle"``.
+    coefficient : float
+        Of an unknown angle, the largest |tan ψ|: its prior is flat from −atan µ to atan µ, which
+        leaves open which way the contact slides and whether it sticks. By default 0.48, of a
+        whisker on steel.
+
+    Raises
+    ------
+    ValueError
+        For a cue that takes no friction, an angle beyond ±30°, a coefficient that is not between 0
+        and 0.577.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.cues import ForceMap
+    >>> cue = Friction(ForceMap())
+    >>> cue.unknowns
+    ('radial_distance', 'deflection_angle', 'friction_angle')
+    >>> signals, outcome = cue.signals(Whisker(50e-3, 100e-6, 5e-6), [30e-3, 0.2, -0.2])
+    """
+
+    cue: Cue
+    angle: float | None
+    coefficient: float
+    unknown: ClassVar[str] = "friction_angle"
+
+    def __init__(
+        self, cue: Cue, angle: float | None = None, *, coefficient: float = FRICTION_COEFFICIENT
+    ) -> None:
+        if angle is not None:
+            angle = number("angle", angle, "give radians, such as -0.2, or None where unknown")
+        largest = positive_number("coefficient", coefficient, "give µ, such as 0.48")
+        self._wrap(cue, angle=angle, coefficient=largest)
+        self._refuse_straight()
+        if not max(abs(np.tan(angle or 0.0)), largest) <= np.tan(np.pi / 6) + 1e-12:
+            raise ValueError(
+                "Observers take friction angles up to 30° either way, got "
+                f"angle {angle} rad and coefficient {largest:g}; write smaller ones."
+            )
+
+    @property
+    def known(self) -> float | None:
+        """The angle where it is known."""
+        return self.angle
+
+    def _under(self, whisker: Any, value: Any = None) -> ForwardModel:
+        largest = float(np.arctan(self.coefficient))
+        ends = (-largest, largest) if self.angle is None else (self.angle, self.angle)
+        value = sum(ends) / 2 if value is None else value
+        return forward_of(whisker).under("friction", value, ends)
+
+    def _prior(self, whisker: Any) -> Any:
+        from scipy.stats import uniform
+
+        largest = float(np.arctan(self.coefficient))
+        return uniform(-largest, 2 * largest)
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UnknownCurvature(_Wrapped):
+    """A cue of one more unknown, ``"curvature_offset"``: 1/m more than the whisker says, all along.
+
+    Parameters
+    ----------
+    cue : Cue
+        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
+    spread : float
+        Sd of the normal prior, 1/m; its mean is 0. Beyond 5 sd signals are those at 5 sd.
+
+    Raises
+    ------
+    ValueError
+        For a cue of straight whiskers alone, and a spread that is not positive.
+
+    Examples
+    --------
+    >>> from weberwhisk.cues import ForceMap
+    >>> UnknownCurvature(ForceMap(), 2.0).unknowns
+    ('radial_distance', 'deflection_angle', 'curvature_offset')
+    """
+
+    cue: Cue
+    spread: float
+    unknown: ClassVar[str] = "curvature_offset"
+
+    def __init__(self, cue: Cue, spread: float) -> None:
+        self._wrap(cue, spread=positive_number("spread", spread, "give the sd in 1/m, such as 2.0"))
+        self._refuse_straight()
+
+    def _under(self, whisker: Any, value: Any = 0.0) -> ForwardModel:
+        return forward_of(whisker).under("offset", value, (-5 * self.spread, 5 * self.spread))
+
+    def _prior(self, whisker: Any) -> Any:
+        from scipy.stats import norm
+
+        return norm(0.0, self.spread)
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UnknownHinge(_Wrapped):
+    """A cue of one more unknown, ``"hinge_stiffness"``: that of the spring at the base, N m/rad.
+
+    Parameters
+    ----------
+    cue : Cue
+        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
+    spread : float
+        Sd of the log-normal prior's ln; its median is the whisker's `hinge_stiffness`. Beyond 5 sd
+        signals are those at 5 sd.
+
+    Raises
+    ------
+    ValueError
+        For a cue that takes no hinge, and a spread that is not positive; for a whisker without a
+        hinge where it is used.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.cues import ForceMap
+    >>> cue = UnknownHinge(ForceMap(), 0.3)
+    >>> cue.unknowns
+    ('radial_distance', 'deflection_angle', 'hinge_stiffness')
+    >>> w = Whisker(50e-3, 100e-6, 5e-6, hinge_stiffness=2e-5)
+    >>> soft, stiff = cue.signals(w, [[30e-3, 0.2, 1e-5], [30e-3, 0.2, 1e-3]])[0][:, 0]
+    >>> print(f"{soft / stiff:.2f}")
+    0.69
+    """
+
+    cue: Cue
+    spread: float
+    unknown: ClassVar[str] = "hinge_stiffness"
+
+    def __init__(self, cue: Cue, spread: float) -> None:
+        spread = positive_number("spread", spread, "give the sd of ln stiffness, such as 0.3")
+        self._wrap(cue, spread=spread)
+        self._refuse_straight()
+
+    def _median(self, whisker: Any) -> float:
+        forward = forward_of(whisker)
+        if not forward.is_hinged:
+            raise ValueError(
+                "UnknownHinge needs a whisker on a hinge, got a clamped base; write "
+                "Whisker(..., hinge_stiffness=2e-5), the median of the prior in N m/rad."
+            )
+        return float(forward.whisker.hinge_stiffness)
+
+    def _under(self, whisker: Any, value: Any = None) -> ForwardModel:
+        median = self._median(whisker)
+        low, high = median * np.exp(-5 * self.spread), median * np.exp(5 * self.spread)
+        value = median if value is None else np.clip(value, low, high)
+        return forward_of(whisker).under("hinge", value, (float(low), float(high)))
+
+    def _prior(self, whisker: Any) -> Any:
+        from scipy.stats import lognorm
+
+        return lognorm(self.spread, scale=self._median(whisker))
+
+
+#: Sd of ln E that goes with 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
+MODULUS_SPREAD = 0.42
+#: Signals that are proportional to EI₀.
+FORCES = ("moment", "axial_force", "transverse_force", "moment_rate")
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UnknownStiffness(_Wrapped):
+    """A cue of one more unknown, ``"stiffness"``: EI₀ over what the whisker says it is.
+
+    Forces and moments are proportional to EI₀ at a given contact, so any cue of them can be
+    wrapped, fusions too. Signals of several cues made soft this way share the unknown.
+
+    Parameters
+    ----------
+    cue : Cue
+    spread : float
+        Sd of the log-normal prior's ln; its median is 1. By default that of measured moduli.
+    signals : sequence of str, optional
+        The cue's signals that are proportional to EI₀; by default its forces, moments and rates of
+        moments, and not its angles, ratios or chances.
+
+    Raises
+    ------
+    ValueError
+        For a spread that is not positive, a signal that the cue has not, a cue whose stiffness is
+        unknown already or that feels no force.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.cues import ForceMap
+    >>> cue = UnknownStiffness(ForceMap())
+    >>> cue.unknowns
+    ('radial_distance', 'deflection_angle', 'stiffness')
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> plain, _ = ForceMap().signals(w, np.array([30e-3, 0.2]))
+    >>> soft, _ = cue.signals(w, np.array([30e-3, 0.2, 0.5]))
+    >>> soft / plain
+    array([0.5, 0.5])
+    """
+
+    cue: Cue
+    spread: float
+    soft: tuple[str, ...]
+    unknown: ClassVar[str] = "stiffness"
+
+    def __init__(
+        self, cue: Cue, spread: float = MODULUS_SPREAD, signals: Sequence[str] | None = None
+    ) -> None:
+        spread = positive_number("spread", spread, "give the sd of ln EI₀, such as 0.42")
+        names = a_cue(cue).signal_names
+        if signals is None:
+            # The signals of a fusion are numbered where a name comes twice.
+            signals = [name for name in names if name.rstrip("_0123456789") in FORCES]
+            if not signals:
+                raise ValueError(
+                    f"Of the signals of {cue!r} ({', '.join(names)}) none is a force or a "
+                    "moment that goes with the stiffness; use the cue as it is."
+                )
+        self._wrap(cue, spread=spread, soft=one_or_more("signals", signals, names))
+
+    def __repr__(self) -> str:
+        return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
+
+    @cached_property
+    def _soft(self) -> NDArray[np.bool_]:
+        return np.isin(self.cue.signal_names, self.soft)
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether every signal is proportional to the stiffness."""
+        return bool(self._soft.all())
+
+    def _under(self, whisker: Any, value: Any = None) -> Any:
+        refuse_hinge(whisker, "UnknownStiffness, under which forces grow with EI₀ alone,")
+        return whisker
+
+    def _prior(self, whisker: Any) -> Any:
+        from scipy.stats import lognorm
+
+        return lognorm(self.spread)
+
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+        """The cue's signals (..., S), those of force times the stiffness, and the outcome."""
+        contact = np.asarray(contact, dtype=float)
+        return self.given(whisker, contact[..., :-1], model=model)(contact[..., -1])
+
+    def given(
+        self, whisker: Any, contact: Array, *, model: str | None = None
+    ) -> Callable[[Array], Felt]:
+        """The signals as a function of the stiffness (...), the rest of the contact given."""
+        signals, outcome = self.cue.signals(self._under(whisker), contact, model=model)
+        if self.is_scale:
+            return lambda factor: (signals * factor[..., None], outcome)
+        return lambda factor: (signals * np.where(self._soft, factor[..., None], 1.0), outcome)
+
+    def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
+        """Derivatives of the signals to the cue's unknowns and the stiffness, (..., S, U)."""
+        contact = np.asarray(contact, dtype=float)
+        inner = contact[..., :-1]
+        factor = np.where(self._soft, contact[..., -1:], 1.0)
+        slope = self.cue.jacobian(whisker, inner, model=model) * factor[..., None]
+        signals, _ = self.cue.signals(whisker, inner, model=model)
+        return np.concatenate([slope, np.where(self._soft, signals, 0.0)[..., None]], axis=-1)
