@@ -273,6 +273,7 @@ GOOD = {  # what each class needs at least
     cues.UnknownStiffness: (ForceMap(),),
     cues.Friction: (ForceMap(),),
     cues.UnknownCurvature: (ForceMap(), 5.0),
+    cues.UnknownHinge: (ForceMap(), 0.3),
     cues.Fused: (ForceMap(), Compliance()),
     cues.ComparativeLength: ([40e-3], [[-1e-3, 0.0]]),
     GeneralisedWeber: (0.1,),

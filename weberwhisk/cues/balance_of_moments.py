@@ -56,6 +56,7 @@ class BalanceOfMoments(Cue):
 
     Examples
     --------
+    >>> from weberwhisk import Whisker
     >>> w = Whisker(50e-3, 100e-6, 5e-6)
     >>> cue = BalanceOfMoments(np.radians(60))
     >>> angle, outcome = cue.signals(w, np.array([[15e-3], [25e-3], [35e-3]]))
@@ -176,7 +177,7 @@ class BalanceOfMoments(Cue):
         assert known is not None
         forward = _served(whisker, model)
         given = {n: getattr(forward, n) for n in ("friction", "offset", "hinge")}
-        given = {name: value for name, value in given.items() if value is not None}
+        given = {name: value for name, value in given.items() if np.ndim(value)}
 
         def excess(theta: Array, r: Array, *values: Array) -> Array:
             under = replace(forward, **dict(zip(given, values, strict=True)))

@@ -118,8 +118,11 @@ class Cue(Value):
         """Largest radial distance at which the cue works on this whisker, m: the tip."""
         return forward_of(whisker).reach
 
-    def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
-        """Largest deflection (...) at which the cue works, rad; infinite where the fold is."""
+    def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
+        """Largest deflection (...) at which the cue works, rad; infinite where the fold is.
+
+        Cues that take curved whiskers are asked with the `forward` model of the contacts.
+        """
         return np.full(np.shape(radial_distance), np.inf)
 
     def priors(self, whisker: Whisker) -> Mapping[str, Any]:

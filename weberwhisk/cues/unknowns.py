@@ -192,7 +192,7 @@ class UnknownCurvature(_Wrapped):
     cue : Cue
         `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
     spread : float
-        Sd of the normal prior, 1/m; its mean is 0. Beyond 5 sd signals are those at 5 sd.
+        Sd of the normal prior, 1/m; its mean is 0. Beyond 7 sd signals are those at 7 sd.
 
     Raises
     ------
@@ -215,7 +215,7 @@ class UnknownCurvature(_Wrapped):
         self._refuse_straight()
 
     def _under(self, whisker: Any, value: Any = 0.0) -> ForwardModel:
-        return forward_of(whisker).under("offset", value, (-5 * self.spread, 5 * self.spread))
+        return forward_of(whisker).under("offset", value, (-7 * self.spread, 7 * self.spread))
 
     def _prior(self, whisker: Any) -> Any:
         from scipy.stats import norm
@@ -232,8 +232,8 @@ class UnknownHinge(_Wrapped):
     cue : Cue
         `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
     spread : float
-        Sd of the log-normal prior's ln; its median is the whisker's `hinge_stiffness`. Beyond 5 sd
-        signals are those at 5 sd.
+        Sd of the log-normal prior's ln; its median is the whisker's `hinge_stiffness`. Beyond 7 sd
+        signals are those at 7 sd.
 
     Raises
     ------
@@ -251,7 +251,7 @@ class UnknownHinge(_Wrapped):
     >>> w = Whisker(50e-3, 100e-6, 5e-6, hinge_stiffness=2e-5)
     >>> soft, stiff = cue.signals(w, [[30e-3, 0.2, 1e-5], [30e-3, 0.2, 1e-3]])[0][:, 0]
     >>> print(f"{soft / stiff:.2f}")
-    0.69
+    0.52
     """
 
     cue: Cue
@@ -274,7 +274,7 @@ class UnknownHinge(_Wrapped):
 
     def _under(self, whisker: Any, value: Any = None) -> ForwardModel:
         median = self._median(whisker)
-        low, high = median * np.exp(-5 * self.spread), median * np.exp(5 * self.spread)
+        low, high = median * np.exp(-7 * self.spread), median * np.exp(7 * self.spread)
         value = median if value is None else np.clip(value, low, high)
         return forward_of(whisker).under("hinge", value, (float(low), float(high)))
 

@@ -208,8 +208,7 @@ class ForwardModel(Value):
         shape, (flat, psi, kappa, give) = self._rows(r)
         if self.is_hinged:
             give = np.broadcast_to(give, flat.shape)
-            last = hinge.largest(self._table, self._gives, flat, give)[2]
-            return np.minimum(last, np.pi).reshape(shape)
+            return hinge.largest(self._table, self._gives, flat, give)[3].reshape(shape)
         if isinstance(self.surface, Surface):
             return self.surface.limit(flat).reshape(shape)
         return self.surface.limit(flat, psi, kappa).reshape(shape)

@@ -8,8 +8,10 @@ carries the spring is one of the clamped whisker at θ′, with
 The angle grows with θ′ until the fold, or until the moment falls faster than the whisker is bent:
 there the whisker flicks past, the earlier the softer the spring. With θ′ = limit·sin p and
 θ = largest·sin q all is smooth on either side. Contacts count as lost from half a turn on, as next
-to the base whatever turns there turns the spring alone. Below, `forward` is the `ForwardModel` of
-the clamped whisker, and `give` is Λ (n,), rad/(N m), between the two `ends`.
+to the base whatever turns there turns the spring alone; where Λ is not known, from the share of the
+largest angle on that is half a turn for the middle of its range, so that nothing has a kink in it.
+Below, `forward` is the `ForwardModel` of the clamped whisker, and `give` is Λ (n,), rad/(N m),
+between the two `ends`.
 """
 
 from __future__ import annotations
@@ -28,19 +30,24 @@ from .chebyshev import Array
 
 def largest(
     forward: Any, ends: tuple[float, float], r: Array, give: Array
-) -> tuple[Array, Array, Array]:
-    """Limits of θ′ and p, and the largest θ, at distances (n,), rad; NaN out of reach."""
+) -> tuple[Array, Array, Array, Array]:
+    """Limits of θ′ and p, the largest θ, and that held, at distances (n,), rad; or NaN."""
     top = forward.limit(r) * (1 - 1e-13)  # rounding must not put it beyond the table's own
-    peak = _peaks(forward, *ends)(r, give)
-    return top, peak, _angle(forward, peak, r, top, give)
+    peaks = _peaks(forward, *ends)
+    peak = peaks(r, give)
+    last = middle = _angle(forward, peak, r, top, give)
+    if ends[1] > ends[0]:
+        typical = np.full(r.shape, np.sqrt(ends[0] * ends[1]))
+        middle = _angle(forward, peaks(r, typical), r, top, typical)
+    return top, peak, last, np.where(middle > np.pi, last / middle * np.pi, last)
 
 
 def bent(
     forward: Any, ends: tuple[float, float], r: Array, theta: Array, give: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """θ′ at distances and θ (n,), beyond its limit where θ is; whether not the tip ends it."""
-    top, peak, last = largest(forward, ends, r, give)
-    size, held = np.abs(theta), np.minimum(last, np.pi)
+    top, peak, last, held = largest(forward, ends, r, give)
+    size = np.abs(theta)
     inside = (size > 0) & (size < last) & (size <= held)
     # Beyond, as far beyond the clamped whisker's own limit, which then says what becomes of it.
     out = np.where(size > held, 2 * top + size, np.where(size == last, top * np.sin(peak), size))
@@ -53,13 +60,27 @@ def bent(
 
         q, end = np.arcsin(size[inside] / last[inside]), peak[inside]
         args = (*(a[inside] for a in (r, top, give, last)), q)
-        found: Any = find_root(
-            excess, (0 * q, end), args=args, tolerances={"xrtol": 1e-12, "frtol": 1e-12}
-        )
-        # Rounding can leave no root between the ends where θ is all but the largest.
-        p = np.where(found.success, found.x, np.where(q > np.pi / 2 - 1e-6, end, np.nan))
+        # By secants, as p is nearly in proportion to q; where they have not ended, by brackets.
+        p, behind, miss = q / (np.pi / 2) * end, 0 * q, -q
+        for _ in range(5):
+            now = excess(p, *args)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                step = np.where(now == 0, 0.0, now * (p - behind) / (now - miss))
+            behind, miss, p = p, now, np.clip(p - step, 0.0, end)
+        left = ~(np.abs(step) < 1e-8 * p)  # the next is smaller than rounding
+        if left.any():
+            some = tuple(a[left] for a in args)
+            found: Any = find_root(
+                excess,
+                (0 * q[left], end[left]),
+                args=some,
+                tolerances={"xrtol": 1e-12, "frtol": 1e-12},
+            )
+            # Rounding can leave no root between the ends where θ is all but the largest.
+            lost = np.where(q[left] > np.pi / 2 - 1e-6, end[left], np.nan)
+            p[left] = np.where(found.success, found.x, lost)
         out[inside] = top[inside] * np.sin(p)
-    return np.copysign(out, theta), (size > held) & ((peak < np.pi / 2) | (last > np.pi))
+    return np.copysign(out, theta), (size > held) & ((peak < np.pi / 2) | (last > held))
 
 
 def _angle(forward: Any, p: Array, r: Array, top: Array, give: Array) -> Array:
