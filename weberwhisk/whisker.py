@@ -53,9 +53,10 @@ class Whisker(Value):
     hinge_stiffness : float, optional
         Of a rotational spring in series at the base (a follicle, a rubber mount), N m/rad; by
         default the base is clamped. Observers whose cues are `ForceMap`, `Compliance`,
-        `BalanceOfMoments` or made of them take it, all else refuses it. The base turns by the moment over this stiffness; angles
-        are those of what carries the spring, up to half a turn; moment and forces those at the
-        whisker's own base, along and across it. `calibrate` finds h = 3EI₀/hinge_stiffness, in m.
+        `BalanceOfMoments` or made of them take it, all else refuses it. The base turns by the
+        moment over this stiffness; angles are those of what carries the spring, up to half a turn;
+        moment and forces those at the whisker's own base, along and across it. `calibrate` finds
+        h = 3EI₀/hinge_stiffness, in m.
 
     Raises
     ------
