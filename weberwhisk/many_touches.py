@@ -101,14 +101,16 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     grid = _grid(observer)
     x, rows = grid.x, np.arange(0, len(grid.x), 16)
     best = np.full(len(y), -np.inf)
-    for step in (16, 4, 1):  # closer and closer to where they agree
-        each = grid.log_likelihood(y, rows)
+    for step in (16, 4, 0):  # closer and closer to where they agree
+        each = grid.log_likelihood(y, rows, 12 if step else 30)
         best = np.maximum(best, each.max(axis=1))
         log = each.sum(axis=0) + grid.log_prior[rows]
-        if step > 1:
+        if step:
             near = rows[log > log.max() - (60.0 if step > 4 else 45.0)]
             low, high = (near[0], near[-1]) if np.isfinite(log.max()) else (0, len(x))
-            rows = np.arange(max(low - step, 0), min(high + step + 1, len(x)), step // 4)
+            low, high = max(low - step, 0), min(high + step + 1, len(x))
+            # At last some five rows to the sd of all touches.
+            rows = np.arange(low, high, 4 if step > 4 else max((high - low) // 40, 1))
     kept = log > log.max() - 45.0
     first, last = np.argmax(kept), len(kept) - np.argmax(kept[::-1])
     rows, log, each = rows[first:last], log[first:last], each[:, first:last]
@@ -144,7 +146,7 @@ class _Grid:
     #: Steps along, in JNDs, and across, in sd; most nodes in all; sd within which a node matters.
     ALONG, ACROSS, MOST, WINDOW = 0.28, 0.8, 4_000_000, 7.5
 
-    def __init__(self, observer: Observer) -> None:
+    def __init__(self, observer: Observer, bins: int = 512) -> None:
         if len(observer.unknowns) > observer.bounded:
             raise ValueError(
                 f"Touches are of distance and deflection alone, got {', '.join(observer.unknowns)} "
@@ -195,25 +197,40 @@ class _Grid:
         low_y, high_y = observer.noise.interval(self.signals, self.WINDOW)
         high_y = np.where(held[..., None], high_y, -np.inf)
         low_y = np.where(held[..., None], low_y, np.inf)[:, ::-1]
-        # Made monotone across, so that bisection finds where a reading can be.
-        self._high = np.moveaxis(np.maximum.accumulate(high_y, axis=1), -1, 1).copy()
-        self._low = np.moveaxis(np.minimum.accumulate(low_y, axis=1)[:, ::-1], -1, 1).copy()
+        # Made monotone across: in which columns a reading can be is known by what it lies between.
+        high_y = np.moveaxis(np.maximum.accumulate(high_y, axis=1), -1, 0)
+        low_y = np.moveaxis(np.minimum.accumulate(low_y, axis=1)[:, ::-1], -1, 0)
+        share = np.linspace(0.0, 1.0, bins)
+        self._between: list[Array] = []
+        self._first, self._last = np.empty((2, len(high_y), bins + 1, len(r)), dtype=np.int32)
+        for k, (tops, feet) in enumerate(zip(high_y, low_y, strict=True)):
+            ends = np.quantile(np.concatenate([a[np.isfinite(a)] for a in (tops, feet)]), share)
+            self._between.append(ends)
+            for i, (top, foot) in enumerate(zip(tops, feet, strict=True)):
+                self._first[k, 0, i], self._last[k, -1, i] = 0, len(y)
+                self._first[k, 1:, i] = np.searchsorted(top, ends)
+                self._last[k, :-1, i] = np.searchsorted(foot, ends, side="right")
 
-    def log_likelihood(self, reading: Array, rows: Index) -> Array:
-        """ln p(reading | distance), (n, rows), of readings (n, R), deflections integrated out."""
+    def log_likelihood(self, reading: Array, rows: Index, least: int) -> Array:
+        """ln p(reading | distance), (n, rows), of readings (n, R), deflections integrated out.
+
+        Of nodes that lie closer, every so many that there are `least` within 15 sd.
+        """
         first = np.zeros((len(rows), len(reading)), dtype=np.intp)
         last = np.full(first.shape, self.weight.shape[1])
         for k, y in enumerate(reading.T):
-            for j, i in enumerate(rows):
-                np.maximum(first[j], np.searchsorted(self._high[i, k], y), out=first[j])
-                ends = np.searchsorted(self._low[i, k], y, side="right")
-                np.minimum(last[j], ends, out=last[j])
+            at = np.searchsorted(self._between[k], y)[None, :], rows[:, None]
+            np.maximum(first, self._first[k][at], out=first)
+            np.minimum(last, self._last[k][at], out=last)
         some = np.flatnonzero((last > first).ravel())
         out = np.full(first.size, -np.inf)
         if some.size:
             start, count = first.ravel()[some], (last - first).ravel()[some]
+            stride = np.maximum(count // least, 1)
+            count = (count + stride - 1) // stride
             begin = np.cumsum(count) - count
-            column = np.arange(count.sum()) + np.repeat(start - begin, count)
+            column = np.arange(count.sum()) - np.repeat(begin, count)
+            column = column * np.repeat(stride, count) + np.repeat(start, count)
             row = np.repeat(rows[some // len(reading)], count)
             y = reading[np.repeat(some % len(reading), count)]
             log = self.observer.noise.log_likelihood(y, self.signals[row, column])
@@ -221,7 +238,7 @@ class _Grid:
             top = np.maximum.reduceat(log, begin)
             log -= np.repeat(np.where(np.isfinite(top), top, 0.0), count)
             with np.errstate(divide="ignore"):
-                out[some] = top + np.log(np.add.reduceat(np.exp(log), begin))
+                out[some] = top + np.log(np.add.reduceat(np.exp(log), begin) * stride)
         return np.nan_to_num(out, nan=-np.inf, neginf=-np.inf).reshape(first.shape).T
 
 
