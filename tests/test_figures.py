@@ -18,6 +18,7 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import design, figures, paper
 from weberwhisk.commands import figure
+from weberwhisk.many_touches import touches_jnd
 from weberwhisk.mechanics.muscle import MuscleCurve
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
@@ -334,6 +335,11 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         "calibrated": figures.calibrated(ww.calibrate(slopes, WHISKER, draws=1000)),
         "comparison": figures.comparison(SimpleNamespace(table=compared)),  # type: ignore[arg-type]
         "cue_information": figures.cue_information(bits),
+        "touches": figures.touches(
+            touches_jnd(force_map, 30e-3, 0.2, (1, 2, 5), n_readings=3, seed=1).assign(
+                receptors="k = 0.1"
+            )
+        ),
         "information_map": figures.information_map(
             design.information(hypotheses, [10e-3, 20e-3, 30e-3], [-2e-3, 1e-3, 2e-3])
         ),

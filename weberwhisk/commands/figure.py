@@ -170,6 +170,33 @@ def lateral_sweep(asked: Asked) -> Made:
     return Made({"lateral-sweep": table}, figures.lateral_sweep(table))
 
 
+def touches(asked: Asked) -> Made:
+    """JND of distance against the number of touches, beside 1/√n and what mice do (§4)"""
+    import pandas as pd
+
+    from .. import figures
+    from ..many_touches import touches_jnd
+
+    whisker, tables = asked.whisker, []
+    if whisker is surveys.WHISKER:  # what it is beside was found with mice
+        whisker = ww.Whisker.from_identity("C2", species="mouse")
+    for k in (0.1, 0.3):
+        observer = ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber(k))
+        r = 0.6 * whisker.length
+        angle = observer.angle_range(np.array([r]))[1]  # as likely anywhere in it, as the prior
+        table = touches_jnd(
+            observer,
+            r,
+            angle * np.array([0.45, 0.15, 0.75, 0.25, 0.55, 0.95, 0.05, 0.35, 0.65, 0.85]),
+            (1, 4, 17) if asked.short else (1, 2, 3, 5, 8, 12, 17, 30, 50),
+            n_readings=DRAWS_SHORT if asked.short else DRAWS,
+            seed=asked.seed,
+        )
+        tables.append(table.assign(receptors=f"k = {k:g}"))
+    joined = pd.concat(tables, ignore_index=True)
+    return Made({"touches": joined}, figures.figure_of(figures.touches(joined)))
+
+
 def jnd_limits(asked: Asked) -> Made:
     """limits of torque, threshold and saturation on one JND curve (§3b)"""
     from .. import figures
@@ -248,6 +275,7 @@ CHARTS: dict[str, Make] = {
     "weber-2d": weber_2d,
     "along-push": along_push,
     "lateral-sweep": lateral_sweep,
+    "touches": touches,
     "jnd-limits": jnd_limits,
     "reversal": reversal,
     "whisking-speed": whisking_speed,

@@ -180,8 +180,8 @@ class BalanceOfMoments(Cue):
         given = {name: value for name, value in given.items() if np.ndim(value)}
 
         def excess(theta: Array, r: Array, *values: Array) -> Array:
-            under = replace(forward, **dict(zip(given, values, strict=True)))
-            return self._effort(under, r, theta, model) - known
+            uncertain: dict[str, Any] = dict(zip(given, values, strict=True))
+            return self._effort(replace(forward, **uncertain), r, theta, model) - known
 
         with np.errstate(invalid="ignore"):
             found = find_root(excess, (np.zeros(r.shape), top), args=(r, *given.values()))

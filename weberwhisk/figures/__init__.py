@@ -6,7 +6,7 @@ line style, so that a figure also reads in grey.
 """
 
 from .._deprecated import renamed_names
-from .along_a_whisk import along_push, jnd_limits, lateral_sweep, reversal, whisking_speed
+from .along_a_whisk import along_push, jnd_limits, lateral_sweep, reversal, touches, whisking_speed
 from .array import array_counts, array_map, place, whisker_array
 from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
 from .designs import (
@@ -84,6 +84,7 @@ __all__ = [
     "shrinkage",
     "speed_accuracy",
     "styled",
+    "touches",
     "weber_2d",
     "whisker_array",
     "whisking_speed",

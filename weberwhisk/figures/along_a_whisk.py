@@ -71,6 +71,41 @@ def lateral_sweep(table: pd.DataFrame) -> Figure:
 
 
 @styled
+def touches(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """JND of a distance against the number of touches, beside 1/√n and what mice do.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `touches_jnd`, with ``receptors``: the name of each line.
+    """
+    ax = axes_or_new(ax, SINGLE, 3.2)
+    for i, (name, rows) in enumerate(table.groupby("receptors", sort=False)):
+        colour, n = COLOURS[i], rows["count"]
+        ax.errorbar(
+            n, rows["posterior_mm"], 1.96 * rows["posterior_error_mm"], color=colour,
+            linestyle="none", marker=MARKERS[i], markersize=4, label=f"posterior, {name}",
+        )  # fmt: skip
+        ax.plot(n, rows["fisher_mm"], LINES[0], color=colour, label=f"information, {name}")
+        last = rows.iloc[-1]
+        root = last["fisher_mm"] * (last["count"] / n) ** 0.5
+        ax.plot(n, root, LINES[1], color=colour, linewidth=0.8, label=f"1/√n, {name}")
+    ax.fill_between(
+        [1, 17], 0.8, 1.25, color="0.85", linewidth=0, label="mice: about 1 mm, 1 to 17 touches"
+    )
+    ax.set(xscale="log", yscale="log", xlabel="touches", ylabel="JND of distance (mm), d'=1")
+    ticks = [n for n in (1, 2, 5, 10, 20, 50) if n <= table["count"].max()]
+    ax.set_xticks(ticks, map(str, ticks))
+    sizes = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20)
+    low, high = ax.get_ylim()
+    ax.set_yticks(sizes, map(str, sizes))
+    ax.set_ylim(low, high)
+    ax.minorticks_off()
+    ax.legend(loc="lower center", bbox_to_anchor=(0.45, 1.01), ncols=2)
+    return ax
+
+
+@styled
 def jnd_limits(table: pd.DataFrame, length: float, ax: Axes | None = None) -> Axes:
     """One JND curve with the limits of torque, threshold and saturation.
 

@@ -146,12 +146,11 @@ class ForwardModel(Value):
 
     def extremes(self, count: int = 3) -> list[ForwardModel]:
         """Some of all that may be, each with numbers for what is uncertain."""
-        grids = self._grids(count)
-        names = list(grids)
-        return [
-            replace(self, **dict(zip(names, values, strict=True)))
-            for values in product(*(map(float, grid) for grid in grids.values()))
-        ]
+        grids, out = self._grids(count), []
+        for values in product(*(map(float, grid) for grid in grids.values())):
+            one: dict[str, Any] = dict(zip(grids, values, strict=True))
+            out.append(replace(self, **one))
+        return out
 
     def between(self, values: Array, count: int = 5) -> Array:
         """What values (..., n) at the `extremes` are where this one is, (...): by Lagrange."""
