@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
+from ._checks import one_of, shown
 from .cues.protocol import Cue
 from .mechanics.forward import forward_of
 from .whisker import Whisker
@@ -281,3 +282,37 @@ def to_normal(distribution: Any, value: Array) -> Array:
     """Where on the standard normal a value of a distribution is."""
     below, above = distribution.cdf(value), distribution.sf(value)
     return np.where(below < above, ndtri(below), -ndtri(above))
+
+
+def family(distribution: Any) -> Any:
+    """What frozen SciPy distributions are compared by; any other distribution by itself."""
+    family = getattr(distribution, "dist", None)
+    key = (
+        (type(family), distribution.args, tuple(sorted(distribution.kwds.items())))
+        if family
+        else None
+    )
+    try:
+        hash(key)
+    except TypeError:
+        key = None
+    return distribution if key is None else key
+
+
+def priors_of(prior: Any, cue: Cue) -> Mapping[str, Any]:
+    """The priors given, refused where they are not distributions of the cue's unknowns."""
+    if prior is None:
+        return {}
+    if not isinstance(prior, Mapping):
+        raise ValueError(
+            f"prior must be a mapping of unknown to distribution, got {shown(prior)}; "
+            'write {"radial_distance": scipy.stats.uniform(10e-3, 20e-3)}, say.'
+        )
+    for name, distribution in prior.items():
+        one_of("prior of", name, cue.unknowns)
+        if not hasattr(distribution, "support"):
+            raise ValueError(
+                f"The prior of {name} must be a frozen SciPy distribution, got "
+                f"{distribution!r}; write scipy.stats.uniform(10e-3, 20e-3), say."
+            )
+    return prior

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
+from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import model_bias
 from ._checks import finite, numbers, one_of, positive_number, shown
-from .coordinates import ContactCoordinates, to_normal
-from .cues.protocol import Cue, Felt, straight
+from .coordinates import ContactCoordinates, family, priors_of, to_normal
+from .cues.protocol import Cue, straight
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.shape import Profile
@@ -98,9 +99,9 @@ class Observer:
                     f"An observer has one whisker, got {np.size(value)} "
                     f"values of {name}; make one Observer for each."
                 )
-        prior = {**self.cue.priors(self.whisker), **_priors(self.prior, self.cue)}
+        prior = {**self.cue.priors(self.whisker), **priors_of(self.prior, self.cue)}
         set_ = object.__setattr__
-        if isinstance(self.model, _Chosen):  # by an observer that this one is made from
+        if isinstance(self.model, model_bias.Chosen):  # by an observer that this one is made from
             set_(self, "model", None)
         if self.model is not None:
             one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
@@ -110,21 +111,12 @@ class Observer:
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
         self._check_noise()
         if self.model is None:
-            set_(self, "model", self._choice())
-
-    def _choice(self) -> _Chosen:
-        """The cheapest model that will do."""
-        forward = self.forward
-        if forward.is_plain:
-            return _Chosen("elastica")
-        if not forward.is_smooth:
-            return _Chosen("profile")
-        return _Chosen("elastica" if self._bias("elastica") < self.tolerance else "profile")
+            set_(self, "model", model_bias.chosen(self))
 
     @property
     def solver(self) -> str | None:
         """The model that a cue is told of: none where a table serves."""
-        if isinstance(self.model, _Chosen):
+        if isinstance(self.model, model_bias.Chosen):
             return "elastica" if self.model == "elastica" and not self.forward.is_plain else None
         return self.model
 
@@ -152,7 +144,7 @@ class Observer:
 
     @cached_property
     def _key(self) -> tuple[Any, ...]:
-        priors = [(name, _family(self.prior[name])) for name in sorted(self.prior)]
+        priors = [(name, family(self.prior[name])) for name in sorted(self.prior)]
         return self.whisker, self.cue, self.noise, tuple(priors), str(self.model), self.solver
 
     def __eq__(self, other: object) -> bool:
@@ -162,8 +154,8 @@ class Observer:
         return hash(self._key)
 
     def __reduce__(self) -> Any:  # its mappings are views, which do not pickle
-        made = (self.whisker, self.cue, self.noise, dict(self.prior), self.model, self.tolerance)
-        return _made, made
+        make = partial(Observer, model=self.model, tolerance=self.tolerance)
+        return make, (self.whisker, self.cue, self.noise, dict(self.prior))
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -191,9 +183,8 @@ class Observer:
     def why(self) -> str:
         """Which model of the mechanics serves this observer, and why.
 
-        The bias of the radial distance under the closed form is (JᵀWJ)⁻¹JᵀWδ to first order, with
-        δ what its signals are off by, and JᵀWJ the information: over 36 contacts of the reach,
-        from a tenth to nine tenths of the distances and of the angles.
+        The bias of the radial distance is to first order (see `model_bias`), over 36 contacts of
+        the reach, from a tenth to nine tenths of the distances and of the angles.
 
         Examples
         --------
@@ -201,32 +192,14 @@ class Observer:
         >>> print(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap()).why)
         the elastica models all there is; the closed form is off by up to 10 JND, 0.1 allowed
         """
-        if not isinstance(self.model, _Chosen):
-            return f"{self.model} was asked for"
-        forward = self.forward
-        if forward.is_plain:
-            return (
-                "the elastica models all there is; the closed form is off by up to "
-                f"{self._bias('closed_form'):.2g} JND, 0.1 allowed"
-            )
-        if not forward.is_smooth:
-            return "the curved planar beam models all there is, and nothing cheaper does"
-        off = f"the straight elastica is off by up to {self._bias('elastica'):.2g} JND"
-        start = "" if self.model == "elastica" else "the curved planar beam models all there is; "
-        return f"{start}{off}, {self.tolerance:g} allowed"
-
-    def _bias(self, model: str) -> float:
-        """Largest bias of the distance, in JNDs, that a model brings at contacts in the reach."""
-        contact = self.contact(self.space.spread(np.linspace(0.1, 0.9, 6)))[0]
-        exact = self.cue.signals(self.whisker, contact)
-        return self._bias_of(contact, exact, self.cue.signals(self.whisker, contact, model=model))
+        return model_bias.why(self)
 
     @cached_property
     def note(self) -> str:
         """What the observer leaves out that moves the distance by more than a JND, or nothing.
 
         Whiskers `from_identity` have a shape at rest, and are straight unless asked to be curved.
-        As in `why`, the bias is that of 16 contacts, to first order.
+        As in `why`, to first order, of 16 contacts.
 
         Examples
         --------
@@ -234,32 +207,7 @@ class Observer:
         >>> print(Observer(Whisker.from_identity("C2"), cues.ForceMap()).note)
         C2 is taken as straight; its shape at rest moves r by up to 15 JND: write curved=True
         """
-        of = getattr(self.whisker, "identity", None)
-        if of is None or np.any(self.whisker.curvature) or not self.cue.takes_curved:
-            return ""
-        contact = self.contact(self.space.spread(np.linspace(0.15, 0.85, 4)))[0]
-        bowed = replace(self.whisker, curvature=of[2])
-        exact = self.cue.signals(bowed, contact, model="profile")
-        off = self._bias_of(contact, self.cue.signals(self.whisker, contact), exact)
-        if off < 1:
-            return ""
-        return (
-            f"{of[1]} is taken as straight; its shape at rest moves r by up to {off:.2g} JND: "
-            "write curved=True"
-        )
-
-    def _bias_of(self, contact: Array, one: Felt, other: Felt) -> float:
-        """Largest bias of the distance, in JNDs, between two sets of signals of contacts."""
-        (exact, outcome), (rough, held) = one, other
-        known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
-        contact, exact, off = contact[known], exact[known], (rough - exact)[known]
-        unit = np.maximum(np.abs(contact), 1e-12)
-        slope = self.cue.jacobian(self.whisker, contact) * unit[:, None]
-        weight = np.swapaxes(slope, -1, -2) @ self.noise.fisher(exact)
-        prior = self.prior_information(contact) * unit[:, None] * unit[..., None]
-        inverse = np.linalg.pinv(weight @ slope + prior, rcond=1e-12, hermitian=True)
-        bias = (inverse @ weight @ off[..., None])[:, 0, 0] / np.sqrt(inverse[:, 0, 0])
-        return float(np.max(np.abs(bias), initial=0.0))
+        return model_bias.note(self)
 
     # -- coordinates ---------------------------------------------------------------------------
 
@@ -281,10 +229,6 @@ class Observer:
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
         return self.space.unconstrain(contact)
-
-    def spread(self, fractions: Array) -> Array:
-        """Coordinates (n, U) of contacts at all combinations of fractions of each range."""
-        return self.space.spread(fractions)
 
     def angle_range(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""
@@ -454,52 +398,3 @@ class Observer:
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
         return array
-
-
-def _made(
-    whisker: Whisker,
-    cue: Cue,
-    noise: ReceptorNoise,
-    prior: dict[str, Any],
-    model: str | None,
-    tolerance: float,
-) -> Observer:
-    return Observer(whisker, cue, noise, prior, model=model, tolerance=tolerance)
-
-
-class _Chosen(str):
-    """The name of a model that an observer chose: whoever is made from it chooses again."""
-
-
-def _family(distribution: Any) -> Any:
-    """What frozen SciPy distributions are compared by; any other distribution by itself."""
-    family = getattr(distribution, "dist", None)
-    key = (
-        (type(family), distribution.args, tuple(sorted(distribution.kwds.items())))
-        if family
-        else None
-    )
-    try:
-        hash(key)
-    except TypeError:
-        key = None
-    return distribution if key is None else key
-
-
-def _priors(prior: Any, cue: Cue) -> Mapping[str, Any]:
-    """The priors given, refused where they are not distributions of the cue's unknowns."""
-    if prior is None:
-        return {}
-    if not isinstance(prior, Mapping):
-        raise ValueError(
-            f"prior must be a mapping of unknown to distribution, got {shown(prior)}; "
-            'write {"radial_distance": scipy.stats.uniform(10e-3, 20e-3)}, say.'
-        )
-    for name, distribution in prior.items():
-        one_of("prior of", name, cue.unknowns)
-        if not hasattr(distribution, "support"):
-            raise ValueError(
-                f"The prior of {name} must be a frozen SciPy distribution, got "
-                f"{distribution!r}; write scipy.stats.uniform(10e-3, 20e-3), say."
-            )
-    return prior

@@ -19,8 +19,7 @@ from .._checks import finite, non_negative, non_negative_number, positive, posit
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, straight
-from .reach import reach_at
+from .protocol import Array, Cue, Felt, reach_at, straight
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))

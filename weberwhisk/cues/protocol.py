@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from .._checks import numbers, refuse_hinge, shown
 from .._values import Value
@@ -185,3 +186,43 @@ def a_cue(value: Any) -> Cue:
     if not isinstance(value, Cue):
         raise ValueError(f"A cue is needed, got {shown(value)}; write cues.ForceMap(), say.")
     return value
+
+
+def reach_at(whisker: Whisker | ForwardModel, deflection_angle: float, name: str) -> float:
+    """Largest radial distance at which an angle is held: the tip, or where it flicks past, m.
+
+    Parameters
+    ----------
+    whisker : Whisker or ForwardModel
+    deflection_angle : float
+        From where it first touches, rad.
+    name : str
+        Of the angle, for the refusal.
+
+    Raises
+    ------
+    ValueError
+        For an angle that is held nowhere.
+
+    Examples
+    --------
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> round(reach_at(w, np.radians(24.5732), "tap_angle") / w.length, 5)
+    0.7
+    """
+    forward = forward_of(whisker)
+    length = forward.reach
+
+    def room(fraction: float) -> float:
+        last = max(f.limit(fraction * length) for f in forward.extremes())
+        # The tip of a perfect cone holds no contact at all.
+        return float(np.nan_to_num(last)) - deflection_angle
+
+    if room(1e-6) < 0:
+        raise ValueError(
+            f"No contact holds a {name} of {np.degrees(deflection_angle):.1f} degrees; "
+            "write a smaller one."
+        )
+    if room(1.0) >= 0:
+        return length
+    return length * float(brentq(room, 1e-6, 1.0, xtol=1e-13, rtol=1e-13))
