@@ -22,6 +22,7 @@ from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.posterior.likelihood import likelihood_of
 from weberwhisk.posterior.summed import LastSummed
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sweeping import SweepFilter, follow
 from weberwhisk.whisker import identities, rest_shape
 
 pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
@@ -220,6 +221,46 @@ def test_intervals_hold_the_distance_in_2000_draws(curvature):
     w = whisker(20, curvature)
     noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
     assert 0.935 <= coverage(ForceMap(), w, noise, 2000) <= 0.965
+
+
+@pytest.mark.parametrize(
+    ("cue", "count", "off"),
+    [
+        (UnknownCurvature(Compliance(tap_angle=0.1), 2.0), 300, 0.038),
+        *(
+            pytest.param(cue, count, off, marks=pytest.mark.slow)
+            for cue, count, off in (
+                (UnknownCurvature(Compliance(tap_angle=0.1), 2.0), 2000, 0.015),
+                (Friction(Compliance(tap_angle=0.1)), 2000, 0.015),
+                (UnknownCurvature(ForceMap(), 2.0), 200, 0.046),
+                (Friction(ForceMap()), 200, 0.046),
+            )
+        ),
+    ],
+    ids=repr,
+)
+def test_intervals_hold_the_distance_where_curvature_or_friction_is_not_known(cue, count, off):
+    """2000 draws to 1.5 %, fewer to three standard errors; contacts lost were drawn, too."""
+    w = whisker(20, 8.0)
+    floor = [0.0, 0.01 * w.force_scale][: len(cue.signal_names)]
+    assert coverage(cue, w, GeneralisedWeber(0.1, floor=floor), count) == pytest.approx(
+        0.95, abs=off
+    )
+
+
+def test_a_table_that_is_off_by_some_of_a_weber_fraction_says_so():
+    """Of a slender whisker that is touched on the concave side; others have no note."""
+    slender = Observer(whisker(80, -25.0), ForceMap(), GeneralisedWeber(0.01, floor=1e-9))
+    assert 1e-4 < slender.forward.error < 1e-3
+    assert 'write model="profile"' in slender.note
+    assert Observer(whisker(20, -25.0), ForceMap()).note == ""
+
+
+def test_sweeps_refuse_curved_whiskers():
+    """The filter took them for straight, without a word."""
+    for refused in (SweepFilter, lambda w: follow(w, [0.1, 0.2], [1e-6, 2e-6])):
+        with pytest.raises(ValueError, match="reading by reading"):
+            refused(whisker(20, 8.0))
 
 
 def test_compliance_of_a_curved_whisker():

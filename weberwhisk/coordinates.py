@@ -194,10 +194,15 @@ class ContactCoordinates:
         return low, np.nan_to_num(np.maximum(limit - low, 0.0))
 
     @cached_property
-    def angle_range_varies(self) -> bool:
-        """Whether the range of the deflection angle depends on a further unknown."""
+    def reach_varies(self) -> bool:
+        """Whether what contacts are held depends on a further unknown."""
         contact = np.ones((1, len(self.cue.unknowns)))
-        return self.bounded > 1 and len(self.cue.forward(self.whisker, contact).extremes(2)) > 1
+        return len(self.cue.forward(self.whisker, contact).extremes(2)) > 1
+
+    @property
+    def angle_range_varies(self) -> bool:
+        """Whether the range of the deflection angle does."""
+        return self.bounded > 1 and self.reach_varies
 
     def _log_gain(self, r: Array, width: Array) -> Array:
         """What turns ln θ_d into ln M (small angle): contacts of one moment share a coordinate."""

@@ -16,6 +16,7 @@ from ._display import with_units
 from .cues.fused import Fused
 from .cues.protocol import Array, Cue
 from .jnd import SD, criterion_factor, fisher_jnd
+from .mechanics.contact import Outcome
 from .observer import Observer
 from .posterior import posterior
 from .posterior.grid import integrate
@@ -147,13 +148,17 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     (1000, 2)
     """
     rng = np.random.default_rng(seed)
-    if not observer.space.angle_range_varies:
+    if not observer.space.reach_varies:
         return _drawn(observer, count, rng)
     out = np.empty((0, len(observer.unknowns)))
     while len(out) < count:
         drawn = _drawn(observer, count, rng)
-        low, width = observer.space.angle_range(drawn[:, 0], drawn)
-        out = np.concatenate([out, drawn[drawn[:, 1] < low + width]])
+        if observer.bounded > 1:
+            low, width = observer.space.angle_range(drawn[:, 0], drawn)
+            held = drawn[:, 1] < low + width
+        else:
+            held = observer.signals(drawn)[1] == Outcome.HELD
+        out = np.concatenate([out, drawn[held]])
     return out[:count]
 
 

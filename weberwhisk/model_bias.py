@@ -50,8 +50,15 @@ def why(observer: Any) -> str:
 
 
 def note(observer: Any) -> str:
-    """What the shape at rest of a named whisker that is taken as straight does, if it matters."""
-    cue, whisker = observer.cue, observer.whisker
+    """What a table is off by, or the shape at rest of a named whisker that is taken as straight."""
+    cue, whisker, forward = observer.cue, observer.whisker, observer.forward
+    fractions = observer.noise.weber_fractions(len(cue.signal_names))
+    least = float(np.min(fractions, where=fractions > 0, initial=1.0))
+    if cue.takes_curved and observer.solver is None and forward.error > 0.01 * least:
+        return (
+            f"The table of this whisker is off by up to {forward.error:.1g} of the lateral force, "
+            f'{forward.error / least:.1g} of a Weber fraction: write model="profile"'
+        )
     of = getattr(whisker, "identity", None)
     if of is None or np.any(whisker.curvature) or not cue.takes_curved:
         return ""

@@ -122,7 +122,7 @@ def follow(
     >>> (follow(w, push, moments).radial_distance * 1e3).round(3)
     array([30., 30., 30., 30.])
     """
-    straight(whisker)
+    straight(whisker, "ww.touches or posterior with cues.ForceMap(), reading by reading")
     push, moments = _checked(push_angle, moment)
     r, theta, before = 0.0, 0.0, 0.0
     if start is not None:
@@ -242,6 +242,7 @@ class SweepFilter:
         prior: Any = None,
         particles: int = 4000,
     ) -> None:
+        straight(whisker, "ww.touches or posterior with cues.ForceMap(), reading by reading")
         priors = {} if prior is None else {"radial_distance": prior}
         self.observer = Observer(
             whisker, ForceMap("moment"), Weber(0.1) if noise is None else noise, priors

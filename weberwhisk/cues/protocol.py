@@ -139,7 +139,10 @@ class Cue(Value):
         return np.zeros(reading.shape[:-1], dtype=np.int8)
 
 
-def straight(whisker: Any) -> None:
+def straight(
+    whisker: Any,
+    instead: str = "cues.ForceMap(), Compliance() or BalanceOfMoments(), which take curved ones",
+) -> None:
     """Refuse whiskers that most cues do not take: curved, hinged or rubbing ones, and profiles.
 
     Raises
@@ -157,10 +160,10 @@ def straight(whisker: Any) -> None:
         )
     refuse_hinge(whisker, "This cue")
     if np.any(whisker.curvature):
+        largest = float(np.max(np.abs(whisker.curvature)))
         raise ValueError(
-            f"This cue is for straight whiskers, got curvature "
-            f"{float(np.max(np.abs(whisker.curvature))):g} 1/m; write curvature=0, or take "
-            "cues.ForceMap(), Compliance() or BalanceOfMoments(), which take curved ones."
+            f"This cue is for straight whiskers, got curvature {largest:g} 1/m; "
+            f"write curvature=0, or take {instead}."
         )
 
 
