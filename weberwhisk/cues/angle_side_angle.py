@@ -23,8 +23,6 @@ from .protocol import Array, Cue, Felt, reach_at, straight
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))
-#: Bearings of objects that are all equally likely, rad.
-BEARINGS = (float(np.radians(30.0)), float(np.radians(150.0)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,7 +72,7 @@ class AngleSideAngle(Cue):
     side: float = 10e-3
     _: KW_ONLY
     side_sd: float = 0.0
-    bearings: Any = BEARINGS
+    bearings: Any = (float(np.radians(30.0)), float(np.radians(150.0)))
 
     def __post_init__(self) -> None:
         side = positive_number("side", self.side, "give metres, such as 10e-3")

@@ -17,11 +17,6 @@ from ..receptors import Events
 from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, straight
 
-#: Whiskers of an array: 2⁸ patterns of touch.
-MOST_WHISKERS = 8
-#: Sectors that whiskers sweep where none are given, rad: all that is ahead.
-AHEAD = (-np.pi / 2, np.pi / 2)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ComparativeLength(Cue):
@@ -114,9 +109,9 @@ class ComparativeLength(Cue):
         lengths = np.atleast_1d(positive("lengths", self.lengths, "give metres"))
         bases = finite("bases", self.bases, "give metres, a row for each neighbour")
         count = lengths.size + 1
-        if not 2 <= count <= MOST_WHISKERS or lengths.ndim > 1:
+        if not 2 <= count <= 8 or lengths.ndim > 1:  # 2⁸ patterns of touch
             raise ValueError(
-                f"An array has 1 to {MOST_WHISKERS - 1} neighbours, got lengths of shape "
+                f"An array has 1 to 7 neighbours, got lengths of shape "
                 f"{lengths.shape}; give one length for each."
             )
         if bases.shape != (count - 1, 2):
@@ -124,7 +119,7 @@ class ComparativeLength(Cue):
                 f"bases must have shape ({count - 1}, 2), got {bases.shape}; "
                 "give x and y for each neighbour."
             )
-        ends = np.tile(AHEAD, (count, 1)) if self.sweeps is None else self.sweeps
+        ends = np.tile([-np.pi / 2, np.pi / 2], (count, 1)) if self.sweeps is None else self.sweeps
         sweeps = finite("sweeps", ends, "give radians, a row for each whisker")
         if sweeps.shape != (count, 2) or np.any(sweeps[:, 0] >= sweeps[:, 1]):
             raise ValueError(

@@ -284,8 +284,6 @@ class UnknownHinge(_Wrapped):
         return lognorm(self.spread, scale=self._median(whisker))
 
 
-#: Sd of ln E that goes with 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
-MODULUS_SPREAD = 0.42
 #: Signals that are proportional to EI₀.
 FORCES = ("moment", "axial_force", "transverse_force", "moment_rate")
 
@@ -301,7 +299,8 @@ class UnknownStiffness(_Wrapped):
     ----------
     cue : Cue
     spread : float
-        Sd of the log-normal prior's ln; its median is 1. By default that of measured moduli.
+        Sd of the log-normal prior's ln; its median is 1. By default that of measured moduli,
+        3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
     signals : sequence of str, optional
         The cue's signals that are proportional to EI₀; by default its forces, moments and rates of
         moments, and not its angles, ratios or chances.
@@ -332,7 +331,7 @@ class UnknownStiffness(_Wrapped):
     unknown: ClassVar[str] = "stiffness"
 
     def __init__(
-        self, cue: Cue, spread: float = MODULUS_SPREAD, signals: Sequence[str] | None = None
+        self, cue: Cue, spread: float = 0.42, signals: Sequence[str] | None = None
     ) -> None:
         spread = positive_number("spread", spread, "give the sd of ln EI₀, such as 0.42")
         names = a_cue(cue).signal_names

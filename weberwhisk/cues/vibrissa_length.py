@@ -14,10 +14,6 @@ from ..receptors import Events
 from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, straight
 
-#: Sd over mean of the length of a rat's whiskers of one identity: the median over the 30 of
-#: Belli et al. (2017), in data/whisker_morphology.csv.
-LENGTH_SPREAD = 0.18
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VibrissaLength(Cue):
@@ -31,8 +27,9 @@ class VibrissaLength(Cue):
     Parameters
     ----------
     spread : float
-        Sd of the length over its mean. Default 0.18, that between animals; a rat that has
-        learnt its own whiskers' lengths knows them better.
+        Sd of the length over its mean. Default 0.18, that between rats' whiskers of one identity
+        (the median over the 30 of Belli et al. 2017); a rat that has learnt its own whiskers'
+        lengths knows them better.
     damage : float
         Chance that the whisker has broken off.
     tip_zone : float
@@ -71,7 +68,7 @@ class VibrissaLength(Cue):
     reports = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0))
 
     _: KW_ONLY
-    spread: float = LENGTH_SPREAD
+    spread: float = 0.18
     damage: float = 0.0
     tip_zone: float = 0.1
     reach: float = 1.5

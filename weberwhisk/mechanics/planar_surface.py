@@ -41,12 +41,8 @@ from .contact import Outcome
 from .continuation import zero_load
 from .shape import Profile, Spiral
 
-#: Nodes along and across, more where they are needed, and along each axis of what is uncertain.
-SIZES, UNCERTAIN = ((20, 14), (32, 18)), 7
-#: Error over the lateral force that is small enough: a thousandth of a Weber fraction of 0.01.
-ENOUGH = 1e-5
-#: Largest turn of the whisker at rest, rad: tables are made for whiskers that do not wind.
-MOST_TURN = 2.0
+#: Nodes along each axis of what is uncertain.
+UNCERTAIN = 7
 
 
 class PlanarSurface:
@@ -93,18 +89,20 @@ class PlanarSurface:
         law = grid.rows.law
         assert law is not None
         turn = np.max(np.abs([law.turn(np.full(psi.size, x)) for x in (0.25, 0.5, 0.75, 1.0)]))
-        if turn > MOST_TURN:
+        if turn > 2.0:  # tables are made for whiskers that do not wind
             raise ValueError(
-                f"Observers take whiskers that turn by up to {MOST_TURN:g} rad from base to tip, "
+                f"Observers take whiskers that turn by up to 2 rad from base to tip, "
                 f"got {turn:.3g}; give a smaller curvature."
             )
         self.taper = grid.taper
         try:
             with np.errstate(all="ignore"):
-                for self._along, self._across in SIZES:
+                # Nodes along and across, more where the error over the lateral force is more than
+                # a thousandth of a Weber fraction of 0.01.
+                for self._along, self._across in ((20, 14), (32, 18)):
                     self._build(grid, shape)
                     self.error = self._certified()
-                    if self.error < ENOUGH:
+                    if self.error < 1e-5:
                         break
         except NotFound:
             raise ValueError(

@@ -12,10 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import finite, non_negative, number
 from .protocol import Array, ReceptorNoise, Seed
 
-#: Chances below inform of nothing, as p'²/p falls with p; dividing by them would magnify what
-#: rounding leaves of sums over the others' slopes.
-_NEGLIGIBLE = 1e-10
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Events(ReceptorNoise):
@@ -168,7 +164,9 @@ class Events(ReceptorNoise):
 
     def fisher(self, signals: ArrayLike) -> Array:
         """Fisher information about the chances, (..., S, S): diag(1/p) + 1/p_last."""
-        chance = np.maximum(self.chances(signals), _NEGLIGIBLE)
+        # Below, chances inform of nothing, as p'²/p falls with p; dividing by them would magnify
+        # what rounding leaves of sums over the others' slopes.
+        chance = np.maximum(self.chances(signals), 1e-10)
         size = chance.shape[-1] - 1
         own = np.eye(size) / chance[..., None, :-1]
         return np.asarray((1 - self.misreport) ** 2 * (own + 1 / chance[..., -1:, None]))

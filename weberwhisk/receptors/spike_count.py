@@ -14,11 +14,6 @@ from .._checks import non_negative, number, positive, shown, whole
 from .._values import Value
 from .protocol import Array, ReceptorNoise, Seed
 
-#: Counts worked on together: what fits the cache.
-_BLOCK = 100_000
-#: An afferent this far (ln uⁿ) from its threshold is at rest, or saturated, to any precision.
-_FARTHEST = 460.0
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Afferents(Value):
@@ -225,7 +220,8 @@ class SpikeCount(ReceptorNoise):
             )
         with np.errstate(divide="ignore"):
             log_ratio = np.log(np.abs(signals))[..., None] - self._log_threshold
-        power = np.exp(np.clip(self._exponent * log_ratio, -_FARTHEST, _FARTHEST))
+        # At 460 from its threshold an afferent is at rest, or saturated, to any precision.
+        power = np.exp(np.clip(self._exponent * log_ratio, -460.0, 460.0))
         return np.asarray(power / (1 + power))
 
     def _mean(self, activation: Array) -> Array:
@@ -282,7 +278,8 @@ class SpikeCount(ReceptorNoise):
                 "a reading has one for each afferent."
             )
         if signals.ndim > 1 and reading.ndim in (1, signals.ndim):  # long tables go in pieces
-            rows = max(1, _BLOCK // max(1, signals[0].size * self.number))
+            # 100 000 counts together fit the cache.
+            rows = max(1, 100_000 // max(1, signals[0].size * self.number))
             one = reading.ndim == 1 or len(reading) == 1
             if len(signals) > rows and (one or len(reading) == len(signals)):
                 pieces = [slice(i, i + rows) for i in range(0, len(signals), rows)]
