@@ -14,7 +14,7 @@ from .. import _checks
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS
 from ..cues.protocol import Felt
-from ..cues.rubbing import Friction
+from ..cues.unknowns import Friction
 from ..mechanics import Profile, Spiral, rest_angle
 from ..mechanics.contact import Outcome
 from ..observer import Observer
