@@ -154,21 +154,21 @@ def test_rows_that_tell_nothing_stay() -> None:
     assert found["message"].str.len().min() > 5
 
 
-def _touch_readings(cue: ww.cues.Cue, seed: int) -> tuple[float, Lattice, Readings]:
+def _touch_readings(cue: ww.cues.Cue, seed: int, k: float) -> tuple[float, Lattice, Readings]:
     rng = np.random.default_rng(seed)
-    lattice = Lattice(ww.Observer(C2, cue, ww.receptors.Weber(0.1)), for_touches=True)
+    lattice = Lattice(ww.Observer(C2, cue, ww.receptors.Weber(k)), for_touches=True)
     r = rng.uniform(0.3, 0.8) * C2.length
     theta = rng.uniform(0.02, 0.98, 8) * float(ww.flick_past(C2, r).deflection_angle)
     signals = lattice.observer.signals(np.stack([np.full(8, r), theta], axis=-1))[0]
     return r, lattice, Readings(lattice.observer.noise.sample(signals, rng))
 
 
-@pytest.mark.parametrize("soft", [False, True])
-def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool) -> None:
+@pytest.mark.parametrize(("soft", "k"), [(False, 0.1), (False, 0.3), (True, 0.1)])
+def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool, k: float) -> None:
     """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
     from weberwhisk.contacts.touches import _SPANS
 
-    _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), seed=4)
+    _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), 4, k)
     clouds = [lattice.cloud(readings.take([i])) for i in range(8)]
     found = touch_posterior(lattice, clouds, readings, 0.95)
     observer = lattice.observer
