@@ -21,7 +21,7 @@ import pytest
 
 from weberwhisk import campaign
 from weberwhisk.campaign import CampaignError, batch_size, executor, read, run
-from weberwhisk.campaign.executor import UNKNOWN, Job
+from weberwhisk.campaign.executor import Job
 from weberwhisk.campaign.log import Log, decode, encode
 
 HERE = Path(__file__).parent
@@ -336,7 +336,7 @@ def test_a_run_of_chunks_stops_in_time_and_at_a_failure(tmp_path: Path) -> None:
 
 
 def test_short_chunks_are_handed_out_in_runs() -> None:
-    assert batch_size(10_000, 2, 0.25, UNKNOWN) == 1
+    assert batch_size(10_000, 2, 0.25, float("inf")) == 1
     assert batch_size(10_000, 2, 0.25, 0.005) == 50
     assert batch_size(10_000, 2, 0.25, 3.0) == 1
     assert batch_size(100, 2, 0.75, 0.005) == 25  # near the end, so that all end together

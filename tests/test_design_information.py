@@ -28,11 +28,9 @@ from weberwhisk.design import (
     with_priors,
 )
 from weberwhisk.design.best import _Search, _sites
-from weberwhisk.design.expectation import SEED as PRECISION_SEED
-from weberwhisk.design.expectation import Precision
 from weberwhisk.design.experiment import WIDE
 from weberwhisk.design.experiments import compare, fit
-from weberwhisk.design.information import expected_counts
+from weberwhisk.design.information import Precision, expected_counts
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -269,7 +267,7 @@ def test_expected_intervals_are_those_of_fits():
     cells, animals = scheme.cells(), SubjectPopulation()
     precision = Precision(TAPERED, cells.standard, cells.stimulus_2, animals)
     told = precision.half_widths(np.arange(cells.n.size), 200)
-    drawn = animals.draw(told.size, PRECISION_SEED)
+    drawn = animals.draw(told.size, 20)
     model = TAPERED.model(scheme)
     bias = np.repeat(drawn["bias"].to_numpy()[:, None], model.n_groups, axis=1)
     k, low, high = drawn[["weber_fraction", "lapse_low", "lapse_high"]].to_numpy().T

@@ -377,7 +377,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         "weber-2d": "weber_2d", "figure-4b": "jnd_surface",
     }  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figure, "DRAWS_SHORT", 3)
+        patch.setattr(figure.Asked, "readings", lambda asked, times=1: 3)
         for name in figure.CHARTS.keys() - {"figure-4a", "information"}:  # drawn above
             make = figure.CHARTS[name]
             made[functions.get(name, name.replace("-", "_"))] = make(figure.Asked(short=True)).chart

@@ -34,7 +34,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.encodings import IdentityEncoding
 from weberwhisk.design import Scheme, taper
-from weberwhisk.design.expectation import expected_trials, fitted
 
 ENDS = [0.025, 0.5, 0.975]
 
@@ -191,7 +190,7 @@ def test_draws_of_biases_far_from_what_is_believed_are_the_same_posterior_too() 
     true, other = taper(Whisker(50e-3, 100e-6, 5e-6))
     spaced = dict(weber_fraction=0.1, levels=[-1.5, -1, -0.5, 0.5, 1, 1.5], trials=1500)
     scheme = Scheme.spaced(true.encoding, [5e-3, 45e-3], **spaced)
-    posterior = fitted(expected_trials(scheme, true, 0.1, 0.02), other).posterior
+    posterior = other.fit(true.expected_trials(scheme, 0.1, 0.02)).posterior
     joint = posterior.grid.joint
     node = np.nonzero(joint > joint.max() - 3)
     place = np.column_stack([a[i] for a, i in zip(posterior.grid.axes, node, strict=True)])

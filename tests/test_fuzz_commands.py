@@ -174,9 +174,9 @@ def test_any_rehearsal_is_done_or_refused(
 
 
 def _one_process(workers: int) -> object:
-    from weberwhisk.campaign.executor import InProcess
+    from weberwhisk.campaign.executor import Workers
 
-    return InProcess()
+    return Workers()
 
 
 @settings(max_examples=6)

@@ -75,7 +75,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "along_whisk": ("jnd", "sweeping"),
     "surveys": ("fusion", "jnd_curves", "array"),
     "paper": ("surveys",),
-    "output": (),
+    "output": ("citing",),
     "contacts": ("behaviour",),
     "behaviour": ("fusion", "campaign", "citing", "output", "domain"),
     "design": ("behaviour", "places"),

@@ -17,8 +17,8 @@ import pandas as pd
 import pytest
 
 import weberwhisk
+from weberwhisk import output
 from weberwhisk.output import Run, atomic_write, to_json
-from weberwhisk.output import run as output
 
 TABLE = pd.DataFrame({"radial_distance_mm": [10.0, 20.0], "outcome": ["held", "out_of_reach"]})
 
@@ -394,9 +394,8 @@ def test_to_json_is_strict_json() -> None:
     assert json.loads(to_json(TABLE.to_dict("records"))) == TABLE.to_dict("records")
 
 
-def test_a_missing_package_is_recorded_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(output, "_RECORDED_PACKAGES", ("no-such-package",))
-    assert output._versions()["no-such-package"] is None
+def test_a_missing_package_is_recorded_as_missing() -> None:
+    assert output.versions("no-such-package")["no-such-package"] is None
 
 
 RACING = """

@@ -32,6 +32,11 @@ def talk(session: Session, *lines: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in converse(session, lines, "_mm")]
 
 
+def test_a_file_is_named_by_text_or_a_path() -> None:
+    with pytest.raises(ValueError, match="path must name a file, got 3"):
+        Session(placer(), 3)  # type: ignore[arg-type]
+
+
 def test_resumes_exactly_where_it_was(tmp_path: Path) -> None:
     """Cut anywhere, also in the middle of a line, the session comes to the same trials."""
     answers = ["1", "0", "1", "null", "1", "0", "1", "1", "0", "1"]

@@ -232,17 +232,10 @@ def numbers(option: str, values: Sequence[str]) -> NDArray[np.float64]:
     """
     import numpy as np
 
-    texts = [text.strip() for value in values for text in value.split(",")]
-    try:
-        return np.array([float(text) for text in texts])
-    except ValueError:
-        wrong = next(text for text in texts if not _is_number(text))
-        raise ValueError(f"{option} takes numbers such as 10,20,30, got {wrong!r}.") from None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    found = []
+    for text in (text.strip() for value in values for text in value.split(",")):
+        try:
+            found.append(float(text))
+        except ValueError:
+            raise ValueError(f"{option} takes numbers such as 10,20,30, got {text!r}.") from None
+    return np.array(found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -57,13 +58,18 @@ def versions_in_words(*packages: str) -> str:
     >>> versions_in_words("numpy").startswith("weberwhisk ")
     True
     """
-    found = [f"weberwhisk {__version__}", f"Python {platform.python_version()}"]
+    known = versions(*packages)
+    found = [f"{name} {known[name]}" for name in packages if known[name]]
+    return ", ".join([f"weberwhisk {__version__}", f"Python {platform.python_version()}", *found])
+
+
+def versions(*packages: str) -> dict[str, str | None]:
+    """Of this package and others, None for those that are not installed."""
+    found: dict[str, str | None] = {"weberwhisk": __version__, **dict.fromkeys(packages)}
     for name in packages:
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            continue
-    return ", ".join(found)
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def machine(*packages: str) -> str:

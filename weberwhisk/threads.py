@@ -10,17 +10,15 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from functools import cache, wraps
+from functools import cache
 from threading import Lock
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-Arguments = ParamSpec("Arguments")
-
 
 _inside: ContextVar[bool] = ContextVar("inside a thread of on_threads", default=False)
 
@@ -97,24 +95,9 @@ def limited_blas() -> Iterator[None]:
                 limit.restore_original_limits()
 
 
-def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """The same function, while BLAS keeps to one thread.
-
-    Its products are many and small: with a thread more each of them waits for the other thread to
-    wake, and where cores are shared that takes tens of times as long.
-
-    Examples
-    --------
-    >>> one_blas_thread(abs)(-1)
-    1
-    """
-
-    @wraps(function)
-    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        with limited_blas():
-            return function(*args, **kwargs)
-
-    return limited
+#: As a decorator: products are many and small, and with a thread more each of them waits for the
+#: other thread to wake, which on shared cores takes tens of times as long.
+one_blas_thread = limited_blas()
 
 
 def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:

@@ -3,7 +3,9 @@
     OMP_NUM_THREADS=1 python tests/benchmarks/bench_adaptive.py [sessions]
 
 A session has 300 trials. Times are CPU milliseconds of `next` and `record` together: the median,
-the mean, nine in ten, and the longest, in which the grid was laid anew.
+the mean, 99 in 100, and the longest, in which the grid was laid anew. November 2026, a busy
+machine, one session each: k at one standard 0.4, 0.5, 1.3 and 1.5 ms; with a bias at each of three
+standards 1.0, 1.0, 1.9 and 2.2; none over 5 ms. Quantiles are off by 0.02 posterior sd at most.
 """
 
 from __future__ import annotations

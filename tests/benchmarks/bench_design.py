@@ -7,6 +7,13 @@ two models and compared: in this process, by its CPU seconds, and by `power` on 
 processes, by the clock: from the call to the table, and from the first chunk to the last, which
 leaves out what the workers take to begin. The power analysis is `smallest` with its defaults, by
 the clock too. Clocks tell of the package only where nothing else runs.
+
+November 2026, a machine of two cores with ten things running: 1600 to 1680 experiments a CPU
+second with one animal as it is, 1130 to 1190 with animals that differ, so that two cores do some
+2300 to 3300 a second. `weberwhisk design --animals 3 --half-width 0.2 --standard-mm 10,20,30
+--weber-fraction 0.15` took 127 CPU seconds, a minute of two cores, and 0.7 GB a worker at most; it
+ends by saying that 1000 trials a comparison will not do. A plan of 18 000 trials with its lists,
+page and figures (`--trials 1000 --runs 0`) took 6.7 CPU seconds where it took six minutes.
 """
 
 from __future__ import annotations

@@ -25,11 +25,9 @@ import numpy as np
 from .. import _checks
 from ..threads import core_count, in_browser
 from .executor import (
-    UNKNOWN,
     Chunk,
     Cluster,
     ClusterLost,
-    InProcess,
     Job,
     Processes,
     Report,
@@ -212,7 +210,7 @@ class _Sweep:
         self._deaths: Counter[int] = Counter()
         self._failure: str | None = None
         self._trace = ""
-        self._each = UNKNOWN
+        self._each = float("inf")  # seconds that a chunk takes, before one is done
 
     def finish(self, executor: Workers, advance: Callable[[float], None]) -> None:
         """Hand out and write until all is done; a failure waits for what is under way."""
@@ -303,7 +301,7 @@ def _log(out: str | os.PathLike[str], job: Job, name: str, title: str) -> Log:
 def _executor(sweep: _Sweep, workers: int, scheduler: str | None) -> Workers:
     if scheduler is not None:
         return Cluster(scheduler)
-    return InProcess() if workers == 1 else Processes(min(workers, len(sweep.queue)))
+    return Workers() if workers == 1 else Processes(min(workers, len(sweep.queue)))
 
 
 def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
@@ -384,17 +382,9 @@ def _shown(
         yield _Lines(title or "Sweep", done, total).advance
         return
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import Progress
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
         # What was done before is no measure of how fast it goes now.
         task = bar.add_task(title or "Sweep", total=total, completed=done)
         yield lambda more: bar.advance(task, more)

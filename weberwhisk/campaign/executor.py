@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,21 +30,13 @@ if TYPE_CHECKING:
 Chunk = dict[str, Any]
 Work = Callable[[Chunk, np.random.SeedSequence], "pd.DataFrame"]
 
-UNKNOWN = float("inf")  # seconds that a chunk takes, before one is done
-
 
 @dataclass(frozen=True)
 class Job:
     """The same function of every chunk, each with the seed that its number gives it.
 
-    Parameters
-    ----------
-    work : callable
-        At the top level of a module that every worker can import.
-    chunks : dict of int to dict
-        By number; a job for one worker may have some of them only.
-    entropy, spawn_key
-        The root of the seeds.
+    `chunks` by number, for one worker some of them only; `entropy` and `spawn_key` are the root of
+    the seeds.
     """
 
     work: Work
@@ -91,16 +83,8 @@ class Job:
 class Report:
     """What became of some chunks.
 
-    Parameters
-    ----------
-    lines : dict of int to str
-        Results, by number of the chunk.
-    back : list of int
-        Chunks given back undone.
-    failure : (int, str, str), optional
-        A chunk that raised an exception, which, and its traceback.
-    each : float
-        Seconds that a chunk took.
+    `lines` of results by number of the chunk; `back`, chunks given back undone; `failure`, a chunk
+    that raised an exception, which, and its traceback; `each`, seconds that a chunk took.
     """
 
     lines: dict[int, str] = field(default_factory=dict)
@@ -127,18 +111,26 @@ class ClusterLost(Exception):
     """The scheduler or all its workers have gone."""
 
 
-class Workers(Protocol):
-    """An executor with what the loop must know of it."""
+class Workers:
+    """Who does batches of chunks: an executor with what the loop must know of it.
 
-    seconds: float  # of work in a batch
-    slots: int  # batches that are under way at most
-    trials: int  # deaths of workers on one chunk alone, before it is given up
+    `seconds` of work in a batch; `slots`, batches that are under way at most; `trials`, deaths of
+    workers on one chunk alone, before it is given up. This process, by itself, is the plainest.
+    """
+
+    seconds: float = 0.25
+    slots: int = 1
+    trials: int = 1
 
     def submit(self, job: Job) -> Future[Report]:
         """Do the chunks of a job, or some of them."""
+        future: Future[Report] = Future()
+        future.set_result(job.do(list(job.chunks), self.seconds))
+        return future
 
     def died(self, error: BaseException) -> bool:
         """Whether an exception of a batch says that its worker has died."""
+        return False
 
     def restart(self) -> None:
         """Have other workers, where one has died."""
@@ -150,30 +142,7 @@ class Workers(Protocol):
         """Stop, whatever is being done."""
 
 
-class InProcess:
-    """This process, a batch at a time."""
-
-    seconds, slots, trials = 0.25, 1, 1
-
-    def submit(self, job: Job) -> Future[Report]:
-        future: Future[Report] = Future()
-        future.set_result(job.do(list(job.chunks), self.seconds))
-        return future
-
-    def died(self, error: BaseException) -> bool:
-        return False
-
-    def restart(self) -> None:
-        pass
-
-    def check(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
-class Processes:
+class Processes(Workers):
     """Processes of this machine; when one dies all are replaced."""
 
     # What a worker holds so that it need not wait, and chunks that end are in the file soon.
@@ -207,12 +176,8 @@ class Processes:
         return isinstance(error, BrokenExecutor)
 
     def restart(self) -> None:
-        """New processes in place of the broken ones."""
         self.close()
         self._start()
-
-    def check(self) -> None:
-        pass
 
     def close(self) -> None:
         processes = list((getattr(self._pool, "_processes", None) or {}).values())
@@ -223,7 +188,7 @@ class Processes:
             process.join()
 
 
-class Cluster:
+class Cluster(Workers):
     """The workers of a dask scheduler, whoever they are at the time.
 
     The scheduler gives the task of a worker that dies to another one. After some deaths it gives
@@ -291,9 +256,6 @@ class Cluster:
             f"a task ended with {type(error).__name__}: {' '.join(str(error).split())}"
         )
 
-    def restart(self) -> None:
-        """Nothing: the scheduler has other workers."""
-
     def check(self) -> None:
         """Refuse to wait for a scheduler that has gone, or where there are no workers."""
         if self._client.status != "running":
@@ -331,7 +293,7 @@ def _begin() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def _some(job: Job, seconds: float, wanted: dict[str, str] | None = None) -> Report:
+def _some(job: Job, seconds: float, wanted: dict[str, str | None] | None = None) -> Report:
     """A worker's share: its chunks, until they are done or have taken long enough."""
     if wanted is not None and versions() != wanted:
         raise _Mismatch(f"a worker has {versions()}, not {wanted}")

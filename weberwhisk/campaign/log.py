@@ -10,17 +10,15 @@ import json
 import os
 import platform
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 
-from .. import __version__
-from ..output import locked
+from .. import output
+from .._checks import shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,9 +27,9 @@ FORMAT = 1
 
 
 @cache
-def versions() -> dict[str, str]:
+def versions() -> dict[str, str | None]:
     """What the bits of a result hang on."""
-    return {"weberwhisk": __version__, "numpy": np.__version__, "scipy": version("scipy")}
+    return output.versions("numpy", "scipy")
 
 
 class Log:
@@ -77,6 +75,8 @@ class Log:
         question: dict[str, Any],
         about: dict[str, Any] | None = None,
     ) -> None:
+        if not isinstance(path, str | os.PathLike):
+            raise ValueError(f"path must name a file, got {shown(path)}; write 'rat1.jsonl', say.")
         self.path = Path(path)
         self.lines: list[str] = []
         self._kind = kind
@@ -89,14 +89,14 @@ class Log:
             try:
                 self._file = opened.enter_context(open(self.path, "a+b"))
                 lock = self.path.with_name(f".{self.path.name}.lock")
-                opened.enter_context(locked(lock, 0.0))
+                opened.enter_context(output.locked(lock, 0.0))
             except TimeoutError:
                 raise ValueError(
                     f"{str(self.path)!r} is being written by another process; wait for it, or name "
                     "another file."
                 ) from None
             except OSError as error:
-                raise self._unwritable(error) from error
+                raise output.unwritable(self.path, error) from error
             header, self.lines, good = _parse(self._file, self.path, self._kind)
             self._file.truncate(good)
             if header is None:
@@ -116,22 +116,15 @@ class Log:
             self._file.write("".join(f"{line}\n" for line in lines).encode("ascii"))
             self._file.flush()
         except OSError as error:  # a full disk
-            raise self._unwritable(error) from error
+            raise output.unwritable(self.path, error) from error
 
     def sync(self) -> None:
         """Have it on the disk, safe from a power cut too."""
         os.fsync(self._file.fileno())
 
-    def _unwritable(self, error: OSError) -> ValueError:
-        return ValueError(
-            f"{str(self.path)!r} cannot be written ({error.strerror}); name a file in a folder "
-            "that exists and that you may write to."
-        )
-
     def _begin(self) -> None:
-        started = datetime.now(UTC).isoformat(timespec="seconds")
-        about = {"python": platform.python_version(), "started": started} | self._about
-        about = {"made_with": versions()} | about
+        about = {"made_with": versions(), "python": platform.python_version()}
+        about |= {"started": output.now()} | self._about
         self.append(json.dumps({_mark(self._kind): FORMAT, **about, **self._question}))
 
     def _same(self, header: dict[str, Any]) -> None:

@@ -6,35 +6,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import typer
 
 import weberwhisk as ww
 
 from ..behaviour.io import load_table
 from ..citing import versions_in_words
 from ..output import Run, atomic_write, to_json
-from .options import JsonOption, OutOption, wrote
+from .options import command, wrote
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..design.plan import AnalysisResult
+    from ..design import AnalysisResult
 
 #: What rigs call an answer, and what their codes mean: PsychoPy's keyboard, and 1 or 2 for left or
 #: right in a table for Bpod (see `weberwhisk.design.trial_lists`).
 SIDES = {"left": "first", "right": "second", 1: "first", 2: "second"}
 
 
+@command
 def analyse(
-    file: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="plan.json, as `weberwhisk design` writes it.")
-    ],
-    data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA...", help="Tables of trials."),
-    ],
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    file: Annotated[Path, "plan.json, as `weberwhisk design` writes it.", {"metavar": "PLAN"}],
+    data: Annotated[list[Path], "Tables of trials.", {"metavar": "DATA..."}],
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """The preregistered analysis of a plan, on PsychoPy's output or a table for Bpod.
 

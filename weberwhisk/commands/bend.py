@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 import weberwhisk as ww
@@ -13,18 +13,7 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import a_seed, numbers
 from ..output import Run
-from .options import (
-    NO_SHAPE,
-    DistanceOption,
-    JsonOption,
-    OutOption,
-    Shape,
-    as_asked,
-    option,
-    show,
-    takes_whisker,
-    the_whisker,
-)
+from . import options as opt
 
 Array = NDArray[np.float64]
 
@@ -41,37 +30,21 @@ _BENDING_COLUMNS = {
 }
 
 
-@takes_whisker
+@opt.command
 def bend(
-    shape: Shape = NO_SHAPE,
-    radial_distance_mm: DistanceOption = None,
-    deflection_angle_deg: Annotated[
-        list[str] | None,
-        typer.Option("--deflection-angle-deg", metavar="LIST", help="Its angle to the base."),
-    ] = None,
-    arc_length_mm: Annotated[
-        list[str] | None,
-        typer.Option("--arc-length-mm", metavar="LIST", help="Arc length to the contact."),
-    ] = None,
-    force_micronewton: Annotated[
-        list[str] | None,
-        typer.Option("--force-micronewton", metavar="LIST", help="Contact force."),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option("--model", help="Force a model.  [default: the cheapest that will do]"),
-    ] = None,
+    shape: opt.Shape = opt.NO_SHAPE,
+    radial_distance_mm: opt.Texts = None,
+    deflection_angle_deg: Annotated[opt.Texts, "Its angle to the base."] = None,
+    arc_length_mm: Annotated[opt.Texts, "Arc length to the contact."] = None,
+    force_micronewton: Annotated[opt.Texts, "Contact force."] = None,
+    model: Annotated[opt.Text, "Force a model.  [default: the cheapest that will do]"] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
-            "--seed",
-            parser=a_seed,
-            metavar="NUMBER",
-            help="Draw the whisker from the spread of its identity.",
-        ),
+        "Draw the whisker from the spread of its identity.",
+        {"parser": a_seed, "metavar": "NUMBER"},
     ] = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Bend a whisker against a point: the forces and moment at its base.
 
@@ -81,25 +54,25 @@ def bend(
     """
     import pandas as pd
 
-    options = as_asked(locals(), "seed", "out", "as_json", "pd")
-    whisker = the_whisker(shape, seed)
+    options = opt.as_asked(locals())
+    whisker = opt.the_whisker(shape, seed)
     pairs = {
         ("radial_distance_mm", "deflection_angle_deg"): (radial_distance_mm, deflection_angle_deg),
         ("arc_length_mm", "force_micronewton"): (arc_length_mm, force_micronewton),
     }
     named = [names for names, lists in pairs.items() if any(lists)]
     if len(named) != 1 or not all(pairs[named[0]]):
-        got = " and ".join(option(n) for names in pairs for n in names if options[n])
+        got = " and ".join(opt.option(n) for names in pairs for n in names if options[n])
         raise ValueError(
             "A contact is --radial-distance-mm and --deflection-angle-deg, or --arc-length-mm and "
             f"--force-micronewton, got {got or 'none of them'}; write both of one pair."
         )
     names = named[0]
     where, much = (
-        numbers(option(n), texts or []) for n, texts in zip(names, pairs[names], strict=True)
+        numbers(opt.option(n), texts or []) for n, texts in zip(names, pairs[names], strict=True)
     )
-    _checks.positive(option(names[0]), where, "give millimetres, such as 35")
-    _checks.finite(option(names[1]), much, "give a number, such as 20")
+    _checks.positive(opt.option(names[0]), where, "give millimetres, such as 35")
+    _checks.finite(opt.option(names[1]), much, "give a number, such as 20")
     where, much = (grid.ravel() for grid in np.meshgrid(where, much, indexing="ij"))
     units = [_BENDING_COLUMNS[name][1] for name in names]
     with Run(out, "bend", options, seed) as run:
@@ -117,8 +90,10 @@ def bend(
         table = pd.DataFrame(columns)
         run.table("bend", table)
         if run.out_dir is not None:
-            run.figure("bend", _figure(whisker, where * units[0], much * units[1], names[0], model))
-    show(table, run, whisker, as_json=as_json)
+            opt.draw(
+                run, "bend", _figure(whisker, where * units[0], much * units[1], names[0], model)
+            )
+    opt.show(table, run, whisker, as_json=as_json)
     if not as_json:
         for outcome in sorted({ww.Outcome(o) for o in np.asarray(bending.outcome)[~bending.held]}):
             print(f"{outcome.message[:1].upper()}{outcome.message[1:]}.")
@@ -142,8 +117,6 @@ def _say_which_model(whisker: ww.Whisker, bending: ww.Bending) -> None:
 
 def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: str | None) -> Any:
     """The signals along each contact asked for, from no load to the most asked for."""
-    from .. import figures
-
     by_place = given == "radial_distance_mm"
     against = "deflection_angle" if by_place else "force"
     steps = np.linspace(min(load.min(), 0.0), max(load.max(), 0.0), 241)
@@ -151,4 +124,4 @@ def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: s
     call = ww.press if by_place else ww.bend
     curves = call(whisker, places[:, None], steps, model=model)
     marked = call(whisker, places[:, None], np.unique(load), model=model)
-    return figures.figure_of(figures.bending(curves, points=marked, against=against))
+    return ww.figures.bending(curves, points=marked, against=against)

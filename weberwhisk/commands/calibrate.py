@@ -5,43 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 import weberwhisk as ww
 
 from ..output import Run, to_json
-from .options import (
-    NO_SHAPE,
-    ColumnOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-    Shape,
-    UnitOption,
-    as_asked,
-    describe,
-    options_named,
-    pairs,
-    takes_whisker,
-    the_whisker,
-    whisker_line,
-    wrote,
-)
+from . import options as opt
 
 
-@takes_whisker
+@opt.command
 def calibrate(
-    taps: Annotated[Path, typer.Argument(help="Table of taps: CSV, Parquet or Excel.")],
-    shape: Shape = NO_SHAPE,
-    column: ColumnOption = None,
-    unit: UnitOption = None,
-    counts: Annotated[
-        bool, typer.Option("--counts", help="Slopes are counts a second: find the gain.")
-    ] = False,
-    clamped: Annotated[bool, typer.Option("--clamped", help="The base does not give way.")] = False,
-    seed: SeedOption = 0,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    taps: Annotated[Path, "Table of taps: CSV, Parquet or Excel."],
+    shape: opt.Shape = opt.NO_SHAPE,
+    column: opt.Texts = None,
+    unit: opt.Texts = None,
+    counts: Annotated[bool, "Slopes are counts a second: find the gain."] = False,
+    clamped: Annotated[bool, "The base does not give way."] = False,
+    seed: int = 0,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Calibrate a whisker and its sensor by taps at known distances.
 
@@ -49,16 +29,15 @@ def calibrate(
     Found are stiffness (or gain), apex distance, the hinge of the base and the sensor's own Weber
     fraction, with posteriors; and how well a distance left out is found again.
     """
-    options = as_asked(locals(), "seed", "out", "as_json")
-    options["taps"] = str(taps)
-    whisker = the_whisker(shape)
+    options = opt.as_asked(locals())
+    whisker = opt.the_whisker(shape)
     with Run(out, "calibrate", options, seed) as run:
-        with options_named(["columns", "units"]):
+        with opt.options_named(["columns", "units"]):
             found = ww.calibrate(
                 taps,
                 whisker,
-                columns=pairs("--column", column, "moment_rate=slope"),
-                units=pairs("--unit", unit, "moment_rate=uN m/s"),
+                columns=opt.pairs("--column", column, "moment_rate=slope"),
+                units=opt.pairs("--unit", unit, "moment_rate=uN m/s"),
                 counts=counts,
                 hinge=not clamped,
                 seed=seed,
@@ -68,18 +47,16 @@ def calibrate(
         run.table("residuals", found.residuals)
         run.table("left_out", found.left_out)
         if run.out_dir is not None:
-            from .. import figures
-
-            run.figure("calibration", figures.figure_of(figures.calibrated(found)))
+            opt.draw(run, "calibration", ww.figures.calibrated(found))
     if as_json:
         print(to_json({
-            "whisker": describe(found.whisker), "message": found.message,
+            "whisker": opt.describe(found.whisker), "message": found.message,
             "parameters": parameters.to_dict("records"), "p_value": found.p_value,
             "left_out": found.left_out.to_dict("records"),
         }))  # fmt: skip
         return
-    print(whisker_line(found.whisker))
+    print(opt.whisker_line(found.whisker))
     print(parameters.to_string(index=False, float_format="{:.4g}".format))
     print(found.left_out.to_string(index=False, float_format="{:.4g}".format))
     print(found.message)
-    wrote(run)
+    opt.wrote(run)

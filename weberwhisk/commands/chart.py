@@ -5,21 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from .._terminal import progress
 from ..output import Run, to_json
-from .options import JsonOption, wrote
+from .options import command, wrote
 
 
+@command
 def chart(
-    full: Annotated[
-        bool, typer.Option("--full", help="Every setting and more data: some ten minutes.")
-    ] = False,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the tables and figures.")
-    ] = Path("chart"),
-    as_json: JsonOption = False,
+    full: Annotated[bool, "Every setting and more data: some ten minutes."] = False,
+    out: Path = Path("chart"),
+    as_json: bool = False,
 ) -> None:
     """Chart error against CPU time: beams, posteriors, JND curves and fits, and how each grows.
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 import weberwhisk as ww
@@ -19,131 +18,65 @@ from ..design.experiment import WIDE
 from ..design.preregistration import assumptions, offsets_in_words
 from ..output import Run, to_json
 from ..planning import fill
-from .options import (
-    NO_SHAPE,
-    AngleOption,
-    CueOption,
-    JsonOption,
-    SchedulerOption,
-    SeedOption,
-    Shape,
-    WorkersOption,
-    as_asked,
-    describe,
-    number_option,
-    options_named,
-    takes_whisker,
-    the_cue,
-    the_whisker,
-    whisker_line,
-    wrote,
-)
-
-#: Options that change nothing in the answer.
-NOT_ASKED = "out", "as_json", "seed", "workers", "scheduler"
+from . import options as opt
 
 
-@takes_whisker
+@opt.command
 def design(
-    shape: Shape = NO_SHAPE,
-    cue: CueOption = None,
-    deflection_angle_deg: AngleOption = None,
+    shape: opt.Shape = opt.NO_SHAPE,
+    cue: str | None = None,
+    deflection_angle_deg: opt.Texts = None,
     bayes_factor: Annotated[
-        float | None,
-        number_option(
-            "--bayes-factor",
-            "Goal: tapered whisker or cylinder, distinguished by so much.  [default: 10]",
-        ),
+        opt.Number, "Goal: tapered whisker or cylinder, distinguished by so much.  [default: 10]"
     ] = None,
     half_width: Annotated[
-        float | None,
-        number_option("--half-width", "Goal instead: the 95 % interval of k, 0.2 for ±20 %."),
+        opt.Number, "Goal instead: the 95 % interval of k, 0.2 for ±20 %."
     ] = None,
-    share: Annotated[
-        float,
-        number_option("--share", "Of experiments that reach the goal."),
-    ] = 0.8,
+    share: Annotated[float, "Of experiments that reach the goal."] = 0.8,
     standard_mm: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--standard-mm",
-            metavar="LIST",
-            help="Radial distances compared with.  [default: 0.3, 0.6 and 0.9 of the length]",
-        ),
+        opt.Texts, "Radial distances compared with.  [default: 0.3, 0.6 and 0.9 of the length]"
     ] = None,
     level: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--level",
-            metavar="LIST",
-            help="Comparisons, in sds of what the animal can tell.  "
-            f"[default: {','.join(f'{z:g}' for z in WIDE)}]",
-        ),
+        opt.Texts,
+        "Comparisons, in sds of what the animal can tell.  "
+        f"[default: {','.join(f'{z:g}' for z in WIDE)}]",
     ] = None,
-    best: Annotated[
-        bool,
-        typer.Option("--best", help="Choose standards and offsets by what they tell, in reach."),
-    ] = False,
+    best: Annotated[bool, "Choose standards and offsets by what they tell, in reach."] = False,
     trials: Annotated[
-        int | None,
-        typer.Option(
-            "--trials",
-            help="Of each comparison, for each animal.  [default: what reaches the goal]",
-        ),
+        int | None, "Of each comparison, for each animal.  [default: what reaches the goal]"
     ] = None,
-    animals: Annotated[int, typer.Option("--animals", help="How many.")] = 1,
+    animals: Annotated[int, "How many."] = 1,
     find: Annotated[
-        str | None,
-        typer.Option(
-            "--find",
-            help="What the goal decides: trials, animals or nothing.  [default: trials, where they "
-            "are not given]",
-        ),
+        opt.Text,
+        "What the goal decides: trials, animals or nothing.  [default: trials, where they are not "
+        "given]",
     ] = None,
-    weber_fraction: Annotated[
-        float, number_option("--weber-fraction", "Of the expected animals, the median.")
-    ] = 0.1,
-    spread: Annotated[float, number_option("--spread", "Sd of ln k between animals.")] = 0.3,
-    lapse: Annotated[float, number_option("--lapse", "Expected share lost on either side.")] = 0.03,
-    nearest_mm: Annotated[
-        float, number_option("--nearest-mm", "Nearest distance that the animal can reach.")
-    ] = 0.0,
-    farthest_mm: Annotated[
-        float | None, number_option("--farthest-mm", "Farthest distance that the animal can reach.")
-    ] = None,
-    step_mm: Annotated[float, number_option("--step-mm", "Step of the pole, 0 for none.")] = 0.01,
-    easy_share: Annotated[
-        float, number_option("--easy-share", "Least share of easy trials, which keep it working.")
-    ] = 0.0,
-    trials_per_session: Annotated[int, typer.Option("--trials-per-session", help="At most.")] = 300,
-    apart: Annotated[
-        bool,
-        typer.Option("--apart", help="Fit each animal by itself; several are fitted together."),
-    ] = False,
-    runs: Annotated[
-        int, typer.Option("--runs", help="Experiments simulated at each size, for the power.")
-    ] = 512,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    title: Annotated[
-        str, typer.Option("--title", help="Of the page.")
-    ] = "Discrimination of radial distance",
-    seed: SeedOption = 1,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FOLDER", help="Folder for lists, page, figures and plan."),
-    ] = None,
-    as_json: JsonOption = False,
+    weber_fraction: Annotated[float, "Of the expected animals, the median."] = 0.1,
+    spread: Annotated[float, "Sd of ln k between animals."] = 0.3,
+    lapse: Annotated[float, "Expected share lost on either side."] = 0.03,
+    nearest_mm: Annotated[float, "Nearest distance that the animal can reach."] = 0.0,
+    farthest_mm: Annotated[opt.Number, "Farthest distance that the animal can reach."] = None,
+    step_mm: Annotated[float, "Step of the pole, 0 for none."] = 0.01,
+    easy_share: Annotated[float, "Least share of easy trials, which keep it working."] = 0.0,
+    trials_per_session: Annotated[int, "At most."] = 300,
+    apart: Annotated[bool, "Fit each animal by itself; several are fitted together."] = False,
+    runs: Annotated[int, "Experiments simulated at each size, for the power."] = 512,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    title: Annotated[str, "Of the page."] = "Discrimination of radial distance",
+    seed: int = 1,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Plan an experiment: distances, trials, animals, trial lists, and what to expect of it.
 
     Writes trial lists for PsychoPy and Bpod, a page to print with expected curves and a text for a
     preregistration, and plan.json, which `weberwhisk rehearse` simulates.
     """
-    inputs = as_asked(locals(), *NOT_ASKED)
-    whisker = the_whisker(shape if shape.given else Shape("C2"))
+    inputs = opt.as_asked(locals())
+    whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
     _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
-    with options_named(inputs), Run(out, "design", inputs, seed) as run:
+    with opt.options_named(inputs), Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker,
             goal=_goal(bayes_factor, half_width, share),
@@ -164,24 +97,20 @@ def design(
             seed=seed,
             workers=all_cores(workers, scheduler),
             scheduler=scheduler,
-            progress=_quiet if as_json else None,
+            progress=(lambda done: None) if as_json else None,
             **_encoded(cue, deflection_angle_deg),
         )
         fill(run, plan)
     if as_json:
         print(to_json(_answer(plan, whisker)))
         return
-    print(f"{whisker_line(whisker)}\n")
+    print(f"{opt.whisker_line(whisker)}\n")
     print(_summary(plan))
-    wrote(run)
+    opt.wrote(run)
     if run.out_dir is None:
         print("Write it, with its trial lists, by naming a folder: --out plan.")
     else:
         print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
-
-
-def _quiet(done: float) -> None:
-    """No progress bar: the answer alone is printed."""
 
 
 def _goal(bayes_factor: float | None, half_width: float | None, share: float) -> Goal:
@@ -209,28 +138,23 @@ def _constraints(
     return Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
 
 
-def _standards(texts: list[str] | None) -> NDArray[np.float64] | None:
+def _standards(texts: opt.Texts) -> NDArray[np.float64] | None:
     if not texts:
         return None
     at = numbers("--standard-mm", texts)
     return _checks.positive("--standard-mm", at, "give millimetres, such as 10,20") * 1e-3
 
 
-def _encoded(cue: str | None, angles_deg: list[str] | None) -> dict[str, Any]:
+def _encoded(cue: str | None, angles_deg: opt.Texts) -> dict[str, Any]:
     if cue is None and not angles_deg:
         return {}
-    encoded, angles = the_cue(cue, angles_deg)
-    if angles.size > 1:
-        raise ValueError(
-            f"Choices are made at one deflection angle, got {angles.size} values of "
-            "--deflection-angle-deg; give one."
-        )
-    return {"cue": encoded, "deflection_angle": angles[0] if angles.size else None}
+    encoded, angles = opt.the_cue(cue, angles_deg)
+    return {"cue": encoded, "deflection_angle": opt.one_angle(angles)}
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:
     return {
-        "whisker": describe(whisker),
+        "whisker": opt.describe(whisker),
         "goal": str(plan.goal),
         "animals": plan.scheme.animals,
         "trials_per_animal": plan.scheme.n_trials,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 import weberwhisk as ww
@@ -15,19 +14,10 @@ import weberwhisk as ww
 from .. import _checks
 from ..behaviour import CueEncoding
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
-from .options import SCENES, Shape, the_scene, the_whisker
+from .options import SCENES, Shape, Texts, one_angle, the_scene, the_whisker
 
-ReceptorsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--receptors",
-        metavar="NAME",
-        help="Noise of forces: weber, log-normal, near-miss=<exponent>, floor=<sd>, "
-        "ceiling=<signal> (hard) or saturating=<response>, in units of the signals at half the "
-        "length.  [default: weber]",
-    ),
-]
-
+#: Columns that hold stimuli, and so may carry a unit.
+STIMULI = ("standard", "stimulus_1", "stimulus_2")
 _Model = Callable[[float, NDArray[np.float64]], ReceptorNoise]
 #: Receptors of a number and the signals at half the length. Their own Weber fraction, 0.1, is the
 #: scale of the one that is fitted.
@@ -43,7 +33,7 @@ PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(1.0), "log-normal": LogNormal(
 def distance_encoding(
     shape: Shape,
     cue: str | None,
-    angles_deg: list[str] | None,
+    angles_deg: Texts,
     receptors: str | None = None,
     *,
     fitted: bool = True,
@@ -67,12 +57,7 @@ def distance_encoding(
             f"The cue {cue} reports events, all or none, which leave no two noisy signals to "
             "compare; write --cue compliance, say."
         )
-    if angles.size > 1:
-        raise ValueError(
-            f"Choices are made at one deflection angle, got {angles.size} values of "
-            "--deflection-angle-deg; give one."
-        )
-    angle = float(angles[0]) if angles.size else None
+    angle = one_angle(angles)
     if cue not in SCENES:
         noise = _receptors(receptors or "weber", observer, angle)
         observer = replace(observer, noise=noise)

@@ -6,32 +6,16 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
-import typer
 
 import weberwhisk as ww
 
 from .. import _checks, along_whisk, surveys
 from ..output import Run, to_json
 from .jnd import curve_in_steps
-from .options import (
-    NO_SHAPE,
-    JsonOption,
-    OutOption,
-    SeedOption,
-    Shape,
-    as_asked,
-    describe,
-    takes_whisker,
-    the_whisker,
-    wrote,
-)
-from .quickstart import surface_in_degrees
+from .options import NO_SHAPE, Path, Shape, Text, as_asked, command, describe, the_whisker, wrote
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: Posteriors at each distance, and in the form that is quick to look at.
-DRAWS, DRAWS_SHORT = 200, 16
 
 
 class Made(NamedTuple):
@@ -49,8 +33,13 @@ class Asked(NamedTuple):
     seed: int = surveys.SEED
     identity: str | None = None
 
+    def readings(self, times: int = 1) -> int:
+        """Posteriors at each distance, few where it is to be quick."""
+        return 16 if self.short else 200 * times
 
-Make = Callable[[Asked], Made]
+
+def _made(name: str, table: pd.DataFrame, axes: Any) -> Made:
+    return Made({name: table}, ww.figures.figure_of(axes))
 
 
 def _of(asked: Asked) -> dict[str, Any]:
@@ -59,122 +48,116 @@ def _of(asked: Asked) -> dict[str, Any]:
 
 def cues(asked: Asked) -> Made:
     """JND of each cue against distance, posteriors over closed forms, where each works"""
-    from .. import figures
-
-    points, draws = (8, DRAWS_SHORT) if asked.short else (30, DRAWS)
-    table = surveys.curves(points, draws, **_of(asked))
-    return Made({"cues": table}, figures.cue_jnds(table))
+    table = surveys.curves(8 if asked.short else 30, asked.readings(), **_of(asked))
+    return _made("cues", table, ww.figures.cue_jnds(table))
 
 
 def outcomes(asked: Asked) -> Made:
     """where each cue finds a distance, and what fails elsewhere or by chance"""
-    from .. import figures
-
-    points, draws = (25, DRAWS_SHORT) if asked.short else (100, 2 * DRAWS)
-    table = surveys.outcomes(points, draws, **_of(asked))
-    return Made({"outcomes": table}, figures.cue_outcomes(table))
+    table = surveys.outcomes(25 if asked.short else 100, asked.readings(2), **_of(asked))
+    return _made("outcomes", table, ww.figures.cue_outcomes(table))
 
 
 def best_cue(asked: Asked) -> Made:
     """the best cue at every contact, over distance and deflection"""
-    from .. import figures
-
     table = surveys.best(40 if asked.short else 90, whisker=asked.whisker)
-    return Made({"best-cue": table}, figures.best_cue(table, surveys.MAPPED))
+    return _made("best-cue", table, ww.figures.best_cue(table, surveys.MAPPED))
 
 
 def ridge(asked: Asked) -> Made:
     """pair plot of the posterior of one reading: a taper's, and a cylinder's ridge"""
-    from .. import figures
-
     table = surveys.ridge(400 if asked.short else 8000, whisker=asked.whisker, seed=asked.seed)
     contact = surveys.RIDGE[0] * asked.whisker.length, surveys.RIDGE[1]
-    return Made({"ridge": table}, figures.ridge(table, contact))
+    return _made("ridge", table, ww.figures.ridge(table, contact))
 
 
 def information(asked: Asked) -> Made:
     """bits about distance that each cue tells alone and adds to the others"""
-    from .. import figures
-
     table = surveys.bits(40 if asked.short else 400, whisker=asked.whisker, seed=asked.seed)
-    return Made({"information": table}, figures.cue_information(table))
+    return _made("information", table, ww.figures.cue_information(table))
 
 
 def weber_2d(asked: Asked) -> Made:
     """Weber's law in two dimensions: either limit, between them, and the false zero"""
-    from .. import figures
-
-    pairs = surveys.FAMILY.items()
     surfaces = {
         name: surveys.surface(*noise, 40 if asked.short else 80, whisker=asked.whisker)
-        for name, noise in pairs
+        for name, noise in surveys.FAMILY.items()
     }
-    zero = surveys.false_zero(
-        DRAWS_SHORT if asked.short else DRAWS, whisker=asked.whisker, seed=asked.seed
-    )
-    chart = figures.weber_2d(
-        surfaces,
-        zero,
-        surveys.linear_between(whisker=asked.whisker),
-        length=asked.whisker.length,
-        weber_fraction=surveys.K,
+    zero = surveys.false_zero(asked.readings(), whisker=asked.whisker, seed=asked.seed)
+    between = surveys.linear_between(whisker=asked.whisker)
+    chart = ww.figures.weber_2d(
+        surfaces, zero, between, length=asked.whisker.length, weber_fraction=surveys.K
     )
     return Made({"weber-2d": zero, "weber-2d-gain": surveys.gain()}, chart)
 
 
 def figure_4a(asked: Asked) -> Made:
     """the paper's figure 4a: JND by compliance, tapered and cylindrical, with posteriors"""
+    found = light_taps(asked.whisker, surveys.K, "emcee", asked.readings(2), asked.seed)
+    drawn = ww.figures.jnd_lines(found, length=asked.whisker.length, weber_fraction=surveys.K)
+    return _made("figure-4a", tapered_and_not(found), drawn)
+
+
+def light_taps(
+    whisker: ww.Whisker, k: float, method: str, draws: int, seed: int, as_json: bool = False
+) -> dict[str, ww.JNDCurve]:
+    """Figure 4a's posteriors, of a whisker and of a cylinder as long, at ten places."""
+    places, found = np.linspace(0.05, 0.95, 10) * whisker.length, {}
+    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
+        observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
+        options = (np.array([]), method, "d'=1", draws, seed, as_json, f"{method}, {name}")
+        found[name] = curve_in_steps(observer, places, *options)
+    return found
+
+
+def tapered_and_not(curves: dict[str, ww.JNDCurve]) -> pd.DataFrame:
+    """The tables of some whiskers under one another."""
     import pandas as pd
 
-    from .. import figures
-
-    r, none = np.linspace(0.05, 0.95, 10) * asked.whisker.length, np.array([])
-    tables, shown = [], {}
-    for name, shape in (("tapered", asked.whisker), ("cylinder", asked.whisker.cylinder())):
-        observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(surveys.K))
-        draws = DRAWS_SHORT if asked.short else 2 * DRAWS
-        curve = curve_in_steps(observer, r, none, "emcee", "d'=1", draws, asked.seed, False, name)
-        tables.append(curve.table.reset_index().assign(whisker=name))
-        shown[name] = curve
-    drawn = figures.jnd_lines(shown, length=asked.whisker.length, weber_fraction=surveys.K)
-    joined = pd.concat(tables, ignore_index=True)
-    joined.insert(0, "whisker", joined.pop("whisker"))
-    return Made({"figure-4a": joined}, figures.figure_of(drawn))
+    tables = {name: curve.table for name, curve in curves.items()}
+    return pd.concat(tables, names=["whisker"]).reset_index()
 
 
 def figure_4b(asked: Asked) -> Made:
     """the paper's figure 4b: JND by the force map, with noise in the moment alone"""
-    from .. import figures
-
     table = surveys.surface(surveys.K, surveys.NONE, whisker=asked.whisker)
-    drawn = figures.jnd_surface(table, length=asked.whisker.length, weber_fraction=surveys.K)
-    return Made({"figure-4b": surface_in_degrees(table)}, figures.figure_of(drawn))
+    drawn = ww.figures.jnd_surface(table, length=asked.whisker.length, weber_fraction=surveys.K)
+    return _made("figure-4b", surface_in_degrees(table), drawn)
+
+
+def surface_in_degrees(table: pd.DataFrame) -> pd.DataFrame:
+    """`surveys.surface` in the units of the command line."""
+    import pandas as pd
+
+    return pd.DataFrame(
+        {
+            "radial_distance_mm": table["radial_distance"] * 1e3,
+            "deflection_angle_deg": np.degrees(table["deflection_angle"]),
+            "contact_angle_deg": np.degrees(table["contact_angle"]),
+            "jnd_mm": table["jnd"] * 1e3,
+        }
+    )
 
 
 def along_push(asked: Asked) -> Made:
     """JND of distance against push, for pegs, cylinders and a wall: it depends on slip (§3c)"""
-    from .. import figures
-
     push = np.radians(np.arange(2.0, 31.0, 7.0 if asked.short else 0.5))
     table = along_whisk.resolution_along_push(asked.whisker, 0.5 * asked.whisker.length, push)
-    return Made({"along-push": table}, figures.along_push(table))
+    return _made("along-push", table, ww.figures.along_push(table))
 
 
 def lateral_sweep(asked: Asked) -> Made:
     """the distance of a peg and of a cylinder, followed along a sweep by the moment (§2g)"""
-    from .. import figures
-
     push = np.radians(np.arange(1.0, 31.0, 5.0 if asked.short else 1.0))
     middle = 0.5 * asked.whisker.length
     table = along_whisk.lateral_sweep(asked.whisker, middle, push, seed=asked.seed)
-    return Made({"lateral-sweep": table}, figures.lateral_sweep(table))
+    return _made("lateral-sweep", table, ww.figures.lateral_sweep(table))
 
 
 def touches(asked: Asked) -> Made:
     """JND of distance against the number of touches, beside 1/√n and what mice do (§4)"""
     import pandas as pd
 
-    from .. import figures
     from ..many_touches import touches_jnd
 
     whisker, tables = asked.whisker, []
@@ -189,59 +172,49 @@ def touches(asked: Asked) -> Made:
             r,
             angle * np.array([0.45, 0.15, 0.75, 0.25, 0.55, 0.95, 0.05, 0.35, 0.65, 0.85]),
             (1, 4, 17) if asked.short else (1, 2, 3, 5, 8, 12, 17, 30, 50),
-            n_readings=DRAWS_SHORT if asked.short else DRAWS,
+            n_readings=asked.readings(),
             seed=asked.seed,
         )
         tables.append(table.assign(receptors=f"k = {k:g}"))
     joined = pd.concat(tables, ignore_index=True)
-    return Made({"touches": joined}, figures.figure_of(figures.touches(joined)))
+    return _made("touches", joined, ww.figures.touches(joined))
 
 
 def jnd_limits(asked: Asked) -> Made:
     """limits of torque, threshold and saturation on one JND curve (§3b)"""
-    from .. import figures
-
     places = np.linspace(0.04, 0.98, 25 if asked.short else 190) * asked.whisker.length
     table = along_whisk.limits(asked.whisker, places)
-    drawn = figures.jnd_limits(table, asked.whisker.length)
-    return Made({"jnd-limits": table}, figures.figure_of(drawn))
+    drawn = ww.figures.jnd_limits(table, asked.whisker.length)
+    return _made("jnd-limits", table, drawn)
 
 
 def reversal(asked: Asked) -> Made:
     """objects pressed and let go with friction, by a base that turns and one that translates"""
-    from .. import figures
-
     push = np.radians(np.linspace(2.0, 25.0, 6 if asked.short else 47))
     table = along_whisk.reversal(asked.whisker, 0.5 * asked.whisker.length, push)
-    return Made({"reversal": table}, figures.reversal(table))
+    return _made("reversal", table, ww.figures.reversal(table))
 
 
 def whisking_speed(asked: Asked) -> Made:
     """up to which whisking frequency quasi-static mechanics hold, along the whisker"""
-    from .. import figures
-
     places = np.linspace(0.05, 0.99, 9 if asked.short else 95) * asked.whisker.length
     table = along_whisk.speed(asked.whisker, places)
-    drawn = figures.whisking_speed(table, asked.whisker.length)
-    return Made({"whisking-speed": table}, figures.figure_of(drawn))
+    drawn = ww.figures.whisking_speed(table, asked.whisker.length)
+    return _made("whisking-speed", table, drawn)
 
 
 def array_resolution(asked: Asked) -> Made:
     """how well the rat's whiskers (rows C to E) resolve a pole's place, over all places"""
-    from .. import figures
-
     array = _level_array(asked, np.radians(40.0))
     step = 2e-3 if asked.short else 0.4e-3
     x, y = np.arange(4e-3, 58e-3, step), np.arange(-24e-3, 14e-3, step)
     table = ww.array_resolution(ww.ArrayObserver(array), x, y)
-    return Made({"array-resolution": table}, figures.array_map(table, array))
+    return _made("array-resolution", table, ww.figures.array_map(table, array))
 
 
 def array_counts(asked: Asked) -> Made:
     """apertures discriminated by the number of whiskers left intact, by an ideal observer"""
     import pandas as pd
-
-    from .. import figures
 
     array, tables = _level_array(asked, np.radians(40.0)), []
     places = np.linspace(-10e-3, 10e-3, 11 if asked.short else 41)
@@ -251,7 +224,7 @@ def array_counts(asked: Asked) -> Made:
         table = ww.array_by_count(observer, 25e-3, places, range(1, 21), seed=asked.seed)
         tables.append(table.assign(receptors=f"k = {k:g}, azimuths ± {degrees:g}°"))
     joined = pd.concat(tables, ignore_index=True)
-    return Made({"array-counts": joined}, figures.array_counts(joined))
+    return _made("array-counts", joined, ww.figures.array_counts(joined))
 
 
 def _level_array(asked: Asked, protraction: float) -> ww.WhiskerArray:
@@ -264,36 +237,24 @@ def _level_array(asked: Asked, protraction: float) -> ww.WhiskerArray:
 
 
 #: The charts by name.
-CHARTS: dict[str, Make] = {
-    "cues": cues,
-    "outcomes": outcomes,
-    "best-cue": best_cue,
-    "ridge": ridge,
-    "information": information,
-    "figure-4a": figure_4a,
-    "figure-4b": figure_4b,
-    "weber-2d": weber_2d,
-    "along-push": along_push,
-    "lateral-sweep": lateral_sweep,
-    "touches": touches,
-    "jnd-limits": jnd_limits,
-    "reversal": reversal,
-    "whisking-speed": whisking_speed,
-    "array-resolution": array_resolution,
-    "array-counts": array_counts,
-}
+CHARTS: dict[str, Callable[[Asked], Made]] = {
+    make.__name__.replace("_", "-"): make
+    for make in (
+        cues, outcomes, best_cue, ridge, information, figure_4a, figure_4b, weber_2d, along_push,
+        lateral_sweep, touches, jnd_limits, reversal, whisking_speed, array_resolution,
+        array_counts,
+    )
+}  # fmt: skip
 
 
-@takes_whisker
+@command
 def figure(
-    name: Annotated[
-        str | None, typer.Argument(help="Which chart; without it, a list of them.")
-    ] = None,
+    name: Annotated[Text, "Which chart; without it, a list of them.", {"argument": True}] = None,
     shape: Shape = NO_SHAPE,
-    short: Annotated[bool, typer.Option("--short", help="Few posteriors: seconds.")] = False,
-    seed: SeedOption = surveys.SEED,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    short: Annotated[bool, "Few posteriors: seconds."] = False,
+    seed: int = surveys.SEED,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Charts of what every cue tells of distance; each with its table.
 
@@ -309,11 +270,7 @@ def figure(
         raise ValueError(
             f"The figure {name} needs a folder to be written to, got none; write --out {name}."
         )
-    whisker = surveys.WHISKER
-    if shape.given:
-        whisker = the_whisker(shape)
-    for used in ("out", "seed", "as_json"):
-        inputs.pop(used)
+    whisker = the_whisker(shape) if shape.given else surveys.WHISKER
     # A record for each figure, so that several stand side by side in one folder.
     with Run(out, f"figure-{name}", inputs | {"whisker": describe(whisker)}, seed) as run:
         made = make(Asked(whisker, short, seed, shape.identity))

@@ -5,35 +5,29 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any
 
 import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
-from ..behaviour import CueEncoding, FitStatus, with_distances
+from ..behaviour import (
+    CueEncoding,
+    FitStatus,
+    compare_cues,
+    compare_drift,
+    compare_noise,
+    compare_taper,
+    with_distances,
+)
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.io import load_table
 from ..output import Run, atomic_write, to_json
-from .comparisons import compared
-from .distance import ReceptorsOption, distance_encoding
-from .options import (
-    NO_SHAPE,
-    AngleOption,
-    CueOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-    Shape,
-    as_asked,
-    number_option,
-    pairs,
-    takes_whisker,
-    whisker_line,
-    wrote,
-)
+from . import options as opt
+from .distance import STIMULI, distance_encoding
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: What the library says, and what that is called here.
 AS_OPTIONS = (
@@ -54,125 +48,76 @@ AS_OPTIONS = (
     (r"\(priors=\)", "(--lapse-prior)"),
     (r"fit_population\(trials, sessions=True\)", "--by-session"),
 )  # fmt: skip
-#: Columns that hold stimuli, and so may carry a unit.
-STIMULI = ("standard", "stimulus_1", "stimulus_2", "comparison")
 
 
-@takes_whisker
+@opt.command
 def fit(
     file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE", help="Table of trials: CSV or TSV (also .gz), Excel, Parquet or NWB."
-        ),
+        Path, "Table of trials: CSV or TSV (also .gz), Excel, Parquet or NWB.", {"metavar": "FILE"}
     ],
     column: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--column",
-            metavar="OURS=THEIRS",
-            help="Name of a column in the file, such as choice=response; may be repeated.",
-        ),
+        opt.Texts,
+        "Name of a column in the file, such as choice=response; may be repeated.",
+        {"metavar": "OURS=THEIRS"},
     ] = None,
     label: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--label",
-            metavar="LABEL=first|second",
-            help="Which stimulus an answer calls greater, such as L=first; may be repeated.",
-        ),
+        opt.Texts,
+        "Which stimulus an answer calls greater, such as L=first; may be repeated.",
+        {"metavar": "LABEL=first|second"},
     ] = None,
     task: Annotated[
-        str | None,
-        typer.Option(
-            "--task",
-            help="2AFC, 2IFC, yes/no, go/no-go, same-different, '3AFC percent correct' and so on.",
-        ),
+        opt.Text, "2AFC, 2IFC, yes/no, go/no-go, same-different, '3AFC percent correct' and so on."
     ] = None,
-    scale: Annotated[
-        str, typer.Option("--scale", help="linear, or log where stimuli are logarithms.")
-    ] = "linear",
+    scale: Annotated[str, "linear, or log where stimuli are logarithms."] = "linear",
     log_unit: Annotated[
-        float | None,
-        number_option("--log-unit", "Natural-log units per unit of a log column, where known."),
+        opt.Number, "Natural-log units per unit of a log column, where known."
     ] = None,
-    subject: Annotated[
-        str | None, typer.Option("--subject", help="The one to fit, where there are several.")
-    ] = None,
+    subject: Annotated[opt.Text, "The one to fit, where there are several."] = None,
     session: Annotated[
-        str | None,
-        typer.Option("--session", metavar="LIST", help="Sessions to fit, such as 31-40 or 1,2."),
+        opt.Text, "Sessions to fit, such as 31-40 or 1,2.", {"metavar": "LIST"}
     ] = None,
-    bias: Annotated[
-        str | None,
-        typer.Option("--bias", help="none, shared or 'per standard'.  [default: shared]"),
-    ] = None,
-    noise: Annotated[str, typer.Option("--noise", help="weber or equal-variance.")] = "weber",
+    bias: Annotated[opt.Text, "none, shared or 'per standard'.  [default: shared]"] = None,
+    noise: Annotated[str, "weber or equal-variance."] = "weber",
     effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--effect",
-            metavar="NAME",
-            help=f"What else moves the answers: {', '.join((*EFFECTS, *WITH_NUMBER))}; may be "
-            "repeated.",
-        ),
+        opt.Texts,
+        f"What else moves the answers: {', '.join((*EFFECTS, *WITH_NUMBER))}; may be repeated.",
+        {"metavar": "NAME"},
     ] = None,
     lapse_prior: Annotated[
-        str | None,
-        typer.Option(
-            "--lapse-prior",
-            metavar="A,B",
-            help="Belief about the lapses at either end, Beta(A, B).  [default: 0.7,20]",
-        ),
+        opt.Text,
+        "Belief about the lapses at either end, Beta(A, B).  [default: 0.7,20]",
+        {"metavar": "A,B"},
     ] = None,
     prior: Annotated[
-        str | None,
-        typer.Option(
-            "--prior",
-            help="levels: believe that the levels shown bracket the thresholds, as when they were "
-            "chosen for the animal; not to compare designs, nor for data collected in stages.  "
-            "[default: a median of 0.1, whatever the levels]",
-        ),
+        opt.Text,
+        "levels: believe that the levels shown bracket the thresholds, as when they were chosen "
+        "for the animal; not to compare designs, nor for data collected in stages.  [default: a "
+        "median of 0.1, whatever the levels]",
     ] = None,
     comparison: Annotated[
-        str | None,
-        typer.Option(
-            "--compare",
-            help="Other observers beside the one fitted: noise (Weber, with a floor, constant), "
-            "drift (stationary or learning), law (one Weber fraction or one a standard), taper or "
-            "cues (of the whisker).",
-        ),
+        opt.Text,
+        "Other observers beside the one fitted: noise (Weber, with a floor, constant), drift "
+        "(stationary or learning), law (one Weber fraction or one a standard), taper or cues (of "
+        "the whisker).",
     ] = None,
-    together: Annotated[
-        bool,
-        typer.Option("--together", help="Fit all subjects at once, each learning from the others."),
-    ] = False,
+    together: Annotated[bool, "Fit all subjects at once, each learning from the others."] = False,
     by_session: Annotated[
-        bool,
-        typer.Option(
-            "--by-session", help="As --together, and every session has its own Weber fraction."
-        ),
+        bool, "As --together, and every session has its own Weber fraction."
     ] = False,
-    method: Annotated[
-        str | None,
-        typer.Option("--method", help="quadrature or emcee.  [default: by the parameters]"),
-    ] = None,
-    shape: Shape = NO_SHAPE,
-    cue: CueOption = None,
-    deflection_angle_deg: AngleOption = None,
-    receptors: ReceptorsOption = None,
+    method: Annotated[opt.Text, "quadrature or emcee.  [default: by the parameters]"] = None,
+    shape: opt.Shape = opt.NO_SHAPE,
+    cue: str | None = None,
+    deflection_angle_deg: opt.Texts = None,
+    receptors: str | None = None,
     distances: Annotated[
         Path | None,
-        typer.Option(
-            "--distances",
-            metavar="TABLE",
-            help="Where the touches of each trial were located (weberwhisk locate), by columns "
-            "trial and interval, in place of nominal distances.",
-        ),
+        "Where the touches of each trial were located (weberwhisk locate), by columns trial and "
+        "interval, in place of nominal distances.",
+        {"metavar": "TABLE"},
     ] = None,
-    seed: SeedOption = 1,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    seed: int = 1,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Fit the Weber fraction of one observer to a table of choices.
 
@@ -180,7 +125,7 @@ def fit(
     (1 or 0), or counts n and n_greater or n_correct. With a whisker the stimuli are radial
     distances in millimetres, and the columns may be called stimulus_1_mm and so on.
     """
-    inputs = as_asked(locals(), "out", "as_json", "seed")
+    inputs = opt.as_asked(locals())
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors)
     trials = _trials(file, column, label, task, scale, log_unit, encoding)
     together = together or by_session
@@ -204,12 +149,9 @@ def fit(
                 "--method out."
             )
         options = {
-            "sessions": by_session,
-            "encoding": encoding,
-            "bias": bias,
-            "noise": noise,
+            "sessions": by_session, "encoding": encoding, "bias": bias, "noise": noise,
             "priors": priors,
-        }
+        }  # fmt: skip
         _fit_together(trials, options, inputs, seed, out, as_json)
         return
     effects = [effect_named(name) for name in effect or ()]
@@ -231,31 +173,59 @@ def fit(
             atomic_write(run.path("fit.json"), to_json(answer) + "\n")
             atomic_write(run.path("fit_report.txt"), report)
             if result.status is not FitStatus.NO_TRIALS:
-                from .. import figures
-
-                drawn = figures.psychometrics(result, unit="mm" if encoding else "")
-                run.figure("psychometric", figures.figure_of(drawn))
+                unit = "mm" if encoding else ""
+                opt.draw(run, "psychometric", ww.figures.psychometrics(result, unit=unit))
     if as_json:
         print(to_json(answer))
         return
     if whisker is not None:
-        print(f"{whisker_line(whisker)} Distances are in millimetres.\n")
+        print(f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
     print(report)
-    wrote(run)
+    opt.wrote(run)
+
+
+def compared(
+    name: str, fit: ww.WeberFit, whisker: ww.Whisker | None, priors: dict[str, Any] | None
+) -> tuple[pd.DataFrame, str]:
+    """A table and a verdict on the trials of a fit, with its encoding, bias and priors."""
+    _checks.one_of("--compare", name, ("noise", "drift", "law", "taper", "cues"))
+    trials = fit.trials
+    options: dict[str, Any] = {"bias": fit.bias, "priors": priors}
+    if name == "law":
+        test = fit.weber_law_test()
+        return test.by_standard, test.report()
+    if name == "noise":
+        found = compare_noise(trials, encoding=fit.encoding, **options)
+    elif name == "drift":
+        found = compare_drift(trials, encoding=fit.encoding, noise=fit.noise, **options)
+    else:
+        if whisker is None or not isinstance(fit.encoding, CueEncoding):
+            raise ValueError(
+                f"--compare {name} needs a whisker to feel with, got none; write --identity C2, or "
+                "a shape."
+            )
+        if name == "taper":
+            found = compare_taper(trials, whisker, unit=fit.encoding.unit, **options)
+        else:
+            if fit.encoding.deflection_angle is None:
+                raise ValueError(
+                    "--compare cues needs the deflection angle of the contacts; write "
+                    "--cue force-map --deflection-angle-deg 10, say."
+                )
+            found = compare_cues(
+                trials, whisker, deflection_angle=fit.encoding.deflection_angle,
+                unit=fit.encoding.unit, **options,
+            )  # fmt: skip
+    return found.table.reset_index(), found.report()
 
 
 def _trials(
-    file: Path,
-    column: list[str] | None,
-    label: list[str] | None,
-    task: str | None,
-    scale: str,
-    log_unit: float | None,
-    encoding: CueEncoding | None,
-) -> ww.Trials:
+    file: Path, column: opt.Texts, label: opt.Texts, task: str | None, scale: str,
+    log_unit: float | None, encoding: CueEncoding | None,
+) -> ww.Trials:  # fmt: skip
     if not file.is_file():
         raise ValueError(f"{str(file)!r} is not a file; give the path of a table of trials.")
-    columns = pairs("--column", column, "choice=response")
+    columns = opt.pairs("--column", column, "choice=response")
     if encoding is not None:
         columns = _with_millimetres(file) | columns
         if scale != "linear":
@@ -264,13 +234,9 @@ def _trials(
                 "leave --scale out."
             )
     try:
+        labels = opt.pairs("--label", label, "L=first") or None
         return ww.read_trials(
-            file,
-            columns=columns,
-            task=task,
-            choice_labels=pairs("--label", label, "L=first") or None,
-            scale=scale,
-            log_unit=log_unit,
+            file, columns=columns, task=task, choice_labels=labels, scale=scale, log_unit=log_unit
         )
     except ValueError as error:
         raise ValueError(_as_options(str(error))) from None
@@ -282,7 +248,11 @@ def _with_millimetres(file: Path) -> dict[str, str]:
         here = load_table(file)[0].columns
     except ValueError:  # `read_trials` says what is wrong with it
         return {}
-    return {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in here and name not in here}
+    return {
+        name: f"{name}_mm"
+        for name in (*STIMULI, "comparison")
+        if f"{name}_mm" in here and name not in here
+    }
 
 
 def _as_options(sentence: str) -> str:
@@ -304,13 +274,9 @@ def _lapse_priors(text: str | None, trials: ww.Trials) -> dict[str, Any] | None:
 
 
 def _fit_together(
-    trials: ww.Trials,
-    options: dict[str, Any],
-    inputs: dict[str, Any],
-    seed: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+    trials: ww.Trials, options: dict[str, Any], inputs: dict[str, Any], seed: int,
+    out: Path | None, as_json: bool,
+) -> None:  # fmt: skip
     with Run(out, "fit", inputs, seed) as run:
         found = ww.fit_population(trials, seed=seed, **options)
         run.table("subjects", found.subjects)
@@ -319,11 +285,9 @@ def _fit_together(
         if run.out_dir is not None:
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
             if found.population is not None:
-                from .. import figures
-
                 unit = "mm" if options["encoding"] else ""
-                run.figure("shrinkage", figures.figure_of(figures.shrinkage(found)))
-                run.figure("population", figures.figure_of(figures.population(found, unit=unit)))
+                opt.draw(run, "shrinkage", ww.figures.shrinkage(found))
+                opt.draw(run, "population", ww.figures.population(found, unit=unit))
     if as_json:
         print(found.to_json())
         return
@@ -335,7 +299,7 @@ def _fit_together(
     print(f"\n{found.subjects.to_string(index=False, float_format='{:.3g}'.format)}")
     for note in found.notes:
         print(note)
-    wrote(run)
+    opt.wrote(run)
 
 
 def _selected(

@@ -5,96 +5,41 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 import weberwhisk as ww
 
-from .. import _checks
-from .._terminal import a_number, numbers, progress
+from .._terminal import numbers, progress
 from ..output import Run, to_json
-from .options import (
-    NO_SHAPE,
-    ColumnOption,
-    JsonOption,
-    OutOption,
-    Shape,
-    UnitOption,
-    as_asked,
-    describe,
-    options_named,
-    pairs,
-    takes_whisker,
-    the_whisker,
-    whisker_line,
-    wrote,
-)
+from . import options as opt
 
-VIDEO, SENSOR = "Tracked video", "Sensor"
+_VIDEO, _SENSOR = {"rich_help_panel": "Tracked video"}, {"rich_help_panel": "Sensor"}
 #: Files of trackers, by their ends.
 TRACKERS = (".whiskers", ".measurements", ".hdf5", ".h5", ".nwb", ".slp")
 
 
-@takes_whisker
+@opt.command
 def locate(
-    contacts: Annotated[
-        Path,
-        typer.Argument(help="Table of contacts (CSV, Parquet, Excel), or a tracker's file."),
-    ],
-    shape: Shape = NO_SHAPE,
-    column: ColumnOption = None,
-    unit: UnitOption = None,
-    touch: Annotated[
-        str | None, typer.Option("--touch", metavar="COLUMN", help="Column that numbers touches.")
-    ] = None,
-    time: Annotated[
-        str | None, typer.Option("--time", metavar="COLUMN", help="Column that figures go by.")
-    ] = None,
+    contacts: Annotated[Path, "Table of contacts (CSV, Parquet, Excel), or a tracker's file."],
+    shape: opt.Shape = opt.NO_SHAPE,
+    column: opt.Texts = None,
+    unit: opt.Texts = None,
+    touch: Annotated[opt.Text, "Column that numbers touches.", {"metavar": "COLUMN"}] = None,
+    time: Annotated[opt.Text, "Column that figures go by.", {"metavar": "COLUMN"}] = None,
     weber_fraction: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--weber-fraction", help="Noise of the numbers.  [default: their sds, or 0.1]"
-        ),
+        opt.Texts, "Noise of the numbers.  [default: their sds, or 0.1]"
     ] = None,
     taps: Annotated[
-        Path | None,
-        typer.Option(
-            rich_help_panel=SENSOR, help="Table of taps at known distances, to calibrate by."
-        ),
+        Path | None, "Table of taps at known distances, to calibrate by.", _SENSOR
     ] = None,
-    counts: Annotated[
-        bool, typer.Option("--counts", rich_help_panel=SENSOR, help="Slopes are counts a second.")
-    ] = False,
-    clamped: Annotated[
-        bool, typer.Option("--clamped", rich_help_panel=SENSOR, help="The base does not give way.")
-    ] = False,
-    pixels_per_mm: Annotated[
-        float | None,
-        typer.Option(parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="Its scale."),
-    ] = None,
-    frame_rate: Annotated[
-        float | None,
-        typer.Option(parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="A second."),
-    ] = None,
-    label: Annotated[
-        int | None,
-        typer.Option("--label", rich_help_panel=VIDEO, help="Which of several tracked whiskers."),
-    ] = None,
-    shortest_px: Annotated[
-        float,
-        typer.Option(
-            parser=a_number, metavar="NUMBER", rich_help_panel=VIDEO, help="Shorter ones are fur."
-        ),
-    ] = 0.0,
-    face: Annotated[
-        str | None,
-        typer.Option(rich_help_panel=VIDEO, help="Where the face is: left, right, top or bottom."),
-    ] = None,
-    pole_px: Annotated[
-        list[str] | None,
-        typer.Option("--pole-px", metavar="LIST", rich_help_panel=VIDEO, help="The pole: x, y."),
-    ] = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    counts: Annotated[bool, "Slopes are counts a second.", _SENSOR] = False,
+    clamped: Annotated[bool, "The base does not give way.", _SENSOR] = False,
+    pixels_per_mm: Annotated[opt.Number, "Its scale.", _VIDEO] = None,
+    frame_rate: Annotated[opt.Number, "A second.", _VIDEO] = None,
+    label: Annotated[int | None, "Which of several tracked whiskers.", _VIDEO] = None,
+    shortest_px: Annotated[float, "Shorter ones are fur.", _VIDEO] = 0.0,
+    face: Annotated[opt.Text, "Where the face is: left, right, top or bottom.", _VIDEO] = None,
+    pole_px: Annotated[opt.Texts, "The pole: x, y.", _VIDEO] = None,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Say how far away each contact of a table or a tracked video is.
 
@@ -106,17 +51,11 @@ def locate(
     """
     import pandas as pd
 
-    options = as_asked(locals(), "out", "as_json", "pd")
+    options = opt.as_asked(locals())
     table_or_path: Any = contacts
-    options["contacts"] = str(contacts)
-    options["taps"] = None if taps is None else str(taps)
-    whisker, noise = the_whisker(shape), None
+    whisker = opt.the_whisker(shape)
     heard: tuple[str, ...] = ()
-    if weber_fraction is not None:
-        k = _checks.positive(
-            "--weber-fraction", numbers("--weber-fraction", weber_fraction), "write 0.1, say"
-        )
-        noise = ww.receptors.Weber(k if k.size > 1 else float(k[0]))
+    noise = None if weber_fraction is None else opt.the_noise(weber_fraction)
     with Run(out, "locate", options) as run, progress("Rows", 1.0, as_json=as_json) as advance:
         shown = [0.0]
 
@@ -125,7 +64,7 @@ def locate(
             shown[0] = done / total
 
         if pixels_per_mm is not None or contacts.suffix.lower() in TRACKERS:
-            with options_named(
+            with opt.options_named(
                 ["pixels_per_mm", "frame_rate", "identity", "pole", "shortest_px", "face"]
             ):
                 video = ww.read_tracking(contacts, shortest_px=shortest_px, face=face)
@@ -136,9 +75,9 @@ def locate(
                 )  # fmt: skip
             heard = (*video.attrs["notes"], *signals.attrs["notes"])
             table_or_path = signals
-        with options_named(["columns", "units", "touch", "noise"]):
-            mapped = pairs("--column", column, "moment=M_uNm")
-            units = pairs("--unit", unit, "moment=mN m")
+        with opt.options_named(["columns", "units", "touch", "noise"]):
+            mapped = opt.pairs("--column", column, "moment=M_uNm")
+            units = opt.pairs("--unit", unit, "moment=mN m")
             by: Any = whisker
             if taps is not None:
                 by = ww.calibrate(
@@ -159,19 +98,15 @@ def locate(
             names = [touch, *(c for c in table.columns if c.startswith("touch_") and c != touch)]
             run.table("touches", own[names].drop_duplicates(touch))
         if run.out_dir is not None:
-            from .. import figures
-
-            axes = figures.located(table, against=time, by=touch or "")
-            run.figure("located", figures.figure_of(axes))
+            opt.draw(run, "located", ww.figures.located(table, against=time, by=touch or ""))
             if touch is not None:
-                axes = figures.located(table, against=touch, by=touch)
-                run.figure("touches", figures.figure_of(axes))
+                opt.draw(run, "touches", ww.figures.located(table, against=touch, by=touch))
     notes = (*heard, *table.attrs["notes"])
     if as_json:
         rows = table.to_dict("records")
-        print(to_json({"whisker": describe(whisker), "notes": notes, "rows": rows}))
+        print(to_json({"whisker": opt.describe(whisker), "notes": notes, "rows": rows}))
         return
-    print(whisker_line(whisker))
+    print(opt.whisker_line(whisker))
     few = table if len(table) <= 20 else table.head(20)
     print(few.drop(columns="message").to_string(float_format="{:.6g}".format, na_rep="-"))
     if len(few) < len(table):
@@ -180,4 +115,4 @@ def locate(
         print(f"{count} of {len(table)} rows: {message}.")
     for note in notes:
         print(note)
-    wrote(run)
+    opt.wrote(run)

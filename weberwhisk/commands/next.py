@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 
 import weberwhisk as ww
 
@@ -17,64 +16,35 @@ from ..behaviour import CueEncoding, IdentityEncoding
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import RULES, Session, converse
 from ..output import Run
-from .distance import distance_encoding
-from .options import (
-    NO_SHAPE,
-    AngleOption,
-    CueOption,
-    OutOption,
-    SeedOption,
-    Shape,
-    StandardMmOption,
-    as_asked,
-    number_option,
-    takes_whisker,
-)
-
-METHODS = ("weber-fraction", "taper", *RULES)
+from .distance import STIMULI, distance_encoding
+from .options import NO_SHAPE, Number, Shape, Texts, as_asked, command, draw
 
 
-@takes_whisker
+@command
 def next_trials(
     shape: Shape = NO_SHAPE,
-    cue: CueOption = None,
-    deflection_angle_deg: AngleOption = None,
-    standard: Annotated[
-        list[str] | None,
-        typer.Option("--standard", metavar="LIST", help="Magnitudes compared with."),
-    ] = None,
-    standard_mm: StandardMmOption = None,
+    cue: str | None = None,
+    deflection_angle_deg: Texts = None,
+    standard: Annotated[Texts, "Magnitudes compared with."] = None,
+    standard_mm: Texts = None,
     goal: Annotated[
         str,
-        typer.Option(
-            "--goal",
-            help="What the trials are to tell: weber-fraction, or taper (against a cylinder); or a "
-            "rule: 1-up/2-down, 1-up/3-down, 1-up/1-down.",
-        ),
+        "What the trials are to tell: weber-fraction, or taper (against a cylinder); or a rule: "
+        "1-up/2-down, 1-up/3-down, 1-up/1-down.",
     ] = "weber-fraction",
-    nearest: Annotated[
-        float, number_option("--nearest", "Least stimulus; mm with a whisker.")
-    ] = 0.0,
-    farthest: Annotated[
-        float, number_option("--farthest", "Greatest stimulus; mm with a whisker.")
-    ] = float("inf"),
-    step: Annotated[float, number_option("--step", "Stimuli come in steps of this size.")] = 0.0,
-    easy_share: Annotated[float, number_option("--easy-share", "Share of easy trials.")] = 0.1,
-    width_percent: Annotated[
-        float | None,
-        number_option("--width-percent", "Stop when the 95 % interval of k is within ± this."),
-    ] = None,
-    most: Annotated[int | None, typer.Option("--most", help="Stop after so many trials.")] = None,
-    bias: Annotated[
-        str, typer.Option("--bias", help="per-standard, shared or none.")
-    ] = "per-standard",
-    task: Annotated[str, typer.Option("--task", help="As for simulate.")] = "2AFC",
+    nearest: Annotated[float, "Least stimulus; mm with a whisker."] = 0.0,
+    farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),
+    step: Annotated[float, "Stimuli come in steps of this size."] = 0.0,
+    easy_share: Annotated[float, "Share of easy trials."] = 0.1,
+    width_percent: Annotated[Number, "Stop when the 95 % interval of k is within ± this."] = None,
+    most: Annotated[int | None, "Stop after so many trials."] = None,
+    bias: Annotated[str, "per-standard, shared or none."] = "per-standard",
+    task: Annotated[str, "As for simulate."] = "2AFC",
     log: Annotated[
-        Path | None,
-        typer.Option("--log", metavar="FILE", help="Keeps every trial; goes on where it was."),
+        Path | None, "Keeps every trial; goes on where it was.", {"metavar": "FILE"}
     ] = None,
-    seed: SeedOption = 1,
-    out: OutOption = None,
+    seed: int = 1,
+    out: Path | None = None,
 ) -> None:
     """Place trials one by one: a line of JSON out, an answer in.
 
@@ -82,7 +52,7 @@ def next_trials(
     shown than was proposed (without a whisker: "comparison"). A line that cannot be used gets
     {"error": ...} and the trial stands. With --log nothing is lost: start the same command again.
     """
-    inputs = as_asked(locals(), "out", "log")
+    inputs = as_asked(locals(), "log") | {"seed": seed}
     if farthest == float("inf"):
         inputs["farthest"] = None
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
@@ -99,12 +69,9 @@ def next_trials(
         for line in converse(session, sys.stdin, unit):
             print(line, flush=True)
         table = placer.trials().table()
-        columns = ("standard", "stimulus_1", "stimulus_2")
-        run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in columns}))
+        run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in STIMULI}))
         if run.out_dir is not None and len(table):
-            from .. import figures
-
-            run.figure("trials", figures.figure_of(figures.placements(placer)))
+            draw(run, "trials", ww.figures.placements(placer))
 
 
 def _placer(
@@ -121,7 +88,7 @@ def _placer(
     seed: int,
 ) -> BayesianPlacer | Staircase:
     """What the options ask for."""
-    _checks.one_of("--goal", goal, METHODS)
+    _checks.one_of("--goal", goal, ("weber-fraction", "taper", *RULES))
     how: dict[str, Any] = {"bias": bias, "task": task}
     encoded = encoding or IdentityEncoding()
     hypotheses = [Hypothesis("Weber", encoded, **how)]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
 import typer
@@ -24,35 +24,9 @@ from ..output import Run, to_json
 if TYPE_CHECKING:
     import pandas as pd
 
-
-def enough_draws(draws: int) -> None:
-    """Refuse fewer readings than an sd needs, by the option's name."""
-    if draws < 2:
-        raise ValueError(f"--draws needs at least two noisy readings, got {draws}; write 200, say.")
-
-
-def number_option(name: str, text: str) -> Any:
-    """An option that takes one number, with its help."""
-    return typer.Option(name, parser=a_number, metavar="NUMBER", help=text)
-
-
-#: Groups of options in a command's help.
-WHISKER, SIGNALS_OF, RESULTS, WORK = "Whisker", "Cue and receptors", "Results", "Workers"
-# Options that several commands share.
-OutOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="FOLDER", rich_help_panel=RESULTS,
-        help="Folder for the tables, figures and record.",
-    ),
-]  # fmt: skip
-JsonOption = Annotated[
-    bool,
-    typer.Option(
-        "--json", rich_help_panel=RESULTS,
-        help="Print the result alone on standard output, as JSON.",
-    ),
-]  # fmt: skip
+Text = str | None
+Texts = list[str] | None
+Number = float | None
 
 
 class Shape(NamedTuple):
@@ -73,116 +47,132 @@ class Shape(NamedTuple):
 NO_SHAPE = Shape()
 
 
-def _number(name: str, text: str) -> Any:
-    return Annotated[
-        float | None,
-        typer.Option(name, parser=a_number, metavar="NUMBER", help=text, rich_help_panel=WHISKER),
-    ]
+def _of(group: str, **options: Any) -> dict[str, Any]:
+    return {"rich_help_panel": group, **options}
 
 
 _SHAPE: dict[str, Any] = {
     "identity": Annotated[
-        str | None,
-        typer.Option(
-            "--identity",
-            help="A rat's whisker by row and column, such as C2.",
-            rich_help_panel=WHISKER,
-        ),
+        str | None, "A rat's whisker by row and column, such as C2.", _of("Whisker")
     ],
-    "length_mm": _number("--length-mm", "Arc length from base to tip."),
-    "base_radius_um": _number("--base-radius-um", "Radius at the base."),
-    "tip_radius_um": _number("--tip-radius-um", "Radius at the tip, 0 for a perfect cone."),
-    "youngs_modulus_gpa": _number("--youngs-modulus-gpa", "Young's modulus.  [default: 3.34]"),
+    "length_mm": Annotated[Number, "Arc length from base to tip.", _of("Whisker")],
+    "base_radius_um": Annotated[Number, "Radius at the base.", _of("Whisker")],
+    "tip_radius_um": Annotated[Number, "Radius at the tip, 0 for a perfect cone.", _of("Whisker")],
+    "youngs_modulus_gpa": Annotated[Number, "Young's modulus.  [default: 3.34]", _of("Whisker")],
 }
-
-
-def takes_whisker(command: Callable[..., None]) -> Callable[..., None]:
-    """A command with the options of a whisker in the place of its parameter `shape`."""
-    signature = inspect.signature(command, eval_str=True)
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    own = [
-        inspect.Parameter(name, keyword, default=None, annotation=kind)
-        for name, kind in _SHAPE.items()
-    ]
-    rest = [p.replace(kind=keyword) for p in signature.parameters.values() if p.name != "shape"]
-
-    @wraps(command)
-    def run(**options: Any) -> None:
-        command(shape=Shape(*(options.pop(name) for name in _SHAPE)), **options)
-
-    run.__signature__ = signature.replace(parameters=[*own, *rest])  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in (*own, *rest)}
-    return run
-
-
-def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
-    """A command's options for its record, the whisker's one by one."""
-    kept = {name: value for name, value in options.items() if name not in without}
-    return kept.pop("shape")._asdict() | kept
-
-
-StandardMmOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--standard-mm", metavar="LIST", help="Radial distances, where there is a whisker."
-    ),
-]
-DistanceOption = Annotated[
-    list[str] | None,
-    typer.Option("--radial-distance-mm", metavar="LIST", help="Straight line to the contact."),
-]
-ColumnOption = Annotated[
-    list[str] | None,
-    typer.Option("--column", metavar="NAME=COLUMN", help="Its own name of a quantity."),
-]
-UnitOption = Annotated[
-    list[str] | None,
-    typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a quantity, such as mN or uN m/s."),
-]
-SeedOption = Annotated[
-    int,
-    typer.Option(
-        "--seed",
-        parser=a_seed,
-        metavar="NUMBER",
-        rich_help_panel=RESULTS,
-        help="Makes the draws repeatable.",
-    ),
-]
-WorkersOption = Annotated[
-    int | None,
-    typer.Option("--workers", rich_help_panel=WORK, help="Processes.  [default: one a core]"),
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", rich_help_panel=WORK,
-        help="A dask.distributed scheduler, tcp://… (extra: cluster).",
-    ),
-]  # fmt: skip
-CueOption = Annotated[
-    str | None,
-    typer.Option(
-        "--cue",
-        rich_help_panel=SIGNALS_OF,
-        help="What tells of distance: compliance, force-map, three-forces (transverse force too), "
+#: What a parameter of this name is in every command, unless that says otherwise.
+_SHARED: dict[str, Any] = {
+    "cue": Annotated[
+        str | None,
+        "What tells of distance: compliance, force-map, three-forces (transverse force too), "
         "moment (at a known angle), vibration, lateral-slip, space-map, balance-of-moments, "
         "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
         "two-whiskers, contact-and-detachment, vibrissa-length or comparative-length. Choices "
         "cannot be fitted by the last two, of events, nor by those of angles alone.  "
         "[default: compliance]",
-    ),
-]
-AngleOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--deflection-angle-deg",
-        metavar="LIST",
-        rich_help_panel=SIGNALS_OF,
-        help="Deflection of the contact.  [default: 10 where forces are felt; for compliance 0, "
+        _of("Cue and receptors"),
+    ],
+    "deflection_angle_deg": Annotated[
+        Texts,
+        "Deflection of the contact.  [default: 10 where forces are felt; for compliance 0, "
         "the lightest tap]",
-    ),
-]
+        _of("Cue and receptors"),
+    ],
+    "receptors": Annotated[
+        str | None,
+        "Noise of forces: weber, log-normal, near-miss=<exponent>, floor=<sd>, "
+        "ceiling=<signal> (hard) or saturating=<response>, in units of the signals at half the "
+        "length.  [default: weber]",
+        {"metavar": "NAME"},
+    ],
+    "standard_mm": Annotated[Texts, "Radial distances, where there is a whisker."],
+    "radial_distance_mm": Annotated[Texts, "Straight line to the contact."],
+    "column": Annotated[Texts, "Its own name of a quantity.", {"metavar": "NAME=COLUMN"}],
+    "unit": Annotated[Texts, "Unit of a quantity, such as mN or uN m/s.", {"metavar": "NAME=UNIT"}],
+    "workers": Annotated[int | None, "Processes.  [default: one a core]", _of("Workers")],
+    "scheduler": Annotated[
+        str | None, "A dask.distributed scheduler, tcp://… (extra: cluster).", _of("Workers")
+    ],
+    "seed": Annotated[
+        int, "Makes the draws repeatable.", _of("Results", parser=a_seed, metavar="NUMBER")
+    ],
+    "out": Annotated[
+        Path | None,
+        "Folder for the tables, figures and record.",
+        _of("Results", metavar="FOLDER"),
+    ],
+    "as_json": Annotated[
+        bool, "Print the result alone on standard output, as JSON.", _of("Results")
+    ],
+}
+#: What the library says, and what that is called in options.
+_CALLED = {"as_json": "json", "comparison": "compare", "columns": "column", "units": "unit"}
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """A command of plain parameters: their names, types and words say what options they are.
+
+    A parameter is annotated by its type and its line of help, and by what else Typer is to know:
+    ``Annotated[float, "Sd of ln k.", {"metavar": "SD"}]``; with its type alone it is the shared one
+    of that name. Without a default, or with ``{"argument": True}``, it is an argument. The
+    parameter `shape` stands for the options of a whisker.
+    """
+    given = dict(inspect.signature(function, eval_str=True).parameters)
+    shaped = given.pop("shape", None) is not None
+    kinds = {name: None for name in _SHAPE} if shaped else {}
+    kinds |= {name: p.default for name, p in given.items()}
+    parameters = []
+    for name, default in kinds.items():
+        kind = _SHAPE[name] if name not in given else given[name].annotation
+        kind = kind if get_origin(kind) is Annotated else _SHARED[name]
+        parameters.append(
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=default,
+                annotation=_with_typer(name, default is inspect.Parameter.empty, *get_args(kind)),
+            )
+        )  # fmt: skip
+
+    @wraps(function)
+    def run(**options: Any) -> None:
+        if shaped:
+            options["shape"] = Shape(*(options.pop(name) for name in _SHAPE))
+        function(**options)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    return run
+
+
+def _with_typer(
+    name: str, is_argument: bool, kind: Any, words: str, more: Mapping[str, Any] = {}
+) -> Any:
+    options = {"help": words, **more}
+    if options.pop("argument", is_argument):
+        return Annotated[kind, typer.Argument(**options)]
+    if kind in (float, Number):
+        options = {"parser": a_number, "metavar": "NUMBER", **options}
+    elif kind == Texts:
+        options = {"metavar": "LIST", **options}
+    return Annotated[kind, typer.Option(option(name), **options)]
+
+
+def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
+    """A command's options for its record, the whisker's one by one, and not where it goes."""
+    own = {"out", "as_json", "seed", "workers", "scheduler", "pd", *without}
+    kept = {name: value for name, value in options.items() if name not in own}
+    return (kept.pop("shape")._asdict() if "shape" in kept else {}) | kept
+
+
+def draw(run: Run, name: str, axes: Any) -> None:
+    """Keep the figure that axes stand in."""
+    run.figure(name, ww.figures.figure_of(axes))
+
+
+def enough_draws(draws: int) -> None:
+    """Refuse fewer readings than an sd needs, by the option's name."""
+    if draws < 2:
+        raise ValueError(f"--draws needs at least two noisy readings, got {draws}; write 200, say.")
+
 
 #: Cues of forces, whose noise is one Weber fraction: what choices can tell of.
 CUES = ("compliance", "force-map", "three-forces", "moment")
@@ -194,7 +184,6 @@ def _array(whisker: ww.Whisker) -> ww.cues.ComparativeLength:
     return ww.cues.ComparativeLength(lengths, [[-2e-3, 0.0], [2e-3, 0.0]])
 
 
-WEBER_FRACTION = "--weber-fraction"
 #: Cues whose signals are not forces, in a scene that their defaults describe.
 SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
     "vibrissa-length": lambda whisker: ww.cues.VibrissaLength(),
@@ -213,10 +202,7 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
 
 
 def the_scene(
-    cue: str | None,
-    angles_deg: list[str] | None,
-    weber_fraction: list[str] | None,
-    whisker: ww.Whisker,
+    cue: str | None, angles_deg: Texts, weber_fraction: Texts, whisker: ww.Whisker
 ) -> tuple[ww.Observer, NDArray[np.float64]]:
     """The observer of any cue, and the deflection angles (rad) at which it feels."""
     if cue not in SCENES:
@@ -226,7 +212,7 @@ def the_scene(
         return ww.Observer(whisker, felt, noise), angles
     felt = SCENES[cue](whisker)
     deflected = "deflection_angle" in felt.unknowns
-    useless = [(weber_fraction, WEBER_FRACTION)]
+    useless = [(weber_fraction, "--weber-fraction")]
     useless += [] if deflected else [(angles_deg, "--deflection-angle-deg")]
     for given, what in useless:
         if given:
@@ -237,9 +223,7 @@ def the_scene(
     return ww.Observer(whisker, felt), _angles(angles_deg) if deflected else np.array([])
 
 
-def the_cue(
-    cue: str | None, angles_deg: list[str] | None
-) -> tuple[ww.cues.Cue, NDArray[np.float64]]:
+def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np.float64]]:
     """The cue, and the deflection angles (rad) at which it is used; none where it knows them."""
     name = _checks.one_of("cue", cue or CUES[0], CUES)
     angles = numbers("--deflection-angle-deg", angles_deg or [])
@@ -266,17 +250,27 @@ def the_cue(
     return ww.cues.ForceMap(signals), deflections
 
 
-def _angles(texts: list[str] | None) -> NDArray[np.float64]:
+def one_angle(angles: NDArray[np.float64]) -> float | None:
+    """The one deflection angle (rad) at which choices are made; None where the cue knows it."""
+    if angles.size > 1:
+        raise ValueError(
+            f"Choices are made at one deflection angle, got {angles.size} values of "
+            "--deflection-angle-deg; give one."
+        )
+    return float(angles[0]) if angles.size else None
+
+
+def _angles(texts: Texts) -> NDArray[np.float64]:
     """Deflection angles in rad, ten degrees where none is given."""
     given = numbers("--deflection-angle-deg", texts or ["10"])
     return np.radians(_checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
 
 
-def the_noise(texts: list[str] | None, signals: int) -> ww.receptors.Weber:
+def the_noise(texts: Texts, signals: int | None = None) -> ww.receptors.Weber:
     """Weber noise from ``--weber-fraction``: one for all signals or one each."""
     fractions = numbers("--weber-fraction", texts or ["0.1"])
     _checks.positive("--weber-fraction", fractions, "write 0.1, say")
-    if fractions.size not in (1, signals):
+    if signals is not None and fractions.size not in (1, signals):
         raise ValueError(
             f"--weber-fraction takes one number, or one for each signal of the cue ({signals}), "
             f"got {fractions.size}; write 0.1, say."
@@ -370,8 +364,7 @@ def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str
 
 def option(parameter: str) -> str:
     """The option that a parameter is written as."""
-    once = {"columns": "column", "units": "unit"}  # given once for each entry of the mapping
-    return f"--{once.get(parameter, parameter).replace('_', '-')}"
+    return f"--{_CALLED.get(parameter, parameter).replace('_', '-')}"
 
 
 @contextmanager

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import typer
+
+import weberwhisk as ww
 
 from .. import surveys
 from .._terminal import progress
@@ -14,7 +15,7 @@ from ..cues import Compliance
 from ..mechanics.muscle import MuscleCurve
 from ..output import Run, atomic_write, to_json
 from .figure import Asked, figure_4a, figure_4b
-from .options import JsonOption, SeedOption, wrote
+from .options import command, wrote
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,20 +30,18 @@ PANELS = {
 }
 
 
+@command
 def paper(
-    short: Annotated[bool, typer.Option("--short", help="Few posteriors: seconds.")] = False,
-    seed: SeedOption = surveys.SEED,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Folder for figures and paper.md.")
-    ] = Path("paper"),
-    as_json: JsonOption = False,
+    short: Annotated[bool, "Few posteriors: seconds."] = False,
+    seed: int = surveys.SEED,
+    out: Annotated[Path, "Folder for figures and paper.md.", {"metavar": "FOLDER"}] = Path("paper"),
+    as_json: bool = False,
 ) -> None:
     """Every figure of Solomon & Hartmann (2011), and every claim with what we find.
 
     Writes figures 1d, 2a-f, 3a-c, 4a and 4b with their tables, and paper.md: each equation and
     claim, the numbers found now, the test that shows it, and where the sentence ends.
     """
-    from .. import figures
     from .. import paper as remade
     from ..paper import claims
 
@@ -51,12 +50,12 @@ def paper(
         with progress("The paper's figures", len(PANELS) + 1, as_json=as_json) as advance:
             made: dict[str, tuple[dict[str, pd.DataFrame], Any]] = {}
             rates = moment_rates()
-            drawn = figures.figure_of(figures.paper_1d(rates))
+            drawn = ww.figures.figure_of(ww.figures.paper_1d(rates))
             made["figure-1d"] = {"figure-1d": rates}, drawn
             advance()
             arcs, degrees = (remade.ARCS, remade.DEGREES)
             table = remade.contacts(arcs, degrees[::3] if short else degrees)
-            chart = figures.paper_2(remade.examples(), remade.lines(), table)
+            chart = ww.figures.paper_2(remade.examples(), remade.lines(), table)
             made["figure-2"] = {"figure-2": table}, chart
             advance()
             step = slice(None, None, 5 if short else 1)
@@ -65,7 +64,7 @@ def paper(
             c = remade.surface(MuscleCurve.NORMALISED, place, impact)
             line, angle = remade.dashed_line()
             edge = (line[step], angle[step])
-            chart = figures.paper_3(a, remade.muscle(), b, c, edge)
+            chart = ww.figures.paper_3(a, remade.muscle(), b, c, edge)
             made["figure-3"] = {"figure-3a": a, "figure-3b": b, "figure-3c": c}, chart
             advance()
             for name, make in (("figure-4a", figure_4a), ("figure-4b", figure_4b)):

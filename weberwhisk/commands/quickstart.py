@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
-import typer
-from numpy.typing import NDArray
 
 import weberwhisk as ww
 
@@ -17,51 +15,20 @@ from .._terminal import progress
 from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
-from .jnd import curve_in_steps
-from .options import (
-    JsonOption,
-    SeedOption,
-    describe,
-    enough_draws,
-    number_option,
-    whisker_line,
-    wrote,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-Array = NDArray[np.float64]
-
-#: Where along the whisker the posteriors of figure 4a are, as fractions of the length.
-PLACES = np.linspace(0.05, 0.95, 10)
-#: Contacts of figure 4b at which there are posteriors: r/L and degrees.
-MARKED = ((0.3, 10.0), (0.5, 10.0), (0.7, 5.0), (0.7, 15.0), (0.9, 3.0))
-#: Axial-force noise over moment noise in the moment-dominated limit: for the surface, of no
-#: consequence; for posteriors a tenth. With a twentieth or a hundredth the ridge is so thin that at
-#: 0.3 L and 10 degrees most quadratures were flagged; with a tenth, up to four in ten at the worst
-#: of the contacts marked.
-NO_NOISE, LITTLE_NOISE = 1e-9, 0.1
-#: The last sessions of the rat's table before its ladder of levels changed: it has learnt most.
-SESSIONS = (31, 37)
+from .figure import light_taps, surface_in_degrees, tapered_and_not
+from .options import command, describe, draw, enough_draws, whisker_line, wrote
 
 
+@command
 def quickstart(
-    identity: Annotated[
-        str, typer.Option("--identity", help="A rat's whisker by row and column.")
-    ] = "C2",
-    weber_fraction: Annotated[
-        float,
-        number_option("--weber-fraction", "Of the receptors."),
-    ] = 0.1,
-    draws: Annotated[
-        int, typer.Option("--draws", help="Noisy readings at each place of the JND curve.")
-    ] = 100,
-    seed: SeedOption = 1,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Folder for figures, tables and text.")
-    ] = Path("quickstart"),
-    as_json: JsonOption = False,
+    identity: Annotated[str, "A rat's whisker by row and column."] = "C2",
+    weber_fraction: Annotated[float, "Of the receptors."] = 0.1,
+    draws: Annotated[int, "Noisy readings at each place of the JND curve."] = 100,
+    seed: int = 1,
+    out: Annotated[Path, "Folder for figures, tables and text.", {"metavar": "FOLDER"}] = Path(
+        "quickstart"
+    ),
+    as_json: bool = False,
 ) -> None:
     """The paper's figures 4a and 4b for a real whisker, and the Weber fraction of a real rat.
 
@@ -92,53 +59,37 @@ def quickstart(
     wrote(run)
 
 
-# -- what is computed ----------------------------------------------------------------------------
-
-
 def curves(
     run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
 ) -> dict[str, Any]:
     """Figure 4a: emcee's posteriors and the closed forms, tapered and cylindrical."""
-    import pandas as pd
-
-    from .. import figures
-
-    r = PLACES * whisker.length
-    none = np.array([])
-    tables, shown, findings = [], {}, {}
-    for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
-        observer = ww.Observer(shape, ww.cues.Compliance(), ww.receptors.Weber(k))
-        common = ("d'=1", draws, seed, as_json)
-        curve = curve_in_steps(observer, r, none, "emcee", *common, f"Posteriors, {name} whisker")
-        exact = curve_in_steps(observer, r, none, "quadrature", *common, "Check by quadrature")
-        written = curve.table.reset_index()
-        written.insert(0, "whisker", name)
-        written["posterior_by_quadrature_mm"] = exact["posterior"] * 1e3
-        tables.append(written)
-        shown[name] = curve
-        findings[name] = _compared(curve, exact, whisker.length * k)
-    run.table("jnd_curve", pd.concat(tables, ignore_index=True))
-    drawn = figures.jnd_lines(shown, length=whisker.length, weber_fraction=k)
-    run.figure("jnd_curve", figures.figure_of(drawn))
-    return findings
+    found, exact = (
+        light_taps(whisker, k, method, draws, seed, as_json) for method in ("emcee", "quadrature")
+    )
+    checks = [curve["posterior"].to_numpy() for curve in exact.values()]
+    table = tapered_and_not(found)
+    run.table("jnd_curve", table.assign(posterior_by_quadrature_mm=np.concatenate(checks) * 1e3))
+    draw(run, "jnd_curve", ww.figures.jnd_lines(found, length=whisker.length, weber_fraction=k))
+    return {name: _compared(curve, exact[name], whisker, k) for name, curve in found.items()}
 
 
-def _compared(table: ww.JNDCurve, exact: ww.JNDCurve, scale: float) -> dict[str, Any]:
+def _compared(
+    table: ww.JNDCurve, exact: ww.JNDCurve, whisker: ww.Whisker, k: float
+) -> dict[str, Any]:
     """One whisker's posteriors against the closed form and against quadrature, JND/(kL)."""
+    scale = whisker.length * k
     closed, found, error = (
         table[name].to_numpy(float) for name in ("closed_form", "posterior", "posterior_error")
     )
-    excess = found / closed - 1
-    by_quadrature = exact["posterior"].to_numpy(float)
     return {
-        "r_over_length": PLACES,
+        "r_over_length": table["radial_distance"].to_numpy(float) / whisker.length,
         "closed_form": closed / scale,
         "posterior": found / scale,
         "posterior_95_percent": 1.96 * error / scale,
         "estimator": table["estimator"].to_numpy(float) / scale,
         "within_95_percent": int(np.sum(np.abs(found - closed) <= 1.96 * error)),
-        "excess": excess,
-        "emcee_from_quadrature": float(np.max(np.abs(found / by_quadrature - 1))),
+        "excess": found / closed - 1,
+        "emcee_from_quadrature": float(np.max(np.abs(found / exact["posterior"].to_numpy() - 1))),
         "not_converged": float(table["unreliable"].mean()),
     }
 
@@ -149,28 +100,27 @@ def jnd_surface(
     """Figure 4b: moment-dominated JND of the force map, with posteriors at a few contacts."""
     import pandas as pd
 
-    from .. import figures
-
-    table = surveys.surface(k, k * NO_NOISE, whisker=whisker)
+    table = surveys.surface(k, k * 1e-9, whisker=whisker)
     run.table("jnd_surface", surface_in_degrees(table))
-    observer = moment_dominated(whisker, k, LITTLE_NOISE)
-    places, degrees = np.array(MARKED).T
+    # A twentieth or a hundredth of the noise makes so thin a ridge that at 0.3 L and 10 degrees
+    # most quadratures were flagged; with a tenth up to four in ten at the worst of these contacts.
+    observer = moment_dominated(whisker, k, 0.1)
+    marked = [(0.3, 10.0), (0.5, 10.0), (0.7, 5.0), (0.7, 15.0), (0.9, 3.0)]  # r/L and degrees
+    places, degrees = np.array(marked).T
     r, theta = places * whisker.length, np.radians(degrees)
-    limit = np.asarray(ww.flick_past(whisker, r).deflection_angle)
-    held = theta < limit
+    held = theta < np.asarray(ww.flick_past(whisker, r).deflection_angle)
     r, theta = r[held], theta[held]
     own = np.random.SeedSequence(seed).spawn(r.size)
+    parts = []
     with progress("Posteriors, force map", r.size, as_json=as_json) as advance:
-        parts = []
         for distance, angle, child in zip(r, theta, own, strict=True):
-            parts.append(
-                ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child).frame
-            )
+            curve = ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child)
+            parts.append(curve.frame)
             advance()
     points = pd.concat(parts, ignore_index=True)
     run.table("jnd_surface_posteriors", ww.JNDCurve(observer, points).table.reset_index())
-    drawn = figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
-    run.figure("jnd_surface", figures.figure_of(drawn))
+    shown = ww.figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
+    draw(run, "jnd_surface", shown)
     scale = whisker.length * k
     along = moment_dominated(whisker, k)
 
@@ -198,30 +148,19 @@ def jnd_surface(
     }
 
 
-def moment_dominated(whisker: ww.Whisker, k: float, ratio: float = NO_NOISE) -> ww.Observer:
+def moment_dominated(whisker: ww.Whisker, k: float, ratio: float = 1e-9) -> ww.Observer:
     """The force map with noise in the moment alone, or with `ratio` of it in the axial force."""
     return ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber([k, k * ratio]))
 
 
-def surface_in_degrees(table: pd.DataFrame) -> pd.DataFrame:
-    """`surveys.surface` in the units of the command line."""
-    import pandas as pd
+def rat_choices(
+    run: Run, seed: int, as_json: bool, sessions: tuple[int, int] = (31, 37)
+) -> dict[str, Any]:
+    """The Weber fraction of a real rat, with and without lapses, and its choices by standard.
 
-    return pd.DataFrame(
-        {
-            "radial_distance_mm": table["radial_distance"] * 1e3,
-            "deflection_angle_deg": np.degrees(table["deflection_angle"]),
-            "contact_angle_deg": np.degrees(table["contact_angle"]),
-            "jnd_mm": table["jnd"] * 1e3,
-        }
-    )
-
-
-def rat_choices(run: Run, seed: int, as_json: bool) -> dict[str, Any]:
-    """The Weber fraction of a real rat, with and without lapses, and its choices by standard."""
-    from .. import figures
-
-    trials = load_rat_auditory(range(SESSIONS[0], SESSIONS[1] + 1))
+    By default in the last sessions before its ladder of levels changed: it has learnt most.
+    """
+    trials = load_rat_auditory(range(sessions[0], sessions[1] + 1))
     never = {"lapse_low": 0.0, "lapse_high": 0.0}
     with progress("Weber fraction of the rat", 2, as_json=as_json) as advance:
         fit = ww.fit_weber(trials, bias="per standard", seed=seed)
@@ -232,14 +171,13 @@ def rat_choices(run: Run, seed: int, as_json: bool) -> dict[str, Any]:
     run.table("rat_choices", seen)
     run.table("rat_fit", fit.summary().reset_index())
     atomic_write(run.path("rat_report.txt"), fit.report())
-    drawn = figures.psychometrics(fit)
-    run.figure("rat_psychometric", figures.figure_of(drawn))
+    draw(run, "rat_psychometric", ww.figures.psychometrics(fit))
     step = float(np.median(np.abs(seen["stimulus_2"] - seen["stimulus_1"])))
     louder = seen["stimulus_2"] > seen["stimulus_1"]
     right = seen["observed"].where(louder, 1 - seen["observed"])
     biases = [fit.posterior.mean(name) for name in fit.parameters if name.startswith("bias")]
     return {
-        "sessions": SESSIONS,
+        "sessions": sessions,
         "n_trials": trials.n_trials,
         "standards": trials.standards,
         "status": fit.status.name,
@@ -281,7 +219,8 @@ def explanation(
 
 def _of_curve(curve: dict[str, Any], draws: int) -> str:
     taper, cylinder = curve["tapered"], curve["cylinder"]
-    middle, last = len(PLACES) // 2, -1
+    places = taper["r_over_length"]
+    middle, last = len(places) // 2, -1
     worst = int(np.argmax(np.abs(taper["excess"])))
     agree = max(w["emcee_from_quadrature"] for w in curve.values())
     lost = max(w["not_converged"] for w in curve.values())
@@ -295,17 +234,17 @@ def _of_curve(curve: dict[str, Any], draws: int) -> str:
     return (
         f"1. JND curve (jnd_curve.png; the paper's figure 4a). Lines are the closed forms of the "
         f"rotational compliance cue, points the mean sd of {draws} emcee posteriors each. Tapered: "
-        f"the JND is {taper['closed_form'][middle]:.2f} kL at {PLACES[middle]:.2f} L and "
-        f"{taper['closed_form'][last]:.2f} kL at {PLACES[last]:.2f} L, so resolution is better "
+        f"the JND is {taper['closed_form'][middle]:.2f} kL at {places[middle]:.2f} L and "
+        f"{taper['closed_form'][last]:.2f} kL at {places[last]:.2f} L, so resolution is better "
         f"towards the tip; posterior {taper['posterior'][middle]:.2f} and "
         f"{taper['posterior'][last]:.3f} ± {taper['posterior_95_percent'][last]:.3f}. Cylinder: it "
         f"grows all the way, {cylinder['closed_form'][middle]:.2f} and "
         f"{cylinder['closed_form'][last]:.2f} kL; posterior {cylinder['posterior'][middle]:.2f} "
         f"and {cylinder['posterior'][last]:.2f}. "
-        f"Where they disagree: {taper['within_95_percent']} of {len(PLACES)} tapered points and "
-        f"{cylinder['within_95_percent']} of {len(PLACES)} cylindrical ones lie on the line within "
-        f"95 %; the tapered posterior is furthest off at {PLACES[worst]:.2f} L "
-        f"({taper['excess'][worst]:+.1%}), the cylinder's at {PLACES[last]:.2f} L is {end:+.0%}. "
+        f"Where they disagree: {taper['within_95_percent']} of {len(places)} tapered points and "
+        f"{cylinder['within_95_percent']} of {len(places)} cylindrical ones lie on the line within "
+        f"95 %; the tapered posterior is furthest off at {places[worst]:.2f} L "
+        f"({taper['excess'][worst]:+.1%}), the cylinder's at {places[last]:.2f} L is {end:+.0%}. "
         f"{why}emcee is within {agree:.1%} of quadrature everywhere, and {lost:.0%} of its "
         "posteriors have not converged."
     )

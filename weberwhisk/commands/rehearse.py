@@ -6,35 +6,23 @@ import hashlib
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 import weberwhisk as ww
 
 from ..campaign import all_cores
 from ..design import plan_json, read_plan
 from ..output import Run, atomic_write, to_json
-from .options import (
-    JsonOption,
-    OutOption,
-    SchedulerOption,
-    SeedOption,
-    WorkersOption,
-    wrote,
-)
+from .options import command, draw, wrote
 
 
+@command
 def rehearse(
-    file: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="plan.json, as `weberwhisk design` writes it.")
-    ],
-    runs: Annotated[
-        int, typer.Option("--runs", help="Experiments simulated under each hypothesis.")
-    ] = 100,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    seed: SeedOption = 1,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    file: Annotated[Path, "plan.json, as `weberwhisk design` writes it.", {"metavar": "PLAN"}],
+    runs: Annotated[int, "Experiments simulated under each hypothesis."] = 100,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    seed: int = 1,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Simulate a planned experiment, fit it as planned, and count how often it ends right.
 
@@ -61,10 +49,8 @@ def rehearse(
         run.table("rehearsal", found.table)
         run.table("rehearsal_summary", summary)
         if run.out_dir is not None:
-            from .. import figures
-
             atomic_write(run.path("rehearsal.txt"), found.report())
-            run.figure("rehearsal", figures.figure_of(figures.rehearsed(found)))
+            draw(run, "rehearsal", ww.figures.rehearsed(found))
     if stream is not None:
         stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
     if as_json:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
-
-import typer
 
 import weberwhisk as ww
 
@@ -14,99 +13,52 @@ from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..behaviour.trials import data_package, describe_table
 from ..output import Run, atomic_write, csv_text, to_json
-from .distance import ReceptorsOption, distance_encoding
-from .options import (
-    NO_SHAPE,
-    AngleOption,
-    CueOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-    Shape,
-    StandardMmOption,
-    as_asked,
-    describe,
-    number_option,
-    takes_whisker,
-    whisker_line,
-    wrote,
-)
+from . import options as opt
+from .distance import STIMULI, distance_encoding
 
 
-@takes_whisker
+@opt.command
 def simulate(
-    shape: Shape = NO_SHAPE,
-    cue: CueOption = None,
-    deflection_angle_deg: AngleOption = None,
-    receptors: ReceptorsOption = None,
-    standard: Annotated[
-        list[str] | None,
-        typer.Option("--standard", metavar="LIST", help="Magnitudes compared with.  [default: 1]"),
-    ] = None,
-    standard_mm: StandardMmOption = None,
+    shape: opt.Shape = opt.NO_SHAPE,
+    cue: str | None = None,
+    deflection_angle_deg: opt.Texts = None,
+    receptors: str | None = None,
+    standard: Annotated[opt.Texts, "Magnitudes compared with.  [default: 1]"] = None,
+    standard_mm: opt.Texts = None,
     offset: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--offset",
-            metavar="LIST",
-            help="Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]",
-        ),
+        opt.Texts, "Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]"
     ] = None,
-    weber_fraction: Annotated[float, number_option("--weber-fraction", "The truth to find.")] = 0.1,
-    lapse_low: Annotated[float, number_option("--lapse-low", "Share lost at the low end.")] = 0.0,
-    lapse_high: Annotated[
-        float, number_option("--lapse-high", "Share lost at the high end.")
-    ] = 0.0,
-    bias: Annotated[float, number_option("--bias", "Towards the second, in sds.")] = 0.0,
-    drift: Annotated[
-        float, number_option("--drift", "Change of ln k from the first session to the last.")
-    ] = 0.0,
-    bias_drift: Annotated[
-        float,
-        number_option("--bias-drift", "Change of the bias from the first session to the last."),
-    ] = 0.0,
+    weber_fraction: Annotated[float, "The truth to find."] = 0.1,
+    lapse_low: Annotated[float, "Share lost at the low end."] = 0.0,
+    lapse_high: Annotated[float, "Share lost at the high end."] = 0.0,
+    bias: Annotated[float, "Towards the second, in sds."] = 0.0,
+    drift: Annotated[float, "Change of ln k from the first session to the last."] = 0.0,
+    bias_drift: Annotated[float, "Change of the bias from the first session to the last."] = 0.0,
     effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--effect",
-            metavar="NAME:VALUE",
-            help="What else moves the answers, as in fit, with its parameter: history:0.5, "
-            "past-contraction=20:0.3; may be repeated.",
-        ),
+        opt.Texts,
+        "What else moves the answers, as in fit, with its parameter: history:0.5, "
+        "past-contraction=20:0.3; may be repeated.",
+        {"metavar": "NAME:VALUE"},
     ] = None,
-    missing: Annotated[
-        float, number_option("--missing", "Share of trials without an answer.")
-    ] = 0.0,
-    trials_per_level: Annotated[
-        int, typer.Option("--trials-per-level", help="Trials of each comparison.")
-    ] = 40,
+    missing: Annotated[float, "Share of trials without an answer."] = 0.0,
+    trials_per_level: Annotated[int, "Trials of each comparison."] = 40,
     order: Annotated[
-        str,
-        typer.Option(
-            "--order",
-            help="'standard first', or random: the comparison comes first in half of the trials.",
-        ),
+        str, "'standard first', or random: the comparison comes first in half of the trials."
     ] = "standard first",
-    sessions: Annotated[int, typer.Option("--sessions", help="Dealt out over these.")] = 1,
-    subjects: Annotated[
-        int, typer.Option("--subjects", help="Animals; with several, each draws its own truth.")
-    ] = 1,
-    spread: Annotated[
-        float, number_option("--spread", "Standard deviation of ln k between several animals.")
-    ] = 0.3,
-    task: Annotated[
-        str, typer.Option("--task", help="2AFC, 2IFC, or '2AFC percent correct' and the like.")
-    ] = "2AFC",
-    seed: SeedOption = 1,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    sessions: Annotated[int, "Dealt out over these."] = 1,
+    subjects: Annotated[int, "Animals; with several, each draws its own truth."] = 1,
+    spread: Annotated[float, "Standard deviation of ln k between several animals."] = 0.3,
+    task: Annotated[str, "2AFC, 2IFC, or '2AFC percent correct' and the like."] = "2AFC",
+    seed: int = 1,
+    out: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Simulate choices between two stimuli, with the truth beside them.
 
     Stimuli are magnitudes (--standard), or radial distances felt through a whisker (--standard-mm
     with --identity or a shape). `weberwhisk fit` reads the table.
     """
-    inputs = as_asked(locals(), "out", "as_json", "seed")
+    inputs = opt.as_asked(locals())
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
     fittable = encoding is None or encoding.has_weber_fraction
     if encoding is None and standard_mm:
@@ -124,35 +76,22 @@ def simulate(
     levels = numbers("--offset", offset) if offset else None
     effects = [effect_valued(text) for text in effect or ()]
     truth: dict[str, Any] = {
-        "weber_fraction": weber_fraction,
-        "lapse_low": lapse_low,
-        "lapse_high": lapse_high,
-        "bias": bias,
+        name: inputs[name] for name in ("weber_fraction", "lapse_low", "lapse_high", "bias")
     }
     with Run(out, "simulate", inputs, seed) as run:
-        design: dict[str, Any] = {
-            **truth,
-            "standards": base,
-            "offsets": levels,
-            "trials_per_level": trials_per_level,
-            "encoding": encoding,
-            "order": order,
-            "sessions": sessions,
-            "drift": drift,
-            "bias_drift": bias_drift,
-            "effects": effects,
-            "missing": missing,
-            "task": task,
+        design: dict[str, Any] = truth | {
+            "standards": base, "offsets": levels, "encoding": encoding, "effects": effects,
+            "trials_per_level": trials_per_level, "order": order, "sessions": sessions,
+            "drift": drift, "bias_drift": bias_drift, "missing": missing, "task": task,
             "seed": seed,
-        }
+        }  # fmt: skip
         if subjects == 1:
             trials, animals = ww.simulate_trials(**design), None
         else:
             trials, animals = ww.simulate_population(subjects, spread=spread, **design)
         table = trials.table()
         if encoding is not None:
-            names = ("standard", "stimulus_1", "stimulus_2")
-            table = table.rename(columns={name: f"{name}_mm" for name in names})
+            table = table.rename(columns={name: f"{name}_mm" for name in STIMULI})
         run.table("trials", table)
         known = {
             **truth,
@@ -167,39 +106,30 @@ def simulate(
             "order": order,
             "task": trials.task.name,
             "seed": seed,
-            "whisker": None if whisker is None else describe(whisker),
+            "whisker": None if whisker is None else opt.describe(whisker),
         }
         if run.out_dir is not None:
             atomic_write(run.path("truth.json"), to_json(known) + "\n")
+            unit = "mm" if encoding else ""
             entry = describe_table(
-                "trials",
-                table,
-                unit="mm" if encoding else "",
-                title="Simulated choices",
-                truth=known,
+                "trials", table, unit=unit, title="Simulated choices", truth=known
             )
             package = data_package("weberwhisk-simulated", "Simulated choices", [entry])
             atomic_write(run.path("datapackage.json"), to_json(package) + "\n")
-        if run.out_dir is not None and animals is None and fittable:
-            from .. import figures
-
-            free = {name: truth[name] for name in trials.task.lapses}
-            free |= {"bias": bias} if trials.task.has_bias else {}
-            free |= {e.name: value for e, value in effects}
-            exact = ww.fit_weber(
-                trials,
-                encoding=encoding,
-                effects=[e for e, _ in effects],
-                priors={"weber_fraction": weber_fraction, **free},
-            )
-            unit = "mm" if encoding else ""
-            drawn = figures.psychometrics(exact, unit=unit)
-            run.figure("trials", figures.figure_of(drawn))
+            if animals is None and fittable:
+                free = {name: truth[name] for name in trials.task.lapses}
+                free |= {"bias": bias} if trials.task.has_bias else {}
+                free |= {e.name: value for e, value in effects}
+                exact = ww.fit_weber(
+                    trials, encoding=encoding, effects=[e for e, _ in effects],
+                    priors={"weber_fraction": weber_fraction, **free},
+                )  # fmt: skip
+                opt.draw(run, "trials", ww.figures.psychometrics(exact, unit=unit))
     if as_json:
         print(to_json({"truth": known, "rows": table.astype(object).to_dict("records")}))
         return
     if whisker is not None:
-        print(whisker_line(whisker))
+        print(opt.whisker_line(whisker))
     noise = f"Weber fraction {weber_fraction:g}" if fittable else "constant noise of the cue's own"
     many = "" if animals is None else f" of {subjects} animals"
     print(
@@ -210,7 +140,7 @@ def simulate(
     if run.out_dir is None:
         print(csv_text(table), end="")
     else:
-        wrote(run)
+        opt.wrote(run)
         if fittable:
             print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
 
@@ -218,20 +148,11 @@ def simulate(
 def _again(inputs: dict[str, Any]) -> str:
     """The options that `fit` needs to feel the same distances."""
     words = []
-    for name in (
-        "identity",
-        "length_mm",
-        "base_radius_um",
-        "tip_radius_um",
-        "youngs_modulus_gpa",
-        "cue",
-        "deflection_angle_deg",
-        "receptors",
-    ):
+    for name in (*opt.Shape._fields, "cue", "deflection_angle_deg", "receptors"):
         value = inputs[name]
         if value:
             text = ",".join(value) if isinstance(value, list) else f"{value}"
-            words.append(f" --{name.replace('_', '-')} {text}")
+            words.append(f" {opt.option(name)} {text}")
     if inputs["subjects"] > 1:
         words.append(" --subject s1")
     if inputs["task"] not in ("2AFC", "2AFC percent correct"):

@@ -7,7 +7,7 @@ with every trial that comes, so that none has long to wait; until it is done the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,9 +23,10 @@ from ..behaviour.priors import TINY
 from ..behaviour.trials import Cells
 from .hypotheses import Hypothesis
 
+Array = NDArray[np.float64]
+Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
+
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies
-LEAST = 1e-30  # of a probability
-SMALL = 1e-60  # where a grid is brought back to 1
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class BeliefGrid:
         self.slope = np.maximum(1 - self.low - self.high, 0.0)
         # Of the other answer, and of the one that is counted.
         self._ends = [np.stack([self.slope, lapse]) for lapse in (self.high, self.low)]
-        self._least_ends = [np.add(e, [[0.0], [LEAST]]).astype(np.float32) for e in self._ends]
+        self._least_ends = [np.add(e, [[0.0], [1e-30]]).astype(np.float32) for e in self._ends]
         self.lapse_moments = np.stack([np.ones_like(self.low), self.low, self.slope])
         self.lapse_ends = [s.coordinate([-FAR, FAR]) for s in model.transforms[-2:]]
         lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
@@ -82,11 +83,11 @@ class BeliefGrid:
         g = len(self.up)
         self.up.append(self._sides(self.model.encodings.of(self.model.group == g), g)[0])
 
-    def put(self, encodings: UnitEncodings, group: int, counts: list[int]) -> None:
-        """Answers to a pair of stimuli, so many of each."""
+    def put(self, encodings: UnitEncodings, group: int, counts: Sequence[float]) -> None:
+        """Answers to a pair of stimuli, so many of each; in a grid that is open, any number."""
         if group < len(self.values):
             for answer, times in enumerate(counts):
-                for _ in range(times):
+                for _ in range(int(times)):
                     self.multiply(encodings, group, answer)
             return
         sides = self._sides(encodings, group)[::-1]
@@ -94,7 +95,7 @@ class BeliefGrid:
             if times:
                 chance = _with_lapses(side.astype(np.float32), ends)
                 np.log(chance, out=chance)
-                if times > 1:
+                if times != 1:
                     chance *= times
                 self._logs[group] += chance
 
@@ -113,7 +114,7 @@ class BeliefGrid:
         self.values[group] *= _with_lapses(side, self._ends[answer])
         self.by_group[group] = self._over_bias(group)
         top = float(self.by_group[group].max())
-        if top < SMALL:
+        if top < 1e-60:  # brought back to 1
             self.values[group] /= top
             self.by_group[group] /= top
             self.log[group] += float(np.log(top))
@@ -141,17 +142,9 @@ def step_of(axis: Array) -> float:
     return float(axis[1] - axis[0]) if axis.size > 1 else 1.0
 
 
-Array = NDArray[np.float64]
-Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
-
 NODES = {"weber_fraction": 21, "bias": 21, "lapse_low": 14, "lapse_high": 14}
 HELD = 1e-4  # of the highest marginal density: below, a node is empty
-EDGE = 1e-3  # of the highest marginal density: above, an axis is too short
-FEW = 0.6
-PAIRS = 3  # of stimuli whose answers are put into another grid with every trial
-MOST_DOUBLINGS = 13  # of trials, of which the lapses' coordinates are made at first
 LEAST_TOLD = 8  # trials that the coordinates of the lapses are made for at first
-DRAWN = 2000  # nodes over which the entropy of all parameters is averaged
 
 
 class Belief:
@@ -178,7 +171,7 @@ class Belief:
         free = dict(zip(model.lead, model.free, strict=True)) | {"bias": model.free_bias}
         wide = {n: (-FAR, FAR, size) if free[n] else (0.0, 0.0, 1) for n, size in NODES.items()}
         for name in ("lapse_low", "lapse_high"):  # their coordinates, made now and kept
-            for doublings in range(3, MOST_DOUBLINGS * free[name]):
+            for doublings in range(3, 13 * free[name]):
                 lapse_transform(model.priors.of(name), 2.0**doublings)
         low, high = (
             _even(transform.coordinate(wide[name][:2]), wide[name][2])
@@ -191,6 +184,21 @@ class Belief:
         self._grid = grid
         self._sum()
 
+    @classmethod
+    def after(cls, hypothesis: Hypothesis, cells: Cells, axes: Axes) -> Belief:
+        """After the answers in a table, which need not be whole, on these axes for good."""
+        belief = cls.__new__(cls)
+        belief.hypothesis, belief._candidates = hypothesis, cells
+        model = hypothesis.model(cells)
+        belief._grid = BeliefGrid(model, axes)
+        for i, (n, count, group) in enumerate(zip(cells.n, cells.count, model.group, strict=True)):
+            belief._grid.put(model.encodings.of(np.array([i])), group, [n - count, count])
+        for _ in axes.bias:
+            belief._grid.see_candidates()
+            belief._grid.close()
+        belief._sum()
+        return belief
+
     # -- the grid --------------------------------------------------------------------------------
 
     @property
@@ -198,8 +206,14 @@ class Belief:
         """Of the grid as it is."""
         return self._grid.axes
 
-    def _laid(self, model: WeberModel, axes: Axes) -> Iterator[BeliefGrid | None]:
-        """A grid on these axes with all trials so far in it, after some rests."""
+    @property
+    def k(self) -> Array:
+        """Weber fractions of its nodes, whose masses are `mass_k`."""
+        return self._grid.k
+
+    def _laid(self, model: WeberModel, axes: Axes, pairs: int = 3) -> Iterator[BeliefGrid | None]:
+        """A grid on these axes with all trials so far in it, after some rests, in each of which the
+        answers to so many pairs of stimuli are put in."""
         grid = BeliefGrid(model, axes)
         for _ in axes.bias:
             grid.see_candidates()
@@ -208,12 +222,12 @@ class Belief:
         closed = 0
         while True:
             left = [p for p, seen in self._seen.items() if inside.get(p) != seen]
-            for pair in left[:PAIRS]:
+            for pair in left[:pairs]:
                 before, seen = inside.get(pair, [0, 0]), self._seen[pair]
                 new = [n - b for n, b in zip(seen, before, strict=True)]
                 grid.put(self.encode(pair), self._group(pair), new)
                 inside[pair] = list(seen)
-            if len(left) <= PAIRS // 2:
+            if len(left) <= pairs // 2:
                 if closed == len(axes.bias):
                     break
                 grid.close()
@@ -321,10 +335,10 @@ class Belief:
         given_k = np.clip(given_k, 0.0, 1.0)
         return given_k, self.mass_k @ given_k
 
-    def entropy_of_all(self) -> Array:
+    def entropy_of_all(self, drawn: int = 2000) -> Array:
         """Mean entropy of the answer were all parameters known, (C,), nats.
 
-        Over nodes at even steps of the cumulative mass: few, and without bias.
+        Over so many nodes at even steps of the cumulative mass: without bias.
         """
         out = np.empty(self._candidates.n.size)
         for g, up in enumerate(self._grid.up):
@@ -332,7 +346,7 @@ class Belief:
                 self._grid.values[g] * self._grid.prior_bias[g][:, None] * self._others[g][:, None]
             )
             below = np.cumsum(joint)
-            steps = (np.arange(DRAWN) + 0.5) / DRAWN * below[-1]
+            steps = (np.arange(drawn) + 0.5) / drawn * below[-1]
             k, b, lapse = np.unravel_index(np.searchsorted(below, steps), joint.shape)
             p = self._grid.low[lapse, None] + self._grid.slope[lapse, None] * up[k, b]
             out[self._grid.model.group == g] = entropy(p).mean(axis=0)
@@ -344,21 +358,17 @@ def entropy(p: Array) -> Array:
     return np.asarray(entr(p) + entr(1 - p))
 
 
-def _serves(axis: Array, mass: Array, ends: Array) -> bool:
+def _serves(axis: Array, mass: Array, ends: Array, share: float = 0.6) -> bool:
     """Whether an axis is fine and long enough for the mass on it."""
-    if axis.size == 1:
-        return True
-    top = mass.max()
-    return not any(_short(axis, mass, ends)) and bool(
-        np.count_nonzero(mass > HELD * top) > FEW * axis.size
-    )
+    fine = bool(np.count_nonzero(mass > HELD * mass.max()) > share * axis.size)
+    return axis.size == 1 or (fine and not any(_short(axis, mass, ends)))
 
 
-def _short(axis: Array, mass: Array, ends: Array) -> list[bool]:
-    """Whether mass hangs over either end, where the parameter goes on."""
+def _short(axis: Array, mass: Array, ends: Array, least: float = 1e-3) -> list[bool]:
+    """Whether mass, so much of the highest, hangs over either end, where the parameter goes on."""
     top = mass.max()
     return [
-        bool(mass[edge] > EDGE * top and abs(axis[edge] - end) > 1e-9)
+        bool(mass[edge] > least * top and abs(axis[edge] - end) > 1e-9)
         for edge, end in zip((0, -1), ends, strict=True)
     ]
 

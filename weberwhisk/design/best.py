@@ -2,7 +2,7 @@
 
 A scheme is judged by what it is expected to find: the log Bayes factor of the *expected* answers of
 an animal, n·P of every level (Cowan et al. 2011, Eur. Phys. J. C 71:1554, §3.2), integrated as data
-are; or the interval of k that the goal's share of animals will have (`precision`). Every position
+are; or the interval of k that the goal's share of animals will have (`Precision`). Every position
 is tabulated once, so that thousands of schemes can be tried: one position is exchanged at a time,
 for the best there is, until no exchange helps (Meyer & Nachtsheim 1995, Technometrics 37:60), from
 a few starts. The search sees answers that do not scatter, on a coarse grid or by normal
@@ -20,26 +20,19 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..behaviour.encodings import gives_signal
 from ..behaviour.integrate.batch import log_sum
 from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
-from .expectation import Precision
 from .experiments import compare, fit, simulate
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
+from .information import Precision
 from .power_analysis import asked
 from .scheme import Constraints, Scheme, easy_share
 
 Array = NDArray[np.float64]
-
-NODES = 41, 5, 21  # of k, either lapse and the bias
-PLACES = 19  # standards to choose from
-LEVELS = np.arange(0.3, 4.01, 0.3)  # sizes of offsets to choose from, in sds of the difference
-STARTS = 3
-SPREAD = 0.2, 0.9  # of the widest offset: the narrowest and widest of plain ones
-SCATTER = 4.0  # fewer expected animals may miss the goal than real ones, whose answers scatter
-RUNS = 512  # simulated, of each scheme that may be the best, all truths together
 
 
 @dataclass(frozen=True)
@@ -124,7 +117,7 @@ def best_scheme(
     _refuse_too_hard(sites, limits, standards, pairs)
     search = _Search(given, sites, likely, aim, limits, pairs, each)
     rng = np.random.default_rng(seed)
-    found = [search.climb(search.start(standards, rng if i else None)) for i in range(STARTS)]
+    found = [search.climb(search.start(standards, rng if i else None)) for i in range(3)]
     choices = {choice for _, choice in found} | {search.spread(standards)}
     allowed = sorted(choice for choice in choices if np.isfinite(search.value(choice)))
     found = [(search.simulated(choice, given, seed), choice) for choice in allowed]
@@ -197,17 +190,20 @@ class _Search:
         choice = []
         for i, widest in self.start(standards, None):
             last = self.sites[i].sizes.size - 1
-            sizes = np.unique(np.round(np.geomspace(*SPREAD, self.pairs) * last).astype(int))
+            sizes = np.unique(np.round(np.geomspace(0.2, 0.9, self.pairs) * last).astype(int))
             choice.append((i, tuple(sizes.tolist()) if sizes.size == self.pairs else widest))
         return tuple(choice)
 
-    def simulated(self, choice: Choice, hypotheses: Sequence[Hypothesis], seed: int) -> float:
-        """What the goal's share of simulated experiments reach, where it is hardest."""
+    def simulated(
+        self, choice: Choice, hypotheses: Sequence[Hypothesis], seed: int, runs: int = 512
+    ) -> float:
+        """What the goal's share of simulated experiments reach, where it is hardest; so many, all
+        truths together."""
         scheme, rng = self.scheme(choice, 1), np.random.default_rng(seed)
         truths = hypotheses if self.goal.half_width is None else hypotheses[:1]
         worst = np.inf
         for truth in truths:
-            counts, _ = simulate(truth, scheme, self.animals, RUNS // len(truths), rng)
+            counts, _ = simulate(truth, scheme, self.animals, runs // len(truths), rng)
             if self.goal.half_width is None:
                 reached, _ = compare(hypotheses, truth.name, scheme, counts)
             else:
@@ -263,7 +259,8 @@ class _Search:
                 for place in (s, self.sites[site].sizes.size + s)
             ]
             widths = self.precision.half_widths(at, self.each)
-            return -float(np.quantile(widths, 1 - (1 - self.goal.share) / SCATTER))
+            # A quarter of the animals that may miss the goal: real ones' answers scatter.
+            return -float(np.quantile(widths, 1 - (1 - self.goal.share) / 4.0))
         worst = np.inf
         for truth in self.models:
             own = truth.log_evidence(truth, choice, self.each)
@@ -285,15 +282,19 @@ class _Sketch:
     """One hypothesis on a fixed grid: log-probabilities of all positions, tabulated once."""
 
     def __init__(
-        self, hypothesis: Hypothesis, sites: list[_Site], animals: SubjectPopulation
+        self,
+        hypothesis: Hypothesis,
+        sites: list[_Site],
+        animals: SubjectPopulation,
+        nodes: tuple[int, int, int] = (41, 5, 21),  # of k, either lapse and the bias
     ) -> None:
         s1, s2, self.first = _positions(sites)
         self.count = [s.sizes.size for s in sites]
         model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
-        self.scores = np.linspace(-3.3, 3.3, NODES[0]) if model.free[0] else np.zeros(1)
+        self.scores = np.linspace(-3.3, 3.3, nodes[0]) if model.free[0] else np.zeros(1)
         self.k = model.value("weber_fraction", self.scores)
         axes = [
-            s.coordinate(np.linspace(-1.2, 2.2, NODES[1])) if free else np.zeros(1)
+            s.coordinate(np.linspace(-1.2, 2.2, nodes[1])) if free else np.zeros(1)
             for s, free in zip(model.transforms[-2:], model.free[-2:], strict=True)
         ]
         low, high = (model.at(n, a) for n, a in zip(model.lead[-2:], axes, strict=True))
@@ -301,7 +302,7 @@ class _Sketch:
         bias = np.array([model.fixed_bias()])
         if model.free_bias:
             mean, sd = model.priors.moments("bias")
-            bias = mean + sd * np.linspace(-2.5, 2.5, NODES[2])
+            bias = mean + sd * np.linspace(-2.5, 2.5, nodes[2])
         self.bias = model.log_bias_prior(bias)[:, None]
         self.prior = score_prior(self.scores)[:, None] + lapse_prior(model, *axes).ravel()
         self.yes = np.empty((s1.size, bias.size, self.k.size * lo.size), dtype=np.float32)
@@ -331,9 +332,14 @@ class _Sketch:
 
 
 def _sites(
-    hypotheses: Sequence[Hypothesis], limits: Constraints, animals: SubjectPopulation, pairs: int
+    hypotheses: Sequence[Hypothesis],
+    limits: Constraints,
+    animals: SubjectPopulation,
+    pairs: int,
+    places: int = 19,
 ) -> list[_Site]:
-    """The standards and offsets that every hypothesis and constraint allows."""
+    """The standards and offsets that every hypothesis and constraint allows: of so many standards,
+    and of offsets up to 3.9 sds of the difference in steps of 0.3."""
     encoded = hypotheses[0].encoding
     low = max(limits.nearest, max(h.encoding.domain[0] for h in hypotheses))
     high = min(limits.farthest, min(h.encoding.domain[1] for h in hypotheses))
@@ -343,19 +349,20 @@ def _sites(
             f"encoded, which ends at {high:g}, {low - high:.3g} before it begins; give "
             "Constraints(nearest=..., farthest=...)."
         )
-    at = np.unique(limits.positions(np.linspace(low, high, PLACES + 2)[1:-1]))
+    at = np.unique(limits.positions(np.linspace(low, high, places + 2)[1:-1]))
     out = []
     for s in at[(at > low) & (at < high)]:
-        if not all(_encoded(h, np.array([s])).all() for h in hypotheses):
+        if not all(gives_signal(h.encoding, s) for h in hypotheses):
             continue
         one = animals.weber_fraction * float(difference_sd(encoded, s))
-        sizes = np.unique(limits.positions(LEVELS * one))
+        sizes = np.unique(limits.positions(np.arange(0.3, 4.01, 0.3) * one))
         sizes = sizes[sizes > 0]
         inside = (s - sizes > low) & (s + sizes < high)
         inside &= (s - sizes >= limits.nearest) & (s + sizes <= limits.farthest)
         sizes = sizes[inside]
         for h in hypotheses:
-            sizes = sizes[_encoded(h, s - sizes) & _encoded(h, s + sizes)]
+            sizes = sizes[gives_signal(h.encoding, s - sizes)]
+            sizes = sizes[gives_signal(h.encoding, s + sizes)]
         if sizes.size < pairs:
             continue
         easy = [
@@ -366,11 +373,6 @@ def _sites(
         ]
         out.append(_Site(float(s), sizes, np.asarray(easy) == 1.0))
     return out
-
-
-def _encoded(hypothesis: Hypothesis, at: Array) -> NDArray[np.bool_]:
-    encoding = hypothesis.encoding
-    return np.isfinite(encoding.mean(at)) & np.isfinite(encoding.sd_per_weber_fraction(at))
 
 
 def _refuse_too_hard(sites: list[_Site], limits: Constraints, standards: int, pairs: int) -> None:

@@ -25,12 +25,8 @@ from .plan import Plan
 from .power_analysis import power, smallest
 from .scheme import Constraints, Scheme
 
-#: Where along the whisker the default standards stand, as fractions of its length.
-PLACES = (0.3, 0.6, 0.9)
-STEP = 10e-6  # of the pole, m
 #: Comparisons of every standard, in sds: the widest are easy.
 WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
-START = 20  # trials of a comparison, where the search for fewer or more starts
 
 
 def plan_experiment(
@@ -131,7 +127,7 @@ def plan_experiment(
                 f"{name} must be {kind.__name__}, got {_checks.shown(value)}; leave it out, say."
             )
     aim = goal or Goal(bayes_factor=10.0)
-    limits, likely = constraints or Constraints(step=STEP), expected or SubjectPopulation()
+    limits, likely = constraints or Constraints(step=10e-6), expected or SubjectPopulation()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
     wanted = _what_to_find(find, trials, scheme)
     if best:
@@ -151,10 +147,10 @@ def plan_experiment(
         scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
-        at = np.asarray(PLACES) * encoding.domain[1] if standards is None else standards
+        at = np.array([0.3, 0.6, 0.9]) * encoding.domain[1] if standards is None else standards
         scheme = Scheme.spaced(
             encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
-            trials=START if trials is None else trials, animals=animals, step=limits.step,
+            trials=20 if trials is None else trials, animals=animals, step=limits.step,
         )  # fmt: skip
     own: dict[str, Any] = {
         "hypotheses": given, "goal": aim, "animals": likely, "constraints": limits,

@@ -26,16 +26,13 @@ from ..behaviour.priors import Priors
 from ..threads import one_blas_thread
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .plan_file import decode
-from .populations import HELD, bias_scales, populations, steps_of
+from .populations import bias_scales, populations, steps_of
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
 BY = ["truth", "trials", "animals", "lapse"]  # what experiments are counted by
 QUANTILES = (0.025, 0.5, 0.975)
-FINER = 8  # nodes between those of k, for quantiles
-BATCH = 2048  # data sets at once, of animals alone
-FIRST = 4  # experiments with several animals at first, which tell how much memory one takes
 MOST_BYTES = 100e6  # of the tables of a population's batch, a quarter of what a worker then takes
 
 
@@ -118,7 +115,9 @@ def simulate(
 
 
 @one_blas_thread
-def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
+def fit(
+    hypothesis: Hypothesis, scheme: Scheme, counts: Array, batch: int = 2048, held: float = 7.5
+) -> Fitted:
     """Weigh a hypothesis by every experiment.
 
     Parameters
@@ -127,6 +126,10 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     scheme : Scheme
     counts : ndarray, shape (D, A, C)
         From `simulate`; expected answers, which are not whole, will do as well.
+    batch : int
+        Data sets at once, of animals alone.
+    held : float
+        Nats under the best, to which the likelihood of one of several animals is tabulated.
 
     Examples
     --------
@@ -138,7 +141,8 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
     """
     model = hypothesis.model(scheme)
     apart = counts.shape[1] == 1 or not model.free[0]
-    size = max(1, BATCH // counts.shape[1]) if apart else FIRST
+    # The first few experiments with several animals tell how much memory one takes.
+    size = max(1, batch // counts.shape[1]) if apart else 4
     found: list[tuple[Array, Array]] = []
     at = 0
     while at < len(counts):
@@ -149,7 +153,7 @@ def fit(hypothesis: Hypothesis, scheme: Scheme, counts: Array) -> Fitted:
             evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
             found.append((evidence.reshape(len(some), -1).sum(axis=1), quantiles[: len(some)]))
         else:
-            table = likelihood(model, flat, steps_of(model), bias_scales(model), HELD)
+            table = likelihood(model, flat, steps_of(model), bias_scales(model), held)
             mu, by_median, evidence = populations(model, table, counts.shape[1])
             found.append((evidence, np.exp(_integrated(mu, by_median)[1])))
             # Nodes are shared: more data sets together spread over more of them, by half or so.
@@ -218,11 +222,11 @@ def _single(priors: Priors, scores: Array, log_likelihood: Array) -> tuple[Array
     return evidence, priors.value("weber_fraction", z)
 
 
-def _integrated(x: Array, log_density: Array) -> tuple[Array, Array]:
+def _integrated(x: Array, log_density: Array, finer: int = 8) -> tuple[Array, Array]:
     """ln of the integral (D,) on even nodes, and the quantiles (D, 3) of densities (D, X)."""
     top = log_density.max(axis=1, keepdims=True)
     relative = np.maximum(log_density - top, -60.0)
-    fine = np.linspace(x[0], x[-1], FINER * (x.size - 1) + 1)
+    fine = np.linspace(x[0], x[-1], finer * (x.size - 1) + 1)
     # Of a normal density the logarithm is interpolated without error, however far the nodes.
     density = np.exp(CubicSpline(x, relative.T)(fine).T)
     step = fine[1] - fine[0]

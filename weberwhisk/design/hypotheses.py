@@ -14,13 +14,14 @@ from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
 from ..behaviour.comparison import ConstantNoise
 from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, unit_encodings
-from ..behaviour.fit import BIASES
+from ..behaviour.fit import BIASES, fit_weber
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors
-from ..behaviour.psychometric import refuse_out_of_reach
+from ..behaviour.psychometric import refuse_out_of_reach, response_probability
+from ..behaviour.result import WeberFit
 from ..behaviour.tasks import Task, task_named
-from ..behaviour.trials import Cells
+from ..behaviour.trials import Cells, Trials
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..receptors import Weber
@@ -109,10 +110,39 @@ class Hypothesis:
             names = tuple(f"{label}[{s:g}]" for s in levels)
         return WeberModel(self.asked, encoded, cells, self.priors, group, names)
 
+    def fit(self, trials: Trials) -> WeberFit:
+        """Fitted to a table as the planned analysis fits it, by quadrature for its evidence."""
+        return fit_weber(trials, method="quadrature", **options_of(self))
+
+    def expected_trials(self, scheme: Scheme, weber_fraction: float, lapse: float) -> Trials:
+        """The answers that one such animal gives on average: n·P of every level.
+
+        Examples
+        --------
+        >>> from weberwhisk.behaviour import IdentityEncoding
+        >>> weber, scheme = Hypothesis("Weber", IdentityEncoding()), Scheme([1.0], [-0.2, 0.2], 50)
+        >>> weber.expected_trials(scheme, 0.1, 0.02).frame["count"].round(1).tolist()
+        [3.8, 44.2]
+        """
+        cells = scheme.cells()
+        share = response_probability(
+            self.asked, self.encoding, cells.stimulus_1, cells.stimulus_2, noise=self.noise,
+            weber_fraction=weber_fraction, lapse_low=lapse, lapse_high=lapse,
+        )  # fmt: skip
+        names = "standard", "stimulus_1", "stimulus_2"
+        frame = pd.DataFrame({name: getattr(cells, name) for name in names})
+        frame = frame.assign(n=cells.n.astype(np.int64), count=cells.n * share)
+        return Trials(frame, self.asked, source="expected answers")
+
 
 Hypothesis.__init__ = renamed_arguments(percept="encoding")(  # type: ignore[method-assign]
     Hypothesis.__init__
 )
+
+
+def options_of(hypothesis: Hypothesis) -> dict[str, Any]:
+    """What `fit_weber` and `fit_population` are told of a hypothesis."""
+    return {name: getattr(hypothesis, name) for name in ("encoding", "priors", "bias", "noise")}
 
 
 def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:

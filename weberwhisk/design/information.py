@@ -3,35 +3,29 @@
 The mutual information of an answer and what is asked: the Weber fraction, the JND at a distance, or
 which hypothesis is right (Lindley 1956, Ann. Math. Stat. 27:986), everything else integrated out:
 a lapse or a bias that must be learnt as well costs information, and is not counted as any.
+`Precision` is the quick look at a whole scheme: intervals of k by Fisher's information.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import entr
 
 from .. import _checks
-from ..behaviour.encodings import UnitEncodings, unit_encodings
+from ..behaviour.encodings import gives_signal
 from ..behaviour.integrate.batch import batch_steps, zoomed
-from ..behaviour.integrate.windows import bias_at
-from ..behaviour.lapses import lapse_prior, score_prior
-from ..behaviour.likelihood import WeberModel
 from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
+from .belief import Axes, Belief, entropy
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
-
-NODES = 41, 21, 25  # of k, either lapse and the bias
-REACH = 4.0  # prior sds
-THRESHOLDS = 161  # bins of the log of a JND
 
 
 @one_blas_thread
@@ -96,111 +90,63 @@ def information(
         refuse_out_of_reach(h.encoding, at, "standard")
     place = float(np.sort(at)[at.size // 2]) if jnd_at is None else float(jnd_at)
     likely = expected or SubjectPopulation()
-    truths: Sequence[Hypothesis | None] = given if after is not None else [None]
-    parts = []
-    for truth in truths:
-        beliefs = [believed(h, after, truth, likely) for h in given]
-        parts.append(
-            np.stack(
-                [_of_standard(beliefs, s, s + row, place) for s, row in zip(at, rows, strict=True)]
-            )
-        )
-    bits = np.mean(parts, axis=0)  # (S, 3, J)
-    return pd.DataFrame(
-        {
-            "standard_mm": 1e3 * np.repeat(at, rows.shape[1]),
-            "offset_mm": 1e3 * rows.ravel(),
-            "weber_fraction_bits": bits[:, 0].ravel(),
-            "jnd_bits": bits[:, 1].ravel(),
-            "hypothesis_bits": bits[:, 2].ravel(),
-        }
-    )
-
-
-@dataclass(frozen=True)
-class HypothesisTable:
-    """What is known of an observer: nodes and their probabilities.
-
-    `k` (K,); for each standard run before, and under None for all others, `bias` (B,), `mass`
-    (K, B), and the means of either lapse there, (K, B).
-    """
-
-    hypothesis: Hypothesis
-    k: Array
-    known: dict[float | None, tuple[Array, Array, Array, Array]]
-
-    def answers(self, standard: float, comparisons: Array) -> tuple[Array, Array]:
-        """Probability of each k (K,), and of the answer given it (K, J)."""
-        shared = self.hypothesis.bias != "per standard"
-        own = next(iter(self.known)) if shared else standard
-        bias, mass, low, high = self.known.get(own, self.known[None])
-        model = self.hypothesis.asked
-        encoded = unit_encodings(
-            self.hypothesis.encoding, np.full(comparisons.shape, standard), comparisons,
-            np.full(comparisons.shape, standard), self.hypothesis.noise,
-        )  # fmt: skip
-        d, weight = model.decide(encoded.encoded(self.k))
-        weight = np.broadcast_to(weight, d.shape)
-        up, down = model.chance(d[:, None], weight[:, None] * bias[:, None])  # (K, B, J)
-        p = low[..., None] * down + (1 - high)[..., None] * up
-        of_k = mass.sum(axis=1)
-        given_k = np.einsum("kb,kbj->kj", mass, p) / np.maximum(of_k, 1e-300)[:, None]
-        return of_k, given_k
+    s1, s2 = np.repeat(at, rows.shape[1]), (at[:, None] + rows).ravel()
+    encoded = np.ones(s2.size, dtype=bool)
+    for h in given:
+        low, high = h.encoding.domain
+        encoded &= (s2 > low) & (s2 < high)
+        encoded &= gives_signal(h.encoding, np.where(encoded, s2, s1))
+    bits = np.full((3, s1.size), np.nan)
+    if encoded.any():
+        parts = []
+        for truth in given if after is not None else given[:1]:
+            before = None if after is None else _expected(truth, after, likely)
+            beliefs = [believed(h, s1[encoded], s2[encoded], before) for h in given]
+            parts.append(_of_answers(beliefs, int(encoded.sum()), place))
+        bits[:, encoded] = np.mean(parts, axis=0) / np.log(2)
+    named = zip(("weber_fraction_bits", "jnd_bits", "hypothesis_bits"), bits, strict=True)
+    return pd.DataFrame({"standard_mm": 1e3 * s1, "offset_mm": 1e3 * rows.ravel(), **dict(named)})
 
 
 def believed(
     hypothesis: Hypothesis,
-    after: Scheme | None,
-    truth: Hypothesis | None,
-    animals: SubjectPopulation,
-) -> HypothesisTable:
-    """What is known of an observer after the answers that the truth is expected to give."""
-    before = after if after is not None else Scheme([1.0], [0.0], 1)
-    if after is None:
-        model = _silent(hypothesis)
-        counts = np.zeros(1)
-        ends = [(-REACH, REACH)] + [
-            tuple(transform.coordinate([-REACH, REACH])) for transform in model.transforms[-2:]
-        ]
-        biases = [(-REACH, REACH)]
+    standards: Array,
+    comparisons: Array,
+    before: Cells | None,
+    nodes: tuple[int, int, int] = (41, 21, 25),
+    reach: float = 4.0,
+) -> Belief:
+    """What is known of an observer after a table, with pairs that may be shown next at its end.
+
+    `nodes` are of k, either lapse and every bias, over `reach` sds of the prior or, after trials,
+    what the posterior leaves of it.
+    """
+    none = np.zeros(standards.size)
+    cells = Cells(standards, comparisons, standards, none, none)
+    if before is not None:
+        names = "stimulus_1", "stimulus_2", "standard", "n", "count"
+        cells = Cells(*(np.r_[getattr(before, name), getattr(cells, name)] for name in names))
+    model = hypothesis.model(cells)
+    if before is None:
+        ends = [(-reach, reach)]
+        ends += [tuple(t.coordinate([-reach, reach])) for t in model.transforms[-2:]]
+        ends += [(-reach, reach)] * model.n_groups
     else:
-        model = hypothesis.model(before)
-        assert truth is not None
-        counts = expected_counts(truth, before, animals)[0, 0]
-        ends = _range(model, counts)
-        ends, biases = ends[:3], ends[3:]
-    k_axis, low_axis, high_axis = (
-        np.linspace(float(end[0]), float(end[1]), n) if free else np.zeros(1)
-        for end, n, free in zip(
-            ends, (NODES[0], NODES[1], NODES[1]), (model.free[0], *model.free[-2:]), strict=True
-        )
+        windows = zoomed(model, cells.count[None], batch_steps(model), 7.5)
+        low, high = windows.low[:, :, 0].min(axis=1), windows.high[:, :, 0].max(axis=1)
+        ends = [tuple(windows.ends[0, :, 0]), *zip(low, high, strict=True)]
+    sizes = [nodes[0], nodes[1], nodes[1], *[nodes[2]] * model.n_groups]
+    free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
+    k, low, high, *biases = (
+        np.linspace(*end, n) if own else np.zeros(1)
+        for end, n, own in zip(ends, sizes, free, strict=True)
     )
-    k = model.value("weber_fraction", k_axis)
-    low, high = (
-        model.at(n, a) for n, a in zip(model.lead[-2:], (low_axis, high_axis), strict=True)
-    )
-    lo, hi = (a.ravel() for a in np.meshgrid(low, high, indexing="ij"))
-    log_prior = score_prior(k_axis)[:, None] + lapse_prior(model, low_axis, high_axis).ravel()
-    known: dict[float | None, tuple[Array, Array, Array, Array]] = {}
-    groups = []
-    for group, end in enumerate(biases):
-        bias, log_bias = _bias_nodes(model, end)
-        cells = np.flatnonzero(model.group == group)
-        part = model.subset(model.cells.standard[cells[0]]) if model.n_groups > 1 else model
-        p, q = part.probability(k[:, None], lo, hi, bias[:, None, None, None])  # (B, K, L, C)
-        x, n = counts[cells], model.cells.n[cells]
-        log_like = np.log(p) @ x + np.log(q) @ (n - x)
-        log_like += log_bias[:, None, None]
-        groups.append((bias, log_like))
-    alone = [np.logaddexp.reduce(log_like, axis=0) for _, log_like in groups]
-    joint = log_prior + sum(alone)
-    lost = model.lapses(lo, hi)
-    for group, (bias, log_like) in enumerate(groups):
-        known[_standard(model, group)] = (bias, *_by_bias(log_like - alone[group] + joint, lost))
-    if None not in known:
-        bias, log_bias = _bias_nodes(model, (-REACH, REACH))
-        known[None] = (bias, *_by_bias(log_bias[:, None, None] + joint, lost))
-    return HypothesisTable(hypothesis, k, known)
+    return Belief.after(hypothesis, cells, Axes(k, low, high, tuple(biases)))
+
+
+def _expected(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Cells:
+    """The answers to a scheme that an animal is expected to give."""
+    return replace(scheme.cells(), count=expected_counts(truth, scheme, animals)[0, 0])
 
 
 def expected_counts(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Array:
@@ -212,43 +158,28 @@ def expected_counts(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulatio
     return np.asarray(p * model.cells.n)[None]
 
 
-def entropy(p: Array) -> Array:
-    """Of an answer with probability p, bits."""
-    return np.asarray((entr(p) + entr(1 - p)) / np.log(2))
-
-
-def _of_standard(
-    beliefs: list[HypothesisTable], standard: float, comparisons: Array, place: float
-) -> Array:
-    """The three informations at the comparisons of a standard, (3, J) bits."""
-    out = np.full((3, comparisons.size), np.nan)
-    encoded = np.ones(comparisons.size, dtype=bool)
-    for b in beliefs:
-        low, high = b.hypothesis.encoding.domain
-        inside = (comparisons > low) & (comparisons < high)
-        safe = np.where(inside, comparisons, standard)
-        encoded &= inside & np.isfinite(b.hypothesis.encoding.sd_per_weber_fraction(safe))
-    if not encoded.any():
-        return out
-    answers = [b.answers(standard, comparisons[encoded]) for b in beliefs]
+def _of_answers(beliefs: list[Belief], last: int, place: float) -> Array:
+    """The three informations of the last so many pairs, (3, J) nats."""
+    answers = [(b.mass_k, b.predicted()[0][:, -last:]) for b in beliefs]
     mean = np.stack([mass @ p for mass, p in answers])  # (M, J)
     about_k = np.mean(
         [entropy(m) - mass @ entropy(p) for m, (mass, p) in zip(mean, answers, strict=True)], axis=0
     )
     about_hypothesis = entropy(mean.mean(axis=0)) - entropy(mean).mean(axis=0)
     log_jnd = [np.log(b.k * float(difference_sd(b.hypothesis.encoding, place))) for b in beliefs]
-    about_jnd = _shared(log_jnd, answers)
-    out[:, encoded] = about_k, about_jnd, about_hypothesis
-    return np.maximum(out, 0.0)
+    return np.maximum([about_k, _shared(log_jnd, answers), about_hypothesis], 0.0)
 
 
-def _shared(log_jnd: list[Array], answers: list[tuple[Array, Array]]) -> Array:
-    """Information about a quantity that every hypothesis has a belief of, (J,) bits."""
+def _shared(
+    log_jnd: list[Array], answers: list[tuple[Array, Array]], thresholds: int = 161
+) -> Array:
+    """Information about a quantity that every hypothesis has a belief of, (J,) nats, by so many
+    bins of its logarithm."""
     if len(log_jnd) == 1 or log_jnd[0].size == 1:
         mass, p = answers[0]
         return np.asarray(entropy(mass @ p) - mass @ entropy(p))
     low, high = min(a.min() for a in log_jnd), max(a.max() for a in log_jnd)
-    bins = np.linspace(low, high + 1e-9, THRESHOLDS)
+    bins = np.linspace(low, high + 1e-9, thresholds)
     total, up = np.zeros(bins.size), np.zeros((bins.size, answers[0][1].shape[1]))
     for value, (mass, p) in zip(log_jnd, answers, strict=True):
         # Belief is a density: spread evenly between nodes before it meets that of another.
@@ -263,40 +194,82 @@ def _shared(log_jnd: list[Array], answers: list[tuple[Array, Array]]) -> Array:
     return np.asarray(entropy(up.sum(axis=0)) - total @ entropy(np.clip(share, 0.0, 1.0)))
 
 
-def _by_bias(log_mass: Array, lost: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-    """Mass (K, B) of nodes (B, K, L), and the mean lapses there."""
-    mass = np.exp(log_mass - log_mass.max())
-    mass /= mass.sum()
-    of_bias = mass.sum(axis=2)
-    low, high = (mass @ part / np.maximum(of_bias, 1e-300) for part in lost)
-    return of_bias.T, low.T, high.T
+class Precision:
+    """Expected intervals of k from any choice of positions.
 
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        True, and fitted.
+    standards, comparisons : array_like, shape (C,)
+        All positions there are to choose from, m.
+    animals : SubjectPopulation
+        `drawn` of them stand for all, the same for every choice.
 
-def _bias_nodes(model: WeberModel, ends: tuple[float, float]) -> tuple[Array, Array]:
-    """A bias at even scores of its prior, and the log prior density of these."""
-    score = np.linspace(*ends, NODES[2]) if model.free_bias else np.zeros(1)
-    return bias_at(model, score), score_prior(score)
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber = Hypothesis("Weber", IdentityEncoding())
+    >>> told = Precision(weber, [1.0, 1.0, 1.0], [0.8, 1.0, 1.2], SubjectPopulation())
+    >>> middle, sides = (np.median(told.half_widths(at, 50)) for at in ([1], [0, 2]))
+    >>> bool(sides < middle)
+    True
+    """
 
+    def __init__(
+        self,
+        hypothesis: Hypothesis,
+        standards: ArrayLike,
+        comparisons: ArrayLike,
+        animals: SubjectPopulation,
+        drawn: int = 64,
+    ) -> None:
+        s1, s2 = (np.asarray(a, dtype=float) for a in (standards, comparisons))
+        model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
+        likely = animals.draw(drawn, seed=20)
+        middle = model.fixed_bias()
+        if model.free_bias and model.task.bias_name == "criterion":
+            middle = float(hypothesis.priors.value("bias", 0.0))
+        lapses = (
+            # An animal that never lapses does not tell so.
+            np.maximum(likely[name].to_numpy(), 3e-3)
+            for name in ("lapse_low", "lapse_high")
+        )
+        # ln k, either lapse and the bias of every animal, (4, A)
+        at = np.stack([np.log(likely["weber_fraction"]), *lapses, middle + likely["bias"]])
 
-def _standard(model: WeberModel, group: int) -> float | None:
-    """The standard of a group; None for what is not of any standard."""
-    own = np.unique(model.cells.standard[model.group == group])
-    return float(own[0]) if own.size == 1 and model.cells.n.sum() > 0 else None
+        def chance(there: Array) -> Array:
+            k, low, high, bias = there
+            biases = np.repeat(bias[:, None], model.n_groups, axis=1)
+            return model.probability(np.exp(k), low, high, biases)[0]
 
+        p = chance(at)
+        step = 1e-3  # of central differences
+        slopes = [
+            (chance(at + d) - chance(at - d)) / (2 * step) for d in step * np.eye(4)[..., None]
+        ]
+        self._free = [*model.free[:1], *model.free[-2:], model.free_bias]
+        slope = np.stack(slopes, axis=-1) * self._free  # (A, C, 4)
+        self._information = slope[..., :, None] * (slope / (p * (1 - p))[..., None])[..., None, :]
+        self._group = model.group
+        low, high = np.log(model.value("weber_fraction", np.array([-0.5, 0.5])))
+        sds = [
+            high - low if name == "weber_fraction" else model.priors.moments(name)[1]
+            for name in ("weber_fraction", "lapse_low", "lapse_high", "bias")
+        ]
+        # What is known has no slope, and any precision will do.
+        pairs = zip(sds, self._free, strict=True)
+        self._prior = np.diag([sd**-2.0 if free else 1.0 for sd, free in pairs])
 
-def _silent(hypothesis: Hypothesis) -> WeberModel:
-    """The model of no trials: its priors alone."""
-    one, none = np.ones(1), np.zeros(1)
-    names = () if hypothesis.bias == "none" else ("bias",)
-    encoded = UnitEncodings(one, one, one, one)
-    cells = Cells(one, one, one, none, none)
-    group = np.zeros(1, dtype=np.intp)
-    return WeberModel(hypothesis.asked, encoded, cells, hypothesis.priors, group, names)
-
-
-def _range(model: WeberModel, counts: Array) -> list[tuple[float, float]]:
-    """Where the posterior lies: ends of the axes of k and the lapses, and of each bias's score."""
-    windows = zoomed(model, counts[None], batch_steps(model), 7.5)
-    low, high = windows.low[:, :, 0].min(axis=1), windows.high[:, :, 0].max(axis=1)
-    of_k = float(windows.ends[0, 0, 0]), float(windows.ends[0, 1, 0])
-    return [of_k, *((float(a), float(b)) for a, b in zip(low, high, strict=True))]
+    def half_widths(self, chosen: ArrayLike, each: float) -> Array:
+        """1.96 sds of ln k of every animal, (A,), from so many trials of each chosen position."""
+        at = np.asarray(chosen)
+        total = np.broadcast_to(self._prior[:3, :3], (len(self._information), 3, 3)).copy()
+        for group in np.unique(self._group[at]):
+            own = each * self._information[:, at[self._group[at] == group]].sum(axis=1)
+            # The bias integrated out: the Schur complement of its information.
+            mixed, bias = own[:, :3, 3], own[:, 3, 3] + self._prior[3, 3]
+            total += own[:, :3, :3] - mixed[:, :, None] * mixed[:, None, :] / bias[:, None, None]
+        if not self._free[0]:
+            return np.zeros(len(total))
+        return np.asarray(1.96 * np.sqrt(np.linalg.inv(total)[:, 0, 0]))

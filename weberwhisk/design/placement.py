@@ -26,13 +26,12 @@ from ..behaviour.fit import fit_weber
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from .belief import Belief, Pair, entropy
-from .hypotheses import Hypothesis, check_distinct
+from .hypotheses import Hypothesis, check_distinct, options_of
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
 GOALS = ("weber_fraction", "hypothesis", "everything")
-NEAR_BEST = 0.95  # of the most informative trial: any of these is as good, and none foreseen
 
 
 @dataclass(frozen=True)
@@ -76,16 +75,49 @@ class Placer(Protocol):
 class TrialLog:
     """The trials so far, as a fit takes them."""
 
-    def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme) -> None:
+    most: int | None = None  # trials, after which there are enough
+
+    def __init__(self, hypotheses: Sequence[Hypothesis], scheme: Scheme, seed: int = 0) -> None:
         self.hypotheses = check_distinct(hypotheses)
         _checks.kind("scheme", scheme, "a Scheme", "offsets", "write lattice(encoding, 20e-3), say")
-        self.scheme = scheme
+        self.scheme, self.seed = scheme, seed
         self._rows: list[tuple[float, float, float, float]] = []
+        self._proposal: Proposal | None = None
 
     @property
     def n_trials(self) -> int:
         """Trials with an answer."""
         return sum(1 for row in self._rows if not np.isnan(row[3]))
+
+    @property
+    def finished(self) -> str:
+        """Why there are trials enough; empty where there are not."""
+        if self.most is not None and len(self._rows) >= self.most:
+            return f"there are {len(self._rows)} trials, as many as wanted"
+        return ""
+
+    def next(self, standard: float | None = None) -> Proposal:
+        """The next trial, the same until it is recorded.
+
+        Parameters
+        ----------
+        standard : float, optional
+            One of the scheme's, where the order of the standards is yours.
+        """
+        known = self._proposal
+        if known is None or standard not in (None, known.standard):
+            if standard is not None and standard not in self.scheme.standards:
+                raise ValueError(
+                    f"the scheme has no standard {standard:g}; choose one of "
+                    f"{', '.join(f'{s:g}' for s in self.scheme.standards)}."
+                )
+            number = len(self._rows) + 1
+            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
+            self._proposal = known = self._choose(number, rng, standard)
+        return known
+
+    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
+        raise NotImplementedError
 
     def _pair(self, standard: float, comparison: float) -> Pair:
         """What was shown; its standard is the nearest of the scheme's."""
@@ -95,7 +127,7 @@ class TrialLog:
         return float(standard), float(comparison), nominal
 
     def _note(self, pair: Pair, choice: Any) -> int | None:
-        """Keep a trial."""
+        """Keep a trial; another is to be chosen then."""
         missing = choice is None or (isinstance(choice, float) and np.isnan(choice))
         if not missing and choice not in (0, 1):
             raise ValueError(
@@ -103,6 +135,7 @@ class TrialLog:
                 f"got {choice!r}."
             )
         self._rows.append((*pair, np.nan if missing else float(choice)))
+        self._proposal = None
         return None if missing else int(choice)
 
     def trials(self) -> Trials:
@@ -130,11 +163,7 @@ class TrialLog:
     def fits(self) -> dict[str, WeberFit]:
         """The trials fitted under each hypothesis, as any other trials are."""
         trials = self.trials()
-        return {
-            h.name: fit_weber(trials, encoding=h.encoding, bias=h.bias, noise=h.noise,
-                              priors=h.priors)
-            for h in self.hypotheses
-        }  # fmt: skip
+        return {h.name: fit_weber(trials, **options_of(h)) for h in self.hypotheses}
 
 
 class BayesianPlacer(TrialLog):
@@ -196,7 +225,8 @@ class BayesianPlacer(TrialLog):
         most: int | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__([hypotheses] if isinstance(hypotheses, Hypothesis) else hypotheses, scheme)
+        several = [hypotheses] if isinstance(hypotheses, Hypothesis) else hypotheses
+        super().__init__(several, scheme, seed)
         self.goal = _checks.one_of("goal", goal, GOALS)
         if goal == "hypothesis" and len(self.hypotheses) < 2:
             raise ValueError(
@@ -211,9 +241,7 @@ class BayesianPlacer(TrialLog):
         if most is not None:
             _checks.positive("most", most, "write 400, say")
         self.easy_share, self.width, self.most = easy_share, width, most
-        self.seed = seed
         self._cells = scheme.cells()
-        self._proposal: Proposal | None = None
         self.beliefs = {h.name: Belief(h, self._cells) for h in self.hypotheses}
 
     # -- what is known ---------------------------------------------------------------------------
@@ -250,9 +278,7 @@ class BayesianPlacer(TrialLog):
             low, high = self.interval()
             if (high - low) / (high + low) <= self.width:
                 return f"the 95 % interval of k, {low:.4g} to {high:.4g}, is narrow enough"
-        if self.most is not None and len(self._rows) >= self.most:
-            return f"there are {len(self._rows)} trials, as many as wanted"
-        return ""
+        return super().finished
 
     def information(self) -> Array:
         """Bits that the answer to each trial of the scheme is expected to tell, (C,)."""
@@ -272,33 +298,12 @@ class BayesianPlacer(TrialLog):
 
     # -- trial by trial --------------------------------------------------------------------------
 
-    def next(self, standard: float | None = None) -> Proposal:
-        """The next trial, the same until it is recorded.
-
-        Parameters
-        ----------
-        standard : float, optional
-            One of the scheme's, where the order of the standards is yours.
-        """
-        known = self._proposal
-        if known is None or (standard is not None and known.standard != standard):
-            self._proposal = self._choose(standard)
-        assert self._proposal is not None
-        return self._proposal
-
-    def _choose(self, standard: float | None) -> Proposal:
-        number = len(self._rows) + 1
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
+    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
         easy, draw = rng.random() < self.easy_share, rng.random()
         cells = self._cells
         allowed = np.ones(cells.n.size, dtype=bool)
         if standard is not None:
             allowed = cells.standard == standard
-            if not allowed.any():
-                raise ValueError(
-                    f"the scheme has no standard {standard:g}; choose one of "
-                    f"{', '.join(f'{s:g}' for s in self.scheme.standards)}."
-                )
         information = self.information()
         if easy:
             extreme = [
@@ -311,7 +316,8 @@ class BayesianPlacer(TrialLog):
         else:
             open_to = np.flatnonzero(allowed)
             top = information[open_to].max()
-            good = open_to[information[open_to] >= NEAR_BEST * top]
+            # Any of these is as good, and none foreseen.
+            good = open_to[information[open_to] >= 0.95 * top]
             at = int(good[int(draw * good.size)])
         s1, s2 = float(cells.stimulus_1[at]), float(cells.stimulus_2[at])
         return Proposal(number, s1, s2, bool(easy), float(information[at]))
@@ -335,7 +341,6 @@ class BayesianPlacer(TrialLog):
         for belief in self.beliefs.values():
             belief.encode(pair)
         answer = self._note(pair, choice)
-        self._proposal = None
         if answer is not None:
             for belief in self.beliefs.values():
                 belief.absorb(pair, answer)

@@ -8,176 +8,30 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import binom
 
 from .. import _checks
 from .._display import Shown, with_units
-from ..behaviour.fit import fit_weber
-from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
+from ..behaviour.psychometric import difference_sd
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
+from ..jnd import criterion_factor
 from ..output import csv_text
-from . import expectation
+from .analysis import AnalysisResult, analyse
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .scheme import Constraints, Scheme
 from .trial_lists import own_table, sessions_needed, trial_lists
 
-STIMULI = ["standard", "stimulus_1", "stimulus_2"]
+Array = NDArray[np.float64]
 
 TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
-
-
-@dataclass(frozen=True)
-class AnalysisResult:
-    """What the planned analysis finds in a table of trials.
-
-    Parameters
-    ----------
-    estimates : DataFrame
-        One row a hypothesis and animal, or one a hypothesis for all animals fitted together
-        (`subject` is then "population"): `hypothesis`, `subject`, `weber_fraction` (posterior
-        median) with the 95 % interval `lower` to `upper`, and the `status` of the fit.
-    log_evidence : mapping of str to float
-        Of each hypothesis, all animals together.
-    left_out : tuple of str
-        Animals whose answers speak for no hypothesis: under one or another the fit found them
-        reversed, one-sided or none. They are not in the evidence, nor in the population.
-    """
-
-    estimates: pd.DataFrame = field(repr=False)
-    log_evidence: dict[str, float]
-    left_out: tuple[str, ...] = ()
-
-    def log_bayes_factor(self, hypothesis: str) -> float:
-        """Natural log of the Bayes factor for a hypothesis against the best of the others.
-
-        Infinite where there is no other.
-        """
-        _checks.one_of("hypothesis", hypothesis, self.log_evidence)
-        others = [v for name, v in self.log_evidence.items() if name != hypothesis]
-        return self.log_evidence[hypothesis] - max(others, default=-np.inf)
-
-    def favoured(self, bayes_factor: float = 10.0) -> str | None:
-        """The hypothesis that is so many times as probable as every other, None without one."""
-        best = max(self.log_evidence, key=lambda name: self.log_evidence[name])
-        return best if self.log_bayes_factor(best) > np.log(bayes_factor) else None
-
-    def of(self, hypothesis: str) -> pd.DataFrame:
-        """The estimates under one hypothesis."""
-        rows = self.estimates["hypothesis"] == hypothesis
-        return self.estimates[rows].reset_index(drop=True)
-
-
-def analyse(
-    trials: Trials,
-    hypotheses: Sequence[Hypothesis],
-    *,
-    together: bool = False,
-    unit: float = 1.0,
-) -> AnalysisResult:
-    """Fit every hypothesis to the trials, and weigh them.
-
-    Parameters
-    ----------
-    trials : Trials
-        With a column `subject` where there are several animals.
-    hypotheses : sequence of Hypothesis
-        Each is fitted with its own encoding, priors, bias and noise.
-    together : bool
-        Fit all animals at once, each learning from the others (`fit_population`). Otherwise each is
-        fitted by itself (`fit_weber`), and evidence multiplies over animals.
-    unit : float
-        Unit of the stimuli in the encodings' own: 1e-3 where the table is in millimetres.
-
-    Raises
-    ------
-    ValueError
-        For trials that cannot be fitted, and one animal together with nobody.
-
-    Examples
-    --------
-    >>> from weberwhisk import Whisker, simulate_trials
-    >>> from weberwhisk.design import taper
-    >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
-    >>> trials = simulate_trials(encoding=tapered.encoding, standards=[15e-3, 30e-3, 45e-3],
-    ...     offsets=[-0.1, -0.05, 0.05, 0.1], trials_per_level=60, subject="s1", seed=2)
-    >>> analyse(trials, [tapered, cylindrical]).favoured(10)
-    'tapered'
-    """
-    _checks.kind("trials", trials, "Trials", "frame", "write read_trials(file), say")
-    if unit != 1.0:
-        frame = trials.frame.assign(**{name: trials.frame[name] * unit for name in STIMULI})
-        trials = replace(trials, frame=frame)
-    given = check_distinct(hypotheses)
-    return (_pooled if together else _apart)(trials, given)
-
-
-def _apart(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
-    rows: list[dict[str, Any]] = []
-    evidence: dict[str, list[float | None]] = {h.name: [] for h in hypotheses}
-    left_out = []
-    for subject in trials.subjects or ["s1"]:
-        own = trials.select(subject=subject) if trials.subjects else trials
-        # Quadrature always: the evidence is part of the analysis.
-        fits = [fit_weber(own, method="quadrature", **_options(h)) for h in hypotheses]
-        rows += [_row(h, str(subject), fit) for h, fit in zip(hypotheses, fits, strict=True)]
-        if any(fit.status in LEFT_OUT for fit in fits):
-            left_out.append(str(subject))
-            continue
-        for h, fit in zip(hypotheses, fits, strict=True):
-            evidence[h.name].append(fit.log_evidence)
-    total = {name: float(np.sum(np.array(values, float))) for name, values in evidence.items()}
-    return AnalysisResult(pd.DataFrame(rows), total, tuple(left_out))
-
-
-def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
-    if len(trials.subjects) < 2:
-        raise ValueError(
-            f"{trials.source}: animals are fitted together where there are two or more, got "
-            f"{len(trials.subjects)}; write together=False."
-        )
-    fits = {h.name: fit_population(trials, **_options(h)) for h in hypotheses}
-    bad = {name: _names_left_out(fit) for name, fit in fits.items()}
-    left_out = sorted(set().union(*bad.values()))
-    kept = [s for s in trials.subjects if str(s) not in left_out]
-    for h in hypotheses:  # all of them weigh the same animals
-        if len(bad[h.name]) < len(left_out) and kept:
-            fits[h.name] = fit_population(trials.select(subject=kept), **_options(h))
-    rows = [_row(h, "population", fits[h.name]) for h in hypotheses]
-    evidence = {name: fit.log_evidence if kept else 0.0 for name, fit in fits.items()}
-    return AnalysisResult(pd.DataFrame(rows), evidence, tuple(left_out))
-
-
-def _names_left_out(fit: PopulationFit) -> set[str]:
-    status = fit.subjects["status"].isin([status.name for status in LEFT_OUT])
-    return set(fit.subjects["subject"][status].astype(str))
-
-
-def _options(hypothesis: Hypothesis) -> dict[str, Any]:
-    names = ("encoding", "priors", "bias", "noise")
-    return {name: getattr(hypothesis, name) for name in names}
-
-
-def _row(hypothesis: Hypothesis, subject: str, fit: WeberFit | PopulationFit) -> dict[str, Any]:
-    if isinstance(fit, PopulationFit) and fit.population is None:
-        middle = lower = upper = np.nan
-    elif "weber_fraction" in fit.parameters:
-        middle, (lower, upper) = fit.weber_fraction, fit.interval(0.95)
-    else:  # a number that was given
-        middle = lower = upper = fit.weber_fraction
-    return {
-        "hypothesis": hypothesis.name,
-        "subject": subject,
-        "weber_fraction": middle,
-        "lower": lower,
-        "upper": upper,
-        "status": fit.status.name,
-    }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -280,44 +134,82 @@ class Plan(Shown):
 
     @cached_property
     def expected_trials(self) -> Trials:
-        """What one typical animal answers on average under the first hypothesis."""
-        return expectation.expected_trials(
-            self.scheme, self.hypotheses[0], self.animals.weber_fraction, self.animals.lapse
-        )
+        """What one typical animal answers on average under the first hypothesis, n·P."""
+        first, animals = self.hypotheses[0], self.animals
+        return first.expected_trials(self.scheme, animals.weber_fraction, animals.lapse)
 
     @cached_property
     def expected_fits(self) -> tuple[tuple[str, WeberFit], ...]:
-        """Every hypothesis fitted to `expected_trials`."""
-        return tuple((h.name, expectation.fitted(self.expected_trials, h)) for h in self.hypotheses)
+        """Every hypothesis fitted to `expected_trials`.
+
+        An "Asimov" data set (Cowan, Cranmer, Gross & Vitells 2011, Eur. Phys. J. C 71:1554, §3.2):
+        one fit stands for the typical experiment, and `simulate_study` shows how far they scatter.
+        """
+        return tuple((h.name, h.fit(self.expected_trials)) for h in self.hypotheses)
 
     @cached_property
     def levels(self) -> pd.DataFrame:
-        """Expected share of "second greater" at every level, and where 95 % of animals fall."""
-        found = expectation.expected_levels(self.expected_trials)
+        """Expected share of "second greater" at every level, and where 95 % of animals fall.
+
+        Columns `standard_mm`, `comparison_mm`, `n`, `expected`, `lower`, `upper` (binomial).
+        """
+        frame = self.expected_trials.frame
+        n, share = frame["n"].to_numpy(), (frame["count"] / frame["n"]).to_numpy()
+        low, high = (binom.ppf(q, n, share) / n for q in (0.025, 0.975))
+        named = {"standard": frame["standard"], "comparison": frame["stimulus_2"], "n": n}
+        found = pd.DataFrame({**named, "expected": share, "lower": low, "upper": high})
         return with_units(found, ["standard", "comparison"])
 
     @cached_property
     def curves(self) -> pd.DataFrame:
-        """Expected psychometric functions, by hypothesis."""
-        found = expectation.expected_curves(self.expected_fits)
-        return with_units(found, ["standard", "comparison"])
+        """Expected psychometric functions, by hypothesis.
+
+        Columns `hypothesis`, `standard_mm`, `comparison_mm`, `median`, `lower`, `upper`.
+        """
+        parts = []
+        for name, fit in self.expected_fits:
+            for standard in fit.trials.standards:
+                own = fit.trials.frame.query("standard == @standard")["stimulus_2"]
+                low, high = own.min(), own.max()
+                margin = 0.1 * (high - low) or 0.05 * standard
+                edge = fit.encoding.domain
+                at = np.linspace(
+                    max(low - margin, edge[0] + 0.02 * (low - edge[0])),
+                    min(high + margin, edge[1] - 0.02 * (edge[1] - high)),
+                    81,
+                )
+                curve = fit.psychometric(at, float(standard))
+                curve.insert(0, "standard", float(standard))
+                curve.insert(0, "hypothesis", name)
+                parts.append(curve)
+        return with_units(pd.concat(parts, ignore_index=True), ["standard", "comparison"])
 
     @cached_property
     def jnds(self) -> pd.DataFrame:
-        """Expected JND curves with the predicted interval of one animal, by hypothesis."""
-        cells = self.scheme.cells()
-        low, high = cells.stimulus_2.min(), cells.stimulus_2.max()
-        edge = self.hypotheses[0].encoding.domain[1]
-        found = expectation.expected_jnds(
-            self.expected_fits, 0.5 * low, high + 0.5 * (min(edge, 2 * high) - high)
-        )
-        return with_units(found, ["stimulus", "jnd", "lower", "upper"])
+        """Expected JND curves with the predicted interval of one animal, by hypothesis.
+
+        Small offsets: a JND is k σ(s)/|μ′(s)| times the factor of the criterion, k r (1 − r/A) for
+        a tapered whisker's compliance and k r for a cylinder's, (3.5) and (3.6). Columns
+        `hypothesis`, `stimulus_mm`, `jnd_mm`, `lower_mm`, `upper_mm`, `criterion`.
+        """
+        at = self.scheme.cells().stimulus_2
+        low, high, edge = at.min(), at.max(), self.hypotheses[0].encoding.domain[1]
+        places = np.linspace(0.5 * low, high + 0.5 * (min(edge, 2 * high) - high), 81)
+        tables = {name: _jnds(fit, "stimulus", places) for name, fit in self.expected_fits}
+        return pd.concat(tables, names=["hypothesis"]).reset_index(0).reset_index(drop=True)
 
     @cached_property
     def jnds_by_standard(self) -> pd.DataFrame:
-        """The JND that each standard's own trials will tell, of one animal."""
-        found = expectation.expected_jnds_by_standard(self.expected_trials, self.hypotheses[0])
-        return with_units(found, ["standard", "jnd", "lower", "upper"])
+        """The JND that each standard's own trials will tell, of one animal.
+
+        Columns `standard_mm`, `jnd_mm`, `lower_mm`, `upper_mm`, `criterion`, `status`.
+        """
+        parts = []
+        for standard in self.expected_trials.standards:
+            fit = self.hypotheses[0].fit(self.expected_trials.select(standard=float(standard)))
+            own = _jnds(fit, "standard", np.array([float(standard)]))
+            parts.append(own.assign(status=fit.status.name))
+        return pd.concat(parts, ignore_index=True)
 
     # -- what is done with the data ---------------------------------------------------------------
 
@@ -355,3 +247,12 @@ class Plan(Shown):
             f"Of simulated experiments with {trials} trials of each comparison and {animals} "
             f"animal{'s' * int(animals > 1)}, the aim is reached by {', '.join(each)}."
         )
+
+
+def _jnds(fit: WeberFit, name: str, at: Array, criterion: str = "75% 2AFC") -> pd.DataFrame:
+    """JNDs of a fit at some stimuli, with 95 % intervals."""
+    unit = criterion_factor(criterion) * difference_sd(fit.encoding, at) / np.sqrt(2.0)
+    low, high = fit.interval(0.95)
+    jnd = {"jnd": fit.weber_fraction * unit, "lower": low * unit, "upper": high * unit}
+    found = pd.DataFrame({name: at, **jnd, "criterion": criterion})
+    return with_units(found, [name, "jnd", "lower", "upper"])

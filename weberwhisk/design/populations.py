@@ -32,15 +32,6 @@ from ..behaviour.priors import PopulationPriors
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-LAPSE_STEP = 0.6  # of the nodes of the lapses, between which likelihoods are linear
-HELD = 7.5  # nats under an animal's best, to which its likelihood is tabulated, and some more
-FINER_LAPSE, FINER_K = 4, 3  # nodes between those of a lapse, and of k
-SPREADS = 10  # Gauss–Legendre nodes of the spread of ln k between animals
-BIAS_SCALES = 7  # even nodes of the factor of the biases, over where it may be
-LAPSE_SPREADS = 6  # the same of the lapses' spread, in its logarithm
-LAPSE_MEANS = -3.5, 3.5  # of the lapses' mean, in scores, and
-LAPSE_SPREAD = 0.15, 2.0  # of their spread: where a population is looked for
-BEYOND = 1.0  # how far past all animals' ln k the population's median is looked for
 LEAST = 1e-30  # of a likelihood
 FLOOR = -60.0  # nats under the best, where nothing is left
 CUT = 14.0  # nats under the best, where populations are left out
@@ -76,7 +67,9 @@ class _Fractions:
     log_prior: Array
 
 
-def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Array, Array, Array]:
+def populations(
+    model: WeberModel, found: Likelihood, animals: int, finer: int = 3
+) -> tuple[Array, Array, Array]:
     """Medians mu of ln k (U,), even; their log posterior density (D, U), and the log evidence (D,).
 
     Parameters
@@ -86,10 +79,12 @@ def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Arr
         Of D·A animals, those of an experiment together.
     animals : int
         A.
+    finer : int
+        Nodes between those of k.
     """
     log_k = np.log(model.value("weber_fraction", found.scores))
     lapses = _lapses(model, found, animals)
-    x = np.linspace(log_k[0], log_k[-1], FINER_K * (log_k.size - 1) + 1)
+    x = np.linspace(log_k[0], log_k[-1], finer * (log_k.size - 1) + 1)
     fractions = _fractions(model, x, animals)
     experiments = found.values.shape[-1] // animals
     out = np.empty((experiments, fractions.mu.size))
@@ -109,8 +104,9 @@ def populations(model: WeberModel, found: Likelihood, animals: int) -> tuple[Arr
 
 
 def steps_of(model: WeberModel) -> Steps:
-    """Steps of the tables: those of biases also serve priors narrower than a single fit's."""
-    return batch_steps(model, lapse=LAPSE_STEP, bias=0.95)
+    """Steps of the tables, between which likelihoods are linear in lapses; those of biases also
+    serve priors narrower than a single fit's."""
+    return batch_steps(model, lapse=0.6, bias=0.95)
 
 
 def bias_scales(model: WeberModel, step: float = 0.5, far: float = 1e-6) -> BiasScales:
@@ -136,7 +132,7 @@ def _cropped(found: Likelihood, own: NDArray[np.float32]) -> tuple[tuple[slice, 
 
 
 def _bias_scales(
-    scales: BiasScales, values: NDArray[np.float32], lapses: _Lapses
+    scales: BiasScales, values: NDArray[np.float32], lapses: _Lapses, count: int = 7
 ) -> tuple[NDArray[np.float32], Array]:
     """Likely scales Z of the biases of one experiment: the shares (Z, S) of the tabulated ones in
     each, and the log of its prior probability (Z,)."""
@@ -158,9 +154,7 @@ def _bias_scales(
     at = np.linspace(0.0, last, 128)
     total = scales.onto(scales.unit * np.sinh(at)) @ log_likelihood.sum(axis=1) + log_density(at)
     likely = at[total > total.max() - CUT]
-    nodes = np.linspace(
-        max(likely[0] - 2 * at[1], 0.0), min(likely[-1] + 2 * at[1], last), BIAS_SCALES
-    )
+    nodes = np.linspace(max(likely[0] - 2 * at[1], 0.0), min(likely[-1] + 2 * at[1], last), count)
     log_weight = log_density(nodes) + np.log(nodes[1] - nodes[0])
     log_weight[[0, -1]] -= np.log(2.0)  # of a scale of zero that is exact: all is even about it
     shares = scales.onto(scales.unit * np.sinh(nodes)).astype(np.float32)
@@ -203,8 +197,19 @@ def _of_one(
     return np.asarray(np.log(np.maximum(mass, np.exp(FLOOR))) + peak + float(top.sum()))
 
 
-def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
-    """Every population of lapses, as weights of nodes between which likelihoods are linear."""
+def _lapses(
+    model: WeberModel,
+    found: Likelihood,
+    animals: int,
+    means: tuple[float, float] = (-3.5, 3.5),
+    spreads: tuple[float, float] = (0.15, 2.0),
+    count: int = 6,
+) -> _Lapses:
+    """Every population of lapses, as weights of nodes between which likelihoods are linear.
+
+    `means`, in scores, and `spreads` are where populations are looked for, with so many
+    Gauss–Legendre nodes of the logarithm of the spread.
+    """
     names = model.lead[-2:]
     parts = [
         _between(model, name, axis)
@@ -214,9 +219,9 @@ def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
         return _Lapses(np.ones((1, 1, 1), dtype=np.float32), np.zeros(1))
     priors = PRIORS
     step = min(0.75 / np.sqrt(animals), 0.35)
-    mean = np.arange(LAPSE_MEANS[0], LAPSE_MEANS[1] + step, step)
-    ends = np.log(LAPSE_SPREAD)
-    node, weight = np.polynomial.legendre.leggauss(LAPSE_SPREADS)
+    mean = np.arange(means[0], means[1] + step, step)
+    ends = np.log(spreads)
+    node, weight = np.polynomial.legendre.leggauss(count)
     log_spread = ends[0] + 0.5 * (node + 1) * (ends[1] - ends[0])
     prior = priors.lapse_mean.logpdf(mean)[:, None] + np.log(step)
     prior = prior + priors.lapse_spread.logpdf(np.exp(log_spread)) + log_spread
@@ -243,25 +248,31 @@ def _lapses(model: WeberModel, found: Likelihood, animals: int) -> _Lapses:
     return _Lapses(weights.astype(np.float32), prior.ravel())
 
 
-def _between(model: WeberModel, name: str, axis: Array) -> tuple[Array, Array, Array]:
+def _between(
+    model: WeberModel, name: str, axis: Array, finer: int = 4
+) -> tuple[Array, Array, Array]:
     """Fine scores (F,), their width, and what each takes of every node, (F, N)."""
     if axis.size == 1:
         return np.zeros(1), np.ones(1), np.ones((1, 1))
     transform = model.transforms[model.lead.index(name)]
     below = with_tail(model, name, axis)
-    step = (axis[1] - axis[0]) / FINER_LAPSE
+    step = (axis[1] - axis[0]) / finer
     fine = np.arange(below[0], axis[-1] + 0.5 * step, step)
     # Below the first node, where there is none, the likelihood is that of none.
     share = np.stack([np.interp(fine, axis, one) for one in np.eye(axis.size)], axis=1)
     return transform.score(fine), transform.slope(fine) * step, share
 
 
-def _fractions(model: WeberModel, x: Array, animals: int) -> _Fractions:
+def _fractions(
+    model: WeberModel, x: Array, animals: int, beyond: float = 1.0, spreads: int = 10
+) -> _Fractions:
+    """Every population of ln k: medians up to `beyond` past all animals', and so many
+    Gauss–Legendre nodes of their spread."""
     h = x[1] - x[0]
     # Nodes of k are 2.8 of the least sd apart, so 2 h is 1.9 of an animal's.
-    mu = np.arange(x[0] - BEYOND, x[-1] + BEYOND, 2.0 * h / np.sqrt(animals))
+    mu = np.arange(x[0] - beyond, x[-1] + beyond, 2.0 * h / np.sqrt(animals))
     spread = PRIORS.spread
-    node, weight = np.polynomial.legendre.leggauss(SPREADS)
+    node, weight = np.polynomial.legendre.leggauss(spreads)
     widest = float(spread.ppf(1 - 1e-4))
     tau = 0.5 * widest * (node + 1)
     log_weight = np.log(0.5 * widest * weight) + spread.logpdf(tau)

@@ -22,12 +22,6 @@ from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
-CHUNK = 512  # experiments of one animal done at once: the grid of chunks belongs to the seed
-CHUNK_ANIMALS = 128  # animals done at once, where they share a population: some seconds' work
-TOLERATED = 0.1  # share of 95 % intervals that may miss, before the report says so
-FEW = 96  # runs of several animals that settle a size where the goal is far: others cost minutes
-SURE = 0.99  # how surely
-CLOSE = 0.05  # of the size: how near the bracket closes
 MOST = {"trials": 1000, "animals": 200}
 
 
@@ -60,7 +54,7 @@ class Power:
                 f"({100 * row['lower']:.3g} to {100 * row['upper']:.3g})"
             )
             missed = round(row["runs"] * (1 - row["coverage"]))
-            if binomtest(missed, int(row["runs"])).proportion_ci(0.95, "wilson").low > TOLERATED:
+            if binomtest(missed, int(row["runs"])).proportion_ci(0.95, "wilson").low > 0.1:
                 lines.append(
                     f"  Caution: these 95 % intervals of k hold the truth in {row['coverage']:.0%} "
                     "of runs: the animals are not as the priors have them. Give priors that hold "
@@ -260,7 +254,8 @@ def smallest(
 
     def reached(size: int) -> bool:
         if size not in visited:
-            few = runs if sized(scheme, vary, size).animals == 1 else min(FEW, runs)
+            # Where the goal is far, few runs of several animals settle a size: others cost minutes.
+            few = runs if sized(scheme, vary, size).animals == 1 else min(96, runs)
             found = visit(size, few)
             if few < runs and not _clear(found):
                 found = _joined([found, visit(size, runs - few, 1)])
@@ -276,7 +271,7 @@ def smallest(
     while low == 0 and high > 1:
         half = high // 2
         low, high = (low, half) if reached(half) else (half, high)
-    while high - low > max(1, CLOSE * high):
+    while high - low > max(1, 0.05 * high):
         middle = (low + high) // 2
         low, high = (low, middle) if reached(middle) else (middle, high)
     path = _joined(list(visited.values()))
@@ -287,14 +282,14 @@ def smallest(
     return Smallest(scheme, vary, size, error, found, path)
 
 
-def _clear(found: Power) -> bool:
+def _clear(found: Power, sure: float = 0.99) -> bool:
     """Whether these runs leave no doubt on which side of the goal's share the power lies."""
     low, high = (
         np.array(ends)
         for ends in zip(
             *(
                 binomtest(round(row["power"] * row["runs"]), row["runs"]).proportion_ci(
-                    SURE, "wilson"
+                    sure, "wilson"
                 )
                 for row in found.table.to_dict("records")
             ),
@@ -325,6 +320,7 @@ def _chunks(
     runs: int,
     assurance: bool,
 ) -> list[dict[str, Any]]:
+    """So many experiments at once that they take some seconds: the grid belongs to the seed."""
     label = {
         "trials": max(map(max, scheme.trials)), "animals": scheme.animals, "lapse": animals.lapse,
     }  # fmt: skip
@@ -332,7 +328,7 @@ def _chunks(
         "scheme": encode(scheme), "hypotheses": encode(list(hypotheses)),
         "animals": encode(animals), "truth": truth, "assurance": assurance, "label": label,
     }  # fmt: skip
-    size = CHUNK if scheme.animals == 1 else max(4, CHUNK_ANIMALS // scheme.animals)
+    size = 512 if scheme.animals == 1 else max(4, 128 // scheme.animals)
     return [common | {"runs": min(size, runs - i)} for i in range(0, runs, size)]
 
 

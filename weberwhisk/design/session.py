@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 #: Right answers in a row that make it harder.
 RULES = {"1-up/1-down": 1, "1-up/2-down": 2, "1-up/3-down": 3}
-STRIDES = (4, 2, 1)  # levels moved at once, until each turn
 
 
 @dataclass
@@ -84,12 +83,12 @@ class Staircase(TrialLog):
         most: int | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__([hypothesis], scheme)
+        super().__init__([hypothesis], scheme, seed)
         self.rule = _checks.one_of("rule", rule, RULES)
         for name, value in (("turns", turns), ("most", most)):
             if value is not None:
                 _checks.positive(name, value, "write 12, say")
-        self.turns, self.most, self.seed = turns, most, seed
+        self.turns, self.most = turns, most
         self._sides: dict[float, tuple[Array, Array]] = {}
         for s, row in zip(scheme.standards, scheme.comparisons, strict=True):
             levels = np.asarray(row)
@@ -102,7 +101,6 @@ class Staircase(TrialLog):
                 )
             self._sides[s] = below, above
         self._tracks = {s: _Track() for s in scheme.standards}
-        self._proposal: Proposal | None = None
 
     @property
     def finished(self) -> str:
@@ -111,27 +109,13 @@ class Staircase(TrialLog):
             len(t.turns) >= self.turns for t in self._tracks.values()
         ):
             return f"every track has turned {self.turns} times"
-        if self.most is not None and len(self._rows) >= self.most:
-            return f"there are {len(self._rows)} trials, as many as wanted"
-        return ""
+        return super().finished
 
-    def next(self, standard: float | None = None) -> Proposal:
-        """The next trial, the same until it is recorded."""
-        if self._proposal is None or standard not in (None, self._proposal.standard):
-            number = len(self._rows) + 1
-            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
-            which, side = rng.random(2)
-            known = self.scheme.standards
-            if standard is not None and standard not in known:
-                raise ValueError(
-                    f"the scheme has no standard {standard:g}; choose one of "
-                    f"{', '.join(f'{s:g}' for s in known)}."
-                )
-            s = known[int(which * len(known))] if standard is None else standard
-            levels = self._sides[s][int(side < 0.5)]
-            comparison = float(levels[min(self._tracks[s].level, levels.size - 1)])
-            self._proposal = Proposal(number, s, comparison)
-        return self._proposal
+    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
+        which, side = rng.random(2)
+        s = self.scheme.standards[int(which * len(self._tracks))] if standard is None else standard
+        levels = self._sides[s][int(side < 0.5)]
+        return Proposal(number, s, float(levels[min(self._tracks[s].level, levels.size - 1)]))
 
     def record(self, standard: float, comparison: float, choice: Any) -> None:
         """Move by a trial: what was shown, and the answer (None for none, which moves nothing).
@@ -143,7 +127,6 @@ class Staircase(TrialLog):
         """
         pair = self._pair(standard, comparison)
         answer = self._note(pair, choice)
-        self._proposal = None
         if answer is None:
             return
         is_choice = self.hypotheses[0].asked.response == "choice"
@@ -157,7 +140,7 @@ class Staircase(TrialLog):
         if track.way and way != track.way:
             track.turns.append(self._difficulty(pair))
         track.way = way
-        stride = STRIDES[min(len(track.turns), len(STRIDES) - 1)]
+        stride = max(4 >> len(track.turns), 1)  # levels moved at once, halved with every turn
         lowest = max(side.size for side in self._sides[pair[2]]) - 1
         track.level = int(np.clip(track.level + way * stride, 0, lowest))
 

@@ -29,8 +29,6 @@ from .scheme import Scheme, in_millimetres
 Array = NDArray[np.float64]
 Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
 
-CANDIDATES = 20  # sequences drawn for a block, of which the one balancing history best is taken
-
 
 def trial_lists(
     scheme: Scheme,
@@ -200,13 +198,17 @@ def _greater_second(counts: Counts, standard: Array, rng: np.random.Generator) -
 
 
 def _block(
-    counts: Counts, second: Counts, before: list[int], longest_run: int, rng: np.random.Generator
-) -> tuple[Counts, Counts]:
-    """One block in its order: level and side (1 or 2, the greater stimulus) of each trial."""
+    counts: Counts, second: Counts, before: list[int], longest_run: int, rng: np.random.Generator,
+    candidates: int = 20,
+) -> tuple[Counts, Counts]:  # fmt: skip
+    """One block in its order: level and side (1 or 2, the greater stimulus) of each trial.
+
+    Of so many sequences drawn the one that balances history best.
+    """
     each = np.arange(counts.size)
     decks = [np.repeat(each, counts - second), np.repeat(each, second)]
     drawn = [
-        _sequence([d.size for d in decks], before, longest_run, rng) for _ in range(CANDIDATES)
+        _sequence([d.size for d in decks], before, longest_run, rng) for _ in range(candidates)
     ]
     sides = np.array(min(drawn, key=lambda s: abs(_excess_repeats([*before, *s]))), dtype=np.intp)
     level = np.empty(sides.size, dtype=np.intp)
