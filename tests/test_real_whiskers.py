@@ -19,8 +19,7 @@ from weberwhisk.cues import (
 from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
-from weberwhisk.posterior.likelihood import likelihood_of
-from weberwhisk.posterior.summed import LastSummed
+from weberwhisk.posterior.likelihood import LastSummed, likelihood_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sweeping import SweepFilter, follow
 from weberwhisk.whisker import identities, rest_shape

@@ -359,3 +359,50 @@ def test_a_grid_does_not_take_a_symmetric_ridge_for_resolved():
     assert abs(grid.moments.mean[0, 0] - mean) < 3 * grid.error[0, 0] * sd
     assert abs(grid.moments.sd[0, 0] - sd) < 3 * grid.error[0, 0] * sd
     assert grid.moments.sd[0, 0] == pytest.approx(sd, rel=0.01)
+
+
+def test_four_unknowns_are_three_and_one():
+    """The directions in space tell of the azimuth alone, which stands by itself.
+
+    Of the others the map of three forces with an unknown stiffness knows as much.
+    """
+    spread, contact = 0.2, [25e-3, 0.3, 1.0, 1.1]
+    space = ww.Observer(W, UnknownStiffness(SpaceMap(), spread))
+    assert space.unknowns == ("radial_distance", "deflection_angle", "azimuth", "stiffness")
+    reading = space.read(contact, seed=3)
+    p = ww.posterior(space, reading)
+    assert p.status == 0
+    forces = ForceMap(("moment", "axial_force", "transverse_force"))
+    plane = ww.Observer(W, UnknownStiffness(forces, spread), space.noise.part(5, 0, 3))
+    q = ww.posterior(plane, reading[:3])
+    for name, exact in q.estimates.items():
+        found = p.estimates[name]
+        error = 3 * (found.mean_error + exact.mean_error)
+        assert found.mean == pytest.approx(exact.mean, abs=error)
+        assert found.sd == pytest.approx(exact.sd, abs=error)
+    azimuth = p.estimates["azimuth"]  # two angles, each to within 0.1 rad
+    assert azimuth.mean == pytest.approx(reading[3:].mean(), abs=1e-4)
+    assert azimuth.sd == pytest.approx(0.1 / np.sqrt(2), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_four_unknowns_with_friction_are_those_of_draws_from_the_prior():
+    """Distance, angle, friction and stiffness, beside importance sampling of four million draws."""
+    forces = ForceMap(("moment", "axial_force", "transverse_force"))
+    observer = ww.Observer(W, UnknownStiffness(ww.cues.Friction(forces), 0.2), Weber(0.2))
+    reading = observer.read([25e-3, 0.3, 0.1, 1.1], seed=3)
+    p = ww.posterior(observer, reading)
+    assert p.status == 0
+    sums = np.zeros((3, 5))
+    for seed in range(40):
+        drawn = prior_draws(observer, 100_000, seed=seed)
+        weight = np.exp(observer.log_likelihood(reading, drawn) - 40.0)
+        each = np.column_stack([np.ones(len(drawn)), drawn])
+        sums += weight @ each, weight @ each**2, np.square(weight) @ each
+    mean = sums[0, 1:] / sums[0, 0]
+    sd = np.sqrt(sums[1, 1:] / sums[0, 0] - mean**2)
+    draws = sums[0, 0] ** 2 / sums[2, 0]
+    assert draws > 500
+    for i, found in enumerate(p.estimates.values()):
+        assert abs(found.mean - mean[i]) < 4 * sd[i] / np.sqrt(draws) + 3 * found.mean_error
+        assert found.sd == pytest.approx(sd[i], rel=4 / np.sqrt(draws))

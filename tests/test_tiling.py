@@ -91,10 +91,10 @@ def contacts(observer, count, seed):
     return np.stack([r, theta], axis=-1)
 
 
-def hunt(name, k, count, seed):
+def hunt(name, k, count, seed, fine=450):
     observer = ww.Observer(WHISKERS[name], ForceMap(), Weber(k))
     contact = contacts(observer, count, seed)
-    return worst(observer, observer.read(contact, seed=seed + 1))
+    return worst(observer, observer.read(contact, seed=seed + 1), fine)
 
 
 @pytest.mark.parametrize(("name", "k"), [("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)])
@@ -108,7 +108,7 @@ def test_no_number_is_off_by_more_than_three_times_its_claim(name, k):
 @pytest.mark.parametrize("name", WHISKERS)
 @pytest.mark.parametrize("k", [0.02, 0.06, 0.15, 0.3, 0.5])
 def test_no_number_of_a_thousand_is_off_by_more_than_three_times_its_claim(name, k):
-    off = hunt(name, k, 50, 11)
+    off = hunt(name, k, 50, 11, fine=700)  # with fewer nodes a cylinder's sums know too little
     assert len(off) > 35
     assert off.max() < 1
 

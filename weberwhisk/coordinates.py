@@ -173,6 +173,27 @@ class ContactCoordinates:
             x[:, 1] += self._log_gain(r, self.angle_range(r)[1])
         return x
 
+    def prior_scores(self, contact: Array) -> Array:
+        """How far up its prior each unknown is, as standard normal scores (..., U) within ±9.
+
+        Of the first unknowns alone where a contact has fewer.
+        """
+        out = np.empty(contact.shape)
+        for i, name in enumerate(self.cue.unknowns[: contact.shape[-1]]):
+            value = contact[..., i]
+            if name in self.prior and hasattr(self.prior[name], "sf"):
+                out[..., i] = to_normal(self.prior[name], value)
+                continue
+            low, width = self.reach[0], np.asarray(self.reach[1] - self.reach[0])
+            if i:
+                low, width = self.angle_range(contact[..., 0])
+                width = np.maximum(width, np.finfo(float).tiny)
+            below, above = (value - low) / width, (low + width - value) / width
+            with np.errstate(divide="ignore"):
+                lower, upper = ndtri(np.clip(below, 0, 1)), -ndtri(np.clip(above, 0, 1))
+            out[..., i] = np.where(below < above, lower, upper)
+        return np.clip(out, -9.0, 9.0)
+
     def angle_range(self, r: Array, contact: Array | None = None) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance.
 

@@ -177,16 +177,7 @@ def pointwise_loo(log_likelihood: ArrayLike) -> Loo:
 
 
 def split(x: ArrayLike) -> Array:
-    """Halve every chain, so that drift within a chain counts as disagreement between chains.
-
-    Parameters
-    ----------
-    x : array_like, shape (..., chain, draw)
-
-    Returns
-    -------
-    array, shape (..., 2 * chain, draw // 2)
-        The middle draw of an odd number is left out.
+    """Chains (..., chain, draw) halved, so that drift within one counts as disagreement.
 
     Examples
     --------
@@ -200,14 +191,6 @@ def split(x: ArrayLike) -> Array:
 
 def rank_normalise(x: ArrayLike) -> Array:
     """Normal scores of the ranks over chains and draws together; ties share their mean rank.
-
-    Parameters
-    ----------
-    x : array_like, shape (..., chain, draw)
-
-    Returns
-    -------
-    array, shape (..., chain, draw)
 
     Examples
     --------

@@ -12,17 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .result import Array
-from .summed import LastSummed, NotSmooth
+from .result import Array, Index
+from .summed import LastCurve, LastLattice, NotSmooth, Peak, Quadratic
 
 #: Nodes along each axis of a tile.
 ORDER = 6
-#: A reading may lie so many sd from the signals of a box.
-WINDOW = 7.0
 
 
 @dataclass(frozen=True)
@@ -115,6 +112,129 @@ class AllUnknowns:
         return self.noise.log_likelihood(reading[:, None], signals)
 
 
+class LastSummed:
+    """What tiles ask of an observer's contacts, the last unknown being summed out.
+
+    Nodes have the `parts` (..., S, D) of their signals. `panels` are so many parts of the range of
+    the last unknown, of each of which a box says what readings it makes plausible.
+    """
+
+    panels = 8
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.noise = observer, observer.noise
+        self.dim = len(observer.unknowns) - 1
+        #: Most boxes, beyond which a plain grid is quicker.
+        self.most = 24_000 // 4 ** (self.dim - 1)
+        self.lattice = LastLattice(observer)
+
+    def contact(self, x: Array) -> tuple[Array, Array]:
+        """Contacts (..., U − 1) at coordinates x, of the last unknown's middle; ln of the prior."""
+        if not self.lattice.turns:
+            return self.observer.contact(x)
+        contact, log_prior = self.lattice.contact(x)
+        return contact[..., :-1], log_prior
+
+    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The parts (..., S, D) of the signals at coordinates (..., U − 1), and which are held."""
+        lattice, flat = self.lattice, x.reshape(-1, self.dim)
+        parts, held = lattice.parts(flat)
+        shape = x.shape[:-1]
+        return parts.reshape(*shape, *parts.shape[1:]), held.reshape(shape)
+
+    def views(self, parts: Array) -> list[tuple[Array, Array | None]]:
+        """Signals (..., S) at three places of the last unknown, and their slopes."""
+        lattice = self.lattice
+        parts = parts[..., : lattice.size, :]
+        return [
+            (parts @ lattice.basis(np.array(z)), parts @ lattice.slope(z)) for z in (0.0, -2.0, 2.0)
+        ]
+
+    def over_views(self, lengths: list[Array]) -> Array:
+        """The lengths (n, d) of boxes, of what the views say: the most.
+
+        Friction turns the sign of a force, which at one friction angle bends the density at one
+        contact, at another elsewhere, and not at all once the friction is summed out: the middle.
+        """
+        return np.asarray((np.median if self.lattice.turns else np.max)(lengths, axis=0))
+
+    def interval(self, parts: Array, width: float) -> tuple[Array, Array]:
+        """Between which readings (..., panels, R) lie, of each panel."""
+        ends = self.lattice.basis(np.linspace(-1, 1, 2 * self.panels + 1) * self.lattice.reach)
+        signals = np.einsum("...sd,ed->...es", parts[..., : self.lattice.size, :], ends)
+        low, high = self.noise.interval(signals, width)
+        cut = [slice(i, i + 2 * self.panels - 1 + (i > 1), 2) for i in range(3)]
+        low = np.minimum.reduce([low[..., c, :] for c in cut])
+        return low, np.maximum.reduce([high[..., c, :] for c in cut])
+
+    def curve(self, reading: Array, parts: Array) -> LastCurve:
+        """ln of the density of the last unknown, for readings (m, R) and nodes (m, N, S, D)."""
+        if self.lattice.quadratic:
+            signals = parts @ self.lattice.unit
+            scales = self.lattice.scales
+            told = (self.noise.log_likelihood(c * reading[:, None], signals) for c in scales)
+            return Quadratic(self.lattice, *told)
+        return LastCurve(self.lattice, reading, parts)
+
+    def search(self, curve: LastCurve, low: Index, high: Index, width: Array, count: int) -> Peak:
+        """The bumps of curves (m, N) between panels (m,), about as wide as (m,).
+
+        Told by samples of each, from the best of which Newton's method goes on. A second bump that
+        counts is within reach.
+        """
+        lattice, samples = self.lattice, 6
+        size = 2 * lattice.half / self.panels
+        share = (np.arange(samples) + 0.5) / samples
+        at = 1 + size * (low[:, None] + (high + 1 - low)[:, None] * share)
+        seen = np.broadcast_to(at.astype(np.intp)[:, None], (len(low), count, samples))
+        log = curve(seen)
+        index = np.take_along_axis(seen, log.argmax(axis=-1)[..., None], axis=-1)[..., 0]
+        # Of bumps narrower than samples are apart, closer samples about the best.
+        apart = size * (high + 1 - low) / samples
+        about = np.linspace(-1, 1, 9)
+        while (apart > 2 * width / lattice.step).any():
+            closer = lattice.at((index[..., None] + apart[:, None, None] * about).astype(np.intp))
+            best = curve(closer).argmax(axis=-1)[..., None]
+            index, apart = np.take_along_axis(closer, best, axis=-1)[..., 0], apart / 4
+        peak = self.climb(curve, index, width, 3)
+        far = np.abs(seen - peak.place[..., None]) * lattice.step
+        far = np.where(log > peak.height[..., None] - 12, far, 0.0).max(axis=-1)
+        return peak._replace(reach=np.maximum(peak.reach, far + 2 * peak.width))
+
+    def climb(self, curve: LastCurve, index: Index, width: Array, steps: int) -> Peak:
+        """The bumps (m, N) near indices, about as wide as (m,), by Newton's method."""
+        lattice = self.lattice
+        stride = np.maximum(1, (0.7 * width / lattice.step).astype(np.intp))[:, None]
+        three = stride[..., None] * np.arange(-1, 2)
+        for _ in range(steps):
+            index = np.minimum(np.maximum(index, 1 + stride), 2 * lattice.half + 1 - stride)
+            log = curve(index[..., None] + three)
+            below, middle, above = log[..., 0], log[..., 1], log[..., 2]
+            with np.errstate(invalid="ignore"):
+                rise, bend = (above - below) / 2, 2 * middle - below - above
+            if not np.isfinite(rise).all():
+                rise, bend = np.nan_to_num(rise, posinf=9, neginf=-9), np.nan_to_num(bend, nan=1.0)
+            bend = np.minimum(np.maximum(bend, 0.02), 50.0)
+            move = np.minimum(np.maximum(rise / bend, -4.0), 4.0)
+            index = index + np.rint(move * stride).astype(np.intp)
+        found = np.minimum(stride * lattice.step * bend**-0.5, 1.0)
+        # Of a bump that is found the rise is little; more is of one that the lattice does not show.
+        return Peak(index, found, middle + np.clip(rise * move / 2, 0.0, 8.0), 5 * found)
+
+    def log_likelihood(self, reading: Array, parts: Array) -> Array:
+        """ln p(reading | the other unknowns), (m, N), about: of bumps taken for Gaussian."""
+        m, count = parts.shape[:2]
+        low = np.zeros(m, dtype=np.intp)
+        width = self.widths(parts).min(axis=1)
+        peak = self.search(self.curve(reading, parts), low, low + self.panels - 1, width, count)
+        return np.asarray(peak.height + np.log(peak.width) + 0.5 * np.log(2 * np.pi))
+
+    def widths(self, parts: Array) -> Array:
+        """The least of the bumps' widths (...) at three places, as far as the lattice shows."""
+        least = np.minimum.reduce([self.lattice.widths(parts, z) for z in (0.0, -2.0, 2.0)])
+        return np.maximum(least, 2 * self.lattice.step)
+
+
 Likelihood = AllUnknowns | LastSummed
 
 
@@ -158,7 +278,7 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
     blind = np.asarray(observer.noise.uninformative(seen)).reshape(*held.shape, -1)
     mixed = np.logical_and(blind.any(axis=1), ~blind.all(axis=1))
     kink = np.asarray(partly | np.any(mixed, axis=1))
-    score = prior_scores(observer, contact)
+    score = observer.space.prior_scores(contact)
     lengths = likelihood.over_views([_lengths(observer, score, *view, held) for view in views])
     bent = _bent(observer, seen, held)
     return Nodes(contact, log_weight, signals, low, high, lengths, kink, bent)
@@ -166,7 +286,7 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
 
 def _bounds(likelihood: Likelihood, signals: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Between which readings (n, panels, R) boxes make plausible lie."""
-    low, high = likelihood.interval(signals, WINDOW)
+    low, high = likelihood.interval(signals, 7.0)  # a reading may lie so many sd from a box
     known = held[..., None, None]
     # The nodes end before the box does: by less than half of what the signals do between two.
     dim = likelihood.dim
@@ -255,24 +375,3 @@ def _lengths(
 def _along(axis: int, cut: slice, dim: int) -> tuple[slice, ...]:
     """A cut along one axis of (n, …)."""
     return tuple(cut if i == axis else slice(None) for i in range(dim + 1))
-
-
-def prior_scores(observer: Observer, contact: Array) -> Array:
-    """How far up its prior each unknown is, as standard normal scores (..., U) within ±9."""
-    out = np.empty(contact.shape)
-    for i, name in enumerate(observer.unknowns[: contact.shape[-1]]):
-        value = contact[..., i]
-        if name in observer.prior and hasattr(observer.prior[name], "sf"):
-            below, above = observer.prior[name].cdf(value), observer.prior[name].sf(value)
-        else:
-            low, top = observer.reach
-            size = np.asarray(top - low)
-            if i:
-                low, size = observer.space.angle_range(contact[..., 0])
-                size = np.maximum(size, np.finfo(float).tiny)
-            below = (value - low) / size
-            above = (low + size - value) / size
-        with np.errstate(divide="ignore"):
-            lower, upper = ndtri(np.clip(below, 0, 1)), -ndtri(np.clip(above, 0, 1))
-        out[..., i] = np.clip(np.where(below < above, lower, upper), -9.0, 9.0)
-    return out

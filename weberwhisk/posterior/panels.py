@@ -54,19 +54,10 @@ _RISE = (
 #: Sums by the rule of 15 and by that of 7, of nodes that are weighted by the first.
 _RULES = np.stack([np.ones(15), GAUSS / KRONROD], axis=1)
 
-#: From r = 1e-8 of the reach to 1 − 4e-15 of it: beyond, there is no mass to speak of.
-X_RANGE = (-3.6, 4.2)
-#: Longest panel in JNDs, and in x.
-LONGEST = 2.0
-#: Half-length at which a kink is close enough: its square is the error.
-SHORTEST = 1e-6
 #: A panel is weighed where the reading lies within this many sd of its signals …
 WINDOW = 10.0
 #: … and its middle is not this far (in ln) below the highest.
 NEGLIGIBLE = 32.0
-#: ln of a reading's chance over the usual from which it is so far from all panels within the window
-#: that others, correlated or in other signals, may be as near.
-ASTRAY = NEGLIGIBLE - WINDOW**2 / 2
 
 
 class _Window:
@@ -162,17 +153,24 @@ class Panels:
 
     def _edges(self) -> Array:
         """First cuts in x: finer where the tip is near, and half an sd apart under a prior."""
-        cuts = np.concatenate([np.linspace(X_RANGE[0], 0, 15), np.linspace(0, X_RANGE[1], 17)])
+        # From r = 1e-8 of the reach to 1 − 4e-15 of it: beyond, there is no mass to speak of.
+        low, high = -3.6, 4.2
+        cuts = np.concatenate([np.linspace(low, 0, 15), np.linspace(0, high, 17)])
         prior = self.observer.prior.get("radial_distance")
         if prior is not None:
-            low, high = self.observer.reach
             r = prior.ppf(ndtr(np.linspace(-8, 8, 33)))
-            inside = r[np.isfinite(r) & (r > low) & (r < high)]
+            near, far = self.observer.reach
+            inside = r[np.isfinite(r) & (r > near) & (r < far)]
             cuts = np.concatenate([cuts, self.observer.coordinates(inside[:, None])[:, 0]])
-        return np.unique(np.clip(cuts, *X_RANGE))
+        return np.unique(np.clip(cuts, low, high))
 
-    def _too_long(self, left: Array, right: Array) -> NDArray[np.bool_]:
-        """Panels longer than `LONGEST` JNDs, or on which signals or noise are not smooth."""
+    def _too_long(
+        self, left: Array, right: Array, *, longest: float = 2.0, shortest: float = 1e-6
+    ) -> NDArray[np.bool_]:
+        """Panels longer than so many JNDs, or on which signals or noise are not smooth.
+
+        None with a half-length below the shortest: a kink is close enough, its square is the error.
+        """
         half = (right - left) / 2
         x = left[:, None] + half[:, None] * (NODES + 1)
         contact, _ = self.observer.contact(x.reshape(-1, 1))
@@ -195,7 +193,7 @@ class Panels:
         )
         rounding = 100 * np.spacing(r[:, -1:]) * slope.max(axis=1)
         rough = (tail > 1e-9 + rounding).any(axis=-1)
-        return ((length > LONGEST) | rough) & (half > SHORTEST)
+        return ((length > longest) | rough) & (half > shortest)
 
     def _window(self, reading: Array) -> tuple[Index, Index]:
         """First panel and one past the last in which each reading (B, S) has mass."""
@@ -206,8 +204,10 @@ class Panels:
         # Of these, keep what has mass: the middles of the panels tell.
         starts, row, panel = _pairs(first, last)
         at_middle = self._at_middle(reading[row], panel)
-        # Where nothing here is near the reading, what is beyond the window may be nearer.
-        astray = np.maximum.reduceat(at_middle - self._usual[panel], starts) < ASTRAY
+        # Where nothing here is near the reading, what is beyond the window, correlated or in other
+        # signals, may be as near.
+        far = NEGLIGIBLE - WINDOW**2 / 2
+        astray = np.maximum.reduceat(at_middle - self._usual[panel], starts) < far
         if (astray & ~nothing).any():
             first, last = np.where(astray, 0, first), np.where(astray, count, last)
             starts, row, panel = _pairs(first, last)

@@ -26,11 +26,6 @@ from .result import (
     refuse_impossible,
 )
 
-#: Coarse grid of starting points, per unknown, as fractions of its range.
-#: In three dimensions and more the further unknowns take few values.
-_COARSE = {1: expit(np.linspace(-8.0, 8.0, 129)), 2: expit(np.linspace(-7.0, 6.0, 27))}
-_STEP = 1e-4  # of the finite differences, in x: posteriors there are 0.005 wide and wider
-
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -95,8 +90,8 @@ def _coarse(
     observer: Observer, places: Array | None = None
 ) -> tuple[Array, Callable[[Array], Array]]:
     """The coarse grid (n, U), or places; ln of readings' densities (B, n) there."""
-    fractions = _COARSE[min(len(observer.unknowns), 2)]
-    grid = observer.space.spread(fractions) if places is None else places
+    ends = (-8.0, 8.0, 129) if len(observer.unknowns) == 1 else (-7.0, 6.0, 27)
+    grid = observer.space.spread(expit(np.linspace(*ends))) if places is None else places
     contact, log_prior = observer.contact(grid)
     signals, outcome = observer.signals(contact)
     held = np.asarray(outcome == 0)
@@ -111,9 +106,18 @@ def _coarse(
 
 
 def _climb(
-    observer: Observer, reading: Array, start: Array, steps: int, *, radius: float = 0.5
+    observer: Observer,
+    reading: Array,
+    start: Array,
+    steps: int,
+    *,
+    radius: float = 0.5,
+    h: float = 1e-4,
 ) -> Mode:
-    """The peaks above starting points (B, U), with first steps no longer than the radius."""
+    """The peaks above starting points (B, U), with first steps no longer than the radius.
+
+    Finite differences are over h: posteriors are 0.005 wide in x, and wider.
+    """
     dim = start.shape[1]
     x = start.copy()
     reach = np.full(len(x), radius)
@@ -123,15 +127,15 @@ def _climb(
     gradient, hessian = np.zeros((len(x), dim)), np.zeros((len(x), dim, dim))
     moving = np.arange(len(x))
     for _ in range(steps):
-        points = x[moving, None] + _STEP * stencil
+        points = x[moving, None] + h * stencil
         values = observer.log_density(points, reading[moving, None])
         now = values[:, 0]
         better = (now >= top[moving]) & np.isfinite(now)
         accepted, rejected = moving[better], moving[~better]
         centre[accepted], top[accepted] = x[accepted], now[better]
         relative = _mirrored(values[better] - now[better, None])
-        gradient[accepted] = relative @ weights_gradient.T / _STEP
-        hessian[accepted] = np.einsum("dek,bk->bde", weights_hessian, relative) / _STEP**2
+        gradient[accepted] = relative @ weights_gradient.T / h
+        hessian[accepted] = np.einsum("dek,bk->bde", weights_hessian, relative) / h**2
         reach[rejected] /= 4
         reach[accepted] *= 1.5
         step = _newton(gradient[moving], hessian[moving], reach[moving])
@@ -189,10 +193,6 @@ def _newton(gradient: Array, hessian: Array, radius: Array) -> Array:
     return step * np.minimum(1.0, radius / np.maximum(length, 1e-300))[:, None]
 
 
-#: Error of mean or sd, over the sd, up to which Laplace's approximation passes.
-LAPLACE_MISFIT = 0.25
-
-
 def laplace(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
@@ -205,7 +205,7 @@ def laplace(
     worst = (np.maximum(mean_error, sd_error) / np.minimum(sd, summed)).max(axis=1)
     improbable = is_improbable(observer, reading, contact)
     status = np.where(improbable, Status.IMPROBABLE_READING, Status.CONVERGED)
-    status = np.where(~(worst <= (tolerance or LAPLACE_MISFIT)), Status.NOT_GAUSSIAN, status)
+    status = np.where(~(worst <= (tolerance or 0.25)), Status.NOT_GAUSSIAN, status)
     status = np.where(is_divided(observer, reading), Status.SEVERAL_PEAKS, status)
     status = np.where(is_unidentified(observer, contact), Status.UNIDENTIFIED, status)
     estimates = [
@@ -233,7 +233,7 @@ def laplace(
 
 
 def _beside_the_density(
-    observer: Observer, reading: Array, mode: Mode, sd: Array
+    observer: Observer, reading: Array, mode: Mode, sd: Array, *, together: int = 500_000
 ) -> tuple[Array, Array, Array]:
     """How far mean and sd of the contact are from the Gaussian's, and what the sd is, (B, U) each.
 
@@ -244,14 +244,14 @@ def _beside_the_density(
     at_mode = observer.contact(mode.x)[0]
     dim = mode.x.shape[1]
     reach = 6.0 if dim == 1 else 4.5
-    t = np.linspace(-reach, reach, _NODES.get(dim, 7))
+    t = np.linspace(-reach, reach, {1: 25, 2: 13, 3: 9}.get(dim, 7))
     z = np.stack([a.ravel() for a in np.meshgrid(*[t] * dim, indexing="ij")], axis=-1)
     edge = (np.abs(z) == reach).any(axis=1)
     values, vectors = np.linalg.eigh(mode.covariance)
     root = vectors * np.sqrt(values)[:, None]
     mean, variance = np.empty((2, *at_mode.shape))
     beyond = np.empty((len(reading), 1))
-    rows = max(1, _TOGETHER // len(z))
+    rows = max(1, together // len(z))
     for start in range(0, len(reading), rows):
         some = slice(start, start + rows)
         x = mode.x[some, None] + z @ np.swapaxes(root[some], 1, 2)
@@ -270,11 +270,6 @@ def _beside_the_density(
         np.abs(summed - sd) + reach**2 / 2 * beyond * summed,
         summed,
     )
-
-
-#: Nodes along each axis, by the number of unknowns, and nodes that are worked on together.
-_NODES = {1: 25, 2: 13, 3: 9}
-_TOGETHER = 500_000
 
 
 def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> Any:

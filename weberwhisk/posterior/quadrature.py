@@ -19,7 +19,7 @@ from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
 from .grid import OwnGrids
-from .likelihood import likelihood_of
+from .likelihood import LastSummed, likelihood_of
 from .marginals import by_draws, draws, tile_quantiles
 from .panels import panels_of
 from .result import (
@@ -32,15 +32,9 @@ from .result import (
     is_unidentified,
     refuse_impossible,
 )
-from .summed import LastSummed
 from .summed_tiles import SummedTiles
 from .tiled import Moments, TiledObserver
 from .tiling import Tiles, TooManyTiles, expected_tiles, tiles_of
-
-#: Error of mean and sd, over the sd, above which a posterior is called imprecise.
-TOLERANCE = 1e-2
-#: An error, in sds, from which the imprecision of a ridge is worse news than the ridge.
-LOST = 0.3
 
 
 def longest(tolerance: float) -> float:
@@ -59,15 +53,6 @@ class _Found(NamedTuple):
     tiled: TiledObserver | OwnGrids
     moments: Moments
     error: Array
-
-
-def quadrature(
-    observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
-) -> Solution:
-    """The reference: panels for one unknown, tiles for more."""
-    if len(observer.unknowns) > 1:
-        return by_tiles(observer, reading, tolerance, progress)
-    return _by_panels(observer, reading, tolerance or 1e-6)
 
 
 def _by_panels(observer: Observer, reading: Array, wanted: float) -> Solution:
@@ -111,11 +96,13 @@ def _stratified(rows: int, count: int, seed: Seed) -> Array:
     return rng.permuted(np.clip(u, 1e-12, 1 - 1e-12), axis=1)
 
 
-def by_tiles(
-    observer: Observer, reading: Array, tolerance: float | None, progress: Any
+def quadrature(
+    observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
-    """The posteriors of readings (B, R)."""
-    wanted = tolerance or TOLERANCE
+    """The reference: panels for one unknown, tiles for more."""
+    if len(observer.unknowns) == 1:
+        return _by_panels(observer, reading, tolerance or 1e-6)
+    wanted = tolerance or 1e-2
     length = longest(wanted)
     found: list[_Found] = []
     left = np.arange(len(reading))
@@ -143,8 +130,6 @@ def by_tiles(
 
 #: Most tiles of a whole tiling of two unknowns: 2 kB each, and six times that of three.
 MOST_TILES = 80_000
-#: Readings by which a tiling is certified.
-CERTIFYING = 128
 
 
 class _Whole(NamedTuple):
@@ -155,10 +140,10 @@ class _Whole(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _whole(observer: Observer, length: float) -> _Whole | None:
+def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whole | None:
     """An observer's whole tiling, if it does not take too many tiles.
 
-    The errors are half more than the largest of `CERTIFYING` readings of contacts drawn from the
+    The errors are half more than the largest of `certifying` readings of contacts drawn from the
     prior, beside tiles finer by a third.
     """
     try:
@@ -171,10 +156,10 @@ def _whole(observer: Observer, length: float) -> _Whole | None:
         return None
     rng = np.random.default_rng(20261122)
     weight = np.exp(tiled.log_weight - tiled.log_weight.max()).ravel()
-    node = rng.choice(len(weight), CERTIFYING, p=weight / weight.sum())
+    node = rng.choice(len(weight), certifying, p=weight / weight.sum())
     contact = tiled.tiles.nodes.contact.reshape(-1, tiled.dim)[node]
     if isinstance(likelihood, LastSummed):
-        z = np.clip(rng.standard_normal(CERTIFYING), -3, 3)
+        z = np.clip(rng.standard_normal(certifying), -3, 3)
         contact = likelihood.lattice.with_last(contact, z)
     signals, outcome = observer.signals(contact)
     reading = observer.noise.sample(signals[outcome == Outcome.HELD], rng)
@@ -309,7 +294,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     known = np.isfinite(sd).all(axis=1)
     with np.errstate(invalid="ignore"):
         status[~(error <= wanted).all(axis=1)] = Status.IMPRECISE
-        precise = (error < LOST).all(axis=1)
+        precise = (error < 0.3).all(axis=1)  # else that is worse news than a ridge
     some = np.flatnonzero(known)
     ridge = np.zeros(count, dtype=bool)
     ridge[some] = is_unidentified(observer, contact[some])

@@ -309,10 +309,7 @@ class Solution(NamedTuple):
             out[known] = values
             return out
 
-        def of_known(p: Array, unknown: int) -> Array:
-            assert self.quantile_error_of is not None
-            return self.quantile_error_of(p, unknown)
-
+        error_of = self.quantile_error_of or self.quantile_of
         status = np.full(len(known), Status.NOT_A_READING, dtype=np.int8)
         status[known] = self.status
         return Solution(
@@ -321,7 +318,7 @@ class Solution(NamedTuple):
             put(self.log_evidence),
             lambda p, unknown: put(self.quantile_of(p, unknown)),
             lambda count, seed: put(self.draws_of(count, seed)),
-            self.quantile_error_of and (lambda p, unknown: put(of_known(p, unknown))),
+            self.quantile_error_of and (lambda p, unknown: put(error_of(p, unknown))),
             None if self.own_grid is None else put(self.own_grid.astype(float)) == 1,
         )
 
@@ -349,16 +346,11 @@ def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> NDArray[
     return np.any((reading < low) | (reading > high), axis=-1)
 
 
-def contact_slope(observer: Observer, x: Array) -> Array:
+def contact_slope(observer: Observer, x: Array, *, h: float = 1e-5) -> Array:
     """d contact/dx, (B, U, U), by central differences."""
-    h = 1e-5
-    columns = []
-    for axis in range(x.shape[1]):
-        offset = np.zeros(x.shape[1])
-        offset[axis] = h
-        rise = observer.contact(x + offset)[0] - observer.contact(x - offset)[0]
-        columns.append(rise / (2 * h))
-    return np.stack(columns, axis=-1)
+    steps = h * np.eye(x.shape[1])
+    ends = (observer.contact(x[:, None] + sign * steps)[0] for sign in (1, -1))
+    return np.asarray(np.subtract(*ends).swapaxes(1, 2) / (2 * h))
 
 
 def is_unidentified(observer: Observer, contact: Array) -> NDArray[np.bool_]:

@@ -103,19 +103,17 @@ def posterior(
         solve = partial(solve, moves=moves)
     _keep_memory()
 
-    def solved(observer: Observer, rows: Array) -> Solution:
-        found: Solution = solve(observer, rows, seed, tolerance, progress)
-        return found
-
     given = np.isfinite(rows).all(axis=1)
     nothing = _of_no_contact(observer, rows)
     known = np.asarray(given & ~nothing)
     if not known.any():
         solution = of_nothing(len(observer.unknowns))
     elif (factors := factors_of(observer)) is None:
-        solution = solved(observer, rows[known])
+        solution = solve(observer, rows[known], seed, tolerance, progress)
     else:
-        solution = solve_factors(solved, observer, factors, rows[known])
+        size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
+        first = solve(factors.first, rows[known, :size], seed, tolerance, progress)
+        solution = with_factor(first, observer, factors, rows[known, size:])
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
@@ -228,19 +226,11 @@ def factors_of(observer: Observer) -> Factors | None:
     return Factors(first, rest, size - own)
 
 
-def solve_factors(
-    solve: Callable[[Observer, Array], Solution],
-    observer: Observer,
-    factors: Factors,
-    reading: Array,
-) -> Solution:
-    """The posterior of readings (B, R): by `solve` of all unknowns but the last, which is summed.
+def with_factor(first: Solution, observer: Observer, factors: Factors, own: Array) -> Solution:
+    """The posteriors of all unknowns, from those of all but the last; `own` (B, R) tells of it.
 
     Of two faults the first factor's is said.
     """
-    size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
-    first = solve(factors.first, reading[:, :size])
-    own = reading[:, size:]
 
     def density(x: Array, index: Index) -> Array:
         value = observer.last_unknown(x[..., 0])

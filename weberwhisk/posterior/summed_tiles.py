@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from .likelihood import ORDER, Rule
+from .likelihood import ORDER, LastSummed, Rule
 from .result import Array, Index
-from .summed import LastCurve, LastSummed, Peak, Quadratic
+from .summed import LastCurve, Peak, Quadratic
 from .tiled import TiledObserver, Weighed
 
 

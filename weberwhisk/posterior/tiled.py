@@ -16,18 +16,6 @@ from .tiling import NEGLIGIBLE, Tiles
 
 #: Tiles that are looked for together.
 GROUP = 16
-#: Readings that are worked on together: their arrays stay in the cache.
-TOGETHER = 96
-#: Numbers of a reading by which its tiles are looked for: more, as of counts, tell no more.
-LOOKED_AT = 12
-#: What a tile's best corner node may be below its best place, in ln: it is as many sd away.
-BETWEEN = 4.0
-
-
-#: Up to so many tiles all are weighed, without looking for those near a reading.
-FEW_TILES = 4000
-#: Of tiles for a tolerance of some thousandths: so far below the best, in ln, that it is nothing.
-ROUGHLY = 13.0
 
 
 class Weighed(NamedTuple):
@@ -76,13 +64,15 @@ class TiledObserver:
     however far from their signals it lies.
     """
 
-    together = TOGETHER
+    #: Readings that are worked on together: their arrays stay in the cache.
+    together = 96
 
     def __init__(
         self, observer: Observer, tiles: Tiles, longest: float, *, everywhere: bool = False
     ) -> None:
         self.observer, self.tiles, self.everywhere = observer, tiles, everywhere
-        self.negligible = NEGLIGIBLE if longest < 5 else ROUGHLY
+        #: What is so far below the best, in ln, is nothing: of tiles for some thousandths less far.
+        self.negligible = NEGLIGIBLE if longest < 5 else 13.0
         nodes = tiles.nodes
         self.count, self.dim = len(nodes.low), tiles.boxes.low.shape[1]
         self.log_weight = nodes.log_weight
@@ -97,7 +87,8 @@ class TiledObserver:
         self._powers = np.concatenate([one, contact, contact**2], axis=-1)
         self._middle = self._powers[:, few].mean(axis=1)
         size = nodes.low.shape[-1]
-        self._looked_at = np.unique(np.linspace(0, size - 1, LOOKED_AT).round().astype(np.intp))
+        # Of many numbers of a reading, as of counts, twelve tell which tiles are near.
+        self._looked_at = np.unique(np.linspace(0, size - 1, 12).round().astype(np.intp))
         self._bounds = [
             _Bounds.of(nodes.low[:, i, self._looked_at].T, nodes.high[:, i, self._looked_at].T)
             for i in range(nodes.low.shape[1])
@@ -140,7 +131,7 @@ class TiledObserver:
         Those of no weight are 0, but not in `whole` tiles.
         """
         plain = self.observer.noise.gaussian_on == "linear" and not self.everywhere
-        if plain and self.count <= FEW_TILES:
+        if plain and self.count <= 4000:  # without looking for those near a reading
             row, tile = self._of_all(reading)
         else:
             row, tile = self.find(reading)

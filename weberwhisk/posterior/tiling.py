@@ -24,12 +24,8 @@ from .result import Array, Index
 #: ln of the share of the prior below which a box is not cut further and, `LEFT_OUT` below that,
 #: left out: of all contacts, over the share of an average tile; where readings are followed.
 ROUGH, LEFT_OUT, DEEP = -14.0, -6.0, -80.0
-#: ln of the share of the prior down to which a kink or an edge is closed in.
-KINK = -11.0
 #: A box is followed where a reading is (in ln) so far below the best.
 NEGLIGIBLE = 18.0
-#: Tiles are followed further, so that what else is followed with a reading changes nothing.
-SAFE = 8.0
 #: Boxes worked on together.
 CHUNK = 1024
 
@@ -94,7 +90,7 @@ def tiles_of(
             boxes, nodes = boxes.of(live), nodes.of(live)
             parts = np.clip(np.ceil(nodes.lengths / length), 1, 4).astype(np.intp)
             mass = nodes.log_weight.max(axis=1) - total
-            cut = nodes.bent | (nodes.kink & (mass > KINK))[:, None]
+            cut = nodes.bent | (nodes.kink & (mass > -11.0))[:, None]  # where there is some mass
             parts[cut] = np.maximum(parts[cut], 2)
             parts[boxes.high - boxes.low < 1e-6] = 1
             parts[mass < rough] = 1
@@ -105,13 +101,10 @@ def tiles_of(
         boxes = Boxes._make(np.concatenate(column) for column in zip(*following, strict=True))
         if count + len(boxes.low) > most:
             raise TooManyTiles
-        waiting = [
-            Tiles(part, measured(observer, part))
-            for part in (
-                Boxes._make(column[i : i + CHUNK] for column in boxes)
-                for i in range(0, len(boxes.low), CHUNK)
-            )
-        ]
+        waiting = []
+        for i in range(0, len(boxes.low), CHUNK):
+            part = Boxes._make(column[i : i + CHUNK] for column in boxes)
+            waiting.append(Tiles(part, measured(observer, part)))
     boxes = Boxes._make(np.concatenate(c) for c in zip(*(t.boxes for t in kept), strict=True))
     nodes = Nodes._make(np.concatenate(c) for c in zip(*(t.nodes for t in kept), strict=True))
     order = np.argsort(boxes.key, kind="stable")
@@ -235,5 +228,6 @@ def _followed(
         log = likelihood.log_likelihood(reading[r], nodes.signals[b])
         top = (log + nodes.log_weight[b]).max(axis=1)
         np.maximum.at(best, r, top)
-        out[b[top + unseen[b] > best[r] - NEGLIGIBLE - SAFE]] = True
+        # Further, so that what else is followed with a reading changes nothing.
+        out[b[top + unseen[b] > best[r] - NEGLIGIBLE - 8.0]] = True
     return out
