@@ -32,7 +32,7 @@ CELLS = {
     "fit.plot()": "fit = ww.fit_weber(ww.simulate_trials(weber_fraction=0.1, seed=1))",
     "posterior.plot();": "posterior = ww.posterior(tap, tap.read(30e-3, seed=1))",
     "population.plot()\nNone": "population = ww.fit_population("
-    "ww.simulate_population(3, trials_per_level=10, seed=1)[0])",
+    "ww.simulate_population(3, trials_per_level=10, seed=1)[0], bias='none')",
     "ww.figures.psychometric(fit)": "",
     "fit": "",
 }
@@ -67,7 +67,9 @@ def results() -> dict[str, Any]:
         "one reading": ww.posterior(TAP, TAP.read(30e-3, seed=1)),
         "many readings": ww.posterior(TAP, TAP.read([[20e-3], [30e-3]], seed=1)),
         "fit": fit,
-        "population": ww.fit_population(ww.simulate_population(3, trials_per_level=10, seed=1)[0]),
+        "population": ww.fit_population(
+            ww.simulate_population(3, trials_per_level=10, seed=1)[0], bias="none"
+        ),
         "plan": ww.plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=16),
         "comparison": ww.compare({"lapses": fit, "none": never}),
         "curve": ww.jnd_curve(TAP, [10e-3, 30e-3], n_readings=8, seed=1),
