@@ -551,7 +551,7 @@ def test_figures_are_listed_and_made(tmp_path: Path, capsys: pytest.CaptureFixtu
     out = tmp_path / "out"
     for name in ("jnd-limits", "best-cue"):  # all are drawn in test_figures.py
         assert run_app(cli.app, ["figure", name, "--short", "--out", str(out)]) == 0
-        assert len(pd.read_csv(out / f"{name}.csv")) > 100
+        assert len(pd.read_csv(out / f"{name}.csv")) >= 25
         assert (out / f"{name}.png").stat().st_size > 0
     assert {path.stem for path in out.glob("*.png")} == {"jnd-limits", "best-cue"}
     capsys.readouterr()
