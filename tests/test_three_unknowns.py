@@ -182,7 +182,7 @@ def test_the_last_unknown_apart_is_as_all_at_once():
     seed = np.random.SeedSequence().entropy
     rng = np.random.default_rng(seed)
     judged = 0
-    for _ in range(6):
+    for _ in range(12):
         if judged:
             break
         # Of a wider spread the reference's box ends before the tail of the stiffness does: at 0.7
@@ -236,7 +236,7 @@ def turned_sums(observer, reading, start, nodes=61, half=7.0):
     dim = len(start)
     coarse, unit = (
         np.stack(np.meshgrid(*[np.linspace(-half, half, n)] * dim, indexing="ij"), axis=-1)
-        for n in (29, nodes)
+        for n in (45, nodes)
     )
     coarse, unit = coarse.reshape(-1, dim), unit.reshape(-1, dim)
     edge = (np.abs(unit) > 0.999 * half).any(axis=1)
