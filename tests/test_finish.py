@@ -53,9 +53,9 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, pd.Se
     (folder / "plan.json").write_text(plan_json(plan), "utf-8")
     encoding, lists, rng = hypotheses[0].encoding, plan.trials, np.random.default_rng(1)
     first, second = (
-        encoding.mean(lists[s])
-        + 0.1 * encoding.sd_per_weber_fraction(lists[s]) * rng.normal(size=len(lists))
-        for s in ("stimulus_1", "stimulus_2")
+        encoding.mean(lists[s] / 1e3)
+        + 0.1 * encoding.sd_per_weber_fraction(lists[s] / 1e3) * rng.normal(size=len(lists))
+        for s in ("stimulus_1_mm", "stimulus_2_mm")
     )
     return folder, plan, pd.Series(np.where(second * encoding.direction > first, 2, 1))
 
@@ -77,17 +77,12 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
     elif rig == "bpod":
         table = bpod_table(plan.trials).assign(response=answer)
     else:
-        table = plan.trials[["subject", "session", "trial"]].copy()
-        for name in ("standard", "stimulus_1", "stimulus_2"):
-            table[f"{name}_mm"] = plan.trials[name] * 1e3
-        table["choice"] = answer - 1
+        table = plan.trials.drop(columns=["block", "level", "greater"]).assign(choice=answer - 1)
     table.to_csv(tmp_path / "data.csv", index=False)
     command = ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]
     assert run_app(app, [*command, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    trials = plan.trials.assign(count=(answer - 1).to_numpy(float))
-    frame = trials[["subject", "session", "trial", "standard", "stimulus_1", "stimulus_2"]]
-    direct = plan.analyse(ww.read_trials(frame.assign(choice=answer - 1)))
+    direct = plan.analyse(ww.read_trials(plan.trials.assign(choice=answer - 1)))
     for name, value in direct.log_evidence.items():
         assert found["log_evidence"][name] == pytest.approx(value, rel=1e-6)
     assert run_app(app, [*command, "--out", str(tmp_path / "out")]) == 0

@@ -42,7 +42,7 @@ from weberwhisk.design import (
 )
 from weberwhisk.design.plan_file import plan_of
 from weberwhisk.design.preregistration import preregistration
-from weberwhisk.design.trial_lists import bpod_table, own_table, psychopy_tables
+from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]
@@ -87,15 +87,15 @@ def test_every_list_holds_the_scheme_and_is_balanced(
         # The scheme, no more and no less.
         assert own["level"].value_counts(sort=False).sort_index().tolist() == list(levels["trials"])
         cells, level = scheme.cells(), own["level"].to_numpy() - 1
-        np.testing.assert_array_equal(own["standard"], cells.standard[level])
-        pair = np.sort(own[["stimulus_1", "stimulus_2"]], axis=1)
-        both = np.sort(np.stack([cells.standard, cells.stimulus_2], axis=-1)[level], axis=1)
-        np.testing.assert_array_equal(pair, both)
+        metres = np.stack([cells.standard, cells.stimulus_2], axis=-1)[level]
+        np.testing.assert_allclose(own["standard_mm"], 1e3 * metres[:, 0], rtol=1e-9)
+        pair = np.sort(own[["stimulus_1_mm", "stimulus_2_mm"]], axis=1)
+        np.testing.assert_allclose(pair, 1e3 * np.sort(metres, axis=1), rtol=1e-9)
         # The right answer is what it says.
-        farther = np.where(own["stimulus_2"] > own["stimulus_1"], 2, 1)
+        farther = np.where(own["stimulus_2_mm"] > own["stimulus_1_mm"], 2, 1)
         np.testing.assert_array_equal(own["greater"], farther)
         # Of the trials of a level, the standard comes first in half, within one.
-        first = (own["stimulus_1"] == own["standard"]).groupby(own["level"]).sum()
+        first = (own["stimulus_1_mm"] == own["standard_mm"]).groupby(own["level"]).sum()
         assert (2 * first - levels["trials"].to_numpy()).abs().max() <= 1
         # Every level equally often in every block, within one.
         times = own.groupby(["session", "block"])["level"].value_counts().unstack(fill_value=0)
@@ -130,9 +130,9 @@ def test_repeats_and_changes_of_the_right_answer_are_as_frequent() -> None:
     assert np.abs(excess).max() <= 3
     assert np.mean(np.abs(excess) == 1) > 0.8
     # And neither do the standard, nor the comparison's place, tell the answer, or each other.
-    table = pd.crosstab(lists["standard"], lists["greater"])
+    table = pd.crosstab(lists["standard_mm"], lists["greater"])
     assert (table[1] == table[2]).all()
-    placed_first = lists["stimulus_1"] == lists["standard"]
+    placed_first = lists["stimulus_1_mm"] == lists["standard_mm"]
     assert (pd.crosstab(placed_first, lists["greater"]).nunique(axis=1) == 1).all()
 
 
@@ -203,9 +203,9 @@ def test_psychopy_reads_each_session_as_it_was_planned() -> None:
         read.extend(conditions)
     assert len(read) == len(lists)
     back = pd.DataFrame(read)
-    for name in ("standard", "stimulus_1", "stimulus_2"):
-        np.testing.assert_allclose(back[f"{name}_mm"], lists[name] * 1e3, rtol=1e-9)
-    farther = np.where(lists["stimulus_2"] > lists["stimulus_1"], "right", "left")
+    for name in ("standard_mm", "stimulus_1_mm", "stimulus_2_mm"):
+        np.testing.assert_array_equal(back[name], lists[name])
+    farther = np.where(lists["stimulus_2_mm"] > lists["stimulus_1_mm"], "right", "left")
     np.testing.assert_array_equal(back["correct_answer"], farther)
     assert "trial" not in back  # the name of a routine in PsychoPy's Builder
 
@@ -221,13 +221,15 @@ def test_the_table_for_bpod_is_numbers_alone() -> None:
     np.testing.assert_array_equal(types, lists["greater"])
 
 
-def test_the_own_table_is_read_back_with_its_answers() -> None:
+def test_a_list_is_read_back_with_its_answers() -> None:
     lists = trial_lists(Scheme(STANDARDS, OFFSETS, 10, 2), seed=4)
-    table = own_table(lists).assign(choice=lists["greater"] - 1)
+    table = pd.read_csv(io.StringIO(csv_text(lists.assign(choice=lists["greater"] - 1))))
     columns = {name: f"{name}_mm" for name in ("standard", "stimulus_1", "stimulus_2")}
-    trials = read_trials(pd.read_csv(io.StringIO(csv_text(table))), columns=columns)
-    assert trials.subjects == ["s1", "s2"]
+    trials = read_trials(table, columns=columns)
     np.testing.assert_allclose(trials.standards, [10, 18, 28])
+    trials = read_trials(table)  # what is not mapped is in metres
+    np.testing.assert_allclose(trials.standards, [10e-3, 18e-3, 28e-3])
+    assert trials.subjects == ["s1", "s2"]
     assert trials.n_trials == len(lists)
 
 
@@ -266,9 +268,7 @@ def test_answers_to_a_list_have_the_probabilities_of_their_observers() -> None:
 
 
 def test_an_animal_without_truth_is_refused() -> None:
-    table = own_table(trial_lists(Scheme([2.0], [-1, 1], 2, 2), seed=1)).rename(
-        columns=lambda name: name.removesuffix("_mm")
-    )
+    table = trial_lists(Scheme([2.0], [-1, 1], 2, 2), seed=1)
     with pytest.raises(ValueError, match="truth about s2 is not given"):
         simulate_responses(table, draw_animals(1, seed=1), encoding=IdentityEncoding(), seed=1)
 
@@ -301,10 +301,10 @@ def test_a_plan_comes_back_from_its_file_to_the_byte(plan: Plan, tmp_path: Path)
     (tmp_path / "plan.json").write_text(text, "utf-8")
     again = read_plan(tmp_path / "plan.json")
     assert plan_json(again) == text
-    assert csv_text(own_table(again.trials)) == csv_text(own_table(plan.trials))
+    assert csv_text(again.trials) == csv_text(plan.trials)
     assert preregistration(again) == preregistration(plan)
     # And the fingerprint is that of the file of trials.
-    digest = hashlib.sha256(csv_text(own_table(plan.trials)).encode()).hexdigest()
+    digest = hashlib.sha256(csv_text(plan.trials).encode()).hexdigest()
     assert json.loads(text)["trials_sha256"] == digest
 
 
@@ -677,7 +677,7 @@ def test_a_folder_has_everything_and_is_the_same_again(plan: Plan, tmp_path: Pat
         if name != "design.run.json":  # has the time
             assert (first / name).read_bytes() == (second / name).read_bytes(), name
     again = read_plan(first / "plan.json")
-    assert csv_text(own_table(again.trials)).encode() == (first / "trials.csv").read_bytes()
+    assert csv_text(again.trials).encode() == (first / "trials.csv").read_bytes()
 
 
 def test_the_preregistration_says_what_the_plan_is(plan: Plan) -> None:

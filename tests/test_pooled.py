@@ -170,8 +170,8 @@ def test_go_no_go_at_a_pole_is_planned_simulated_and_fitted(looks) -> None:
     both = [Hypothesis(h.name, h.encoding, task="go/no-go") for h in looks]
     scheme = Scheme([20e-3], [-4e-3, 2e-3, 4e-3], 100)
     plan = Plan(scheme, both, Goal(bayes_factor=10))
-    assert (plan.trials["stimulus_1"] == 20e-3).all()
-    assert ((plan.trials["greater"] == 2) == (plan.trials["stimulus_2"] > 20e-3)).all()
+    assert (plan.trials["stimulus_1_mm"] == 20).all()
+    assert ((plan.trials["greater"] == 2) == (plan.trials["stimulus_2_mm"] > 20)).all()
     assert plan.trials["level"].value_counts().tolist() == [100] * 3
     text = preregistration(plan)
     assert "standard held in mind" in " ".join(text.split())

@@ -79,7 +79,7 @@ def test_trial_lists_are_balanced_and_repeat(
     table = trial_lists(scheme, **options)
     pd.testing.assert_frame_equal(table, trial_lists(scheme, **options))
     assert len(table) == scheme.total_trials
-    first = table["stimulus_1"] > table["stimulus_2"]
+    first = table["stimulus_1_mm"] > table["stimulus_2_mm"]
     assert (table["greater"] == np.where(first, 1, 2)).all()
     levels = scheme.table()["trials"].to_numpy()
     for _, animal in table.groupby("subject"):

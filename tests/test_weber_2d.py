@@ -110,7 +110,7 @@ def test_at_the_false_zero_the_posterior_is_of_second_order():
     peak = float(ww.flick_past(W, weber_2d.PLACE * W.length).at_moment_peak.deflection_angle)
     sds = []
     for k in (0.1, 0.03):
-        o = weber_2d.observer(k * weber_2d.SLIGHT / K, k)
+        o = weber_2d.observer(0.03 * k, k)
         row = jnd_curve(o, weber_2d.PLACE * W.length, peak, n_readings=32, seed=2)
         sds.append(row["posterior"][0])
         assert sds[-1] > 1.5 * row["propagation"][0]

@@ -86,6 +86,13 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         For readings that are not finite or of another shape, and for an observer of more unknowns
         than distance and deflection.
 
+    Notes
+    -----
+    The prior of the deflection counts once for each touch, and by default all angles that stay in
+    contact are as likely. Where touches are alike that belief is wrong as often as there are
+    touches: of 17 light ones at k = 0.3 the mean was 4 sd off in a simulation. Say how the animal
+    touches: ``Observer(..., prior={"deflection_angle": scipy.stats.halfnorm(scale=0.1)})``.
+
     Examples
     --------
     >>> from weberwhisk import Whisker, cues

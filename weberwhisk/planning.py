@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from . import _checks
 from .design.plan_file import plan_json
 from .design.preregistration import preregistration
-from .design.trial_lists import bpod_table, own_table, psychopy_tables
+from .design.trial_lists import bpod_table, psychopy_tables
 from .output import Run, atomic_write, csv_text
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def fill(run: Run, plan: Plan) -> None:
         ("plan.json", plan_json(plan)),
         ("plan.html", figures.plan_page(plan)),
         ("preregistration.txt", preregistration(plan)),
-        ("trials.csv", csv_text(own_table(plan.trials))),
+        ("trials.csv", csv_text(plan.trials)),
         ("bpod.csv", csv_text(bpod_table(plan.trials))),
         *((f"{name}.csv", csv_text(table)) for name, table in psychopy_tables(plan.trials)),
     ):

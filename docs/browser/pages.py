@@ -161,8 +161,6 @@ def plan(fields: Fields) -> Shown:
     )
     lists = made.trials
     first = lists[(lists["subject"] == lists["subject"].iloc[0]) & (lists["session"] == 1)]
-    lengths = ["standard", "stimulus_1", "stimulus_2"]
-    first = first.assign(**{name: (first[name] * 1e3).round(3) for name in lengths})
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", preregistration(made))  # its lines were wrapped
     size = (
         f"{made.scheme.total_trials} trials in all: {made.scheme.animals} × "
@@ -177,7 +175,7 @@ def plan(fields: Fields) -> Shown:
         ],
         "tables": [
             _table("Levels", made.levels),
-            _table("First animal's first session (lengths in mm)", first),
+            _table("First animal's first session", first),
         ],
         "files": [_plan_folder(made)],
     }  # fmt: skip

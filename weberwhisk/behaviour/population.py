@@ -14,6 +14,7 @@ from scipy.stats import beta as beta_distribution
 from .. import _checks
 from .._deprecated import renamed_arguments
 from .encodings import CueEncoding, Encoding, checked_encoding, refuse_unencoded
+from .io import in_metres
 from .psychometric import response_probability
 from .simulate import simulate_trials
 from .tasks import task_named
@@ -268,8 +269,8 @@ def simulate_responses(
     Parameters
     ----------
     table : DataFrame
-        One row a trial: `standard`, `stimulus_1`, `stimulus_2`, and `subject`; `session` and
-        `trial` are kept.
+        One row a trial: `standard`, `stimulus_1`, `stimulus_2` (or with `_mm`, as `trial_lists`
+        has them), and `subject`; `session` and `trial` are kept.
     animals : DataFrame
         The truth, as from `draw_animals`: a row for each `subject`, or each of its sessions where
         there is a column `session`.
@@ -299,6 +300,8 @@ def simulate_responses(
     chosen = task_named(task)
     share = _checks.number("missing", missing, "write for example 0.02")
     _checks.non_negative("missing", share, "write for example 0.02")
+    if isinstance(table, pd.DataFrame):
+        table = in_metres(table)
     for name, frame in (("table", table), ("animals", animals)):
         lacking = set(NEEDED[name]) - set(getattr(frame, "columns", ()))
         if not isinstance(frame, pd.DataFrame) or lacking:

@@ -27,7 +27,7 @@ from ..output import csv_text
 from .analysis import AnalysisResult, analyse
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .scheme import Constraints, Scheme
-from .trial_lists import own_table, sessions_needed, trial_lists
+from .trial_lists import sessions_needed, trial_lists
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ class Plan(Shown):
 
     @cached_property
     def trials(self) -> pd.DataFrame:
-        """The trial lists of all animals, see `trial_lists`; radial distances in m."""
+        """The trial lists of all animals, see `trial_lists`."""
         return trial_lists(
             self.scheme, trials_per_session=self.trials_per_session, longest_run=self.longest_run,
             one_stimulus=self.hypotheses[0].task in ONE_STIMULUS, seed=self.seed,
@@ -128,7 +128,7 @@ class Plan(Shown):
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of the trial lists, as they are written."""
-        return hashlib.sha256(csv_text(own_table(self.trials)).encode()).hexdigest()
+        return hashlib.sha256(csv_text(self.trials).encode()).hexdigest()
 
     # -- what is expected ------------------------------------------------------------------------
 

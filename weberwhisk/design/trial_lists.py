@@ -58,9 +58,9 @@ def trial_lists(
     -------
     DataFrame
         One row a trial: `subject` (s1, s2, …), `session`, `block` and `trial` (each from 1, block
-        and trial within the session), `level` (row of `scheme.table()`, from 1), `standard`,
-        `stimulus_1`, `stimulus_2`, `greater` (1 or 2: the stimulus that is the greater, and so the
-        right answer).
+        and trial within the session), `level` (row of `scheme.table()`, from 1), `standard_mm`,
+        `stimulus_1_mm`, `stimulus_2_mm`, `greater` (1 or 2: the stimulus that is the greater, and
+        so the right answer). `weberwhisk fit` reads it once it has a column `choice`.
 
     Raises
     ------
@@ -149,6 +149,10 @@ def _of_animal(
     start = np.searchsorted(session, session)
     standard, comparison = levels.standard[level], levels.stimulus_2[level]
     comparison_second = (side == 2) == (comparison > standard)
+    standard_mm, comparison_mm = (
+        np.array([in_millimetres(v) for v in own])[level]
+        for own in (levels.standard, levels.stimulus_2)
+    )
     return pd.DataFrame(
         {
             "subject": np.full(level.size, subject),
@@ -156,9 +160,9 @@ def _of_animal(
             "block": block - block[start] + 1,
             "trial": np.arange(level.size) - start + 1,
             "level": level + 1,
-            "standard": standard,
-            "stimulus_1": np.where(comparison_second, standard, comparison),
-            "stimulus_2": np.where(comparison_second, comparison, standard),
+            "standard_mm": standard_mm,
+            "stimulus_1_mm": np.where(comparison_second, standard_mm, comparison_mm),
+            "stimulus_2_mm": np.where(comparison_second, comparison_mm, standard_mm),
             "greater": side,
         }
     )
@@ -264,25 +268,6 @@ STIMULI = ("standard", "stimulus_1", "stimulus_2")
 ANSWERS = ("left", "right")  # where the farther stimulus is 1, or 2
 
 
-def own_table(lists: pd.DataFrame) -> pd.DataFrame:
-    """All trials, as `weberwhisk fit` reads them once a column `choice` has been filled in.
-
-    Parameters
-    ----------
-    lists : DataFrame
-        From `trial_lists`, in metres.
-
-    Examples
-    --------
-    >>> from weberwhisk.design import Scheme, trial_lists
-    >>> lists = trial_lists(Scheme([20e-3], [-2e-3, 2e-3], 2), seed=1)
-    >>> own_table(lists).columns[4:].tolist()
-    ['level', 'standard_mm', 'stimulus_1_mm', 'stimulus_2_mm', 'greater']
-    """
-    table = lists.assign(**{name: lists[name].map(in_millimetres) for name in STIMULI})
-    return table.rename(columns={name: f"{name}_mm" for name in STIMULI})
-
-
 def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """A conditions file for each session of each animal, with its name.
 
@@ -299,7 +284,7 @@ def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     >>> [(name, len(table)) for name, table in psychopy_tables(lists)]
     [('psychopy_s1_001', 4)]
     """
-    table = own_table(lists).rename(columns={"trial": "trial_number"})
+    table = lists.rename(columns={"trial": "trial_number"})
     table["correct_answer"] = [ANSWERS[greater - 1] for greater in table["greater"]]
     for (subject, session), own in table.groupby(["subject", "session"], sort=False):
         yield f"psychopy_{subject}_{session:03d}", own
@@ -318,7 +303,7 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     >>> bpod_table(lists).columns[:5].tolist()
     ['subject', 'session', 'block', 'trial', 'trial_type']
     """
-    table = own_table(lists)
+    table = lists.copy()
     table["subject"] = table["subject"].str.removeprefix("s").astype(int)
     table.insert(4, "trial_type", table.pop("greater"))
     return table
