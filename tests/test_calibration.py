@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from analysis_scripts import load
 from scipy import stats
+from short_forms import slow_but
 
 from weberwhisk import Observer
 
@@ -62,14 +63,20 @@ def test_engines(name: str, method: str, n: int) -> None:
     assert min(map(calibration.uniform_p, ranks.values())) > RARE
 
 
-@pytest.mark.parametrize("name", ["2AFC, 5 trials a level", "percent correct"])
+@pytest.mark.parametrize("name", slow_but(["2AFC, 5 trials a level", "percent correct"], [1]))
 def test_fits(name: str) -> None:
     ranks, flagged = calibration.fit_ranks(calibration.FITS[name], 20, seed=13)
     assert flagged < 0.05
     assert min(map(calibration.uniform_p, ranks.values())) > RARE
 
 
-@pytest.mark.parametrize("name", [n for n in calibration.BROKEN if "softer" not in n])
+@pytest.mark.parametrize(
+    "name",
+    slow_but(
+        (n for n in calibration.BROKEN if "softer" not in n),
+        ["k taken for 30 % more", "map's k taken for 30 % more"],
+    ),
+)
 def test_a_broken_likelihood_is_caught(name: str) -> None:
     """Of two unknowns by the likelihood's ranks, with half of the readings of the short form."""
     truth, assumed = calibration.BROKEN[name]
@@ -79,6 +86,7 @@ def test_a_broken_likelihood_is_caught(name: str) -> None:
     assert min(map(calibration.uniform_p, ranks.values())) < RARE * 20
 
 
+@pytest.mark.slow
 def test_ignored_lapses_are_caught() -> None:
     design, assumed = calibration.BROKEN_FITS["lapses ignored"]
     ranks, _ = calibration.fit_ranks(design, 30, assumed=assumed, seed=15)

@@ -39,6 +39,7 @@ def test_design_writes_what_the_rig_needs(folder: Path) -> None:
     assert jnds["jnd_mm"].between(0.001, 3).all()
 
 
+@pytest.mark.slow
 def test_the_same_command_makes_the_same_plan(folder: Path, tmp_path: Path) -> None:
     assert run_app(cli.app, [*DESIGN, "--runs", "16", "--out", str(tmp_path / "again")]) == 0
     for name in ("plan.json", "trials.csv", "psychopy_s1_001.csv", "bpod.csv", "plan.html"):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cue_checks import SDS, agrees_with_brute_force, coverage
 from scipy import stats
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.cues import (
@@ -80,7 +81,7 @@ THREE = {
 }
 
 
-@pytest.mark.parametrize("name", THREE)
+@pytest.mark.parametrize("name", slow_but(THREE, ("three signals", "unknown side")))
 def test_three_unknowns_agree_with_brute_force(name):
     cue, noise, contact = THREE[name]
     observer = ww.Observer(W, cue, noise)

@@ -12,6 +12,7 @@ from cue_checks import (
     prior_draws,
     small_noise_limit,
 )
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
@@ -92,7 +93,7 @@ def test_a_known_angle_reaches_as_far_as_it_is_held():
     assert np.isnan(signals).all()
 
 
-@pytest.mark.parametrize("cue", [PAIRS[1], KNOWN[0], KNOWN[1], ALL], ids=repr)
+@pytest.mark.parametrize("cue", slow_but([PAIRS[1], KNOWN[0], KNOWN[1], ALL], (1, 3)), ids=repr)
 def test_posteriors_agree_with_brute_force(cue):
     observer = ww.Observer(W, cue, Weber(0.1, correlation=0.3))
     agrees_with_brute_force(observer, observer.read(prior_draws(observer, 1, 3), 4))

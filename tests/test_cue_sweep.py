@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome, sweeping
@@ -153,7 +154,7 @@ def test_a_deep_wall_holds_the_whisker_at_its_limit():
     assert np.isnan(track.radial_distance).all()
 
 
-@pytest.mark.parametrize("depth", [5e-3, 30e-3])
+@pytest.mark.parametrize("depth", slow_but([5e-3, 30e-3], [0]))
 def test_the_rate_of_slip_on_a_wall_is_that_of_its_sweep(depth):
     body = wall(0.0, -depth, 0.0)
     first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
@@ -227,6 +228,7 @@ def test_the_filter_is_calibrated_on_objects_of_its_own_making():
     assert np.all(np.abs(np.nanmean(square, axis=0) - 1) < 4 * error)
 
 
+@pytest.mark.slow
 def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
     """Moments good to 2 %: after 30 steps the update is further off than the filter."""
     r, _, moment, _, _ = sweeps["cylinder"]

@@ -194,7 +194,7 @@ def test_laplace_says_that_there_are_more_peaks_than_its_own(divided):
 
 def test_walkers_jump_from_peak_to_peak_or_say_why_not():
     """Converged, they are right; what a sample may well not see is said to be there."""
-    for count, k, size in ((2, 0.1, 12), (6, 0.1, 5), (3, 0.01, 5)):
+    for count, k, size in ((2, 0.1, 6), (6, 0.1, 2), (3, 0.01, 2)):
         observer = ww.Observer(W, Vibration(count), Weber(k))
         r = np.random.default_rng(1).uniform(5e-3, 48e-3, (size, 1))
         readings = observer.read(r, seed=2)

@@ -78,7 +78,13 @@ APEX = {"tapered": 50e-3 / (1 - 1 / 20), "cylindrical": np.inf}
 EDGES = np.linspace(-9, 5, 281)
 
 
-@pytest.mark.parametrize(("standard", "offset"), [(15e-3, 3e-3), (45e-3, -2e-3), (30e-3, 0.0)])
+@pytest.mark.parametrize(
+    ("standard", "offset"),
+    [
+        (15e-3, 3e-3),
+        *(pytest.param(r, d, marks=pytest.mark.slow) for r, d in ((45e-3, -2e-3), (30e-3, 0.0))),
+    ],
+)
 def test_information_is_the_expected_gain_of_brute_force(standard, offset):
     """Before any trial: draws from the priors, binned."""
     table = information((TAPERED, CYLINDRICAL), [standard], [offset], jnd_at=40e-3).iloc[0]
@@ -224,6 +230,7 @@ def test_the_sketch_judges_as_the_fit_does():
     assert values == pytest.approx(exact, abs=0.6)
 
 
+@pytest.mark.slow
 def test_the_best_scheme_beats_a_plain_one_in_simulation():
     limits = Constraints(nearest=8e-3, farthest=46e-3, step=0.1e-3, easy_share=0.15)
     chosen = best_scheme(

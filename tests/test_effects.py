@@ -187,6 +187,7 @@ def test_an_effect_is_found_where_it_is(name: str) -> None:
     assert name in fit.report()
 
 
+@pytest.mark.slow
 def test_emcee_agrees_with_two_effects_by_quadrature() -> None:
     known = {"lapse_low": LOW, "lapse_high": HIGH, "bias": BIAS}
     trials = answered("drift", -1.0, seed=14, trials=240)

@@ -221,6 +221,7 @@ sys.exit(run_app(cli.app, ["chart", "--out", "chart", "--json"]))
 """
 
 
+@pytest.mark.slow
 def test_a_killed_chart_leaves_nothing_or_the_whole(tmp_path: Path) -> None:
     """Killed at its start and at work, whatever it was at; then run to its end."""
     folder = tmp_path / "chart"

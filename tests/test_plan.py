@@ -557,6 +557,7 @@ def test_the_best_places_stay_in_reach() -> None:
     assert set(cells.n) == {6}
 
 
+@pytest.mark.slow
 def test_more_animals_are_found_for_trials_that_are_given() -> None:
     plan = plan_experiment(
         "C2", standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], trials=8, animals=2, find="animals",

@@ -10,6 +10,7 @@ from pathlib import Path
 import campaign_work
 import numpy as np
 import pandas as pd
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
@@ -252,6 +253,7 @@ def test_a_campaign_is_the_same_bits_however_it_was_cut(n: int, kept: int, seed:
         pd.testing.assert_frame_equal(campaign.read(file), whole)
 
 
+@pytest.mark.slow
 @settings(max_examples=2)
 @given(logarithmic(0.03, 0.3), floats(0.0, 0.5), st.sampled_from([1e-3, 1.0, 25.4]), SEEDS)
 def test_populations_know_neither_unit_nor_order(

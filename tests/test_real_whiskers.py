@@ -120,7 +120,7 @@ SCENES = [
     (5, -25.0, 0.0, 0.1),
     pytest.param(20, 25.0, 0.0, 0.05, marks=pytest.mark.slow),
     pytest.param(20, 8.0, -0.45, 0.3, marks=pytest.mark.slow),  # 16 s, the others 2 to 4
-    (40, -8.0, 0.45, 0.1),
+    pytest.param(40, -8.0, 0.45, 0.1, marks=pytest.mark.slow),
 ]
 
 

@@ -1,0 +1,20 @@
+"""Which cases of a parametrised test run at once, and which with the slow ones."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable
+from typing import Any
+
+import pytest
+
+
+def slow_but(values: Iterable[Any], quick: Container[Any]) -> list[Any]:
+    """Parameters of which all but `quick` (values or positions) have the slow mark."""
+    return [
+        v if v in quick or i in quick else pytest.param(*_each(v), marks=pytest.mark.slow)
+        for i, v in enumerate(values)
+    ]
+
+
+def _each(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
