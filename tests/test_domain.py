@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Observer, Status, Whisker, cues, domain, posterior, receptors
@@ -64,7 +65,11 @@ def test_receptors_of_per_cent_are_flagged():
 
 
 @pytest.mark.parametrize(
-    "cue", [cues.Compliance(), cues.ForceMap(), cues.Fused(cues.ForceMap(), cues.Compliance())]
+    "cue",
+    slow_but(
+        [cues.Compliance(), cues.ForceMap(), cues.Fused(cues.ForceMap(), cues.Compliance())],
+        quick=(0, 1),
+    ),
 )
 def test_readings_far_from_every_contact_are_flagged(cue):
     """More than 8 sd from all of 20 000 contacts of the prior, in some signal: never converged."""

@@ -319,6 +319,7 @@ def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are(
     assert judged.seen["error"][0] < 0.2
 
 
+@pytest.mark.slow
 def test_the_referee_of_populations_knows_how_widely_biases_spread() -> None:
     """It drew biases as wide as in a single fit, and called fits that learn their spread wrong.
 

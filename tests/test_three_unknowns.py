@@ -162,6 +162,7 @@ def test_climbs_get_there_from_hundreds_of_sds_away(reading):
     assert assert_as_all_at_once(ww.Observer(W, cue, noise), np.array([reading]))
 
 
+@pytest.mark.slow
 def test_a_corner_that_has_gone_astray_loses_nothing():
     """0.03 sd off, 0.008 claimed: a side at a tile's corner ended on a plateau eighteen sds away.
 
@@ -335,6 +336,7 @@ def test_what_no_tiles_serve_gets_a_grid_and_says_so():
     assert error.max() < 0.02 * usual.sd[0]
 
 
+@pytest.mark.slow
 def test_the_end_of_a_ridge_in_a_box_of_a_hundred_sds_is_followed():
     """Boxes were left out where signals bend between nodes: 0.1 sd off, whatever their length."""
     cue = AngleSideAngle(side_sd=2e-3)
