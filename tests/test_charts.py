@@ -110,6 +110,7 @@ def test_cubature_and_the_papers_interpolation_are_as_good_as_their_knobs(
     assert np.all(logarithmic.unstack()[1000.0] < logarithmic.unstack()[100.0])
 
 
+@pytest.mark.slow
 def test_jnd_curves_are_judged_by_their_own_truth() -> None:
     table = posteriors.measure_jnds()
     assert set(table["part"]) == {"jnds"}

@@ -190,6 +190,7 @@ def test_any_cue_has_information_and_what_is_not_felt_has_none():
 # -- the best scheme -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_exchange_and_no_other_pair_of_standards_is_better():
     """A problem small enough to try everything."""
     animals, limits = SubjectPopulation(), Constraints(nearest=8e-3, farthest=46e-3)

@@ -114,6 +114,7 @@ def test_a_contour_is_touched_corner_edge_corner():
     assert s.end == pytest.approx(flick_past(W, r).deflection_angle - at, abs=5e-6)
 
 
+@pytest.mark.slow
 def test_a_many_sided_contour_is_nearly_its_circle():
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     points = np.stack([30e-3 + 5e-3 * np.cos(turn), -5e-3 + 5e-3 * np.sin(turn)], axis=1)

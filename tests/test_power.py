@@ -204,6 +204,7 @@ def test_a_known_weber_fraction_has_no_interval():
     assert fitted.log_evidence[0] == pytest.approx(own.log_evidence, abs=0.02)
 
 
+@pytest.mark.slow
 def test_animals_share_a_population_as_fit_population_has_it():
     """Evidence and intervals, also of animals that tell little, whose lapses the others tell."""
     scheme = design((0.3, 0.9), 8).with_animals(2)

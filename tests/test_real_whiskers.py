@@ -158,6 +158,7 @@ def test_posteriors_over_all_curvatures_and_frictions(seed):
     compare(ratio, curvature, friction, k, seed, count=20)
 
 
+@pytest.mark.slow
 def test_an_unknown_friction_is_summed_out_as_contacts_drawn_from_the_prior_say():
     """Draws took the range of angles of one friction for the weight of all: means 0.1 sd apart."""
     w = whisker(20, 0.0)
