@@ -317,7 +317,7 @@ def test_threshold_with_bias_is_where_the_curve_is(fit: WeberFit) -> None:
 
 
 def test_thresholds_do_not_carry_lapses() -> None:
-    """Raw 75 % points with 10 % lapse a side overstate the JND by 31 % (theory.md)."""
+    """Raw 75 % points with 10 % lapse a side overstate the JND by 31 % (docs/theory/jnd.md)."""
     raw = stats.norm.ppf((0.75 - 0.1) / 0.8) / stats.norm.ppf(0.75)
     assert raw == pytest.approx(1.315, abs=1e-3)
     many = counted(NINE.tolist(), 100_000, expected_counts(NINE, 100_000, 0.1, lapse=0.1))
@@ -857,7 +857,7 @@ def test_unknown_parameters_are_refused(fit: WeberFit, parameter: str) -> None:
 # -- recovery -------------------------------------------------------------------------------------
 
 
-# peers.md: relative RMSE of k by an exact grid of the right model, k = 0.1 and lapses of 0.02.
+# Relative RMSE of k by an exact grid of the right model, k = 0.1 and lapses of 0.02, by trials.
 EXACT_RMSE = {13: 0.221, 33: 0.145, 111: 0.085}
 
 

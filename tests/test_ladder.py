@@ -614,3 +614,10 @@ def test_the_old_names_of_a_model_still_work():
         assert ww.mechanics.choose_rung is ww.choose_model
     with pytest.warns(DeprecationWarning, match="Choice.model"):
         assert ww.choose_model(ww.Whisker(50e-3, 1e-4, 5e-6), 20e-3, 0.1).rung == 0
+
+
+def test_slopes_of_a_rolled_whisker_are_those_of_each_alone() -> None:
+    rolls = np.array([0.0, 0.1, 0.2, 0.3])
+    together = ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=rolls)
+    alone = [ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=float(roll)) for roll in rolls]
+    np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-12)

@@ -11,7 +11,7 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk.cli import app
-from weberwhisk.contacts.columns import unit_factor
+from weberwhisk.contacts.columns import planar, unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
 from weberwhisk.contacts.touches import touch_posterior
 
@@ -319,3 +319,8 @@ def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, cou
         assert sentence.endswith(".")
     assert count / 3 < refused < count
     assert [p.name for p in tmp_path.iterdir()] == ["contacts.csv"]
+
+
+def test_six_signals_without_a_moment_are_no_contact() -> None:
+    si = {"moment_y": np.array([0.0, 3e-6]), "moment_z": np.array([0.0, 4e-6])}
+    np.testing.assert_allclose(planar(si, [])["moment"], [0.0, 5e-6], rtol=1e-12)

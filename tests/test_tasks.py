@@ -147,7 +147,7 @@ def test_threshold_refuses_proportions_that_are_none(proportion: float) -> None:
 
 
 def test_up_and_down_thresholds_differ_at_large_k() -> None:
-    """theory.md, JND conventions: at k = 0.2 by 11 % and 8 % from the linear one."""
+    """JND conventions (docs/theory/decision.md): at k = 0.2 by 11 % and 8 % from the linear one."""
     k = 0.2
     linear = Z75 * np.sqrt(2) * k
     up, down = (float(threshold(TWO, MAGNITUDE, 1.0, p, weber_fraction=k)) for p in (0.75, 0.25))
@@ -173,7 +173,7 @@ def equal_variance_pse(k: float, reach: float) -> float:
 
 
 def test_equal_variance_moves_the_pse_of_an_unbiased_observer() -> None:
-    """theory.md: about 0.8 k² I, 0.033 I at k = 0.2.
+    """docs/theory/decision.md: about 0.8 k² I, 0.033 I at k = 0.2.
 
     That is for levels to ±2.5 k; the shift goes from 0.2 k² at ±1 k to 1.0 k² at ±3 k.
     """
@@ -184,7 +184,7 @@ def test_equal_variance_moves_the_pse_of_an_unbiased_observer() -> None:
 
 
 def test_compliance_asymmetry_changes_sign_at_half_the_length() -> None:
-    """theory.md: k = 0.2, r = 0.9 L: 0.933 and 1.088 of the linear 75 % JND."""
+    """docs/theory/decision.md: k = 0.2, r = 0.9 L: 0.933 and 1.088 of the linear 75 % JND."""
     length, k = 0.05, 0.2
     encoding = compliance(CONE)
 

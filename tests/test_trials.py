@@ -502,3 +502,15 @@ def test_labels_that_a_gap_made_into_floats_are_the_same_labels(tmp_path: Path) 
     path.write_text("stimulus_1,stimulus_2,choice\n1,2,1.0\n2,1,2.0\n1,2,\n")
     trials = read_trials(path, choice_labels={1: "first", 2: "second"})
     assert (trials.n_trials, trials.n_missing) == (2, 1)
+
+
+def test_columns_in_mm_are_read_in_metres_where_all_stimuli_are() -> None:
+    table = pd.DataFrame(
+        {"standard_mm": [20, 20], "stimulus_1_mm": [20, 20], "stimulus_2_mm": [22, 18],
+         "choice": [1, 0]}
+    )  # fmt: skip
+    assert read_trials(table).frame["stimulus_2"].tolist() == [0.022, 0.018]
+    mapped = {name: f"{name}_mm" for name in ("stimulus_1", "stimulus_2")}
+    frame = read_trials(table, columns=mapped).frame  # and not a standard of another unit
+    assert frame["stimulus_2"].tolist() == [22, 18]
+    assert (frame["standard"] > 1).all()

@@ -42,7 +42,7 @@ def jnd_sweep(
     """The JND of every combination of Weber fraction, deflection angle and distance.
 
     With angles that is figure 4b's surface, by full posteriors: 30 distances × 30 angles × 100
-    readings take some 7 s of one core. Its columns ``propagation_mm`` and ``linear`` say what the
+    readings take some 8 s of one core. Its columns ``propagation_mm`` and ``linear`` say what the
     paper's linear surface is there, and where that is not to be believed.
 
     Parameters

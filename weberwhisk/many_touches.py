@@ -123,8 +123,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     first, last = np.argmax(kept), len(kept) - np.argmax(kept[::-1])
     rows, log, each = rows[first:last], log[first:last], each[:, first:last]
     if len(rows) < 4 or not np.isfinite(log.max()):
+        # Hundreds of touches say more than the rows of the grid can tell.
+        lost = Status.IMPRECISE if np.isfinite(log.max()) else Status.IMPROBABLE_READING
         nan = np.full(2, np.nan)
-        return Touches(observer, len(y), np.nan, np.nan, Status.IMPROBABLE_READING, nan, nan)
+        return Touches(observer, len(y), np.nan, np.nan, lost, nan, nan)
     log = np.maximum(log, log.max() - 60.0)  # none there to speak of
     fine = np.linspace(x[rows[0]], x[rows[-1]], 16 * len(rows))
     log = CubicSpline(x[rows], log)(fine)

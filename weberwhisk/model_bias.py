@@ -50,15 +50,24 @@ def why(observer: Any) -> str:
 
 
 def note(observer: Any) -> str:
-    """What a table is off by, or the shape at rest of a named whisker that is taken as straight."""
-    cue, whisker, forward = observer.cue, observer.whisker, observer.forward
+    """A named whisker's shape at rest that is taken as straight, and what a table is off by."""
+    return "; ".join(filter(None, (_shape_at_rest(observer), _table(observer))))
+
+
+def _table(observer: Any) -> str:
+    cue, forward = observer.cue, observer.forward
     fractions = observer.noise.weber_fractions(len(cue.signal_names))
     least = float(np.min(fractions, where=fractions > 0, initial=1.0))
-    if cue.takes_curved and observer.solver is None and forward.error > 0.01 * least:
-        return (
-            f"The table of this whisker is off by up to {forward.error:.1g} of the lateral force, "
-            f'{forward.error / least:.1g} of a Weber fraction: write model="profile"'
-        )
+    if not cue.takes_curved or observer.solver is not None or forward.error <= 0.01 * least:
+        return ""
+    return (
+        f"The table of this whisker is off by up to {forward.error:.1g} of the lateral force, "
+        f'{forward.error / least:.1g} of a Weber fraction: write model="profile"'
+    )
+
+
+def _shape_at_rest(observer: Any) -> str:
+    cue, whisker = observer.cue, observer.whisker
     of = getattr(whisker, "identity", None)
     if of is None or np.any(whisker.curvature) or not cue.takes_curved:
         return ""

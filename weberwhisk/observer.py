@@ -196,10 +196,11 @@ class Observer:
 
     @cached_property
     def note(self) -> str:
-        """What the observer leaves out that moves the distance by more than a JND, or nothing.
+        """What the observer leaves out, or nothing.
 
-        Whiskers `from_identity` have a shape at rest, and are straight unless asked to be curved.
-        As in `why`, to first order, of 16 contacts.
+        A shape at rest that moves the distance by more than a JND (whiskers `from_identity` are
+        straight unless asked to be curved; as in `why`, of 16 contacts), and a table of signals
+        that is off by more than a hundredth of a Weber fraction.
 
         Examples
         --------

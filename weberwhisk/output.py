@@ -71,7 +71,8 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     except OSError as error:
         raise unwritable(target, error) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # gone, or where nothing can be: the error above says so
+            part.unlink()
 
 
 def unwritable(path: Path, error: OSError) -> ValueError:

@@ -323,7 +323,8 @@ class SweepFilter:
         rng = np.random.default_rng(seed)
         state = self.start(rng)
         log_weight = np.zeros(len(state))
-        rows = [_summary(state, np.full(len(state), np.nan), 0.0)] * push.size
+        nowhere = np.full(2, np.nan)
+        rows: list[tuple[Any, ...]] = [(*[np.nan] * 4, *[nowhere] * 3)] * push.size
         outcome = np.full(push.size, Outcome.FLICKED_PAST, dtype=np.int8)
         for k, step in enumerate(np.diff(push, prepend=0.0)):
             state = self.move(state, step, rng)
@@ -369,8 +370,8 @@ class SweepFilter:
 
 
 def _summary(state: Array, weight: Array, push: float) -> tuple[Any, ...]:
-    """What weighted states say of the contact, as `Track` has it; NaN of weights that are."""
-    state, weight = state[weight != 0], weight[weight != 0]  # the others may be nowhere
+    """What weighted states say of the contact, in the order of the fields of `Track`."""
+    state, weight = state[weight > 0], weight[weight > 0]  # the others may be nowhere
     contact, path = state[:, :2], _world(state[:, 0], state[:, 1], push)
     mean, middle = weight @ contact, weight @ path
     sd, path_sd = (np.sqrt(weight @ np.square(v - m)) for v, m in ((contact, mean), (path, middle)))
@@ -390,7 +391,7 @@ def _resampled(weight: Array, rng: np.random.Generator) -> NDArray[np.intp]:
 def _checked(push_angle: ArrayLike, moment: ArrayLike) -> tuple[Array, Array]:
     push = np.atleast_1d(positive("push_angle", push_angle, "give radians since first contact"))
     moments = np.atleast_1d(finite("moment", moment, "give newton metres, up to the last contact"))
-    if push.ndim != 1 or np.any(np.diff(push) <= 0) or moments.shape != push.shape:
+    if push.ndim != 1 or not push.size or np.any(np.diff(push) <= 0) or moments.shape != push.shape:
         raise ValueError(
             "A sweep is one row of ascending push angles and as many moments, got shapes "
             f"{push.shape} and {moments.shape};"

@@ -1,10 +1,10 @@
-"""Solutions a second of rung 2 on one core, whatever the whisker.
+"""Solutions a second of the planar beam on one core, whatever the whisker.
 
 Run ``OMP_NUM_THREADS=1 python tests/benchmarks/bench_profile.py``: CPU time, the best of five.
 Scenes lie at 0.1 to 0.8 L and are pushed up to 10 degrees past rest ("near"), or up to 0.9 of the
 way to the fold ("far"), half of them with friction.
 
-A compiled kernel was measured and not kept. The inner loop, `trajectory.follow` for a linear
+A compiled kernel was measured and not kept. The inner loop, `beam.follow` for a linear
 taper of constant curvature, written in numba 0.68 with blocks of 32 rows that its compiler turns
 into vector instructions, took 0.98 µs for a pass of four steps with its derivatives; NumPy took
 1.4 µs (the same results to 1e-14, same run, 2.5 GHz). A factor of

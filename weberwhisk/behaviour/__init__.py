@@ -1,7 +1,7 @@
 """Trial tables, tasks, simulated observers, and Weber fractions fitted to choices.
 
-The argument, a room each: a `Task` and an `Encoding` make the psychometric function; `Trials` are
-read or simulated; `fit_weber` makes a `WeberFit` of them.
+A `Task` and an `Encoding` make the psychometric function; `Trials` are read or simulated;
+`fit_weber` makes a `WeberFit` of them.
 """
 
 from .._deprecated import renamed_names

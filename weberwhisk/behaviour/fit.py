@@ -46,8 +46,8 @@ BIASES = ("none", "shared", "per standard")
 METHODS = ("quadrature", "emcee")
 
 
-@one_blas_thread
 @renamed_arguments(percept="encoding")
+@one_blas_thread
 def fit_weber(
     trials: Trials,
     *,

@@ -252,7 +252,9 @@ class _Grid:
             out += weight.reshape([-1 if i == j else 1 for i in ALL])
         return out
 
-    def _slices(self, room: int = 10_000_000) -> Iterator[tuple[Any, Array, Array | None, Array]]:
+    def _slices(
+        self, most_numbers: int = 10_000_000
+    ) -> Iterator[tuple[Any, Array, Array | None, Array]]:
         """Populations that differ in ln k, its spread and the lapses' spread alone: where they go,
         the members' likelihood (J, U, X), and the kernels of sessions and of animals (X, MT), of
         which so many numbers are kept for other lapses."""
@@ -260,7 +262,7 @@ class _Grid:
         log_k = self.values()[NAMES[0]][..., 0, 0]
         tiled = np.broadcast_to(tau, log_k.shape[:2]).ravel()
         known: dict[tuple[int, int], Array] = {}
-        for i, m in enumerate(mean):  # a row of lapse populations at a time: they take room
+        for i, m in enumerate(mean):  # a row of lapse populations at a time: they take memory
             log_like = self.work.given_lapses(np.full(spread.size, m), spread, scale)
             for s, session_spread in enumerate(sigma):
                 within = self.work.within(session_spread)
@@ -268,7 +270,7 @@ class _Grid:
                     between = known.get((s, b))
                     if between is None:
                         between = self.work.kernel(log_k[..., s, b].ravel(), tiled)
-                        if (len(known) + 1) * between.size <= room:
+                        if (len(known) + 1) * between.size <= most_numbers:
                             known[s, b] = between
                     yield (slice(None), slice(None), s, b, i), log_like[b], within, between
 

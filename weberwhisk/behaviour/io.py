@@ -52,8 +52,8 @@ def read_trials(
         `stimulus_2` (with `standard` if it is known), or `standard` and `comparison`, or
         `log_ratio` (stimulus 2 over stimulus 1); the answer as `choice` (which was greater,
         farther) or `correct`, or for counts `n` with `n_greater` or `n_correct`; and if there
-        `subject`, `session`, `trial`. A stimulus in `stimulus_1_mm`, `standard_mm` and so on is
-        read in metres, unless it is mapped by name.
+        `subject`, `session`, `trial`. Stimuli in `stimulus_1_mm`, `standard_mm` and so on are
+        read in metres, unless one is mapped or goes by its plain name.
     task : str, optional
         "2AFC", "2IFC", "2AFC percent correct", "3AFC percent correct", … Read off the answer's
         column where not given.
@@ -109,7 +109,8 @@ def read_trials(
         log_unit = _checks.number("log_unit", log_unit, hint)
         _checks.positive("log_unit", log_unit, hint)
     raw, name = load_table(source)
-    raw = in_metres(raw, columns)
+    if scale == "linear":
+        raw = in_metres(raw, columns)
     if not len(raw):
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
     check = TableCheck(pd.DataFrame(index=raw.index), name)
@@ -191,17 +192,20 @@ def _choose_columns(
 def in_metres(table: pd.DataFrame, mapped: Mapping[str, str] | None = None) -> pd.DataFrame:
     """A table whose `standard_mm`, `stimulus_1_mm` … are `standard`, `stimulus_1` … in metres too.
 
-    What is there already, or mapped, stays as it is; a cell that is no number stays for a message.
+    As it is where any stimulus goes by its plain name or is mapped, so that all are in one unit; a
+    cell that is no number stays for a message.
 
     Examples
     --------
     >>> in_metres(pd.DataFrame({"standard_mm": [20.1]}))["standard"].tolist()
     [0.0201]
     """
-    mapped = mapped or {}
-    for name in ("standard", "comparison", "stimulus_1", "stimulus_2"):
+    names = ("standard", "comparison", "stimulus_1", "stimulus_2")
+    if {*names, "log_ratio"} & {*table, *(mapped or {})}:
+        return table
+    for name in names:
         column = f"{name}_mm"
-        if column in table and name not in {*table, *mapped} and column not in mapped.values():
+        if column in table:
             metres = pd.to_numeric(table[column], errors="coerce") / 1e3
             table = table.assign(**{name: metres.where(metres.notna(), table[column])})
     return table

@@ -270,7 +270,7 @@ def simulate_responses(
     ----------
     table : DataFrame
         One row a trial: `standard`, `stimulus_1`, `stimulus_2` (or with `_mm`, as `trial_lists`
-        has them), and `subject`; `session` and `trial` are kept.
+        has them, taken in the unit of the encoding), and `subject`; `session` and `trial` are kept.
     animals : DataFrame
         The truth, as from `draw_animals`: a row for each `subject`, or each of its sessions where
         there is a column `session`.
@@ -300,8 +300,11 @@ def simulate_responses(
     chosen = task_named(task)
     share = _checks.number("missing", missing, "write for example 0.02")
     _checks.non_negative("missing", share, "write for example 0.02")
-    if isinstance(table, pd.DataFrame):
+    if isinstance(table, pd.DataFrame) and "standard" not in table:
+        names = ["standard", "stimulus_1", "stimulus_2"]
         table = in_metres(table)
+        if {*names} <= {*table}:
+            table[names] /= getattr(encoding, "unit", 1.0)
     for name, frame in (("table", table), ("animals", animals)):
         lacking = set(NEEDED[name]) - set(getattr(frame, "columns", ()))
         if not isinstance(frame, pd.DataFrame) or lacking:

@@ -224,8 +224,8 @@ def _quantile(values: Array, mass: Array, probability: ArrayLike) -> Array:
     return np.interp(np.asarray(probability, dtype=float), below, values[order])
 
 
-@one_blas_thread
 @renamed_arguments(percept="encoding")
+@one_blas_thread
 def fit_population(
     trials: Trials,
     *,

@@ -52,9 +52,9 @@ def bend(
     pushes (--arc-length-mm and --force-micronewton); lists are combined, each with each. A contact
     that cannot be held is part of the answer: its row says what becomes of it.
     """
+    options = opt.as_asked(locals())
     import pandas as pd
 
-    options = opt.as_asked(locals())
     whisker = opt.the_whisker(shape, seed)
     pairs = {
         ("radial_distance_mm", "deflection_angle_deg"): (radial_distance_mm, deflection_angle_deg),

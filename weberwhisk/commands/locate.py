@@ -49,9 +49,9 @@ def locate(
     with --pixels-per-mm a table of points) the forces follow from the shape of the whisker. With
     --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located by what they tell.
     """
+    options = opt.as_asked(locals())
     import pandas as pd
 
-    options = opt.as_asked(locals())
     table_or_path: Any = contacts
     whisker = opt.the_whisker(shape)
     heard: tuple[str, ...] = ()
@@ -83,7 +83,12 @@ def locate(
                 by = ww.calibrate(
                     taps, whisker, columns=mapped, units=units, counts=counts, hinge=not clamped
                 )
-                heard = (by.message,)
+                heard = (*heard, by.message)
+            elif counts or clamped:
+                raise ValueError(
+                    "--counts and --clamped say how taps are read, got no --taps; write "
+                    "--taps taps.csv, or leave them out."
+                )
             table = ww.locate(
                 table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
                 progress=step,
@@ -101,6 +106,8 @@ def locate(
             opt.draw(run, "located", ww.figures.located(table, against=time, by=touch or ""))
             if touch is not None:
                 opt.draw(run, "touches", ww.figures.located(table, against=touch, by=touch))
+    if taps is not None:
+        whisker = by.whisker
     notes = (*heard, *table.attrs["notes"])
     if as_json:
         rows = table.to_dict("records")

@@ -158,7 +158,7 @@ def _with_typer(
 
 def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
     """A command's options for its record, the whisker's one by one, and not where it goes."""
-    own = {"out", "as_json", "seed", "workers", "scheduler", "pd", *without}
+    own = {"out", "as_json", "seed", "workers", "scheduler", *without}
     kept = {name: value for name, value in options.items() if name not in own}
     return (kept.pop("shape")._asdict() if "shape" in kept else {}) | kept
 

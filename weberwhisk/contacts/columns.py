@@ -184,9 +184,8 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     if not {"moment_y", "moment_z"} <= set(si):
         return si
     out = {k: v for k, v in si.items() if k.removesuffix("_sd") not in six}
-    out["moment"] = np.hypot(si["moment_y"], si["moment_z"])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        y, z = si["moment_y"] / out["moment"], si["moment_z"] / out["moment"]
+    azimuth = np.arctan2(si["moment_z"], si["moment_y"])  # 0 of a row without a moment
+    y, z = np.cos(azimuth), np.sin(azimuth)
     # Moment = contact × force: the force across the base, along the push.
     parts: dict[str, list[tuple[str, Any]]] = {
         "moment": [("moment_y", y), ("moment_z", z)], "axial_force": [("force_x", -1.0)],

@@ -193,6 +193,9 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
         if 1e-5 < times < 30:
             continue
         unit = {"moment": "N m", "moment_rate": "N m/s"}.get(name, "N")
+        # In space, the component that the plane's was made of.
+        part = {"moment": "moment_y", "axial_force": "force_x"}.get(name, "force_y")
+        name = part if part in found else name
         header, factor, _ = found.get(name, (name, 1.0, False))
         # The prefix with which the table's own numbers would be as large as usual.
         sizes = {p: abs(np.log(2 * times * f / factor)) for p, f in PREFIX.items() if p != "k"}

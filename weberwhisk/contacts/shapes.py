@@ -301,7 +301,8 @@ def in_plane(table: pd.DataFrame, most: float) -> Array:
             f"The points sweep no plane: they lie {off:.3g} px (rms) off the nearest, and "
             f"{size[1] / np.sqrt(every.shape[1]):.3g} px across it; give x and y of the whisker's."
         )
-    way[1] *= np.sign(np.cross(way[0], way[1])[2])  # as seen from above: left stays left
+    if np.cross(way[0], way[1])[2] < 0:  # as seen from above: left stays left
+        way[1] *= -1
     return np.asarray(way[:2])
 
 

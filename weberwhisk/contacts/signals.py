@@ -197,7 +197,9 @@ def tracked_signals(
         names = (*_SIGNALS, *([] if where is None else ["pole_distance"]))
         columns = {name: (np.zeros(0), np.zeros(0)) for name in names}
         columns |= {"corr": np.zeros(0), "misfit": np.zeros(0)}
-    out = out.join(_in_units(columns, profile.whisker).set_index(out.index[touched]))
+    rows = _in_units(columns, profile.whisker).set_axis(touched)
+    rows = rows.reindex(np.arange(len(out))).set_axis(out.index)  # by place: labels may repeat
+    out = pd.concat([out, rows], axis=1)
     out.attrs = {"notes": tuple(notes)}
     return out
 

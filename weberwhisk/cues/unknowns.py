@@ -70,7 +70,9 @@ class _Wrapped(Cue):
     @property
     def unknowns(self) -> tuple[str, ...]:
         """Those of the cue, and the condition where it is not known."""
-        return (*self.cue.unknowns, self.unknown)[: len(self.cue.unknowns) + (self.known is None)]
+        if self.known is not None:
+            return self.cue.unknowns
+        return (*self.cue.unknowns, self.unknown)
 
     def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
         """The whisker under the condition, and the rest of the contact."""

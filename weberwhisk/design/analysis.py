@@ -77,7 +77,8 @@ def analyse(
         Fit all animals at once, each learning from the others (`fit_population`). Otherwise each is
         fitted by itself (`fit_weber`), and evidence multiplies over animals.
     unit : float
-        Unit of the stimuli in the encodings' own: 1e-3 where the table is in millimetres.
+        Unit of the stimuli in the encodings' own: 1e-3 where they were mapped by name and are in
+        millimetres; `stimulus_1_mm` and so on are read in metres already.
 
     Raises
     ------

@@ -186,7 +186,10 @@ class Belief:
 
     @classmethod
     def after(cls, hypothesis: Hypothesis, cells: Cells, axes: Axes) -> Belief:
-        """After the answers in a table, which need not be whole, on these axes for good."""
+        """After the answers in a table, whose counts may be fractional, on these axes for good.
+
+        For `predicted`, `mass_k` and `k` alone: it takes no further trials.
+        """
         belief = cls.__new__(cls)
         belief.hypothesis, belief._candidates = hypothesis, cells
         model = hypothesis.model(cells)

@@ -18,10 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..behaviour.encodings import (
-    LogAxisEncoding,
-    LogEncoding,
-)
+from ..behaviour.encodings import LogEncoding
 from ..behaviour.fit import fit_weber
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
@@ -59,7 +56,7 @@ class Proposal:
 
 
 class Placer(Protocol):
-    """Whatever chooses trials: this module's `BayesianPlacer`, and `staircases.Staircase`."""
+    """Whatever chooses trials: this module's `BayesianPlacer`, and `session.Staircase`."""
 
     @property
     def finished(self) -> str:
@@ -156,7 +153,7 @@ class TrialLog:
             }
         )
         encoding = self.hypotheses[0].encoding
-        unit = encoding.log_unit if isinstance(encoding, (LogEncoding, LogAxisEncoding)) else None
+        unit = encoding.log_unit if isinstance(encoding, LogEncoding) else None
         scale = "linear" if unit is None else "log"
         return Trials(frame, self.hypotheses[0].asked, scale, unit, "trials placed")
 

@@ -257,13 +257,13 @@ def _first_crossing(
     k = np.arange(samples + 1).reshape(-1, *(1,) * reach.ndim)
     # Closer steps towards the fold, about which everything goes as a square root.
     place = reach * (1 - (1 - k / samples) ** 2)
-    over = np.stack([excess(row) for row in place])  # row by row, for memory
+    over = np.stack([excess(row) for row in place])
 
     def of(index: NDArray[np.intp]) -> Array:
         return np.take_along_axis(place, np.clip(index, 0, samples)[None], axis=0)[0]
 
     falls = over <= 0
-    found, first = np.asarray(falls.any(axis=0)), np.maximum(falls.argmax(axis=0), 1)
+    found, first = np.asarray(falls.any(axis=0)), falls.argmax(axis=0)
     left, right = of(first - 1), of(first)
     if not found.all():
         # A pair of crossings between two samples: look at the very bottom of the lowest dip.

@@ -59,13 +59,13 @@ class Sweep:
     """
 
     rotation: Array
-    travel: Array
     bending: Bending
     contact: Array
     tip: NDArray[np.bool_]
     first_contact: float
     end: float
     ended_by: Outcome
+    travel: Array
 
 
 def sweep(
@@ -183,7 +183,7 @@ def sweep(
     turned, moved = (0 * angles, size * angles) if moves else (angles, 0 * angles)
     world, r = b.deflection_angle - turned, b.radial_distance
     path = np.stack([r * np.cos(world), r * np.sin(world) - moved], axis=-1)
-    return Sweep(turned, moved, b, path, tip, size * float(begin), size * float(end), ended)
+    return Sweep(turned, b, path, tip, size * float(begin), size * float(end), ended, moved)
 
 
 def _advance(

@@ -31,7 +31,7 @@ from .beam import Rows
 from .chebyshev import Array
 from .contact import Bending, Choice, Model, Outcome
 from .continuation import zero_load
-from .equilibrium import Solved, by_rows, friction, press_rows
+from .equilibrium import Scenes, Solved, by_rows, friction, press_rows
 from .shape import Profile, Spiral
 
 
@@ -169,8 +169,13 @@ def jacobian_in_space(
 
     Differences of fourth order, good to 1e-7; NaN within 1e-3 of where the contact ends.
     """
-    r, theta = np.broadcast_arrays(
-        np.asarray(radial_distance, dtype=float), np.asarray(deflection_angle, dtype=float)
+    shape = Scenes.of(
+        whisker, length=radial_distance, angle=deflection_angle, tilt=friction(friction_angle),
+        roll=roll,
+    ).shape  # fmt: skip
+    r, theta = (
+        np.broadcast_to(np.asarray(a, dtype=float), shape)
+        for a in (radial_distance, deflection_angle)
     )
     step = 5e-4 * np.stack([r, np.ones_like(r)])
     at = np.array([1, -1, 2, -2]).reshape(-1, *(1,) * r.ndim)

@@ -144,7 +144,7 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
     """An observer's whole tiling, if it does not take too many tiles.
 
     The errors are half more than the largest of `certifying` readings of contacts drawn from the
-    prior, beside tiles finer by a third.
+    prior, beside tiles shorter by a factor of 1.4.
     """
     try:
         likelihood = likelihood_of(observer)

@@ -67,8 +67,12 @@ _MESSAGES = {
 }
 
 
-#: Of an unknown's moments and quantiles; others are ratios.
-UNITS = {"radial_distance": "m", "deflection_angle": "rad", "side": "m", "bearing": "rad"}
+#: Of an unknown's moments and quantiles; a stiffness over the whisker's own is a ratio.
+UNITS = {
+    "radial_distance": "m", "side": "m", "deflection_angle": "rad", "bearing": "rad",
+    "azimuth": "rad", "friction_angle": "rad", "surface_tilt": "rad", "angular_velocity": "rad/s",
+    "curvature_offset": "1/m", "hinge_stiffness": "N m/rad",
+}  # fmt: skip
 
 
 class Estimate(NamedTuple):
