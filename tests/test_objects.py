@@ -313,3 +313,8 @@ def test_the_work_of_a_base_that_travels_is_the_energy_that_bends(body, whisker,
 def test_misuse_is_one_sentence(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_a_base_does_not_move_through_the_object():
+    with pytest.raises(ValueError, match="base of the whisker must be outside"):
+        sweep(W, cylinder(2e-3, -10e-3, 5e-3), travel=[0.0, 12e-3])

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 import weberwhisk as ww
 from weberwhisk import cues
+from weberwhisk.coordinates import UNITS
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.receptors import (
@@ -208,6 +209,15 @@ def test_a_cue_is_a_value(make):
     with pytest.raises(FrozenInstanceError):
         first.side = 0.5
     assert len({make() for make in CUES for _ in range(2)}) == len(CUES)
+
+
+def test_every_unknown_has_its_unit():
+    conditions = [
+        cues.Friction(ForceMap()), cues.UnknownCurvature(ForceMap(), 2.0),
+        cues.UnknownHinge(ForceMap(), 0.5), cues.UnknownStiffness(ForceMap()),
+    ]  # fmt: skip
+    unknowns = {name for cue in (*(make() for make in CUES), *conditions) for name in cue.unknowns}
+    assert unknowns - set(UNITS) == {"stiffness"}  # a ratio
 
 
 @pytest.mark.parametrize("make", CUES)

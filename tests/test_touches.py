@@ -77,3 +77,11 @@ def test_what_touches_refuse():
         touches(Observer(W, cues.UnknownStiffness(cues.ForceMap())), [[1e-6, 1e-5]])
     with pytest.raises(ValueError, match="has 2 numbers"):
         touches(Observer(W, cues.ForceMap()), [1e-6])
+
+
+def test_more_touches_than_the_grid_can_tell_are_not_called_improbable():
+    observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap())
+    reading = observer.signals([[30e-3, 0.2]])[0]
+    found = touches(observer, np.repeat(reading, 8000, axis=0))
+    assert found.status == Status.IMPRECISE
+    assert np.isnan(found.mean)

@@ -23,6 +23,13 @@ from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
+#: Of an unknown's moments and quantiles; a stiffness over the whisker's own is a ratio.
+UNITS = {
+    "radial_distance": "m", "side": "m", "deflection_angle": "rad", "bearing": "rad",
+    "azimuth": "rad", "friction_angle": "rad", "surface_tilt": "rad", "angular_velocity": "rad/s",
+    "curvature_offset": "1/m", "hinge_stiffness": "N m/rad",
+}  # fmt: skip
+
 #: x₁ at the ends of the reach, as far as numbers go: the fraction 1e-32 and its mirror image.
 FARTHEST = 5.0
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ._checks import generator, whole
 from ._deprecated import renamed_arguments
 from ._display import with_units
+from .coordinates import UNITS
 from .cues.fused import Fused
 from .cues.protocol import Array, Cue
 from .jnd import SD, criterion_factor, fisher_jnd
@@ -20,7 +21,6 @@ from .mechanics.contact import Outcome
 from .observer import Observer
 from .posterior import posterior
 from .posterior.grid import integrate
-from .posterior.result import UNITS
 from .posterior.tiling import prior_box
 from .receptors import ReceptorNoise, Seed
 

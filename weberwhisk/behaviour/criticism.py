@@ -18,7 +18,7 @@ from scipy.special import bdtr, ndtri
 from .. import _checks
 from .likelihood import Draws, WeberModel
 from .posteriors import lead_values
-from .trials import SDS
+from .trials import SDS, STIMULI
 
 if TYPE_CHECKING:
     from .result import WeberFit
@@ -45,7 +45,7 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
     """
     c = model.cells
     expected = model.probability(*draws.thinned(1000).values)[0].mean(axis=0)
-    labels = {name: getattr(c, name) for name in ("standard", "stimulus_1", "stimulus_2")}
+    labels = {name: getattr(c, name) for name in STIMULI}
     return pd.DataFrame(labels | _compared(c.n, c.count, c.n * expected, expected * (1 - expected)))
 
 
@@ -207,9 +207,8 @@ class _Rows:
         frame = fit.trials.frame
         kept = (frame["count"].notna() & (frame["n"] > 0)).to_numpy()
         model, cells = fit.model, fit.model.cells
-        names = ("standard", "stimulus_1", "stimulus_2")
-        by_row = [frame[name].to_numpy(float) for name in names]
-        by_cell = [getattr(cells, name) for name in names]
+        by_row = [frame[name].to_numpy(float) for name in STIMULI]
+        by_cell = [getattr(cells, name) for name in STIMULI]
         for name, own in zip(SDS, (cells.sd_1, cells.sd_2), strict=True):
             if own is not None:
                 by_row.append(frame[name].to_numpy(float))
@@ -230,7 +229,7 @@ class _Rows:
 
     def gathered(self) -> tuple[pd.DataFrame, NDArray[np.intp]]:
         """Rows of one pair of stimuli in one session together, and the cell of each."""
-        labels = [c for c in ("session", "standard", "stimulus_1", "stimulus_2") if c in self.frame]
+        labels = [c for c in ("session", *STIMULI) if c in self.frame]
         table = self.frame[labels].assign(cell=self.cell, n=self.n, count=self.count)
         sums = table.groupby([*labels, "cell"], sort=True)[["n", "count"]].sum().reset_index()
         return sums.drop(columns="cell"), sums["cell"].to_numpy(np.intp)

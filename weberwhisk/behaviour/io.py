@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from .. import _checks
 from .checking import TableCheck
 from .tasks import TASKS, Task, task_named
-from .trials import LABELS, SCALES, Trials, notes_of, standards_of
+from .trials import LABELS, SCALES, Trials, in_millimetres, notes_of, standards_of
 
 Array = NDArray[np.float64]
 
-STIMULI = (("stimulus_1", "stimulus_2"), ("standard", "comparison"), ("log_ratio",))
+FORMS = (("stimulus_1", "stimulus_2"), ("standard", "comparison"), ("log_ratio",))
 ANSWERS = {
     "choice": "2AFC",
     "n_greater": "2AFC",
@@ -109,12 +109,14 @@ def read_trials(
         log_unit = _checks.number("log_unit", log_unit, hint)
         _checks.positive("log_unit", log_unit, hint)
     raw, name = load_table(source)
-    if scale == "linear":
-        raw = in_metres(raw, columns)
     if not len(raw):
         raise ValueError(f"{name}: the table has no rows; give one row per trial under a header.")
     check = TableCheck(pd.DataFrame(index=raw.index), name)
-    stimuli, answer = _choose_columns(check, raw, dict(columns or {}), named)
+    mapped = dict(columns or {})
+    # Where a stimulus goes by its plain name, or is mapped, all are in its unit.
+    plain = {name for form in FORMS for name in form} & {*raw.columns, *mapped}
+    lengths = {} if plain or scale == "log" else in_millimetres(raw)
+    stimuli, answer = _choose_columns(check, raw, mapped | lengths, named)
     if scale == "linear" and log_unit is not None and stimuli != ("log_ratio",):
         raise ValueError(
             f"log_unit={log_unit:g} was given for magnitudes; write scale='log', or leave it out."
@@ -122,7 +124,8 @@ def read_trials(
     if stimuli == ("log_ratio",):
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
     table = check.table
-    numbers = {c: check.numbers(c) for c in (*stimuli, "standard") if c in table}
+    metres = 1e3 if lengths else 1.0
+    numbers = {c: check.numbers(c) / metres for c in (*stimuli, "standard") if c in table}
     if scale == "linear":
         check.magnitudes(numbers, whisker)
     labels = {c: check.labels(c) for c in LABELS if c in table}
@@ -170,9 +173,9 @@ def _choose_columns(
         if column in NAMES and column not in check.table and column not in taken:
             check.table[column] = raw[column]
     expected = {*check.table, *mapping}  # a mapped column that is missing has been named already
-    stimuli: tuple[str, ...] | None = next((s for s in STIMULI if expected.issuperset(s)), None)
+    stimuli: tuple[str, ...] | None = next((s for s in FORMS if expected.issuperset(s)), None)
     if stimuli is None:
-        stimuli = max(STIMULI, key=lambda names: len(expected.intersection(names)))
+        stimuli = max(FORMS, key=lambda names: len(expected.intersection(names)))
         for column in stimuli:
             if column not in expected:
                 check.missing_column(column, here, "needed for the stimuli")
@@ -187,28 +190,6 @@ def _choose_columns(
     if answer.startswith("n_") and "n" not in expected:
         check.missing_column("n", here, "needed for the number of trials")
     return stimuli, answer
-
-
-def in_metres(table: pd.DataFrame, mapped: Mapping[str, str] | None = None) -> pd.DataFrame:
-    """A table whose `standard_mm`, `stimulus_1_mm` … are `standard`, `stimulus_1` … in metres too.
-
-    As it is where any stimulus goes by its plain name or is mapped, so that all are in one unit; a
-    cell that is no number stays for a message.
-
-    Examples
-    --------
-    >>> in_metres(pd.DataFrame({"standard_mm": [20.1]}))["standard"].tolist()
-    [0.0201]
-    """
-    names = ("standard", "comparison", "stimulus_1", "stimulus_2")
-    if {*names, "log_ratio"} & {*table, *(mapped or {})}:
-        return table
-    for name in names:
-        column = f"{name}_mm"
-        if column in table:
-            metres = pd.to_numeric(table[column], errors="coerce") / 1e3
-            table = table.assign(**{name: metres.where(metres.notna(), table[column])})
-    return table
 
 
 def _check_mapping(name: str, value: object, example: str) -> None:

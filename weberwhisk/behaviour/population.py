@@ -14,11 +14,10 @@ from scipy.stats import beta as beta_distribution
 from .. import _checks
 from .._deprecated import renamed_arguments
 from .encodings import CueEncoding, Encoding, checked_encoding, refuse_unencoded
-from .io import in_metres
 from .psychometric import response_probability
 from .simulate import simulate_trials
 from .tasks import task_named
-from .trials import LABELS, Trials, check_trials, notes_of
+from .trials import LABELS, STIMULI, Trials, check_trials, in_millimetres, notes_of
 
 Array = NDArray[np.float64]
 
@@ -245,7 +244,7 @@ def simulate_moving(
 
 
 NEEDED = {
-    "table": ("subject", "standard", "stimulus_1", "stimulus_2"),
+    "table": ("subject", *STIMULI),
     "animals": ("subject", "weber_fraction", "lapse_low", "lapse_high", "bias"),
 }
 TRUTH = ("weber_fraction", "lapse_low", "lapse_high", "bias")
@@ -300,11 +299,10 @@ def simulate_responses(
     chosen = task_named(task)
     share = _checks.number("missing", missing, "write for example 0.02")
     _checks.non_negative("missing", share, "write for example 0.02")
-    if isinstance(table, pd.DataFrame) and "standard" not in table:
-        names = ["standard", "stimulus_1", "stimulus_2"]
-        table = in_metres(table)
-        if {*names} <= {*table}:
-            table[names] /= getattr(encoding, "unit", 1.0)
+    if isinstance(table, pd.DataFrame):
+        unit = 1e3 * getattr(encoding, "unit", 1.0)
+        lengths = in_millimetres(table).items()
+        table = table.assign(**{ours: table[theirs] / unit for ours, theirs in lengths})
     for name, frame in (("table", table), ("animals", animals)):
         lacking = set(NEEDED[name]) - set(getattr(frame, "columns", ()))
         if not isinstance(frame, pd.DataFrame) or lacking:
@@ -320,8 +318,7 @@ def simulate_responses(
         who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
         raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")
     rng = _checks.generator(seed)
-    columns = ("standard", "stimulus_1", "stimulus_2")
-    standard, s1, s2 = (table[name].to_numpy(float) for name in columns)
+    standard, s1, s2 = (table[name].to_numpy(float) for name in STIMULI)
     refuse_unencoded(encoding, np.concatenate([s1, s2, standard]))
     p = np.empty(len(table))
     for _, own in truth.groupby(list(TRUTH), sort=False):

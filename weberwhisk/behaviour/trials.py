@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")
-COLUMNS = ("standard", "stimulus_1", "stimulus_2", "n", "count")
+STIMULI = ("standard", "stimulus_1", "stimulus_2")
+COLUMNS = (*STIMULI, "n", "count")
 SDS = ("stimulus_1_sd", "stimulus_2_sd")  # of measured places, where `with_distances` put them in
 
 
@@ -278,6 +279,22 @@ DESCRIPTIONS = {
     "n_greater": "of these trials, how many reported the second greater",
     "n_correct": "of these trials, how many were right",
 }
+
+def in_millimetres(table: pd.DataFrame) -> dict[str, str]:
+    """Our names of the stimuli that a table has in mm alone, and its own.
+
+    Examples
+    --------
+    >>> in_millimetres(pd.DataFrame(columns=["standard_mm", "stimulus_1", "stimulus_1_mm"]))
+    {'standard': 'standard_mm'}
+    """
+    return {
+        name: f"{name}_mm"
+        for name in (*STIMULI, "comparison")
+        if f"{name}_mm" in table and name not in table
+    }
+
+
 _TYPES = {"f": "number", "i": "integer", "u": "integer", "b": "boolean"}
 
 
@@ -312,7 +329,7 @@ def describe_table(
             (known for known in (column, column.rpartition("_")[0]) if known in DESCRIPTIONS), ""
         )
         field = {"name": column, "type": kind, "description": DESCRIPTIONS.get(base, column)}
-        if unit and base in ("standard", "stimulus_1", "stimulus_2"):
+        if unit and base in STIMULI:
             field["unit"] = unit
         fields.append(field)
     title = {"title": remarks.pop("title")} if "title" in remarks else {}

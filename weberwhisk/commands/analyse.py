@@ -10,6 +10,7 @@ import numpy as np
 import weberwhisk as ww
 
 from ..behaviour.io import load_table
+from ..behaviour.trials import STIMULI
 from ..citing import versions_in_words
 from ..output import Run, atomic_write, to_json
 from .options import command, wrote
@@ -63,22 +64,20 @@ def rig_trials(files: list[Path]) -> ww.Trials:
 
     tables = [load_table(path)[0] for path in files]
     table = pd.concat(tables, ignore_index=True)
-    named = {name: f"{name}_mm" for name in ("standard", "stimulus_1", "stimulus_2")}
-    named = {ours: theirs for ours, theirs in named.items() if theirs in table}
+    named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
     if "stimulus_1" in named:
         table = table[table[named["stimulus_1"]].notna()]
     if "trial" not in table and "trial_number" in table:
         named["trial"] = "trial_number"
     labels = None
     if "choice" not in table:
-        named["choice"], table = _answer(table, files[0])
+        table = _with_choice(table, files[0])
         labels = {side: which for side, which in SIDES.items() if side in set(table["choice"])}
-        named["choice"] = "choice"
     return ww.read_trials(table, columns=named, choice_labels=labels)
 
 
-def _answer(table: pd.DataFrame, file: Path) -> tuple[str, pd.DataFrame]:
-    """The column of answers, and the table with it as `choice`: codes of `SIDES`, or none."""
+def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
+    """The table with its column of answers as `choice`: codes of `SIDES`, or none."""
     keys = [str(name) for name in table if str(name).endswith(".keys")]
     found = [*keys, *(name for name in ("response",) if name in table)]
     if len(found) != 1:
@@ -87,7 +86,7 @@ def _answer(table: pd.DataFrame, file: Path) -> tuple[str, pd.DataFrame]:
             "call it choice (1 where the second was judged farther), response or <keyboard>.keys."
         )
     given = table[found[0]].map(lambda v: int(v) if isinstance(v, float) and v == v else v)
-    return found[0], table.assign(choice=given.where(given.isin(list(SIDES)), None))
+    return table.assign(choice=given.where(given.isin(list(SIDES)), None))
 
 
 def in_words(found: AnalysisResult, trials: ww.Trials, plan: ww.design.Plan) -> str:

@@ -16,8 +16,6 @@ from ..behaviour import CueEncoding
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
 from .options import SCENES, Shape, Texts, one_angle, the_scene, the_whisker
 
-#: Columns that hold stimuli, and so may carry a unit.
-STIMULI = ("standard", "stimulus_1", "stimulus_2")
 _Model = Callable[[float, NDArray[np.float64]], ReceptorNoise]
 #: Receptors of a number and the signals at half the length. Their own Weber fraction, 0.1, is the
 #: scale of the one that is fitted.

@@ -22,9 +22,10 @@ from ..behaviour import (
 )
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.io import load_table
+from ..behaviour.trials import in_millimetres
 from ..output import Run, atomic_write, to_json
 from . import options as opt
-from .distance import STIMULI, distance_encoding
+from .distance import distance_encoding
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -245,14 +246,9 @@ def _trials(
 def _with_millimetres(file: Path) -> dict[str, str]:
     """The stimulus columns whose names carry their unit, as `simulate` writes them."""
     try:
-        here = load_table(file)[0].columns
+        return in_millimetres(load_table(file)[0])
     except ValueError:  # `read_trials` says what is wrong with it
         return {}
-    return {
-        name: f"{name}_mm"
-        for name in (*STIMULI, "comparison")
-        if f"{name}_mm" in here and name not in here
-    }
 
 
 def _as_options(sentence: str) -> str:

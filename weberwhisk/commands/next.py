@@ -13,10 +13,11 @@ import weberwhisk as ww
 from .. import _checks
 from .._terminal import numbers
 from ..behaviour import CueEncoding, IdentityEncoding
+from ..behaviour.trials import STIMULI
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import RULES, Session, converse
 from ..output import Run
-from .distance import STIMULI, distance_encoding
+from .distance import distance_encoding
 from .options import NO_SHAPE, Number, Shape, Texts, as_asked, command, draw
 
 

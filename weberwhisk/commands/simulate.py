@@ -11,10 +11,10 @@ from .. import _checks
 from .._terminal import numbers
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
-from ..behaviour.trials import data_package, describe_table
+from ..behaviour.trials import STIMULI, data_package, describe_table
 from ..output import Run, atomic_write, csv_text, to_json
 from . import options as opt
-from .distance import STIMULI, distance_encoding
+from .distance import distance_encoding
 
 
 @opt.command

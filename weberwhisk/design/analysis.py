@@ -12,9 +12,8 @@ import pandas as pd
 from .. import _checks
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.result import WeberFit
-from ..behaviour.trials import Trials
+from ..behaviour.trials import STIMULI, Trials
 from .hypotheses import Hypothesis, check_distinct, options_of
-from .trial_lists import STIMULI
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ..behaviour.priors import DEFAULTS, Priors
 from ..behaviour.psychometric import refuse_out_of_reach, response_probability
 from ..behaviour.result import WeberFit
 from ..behaviour.tasks import Task, task_named
-from ..behaviour.trials import Cells, Trials
+from ..behaviour.trials import STIMULI, Cells, Trials
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..receptors import Weber
@@ -129,8 +129,7 @@ class Hypothesis:
             self.asked, self.encoding, cells.stimulus_1, cells.stimulus_2, noise=self.noise,
             weber_fraction=weber_fraction, lapse_low=lapse, lapse_high=lapse,
         )  # fmt: skip
-        names = "standard", "stimulus_1", "stimulus_2"
-        frame = pd.DataFrame({name: getattr(cells, name) for name in names})
+        frame = pd.DataFrame({name: getattr(cells, name) for name in STIMULI})
         frame = frame.assign(n=cells.n.astype(np.int64), count=cells.n * share)
         return Trials(frame, self.asked, source="expected answers")
 

@@ -264,7 +264,6 @@ def _shuffled(size: int, rng: np.random.Generator) -> NDArray[np.intp]:
     return np.argsort(rng.random(size), kind="stable")
 
 
-STIMULI = ("standard", "stimulus_1", "stimulus_2")
 ANSWERS = ("left", "right")  # where the farther stimulus is 1, or 2
 
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import domain
 from .._checks import finite
 from .._display import Shown, interval_text, member
+from ..coordinates import UNITS
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
@@ -65,14 +66,6 @@ _MESSAGES = {
     Status.NO_CONTACT: "no contact: signals are zero that no contact leaves at zero",
     Status.OUTSIDE_DOMAIN: "outside the domain: see outside_domain",
 }
-
-
-#: Of an unknown's moments and quantiles; a stiffness over the whisker's own is a ratio.
-UNITS = {
-    "radial_distance": "m", "side": "m", "deflection_angle": "rad", "bearing": "rad",
-    "azimuth": "rad", "friction_angle": "rad", "surface_tilt": "rad", "angular_velocity": "rad/s",
-    "curvature_offset": "1/m", "hinge_stiffness": "N m/rad",
-}  # fmt: skip
 
 
 class Estimate(NamedTuple):
