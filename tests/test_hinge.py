@@ -238,6 +238,7 @@ CLAMPED_ONLY = {
     "SpaceMap": lambda: ww.Observer(W, cues.SpaceMap()),
     "AngleSideAngle": lambda: ww.Observer(W, cues.AngleSideAngle()),
     "UnknownStiffness": lambda: ww.Observer(W, cues.UnknownStiffness(cues.ForceMap())),
+    "its slopes": lambda: cues.UnknownStiffness(cues.ForceMap()).jacobian(W, [30e-3, 0.2, 1.0]),
     "Friction": lambda: ww.Observer(W, cues.Friction(cues.ForceMap())),
     "UnknownCurvature": lambda: ww.Observer(W, cues.UnknownCurvature(cues.ForceMap(), 2.0)),
     "HingedTap": lambda: HingedTap(1e-3).signals(W, np.array([20e-3])),

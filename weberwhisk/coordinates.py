@@ -237,7 +237,7 @@ class ContactCoordinates:
         w = forward_of(self.whisker)
         room = np.maximum(1 / r - 1 / (w.base.apex_distance * w.reach / w.length), 1e-300)
         if w.is_hinged:  # in series
-            room = 1 / (1 / room + w.give * w.base.compliance_constant)
+            room = 1 / (1 / room + w.hinge_compliance * w.base.compliance_constant)
         # Where a prior leaves no angle there is nothing to carry.
         width = np.maximum(width, np.finfo(float).tiny)
         return np.asarray(np.log(width * w.length * room))

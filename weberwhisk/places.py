@@ -66,8 +66,9 @@ class ArrayObserver:
     -----
     A whisker is bent in its plane of whisking, which holds its base tangent and the horizontal
     across it, and there the pole is a point. Left out: slip along the pole and out of that plane,
-    which grows with elevation (`Place.note` names whiskers above 30° that touch), friction, and
-    several contacts of one whisker. The height of a long pole is told by none.
+    which grows with elevation (`Place.note` names whiskers above 30° that touch), friction,
+    several contacts of one whisker, and poles that lean. The height of a long pole is told by
+    none; `information`, and `array_resolution` and its kin with it, refuse short ones.
 
     Examples
     --------

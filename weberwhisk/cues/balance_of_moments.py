@@ -128,7 +128,7 @@ class BalanceOfMoments(Cue):
         forward = _served(whisker, model)
         if model == "closed_form":
             moment = closed_form.moment(forward.base, r, 1.0)
-            moment = theta * moment / (1 + forward.give * moment)
+            moment = theta * moment / (1 + forward.hinge_compliance * moment)
         else:
             moment = forward.signals(r, theta)[0][..., 0]
         return np.asarray(self.gain * moment / forward.base.moment_scale / self._muscle(theta))

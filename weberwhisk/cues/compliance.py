@@ -121,7 +121,7 @@ class Compliance(Cue):
         if self.tap_angle == 0 or model == "closed_form":
             slope = -forward.base.compliance_constant / r**2
             if forward.is_hinged:  # in series with a hinge, which takes a share of every angle
-                slope = slope * (1 - forward.give * forward.stiffness(r)[0]) ** 2
+                slope = slope * (1 - forward.hinge_compliance * forward.stiffness(r)[0]) ** 2
         else:
             slope = forward.jacobian(r, self.tap_angle)[..., 0, 0] / self.tap_angle
         slope = np.asarray(slope * self._velocity(contact))
@@ -154,7 +154,8 @@ class Compliance(Cue):
         """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA); θ̇ by default the cue's."""
         velocity = self.angular_velocity if angular_velocity is None else angular_velocity
         forward, rate = forward_of(whisker), np.asarray(moment_rate, dtype=float)
-        bending = np.asarray(velocity) - forward.give * rate  # what the hinge does not take up
+        # What the hinge does not take up.
+        bending = np.asarray(velocity) - forward.hinge_compliance * rate
         return closed_form.distance_from_moment(forward.base, rate, bending)
 
 

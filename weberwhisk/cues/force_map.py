@@ -177,7 +177,7 @@ class ForceMap(Cue):
             forward = forward_of(whisker)
             r, bent = closed_form.contact_from_signals(forward.base, wanted[..., 0], wanted[..., 1])
             known = np.isfinite(r)
-            angle = bent + forward.give * wanted[..., 0]
+            angle = bent + forward.hinge_compliance * wanted[..., 0]
             contact[known] = self._newton(whisker, wanted[known], r[known], angle[known], steps)
         # Large angles are far from the closed form: start again from the nearest of a coarse map.
         missed = np.isnan(contact[..., 0]) & (np.abs(wanted) > 0).all(axis=-1)

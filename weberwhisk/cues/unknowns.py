@@ -176,7 +176,7 @@ class Friction(_Wrapped):
         largest = float(np.arctan(self.coefficient))
         ends = (-largest, largest) if self.angle is None else (self.angle, self.angle)
         value = sum(ends) / 2 if value is None else value
-        return forward_of(whisker).under("friction", value, ends)
+        return forward_of(whisker).with_uncertain("friction", value, ends)
 
     def _prior(self, whisker: Any) -> Any:
         from scipy.stats import uniform
@@ -217,7 +217,8 @@ class UnknownCurvature(_Wrapped):
         self._refuse_straight()
 
     def _under(self, whisker: Any, value: Any = 0.0) -> ForwardModel:
-        return forward_of(whisker).under("offset", value, (-7 * self.spread, 7 * self.spread))
+        ends = (-7 * self.spread, 7 * self.spread)
+        return forward_of(whisker).with_uncertain("offset", value, ends)
 
     def _prior(self, whisker: Any) -> Any:
         from scipy.stats import norm
@@ -278,7 +279,7 @@ class UnknownHinge(_Wrapped):
         median = self._median(whisker)
         low, high = median * np.exp(-7 * self.spread), median * np.exp(7 * self.spread)
         value = median if value is None else np.clip(value, low, high)
-        return forward_of(whisker).under("hinge", value, (float(low), float(high)))
+        return forward_of(whisker).with_uncertain("hinge", value, (float(low), float(high)))
 
     def _prior(self, whisker: Any) -> Any:
         from scipy.stats import lognorm
@@ -387,6 +388,7 @@ class UnknownStiffness(_Wrapped):
         contact = np.asarray(contact, dtype=float)
         inner = contact[..., :-1]
         factor = np.where(self._soft, contact[..., -1:], 1.0)
+        whisker = self._under(whisker)
         slope = self.cue.jacobian(whisker, inner, model=model) * factor[..., None]
         signals, _ = self.cue.signals(whisker, inner, model=model)
         return np.concatenate([slope, np.where(self._soft, signals, 0.0)[..., None]], axis=-1)

@@ -89,17 +89,17 @@ class ForwardModel(Value):
         return getattr(self.whisker, "hinge_stiffness", None) is not None
 
     @cached_property
-    def give(self) -> Any:
+    def hinge_compliance(self) -> Any:
         """How far the base turns, rad/(N m); 0 where it is clamped."""
         if not self.is_hinged:
             return 0.0
         return 1 / (self.whisker.hinge_stiffness if self.hinge is None else self.hinge)
 
     @cached_property
-    def _gives(self) -> tuple[float, float]:
+    def _compliances(self) -> tuple[float, float]:
         """Between which it lies."""
         low, high = self.hinge_range
-        return (1 / high, 1 / low) if high > low else (float(self.give), float(self.give))
+        return (1 / high, 1 / low) if high > low else (float(self.hinge_compliance),) * 2
 
     @cached_property
     def clamped(self) -> ForwardModel:
@@ -137,7 +137,7 @@ class ForwardModel(Value):
         """Largest error of the table, over the lateral force."""
         return getattr(self.surface, "error", 1e-9)
 
-    def under(self, name: str, value: Any, ends: tuple[float, float]) -> ForwardModel:
+    def with_uncertain(self, name: str, value: Any, ends: tuple[float, float]) -> ForwardModel:
         """With another ``friction``, ``offset`` or ``hinge``, between two ends."""
         if ends[1] > ends[0] and name != "hinge":
             refuse_hinge(self.whisker, "An unknown friction or curvature")
@@ -184,7 +184,7 @@ class ForwardModel(Value):
 
         The surface is then contracted once, not at every contact: ten times as fast.
         """
-        uncertain = (self.friction, self.offset, self.give)
+        uncertain = (self.friction, self.offset, self.hinge_compliance)
         given = [np.asarray(a, dtype=float) for a in (r, *more, *uncertain)]
         shape = np.broadcast_shapes(*(a.shape for a in given))
         flat = [np.broadcast_to(a, shape).reshape(-1) for a in given[: len(more) + 1]]
@@ -204,10 +204,10 @@ class ForwardModel(Value):
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
-        shape, (flat, psi, kappa, give) = self._rows(r)
+        shape, (flat, psi, kappa, compliance) = self._rows(r)
         if self.is_hinged:
-            give = np.broadcast_to(give, flat.shape)
-            return hinge.largest(self._table, self._gives, flat, give)[3].reshape(shape)
+            compliance = np.broadcast_to(compliance, flat.shape)
+            return hinge.largest(self._table, self._compliances, flat, compliance)[3].reshape(shape)
         if isinstance(self.surface, Surface):
             return self.surface.limit(flat).reshape(shape)
         return self.surface.limit(flat, psi, kappa).reshape(shape)
@@ -237,12 +237,12 @@ class ForwardModel(Value):
 
     def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """How much of deflections bends the whisker (...), and whether it lost hold early."""
-        shape, (flat, angle, _, _, give) = self._rows(r, theta)
-        give = np.broadcast_to(give, flat.shape)
+        shape, (flat, angle, _, _, compliance) = self._rows(r, theta)
+        compliance = np.broadcast_to(compliance, flat.shape)
         if self.model == "closed_form":
-            inner = angle / (1 + give * closed_form.moment(self.base, flat, 1.0))
+            inner = angle / (1 + compliance * closed_form.moment(self.base, flat, 1.0))
             return inner.reshape(shape), np.zeros(shape, dtype=bool)
-        inner, falls = hinge.bent(self._table, self._gives, flat, angle, give)
+        inner, falls = hinge.bent(self._table, self._compliances, flat, angle, compliance)
         return inner.reshape(shape), falls.reshape(shape)
 
     def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
@@ -291,9 +291,9 @@ class ForwardModel(Value):
             clamped = self.clamped.jacobian(r, self._bent(r, theta)[0])
             # dθ′ = (dθ − Λ ∂M/∂r dr)/(1 + Λ ∂M/∂θ′)
             by_r, by_theta = clamped[..., 0], clamped[..., 1]
-            give = np.asarray(self.give)[..., None]
-            share = 1 / (1 + give * by_theta[..., :1])
-            by_r = by_r - by_theta * share * give * by_r[..., :1]
+            compliance = np.asarray(self.hinge_compliance)[..., None]
+            share = 1 / (1 + compliance * by_theta[..., :1])
+            by_r = by_r - by_theta * share * compliance * by_r[..., :1]
             return np.stack([by_r, by_theta * share], axis=-1)
         if self.model == "closed_form":
             return closed_form.signal_jacobian(self.base, r, theta)
@@ -316,7 +316,7 @@ class ForwardModel(Value):
         r = np.asarray(r, dtype=float)
         if self.is_hinged:
             value, outcome = self.clamped.stiffness(r)
-            return value / (1 + self.give * value), outcome
+            return value / (1 + self.hinge_compliance * value), outcome
         if isinstance(self.surface, Surface):
             reached = (r > 0) & (r < self.base.apex_distance) & (r <= self.length)
             value = closed_form.moment(self.base, np.where(reached, r, self.length), 1.0)

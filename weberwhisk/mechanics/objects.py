@@ -140,8 +140,9 @@ def sweep(
     path = np.linspace(min(angles[0], 0.0), max(angles[-1], 0.0), 257) if moves else np.zeros(1)
     if np.any(body.depth(0.0, -size * path) >= 0):
         raise ValueError(
-            f"The base of the whisker must be outside the object, got a body with corners from "
-            f"{body.corners.min():g} to {body.corners.max():g} m over {'its path' if moves else 'the origin'}; move it."
+            "The base of the whisker must be outside the object, got a body with corners from "
+            f"{body.corners.min():g} to {body.corners.max():g} m over "
+            f"{'its path' if moves else 'the origin'}; move it."
         )
     first = contact.first(float(angles[0]), float(angles[-1]))
     n = angles.size

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from .._checks import finite, number, positive
+from .._deprecated import renamed_attribute
 from ..whisker import Whisker
 from .chebyshev import Array
 from .modes import BASIS, basis, gauss, ritz
@@ -44,14 +45,15 @@ class QuasiStatic:
         Hz; of the whisker clamped at its base and pinned at the contact.
     rayleigh_frequency : float
         Hz; f_q, of the static shape.
-    angular_frequency, blow : array (n,)
+    angular_frequency, excitation : array (n,)
         Of its modes, rad/s, and what a first contact excites of each: ω p b/M(0), s.
     """
 
     first_frequency: float
     rayleigh_frequency: float
     angular_frequency: Array
-    blow: Array
+    excitation: Array
+    blow = renamed_attribute("QuasiStatic", "blow", "excitation")
 
     def error(self, frequency: ArrayLike) -> tuple[Array, Array]:
         """Least and largest 1 − M(f)/M(0) of a steady sinusoidal whisk, Hz.
@@ -82,7 +84,7 @@ class QuasiStatic:
         time : float or array (...)
             Since a whisker that came on at a steady rate, and goes on so, met a peg, s.
         damping_ratio : float
-            Of every mode, above 0: without damping the blow of a peg never has a bound.
+            Of every mode, above 0: without damping the moment of impact never has a bound.
 
         Examples
         --------
@@ -94,7 +96,7 @@ class QuasiStatic:
         zeta = number("damping_ratio", damping_ratio, "write 0.1")
         if not 0 < zeta < 1:
             raise ValueError(f"damping_ratio must be between 0 and 1, got {zeta:g}; write 0.1.")
-        rings = np.exp(-zeta * t[..., None] * self.angular_frequency) @ np.abs(self.blow)
+        rings = np.exp(-zeta * t[..., None] * self.angular_frequency) @ np.abs(self.excitation)
         return np.asarray(rings / (t * np.sqrt(1 - zeta**2)))
 
     def settled(self, error: float, damping_ratio: float = 0.1) -> float:
@@ -182,6 +184,6 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
     static = s - c * np.array([bent[s < x] @ (x - s[s < x]) for x in s])
     rayleigh = np.sqrt(c * r / float(mass @ static**2))
     modal = mass * (shapes.T @ basis(s / length, BASIS, 0))
-    blow = omega * (modal @ static) * (modal @ (s - static)) / (c * r)
+    excitation = omega * (modal @ static) * (modal @ (s - static)) / (c * r)
     turn = 2 * np.pi
-    return QuasiStatic(float(omega[0]) / turn, float(rayleigh) / turn, omega, blow)
+    return QuasiStatic(float(omega[0]) / turn, float(rayleigh) / turn, omega, excitation)
