@@ -169,6 +169,56 @@ def test_an_animal_that_moves_has_its_weber_fraction_from_where_it_touched() -> 
     assert covered["nominal"] <= 10
 
 
+def contacts(located: pd.DataFrame, observer: ww.Observer, seed: int) -> pd.DataFrame:
+    """What a sensor read of each touch, twice, at 5 % error, with frames that are of no trial."""
+    rng = np.random.default_rng(seed)
+    rows = located.loc[located.index.repeat(2), ["session", "trial", "interval", "true_mm"]]
+    rows = pd.concat([rows, rows.iloc[:3].assign(trial=np.nan)], ignore_index=True)
+    contact = [1e-3 * rows.pop("true_mm"), rng.uniform(0.1, 0.3, len(rows))]
+    true = observer.signals(np.stack(contact[: len(observer.unknowns)], axis=-1))[0]
+    for name, values in zip(observer.cue.signal_names, true.T, strict=True):
+        rows[name] = values * (1 + 0.05 * rng.standard_normal(len(rows)))
+        rows[f"{name}_sd"] = 0.05 * values
+    return rows
+
+
+def test_an_observer_takes_the_contacts_of_each_trial() -> None:
+    """From signals to k: the animal's, where nominal places give three times as much."""
+    observer, covered, off = ENCODING.observer, 0, []
+    for seed in range(4):
+        nominal = ww.simulate_trials(
+            standards=20e-3, encoding=ENCODING, trials_per_level=10, seed=1 + seed
+        )
+        trials, located = simulate_moving(
+            nominal, ENCODING, weber_fraction=0.1, scatter=3e-3, sd=1e-4, offset=1e-3, seed=2 + seed
+        )
+        felt = contacts(located, observer, 3 + seed)
+        fit = ww.fit_weber(trials, observer=observer, distances=felt, priors=KNOWN)
+        low, high = fit.interval(0.95)
+        covered += low < 0.1 < high
+        standing = ww.fit_weber(trials, observer=observer, priors=KNOWN)
+        assert standing.interval(0.95)[0] > 0.15
+        off.append(np.log(fit.weber_fraction / 0.1))
+    assert covered >= 3
+    assert np.sqrt(np.mean(np.square(off))) < 0.35  # a fit's own sd of ln k is 0.25
+    known = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=observer.whisker.youngs_modulus)
+    touch = [f"{r.trial}-{r.interval}" if r.trial > 0 else None for r in felt.itertuples()]
+    by_hand = ww.locate(felt, known, cue=observer.cue, touch=touch)
+    again = ww.fit_weber(trials, observer=observer, distances=by_hand, priors=KNOWN)
+    assert again.weber_fraction == fit.weber_fraction
+
+
+def test_an_angle_that_the_cue_does_not_know_is_as_located(tmp_path) -> None:
+    observer = ww.Observer(WHISKER, ww.cues.ForceMap())
+    trials, located = session(4)
+    few = replace(trials, frame=trials.frame.iloc[::30])
+    felt = contacts(located[located["trial"].isin(few.frame["trial"])], observer, 5)
+    felt.to_csv(tmp_path / "contacts.csv", index=False)
+    fit = ww.fit_weber(few, observer=observer, distances=tmp_path / "contacts.csv")
+    assert fit.encoding.deflection_angle == pytest.approx(0.2, abs=0.05)
+    assert "located" in fit.report()
+
+
 def test_measurement_error_is_no_noise_of_the_animal() -> None:
     """Places put in without their sds count the error of the video into k."""
     over = []
@@ -288,6 +338,17 @@ def test_thousands_of_trials_are_binned_without_moving_the_likelihood() -> None:
         (lambda d: d.assign(status="no_contact"), "no located touch"),
         (lambda d: d.assign(radial_distance_mm=d["radial_distance_mm"] / 1000), "millimetres"),
         (lambda d: d.assign(radial_distance_mm=60.0), "give no signal"),
+        (
+            lambda d: d.rename(columns=lambda c: f"touch_{c}" if "mm" in c else c).assign(
+                touch_radial_distance_mm=20.0
+            ),
+            "both intervals",
+        ),
+        (
+            lambda d: contacts(d, ENCODING.observer, 1).drop(columns="moment_rate_sd"),
+            "no measurement errors",
+        ),
+        (lambda d: contacts(d, ENCODING.observer, 1).drop(columns="interval"), "no column 'int"),
     ],
 )
 def test_tables_that_do_not_fit_are_refused_in_a_sentence(change, says: str) -> None:

@@ -17,7 +17,6 @@ from .effects import Effect, check_effects
 from .encodings import (
     NOISES,
     Encoding,
-    IdentityEncoding,
     UnitEncodings,
     chosen_encoding,
     encoding_for,
@@ -26,7 +25,7 @@ from .encodings import (
 )
 from .integrate import refined
 from .likelihood import Draws, WeberModel, gather
-from .located import over_places, with_distances
+from .located import at_touches, over_places
 from .posteriors import (
     QuadraturePosterior,
     WeberPosterior,
@@ -89,8 +88,9 @@ def fit_weber(
         By default quadrature up to five parameters (biases of standards count as one, being
         integrated one by one), and emcee beyond.
     distances : DataFrame or path, optional
-        Where the touches of each trial were located (`ww.locate`), in place of nominal distances;
-        see `with_distances`.
+        Where the touches of each trial were located (`ww.locate`), in place of nominal distances,
+        or the contacts to locate by the observer's whisker; see `with_distances`. Of an observer
+        that does not know the deflection angle, it is then the median of those located.
     seed : int, SeedSequence or Generator
         Of the sampler, and of draws from the posterior.
 
@@ -116,8 +116,8 @@ def fit_weber(
     """
     _checks.one_of("noise", noise, NOISES)
     if distances is not None:
-        encoded_as = chosen_encoding(encoding, observer) or IdentityEncoding()
-        trials = with_distances(trials, distances, encoded_as)
+        trials, encoding = at_touches(trials, distances, encoding, observer)
+        observer = None
     model, encoded, chosen = build_model(trials, encoding, observer, bias, noise, priors, effects)
     # One parameter more than five costs a sampler less than a grid.
     by_itself = "quadrature" if sum(model.free) + model.free_bias <= 5 else "emcee"

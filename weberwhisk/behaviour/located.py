@@ -19,9 +19,19 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from .. import _checks
+from ..contacts.columns import read_contacts
+from ..contacts.rows import locate
+from ..observer import Observer
+from ..tables import load_table
 from .cue_encoding import CueEncoding, PooledEncoding
-from .encodings import Encoding, Signals, UnitEncodings, gives_signal
-from .io import load_table
+from .encodings import (
+    Encoding,
+    IdentityEncoding,
+    Signals,
+    UnitEncodings,
+    chosen_encoding,
+    gives_signal,
+)
 from .tasks import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
 
@@ -55,7 +65,9 @@ def with_distances(
         From `locate`, with columns `trial` and `interval` (1 or 2; it may be left out of yes/no and
         go/no-go, where the stimulus is interval 2), and `session` and `subject` as in the trials.
         Of the posterior of a touch where there is one, or any mean and sd: `radial_distance_mm`
-        and `sd_mm`.
+        and `sd_mm`. Or the contacts themselves, as `locate` takes them, with measurement errors:
+        those of an interval are located as one touch, by the observer's whisker, and by its cue
+        where they have that cue's signals.
     encoding : CueEncoding
         Of the observer that is fitted; it says what a unit of the stimulus is.
 
@@ -69,8 +81,9 @@ def with_distances(
     Raises
     ------
     ValueError
-        For tables that cannot be joined, several rows of one interval that are no touch, sds that
-        are not positive, distances of a tenth or a thousand of the nominal ones.
+        For tables that cannot be joined, several rows of one interval that are no touch, a touch
+        that is of both intervals, contacts without measurement errors, sds that are not positive,
+        distances of a tenth or a thousand of the nominal ones.
 
     Notes
     -----
@@ -118,9 +131,12 @@ def with_distances(
         raise ValueError(
             f"{trials.source}: there are two trials {_named(row)}; number them within sessions."
         )
-    table = _table(distances, keys, isinstance(trials.task, YesNo), 1e-3 / encoding.unit)
+    yes_no = isinstance(trials.task, YesNo)
+    looks = encoding.looks if isinstance(encoding, PooledEncoding) else (encoding,)
+    distances = _located(distances, keys, yes_no, looks[0].observer)
+    table = _table(distances, keys, yes_no, 1e-3 / encoding.unit)
     nominal = frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
-    index = pd.MultiIndex.from_frame(frame[keys].astype(str))
+    index = pd.MultiIndex.from_frame(frame[keys].apply(_as_text))
     mean, sd = np.full(nominal.shape, np.nan), np.full(nominal.shape, np.nan)
     place = index.get_indexer(pd.MultiIndex.from_frame(table[keys]))
     joined = place >= 0
@@ -134,7 +150,7 @@ def with_distances(
     _check_unit(mean, nominal)
     scatter = estimate_scatter((mean - nominal).ravel(), sd.ravel())
     seen = np.isfinite(mean)
-    wanted = seen.any(axis=0) | ~np.array([isinstance(trials.task, YesNo), False])
+    wanted = seen.any(axis=0) | ~np.array([yes_no, False])
     prior = np.where(wanted, nominal + scatter.offset, nominal)
     with np.errstate(divide="ignore"):
         weight = np.where(seen, scatter.sd**2 / (scatter.sd**2 + sd**2), 0.0)
@@ -161,6 +177,25 @@ def with_distances(
     columns = {"stimulus_1": at[:, 0], "stimulus_2": at[:, 1]}
     columns |= {name: own[:, i] for i, name in enumerate(SDS)}
     return replace(trials, frame=frame.assign(**columns), notes=(*trials.notes, *notes))
+
+
+def at_touches(
+    trials: Trials, distances: Any, encoding: Encoding | None, observer: Observer | None
+) -> tuple[Trials, Encoding]:
+    """`with_distances` for a fit, and its encoding.
+
+    Of an observer that does not know the deflection angle, the encoding is at the median of the
+    angles located.
+    """
+    if observer is not None and encoding is None and "deflection_angle" in observer.unknowns:
+        check_trials(trials)
+        keys = [c for c in ("subject", "session", "trial") if c in trials.frame]
+        distances = _located(distances, keys, isinstance(trials.task, YesNo), observer)
+        angle = pd.to_numeric(distances.get("angle_deg", pd.Series(dtype=float)), "coerce")
+        if angle.notna().any():
+            encoding, observer = CueEncoding(observer, np.radians(angle.median())), None
+    chosen = chosen_encoding(encoding, observer) or IdentityEncoding()
+    return with_distances(trials, distances, chosen), chosen
 
 
 def over_places(
@@ -285,22 +320,55 @@ def _named(row: Mapping[Any, Any]) -> str:
     return ", ".join(f"{name} = {value!r}" for name, value in row.items())
 
 
-def _table(distances: Any, keys: list[str], yes_no: bool, unit: float) -> pd.DataFrame:
-    """One row an interval of a trial: keys as text, interval, and mean and sd in stimulus units."""
-    if isinstance(distances, str | Path):
-        distances = load_table(distances)[0]
-    _checks.kind("distances", distances, "a DataFrame or a path", "columns", _HINT)
-    header = [str(c) for c in distances.columns]
-    is_touch = _TOUCH[0] in header
-    mean, sd, status = _TOUCH if is_touch else _ROW
-    wanted = [*keys, *(() if yes_no else ("interval",)), mean, sd]
+def _as_text(labels: pd.Series) -> pd.Series:
+    """Labels as text; numbers are floats where a row beside them has none."""
+    return labels.astype(str).str.removesuffix(".0")
+
+
+def _refuse_lacking(header: Any, wanted: list[str]) -> None:
     lacking = [c for c in wanted if c not in header]
     if lacking:
         raise ValueError(
             f"distances has no column {', '.join(map(repr, lacking))}; it needs "
             f"{', '.join(wanted)}."
         )
-    own = pd.DataFrame({key: distances[key].astype(str) for key in keys})
+
+
+def _located(distances: Any, keys: list[str], yes_no: bool, observer: Observer) -> pd.DataFrame:
+    """A table of located touches: the one given, or its contacts located, a touch an interval."""
+    if isinstance(distances, str | Path):
+        distances = load_table(distances)[0]
+    _checks.kind("distances", distances, "a DataFrame or a path", "columns", _HINT)
+    if {_TOUCH[0], _ROW[0], _ROW[1]} & set(distances.columns):
+        return distances
+    raw = distances.copy()
+    for column in raw.columns.difference([*keys, "interval"]):  # text files give text
+        number = pd.to_numeric(raw[column], errors="coerce")
+        raw[column] = raw[column].where(number.isna() & raw[column].notna(), number)
+    quantities = read_contacts(raw, None, None)[2]
+    if not quantities:
+        _refuse_lacking(distances.columns, [*keys, *(() if yes_no else ("interval",)), *_ROW[:2]])
+    touch = [*keys, *(("interval",) if "interval" in raw or not yes_no else ())]
+    _refuse_lacking(raw.columns, touch)
+    if not any(name.endswith("_sd") for name in quantities):
+        raise ValueError(
+            "the contacts have no measurement errors, and what the receptors add is fitted; give "
+            "moment_sd and the like, or distances and their sds."
+        )
+    rows = raw[touch].apply(_as_text).itertuples(index=False)
+    some = raw[touch].notna().all(axis=1)
+    named = [str(tuple(row)) if known else None for row, known in zip(rows, some, strict=True)]
+    cue = observer.cue if {*observer.cue.signal_names} <= {*quantities} else None
+    return locate(raw, observer.whisker, cue=cue, touch=named)
+
+
+def _table(distances: pd.DataFrame, keys: list[str], yes_no: bool, unit: float) -> pd.DataFrame:
+    """One row an interval of a trial: keys as text, interval, and mean and sd in stimulus units."""
+    header = [str(c) for c in distances.columns]
+    is_touch = _TOUCH[0] in header
+    mean, sd, status = _TOUCH if is_touch else _ROW
+    _refuse_lacking(header, [*keys, *(() if yes_no else ("interval",)), mean, sd])
+    own = pd.DataFrame({key: _as_text(distances[key]) for key in keys})
     own["interval"] = pd.to_numeric(
         distances.get("interval", pd.Series(2, distances.index)), "coerce"
     )
@@ -322,6 +390,13 @@ def _table(distances: Any, keys: list[str], yes_no: bool, unit: float) -> pd.Dat
     interval = [*keys, "interval"]
     if is_touch:
         own = own.drop_duplicates()
+        twice = own.duplicated([*keys, "mean", "sd"])
+        if twice.any():
+            row = own.loc[twice, keys].iloc[0].to_dict()
+            raise ValueError(
+                f"one touch is in both intervals of {_named(row)}; number touches by trial and "
+                "interval."
+            )
     elif own.duplicated(interval).any():
         row = own.loc[own.duplicated(interval), interval].iloc[0].to_dict()
         raise ValueError(

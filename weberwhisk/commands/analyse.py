@@ -9,10 +9,10 @@ import numpy as np
 
 import weberwhisk as ww
 
-from ..behaviour.io import load_table
 from ..behaviour.trials import STIMULI
 from ..citing import versions_in_words
 from ..output import Run, atomic_write, to_json
+from ..tables import load_table
 from .options import command, wrote
 
 if TYPE_CHECKING:

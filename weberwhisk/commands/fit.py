@@ -21,9 +21,9 @@ from ..behaviour import (
     with_distances,
 )
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
-from ..behaviour.io import load_table
 from ..behaviour.trials import in_millimetres
 from ..output import Run, atomic_write, to_json
+from ..tables import load_table
 from . import options as opt
 from .distance import distance_encoding
 

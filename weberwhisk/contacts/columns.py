@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..behaviour.io import load_table
+from ..tables import load_table
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..behaviour.io import load_table
+from ..tables import load_table
 
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
