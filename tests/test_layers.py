@@ -45,8 +45,14 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.ladder": ("mechanics.model_choice",),
     "mechanics.branches": ("mechanics.continuation",),
     "mechanics.planar_surface": ("mechanics.branches", "mechanics.profile", "mechanics.surface"),
+    "mechanics.space_surface": ("mechanics.branches", "mechanics.rod"),
     "mechanics.hinge": ("mechanics.chebyshev",),
-    "mechanics.forward": ("mechanics.hinge", "mechanics.ladder", "mechanics.planar_surface"),
+    "mechanics.forward": (
+        "mechanics.hinge",
+        "mechanics.ladder",
+        "mechanics.planar_surface",
+        "mechanics.space_surface",
+    ),
     "mechanics": (
         "mechanics.forward",
         "mechanics.objects",

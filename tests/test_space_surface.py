@@ -1,0 +1,106 @@
+"""The table of six signals in space: beside the rod, a referee, the plane and the straight."""
+
+import numpy as np
+import pytest
+from analysis_scripts import load
+
+import weberwhisk as ww
+from weberwhisk import Outcome
+from weberwhisk.mechanics.planar_surface import PlanarSurface
+from weberwhisk.mechanics.space_surface import pressed, space_surface
+from weberwhisk.mechanics.surface import Surface
+
+pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
+
+BEND = 8.0
+W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=BEND)
+
+
+def relative(found, exact):
+    """Errors over the size of force and of moment."""
+    off = found - exact
+    size = [np.linalg.norm(exact[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
+    return np.abs(off) / np.repeat(np.stack(size, axis=1), 3, axis=1)
+
+
+def test_signals_and_ends_are_those_of_the_rod_itself():
+    surface = space_surface(W)
+    assert surface.error < 2e-5
+    rng = np.random.default_rng(8)
+    r = surface.reach() * rng.uniform(0.02, 0.995, 40)
+    azimuth = rng.uniform(-np.pi, np.pi, 40)
+    last = surface.limit(r, azimuth)
+    push = last * np.append(rng.uniform(0.01, 0.99, 20), [0.999] * 20)
+    found, outcome = surface(r, push, azimuth)
+    exact, held = pressed(W, r, push, azimuth)
+    assert (outcome == Outcome.HELD).all()
+    assert (held == Outcome.HELD).all()
+    assert np.max(relative(found, exact)) < 5e-5
+    # Just beyond, the whisker is lost, by either and for the same reason.
+    found, outcome = surface(r, 1.001 * last, azimuth)
+    assert np.isnan(found).all()
+    assert np.array_equal(outcome, pressed(W, r, 1.001 * last, azimuth)[1])
+    assert {Outcome.FLICKED_PAST, Outcome.SLIPPED_OFF_TIP} == set(outcome.tolist())
+
+
+def test_signals_are_those_of_the_referee_from_the_base_outwards():
+    r, azimuth = np.array([15e-3, 30e-3, 40e-3]), np.array([0.7, 2.0, 3.0])
+    push, one = np.array([0.6, 0.3, 0.2]), np.ones(3)
+    beams = load("reference_beam").Beams(
+        50e-3 * one, 1e-4 * one, 5e-6 * one, 3e9 * one, BEND * one, 0 * one
+    )
+    rods = load("reference_rod").Rods.pushed(beams, r, 0 * r, azimuth)
+    way = rods.walk(push * 1.05)
+    force = rods.polish(push, *rods.at(way["trail"], push)[:2])["force"]
+    moment = np.cross(rods.point(push), force, axis=0)
+    exact = np.concatenate([[-1], [1], [1]]) * force.T
+    found, _ = space_surface(W)(r, push, azimuth)
+    assert np.max(relative(found, np.concatenate([exact, moment.T], axis=1))) < 5e-5
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "sign"), [(np.pi, -1), pytest.param(0.0, 1, marks=pytest.mark.slow)]
+)
+def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign):
+    """Pushed against its curvature it is the whisker of the other sign, upside down."""
+    surface = space_surface(W)
+    plane = PlanarSurface(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND))
+    r = np.linspace(0.05, 0.995, 24) * surface.reach()
+    last = surface.limit(r, np.full(r.shape, azimuth))
+    assert last == pytest.approx(plane.limit(r), rel=1e-5)
+    push = last * np.linspace(0.02, 0.98, 24)
+    found, _ = surface(r, push, np.full(r.shape, azimuth))
+    moment, axial, transverse = plane(r, push)[0].T
+    exact = np.stack([axial, sign * transverse, 0 * r, 0 * r, 0 * r, sign * moment], axis=1)
+    assert np.max(relative(found, exact)) < 5e-5
+
+
+def test_of_a_whisker_that_is_all_but_straight_it_is_the_elastica():
+    w = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=1e-9)
+    surface, straight = space_surface(w), Surface(w)
+    azimuth = np.linspace(-3, 3, 12)
+    r = np.linspace(0.05, 0.99, 12) * 50e-3
+    assert surface.limit(r, azimuth) == pytest.approx(straight.limit(r), rel=1e-6)
+    push = 0.7 * straight.limit(r)
+    moment, axial, transverse = straight(r, push)[0].T
+    y, z = np.cos(azimuth), np.sin(azimuth)
+    exact = [axial, transverse * y, transverse * z, 0 * r, -moment * z, moment * y]
+    assert np.max(relative(surface(r, push, azimuth)[0], np.stack(exact, axis=1))) < 2e-5
+
+
+def test_what_is_no_contact_has_an_outcome_and_no_signals():
+    r = np.array([20e-3, 20e-3, 60e-3, 0.0, np.nan, 20e-3])
+    push = np.array([-0.1, 3.0, 0.1, 0.1, 0.1, 0.1])
+    azimuth = np.array([1.0, 1.0, 1.0, 1.0, 1.0, np.nan])
+    for signals, outcome in (space_surface(W)(r, push, azimuth), pressed(W, r, push, azimuth)):
+        assert np.isnan(signals).all()
+        assert outcome.tolist() == [
+            Outcome.NO_TOUCH, Outcome.FLICKED_PAST, *[Outcome.OUT_OF_REACH] * 4,
+        ]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("radius_ratio", "curvature"), [(20, 25), (5, -25), (40, 25), (100, 8)])
+def test_tables_of_strongly_curved_whiskers_are_the_rod(radius_ratio, curvature):
+    w = ww.Whisker(50e-3, 100e-6, 100e-6 / radius_ratio, 3e9, curvature=curvature)
+    assert space_surface(w).error < 5e-5
