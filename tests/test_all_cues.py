@@ -10,7 +10,7 @@ from weberwhisk.commands import figure
 
 def test_no_cue_is_best_everywhere():
     table = all_cues.best(15)
-    names = list(all_cues.MAPPED)
+    names = [f"{name}_mm" for name in all_cues.MAPPED]
     assert np.all(table[names].min(axis=1) > 0)
     assert table["best"].nunique() == 3
     # Both forces and the moment are never worse than two of the three.
@@ -20,13 +20,13 @@ def test_no_cue_is_best_everywhere():
 
 def test_only_the_cylinder_has_a_ridge():
     table = all_cues.ridge(400)
-    spread = table.groupby("whisker")["radial_distance"].std()
+    spread = table.groupby("whisker")["radial_distance_mm"].std()
     assert spread["cylinder"] > 5 * spread["tapered"]
     ridge = table[table["whisker"] == "cylinder"]
     # M ∝ θ/r along it: one moment, any distance.
-    ratio = ridge["deflection_angle"] / ridge["radial_distance"]
+    ratio = ridge["deflection_angle_deg"] / ridge["radial_distance_mm"]
     assert ratio.std() / ratio.mean() < 0.1
-    assert ridge["radial_distance"].max() > 2 * ridge["radial_distance"].quantile(0.1)
+    assert ridge["radial_distance_mm"].max() > 2 * ridge["radial_distance_mm"].quantile(0.1)
 
 
 def test_charts_name_the_regions_where_methods_fail():
@@ -35,7 +35,7 @@ def test_charts_name_the_regions_where_methods_fail():
     lost = table[~table["outcome"].str.startswith("held")]
     names = {outcome.split(":")[0] for outcome in lost["outcome"]}
     assert {"one-sided", "flicked past"} <= names
-    assert lost[["closed_form", "fisher", "posterior"]].isna().all(axis=None)
+    assert lost[["closed_form_mm", "fisher_mm", "posterior_mm"]].isna().all(axis=None)
     works = figures.cue_jnds(table).axes[:4]
     written = [text.get_text() for ax in works for text in ax.texts]
     assert names | set(table["cue"]) == set(written)
@@ -57,7 +57,7 @@ def test_charts_name_the_regions_where_methods_fail():
 def test_every_way_to_fail_is_an_outcome_on_a_chart():
     """By chance, as a tip that is not touched, or altogether, as modes that damping merges."""
     table = all_cues.outcomes(30, 60, seed=3)
-    total = table.groupby(["cue", "radial_distance"])["share"].sum()
+    total = table.groupby(["cue", "radial_distance_mm"])["share"].sum()
     assert np.allclose(total, 1.0)
     names = {cue: set(rows["outcome"]) for cue, rows in table.groupby("cue")}
     assert {"no touch", "tip not touched"} <= names["whisker length (a)"]

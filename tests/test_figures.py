@@ -37,20 +37,20 @@ def fit() -> ww.WeberFit:
 
 
 def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
-    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).frame
+    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).table
     for options, x_unit, y_unit in (
-        ({}, 1e-3, 1e-3),
-        ({"length": 50e-3, "weber_fraction": 0.1}, 50e-3, 5e-3),
+        ({}, 1.0, 1.0),
+        ({"length": 50e-3, "weber_fraction": 0.1}, 50.0, 5.0),
     ):
         ax = figures.jnd_lines({"one": table, "two": table}, **options)
         line = ax.get_lines()[0]
-        np.testing.assert_allclose(line.get_xdata(), table["radial_distance"] / x_unit)
-        np.testing.assert_allclose(line.get_ydata(), table["closed_form"] / y_unit)
+        np.testing.assert_allclose(line.get_xdata(), table.index / x_unit)
+        np.testing.assert_allclose(line.get_ydata(), table["closed_form_mm"] / y_unit)
         bars = ax.containers[0]
-        np.testing.assert_allclose(bars.lines[0].get_ydata(), table["posterior"] / y_unit)
+        np.testing.assert_allclose(bars.lines[0].get_ydata(), table["posterior_mm"] / y_unit)
         (segments,) = [c.get_segments() for c in bars.lines[2]]
         lengths = [s[1, 1] - s[0, 1] for s in segments]
-        np.testing.assert_allclose(lengths, 2 * 1.96 * table["posterior_error"] / y_unit)
+        np.testing.assert_allclose(lengths, 2 * 1.96 * table["posterior_error_mm"] / y_unit)
         styles = {(line.get_color(), line.get_linestyle()) for line in ax.get_lines()}
         assert len({colour for colour, _ in styles}) == 2
         assert ax.get_xlim()[0] == 0
@@ -58,8 +58,8 @@ def test_jnd_curve_draws_the_table_in_the_unit_asked_for() -> None:
 
 
 def test_jnd_curve_leaves_out_posteriors_that_are_not_there() -> None:
-    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).frame
-    table["posterior"] = np.nan
+    table = ww.jnd_curve(observer(), [10e-3, 30e-3], n_readings=20, seed=1).table
+    table["posterior_mm"] = np.nan
     assert figures.jnd_lines(table).containers == []
 
 
@@ -69,13 +69,13 @@ def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
     theta = limit[:, None] * share
     table = pd.DataFrame(
         {
-            "radial_distance": np.repeat(r, 12),
-            "deflection_angle": theta.ravel(),
-            "jnd": (r[:, None] * (2 - share)).ravel() * 0.1,
+            "radial_distance_mm": 1e3 * np.repeat(r, 12),
+            "deflection_angle_deg": np.degrees(theta.ravel()),
+            "jnd_mm": (1e3 * r[:, None] * (2 - share)).ravel() * 0.1,
         }
     )
     points = pd.DataFrame(
-        {"radial_distance": [25e-3], "deflection_angle": [0.1], "posterior": 5e-3}
+        {"radial_distance_mm": [25.0], "deflection_angle_deg": [5.0], "posterior_mm": 5.0}
     )
     shuffled = table.sample(frac=1.0, random_state=1)
     ax = figures.jnd_surface(shuffled, length=50e-3, weber_fraction=0.1, points=points)
@@ -387,9 +387,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
 def paper_3() -> Figure:
     step = slice(None, None, 10)
     line, angle = paper.dashed_line()
-    surface = paper.surface(
-        MuscleCurve.NORMALISED, paper.DISTANCES[step], paper.IMPACTS[step]
-    )
+    surface = paper.surface(MuscleCurve.NORMALISED, paper.DISTANCES[step], paper.IMPACTS[step])
     return figures.paper_3(
         paper.moments(), paper.muscle(), paper.balance_angles(), surface,
         (line[step], angle[step]),

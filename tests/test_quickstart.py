@@ -78,12 +78,12 @@ def test_the_surface_falls_with_distance_and_deflection(numbers: dict) -> None:
 def test_the_surface_is_the_small_angle_form_at_small_angles() -> None:
     whisker = ww.Whisker.from_identity("C2")
     table = surveys.surface(0.1, 1e-10, 20, whisker=whisker)
-    first = table.groupby("radial_distance").first()
-    r, apex = first.index.to_numpy(), whisker.apex_distance
+    first = table.groupby("radial_distance_mm").first()
+    r, apex = 1e-3 * first.index.to_numpy(), whisker.apex_distance
     form = 0.1 * (apex - r) * (3 * apex - 2 * r) / (2 * apex - r)
     # Angles start at 0.3 % of the limit: what is left goes as their square.
-    np.testing.assert_allclose(first["jnd"], form, rtol=2e-3)
-    limit = table.groupby("radial_distance")["deflection_angle"].last()
+    np.testing.assert_allclose(1e-3 * first["jnd_mm"], form, rtol=2e-3)
+    limit = np.radians(table.groupby("radial_distance_mm")["deflection_angle_deg"].last())
     expected = ww.flick_past(whisker, r).deflection_angle
     np.testing.assert_allclose(limit, expected, rtol=1e-4)
 

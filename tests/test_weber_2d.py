@@ -63,25 +63,25 @@ def test_both_limits_improve_with_the_deflection_as_the_paper_found():
 def test_false_zeros_of_either_limit_are_where_the_other_slope_vanishes(name, other, contact):
     """Axial: within the paper's contact angles of 90°. Moment: beyond, and only up to 0.5 L."""
     table = weber_2d.surface(*weber_2d.FAMILY[name], 300)
-    places = table["radial_distance"].unique()
+    places = table["radial_distance_mm"].unique()
     for place, alpha in zip((0.3, 0.5, 0.7, 0.9), contact, strict=True):
-        near = places[np.argmin(np.abs(places - place * W.length))]
-        rows = table[table["radial_distance"] == near]
-        sign = np.sign(rows["signed_jnd"].to_numpy())
+        near = places[np.argmin(np.abs(places - 1e3 * place * W.length))]
+        rows = table[table["radial_distance_mm"] == near]
+        sign = np.sign(rows["signed_jnd_mm"].to_numpy())
         at = np.flatnonzero(np.diff(sign) != 0)
         if alpha is None:
             assert not at.size
             continue
         assert at.size == 1
-        before, after = (rows["deflection_angle"].iloc[at[0] + i] for i in (0, 1))
+        before, after = (np.radians(rows["deflection_angle_deg"].iloc[at[0] + i]) for i in (0, 1))
         angles = np.linspace(before, after, 9)
         angles = np.concatenate([angles - (after - before), angles, angles + (after - before)])
-        top = np.argmax(getattr(ww.press(W, near, angles), other))
+        top = np.argmax(getattr(ww.press(W, 1e-3 * near, angles), other))
         assert before <= angles[top] <= after  # there the other signal peaks
-        assert np.degrees(rows["contact_angle"].iloc[at[0]]) == pytest.approx(
+        assert rows["contact_angle_deg"].iloc[at[0]] == pytest.approx(
             alpha, abs=2 if alpha < 90 else 4
         )
-    assert np.all(table["jnd"] == np.abs(table["signed_jnd"]))
+    assert np.all(table["jnd_mm"] == np.abs(table["signed_jnd_mm"]))
 
 
 def test_figure_4b_marks_the_contact_angle_of_90_degrees_and_the_false_zero():
@@ -90,7 +90,7 @@ def test_figure_4b_marks_the_contact_angle_of_90_degrees_and_the_false_zero():
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["contact angle of 90°", "false zero of the linear JND"]
     both = weber_2d.surface(*weber_2d.FAMILY["both alike"], 20)
-    assert "signed_jnd" not in both
+    assert "signed_jnd_mm" not in both
 
 
 def test_the_linear_jnd_has_a_false_zero_and_the_posterior_none():
@@ -98,11 +98,11 @@ def test_the_linear_jnd_has_a_false_zero_and_the_posterior_none():
     peak = float(ww.flick_past(W, weber_2d.PLACE * W.length).at_moment_peak.deflection_angle)
     table = weber_2d.false_zero(24, np.degrees([peak]))
     before = weber_2d.false_zero(24, np.degrees([0.5 * peak]))
-    assert table["linear_jnd"][0] < 1e-3 * before["linear_jnd"][0]
-    assert before["posterior"][0] == pytest.approx(before["linear_jnd"][0], rel=0.15)
+    assert table["linear_jnd_mm"][0] < 1e-3 * before["linear_jnd_mm"][0]
+    assert before["posterior_mm"][0] == pytest.approx(before["linear_jnd_mm"][0], rel=0.15)
     # The posterior's sd is what the linear JND is a third of the way before the peak.
-    assert table["posterior"][0] > 0.1 * before["posterior"][0]
-    assert table["posterior"][0] > 5 * table["fisher"][0]
+    assert table["posterior_mm"][0] > 0.1 * before["posterior_mm"][0]
+    assert table["posterior_mm"][0] > 5 * table["fisher_mm"][0]
 
 
 def test_at_the_false_zero_the_posterior_is_of_second_order():
@@ -120,11 +120,11 @@ def test_at_the_false_zero_the_posterior_is_of_second_order():
 def test_a_common_gain_cancels():
     """M ∝ θ and Fx ∝ θ²: noise of k_F = 2k_M, ρ = 1 is a change of θ_d alone, at small angle."""
     table = weber_2d.gain()
-    assert np.allclose(table["linear_0"], table["closed_form"], rtol=1e-4)
-    assert np.all(np.diff(table["linear_0"]) < 0)
+    assert np.allclose(table["linear_0_mm"], table["closed_form_mm"], rtol=1e-4)
+    assert np.all(np.diff(table["linear_0_mm"]) < 0)
     last = table.iloc[-1]
     free = table[table["rho"] == 0].iloc[0]
-    assert last["closed_form"] == pytest.approx(free["closed_form"] * np.sqrt(1e-6), rel=1e-3)
+    assert last["closed_form_mm"] == pytest.approx(free["closed_form_mm"] * np.sqrt(1e-6), rel=1e-3)
     # At ten degrees a gain of 1 : 2 is no longer quite a change of angle: it hardly cancels less.
-    assert last["linear_10"] < 0.05 * free["linear_10"]
-    assert last["linear_10"] > 2 * last["linear_0"]
+    assert last["linear_10_mm"] < 0.05 * free["linear_10_mm"]
+    assert last["linear_10_mm"] > 2 * last["linear_0_mm"]

@@ -6,6 +6,7 @@ import functools
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from operator import attrgetter
 from typing import Any, TypeVar, cast
 
 Called = TypeVar("Called", bound=Callable[..., Any])
@@ -63,11 +64,14 @@ def renamed_arguments(**renamed: str) -> Callable[[Called], Called]:
 
 
 def renamed_attribute(owner: str, old: str, new: str) -> Any:
-    """An old attribute or method of a class: ``old = renamed_attribute("Class", "old", "new")``."""
+    """An old attribute or method of a class: ``old = renamed_attribute("Class", "old", "new")``.
+
+    The new one may be an attribute's: ``"space.spread"``.
+    """
 
     def read(self: Any) -> Any:
         _warn(f"{owner}.{old}", f"{owner}.{new}")
-        return getattr(self, new)
+        return attrgetter(new)(self)
 
     return property(read)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, overload
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Columns of `JNDCurve.frame` that are lengths or angles.
+#: Columns of a `JNDCurve` that are lengths or angles.
 _LENGTHS = ("radial_distance", "side", "closed_form", "propagation", "fisher", "posterior",
             "posterior_error", "estimator", "estimator_error")  # fmt: skip
 _ANGLES = ("deflection_angle", "bearing")
@@ -35,27 +36,39 @@ class JNDCurve(Shown):
     Attributes
     ----------
     observer : Observer
-    frame : DataFrame
-        In SI units: columns ``radial_distance``, ``deflection_angle`` (where the cue needs it),
-        ``criterion``, and in metres ``closed_form`` (small angle), ``propagation`` (by the
-        observer's own model), ``fisher``, ``posterior`` (mean sd of the posteriors) with its Monte
-        Carlo error ``posterior_error``, ``estimator`` (sd of the posterior means: how much one
-        observer's estimate scatters) with ``estimator_error`` (NaN where all readings are the
-        same event); ``unreliable`` (share of posteriors whose status is not `CONVERGED`),
-        ``linear`` (of the first two routes; see `is_linear`) and ``outcome`` (in words). A contact
-        that is not held has NaN. ``curve["posterior"]`` is short for ``curve.frame["posterior"]``.
     table : DataFrame
-        The same in mm and degrees, with units in its columns' names and the contact as its index.
+        Indexed by the contact, ``radial_distance_mm`` and, where the cue needs it,
+        ``deflection_angle_deg``: ``criterion``, ``closed_form_mm`` (small angle),
+        ``propagation_mm`` (by the observer's own model), ``fisher_mm``, ``posterior_mm`` (mean sd
+        of the posteriors) with its Monte Carlo error ``posterior_error_mm``, ``estimator_mm`` (sd
+        of the posterior means: how much one observer's estimate scatters) with
+        ``estimator_error_mm`` (NaN where all readings are the same event); ``unreliable`` (share of
+        posteriors whose status is not `CONVERGED`), ``linear`` (of the first two routes; see
+        `is_linear`) and ``outcome`` (in words). A contact that is not held has NaN.
+
+    Notes
+    -----
+    ``curve["posterior"]`` is one column in SI units, by its name without a unit: of those above or
+    of the contact's unknowns.
     """
 
     _figure: ClassVar[str] = "jnd_lines"
     observer: Observer
-    frame: pd.DataFrame = field()
+    _rows: pd.DataFrame  # in SI units, by the names of the unknowns
+
+    @classmethod
+    def joined(cls, curves: Sequence[JNDCurve]) -> JNDCurve:
+        """The contacts of several curves of one observer."""
+        import pandas as pd
+
+        rows = pd.concat([curve._rows for curve in curves], ignore_index=True)
+        return cls(curves[0].observer, rows)
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """What `frame` holds, in mm and degrees by name, with the contact as index."""
-        found = in_mm_and_degrees(self.frame)
+        """JNDs in mm, with the contact as index."""
+        named = ([n for n in names if n in self._rows] for names in (_LENGTHS, _ANGLES))
+        found = with_units(self._rows, *named)
         index = ["radial_distance_mm", "deflection_angle_deg"]
         return found.set_index([name for name in index if name in found])
 
@@ -64,13 +77,13 @@ class JNDCurve(Shown):
     @overload
     def __getitem__(self, columns: list[str]) -> pd.DataFrame: ...
     def __getitem__(self, columns: str | list[str]) -> pd.Series[float] | pd.DataFrame:
-        return self.frame[columns]
+        return self._rows[columns]
 
     def __len__(self) -> int:
-        return len(self.frame)
+        return len(self._rows)
 
     def _line(self) -> str:
-        held = self.frame[self.frame["posterior"].notna()]
+        held = self._rows[self._rows["posterior"].notna()]
         if held.empty:
             return f"{len(self)} contacts, none of them held"
         mm = 1e3 * held[["radial_distance", "posterior"]]
@@ -80,49 +93,40 @@ class JNDCurve(Shown):
         )
         bad = int((held["unreliable"] > 0).sum())
         return (
-            f"JND {ends}, {self.frame['criterion'].iloc[0]}, by posteriors; {len(held)} of "
+            f"JND {ends}, {self['criterion'].iloc[0]}, by posteriors; {len(held)} of "
             f"{len(self)} contacts held" + (f", {bad} with posteriors to check" if bad else "")
         )
 
     def lines(self) -> dict[str, pd.DataFrame]:
-        """What a chart of it shows: its rows, and the lines in between; a table an angle."""
+        """What a chart of it shows: `table`, and the lines in between; a table an angle."""
         import pandas as pd
 
-        criterion = self.frame["criterion"].iloc[0]
+        criterion, contacts = str(self["criterion"].iloc[0]), self.table.reset_index()
         factor = criterion_factor(criterion)
         r = np.linspace(0.005, 0.999, 200) * self.observer.whisker.length
         angles: list[float | None] = [None]
-        if "deflection_angle" in self.frame:
-            angles = list(dict.fromkeys(self.frame["deflection_angle"]))
-            if len(angles) > len(self.frame) / 2 > 1:  # contacts of all kinds make no lines
-                return {"": self.frame}
+        if "deflection_angle" in self._rows:
+            angles = list(dict.fromkeys(self["deflection_angle"]))
+            if len(angles) > len(self) / 2 > 1:  # contacts of all kinds make no lines
+                return {"": contacts}
         parts = {}
         for at in angles:
             columns = [r] if at is None else [r, np.full_like(r, at)]
             contact = self.observer.at_middle(np.stack(columns, axis=-1))
+            routes = {
+                "closed_form": weber_propagation(self.observer, contact, model="closed_form"),
+                "propagation": weber_propagation(self.observer, contact),
+            }
             line = pd.DataFrame(
-                {
-                    "radial_distance": r,
-                    "criterion": criterion,
-                    "closed_form": factor
-                    * weber_propagation(self.observer, contact, model="closed_form"),
-                    "propagation": factor * weber_propagation(self.observer, contact),
-                    "posterior": np.nan,
-                    "posterior_error": np.nan,
-                }
+                {"radial_distance_mm": 1e3 * r, "criterion": criterion}
+                | {f"{name}_mm": 1e3 * factor * jnd for name, jnd in routes.items()}
+                | {"posterior_mm": np.nan, "posterior_error_mm": np.nan}
             )
-            rows = self.frame
-            if at is not None:
-                rows = rows[rows["deflection_angle"] == at]
+            mine = slice(None) if at is None else (self["deflection_angle"] == at).to_numpy()
+            both = pd.concat([line, contacts.loc[mine, list(line.columns)]])
             label = "" if at is None else f"{np.degrees(at):.4g}°"
-            both = [line, rows[list(line.columns)]]
-            parts[label] = pd.concat(both).dropna(subset=["propagation", "posterior"], how="all")
+            parts[label] = both.dropna(subset=["propagation_mm", "posterior_mm"], how="all")
         return parts
-
-
-def in_mm_and_degrees(frame: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a curve with units in its columns' names."""
-    return with_units(frame, *([n for n in names if n in frame] for names in (_LENGTHS, _ANGLES)))
 
 
 @renamed_arguments(draws="n_readings")
@@ -158,7 +162,7 @@ def jnd_curve(
     Returns
     -------
     JNDCurve
-        Its ``table`` is in mm, its ``frame`` in SI units; ``plot()`` draws it.
+        Its ``table`` is in mm; ``plot()`` draws it.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from ._checks import finite, positive
 from ._deprecated import renamed_arguments
 from .cues import Compliance, ForceMap
 from .jnd import SD, criterion_factor
-from .jnd_curves import in_mm_and_degrees, jnd_curve
+from .jnd_curves import jnd_curve
 from .observer import Observer
 from .receptors import Weber
 from .whisker import Whisker
@@ -97,7 +97,7 @@ def jnd_sweep(
         for fraction in k.tolist()
         for angle in angles
     ]
-    table = campaign.run(
+    return campaign.run(
         jnd_rows,
         chunks,
         seed=seed,
@@ -107,7 +107,6 @@ def jnd_sweep(
         title="JNDs",
         progress=progress,
     )
-    return in_mm_and_degrees(table)
 
 
 def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
@@ -119,6 +118,7 @@ def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
         Weber(chunk["weber_fraction"]),
     )
     how = {name: chunk[name] for name in ("method", "criterion", "n_readings")}
-    table = jnd_curve(observer, chunk["radial_distance"], angle, seed=seed, **how).frame
+    curve = jnd_curve(observer, chunk["radial_distance"], angle, seed=seed, **how)
+    table = curve.table.reset_index()
     table.insert(0, "weber_fraction", chunk["weber_fraction"])
     return table

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import model_bias
 from ._checks import finite, numbers, one_of, positive_number, shown
+from ._deprecated import renamed_attribute
 from .coordinates import ContactCoordinates, family, priors_of, to_normal
 from .cues.protocol import Cue, straight
 from .mechanics.contact import Outcome
@@ -230,6 +231,8 @@ class Observer:
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
         return self.space.unconstrain(contact)
+
+    spread = renamed_attribute("Observer", "spread", "space.spread")
 
     def angle_range(self, r: Array) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ._display import with_units
 from .array import published
 from .cues import (
     AngleSideAngle,
@@ -117,7 +118,7 @@ def curves(
     identity: str | None = None,
     seed: int = SEED,
 ) -> pd.DataFrame:
-    """The JND of every cue by every route, m, a row for each cue and distance.
+    """The JND of every cue by every route, a row for each cue and distance.
 
     Up to the tip for all of them: where a method does not work there its ``outcome`` says why.
     With `identity` the neighbours of `neighbours` are the real ones.
@@ -128,11 +129,11 @@ def curves(
     for name, cue in (CUES | {ARRAY: neighbours(whisker, identity)}).items():
         r = np.linspace(0.03, 0.97, points) * whisker.length
         angle = ANGLE if "deflection_angle" in cue.unknowns else None
-        table = jnd_curve(Observer(whisker, cue), r, angle, n_readings=draws, seed=seed).frame
+        curve = jnd_curve(Observer(whisker, cue), r, angle, n_readings=draws, seed=seed)
+        table = curve.table.reset_index()
         table.insert(0, "cue", name)
-        tables.append(table)
-    joined = pd.concat(tables, ignore_index=True)
-    return joined.assign(place=joined["radial_distance"] / whisker.length)
+        tables.append(table.assign(place=r / whisker.length))
+    return pd.concat(tables, ignore_index=True)
 
 
 #: What may fail otherwise than at an edge of the reach: by chance, or altogether.
@@ -181,16 +182,16 @@ def outcomes(
             of_readings[held] = observer.reading_outcome(readings).reshape(-1, draws)
         for outcome in np.unique(of_readings):
             share = (of_readings == outcome).mean(axis=1)
-            table = pd.DataFrame({"cue": name, "radial_distance": r, "share": share})
+            table = pd.DataFrame({"cue": name, "radial_distance_mm": 1e3 * r, "share": share})
             label = Outcome(int(outcome)).message.split(":")[0]
             tables.append(table.assign(outcome=label, place=r / whisker.length))
     return pd.concat(tables, ignore_index=True)
 
 
 def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
-    """Fisher JND (m) of the mapped cues at contacts up to the last that is held.
+    """Fisher JND of the mapped cues at contacts up to the last that is held.
 
-    The name of the least is ``best``; ``limit`` is the largest deflection (rad) at that distance,
+    The name of the least is ``best``; ``limit_deg`` is the largest deflection at that distance,
     ``beyond`` what becomes of a contact beyond it, and ``share`` the deflection over the limit.
     """
     import pandas as pd
@@ -210,7 +211,7 @@ def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
         observer = Observer(whisker, CUES[name])
         table[name] = fisher_jnd(observer, contact[:, : len(observer.unknowns)])
     table["best"] = table[list(MAPPED)].idxmin(axis=1)
-    return table
+    return with_units(table, ["radial_distance", *MAPPED], ["deflection_angle", "limit"])
 
 
 def bits(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
@@ -240,7 +241,8 @@ def ridge(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.Dat
         table = pd.DataFrame(drawn, columns=["radial_distance", "deflection_angle"])
         status = Status(int(found.status)).name.lower()
         tables.append(table.assign(whisker=name, status=status))
-    return pd.concat(tables, ignore_index=True)
+    joined = pd.concat(tables, ignore_index=True)
+    return with_units(joined, ["radial_distance"], ["deflection_angle"])
 
 
 # -- Weber's law in two dimensions -----------------------------------------------------------------
@@ -279,9 +281,9 @@ def surface(
     Returns
     -------
     DataFrame
-        ``radial_distance`` (m), ``deflection_angle`` (rad), ``jnd`` (m), ``contact_angle`` (rad)
-        and, where one signal alone is noisy, ``signed_jnd`` (m). To first order an error of that
-        signal moves r by the slope of the *other* in θ_d over the Jacobian; where that slope passes
+        ``radial_distance_mm``, ``deflection_angle_deg``, ``jnd_mm``, ``contact_angle_deg`` and,
+        where one signal alone is noisy, ``signed_jnd_mm``. To first order an error of that signal
+        moves r by the slope of the *other* in θ_d over the Jacobian; where that slope passes
         through zero the signed JND does, a false zero that no posterior has.
     """
     import pandas as pd
@@ -300,13 +302,15 @@ def surface(
     if min(k_moment, k_force) < 1e-6 * max(k_moment, k_force):
         slopes = elastica.signal_jacobian(whisker, contact[..., 0], contact[..., 1])[..., 1]
         columns["signed_jnd"] = columns["jnd"] * np.sign(slopes[..., int(k_moment > k_force)])
-    return pd.DataFrame({name: np.ravel(column) for name, column in columns.items()})
+    table = pd.DataFrame({name: np.ravel(column) for name, column in columns.items()})
+    angles = ["deflection_angle", "contact_angle"]
+    return with_units(table, [name for name in columns if name not in angles], angles)
 
 
 def false_zero(
     draws: int, degrees: Array | None = None, *, whisker: Whisker = WHISKER, seed: int = SEED
 ) -> pd.DataFrame:
-    """Linear, Fisher and posterior JNDs (m) with noise in the axial force and next to none else.
+    """Linear, Fisher and posterior JNDs with noise in the axial force and next to none else.
 
     A noise of 0.003 in the moment, which still has posteriors.
     """
@@ -314,25 +318,18 @@ def false_zero(
     share = np.array([0.08, 0.2, 0.33, 0.45, 0.57, 0.7, 0.77, 0.81, 0.85, 0.875, 0.915, 0.955])
     theta = np.radians(limit * share if degrees is None else degrees)
     place = PLACE * whisker.length
-    table = jnd_curve(
-        observer(0.003, K, whisker=whisker), place, theta, n_readings=draws, seed=seed
-    ).frame
-    contact = table[["radial_distance", "deflection_angle"]].to_numpy()
+    noisy = observer(0.003, K, whisker=whisker)
+    curve = jnd_curve(noisy, place, theta, n_readings=draws, seed=seed)
+    contact = np.stack([np.full(theta.size, place), theta], axis=-1)
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
-    table.insert(4, "linear_jnd", linear)
-    kept = [
-        "deflection_angle",
-        "linear_jnd",
-        "fisher",
-        "posterior",
-        "posterior_error",
-        "unreliable",
-    ]
-    return table[kept]
+    kept = ["fisher_mm", "posterior_mm", "posterior_error_mm", "unreliable"]
+    table = curve.table.reset_index("deflection_angle_deg").reset_index(drop=True)
+    table.insert(1, "linear_jnd_mm", 1e3 * linear)
+    return table[["deflection_angle_deg", "linear_jnd_mm", *kept]]
 
 
 def linear_between(*, whisker: Whisker = WHISKER) -> pd.DataFrame:
-    """The linear JND (m) of `false_zero` at deflections in between, up to flick-past."""
+    """The linear JND of `false_zero` at deflections in between, up to flick-past."""
     import pandas as pd
 
     place = PLACE * whisker.length
@@ -340,11 +337,11 @@ def linear_between(*, whisker: Whisker = WHISKER) -> pd.DataFrame:
     theta = np.linspace(0.04, 0.99, 400) * limit
     contact = np.stack([np.full(theta.size, place), theta], axis=-1)
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
-    return pd.DataFrame({"deflection_angle": theta, "linear_jnd": linear})
+    return pd.DataFrame({"deflection_angle_deg": np.degrees(theta), "linear_jnd_mm": 1e3 * linear})
 
 
 def gain() -> pd.DataFrame:
-    """JNDs (m) as the noise of k_F = 2k_M becomes one gain: at small angle and at 10 degrees."""
+    """JNDs as the noise of k_F = 2k_M becomes one gain: at small angle and at 10 degrees."""
     import pandas as pd
 
     r = 0.5 * WHISKER.length
@@ -355,4 +352,4 @@ def gain() -> pd.DataFrame:
         rows.append((rho, float(closed_form(np.array(r), K, 2 * K, rho)),
                      *weber_propagation(o, contact), *fisher_jnd(o, contact)))  # fmt: skip
     columns = ["rho", "closed_form", "linear_0", "linear_10", "fisher_0", "fisher_10"]
-    return pd.DataFrame(rows, columns=columns)
+    return with_units(pd.DataFrame(rows, columns=columns), columns[1:])

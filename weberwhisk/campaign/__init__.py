@@ -115,7 +115,7 @@ def run(
     ...        "radial_distance": [5e-3], "deflection_angle": None,
     ...        "method": "quadrature", "criterion": "d'=1", "n_readings": 4}
     >>> table = run(jnd_rows, [tap | {"weber_fraction": k} for k in (0.05, 0.1)], seed=1)
-    >>> (table["closed_form"] * 1e3).round(3).tolist()
+    >>> table["closed_form_mm"].round(3).tolist()
     [0.226, 0.453]
     """
     name = _check_work(work)

@@ -122,21 +122,7 @@ def figure_4b(asked: Asked) -> Made:
     """the paper's figure 4b: JND by the force map, with noise in the moment alone"""
     table = surveys.surface(surveys.K, surveys.NONE, whisker=asked.whisker)
     drawn = ww.figures.jnd_surface(table, length=asked.whisker.length, weber_fraction=surveys.K)
-    return _made("figure-4b", surface_in_degrees(table), drawn)
-
-
-def surface_in_degrees(table: pd.DataFrame) -> pd.DataFrame:
-    """`surveys.surface` in the units of the command line."""
-    import pandas as pd
-
-    return pd.DataFrame(
-        {
-            "radial_distance_mm": table["radial_distance"] * 1e3,
-            "deflection_angle_deg": np.degrees(table["deflection_angle"]),
-            "contact_angle_deg": np.degrees(table["contact_angle"]),
-            "jnd_mm": table["jnd"] * 1e3,
-        }
-    )
+    return _made("figure-4b", table, drawn)
 
 
 def along_push(asked: Asked) -> Made:

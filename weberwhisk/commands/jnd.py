@@ -88,8 +88,6 @@ def curve_in_steps(
     step: int = 4,
 ) -> ww.JNDCurve:
     """`jnd_curve` of so many distances at a time, with a progress bar; angles are combined."""
-    import pandas as pd
-
     pairs: list[tuple[float | None, Array]] = [
         (angle, distances[i : i + step])
         for angle in (angles.tolist() or [None])
@@ -102,6 +100,6 @@ def curve_in_steps(
             curve = ww.jnd_curve(
                 observer, r, angle, method=method, criterion=criterion, n_readings=draws, seed=own
             )
-            parts.append(curve.frame)
+            parts.append(curve)
             advance()
-    return ww.JNDCurve(observer, pd.concat(parts, ignore_index=True))
+    return ww.JNDCurve.joined(parts)

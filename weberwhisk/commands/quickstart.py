@@ -15,7 +15,7 @@ from .._terminal import progress
 from ..behaviour import load_rat_auditory
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
-from .figure import light_taps, surface_in_degrees, tapered_and_not
+from .figure import light_taps, tapered_and_not
 from .options import command, describe, draw, enough_draws, whisker_line, wrote
 
 
@@ -98,10 +98,8 @@ def jnd_surface(
     run: Run, whisker: ww.Whisker, k: float, draws: int, seed: int, as_json: bool
 ) -> dict[str, Any]:
     """Figure 4b: moment-dominated JND of the force map, with posteriors at a few contacts."""
-    import pandas as pd
-
     table = surveys.surface(k, k * 1e-9, whisker=whisker)
-    run.table("jnd_surface", surface_in_degrees(table))
+    run.table("jnd_surface", table)
     # A twentieth or a hundredth of the noise makes so thin a ridge that at 0.3 L and 10 degrees
     # most quadratures were flagged; with a tenth up to four in ten at the worst of these contacts.
     observer = moment_dominated(whisker, k, 0.1)
@@ -115,10 +113,10 @@ def jnd_surface(
     with progress("Posteriors, force map", r.size, as_json=as_json) as advance:
         for distance, angle, child in zip(r, theta, own, strict=True):
             curve = ww.jnd_curve(observer, distance, angle, n_readings=draws, seed=child)
-            parts.append(curve.frame)
+            parts.append(curve)
             advance()
-    points = pd.concat(parts, ignore_index=True)
-    run.table("jnd_surface_posteriors", ww.JNDCurve(observer, points).table.reset_index())
+    points = ww.JNDCurve.joined(parts).table.reset_index()
+    run.table("jnd_surface_posteriors", points)
     shown = ww.figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
     draw(run, "jnd_surface", shown)
     scale = whisker.length * k
@@ -136,11 +134,11 @@ def jnd_surface(
         "at_0.7_length": {f"{a:g}": at(0.7, a) for a in (1.0, 10.0, 20.0)},
         "posteriors": [
             {
-                "r_over_length": row["radial_distance"] / whisker.length,
-                "degrees": float(np.degrees(row["deflection_angle"])),
-                "surface": row["propagation"] / scale,
-                "posterior": row["posterior"] / scale,
-                "posterior_95_percent": 1.96 * row["posterior_error"] / scale,
+                "r_over_length": row["radial_distance_mm"] / (1e3 * whisker.length),
+                "degrees": row["deflection_angle_deg"],
+                "surface": row["propagation_mm"] / (1e3 * scale),
+                "posterior": row["posterior_mm"] / (1e3 * scale),
+                "posterior_95_percent": 1.96 * row["posterior_error_mm"] / (1e3 * scale),
                 "unreliable": row["unreliable"],
             }
             for row in points.to_dict("records")

@@ -87,8 +87,8 @@ def touches(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
             linestyle="none", marker=MARKERS[i], markersize=4, label=f"posterior, {name}",
         )  # fmt: skip
         ax.plot(n, rows["fisher_mm"], LINES[0], color=colour, label=f"information, {name}")
-        last = rows.iloc[-1]
-        root = last["fisher_mm"] * (last["count"] / n) ** 0.5
+        first = rows.sort_values("count").iloc[0]  # at one touch, if it is there
+        root = first["fisher_mm"] * (first["count"] / n) ** 0.5
         ax.plot(n, root, LINES[1], color=colour, linewidth=0.8, label=f"1/√n, {name}")
     ax.fill_between(
         [1, 17], 0.8, 1.25, color="0.85", linewidth=0, label="mice: about 1 mm, 1 to 17 touches"

@@ -211,7 +211,8 @@ def jnd_lines(
     Parameters
     ----------
     tables : JNDCurve or DataFrame, or mapping of label to such
-        From `jnd_curve`. Of a table, rows whose ``posterior`` is NaN extend the line alone.
+        From `jnd_curve`, or its ``table``. Of a table, rows whose ``posterior_mm`` is NaN extend
+        the line alone.
     ax : Axes, optional
     length : float, optional
         Length of the whisker, m. With it both axes are fractions of it and the JND is divided by
@@ -237,23 +238,23 @@ def jnd_lines(
     for label, one in given.items():
         parts = one.lines() if isinstance(one, JNDCurve) else {"": one}
         named |= {", ".join(filter(None, (label, angle))): t for angle, t in parts.items()}
-    x_unit = 1e-3 if length is None else length
-    y_unit = 1e-3 if length is None else length * weber_fraction
+    x_unit = 1.0 if length is None else 1e3 * length
+    y_unit = 1.0 if length is None else 1e3 * length * weber_fraction
     for i, (label, table) in enumerate(named.items()):
-        rows = table.sort_values("radial_distance")
+        rows = table.reset_index().sort_values("radial_distance_mm")
         prefix = f"{drawable(label)}: " if label else ""
         # The closed form holds for small angles; where it is not what the observer has, both show.
-        x = rows["radial_distance"].to_numpy(float) / x_unit
-        exact = rows["propagation"].to_numpy(float) / y_unit
-        closed = rows["closed_form"].to_numpy(float) / y_unit
+        x = rows["radial_distance_mm"].to_numpy(float) / x_unit
+        exact = rows["propagation_mm"].to_numpy(float) / y_unit
+        closed = rows["closed_form_mm"].to_numpy(float) / y_unit
         ax.plot(x, closed, **look(i), label=f"{prefix}closed form")
         if not np.allclose(exact, closed, rtol=1e-3, equal_nan=True):
             ax.plot(x, exact, **look(i) | {"linestyle": ":"}, label=f"{prefix}exact slope")
-        points = np.isfinite(rows["posterior"].to_numpy(float))
+        points = np.isfinite(rows["posterior_mm"].to_numpy(float))
         if points.any():
             found, error = (
                 rows[name].to_numpy(float)[points] / y_unit
-                for name in ("posterior", "posterior_error")
+                for name in ("posterior_mm", "posterior_error_mm")
             )
             ends = found, found - 1.96 * error, found + 1.96 * error
             bars(ax, x[points], ends, i, markersize=2.5, label=f"{prefix}posterior, 95 %")
@@ -293,40 +294,39 @@ def jnd_surface(
     Parameters
     ----------
     table : DataFrame
-        Columns ``radial_distance`` (m), ``deflection_angle`` (rad) and ``jnd`` (m): for every
-        distance equally many angles, the last of them where the whisker flicks past. If there are
-        ``contact_angle`` (rad) and ``signed_jnd``, which changes sign at a false zero, the contact
+        Columns ``radial_distance_mm``, ``deflection_angle_deg`` and ``jnd_mm``: for every distance
+        equally many angles, the last of them where the whisker flicks past. If there are
+        ``contact_angle_deg`` and ``signed_jnd_mm``, which changes sign at a false zero, the contact
         angle of 90° and the false zero are drawn. From `surveys.surface`, say.
     ax : Axes, optional
     length, weber_fraction : float
-        The JND is shown as a fraction of their product, the distance as one of the length.
+        m. The JND is shown as a fraction of their product, the distance as one of the length.
     points : DataFrame, optional
-        Rows of `jnd_curve` whose posterior is written beside their place.
+        Rows of a `JNDCurve`'s table, whose posterior is written beside their place.
 
     Returns
     -------
     Axes
     """
     ax = axes_or_new(ax, SINGLE + 0.6, 3.0)
-    rows = table.sort_values(["radial_distance", "deflection_angle"])
-    count = rows["radial_distance"].nunique()
-    r, theta, jnd = (
-        rows[name].to_numpy(float).reshape(count, -1)
-        for name in ("radial_distance", "deflection_angle", "jnd")
-    )
-    x, y, z = r / length, np.degrees(theta), jnd / (length * weber_fraction)
+    names = ["radial_distance_mm", "deflection_angle_deg", "jnd_mm"]
+    rows = table.sort_values(names[:2])
+    count = rows["radial_distance_mm"].nunique()
+    r, y, jnd = (rows[name].to_numpy(float).reshape(count, -1) for name in names)
+    length_mm = 1e3 * length
+    x, z = r / length_mm, jnd / (length_mm * weber_fraction)
     top = np.ceil(np.nanmax(z[:, 0]) * 5) / 5
     filled = ax.contourf(x, y, z, np.linspace(0, top, 65), cmap="cividis", extend="neither")
     filled.set_rasterized(True)
     lines = ax.contour(x, y, z, np.arange(0.2, top, 0.2), colors="white", linewidths=0.8)
     # Where each line is crossed half-way up: the labels stand clear of the edge.
     ax.clabel(lines, fmt="%.1f", fontsize=7)
-    for name, unit, level, style, colour, label in (
-        ("contact_angle", np.pi / 180, 90.0, "--", "white", "contact angle of 90°"),
-        ("signed_jnd", 1.0, 0.0, "-", COLOURS[1], "false zero of the linear JND"),
+    for name, level, style, colour, label in (
+        ("contact_angle_deg", 90.0, "--", "white", "contact angle of 90°"),
+        ("signed_jnd_mm", 0.0, "-", COLOURS[1], "false zero of the linear JND"),
     ):
         if name in rows:
-            w = rows[name].to_numpy(float).reshape(count, -1) / unit
+            w = rows[name].to_numpy(float).reshape(count, -1)
             if np.nanmin(w) < level < np.nanmax(w):  # a cylinder may reach neither
                 ax.contour(x, y, w, [level], colors=colour, linestyles=style, linewidths=1.2)
                 shown = "0.6" if colour == "white" else colour
@@ -337,11 +337,11 @@ def jnd_surface(
     bar = figure_of(ax).colorbar(filled, ax=ax, ticks=np.arange(0, top + 0.01, 0.2))
     bar.set_label("JND/(kL), d'=1")
     if points is not None:
-        for row in points.to_dict("records"):
-            at = row["radial_distance"] / length, np.degrees(row["deflection_angle"])
+        for row in points.reset_index().to_dict("records"):
+            at = row["radial_distance_mm"] / length_mm, row["deflection_angle_deg"]
             ax.plot(*at, "o", color="white", markeredgecolor="black")
             ax.annotate(
-                f"{row['posterior'] / (length * weber_fraction):.2f}",
+                f"{row['posterior_mm'] / (length_mm * weber_fraction):.2f}",
                 at,
                 xytext=(4, 4),
                 textcoords="offset points",

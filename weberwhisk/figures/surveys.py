@@ -82,13 +82,13 @@ def _cue_lines(top: Axes, below: Axes, rows: pd.DataFrame, i: int) -> dict[str, 
     """One cue's JNDs, and its posteriors over its closed form; returns its look."""
     look: dict[str, Any] = {"color": COLOURS[i], "marker": MARKERS[i], "markersize": 3}
     # One event has no limit of small noise, and its information at a point says little.
-    events = rows["closed_form"].isna().all()
-    expected = rows["posterior" if events else "fisher"]
-    top.plot(rows["place"], expected * 1e3, LINES[i], color=COLOURS[i])
+    events = rows["closed_form_mm"].isna().all()
+    expected = rows["posterior_mm" if events else "fisher_mm"]
+    top.plot(rows["place"], expected, LINES[i], color=COLOURS[i])
     every = _every(rows)
-    top.plot(rows["place"], rows["posterior"] * 1e3, linestyle="none", markevery=every, **look)
-    ratio = rows["posterior"] / rows["closed_form"]
-    error = 1.96 * rows["posterior_error"] / rows["closed_form"]
+    top.plot(rows["place"], rows["posterior_mm"], linestyle="none", markevery=every, **look)
+    ratio = rows["posterior_mm"] / rows["closed_form_mm"]
+    error = 1.96 * rows["posterior_error_mm"] / rows["closed_form_mm"]
     kept = np.arange(len(rows)) % every == 0
     off = np.abs(ratio - 1) > error
     for shown, face in ((off & kept, "none"), (~off & kept, COLOURS[i])):
@@ -192,7 +192,7 @@ def best_cue(table: pd.DataFrame, names: Sequence[str]) -> Figure:
     shown = [name for name in names if (table["best"] == name).any()]
     which = table.pivot(index="place", columns="share", values="best").map(shown.index)
     ends = table.drop_duplicates("place").sort_values("place")
-    place, limit = ends["place"].to_numpy(), np.degrees(ends["limit"].to_numpy())
+    place, limit = ends["place"].to_numpy(), ends["limit_deg"].to_numpy()
     # The table's contacts are the middles of cells in r and in the share of the largest angle.
     r, share = _edges(place), _edges(which.columns.to_numpy())
     colours = [COLOURS[list(names).index(name)] for name in shown]
@@ -246,7 +246,7 @@ def ridge(table: pd.DataFrame, contact: tuple[float, float]) -> Figure:
     above = figure.add_subplot(grid[0, 0], sharex=ax)
     beside = figure.add_subplot(grid[1, 1], sharey=ax)
     for i, (name, rows) in enumerate(table.groupby("whisker", sort=False)):
-        x, y = rows["radial_distance"] * 1e3, np.degrees(rows["deflection_angle"])
+        x, y = rows["radial_distance_mm"], rows["deflection_angle_deg"]
         label = f"{name}: {rows['status'].iloc[0]}"
         ax.plot(x, y, ".", markersize=1.5, alpha=0.5, color=COLOURS[i], label=label)
         look: dict[str, Any] = {
@@ -327,13 +327,13 @@ def weber_2d(
             ) if not figure.legends else None  # fmt: skip
             legend.remove()
         ax.set_title(title)
-    scale = weber_fraction * length
-    angle = np.degrees(linear["deflection_angle"])
-    last.semilogy(angle, linear["linear_jnd"] / scale, color=COLOURS[0], label="linear")
+    scale = 1e3 * weber_fraction * length
+    angle = linear["deflection_angle_deg"]
+    last.semilogy(angle, linear["linear_jnd_mm"] / scale, color=COLOURS[0], label="linear")
     last.errorbar(
-        np.degrees(false_zero["deflection_angle"]),
-        false_zero["posterior"] / scale,
-        1.96 * false_zero["posterior_error"] / scale,
+        false_zero["deflection_angle_deg"],
+        false_zero["posterior_mm"] / scale,
+        1.96 * false_zero["posterior_error_mm"] / scale,
         fmt="o", color=COLOURS[1], label="posterior, 95 %",
     )  # fmt: skip
     last.set(
