@@ -71,8 +71,9 @@ class TiledObserver:
         self, observer: Observer, tiles: Tiles, longest: float, *, everywhere: bool = False
     ) -> None:
         self.observer, self.tiles, self.everywhere = observer, tiles, everywhere
-        #: What is so far below the best, in ln, is nothing: of tiles for some thousandths less far.
-        self.negligible = NEGLIGIBLE if longest < 5 else 13.0
+        #: What is so far below the best, in ln, is nothing: 13 at 5.5 sd, which leaves 1e-4 of an
+        #: sd at most, 15 at 4.4, which leaves 1e-5.
+        self.negligible = min(23.0 - longest / 0.55, NEGLIGIBLE)
         nodes = tiles.nodes
         self.count, self.dim = len(nodes.low), tiles.boxes.low.shape[1]
         self.log_weight = nodes.log_weight
