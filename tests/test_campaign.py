@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -19,8 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from weberwhisk import campaign
-from weberwhisk.campaign import CampaignError, batch_size, executor, read, run
+from weberwhisk.campaign import CampaignError, batch_size, read, run
 from weberwhisk.campaign.executor import Job
 from weberwhisk.campaign.log import Log, decode, encode
 
@@ -123,9 +121,7 @@ def test_goes_on_where_it_was(tmp_path: Path) -> None:
     full = out.read_bytes()
     for lines, more in ((11, b""), (11, b'{"chunk": 10, "ro'), (1, b"\0\0\n"), (0, b'{"weberw')):
         cut(out, lines, more)
-        same(
-            run(campaign_work.draw, chunks, seed=7, out=out, workers=2 if lines == 1 else 1), whole
-        )
+        same(run(campaign_work.draw, chunks, seed=7, out=out), whole)
         assert sorted(out.read_bytes().splitlines()[1:]) == sorted(full.splitlines()[1:])
     # Once, and once more each time that it was missing.
     assert done(tmp_path / "log") == {i: 3 if i < 10 else 5 for i in range(23)}
@@ -341,69 +337,3 @@ def test_short_chunks_are_handed_out_in_runs() -> None:
     assert batch_size(10_000, 2, 0.25, 3.0) == 1
     assert batch_size(100, 2, 0.75, 0.005) == 25  # near the end, so that all end together
     assert batch_size(8, 2, 0.75, 0.005) == 20  # a tenth of a second is not worth sharing
-
-
-# -- a cluster -----------------------------------------------------------------------------------
-
-
-def test_a_cluster_gives_the_same_bits(cluster: str) -> None:
-    alone = run(campaign_work.draw, CHUNKS, seed=7)
-    same(run(campaign_work.draw, CHUNKS, seed=7, scheduler=cluster), alone)
-
-
-def test_a_worker_of_the_cluster_is_killed_mid_run(cluster: str, tmp_path: Path) -> None:
-    chunks = [c | {"folder": str(tmp_path)} for c in logged(tmp_path, 16, seconds=0.05)]
-    out = tmp_path / "s"
-    table = run(campaign_work.kill_once, chunks, seed=7, scheduler=cluster, out=out)
-    assert (tmp_path / "killed").exists()
-    same(table, run(campaign_work.draw, [{"i": i} for i in range(16)], seed=7))
-    assert len(out.read_bytes().splitlines()) == 17
-
-
-def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> None:
-    chunks = logged(tmp_path, 9, mended=str(tmp_path / "mended"))
-    with pytest.raises(CampaignError, match=r"chunk 4 .* failed: ZeroDivisionError: by nothing"):
-        run(campaign_work.stumble, chunks, seed=7, scheduler=cluster)
-    with pytest.raises(CampaignError, match=r"chunk 5 .* has killed its worker"):
-        run(campaign_work.kill_always, logged(tmp_path, 6), seed=7, scheduler=cluster)
-
-
-def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(campaign, "Cluster", lambda address: executor.Cluster(address, connect=0.3))
-    with pytest.raises(
-        ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"
-    ):
-        run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(ValueError, match="no scheduler could be reached at 'nonsense'"):
-        run(campaign_work.draw, CHUNKS, seed=7, scheduler="nonsense")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r"pip install 'weberwhisk\[cluster\]'"):
-        run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
-
-
-def test_a_scheduler_that_is_lost_is_one_sentence(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Its client showed two tracebacks of its own before."""
-    pytest.importorskip("distributed")
-    file = tmp_path / "scheduler.json"
-    where = ["--port", "0", "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
-    scheduler = subprocess.Popen(
-        [sys.executable, "-m", "dask", "scheduler", *where],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent), *sys.path])},
-    )  # fmt: skip
-    try:
-        while not file.exists():
-            assert scheduler.poll() is None
-            time.sleep(0.05)
-        address = json.loads(file.read_text())["address"]
-        threading.Timer(0.5, scheduler.kill).start()
-        with pytest.raises(CampaignError, match="lost: the scheduler does not answer") as error:
-            run(campaign_work.draw, CHUNKS, seed=7, scheduler=address)
-    finally:
-        scheduler.kill()
-        scheduler.wait()
-    assert error.value.__suppress_context__
-    assert capfd.readouterr().err == ""

@@ -35,9 +35,15 @@ def test_it_keeps_the_protocol(cue):
     assert np.array_equal(np.isfinite(signals).all(axis=1), outcome == Outcome.HELD)
 
 
-@pytest.mark.parametrize("whisker", [W, W.cylinder(), ww.Whisker(50e-3, 1e-4, 0.0)])
-@pytest.mark.parametrize("impact", [35, 60, 120, 145])
-@pytest.mark.parametrize("curve", MuscleCurve)
+@pytest.mark.parametrize(
+    ("curve", "impact", "whisker"),
+    [
+        pytest.param(curve, impact, whisker, marks=[pytest.mark.slow] * ((i + j + k) % 3 > 0))
+        for i, curve in enumerate(MuscleCurve)
+        for j, impact in enumerate([35, 60, 120, 145])
+        for k, whisker in enumerate([W, W.cylinder(), ww.Whisker(50e-3, 1e-4, 0.0)])
+    ],
+)
 def test_angle_and_outcome_are_those_of_the_step_by_step_search(whisker, impact, curve):
     """`moment_balance` looks for the first crossing in 200 steps, on the elastica itself."""
     cue = BalanceOfMoments(np.radians(impact), curve=curve, effort=0.5)

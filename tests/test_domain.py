@@ -65,13 +65,18 @@ def test_receptors_of_per_cent_are_flagged():
 
 
 @pytest.mark.parametrize(
-    "cue",
+    ("cue", "count"),
     slow_but(
-        [cues.Compliance(), cues.ForceMap(), cues.Fused(cues.ForceMap(), cues.Compliance())],
+        [
+            (cues.Compliance(), 20),
+            (cues.ForceMap(), 4),
+            (cues.ForceMap(), 20),
+            (cues.Fused(cues.ForceMap(), cues.Compliance()), 20),
+        ],
         quick=(0, 1),
     ),
 )
-def test_readings_far_from_every_contact_are_flagged(cue):
+def test_readings_far_from_every_contact_are_flagged(cue, count):
     """More than 8 sd from all of 20 000 contacts of the prior, in some signal: never converged."""
     size = len(cue.signal_names)
     noise = receptors.Weber(0.03)
@@ -82,8 +87,8 @@ def test_readings_far_from_every_contact_are_flagged(cue):
     reading[10:] = signals[:10] * rng.uniform(-1.0, 0.0, (10, size))  # and of a wrong sign
     sd = noise.sd(signals)
     off = np.array([np.abs((y - signals) / sd).max(axis=1).min() for y in reading])
-    far = reading[off > 8]
-    assert len(far) >= 8
+    assert (off > 8).sum() >= 8
+    far = reading[off > 8][:: 20 // count]
     status = posterior(observer, far).status
     relied_on = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED))
     assert not relied_on.any(), far[relied_on]

@@ -529,7 +529,7 @@ def test_sessions_without_a_subject_are_one_animals() -> None:
     assert fit.sessions["session"].tolist() == [1, 2]
 
 
-def test_reading_off_a_fit() -> None:
+def test_reading_off_a_fit_and_its_draws_for_arviz() -> None:
     trials, _ = animals(4)
     fit = fit_population(trials, sessions=False, priors=KNOWN)
     summary = fit.summary(0.9)

@@ -1,23 +1,143 @@
-"""Every sweep of the package, on a cluster: the same bits as in this process."""
+"""A cluster: every sweep of the package has the same bits as in this process, and ends as well."""
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
+import campaign_work
 import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import load
+from test_campaign import CHUNKS, logged, same
 
 import weberwhisk as ww
 from weberwhisk import campaign
 from weberwhisk._terminal import run_app
+from weberwhisk.campaign import CampaignError, executor, run
 from weberwhisk.cli import app
 from weberwhisk.design import Scheme, smallest, taper
+
+HERE = Path(__file__).parent
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 PAIR = taper(WHISKER)
 SCHEME = Scheme.spaced(PAIR[0].encoding, [15e-3, 45e-3], trials=4)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler, and two worker processes that are replaced when they die."""
+    pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("cluster")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(
+            [str(HERE), *(str(HERE.parent / f) for f in ("", "analyses")), *sys.path]
+        ),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+        # It stands idle until the last test has run, at a third of what watching itself costs.
+        "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
+        "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+    }
+    file = folder / "scheduler.json"
+    where = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
+    commands = [
+        ["scheduler", "--port", "0", *where],
+        ["worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
+         "--scheduler-file", str(file), "--local-directory", str(folder)],
+    ]  # fmt: skip
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", "dask", *c], env=environment, cwd=folder,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )
+        for c in commands
+    ]  # fmt: skip
+    try:
+        while not file.exists():
+            assert processes[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait()
+
+
+# -- chunks that end, fail and kill
+
+
+def test_a_cluster_gives_the_same_bits(cluster: str) -> None:
+    alone = run(campaign_work.draw, CHUNKS, seed=7)
+    same(run(campaign_work.draw, CHUNKS, seed=7, scheduler=cluster), alone)
+
+
+def test_a_worker_of_the_cluster_is_killed_mid_run(cluster: str, tmp_path: Path) -> None:
+    chunks = [c | {"folder": str(tmp_path)} for c in logged(tmp_path, 16, seconds=0.05)]
+    out = tmp_path / "s"
+    table = run(campaign_work.kill_once, chunks, seed=7, scheduler=cluster, out=out)
+    assert (tmp_path / "killed").exists()
+    same(table, run(campaign_work.draw, [{"i": i} for i in range(16)], seed=7))
+    assert len(out.read_bytes().splitlines()) == 17
+
+
+def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> None:
+    chunks = logged(tmp_path, 9, mended=str(tmp_path / "mended"))
+    with pytest.raises(CampaignError, match=r"chunk 4 .* failed: ZeroDivisionError: by nothing"):
+        run(campaign_work.stumble, chunks, seed=7, scheduler=cluster)
+    with pytest.raises(CampaignError, match=r"chunk 5 .* has killed its worker"):
+        run(campaign_work.kill_always, logged(tmp_path, 6), seed=7, scheduler=cluster)
+
+
+def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(campaign, "Cluster", lambda address: executor.Cluster(address, connect=0.3))
+    with pytest.raises(
+        ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"
+    ):
+        run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(ValueError, match="no scheduler could be reached at 'nonsense'"):
+        run(campaign_work.draw, CHUNKS, seed=7, scheduler="nonsense")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"pip install 'weberwhisk\[cluster\]'"):
+        run(campaign_work.draw, CHUNKS, seed=7, scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_scheduler_that_is_lost_is_one_sentence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its client showed two tracebacks of its own before."""
+    pytest.importorskip("distributed")
+    file = tmp_path / "scheduler.json"
+    where = ["--port", "0", "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "dask", "scheduler", *where],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent), *sys.path])},
+    )  # fmt: skip
+    try:
+        while not file.exists():
+            assert scheduler.poll() is None
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        threading.Timer(0.5, scheduler.kill).start()
+        with pytest.raises(CampaignError, match="lost: the scheduler does not answer") as error:
+            run(campaign_work.draw, CHUNKS, seed=7, scheduler=address)
+    finally:
+        scheduler.kill()
+        scheduler.wait()
+    assert error.value.__suppress_context__
+    assert capfd.readouterr().err == ""
+
+
+# -- every sweep of the package
 
 
 def test_power_and_recovery(cluster: str) -> None:
