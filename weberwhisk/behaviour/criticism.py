@@ -7,6 +7,7 @@ model does not make such data; any other says that nothing is wrong *there*.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
 from .. import _checks
-from .likelihood import Draws, WeberModel
-from .posteriors import lead_values
-from .trials import SDS, STIMULI
+from .likelihood import Draws, WeberModel, gather
+from .trials import STIMULI
 
 if TYPE_CHECKING:
     from .result import WeberFit
@@ -204,28 +204,11 @@ class _Rows:
     @classmethod
     def of(cls, fit: WeberFit) -> _Rows:
         check_fit(fit)
-        frame = fit.trials.frame
-        kept = (frame["count"].notna() & (frame["n"] > 0)).to_numpy()
-        model, cells = fit.model, fit.model.cells
-        by_row = [frame[name].to_numpy(float) for name in STIMULI]
-        by_cell = [getattr(cells, name) for name in STIMULI]
-        for name, own in zip(SDS, (cells.sd_1, cells.sd_2), strict=True):
-            if own is not None:
-                by_row.append(frame[name].to_numpy(float))
-                by_cell.append(own)
-        for effect, column in zip(model.effects, model.columns, strict=True):
-            own = effect.column(fit.trials, fit.encoding)
-            by_row.append(np.zeros(len(frame)) if own is None else own)
-            by_cell.append(column)
-        keys = np.column_stack([np.concatenate(pair) for pair in zip(by_cell, by_row, strict=True)])
-        _, place = np.unique(keys, axis=0, return_inverse=True)
-        place = place.reshape(-1)
-        cell_at = np.zeros(place.max(initial=0) + 1, dtype=np.intp)
-        cell_at[place[: cells.n.size]] = np.arange(cells.n.size)
-        cell = cell_at[place[cells.n.size :]][kept]
-        kept_frame = frame.loc[kept].reset_index(drop=True)
-        n, count = (kept_frame[name].to_numpy(float) for name in ("n", "count"))
-        return cls(kept_frame, n, count, cell)
+        trials = fit.trials
+        _, _, cell = gather(trials, fit.model.effects, fit.encoding)
+        frame = trials.frame.loc[trials.answered].reset_index(drop=True)
+        n, count = (frame[name].to_numpy(float) for name in ("n", "count"))
+        return cls(frame, n, count, cell)
 
     def gathered(self) -> tuple[pd.DataFrame, NDArray[np.intp]]:
         """Rows of one pair of stimuli in one session together, and the cell of each."""
@@ -234,30 +217,45 @@ class _Rows:
         sums = table.groupby([*labels, "cell"], sort=True)[["n", "count"]].sum().reset_index()
         return sums.drop(columns="cell"), sums["cell"].to_numpy(np.intp)
 
-    def statistics(self) -> dict[str, tuple[Any, str]]:
+    def statistics(self) -> dict[str, tuple[Callable[[Array, Array], Array], str]]:
         """Statistics of residuals (D, R) and their variances, each with a remedy."""
         pairs = _codes(self.cell)
-        out: dict[str, tuple[Any, str]] = {
-            "levels": (_squares(pairs), "another noise, encoding, or bias per standard")
-        }
-        sessions = None
-        if "session" in self.frame:
-            sessions = _codes(self.frame["session"].to_numpy())
+        sessions = _codes(self.frame["session"].to_numpy()) if "session" in self.frame else None
         both = pairs if sessions is None else _codes(pairs * (sessions.max() + 1) + sessions)
-        out["overdispersion"] = (
-            _correlation_within(both, self.n), "the effect Overdispersion, or fewer sessions"
-        )  # fmt: skip
+        # Moment estimate of ρ: the variance of a count is n P (1 − P) (1 + (n − 1) ρ).
+        more = max(float((np.bincount(both, self.n) - 1).sum()), 1.0)
+        out: dict[str, tuple[Callable[[Array, Array], Array], str]] = {
+            "levels": (
+                lambda off, spread: _squares(off, spread, pairs).mean(axis=1),
+                "another noise, encoding, or bias per standard",
+            ),
+            "overdispersion": (
+                lambda off, spread: (_squares(off, spread, both) - 1).sum(axis=1) / more,
+                "the effect Overdispersion, or fewer sessions",
+            ),
+        }
         if sessions is not None and sessions.max() > 0:
-            out["sessions"] = (_squares(sessions), "the effect Drift or Step, or fewer sessions")
+            out["sessions"] = (
+                lambda off, spread: _squares(off, spread, sessions).mean(axis=1),
+                "the effect Drift or Step, or fewer sessions",
+            )
         if (self.n == 1).all() and self.n.size > 2:
             course = np.linspace(-1, 1, self.n.size)
-            out["trend"] = (_correlation_with(course), "a bias that drifts: fewer sessions")
-            first = np.zeros(self.n.size, dtype=bool)
-            first[0] = True
-            if sessions is not None:
-                first[1:] = np.diff(sessions) != 0
-            out["repetition"] = (_correlation_with_previous(first), "the effect History")
+            course /= (course @ course) ** 0.5 * np.sqrt(course.size)
+            follows = np.ones(self.n.size - 1, bool) if sessions is None else np.diff(sessions) == 0
+            out["trend"] = (
+                lambda off, spread: (off / np.sqrt(spread)) @ course,
+                "a bias that drifts: fewer sessions",
+            )
+            out["repetition"] = (
+                lambda off, spread: _product_with_previous(off / np.sqrt(spread), follows),
+                "the effect History",
+            )
         return out
+
+
+def _product_with_previous(z: Array, follows: NDArray[np.bool_]) -> Array:
+    return np.asarray((z[:, 1:] * z[:, :-1])[:, follows].mean(axis=1))
 
 
 def _codes(labels: NDArray[Any]) -> NDArray[np.intp]:
@@ -272,40 +270,9 @@ def _summed(values: Array, group: NDArray[np.intp]) -> Array:
     return np.asarray(sums.reshape(shape), dtype=float)
 
 
-def _squares(group: NDArray[np.intp]) -> Any:
-    def statistic(off: Array, spread: Array) -> Array:
-        return np.asarray((_summed(off, group) ** 2 / _summed(spread, group)).mean(axis=1))
-
-    return statistic
-
-
-def _correlation_within(group: NDArray[np.intp], n: Array) -> Any:
-    """Moment estimate of ρ: the variance of a count is n P (1 − P) (1 + (n − 1) ρ)."""
-    size = np.bincount(group, n)
-    pairs = max(float((size - 1).sum()), 1.0)
-
-    def statistic(off: Array, spread: Array) -> Array:
-        square = _summed(off, group) ** 2 / _summed(spread, group)
-        return np.asarray((square - 1).sum(axis=1) / pairs)
-
-    return statistic
-
-
-def _correlation_with(course: Array) -> Any:
-    def statistic(off: Array, spread: Array) -> Array:
-        return np.asarray((off / np.sqrt(spread)) @ course / (course @ course) ** 0.5) / np.sqrt(
-            course.size
-        )
-
-    return statistic
-
-
-def _correlation_with_previous(first: NDArray[np.bool_]) -> Any:
-    def statistic(off: Array, spread: Array) -> Array:
-        z = off / np.sqrt(spread)
-        return np.asarray((z[:, 1:] * z[:, :-1])[:, ~first[1:]].mean(axis=1))
-
-    return statistic
+def _squares(off: Array, spread: Array, group: NDArray[np.intp]) -> Array:
+    """Squared residuals of groups, in their variances, (D, G)."""
+    return np.asarray(_summed(off, group) ** 2 / _summed(spread, group))
 
 
 def _compared(n: Array, count: Array, mean: Array, spread: Array) -> dict[str, Array]:
@@ -335,15 +302,14 @@ def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws
         if free[-2:].all():
             rho = model.priors.lapse_correlation
             z[:, -1] = rho * z[:, -2] + np.sqrt(1 - rho**2) * z[:, -1]
-        k, effects, low, high = lead_values(model, z)
+        *_, low, high = model.at_scores(z)
         kept.append(z[sum(model.lapses(low, high)) < 1])
-    k, effects, low, high = lead_values(model, np.concatenate(kept)[:size])
     if model.free_bias:
         uniform = rng.random((size, model.n_groups))
         bias = np.asarray(model.priors.of("bias").ppf(uniform))
     else:
         bias = np.full((size, model.n_groups), model.fixed_bias())
-    return Draws(k, low, high, bias, effects)
+    return model.draws_at(np.concatenate(kept)[:size], bias)
 
 
 def predicted(model: WeberModel, draws: Draws, rng: np.random.Generator) -> pd.DataFrame:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
+from numpy.typing import NDArray
 
 from .. import _checks
 from .._deprecated import renamed_arguments
@@ -24,17 +22,17 @@ from .encodings import (
     unit_encodings,
 )
 from .integrate import refined
-from .likelihood import Draws, WeberModel, gather
+from .likelihood import WeberModel, gather
 from .located import at_touches, over_places
 from .posteriors import (
     QuadraturePosterior,
+    SampledPosterior,
     WeberPosterior,
     find_mode,
-    lead_values,
-    map_point,
-    score_precision,
+    log_posterior,
+    split,
 )
-from .priors import REACH, priors_for
+from .priors import priors_for
 from .result import WeberFit
 from .trials import Cells, Trials, check_trials
 from .verdict import verdict
@@ -164,7 +162,7 @@ def build_model(
         raise ValueError(
             f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
         )
-    cells, columns = gather(trials, tuple(effects), encoded)
+    cells, columns, _ = gather(trials, tuple(effects), encoded)
     both = pairs_shown(cells, encoded, noise)
     if cells.sd_1 is not None:
         both = over_places(task, encoded, cells, both, noise)
@@ -206,53 +204,6 @@ def pairs_shown(cells: Cells, encoding: Encoding, noise: str) -> UnitEncodings:
     return unit_encodings(encoding, *stimuli, noise)
 
 
-@dataclass(frozen=True)
-class SampledPosterior:
-    """Draws by emcee: `chains` independent ensembles one after another."""
-
-    model: WeberModel
-    sample: Draws
-    chains: int
-    error: float
-    trouble: str
-    log_evidence: float | None = None
-
-    def mean(self, name: str) -> float:
-        return float(self._column(name).mean())
-
-    def sd(self, name: str) -> float:
-        return float(self._column(name).std())
-
-    def quantile(self, name: str, probability: ArrayLike) -> Array:
-        at = np.asarray(probability, dtype=float)
-        return np.asarray(np.quantile(self._column(name), at), dtype=float)
-
-    def score_curve(self) -> tuple[Array, Array]:
-        """ln of the posterior density of k's score: its own given the rest, averaged over draws.
-
-        Counts of draws would say nothing of ends where there is one in a thousand of them.
-        """
-        axis = np.linspace(-REACH, REACH, 73)
-        few = self.sample.thinned(400)
-        low, high, bias, effects = (
-            np.repeat(values[:, None], axis.size, axis=1) for values in few.values[1:]
-        )
-        k = np.broadcast_to(self.model.value("weber_fraction", axis), low.shape)
-        log = self.model.log_likelihood(k, low, high, bias, effects) - 0.5 * axis**2
-        log -= logsumexp(log, axis=1, keepdims=True)
-        return axis, logsumexp(log, axis=0)
-
-    def mode(self) -> dict[str, float]:
-        return map_point(self.model, np.zeros(len(self.model.lead)))
-
-    def draws(self) -> Draws:
-        return self.sample
-
-    def _column(self, name: str) -> Array:
-        named = self.sample.named(self.model)
-        return named[name] if name in named else np.full(2, self.model.fixed_value(name))
-
-
 def sample(
     model: WeberModel,
     *,
@@ -281,48 +232,31 @@ def sample(
 
     rng = np.random.default_rng(seed)
     free = np.flatnonzero(model.free)
-    n_bias = model.n_groups if model.free_bias else 0
-    dim = free.size + n_bias
+    dim = free.size + (model.n_groups if model.free_bias else 0)
     if dim == 0:
         raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
-    of_scores = score_precision(model)
     transforms = [model.transforms[i] for i in free]
     ends = np.array([s.ends for s in transforms]).reshape(-1, 2).T
 
-    def scores_of(theta: Array) -> Array:
-        columns = [s.score(theta[..., i]) for i, s in enumerate(transforms)]
-        return np.stack(columns, axis=-1) if columns else theta[..., :0]
-
-    def unpack(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
-        z = np.zeros((*theta.shape[:-1], len(model.lead)))
-        z[..., free] = scores_of(theta)
-        k, effects, low, high = lead_values(model, z)
-        if n_bias:
-            bias = theta[..., free.size :]
-        else:
-            bias = np.full((*k.shape, model.n_groups), model.fixed_bias())
-        return k, low, high, bias, effects
+    def with_scores(theta: Array) -> Array:
+        """Scores in place of the coordinates."""
+        out = theta.copy()
+        for i, transform in enumerate(transforms):
+            out[..., i] = transform.score(theta[..., i])
+        return out
 
     def log_density(theta: Array) -> Array:
-        k, low, high, bias, effects = unpack(theta)
-        t, scores = theta[..., : free.size], scores_of(theta)
+        t = theta[..., : free.size]
         inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
-        possible = (sum(model.lapses(low, high)) < 1) & inside
-        out = model.log_likelihood(k, low, high, bias, effects)
-        out = out - 0.5 * np.einsum("...i,ij,...j->...", scores, of_scores, scores)
+        out = log_posterior(model, with_scores(theta))
         for i, transform in enumerate(transforms):
             out = out + np.log(transform.slope(t[..., i]))
-        if n_bias:
-            out = out + model.log_bias_prior(bias).sum(axis=-1)
-        return np.where(possible, out, -np.inf)
+        return np.where(inside, out, -np.inf)
 
-    start_bias = np.full(model.n_groups, model.priors.moments("bias")[0] if n_bias else 0.0)
-    mode, information = find_mode(model, np.zeros(len(model.lead)), start_bias)
-    scores, bias = mode
+    centre, information = find_mode(model, np.zeros(len(model.lead)))
     root = np.linalg.cholesky(np.linalg.inv(information))
     walkers = max(64, 4 * dim)
-    at = [s.coordinate(z) for s, z in zip(transforms, scores[free], strict=True)]
-    centre = np.r_[at, bias if n_bias else ()]
+    centre[: free.size] = [s.coordinate(z) for s, z in zip(transforms, centre, strict=False)]
     # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
     for _ in range(60):
         if np.isfinite(log_density(centre)):
@@ -342,4 +276,5 @@ def sample(
     flat = run.values[0].reshape(-1, dim)
     error = float(np.max(run.mcse_mean[0, :dim] / run.sd[0, :dim]))
     trouble = "" if run.converged[0] else f"emcee: {Shortfall(int(run.shortfall[0])).message}"
-    return SampledPosterior(model, Draws(*unpack(flat)), ensembles, error, trouble)
+    draws = model.draws_at(*split(model, with_scores(flat)))
+    return SampledPosterior(model, draws, ensembles, error, trouble)

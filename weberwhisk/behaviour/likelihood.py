@@ -129,6 +129,18 @@ class WeberModel:
             return np.zeros(np.shape(scores))
         return self.priors.value(name, scores)
 
+    def at_scores(self, scores: Array) -> tuple[Array, Array, Array, Array]:
+        """k, effects, and both lapses at scores (..., lead)."""
+        values = [self.value(name, scores[..., i]) for i, name in enumerate(self.lead)]
+        none = np.zeros((*values[0].shape, 0))
+        effects = np.stack(values[1:-2], axis=-1) if self.effects else none
+        return values[0], effects, values[-2], values[-1]
+
+    def draws_at(self, scores: Array, bias: Array) -> Draws:
+        """Every parameter at scores (N, lead) and biases (N, G)."""
+        k, effects, low, high = self.at_scores(scores)
+        return Draws(k, low, high, bias, effects)
+
     @cached_property
     def transforms(self) -> tuple[LapseTransform, ...]:
         """The coordinate of each lead parameter for a grid: its score, but for lapses."""
@@ -181,8 +193,8 @@ class WeberModel:
         d, weight = self.task.decide(encoded)
         if not self.encodings.has_spread:
             return d, weight
-        sd = self.task.decision_sd(encoded)  # type: ignore[attr-defined]
-        known = sd / np.sqrt(sd**2 + self.encodings.spread)
+        sd = self.task.decision_sd(encoded)
+        known = sd / np.sqrt(sd**2 + np.asarray(self.encodings.spread, dtype=float))
         return d * known, weight * known
 
     def lapses(self, low: Array, high: Array) -> tuple[Array, Array]:
@@ -367,8 +379,11 @@ class WeberModel:
             yield float(standard), self.subset(float(standard))
 
 
-def gather(trials: Trials, effects: tuple[Effect, ...], encoding: Encoding) -> tuple[Cells, Array]:
-    """Trials in cells, those apart that differ in what an effect goes with; columns (E, C)."""
+def gather(
+    trials: Trials, effects: tuple[Effect, ...], encoding: Encoding
+) -> tuple[Cells, Array, NDArray[np.intp]]:
+    """Trials in cells, those apart that differ in what an effect goes with; columns (E, C); and the
+    cell of each row with an answer."""
     named = [e.column(trials, encoding) for e in effects]
     zeros = np.zeros(len(trials.frame))
     return trials.gathered(*(zeros if c is None else c for c in named))

@@ -1,11 +1,15 @@
-"""What is believed about an observer: mode, marginals, quantiles, and joint draws."""
+"""What is believed about an observer: mode, marginals, quantiles, and joint draws.
+
+Either posterior has `draws` in `chains` one after another, an estimated `error` relative to the
+posterior sd, and `trouble`: why its numbers are not to be relied on, empty where they are.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,12 +23,7 @@ from .lapses import log_lapses_possible
 from .likelihood import Draws, WeberModel
 from .priors import REACH
 
-
-def lead_values(model: WeberModel, scores: Array) -> tuple[Array, Array, Array, Array]:
-    """k, effects, and both lapses at scores (..., lead)."""
-    values = [model.value(name, scores[..., i]) for i, name in enumerate(model.lead)]
-    effects = np.stack(values[1:-2], axis=-1) if model.effects else np.zeros((*values[0].shape, 0))
-    return values[0], effects, values[-2], values[-1]
+Array = NDArray[np.float64]
 
 
 def score_precision(model: WeberModel) -> Array:
@@ -37,8 +36,30 @@ def score_precision(model: WeberModel) -> Array:
     return np.linalg.inv(covariance[np.ix_(free, free)])
 
 
-def find_mode(model: WeberModel, scores: Array, bias: Array) -> tuple[tuple[Array, Array], Array]:
-    """Mode of (scores, biases), and the Fisher information there (free parameters, biases last).
+def split(model: WeberModel, theta: Array) -> tuple[Array, Array]:
+    """Scores (..., lead) and biases (..., G) of the free parameters (..., D), biases last."""
+    free = np.flatnonzero(model.free)
+    scores = np.zeros((*theta.shape[:-1], len(model.lead)))
+    scores[..., free] = np.clip(theta[..., : free.size], -REACH, REACH)
+    if model.free_bias:
+        return scores, theta[..., free.size :]
+    return scores, np.full((*theta.shape[:-1], model.n_groups), model.fixed_bias())
+
+
+def log_posterior(model: WeberModel, theta: Array) -> Array:
+    """Log density of the free scores and biases (..., D), not normalised; −∞ without a rise."""
+    scores, bias = split(model, theta)
+    k, effects, low, high = model.at_scores(scores)
+    free = scores[..., np.flatnonzero(model.free)]
+    out = model.log_likelihood(k, low, high, bias, effects)
+    out = out - 0.5 * np.einsum("...i,ij,...j->...", free, score_precision(model), free)
+    out = out + model.log_bias_prior(bias).sum(axis=-1)
+    return np.where(sum(model.lapses(low, high)) < 1, out, -np.inf)
+
+
+def find_mode(model: WeberModel, scores: Array) -> tuple[Array, Array]:
+    """Mode of the free scores and biases (D,), from these lead scores on, and the Fisher
+    information there.
 
     Levenberg–Marquardt on the binomial likelihood with the priors; only the place of the nodes
     depends on it, so the bias prior enters as a normal of its mean and sd, and overdispersion
@@ -56,17 +77,15 @@ def find_mode(model: WeberModel, scores: Array, bias: Array) -> tuple[tuple[Arra
         n, x = (a / (1 + np.maximum(model.cells.n - 1, 0) * rho) for a in (n, x))
 
     def probability(theta: Array) -> tuple[Array, Array]:
-        z = np.tile(scores, (len(theta), 1))
-        z[:, free] = np.clip(theta[:, : free.size], -REACH, REACH)
-        k, effects, low, high = lead_values(model, z)
-        b = theta[:, free.size :] if n_bias else np.tile(bias, (len(theta), 1))
-        return model.probability(k, low, np.minimum(high, 1 - low), b, effects)
+        z, bias = split(model, theta)
+        k, effects, low, high = model.at_scores(z)
+        return model.probability(k, low, np.minimum(high, 1 - low), bias, effects)
 
     def objective(p: Array, q: Array, theta: Array) -> float:
         off = theta - prior_mean
         return float(x @ np.log(p) + (n - x) @ np.log(q) - 0.5 * off @ precision @ off)
 
-    theta = np.r_[scores[free], bias if n_bias else ()]
+    theta = np.r_[scores[free], prior_mean[free.size :]]
     nudge = 1e-3 * np.eye(theta.size)
     damping, information = 1e-3, precision
     for _ in range(60):
@@ -86,9 +105,8 @@ def find_mode(model: WeberModel, scores: Array, bias: Array) -> tuple[tuple[Arra
             damping *= 10
         if not moved or step @ information @ step < 1e-2:
             break
-    out = scores.copy()
-    out[free] = np.clip(theta[: free.size], -REACH, REACH)
-    return (out, theta[free.size :] if n_bias else bias), information
+    theta[: free.size] = np.clip(theta[: free.size], -REACH, REACH)
+    return theta, information
 
 
 def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
@@ -97,76 +115,15 @@ def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
     Most probable in the normal scores of the priors (for the Weber fraction that is in ln k): the
     lapses' density itself has no top, it grows without end towards 0.
     """
-    free = np.flatnonzero(model.free)
-    n_bias = model.n_groups if model.free_bias else 0
-    bias = np.full(model.n_groups, model.priors.moments("bias")[0] if n_bias else 0.0)
-    (scores, bias), information = find_mode(model, scores, bias)
-    precision = score_precision(model)
-    scale = np.r_[1 / np.sqrt(np.diag(information))]
-    centre = np.r_[scores[free], bias if n_bias else ()]
-
-    def unpack(step: Array) -> tuple[Array, Array]:
-        theta = centre + scale * step
-        z = scores.copy()
-        z[free] = np.clip(theta[: free.size], -REACH, REACH)
-        own = theta[free.size :] if n_bias else np.full(model.n_groups, model.fixed_bias())
-        return z, own
+    centre, information = find_mode(model, scores)
+    scale = 1 / np.sqrt(np.diag(information))
 
     def cost(step: Array) -> float:
-        z, own = unpack(step)
-        k, effects, low, high = lead_values(model, z)
-        if sum(model.lapses(low, high)) >= 1:
-            return 1e10
-        log_density = model.log_likelihood(k, low, high, own, effects)
-        log_density = log_density - 0.5 * z[free] @ precision @ z[free]
-        return -float(log_density + model.log_bias_prior(own).sum() * bool(n_bias))
+        return -max(float(log_posterior(model, centre + scale * step)), -1e10)
 
     found = minimize(cost, np.zeros(centre.size), method="Powell", options={"xtol": 1e-5})
-    z, own = unpack(found.x)
-    k, effects, low, high = lead_values(model, z)
-    one = Draws(k[None], low[None], high[None], own[None], effects[None])
+    one = model.draws_at(*split(model, (centre + scale * found.x)[None]))
     return {name: float(value[0]) for name, value in one.named(model).items()}
-
-
-Array = NDArray[np.float64]
-
-
-class WeberPosterior(Protocol):
-    """What a fit needs of its posterior, whichever engine made it."""
-
-    def mean(self, name: str) -> float:
-        """Posterior mean of a parameter."""
-
-    def sd(self, name: str) -> float:
-        """Posterior sd of a parameter."""
-
-    def quantile(self, name: str, probability: ArrayLike) -> Array:
-        """Posterior quantiles of a parameter."""
-
-    def mode(self) -> dict[str, float]:
-        """The most probable point (MAP), a value for each inferred parameter."""
-
-    def score_curve(self) -> tuple[Array, Array]:
-        """Log posterior density of the normal score of k, on an even axis."""
-
-    def draws(self) -> Draws:
-        """Joint draws, in chains one after another."""
-
-    @property
-    def chains(self) -> int:
-        """How many independent chains the draws come in."""
-
-    @property
-    def log_evidence(self) -> float | None:
-        """Natural log of the probability of the answers; None where the engine has none."""
-
-    @property
-    def error(self) -> float:
-        """Estimated error, relative to the posterior sd."""
-
-    @property
-    def trouble(self) -> str:
-        """Why the numbers are not to be relied on; empty where they are."""
 
 
 @dataclass(frozen=True)
@@ -286,8 +243,7 @@ class QuadraturePosterior:
     def _draws(self) -> Draws:
         rng = np.random.default_rng(self.seed)
         t = self._lead_draws(rng)
-        k, effects, low, high = lead_values(self.model, self._scores(t))
-        return Draws(k, low, high, self._bias_draws(rng, t), effects)
+        return self.model.draws_at(self._scores(t), self._bias_draws(rng, t))
 
     def _lead_draws(self, rng: np.random.Generator) -> Array:
         """Coordinates of k, effects, lapses by rejection, (N, lead): proposed from the grid,
@@ -329,7 +285,7 @@ class QuadraturePosterior:
         """Log density of the coordinates at scattered places, (M,), biases integrated."""
         z = self._scores(t)
         log_mass, _, _ = self._conditional(t, 1)
-        _, _, low, high = lead_values(self.model, z)
+        _, _, low, high = self.model.at_scores(z)
         possible = np.where(sum(self.model.lapses(low, high)) < 1, 0.0, -np.inf)
         precision = score_precision(self.model)
         x = z[:, free]
@@ -344,7 +300,7 @@ class QuadraturePosterior:
         """Log mass of bias nodes given the rest, at coordinates (M, lead): (M, B, G); the scores
         of these nodes, and their steps (M, G). They lie where the grid found the bias to be."""
         m = self.model
-        k, effects, low, high = lead_values(m, self._scores(t))
+        k, effects, low, high = m.at_scores(self._scores(t))
         first, last = self._bias_span(t)
         count = finer * (self.grid.bias_nodes - 1) + 1
         score = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, count)[:, None]
@@ -386,3 +342,53 @@ class QuadraturePosterior:
             node = np.take_along_axis(score, at[:, None, :], axis=1)[:, 0, :]
             out.append(node + step * (rng.random(node.shape) - rng.random(node.shape)))
         return bias_at(self.model, np.concatenate(out))
+
+
+@dataclass(frozen=True)
+class SampledPosterior:
+    """Draws by emcee: `chains` independent ensembles one after another."""
+
+    model: WeberModel
+    sample: Draws
+    chains: int
+    error: float
+    trouble: str
+    log_evidence: float | None = None
+
+    def mean(self, name: str) -> float:
+        return float(self._column(name).mean())
+
+    def sd(self, name: str) -> float:
+        return float(self._column(name).std())
+
+    def quantile(self, name: str, probability: ArrayLike) -> Array:
+        at = np.asarray(probability, dtype=float)
+        return np.asarray(np.quantile(self._column(name), at), dtype=float)
+
+    def score_curve(self) -> tuple[Array, Array]:
+        """ln of the posterior density of k's score: its own given the rest, averaged over draws.
+
+        Counts of draws would say nothing of ends where there is one in a thousand of them.
+        """
+        axis = np.linspace(-REACH, REACH, 73)
+        few = self.sample.thinned(400)
+        low, high, bias, effects = (
+            np.repeat(values[:, None], axis.size, axis=1) for values in few.values[1:]
+        )
+        k = np.broadcast_to(self.model.value("weber_fraction", axis), low.shape)
+        log = self.model.log_likelihood(k, low, high, bias, effects) - 0.5 * axis**2
+        log -= logsumexp(log, axis=1, keepdims=True)
+        return axis, logsumexp(log, axis=0)
+
+    def mode(self) -> dict[str, float]:
+        return map_point(self.model, np.zeros(len(self.model.lead)))
+
+    def draws(self) -> Draws:
+        return self.sample
+
+    def _column(self, name: str) -> Array:
+        named = self.sample.named(self.model)
+        return named[name] if name in named else np.full(2, self.model.fixed_value(name))
+
+
+WeberPosterior: TypeAlias = QuadraturePosterior | SampledPosterior

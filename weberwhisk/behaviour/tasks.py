@@ -8,7 +8,6 @@ Lapses then cut both ends: P = λ_lo + (1 − λ_lo − λ_hi) · chance. A new 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,76 +19,49 @@ from .encodings import Signals
 Array = NDArray[np.float64]
 
 
-class Task(Protocol):
-    """A question put to the observer."""
+class Task:
+    """A question put to the observer; by default one normal variable exceeds another, or not.
 
-    def __hash__(self) -> int: ...
+    `name` is written in `task=`; `response` is the column that holds the answer, "choice" or
+    "correct"; `answer` says what is counted, in words; `lapses` are its lapse parameters.
+    `bias_name` is what its response bias is called, "bias", "criterion", or None where it has none;
+    `guess_rate` the proportion of the answer at chance, None where lapses on either side set it.
+    """
 
-    @property
-    def name(self) -> str:
-        """As written in `task=`."""
-
-    @property
-    def response(self) -> str:
-        """The column that holds the answer: "choice" or "correct"."""
-
-    @property
-    def answer(self) -> str:
-        """What is counted, in words."""
-
-    @property
-    def lapses(self) -> tuple[str, ...]:
-        """The lapse parameters that the task has."""
-
-    @property
-    def bias_name(self) -> str | None:
-        """What its response bias is called: "bias", "criterion", or None where it has none."""
+    name: str
+    response: str
+    answer: str
+    lapses: tuple[str, ...] = ("lapse_low", "lapse_high")
+    bias_name: str | None = "bias"
+    guess_rate: float | None = None
 
     @property
     def has_bias(self) -> bool:
         """Whether a response bias can show in the data."""
-
-    @property
-    def guess_rate(self) -> float | None:
-        """Proportion of the answer at chance, None where lapses on either side set it."""
+        return self.bias_name is not None
 
     def decide(self, encoded: Signals) -> tuple[Array, Array | float]:
         """Decision variable d (..., C), and what a bias of 1 adds to it."""
-
-    def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
-        """Probability of the answer and of the other, without lapses; neither loses its tail."""
-
-    def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
-        """What is lost at either end, as (low, high)."""
-
-
-class _Compared:
-    """Tasks whose answer is given when one normal variable exceeds another."""
-
-    bias_name: str | None = "bias"
-    guess_rate: float | None = None
-    lapses: tuple[str, ...] = ("lapse_low", "lapse_high")
-
-    @property
-    def has_bias(self) -> bool:
-        return self.bias_name is not None
+        raise NotImplementedError
 
     def decision_sd(self, encoded: Signals) -> Array:
         """Sd of the noise by which d was divided, in the signal's unit, (..., C)."""
         return np.asarray(np.hypot(encoded.sd_1, encoded.sd_2))
 
     def chance(self, d: Array, bias: Array | float) -> tuple[Array, Array]:
+        """Probability of the answer and of the other, without lapses; neither loses its tail."""
         z = d + bias
         less = ndtr(-np.abs(z))  # the tail; the rest is known from it to the last digit
         more, upward = 1 - less, z > 0
         return np.where(upward, more, less), np.where(upward, less, more)
 
     def asymptotes(self, lapse_low: Array, lapse_high: Array) -> tuple[Array, Array]:
+        """What is lost at either end, as (low, high)."""
         return lapse_low, lapse_high
 
 
 @dataclass(frozen=True)
-class SignedChoice(_Compared):
+class SignedChoice(Task):
     """Which of two is greater (farther): two noisy signals are compared, 2AFC or 2IFC.
 
     P(second greater) = λ_lo + (1 − λ_lo − λ_hi) Φ((I₂ − I₁)/√(σ₁² + σ₂²) + bias), σ = k I: noise in
@@ -114,7 +86,7 @@ class SignedChoice(_Compared):
 
 
 @dataclass(frozen=True)
-class PercentCorrect(_Compared):
+class PercentCorrect(Task):
     """Which of m is the odd one, scored right or wrong against an unsigned difference.
 
     The target (`stimulus_2`) is the greatest, or the least, of m noisy signals, the others being
@@ -138,7 +110,7 @@ class PercentCorrect(_Compared):
         _checks.whole("alternatives", self.alternatives, "write PercentCorrect(3), say", least=2)
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # type: ignore[override]
         return f"{self.alternatives}AFC percent correct"
 
     @property
@@ -163,7 +135,7 @@ class PercentCorrect(_Compared):
 
 
 @dataclass(frozen=True)
-class YesNo(_Compared):
+class YesNo(Task):
     """One stimulus, against a standard held in mind: "yes, greater", or go and no-go.
 
     P(yes) = λ_lo + (1 − λ_lo − λ_hi) Φ((I₂ − I₁ − c σ₁)/σ₂): the signal of the stimulus put
@@ -195,7 +167,7 @@ class YesNo(_Compared):
 
 
 @dataclass(frozen=True)
-class SameDifferent(_Compared):
+class SameDifferent(Task):
     """Are two stimuli the same or different? The differencing rule.
 
     "Different" where the two signals differ by more than a criterion (Macmillan & Creelman 2005,

@@ -121,6 +121,11 @@ class Trials:
         return int(self.frame.loc[self.frame["count"].notna(), "n"].sum())
 
     @property
+    def answered(self) -> NDArray[np.bool_]:
+        """Which rows have an answer to some trial."""
+        return (self.frame["count"].notna() & (self.frame["n"] > 0)).to_numpy(bool)
+
+    @property
     def n_missing(self) -> int:
         """Trials without an answer: kept in the table, not in any likelihood."""
         return int(self.frame.loc[self.frame["count"].isna(), "n"].sum())
@@ -178,18 +183,23 @@ class Trials:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
         return self.gathered()[0]
 
-    def gathered(self, *columns: Array) -> tuple[Cells, Array]:
-        """The same, those apart that differ in further columns, a number a row; these, (E, C)."""
+    def gathered(self, *columns: Array) -> tuple[Cells, Array, NDArray[np.intp]]:
+        """The same, those apart that differ in further columns, a number a row; these, (E, C); and
+        the cell of each row with an answer."""
         sds = [c for c in SDS if c in self.frame]
         numbers = [self.frame[c].to_numpy(float) for c in (*COLUMNS[:3], *sds, "n", "count")]
         rows = np.column_stack([*numbers[:-2], *columns, *numbers[-2:]])
-        rows = rows[~np.isnan(rows[:, -1]) & (rows[:, -2] > 0)]
-        rows = rows[np.lexsort(rows[:, -3::-1].T)]
+        rows = rows[self.answered]
+        order = np.lexsort(rows[:, -3::-1].T)
+        rows = rows[order]
         new = np.any(np.diff(rows[:, :-2], axis=0) != 0, axis=1)
         starts = np.flatnonzero(np.r_[len(rows) > 0, new])
+        cell = np.empty(len(rows), dtype=np.intp)
+        cell[order] = np.r_[0, np.cumsum(new)][: len(rows)]
         n, count = np.add.reduceat(rows[:, -2:], starts, axis=0).T
         standard, s1, s2, *own = rows[starts, : 3 + len(sds)].T
-        return Cells(s1, s2, standard, n, count, *own), rows[starts, 3 + len(sds) : -2].T
+        cells = Cells(s1, s2, standard, n, count, *own)
+        return cells, rows[starts, 3 + len(sds) : -2].T, cell
 
     def table(self) -> pd.DataFrame:
         """The trials under the names that `read_trials` takes without a mapping."""
@@ -279,6 +289,7 @@ DESCRIPTIONS = {
     "n_greater": "of these trials, how many reported the second greater",
     "n_correct": "of these trials, how many were right",
 }
+
 
 def in_millimetres(table: pd.DataFrame) -> dict[str, str]:
     """Our names of the stimuli that a table has in mm alone, and its own.

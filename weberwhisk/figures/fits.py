@@ -248,7 +248,7 @@ def pairs(
         figure = open_figure(max(SINGLE, 1.5 * size), max(2.6, 1.4 * size))
         axes = list(figure.subplots(size, size, squeeze=False).ravel())
     grid = np.array(axes, dtype=object).reshape(size, size)
-    sample = fit.posterior.draws().named(fit.posterior.model)  # type: ignore[attr-defined]
+    sample = fit.posterior.draws().named(fit.posterior.model)
     for i, down in enumerate(names):
         for j, along in enumerate(names):
             ax = grid[i, j]

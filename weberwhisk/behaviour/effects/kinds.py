@@ -3,56 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.stats.distributions import rv_frozen
 
 from ... import _checks
 from ..encodings import Encoding, Signals, UnitEncodings
 from ..trials import Trials
 
 
-class Effect(Protocol):
-    """A change of the observer with one parameter."""
+class Effect:
+    """A change of the observer with one parameter; by default with no scale and no column.
 
-    @property
-    def name(self) -> str:
-        """Name of the parameter."""
+    `name` is that of the parameter; `prior` its frozen SciPy distribution, or a number where it is
+    known; at `neutral` there is no effect.
+    """
 
-    @property
-    def prior(self) -> Any:
-        """Frozen SciPy distribution of the parameter, or a number where it is known."""
-
-    @property
-    def neutral(self) -> float:
-        """The value at which there is no effect."""
+    name: str
+    prior: rv_frozen | float | None
+    neutral: float = 0.0
 
     def bound(self, encodings: UnitEncodings, n: Array) -> Effect:
         """The effect with its scale taken from the stimuli of the table, `n` trials of each."""
+        return self
 
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         """What the effect goes with, a number a row; None where the stimuli are all of it.
 
         Zero stands for a trial like any other, where a curve is drawn or a threshold is computed.
         """
+        return None
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
         """The signals with the effect, (..., C), for a parameter (..., 1)."""
-
-
-class Plain:
-    """An effect that needs neither a scale nor a column."""
-
-    neutral: float = 0.0
-
-    def bound(self, encodings: UnitEncodings, n: Array) -> Any:
-        return self
-
-    def column(self, trials: Trials, encoding: Encoding) -> Array | None:
-        return None
+        return signals
 
 
 # One object each: the table of its quantiles is made once (see `priors.quantiles`).
@@ -88,7 +76,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Drift(Plain):
+class Drift(Effect):
     """A learning animal, smoothly: ln k goes by `drift` from the first session to the last.
 
     Linear in the number of the session in its row, or with `of_log` in its logarithm (fast first,
@@ -103,7 +91,7 @@ class Drift(Plain):
     array([-0.5, -0.5, -0.5,  0. ,  0. ,  0. ,  0.5,  0.5,  0.5])
     """
 
-    prior: Any = NORMAL[0.5]
+    prior: rv_frozen | float = NORMAL[0.5]
     name: str = "drift"
     of_log: bool = False
 
@@ -118,7 +106,7 @@ class Drift(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class Step(Plain):
+class Step(Effect):
     """A learning animal, by blocks: ln k changes by this much from session `at` on.
 
     Several steps make a piecewise course; the Weber fraction is that before the first.
@@ -133,10 +121,10 @@ class Step(Plain):
     """
 
     at: Any
-    prior: Any = NORMAL[0.5]
+    prior: rv_frozen | float = NORMAL[0.5]
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # type: ignore[override]
         return f"step[{self.at}]"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
@@ -164,7 +152,7 @@ _EXPONENT, _RHO = stats.norm(1.0, 0.15), stats.beta(1.0, 15.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Floor(Plain):
+class Floor(Effect):
     """Noise that is left where the signal vanishes: sd² = (kI)² + floor² (generalised Weber).
 
     `floor` is in the unit of the signal. Its prior is log-normal: median 3 % of the table's typical
@@ -178,7 +166,7 @@ class Floor(Plain):
     ('weber_fraction', 'floor', 'lapse_low', 'lapse_high', 'bias')
     """
 
-    prior: Any = None
+    prior: rv_frozen | float | None = None
     name: str = "floor"
 
     def bound(self, encodings: UnitEncodings, n: Array) -> Floor:
@@ -194,14 +182,14 @@ class Floor(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class NearMissExponent(Plain):
+class NearMissExponent(Effect):
     """The near miss to Weber's law: sd = k I₀ (I/I₀)^exponent, I₀ the table's typical signal.
 
     The exponent is 1 under Weber's law and about 0.9 for the loudness of pure tones (McGill &
     Goldberg 1968); the Weber fraction is that at I₀, the geometric mean of the signals.
     """
 
-    prior: Any = _EXPONENT
+    prior: rv_frozen | float = _EXPONENT
     name: str = "exponent"
     neutral: float = 1.0
     typical: float = 1.0
@@ -231,14 +219,14 @@ def _typical(encodings: UnitEncodings, what: str) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class FirstIntervalNoise(Plain):
+class FirstIntervalNoise(Effect):
     """The order of the intervals matters: the first signal's sd times exp(memory).
 
     It shows only as far as the noise of the two stimuli of a trial differs: thousands of trials
     with large differences tell it. The order effect that is easily seen is the `bias`.
     """
 
-    prior: Any = NORMAL[0.4]
+    prior: rv_frozen | float = NORMAL[0.4]
     name: str = "memory"
 
     def column(self, trials: Trials, encoding: Encoding) -> None:
@@ -249,7 +237,7 @@ class FirstIntervalNoise(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class Overdispersion(Plain):
+class Overdispersion(Effect):
     """Answers that scatter more than a coin's: beta-binomial, with intraclass correlation ρ.
 
     The probability of each pair of stimuli in each session is itself drawn from a beta distribution
@@ -257,7 +245,7 @@ class Overdispersion(Plain):
     touches the likelihood, not the signals.
     """
 
-    prior: Any = _RHO
+    prior: rv_frozen | float = _RHO
     name: str = "overdispersion"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
@@ -268,7 +256,7 @@ class Overdispersion(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class Contraction(Plain):
+class Contraction(Effect):
     """The first signal drawn towards the mean of all stimuli: m₁ → m₁ + contraction · (M − m₁).
 
     Contraction bias (Ashourian & Loewenstein 2011; Akrami et al. 2018): a remembered signal drifts
@@ -277,7 +265,7 @@ class Contraction(Plain):
     `PastContraction` has that of the trials before.
     """
 
-    prior: Any = NORMAL[0.3]
+    prior: rv_frozen | float = NORMAL[0.3]
     name: str = "contraction"
     centre: float = 0.0
 
@@ -343,14 +331,14 @@ class PastContraction(Contraction):
 
 
 @dataclass(frozen=True, eq=False)
-class ComparisonBias(Plain):
+class ComparisonBias(Effect):
     """A shift towards the comparison, whichever interval it came in; sds of the difference.
 
     Where the standard takes turns between the intervals this is distinguished from the order
     effect, which is the `bias`.
     """
 
-    prior: Any = NORMAL[1.0]
+    prior: rv_frozen | float = NORMAL[1.0]
     name: str = "comparison_bias"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
@@ -365,14 +353,14 @@ class ComparisonBias(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class History(Plain):
+class History(Effect):
     """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a
     missing answer, has none.
     """
 
-    prior: Any = NORMAL[0.5]
+    prior: rv_frozen | float = NORMAL[0.5]
     name: str = "history"
 
     def column(self, trials: Trials, encoding: Encoding) -> Array:
