@@ -4,8 +4,7 @@ from .calibration import Calibration, HingedTap, calibrate
 from .readings import MeasuredAngle
 from .rows import locate
 from .signals import tracked_signals
-from .simulated import simulate_tracking
-from .trackers import read_tracking
+from .trackers import read_tracking, simulate_tracking
 
 __all__ = [
     "Calibration",

@@ -319,5 +319,34 @@ class Profile(Value):
         return self
 
 
+def bent_shape(
+    profile: Profile, arc: Array, held: float, force: float, friction_angle: float = 0.0
+) -> Array:
+    """Tangent angle, x and y (3, n) at arcs (n,), ascending, of a whisker with a force at `held`.
+
+    In the frame of the base; by SciPy's DOP853 from the contact to the base, at rest beyond it.
+    """
+    from scipy.integrate import solve_ivp
+
+    across, along = force * np.cos(friction_angle), -force * np.sin(friction_angle)
+
+    def rates(s: float, state: Array) -> list[float]:
+        angle, x, y = state
+        moment = along * y - across * x  # the contact is the origin, and its tangent the x axis
+        bend = moment / float(profile.stiffness(s)) + float(profile.law(np.array(s)))
+        return [bend, np.cos(angle), np.sin(angle)]
+
+    near, law = arc[arc <= held], profile.law
+    found = solve_ivp(
+        rates, (held, 0.0), [0.0, 0.0, 0.0], "DOP853", near[::-1], rtol=1e-9, atol=1e-12
+    ).y[:, ::-1]
+    own, far = (np.array([law.turn(s), *law.point(s)]) for s in (np.array([held]), arc[arc > held]))
+    turned = ((far[1] - own[1]) + 1j * (far[2] - own[2])) * np.exp(-1j * own[0])
+    beyond = np.array([far[0] - own[0], turned.real, turned.imag])
+    angle, x, y = np.concatenate([found, beyond], axis=1)
+    based = (x - x[0] + 1j * (y - y[0])) * np.exp(-1j * angle[0])
+    return np.array([angle - angle[0], based.real, based.imag])
+
+
 def _columns(table: Array) -> list[Array]:
     return list(np.moveaxis(table.reshape(len(table), -1), 1, 0))

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
 
 from .._checks import finite, non_negative, positive
 from .beam import follow, pilot, rows_of
 from .chebyshev import Array
 from .contact import Outcome
-from .shape import Profile
+from .shape import Profile, bent_shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,29 +209,14 @@ class TouchedBody:
 
     def _overlap(self, touch: Touch, found: TouchSolution, at: float) -> float:
         """How deep in the object the whisker lies elsewhere: a straight one never does."""
-        v, (x, y, angle, _, force) = found.point, found.state
-        arc, push = 1.0 if touch.tip else min(float(v[0]), 1.0), angle + self.friction
-        push += float(v[0]) if touch.tip else 0.0
-        length, law = self.profile.whisker.length, self.rows.law
-        assert law is not None
-
-        def slope(s: float, state: Array) -> list[float]:
-            lever = (x - state[1]) * np.cos(push) + (y - state[2]) * np.sin(push)
-            give = self.profile.whisker.stiffness / float(self.profile.stiffness(s * length))
-            bend = float(law(np.array([s]))[0]) + abs(force) * lever * give
-            return [bend, np.cos(state[0]), np.sin(state[0])]
-
-        held = solve_ivp(
-            slope, (0, arc), [0.0, 0.0, 0.0], t_eval=np.linspace(0, arc, 200), rtol=1e-8, atol=1e-10
-        ).y
-        free = np.linspace(arc, 1, 100)
-        turn = angle - float(law.turn(np.array([arc]))[0])
-        rest = np.stack(law.point(free))
-        rest = rest - rest[:, :1]
-        c, s = np.cos(turn), np.sin(turn)
-        px = np.concatenate([held[1], x + c * rest[0] - s * rest[1]])
-        py = np.concatenate([held[2], y + s * rest[0] + c * rest[1]])
-        return self.depth(px, py, at)
+        v, whisker = found.point, self.profile.whisker
+        held = (1.0 if touch.tip else min(float(v[0]), 1.0)) * float(whisker.length)
+        tilt = self.friction + (float(v[0]) if touch.tip else 0.0)
+        push = abs(found.state[-1]) * float(whisker.force_scale)
+        ends = np.linspace(0, held, 200), np.linspace(held, float(whisker.length), 100)
+        arc = np.unique(np.concatenate(ends))
+        _, x, y = bent_shape(self.profile, arc, held, push, tilt) / float(whisker.length)
+        return self.depth(x, y, at)
 
     def _change(self, touch: Touch, found: TouchSolution, at: float) -> Touch | Outcome | None:
         v, (x, y, _, tangent, _) = found.point, found.state
