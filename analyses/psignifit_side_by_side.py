@@ -210,7 +210,8 @@ By default the cell k = 0.2, 117 trials stays above: with 117 trials that end 0.
 standard even an observer informed of both lapses and the bias has an RMSE of 20 % there (plain
 grid, `lapse_prior.py`), and what is gained is gained by the prior. Why the belief about the levels
 is not the default, although it loses less in nearly every row: it would be wrong for staircases,
-for one level and wherever levels do not bracket the thresholds (`lapse_prior.md`).
+for one level and wherever levels do not bracket the thresholds (`lapse_prior.md`, which also has
+mixtures of both).
 """
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analysis_scripts import FOLDER, load
-from scipy.stats import beta, fisk
+from scipy.stats import beta, fisk, norm
 
 from weberwhisk import Observer, Whisker, cues, fit_weber, simulate_trials
 from weberwhisk.behaviour import (
@@ -25,6 +25,7 @@ beside = load("psignifit_side_by_side")
 LEVELS = {"weber_fraction": "levels"}
 #: With 117 trials to 0.9 sd even an observer informed of lapses and bias is at 20 %.
 BEYOND_REACH = script.CELL_ABOVE
+BOTH = script.SHIPPED_FRACTION, script.BY_LEVELS
 
 
 @pytest.fixture(scope="module")
@@ -33,14 +34,15 @@ def psignifit() -> pd.DataFrame:
     return pd.read_csv(FOLDER / "psignifit_side_by_side.csv", dtype={"name": str})
 
 
-def by_grid(
-    design: object, count: np.ndarray, fraction: str = script.SHIPPED_FRACTION
-) -> np.ndarray:
-    lapses = script.LAPSES_BY_LEVELS if fraction == script.BY_LEVELS else script.SHIPPED
-    table = script.belief(*script.BELIEFS[lapses])[:, None]
+def by_grid(design: object, count: np.ndarray, *fractions: object) -> list[np.ndarray]:
+    """Medians of k, (N,) each, for priors of k with the lapses believed beside them."""
+    by_levels = [fraction == script.BY_LEVELS for fraction in fractions]
+    lapses = [script.LAPSES_BY_LEVELS if levels else script.SHIPPED for levels in by_levels]
+    table = np.array([script.belief(*script.BELIEFS[name]) for name in lapses]).T
     ln_k, like = script.density(design, count, table)
-    prior = script.prior_of(fraction, design)
-    return np.exp(script.estimates(ln_k, like[0, :, 0], prior)["median"])
+    priors = [script.prior_of(fraction, design) for fraction in fractions]
+    found = [script.estimates(ln_k, like[0, :, i], prior) for i, prior in enumerate(priors)]
+    return [np.exp(each["median"]) for each in found]
 
 
 def rmse(found: np.ndarray, k: float | np.ndarray) -> float:
@@ -58,10 +60,10 @@ def test_what_was_chosen_is_the_default() -> None:
 @pytest.mark.parametrize("name", ["k 0.1, 297 trials to ±0.30", "k 0.2, 297 trials to ±0.30"])
 def test_the_plain_grid_gives_what_the_fit_gives(name: str) -> None:
     design, count, _ = script.cell(name, 6)
-    for priors, fraction in ((None, script.SHIPPED_FRACTION), (LEVELS, script.BY_LEVELS)):
+    for priors, summed in zip((None, LEVELS), by_grid(design, count, *BOTH), strict=True):
         fits = np.array([beside.our_answer(design, row, priors)[0] for row in count])
         # Nodes of 0.12 in ln k, and sixteen for each lapse.
-        np.testing.assert_allclose(by_grid(design, count, fraction), fits, rtol=0.03)
+        np.testing.assert_allclose(summed, fits, rtol=0.03)
 
 
 @pytest.mark.parametrize("name", script.CELLS)
@@ -78,8 +80,7 @@ def test_no_further_from_the_truth_than_psignifit_on_the_same_data(
         fits = np.array([beside.our_answer(design, row, LEVELS)[0] for row in count])
         assert rmse(fits, k) <= theirs
         return
-    assert rmse(by_grid(design, count), k) <= theirs
-    assert rmse(by_grid(design, count, script.BY_LEVELS), k) <= theirs
+    assert max(rmse(found, k) for found in by_grid(design, count, *BOTH)) <= theirs
 
 
 def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() -> None:
@@ -89,7 +90,8 @@ def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() ->
     told[place, place] = 1
     ln_k, like = script.density(design, count, told.reshape(-1, 1), (0.05,))
     floor = rmse(np.exp(script.estimates(ln_k, like[0, :, 0])["median"]), k)
-    assert 0.18 < floor < rmse(by_grid(design, count), k) < 1.2 * floor
+    (default,) = by_grid(design, count, script.SHIPPED_FRACTION)
+    assert 0.18 < floor < rmse(default, k) < 1.2 * floor
 
 
 @pytest.mark.parametrize("part", script.DESIGNS)
@@ -124,19 +126,18 @@ def test_over_animals_and_designs_the_defaults_lose_least(part: str) -> None:
 def test_no_further_than_psignifit_over_animals_whose_thresholds_are_bracketed(
     kind: str, psignifit: pd.DataFrame
 ) -> None:
-    ours: dict[str, list[np.ndarray]] = {script.SHIPPED_FRACTION: [], script.BY_LEVELS: []}
-    theirs = []
+    ours, theirs = [], []
     for number in range(8):
         own = psignifit[(psignifit["kind"] == kind) & (psignifit["name"] == str(number))]
         at = own["set"].to_numpy()
         design, count, k = beside.data(kind, str(number), 400)
         inside = beside.bracketed(kind, str(number), 400)[at]
         at = at[inside]
-        for fraction, errors in ours.items():
-            errors.append(np.log(by_grid(design, count[at], fraction) / k[at]))
+        ours.append(np.log(by_grid(design, count[at], *BOTH) / k[at]))
         theirs.append(np.log(own["k"].to_numpy()[inside] / k[at]))
     fixed, levels, their = (
-        np.sqrt(np.mean(np.concatenate(errors) ** 2)) for errors in (*ours.values(), theirs)
+        np.sqrt(np.mean(errors**2))
+        for errors in (*np.concatenate(ours, axis=1), np.concatenate(theirs))
     )
     assert levels <= fixed <= their
 
@@ -160,12 +161,27 @@ def test_the_belief_about_levels_is_the_prior_that_it_says() -> None:
 
 def test_it_is_not_the_default_as_a_staircase_begins_far_from_the_threshold() -> None:
     design, count = script.staircase(1.0, 100, 0.1, 40)
-    bias = {
-        fraction: np.median(by_grid(design, count, fraction)) / 0.1 - 1
-        for fraction in (script.SHIPPED_FRACTION, script.BY_LEVELS)
-    }
-    assert abs(bias[script.SHIPPED_FRACTION]) < 0.12
-    assert bias[script.BY_LEVELS] > 0.15
+    default, levels = (np.median(found) / 0.1 - 1 for found in by_grid(design, count, *BOTH))
+    assert abs(default) < 0.12
+    assert levels > 0.15
+
+
+def test_a_mixture_of_both_beliefs_gains_in_the_cell_what_levels_too_hard_lose() -> None:
+    """And one level, whose spread is none, leaves it the wide prior."""
+    name, wide = (0.1, "spread", 0.7, 0.2), script.prior_of(script.SHIPPED_FRACTION, None)
+    one, x = script.around("one", np.array([0.1]), per_level=9), np.linspace(-9.0, 4.0, 2001)
+    np.testing.assert_allclose(script.prior_of(name, one).pdf(x)[:, 0], wide.pdf(x))
+    nine = script.around("nine", script.even(0.3, 9), per_level=13)
+    assert np.trapezoid(script.prior_of(name, nine).pdf(x)[:, 0], x) == pytest.approx(1, abs=1e-4)
+    hard = 0.02 + 0.96 * norm.cdf(nine.drive / 0.5)
+    answers = np.random.default_rng(1).binomial(13, hard, (150, 9)).astype(float)
+    cell = script.cell(BEYOND_REACH, 78)[1]
+    changes = []
+    for count, k in ((cell, 0.2), (answers, 0.5)):
+        default, mixed = by_grid(nine, count, script.SHIPPED_FRACTION, name)
+        changes.append(rmse(mixed, k) / rmse(default, k))
+    assert changes[0] < 0.9
+    assert changes[1] > 1.04
 
 
 def test_of_yes_no_the_easiest_pair_is_as_far_from_its_criterion() -> None:
