@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -17,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -48,37 +50,40 @@ class GroupedCommand(TyperCommand):
                 formatter.write_dl(records)
 
 
-def lazy_app(package: str, commands: Mapping[str, tuple[str, str]]) -> typer.Typer:
-    """A command line whose commands are imported when they are used.
+def lazy_app(package: str, commands: Mapping[str, str]) -> typer.Typer:
+    """A command line whose commands, ``"module:function"``, are imported when they are used.
 
-    Parameters
-    ----------
-    package : str
-        The package with a module for each command.
-    commands : mapping of name to function and line of help
-        The module has the command's name.
+    So that `--version` and completion do not wait for SciPy, a command's line of help, the first of
+    its docstring, is read from the module's text.
     """
+    folder = Path(__file__).parent / package.rpartition(".")[2]
+    lines = {}
+    for name, home in commands.items():
+        module, _, function = home.partition(":")
+        text = (folder / f"{module}.py").read_text("utf-8")
+        found = re.search(rf'^def {function}\(.*?^    """(.*?)$', text, re.M | re.S)
+        lines[name] = found[1] if found else ""
 
     class Lazy(TyperGroup):
         listing = False
 
         def __init__(self, **attributes: Any) -> None:
             super().__init__(**attributes)
-            for name, (_, line) in commands.items():
+            for name, line in lines.items():
                 self.add_command(TyperCommand(name, callback=None, short_help=line))
 
         def get_command(self, ctx: Any, cmd_name: str) -> Any:
             if self.listing or cmd_name not in commands:
                 return super().get_command(ctx, cmd_name)
-            function, _ = commands[cmd_name]
+            module, _, function = commands[cmd_name].partition(":")
             alone = typer.Typer(add_completion=False, **PLAIN)
-            module = import_module(f"{package}.{cmd_name}")
-            alone.command(cmd_name, cls=GroupedCommand)(getattr(module, function))
+            loaded = import_module(f"{package}.{module}")
+            alone.command(cmd_name, cls=GroupedCommand)(getattr(loaded, function))
             return typer.main.get_command(alone)
 
         def format_commands(self, ctx: Any, formatter: Any) -> None:
             with formatter.section("Commands"):
-                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+                formatter.write_dl(list(lines.items()))
 
         def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
             self.listing = True

@@ -1,4 +1,4 @@
-"""The commands, a module each; `weberwhisk.cli` puts them together.
+"""The commands by subject; `weberwhisk.cli` puts them together.
 
 Conventions that every command keeps, beside those of `weberwhisk._terminal`:
 

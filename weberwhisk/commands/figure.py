@@ -11,8 +11,8 @@ import weberwhisk as ww
 
 from .. import _checks, along_whisk, surveys
 from ..output import Run, to_json
-from .jnd import curve_in_steps
 from .options import NO_SHAPE, Path, Shape, Text, as_asked, command, describe, the_whisker, wrote
+from .whiskers import curve_in_steps
 
 if TYPE_CHECKING:
     import pandas as pd

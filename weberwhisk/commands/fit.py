@@ -25,7 +25,7 @@ from ..behaviour.trials import in_millimetres
 from ..output import Run, atomic_write, to_json
 from ..tables import load_table
 from . import options as opt
-from .distance import distance_encoding
+from .choices import distance_encoding
 
 if TYPE_CHECKING:
     import pandas as pd

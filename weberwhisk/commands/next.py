@@ -17,7 +17,7 @@ from ..behaviour.trials import STIMULI
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import RULES, Session, converse
 from ..output import Run
-from .distance import distance_encoding
+from .choices import distance_encoding
 from .options import NO_SHAPE, Number, Shape, Texts, as_asked, command, draw
 
 

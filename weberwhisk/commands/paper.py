@@ -1,4 +1,4 @@
-"""`weberwhisk paper`: the paper's figures in their order, and its claims with what is found."""
+"""`weberwhisk paper`: its figures and claims, with what is found; `chart`: speed and accuracy."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from .options import command, wrote
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 #: The paper's figures in its order, with what each shows.
 PANELS = {
@@ -120,3 +121,40 @@ def as_markdown(rows: list[dict[str, str]]) -> str:
         cells = [row["where"], row["claim"], row["found"], row["limit"] or "–", f"`{row['test']}`"]
         lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
     return "\n".join(lines) + "\n"
+
+
+@command
+def chart(
+    full: Annotated[bool, "Every setting and more data: some ten minutes."] = False,
+    out: Path = Path("chart"),
+    as_json: bool = False,
+) -> None:
+    """Chart error against CPU time: beams, posteriors, JND curves and fits, and how each grows.
+
+    Takes about half a minute; with --full ten. Every method is swept over its own knob; time and
+    error are of the same run. What needs other packages (PyElastica, dynesty, psignifit and so on)
+    is added by analyses/speed_accuracy.py.
+    """
+    import pandas as pd
+
+    from .. import charts, figures
+
+    foot = charts.machine()
+    tables = {}
+    with Run(out, "chart", {"full": full, "machine": foot}) as run:
+        with progress("Charting", len(charts.PARTS), as_json=as_json) as advance:
+            for name, measure in charts.PARTS.items():
+                tables[name] = measure(full=full)
+                run.table(name, tables[name])
+                advance()
+        table = pd.concat(tables.values(), ignore_index=True)
+        run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot))
+        run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot))
+    if as_json:
+        print(to_json({"machine": foot, "rows": table.to_dict("records")}))
+        return
+    print(foot)
+    for name, rows in tables.items():
+        shown = rows.drop(columns="part").dropna(axis="columns", how="all")
+        print(f"\n{name}\n{shown.to_string(index=False, float_format='{:.3g}'.format)}")
+    wrote(run)

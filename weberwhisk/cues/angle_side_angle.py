@@ -72,7 +72,7 @@ class AngleSideAngle(Cue):
     side: float = 10e-3
     _: KW_ONLY
     side_sd: float = 0.0
-    bearings: Any = (float(np.radians(30.0)), float(np.radians(150.0)))
+    bearings: tuple[float, float] = (float(np.radians(30.0)), float(np.radians(150.0)))
 
     def __post_init__(self) -> None:
         side = positive_number("side", self.side, "give metres, such as 10e-3")

@@ -74,7 +74,7 @@ class BalanceOfMoments(Cue):
     curve: MuscleCurve = MuscleCurve.NORMALISED
     gain: Any = None
     separation: float = SEPARATION
-    whisking: Any = WHISKING
+    whisking: tuple[float, float] = WHISKING
 
     def __post_init__(self) -> None:
         impact = number("impact_angle", self.impact_angle, "give radians, such as 1.05")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +37,8 @@ class Joint(ReceptorNoise):
     array([0.2, 1. , 2. ])
     """
 
-    noises: Any
-    sizes: Any
+    noises: Sequence[ReceptorNoise]
+    sizes: Sequence[int]
 
     def __post_init__(self) -> None:
         hint = "write Joint([Weber(0.1), Weber(0.5)], sizes=[1, 2]), say"

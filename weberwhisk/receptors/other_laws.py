@@ -19,7 +19,7 @@ from .protocol import Array, ReceptorNoise, Seed
 class _Constant(Gaussian):
     """Gaussian noise of the same sd everywhere: of the logs of the readings."""
 
-    constant: Any
+    constant: Array
     correlation: float = 0.0
 
     def sd(self, signals: ArrayLike) -> Array:
@@ -89,7 +89,7 @@ class LogNormal(ReceptorNoise):
         return _Constant(self.sigma, self.correlation)
 
     @property
-    def sigma(self) -> Any:
+    def sigma(self) -> Array:
         """Sd σ of the ln of a reading: √ln(1 + k²)."""
         return np.sqrt(np.log1p(self.weber_fraction**2))
 

@@ -1,9 +1,10 @@
-"""`weberwhisk design`: an experiment planned, with its trial lists."""
+"""`weberwhisk design`, `rehearse` and `analyse`: an experiment planned, simulated and analysed."""
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,21 @@ import weberwhisk as ww
 
 from .. import _checks
 from .._terminal import numbers
+from ..behaviour.trials import STIMULI
 from ..campaign import all_cores
-from ..design import Constraints, Goal, Plan, SubjectPopulation
+from ..citing import versions_in_words
+from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.preregistration import assumptions, offsets_in_words
-from ..output import Run, to_json
+from ..output import Run, atomic_write, to_json
 from ..planning import fill
+from ..tables import load_table
 from . import options as opt
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ..design import AnalysisResult
 
 
 @opt.command
@@ -180,3 +189,156 @@ def _summary(plan: Plan) -> str:
     lines += [plan.power_in_words()] * bool(plan.power_in_words())
     lines += ["Assumed:", *(f"  {line}" for line in assumptions(plan))]
     return "\n".join(lines)
+
+
+@opt.command
+def rehearse(
+    file: Annotated[Path, "plan.json, as `weberwhisk design` writes it.", {"metavar": "PLAN"}],
+    runs: Annotated[int, "Experiments simulated under each hypothesis."] = 100,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    seed: int = 1,
+    out: Path | None = None,
+    as_json: bool = False,
+) -> None:
+    """Simulate a planned experiment, fit it as planned, and count how often it ends right.
+
+    With --out a study that was broken off goes on where it was when the command is given again.
+    """
+    if not file.is_file():
+        raise ValueError(
+            f"{str(file)!r} is not a file; name the plan.json that `weberwhisk design` wrote."
+        )
+    plan = read_plan(file)
+    inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "runs": runs}
+    with Run(out, "rehearse", inputs, seed) as run:
+        stream = None if run.out_dir is None else _stream(run.out_dir, plan, runs, seed)
+        found = ww.simulate_study(
+            plan,
+            runs,
+            seed=seed,
+            workers=all_cores(workers, scheduler),
+            scheduler=scheduler,
+            out=stream,
+            progress=(lambda done: None) if as_json else None,
+        )
+        summary = found.summary().reset_index()
+        run.table("rehearsal", found.table)
+        run.table("rehearsal_summary", summary)
+        if run.out_dir is not None:
+            atomic_write(run.path("rehearsal.txt"), found.report())
+            opt.draw(run, "rehearsal", ww.figures.rehearsed(found))
+    if stream is not None:
+        stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
+    if as_json:
+        print(to_json({"goal": str(plan.goal), "rows": summary.to_dict("records")}))
+        return
+    print(found.report(), end="")
+    opt.wrote(run)
+
+
+def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
+    """Where the runs are kept while they come: a name for each question, to go on with."""
+    question = f"{plan_json(plan)} {runs} {seed}".encode()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"The output folder {str(folder)!r} cannot be made ({error.strerror}); name a folder "
+            "that you may write to."
+        ) from error
+    return folder / f"rehearsal-{hashlib.sha256(question).hexdigest()[:8]}.jsonl"
+
+
+#: What rigs call an answer, and what their codes mean: PsychoPy's keyboard, and 1 or 2 for left or
+#: right in a table for Bpod (see `weberwhisk.design.trial_lists`).
+SIDES = {"left": "first", "right": "second", 1: "first", 2: "second"}
+
+
+@opt.command
+def analyse(
+    file: Annotated[Path, "plan.json, as `weberwhisk design` writes it.", {"metavar": "PLAN"}],
+    data: Annotated[list[Path], "Tables of trials.", {"metavar": "DATA..."}],
+    out: Path | None = None,
+    as_json: bool = False,
+) -> None:
+    """The preregistered analysis of a plan, on PsychoPy's output or a table for Bpod.
+
+    The tables have the columns of the trial lists, and an answer: PsychoPy's <keyboard>.keys (left
+    or right), `response` (1 left, 2 right) or `choice` (1 where the second was judged farther).
+    """
+    for path in (file, *data):
+        if not path.is_file():
+            raise ValueError(f"{str(path)!r} is not a file; name a plan.json and tables of trials.")
+    plan = read_plan(file)
+    trials = rig_trials(data)
+    inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
+    with Run(out, "analyse", inputs) as run:
+        found = plan.analyse(trials, unit=1e-3)
+        words = in_words(found, trials, plan)
+        run.table("analysis", found.estimates)
+        if run.out_dir is not None:
+            atomic_write(run.path("analysis.txt"), words)
+    if as_json:
+        shown = {"log_evidence": found.log_evidence, "favoured": found.favoured()}
+        rows = found.estimates.to_dict("records")
+        print(to_json({**shown, "left_out": list(found.left_out), "rows": rows}))
+        return
+    print(words, end="")
+    opt.wrote(run)
+
+
+def rig_trials(files: list[Path]) -> ww.Trials:
+    """The trials in one rig's tables, in mm; rows without a stimulus are no trials."""
+    import pandas as pd
+
+    tables = [load_table(path)[0] for path in files]
+    table = pd.concat(tables, ignore_index=True)
+    named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
+    if "stimulus_1" in named:
+        table = table[table[named["stimulus_1"]].notna()]
+    if "trial" not in table and "trial_number" in table:
+        named["trial"] = "trial_number"
+    labels = None
+    if "choice" not in table:
+        table = _with_choice(table, files[0])
+        labels = {side: which for side, which in SIDES.items() if side in set(table["choice"])}
+    return ww.read_trials(table, columns=named, choice_labels=labels)
+
+
+def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
+    """The table with its column of answers as `choice`: codes of `SIDES`, or none."""
+    keys = [str(name) for name in table if str(name).endswith(".keys")]
+    found = [*keys, *(name for name in ("response",) if name in table)]
+    if len(found) != 1:
+        raise ValueError(
+            f"{str(file)!r}: there is no one column of answers, got {', '.join(found) or 'none'}; "
+            "call it choice (1 where the second was judged farther), response or <keyboard>.keys."
+        )
+    given = table[found[0]].map(lambda v: int(v) if isinstance(v, float) and v == v else v)
+    return table.assign(choice=given.where(given.isin(list(SIDES)), None))
+
+
+def in_words(found: AnalysisResult, trials: ww.Trials, plan: ww.design.Plan) -> str:
+    """What the planned analysis finds."""
+    lines = [
+        f"{plan.title}. {trials.n_trials} trials with an answer of {max(len(trials.subjects), 1)} "
+        f"animals, analysed as planned; {plan.scheme.total_trials} were planned."
+    ]
+    for row in found.estimates.to_dict("records"):
+        lines.append(
+            f"{row['hypothesis']}, {row['subject']}: k = {row['weber_fraction']:.3g}, 95 % between "
+            f"{row['lower']:.3g} and {row['upper']:.3g} ({row['status'].lower()})."
+        )
+    if found.left_out:
+        lines.append(f"Left out, as planned: {', '.join(found.left_out)}.")
+    if len(found.log_evidence) > 1:
+        best = max(found.log_evidence, key=lambda name: found.log_evidence[name])
+        size = found.log_bayes_factor(best) / np.log(10)
+        need = plan.goal.bayes_factor or 10.0
+        verdict = "which meets" if size > np.log10(need) else "which does not meet"
+        lines.append(
+            f"Best: {best}, by a Bayes factor of 10^{size:.2f}, {verdict} the planned {need:g}."
+        )
+    lines.append(f"Software: {versions_in_words('numpy', 'scipy')}.")
+    return "\n".join(lines) + "\n"
