@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .citing import cite
     from .contacts import calibrate, locate, read_tracking, simulate_tracking, tracked_signals
     from .design import plan_experiment, power, read_plan, simulate_study
+    from .figures.page import write_plan
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
     from .jnd_curves import JNDCurve, jnd_curve
@@ -60,7 +61,6 @@ if TYPE_CHECKING:
     from .observer import Observer
     from .place_maps import array_by_count, array_by_whisker, array_resolution
     from .places import ArrayObserver, Place, place
-    from .planning import write_plan
     from .posterior import Posterior, Status, posterior
     from .whisker import Whisker, identities
 
@@ -83,7 +83,7 @@ _NAMES = {
     "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
-    "planning": "write_plan",
+    "figures.page": "write_plan",
     "citing": "cite",
 }
 _MODULES = (

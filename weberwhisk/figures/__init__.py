@@ -7,7 +7,6 @@ line style, so that a figure also reads in grey.
 
 from .._deprecated import renamed_names
 from .along_a_whisk import along_push, jnd_limits, lateral_sweep, reversal, touches, whisking_speed
-from .array import array_counts, array_map, place, whisker_array
 from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
 from .designs import (
     adaptive,
@@ -28,8 +27,8 @@ from .fits import (
     residuals,
     shrinkage,
 )
-from .located import calibrated, located
 from .page import plan_page
+from .places import array_counts, array_map, calibrated, located, place, whisker_array
 from .reports import fits_and_growth, paper_1d, paper_2, paper_3, speed_accuracy
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
 from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, ridge, weber_2d

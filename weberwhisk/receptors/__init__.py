@@ -17,11 +17,9 @@ probabilities. `Joint` gives each group of signals a model of its own. Constant 
 angles, is `GeneralisedWeber(0, floor=sd)`. How to write another law: `receptors.protocol`.
 """
 
-from .events import Events
 from .gaussian import Gaussian, GeneralisedWeber, Saturating, Weber
-from .joint import Joint
-from .other_laws import LogNormal, NearMiss
-from .protocol import Array, Component, ReceptorNoise, Seed
+from .other_laws import Events, LogNormal, NearMiss
+from .protocol import Array, Component, Joint, ReceptorNoise, Seed
 from .spike_count import Afferents, SpikeCount
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Two laws beside Weber's own: log-normal readings, and the near-miss."""
+"""Receptors that are not Gaussian with Weber's sd: log-normal readings, the near-miss, events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import number, positive
+from .._checks import finite, non_negative, number, positive
 from .gaussian import Gaussian, checked_correlation
 from .protocol import Array, ReceptorNoise, Seed
 
@@ -228,3 +228,171 @@ class NearMiss(Gaussian):
     def slopes(self, signals: Array) -> tuple[Array, Array]:
         slope = self.exponent * self.weber_fraction_at(signals) * np.sign(signals)
         return np.ones_like(signals), slope
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Events(ReceptorNoise):
+    """One event out of C, of which the signals are the chances of the first C − 1.
+
+    A touch is not felt more or less: it happens or it does not, with chances that depend on the
+    contact. The last event's chance is what the others leave, so that the covariance is regular.
+
+    Parameters
+    ----------
+    reports : array, shape (C, R)
+        The numbers that report each event. Rows of 0 and 1 serve: which whiskers touch, or 1 in
+        the place of the event's own number (none, for the last).
+    misreport : float
+        Chance that the report has nothing to do with the event: any of the C, all equally likely.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two events, two with one report, a chance of misreporting outside 0 … 1.
+
+    Examples
+    --------
+    >>> touch = Events([[0.0], [1.0]])
+    >>> touch.mean([0.2]), touch.sd([0.2])
+    (array([0.8]), array([0.4]))
+    >>> touch.log_likelihood([1.0], [0.2]).round(4)
+    np.float64(-0.2231)
+    """
+
+    is_categorical = True
+
+    reports: Any
+    _: KW_ONLY
+    misreport: float = 0.0
+
+    def __post_init__(self) -> None:
+        reports = finite("reports", self.reports, "give one row of numbers for each event")
+        if reports.ndim != 2 or len(reports) < 2:
+            raise ValueError(
+                f"reports must have a row for each of two events or more, got shape "
+                f"{reports.shape}; write [[0], [1]] for no touch and touch, say."
+            )
+        if len(np.unique(reports, axis=0)) < len(reports):
+            raise ValueError(
+                f"Each event needs a report of its own, got {len(reports)} events and "
+                f"{len(np.unique(reports, axis=0))} different rows of reports; "
+                "leave out events that cannot be distinguished."
+            )
+        misreport = number("misreport", self.misreport, "give a probability, 0 to 1")
+        non_negative("misreport", misreport, "give a probability, 0 to 1")
+        if misreport >= 1:
+            raise ValueError(
+                f"misreport must be below 1, got {misreport:g}; give a probability, 0 to 1."
+            )
+        self._set(reports=reports, misreport=misreport)
+
+    def __repr__(self) -> str:
+        return f"Events({len(self.reports)} events, misreport={self.misreport:g})"
+
+    def reading_size(self, signals: int) -> int:
+        """R, the numbers in each report."""
+        if signals != len(self.reports) - 1:
+            raise ValueError(
+                f"Events with {len(self.reports)} reports take {len(self.reports) - 1} chances, "
+                f"got {signals} signals; use the cue's default_noise()."
+            )
+        return int(self.reports.shape[1])
+
+    def chances(self, signals: ArrayLike) -> Array:
+        """Chance of each of the C reports, (..., C)."""
+        first = np.asarray(signals, dtype=float)
+        # What rounding takes below zero is zero.
+        chance = np.maximum(np.concatenate([first, 1 - first.sum(-1, keepdims=True)], axis=-1), 0)
+        return (1 - self.misreport) * chance + self.misreport / len(self.reports)
+
+    def mean(self, signals: ArrayLike) -> Array:
+        """Mean report, (..., R)."""
+        return np.asarray(self.chances(signals) @ self.reports)
+
+    def jacobian(self, signals: ArrayLike) -> Array:
+        """d mean/d chance, (..., R, S): constant, as the mean is linear in the chances."""
+        slope = (1 - self.misreport) * (self.reports[:-1] - self.reports[-1]).T
+        return np.broadcast_to(slope, (*np.shape(signals)[:-1], *slope.shape))
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """Standard deviation of each number of a report, (..., R)."""
+        mean = self.mean(signals)[..., None, :]
+        square = self.chances(signals)[..., None] * (self.reports - mean) ** 2
+        return np.asarray(np.sqrt(square.sum(axis=-2)))
+
+    def covariance(self, signals: ArrayLike) -> Array:
+        """Covariance of the numbers of a report, (..., R, R)."""
+        off = self.reports - self.mean(signals)[..., None, :]
+        return np.einsum("...c,...ci,...cj->...ij", self.chances(signals), off, off)
+
+    def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
+        """Smallest and largest numbers among the reports that may come, (..., R) each.
+
+        Reports that may not are those with a chance below exp(−width²/2) in all.
+        """
+        possible = self.chances(signals) > np.exp(-0.5 * width**2) / len(self.reports)
+        return (
+            np.where(possible[..., None], self.reports, np.inf).min(axis=-2),
+            np.where(possible[..., None], self.reports, -np.inf).max(axis=-2),
+        )
+
+    def stabilised(self, signals: ArrayLike) -> Array:
+        """2√chance, (..., C): smooth where chances vanish, with steps of one JND of length one.
+
+        The arc length of this curve is ∫√(information), as Σp'²/p = Σ(d 2√p)² (Fisher, 1922).
+        Far below 1e-12, where chances may be rounding, it is level.
+        """
+        return np.asarray(2 * np.sqrt(self.chances(signals) + 1e-12))
+
+    def resolution(self, signals: Array) -> tuple[Array, Array]:
+        """`stabilised`, whose JND is 1 everywhere."""
+        place = self.stabilised(signals)
+        return place, np.ones_like(place)
+
+    def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
+        """ln of the chance of a report (..., R), shape (...); −∞ for what reports no event."""
+        event, known = self._event(reading)
+        log = self._log_chances(signals)
+        shape = np.broadcast_shapes(event.shape, log.shape[:-1])
+        log = np.broadcast_to(log, (*shape, log.shape[-1]))
+        at = np.broadcast_to(event, shape)[..., None]
+        return np.where(known, np.take_along_axis(log, at, axis=-1)[..., 0], -np.inf)
+
+    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+        """`log_likelihood` at signals (P, ..., S) that many readings will be held against.
+
+        A callable of readings (n, R) and the index (n,) of the signals for each, giving (n, ...).
+        """
+        log = np.moveaxis(self._log_chances(signals), -1, 0)
+
+        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+            event, known = self._event(reading)
+            value = log[event, index]
+            value[~known] = -np.inf
+            return value
+
+        return log_likelihood
+
+    def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
+        """Reports of what happens, (..., R)."""
+        rise = np.cumsum(self.chances(signals), axis=-1)
+        u = np.random.default_rng(seed).random(rise.shape[:-1])[..., None]
+        return np.asarray(self.reports[(u > rise[..., :-1]).sum(axis=-1)])
+
+    def fisher(self, signals: ArrayLike) -> Array:
+        """Fisher information about the chances, (..., S, S): diag(1/p) + 1/p_last."""
+        # Below, chances inform of nothing, as p'²/p falls with p; dividing by them would magnify
+        # what rounding leaves of sums over the others' slopes.
+        chance = np.maximum(self.chances(signals), 1e-10)
+        size = chance.shape[-1] - 1
+        own = np.eye(size) / chance[..., None, :-1]
+        return np.asarray((1 - self.misreport) ** 2 * (own + 1 / chance[..., -1:, None]))
+
+    def _log_chances(self, signals: ArrayLike) -> Array:
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(self.chances(signals)))
+
+    def _event(self, reading: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Which event each reading (..., R) reports, and whether it reports one."""
+        same = (np.asarray(reading, dtype=float)[..., None, :] == self.reports).all(axis=-1)
+        return same.argmax(axis=-1), same.any(axis=-1)
