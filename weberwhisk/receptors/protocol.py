@@ -17,7 +17,7 @@ better one. One line in `receptors/__init__.py` lists it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, reduce
 from itertools import accumulate
@@ -360,29 +360,25 @@ class Joint(ReceptorNoise):
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln p(reading | signals), shape (...): the sum over the models."""
-        return _total(n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals))
+        return reduce(np.add, (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals)))
 
     def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
         """`log_likelihood` at a table of signals (P, ..., S): the sum over the models."""
         parts = [(c.readings, c.noise.prepared(signals[..., c.signals])) for c in self._components]
 
         def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
-            return _total(part(reading[:, columns], index) for columns, part in parts)
+            return reduce(np.add, (part(reading[:, columns], index) for columns, part in parts))
 
         return log_likelihood
 
     def log_likelihoods(self, reading: Array, signals: Array) -> Array:
         """`log_likelihood` of readings (B, R) at signals (N, S), (B, N): summed over models."""
-        return _total(n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals))
+        return reduce(np.add, (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals)))
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
         """Readings of these signals, (..., R)."""
         rng = np.random.default_rng(seed)
         return np.concatenate([n.sample(s, rng) for n, s in self.parts(signals)], axis=-1)
-
-
-def _total(arrays: Iterable[Array]) -> Array:
-    return reduce(np.add, arrays)
 
 
 def _joined(pairs: list[tuple[Array, Array]]) -> tuple[Array, Array]:
