@@ -309,7 +309,11 @@ def test_heavy_import_is_found(tmp_path: Path, name: str) -> None:
 def test_old_names_of_encodings_and_studies_work_for_a_release() -> None:
     import weberwhisk as ww
     from weberwhisk import behaviour, design
+    from weberwhisk.behaviour import encodings, psychometric
 
+    for name in ("decision_variable", "difference_sd"):
+        with pytest.warns(DeprecationWarning, match=f"psychometric.{name}"):
+            assert getattr(encodings, name) is getattr(psychometric, name)
     for module, renamed in (
         (behaviour, {"Percept": "Encoding", "CuePercept": "CueEncoding"}),
         (behaviour, {f"{n}Percept": f"{n}Encoding" for n in ("Identity", "Log", "LogAxis")}),

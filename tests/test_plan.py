@@ -22,10 +22,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from weberwhisk import Whisker, figures, plan_experiment, read_plan, write_plan
-from weberwhisk.behaviour import IdentityEncoding, Priors, read_trials
+from weberwhisk import Observer, Whisker, figures, plan_experiment, read_plan, write_plan
+from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
+from weberwhisk.behaviour.comparison import ConstantNoise
 from weberwhisk.behaviour.population import draw_animals, simulate_responses
-from weberwhisk.cues import ForceMap
+from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.design import (
     LEVELS,
     Constraints,
@@ -35,6 +36,7 @@ from weberwhisk.design import (
     Scheme,
     SubjectPopulation,
     cues,
+    information,
     noises,
     plan_json,
     taper,
@@ -107,6 +109,31 @@ def test_every_list_holds_the_scheme_and_is_balanced(
         for _, session in own.groupby("session"):
             assert session["trial"].tolist() == list(range(1, len(session) + 1))
             assert (session["block"].diff().iloc[1:] >= 0).all()
+
+
+def test_tables_of_a_plan_join_its_trial_lists_on_millimetres() -> None:
+    # 20.1 mm in metres, times 1000, is 20.1 in one table and was 20.100000000000001 in another.
+    scheme = Scheme([20.1e-3, 33.3e-3], [-1.7e-3, -0.9e-3, 0.7e-3, 1.1e-3], trials=2)
+    plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
+    shown = plan.trials
+    shown["comparison_mm"] = shown["stimulus_1_mm"] + shown["stimulus_2_mm"]
+    shown["comparison_mm"] = (shown["comparison_mm"] - shown["standard_mm"]).round(9)
+    on = ["standard_mm", "comparison_mm"]
+    assert len(shown.merge(plan.levels, on=on)) == len(shown)
+    for table in (plan.curves, plan.jnds_by_standard, scheme.table()):
+        assert set(shown["standard_mm"]) == set(table["standard_mm"])
+
+
+def test_a_plan_refuses_encodings_in_another_unit_than_metres() -> None:
+    # Its lists would have said 20000 mm.
+    encoding = CueEncoding(Observer(Whisker(50e-3, 100e-6, 5e-6), Compliance()), unit=1e-3)
+    scheme = Scheme([20.0], [-2.0, 2.0])
+    one, two = Hypothesis("mm", encoding), Hypothesis("constant", ConstantNoise(encoding, 1.0))
+    for h in (one, two):
+        with pytest.raises(ValueError, match=r"distances in metres.* in units of 0\.001 m"):
+            Plan(scheme, [h], Goal(half_width=0.2))
+        with pytest.raises(ValueError, match=r"in units of 0\.001 m"):
+            information([h], [20.0], [2.0])
 
 
 @settings(max_examples=20)

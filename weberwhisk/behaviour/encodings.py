@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_attribute
+from .._deprecated import renamed_attribute, renamed_names
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
 Array = NDArray[np.float64]
@@ -71,9 +71,10 @@ class IdentityEncoding:
 
 @dataclass(frozen=True)
 class LogEncoding:
-    """A stimulus given by its logarithm: magnitude = exp(log_unit × column), sd = k × magnitude.
+    """A stimulus given by its logarithm: the signal is its magnitude, exp(log_unit × column).
 
-    An additive constant in the column cancels, as only ratios matter under Weber's law.
+    Its sd is k × magnitude; `LogAxisEncoding` has the logarithm itself for a signal, with one sd.
+    An additive constant in the column cancels: ratios of magnitudes alone matter to either.
 
     Parameters
     ----------
@@ -379,3 +380,12 @@ def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:
     if log_unit is None or noise == "equal-variance":
         return LogAxisEncoding(1.0 if log_unit is None else log_unit)
     return LogEncoding(log_unit)
+
+
+__getattr__ = renamed_names(
+    __name__,
+    {
+        name: f"weberwhisk.behaviour.psychometric:{name}"
+        for name in ("decision_variable", "difference_sd")
+    },
+)

@@ -148,18 +148,101 @@ LEAST_TOLD = 8  # trials that the coordinates of the lapses are made for at firs
 
 
 class Belief:
-    """The posterior of one hypothesis, trial by trial.
+    """The posterior of one hypothesis on a grid.
 
     Parameters
     ----------
     hypothesis : Hypothesis
     candidates : Cells
         The pairs of stimuli that may be put; what is put may differ.
+    grid : BeliefGrid
+        With all answers so far.
     """
+
+    def __init__(self, hypothesis: Hypothesis, candidates: Cells, grid: BeliefGrid) -> None:
+        self.hypothesis, self._candidates, self._grid = hypothesis, candidates, grid
+        self._sum()
+
+    @property
+    def axes(self) -> Axes:
+        """Of the grid as it is."""
+        return self._grid.axes
+
+    @property
+    def k(self) -> Array:
+        """Weber fractions of its nodes, whose masses are `mass_k`."""
+        return self._grid.k
+
+    def _sum(self) -> None:
+        """Integrate everything."""
+        by_group = self._grid.by_group
+        others = []
+        for g in range(len(by_group)):
+            rest = self._grid.prior.copy()
+            for h, other in enumerate(by_group):
+                if h != g:
+                    rest *= other
+            others.append(rest)
+        joint = others[0] * by_group[0]
+        total = joint.sum()
+        self.log_evidence = float(np.log(total)) + sum(self._grid.log)
+        self._joint = joint / total
+        self._others = [rest / total for rest in others]
+        self.mass_k = self._joint.sum(axis=1)
+        self._moments = [self._weigh(g) for g in range(len(others))]
+
+    def _weigh(self, group: int) -> Array:
+        """Mass of every (k, bias), and its mean lower lapse and slope times that, (K, B, 3)."""
+        weighed = self._others[group][:, None] * self._grid.lapse_moments  # (K, 3, L)
+        moments = np.matmul(self._grid.values[group], np.swapaxes(weighed, 1, 2))
+        return np.asarray(moments * self._grid.prior_bias[group][:, None])
+
+    def quantile(self, probability: float | Array) -> Array:
+        """Posterior quantiles of the Weber fraction."""
+        z = self.axes.k
+        if z.size == 1:
+            return np.full(np.shape(probability), self._grid.k[0])
+        fine = np.linspace(z[0], z[-1], 40 * z.size)
+        log_mass = np.maximum(np.log(np.maximum(self.mass_k, TINY)), -200.0)
+        density = np.exp(CubicSpline(z, log_mass - log_mass.max())(fine))
+        below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        at = np.interp(probability, below / below[-1], fine)
+        return self._grid.model.value("weber_fraction", at)
+
+    def predicted(self) -> tuple[Array, Array]:
+        """Chance of the answer to every candidate given k, (K, C), and whatever k is, (C,)."""
+        given_k = np.empty((self.axes.k.size, self._candidates.n.size))
+        mass = np.maximum(self.mass_k, TINY)
+        for g, (moments, up) in enumerate(zip(self._moments, self._grid.up, strict=True)):
+            low, slope = moments[..., 1].sum(axis=1), moments[..., 2]
+            rise = np.einsum("kb,kbc->kc", slope, up)
+            given_k[:, self._grid.model.group == g] = (low[:, None] + rise) / mass[:, None]
+        given_k = np.clip(given_k, 0.0, 1.0)
+        return given_k, self.mass_k @ given_k
+
+    def entropy_of_all(self, drawn: int = 2000) -> Array:
+        """Mean entropy of the answer were all parameters known, (C,), nats.
+
+        Over so many nodes at even steps of the cumulative mass: without bias.
+        """
+        out = np.empty(self._candidates.n.size)
+        for g, up in enumerate(self._grid.up):
+            joint = (
+                self._grid.values[g] * self._grid.prior_bias[g][:, None] * self._others[g][:, None]
+            )
+            below = np.cumsum(joint)
+            steps = (np.arange(drawn) + 0.5) / drawn * below[-1]
+            k, b, lapse = np.unravel_index(np.searchsorted(below, steps), joint.shape)
+            p = self._grid.low[lapse, None] + self._grid.slope[lapse, None] * up[k, b]
+            out[self._grid.model.group == g] = entropy(p).mean(axis=0)
+        return out
+
+
+class GrowingBelief(Belief):
+    """The same, trial by trial."""
 
     def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
         self.hypothesis = hypothesis
-        self._candidates = candidates
         model = _told(hypothesis.model(candidates), LEAST_TOLD)
         self._seen: dict[Pair, list[int]] = {}
         pairs = zip(candidates.stimulus_1, candidates.stimulus_2, candidates.standard, strict=True)
@@ -181,38 +264,7 @@ class Belief:
         self._building: Iterator[BeliefGrid | None] | None = None
         *_, grid = self._laid(model, Axes(k, low, high, (bias,) * model.n_groups))
         assert grid is not None
-        self._grid = grid
-        self._sum()
-
-    @classmethod
-    def after(cls, hypothesis: Hypothesis, cells: Cells, axes: Axes) -> Belief:
-        """After the answers in a table, whose counts may be fractional, on these axes for good.
-
-        For `predicted`, `mass_k` and `k` alone: it takes no further trials.
-        """
-        belief = cls.__new__(cls)
-        belief.hypothesis, belief._candidates = hypothesis, cells
-        model = hypothesis.model(cells)
-        belief._grid = BeliefGrid(model, axes)
-        for i, (n, count, group) in enumerate(zip(cells.n, cells.count, model.group, strict=True)):
-            belief._grid.put(model.encodings.of(np.array([i])), group, [n - count, count])
-        for _ in axes.bias:
-            belief._grid.see_candidates()
-            belief._grid.close()
-        belief._sum()
-        return belief
-
-    # -- the grid --------------------------------------------------------------------------------
-
-    @property
-    def axes(self) -> Axes:
-        """Of the grid as it is."""
-        return self._grid.axes
-
-    @property
-    def k(self) -> Array:
-        """Weber fractions of its nodes, whose masses are `mass_k`."""
-        return self._grid.k
+        super().__init__(hypothesis, candidates, grid)
 
     def _laid(self, model: WeberModel, axes: Axes, pairs: int = 3) -> Iterator[BeliefGrid | None]:
         """A grid on these axes with all trials so far in it, after some rests, in each of which the
@@ -264,30 +316,6 @@ class Belief:
             if axes is not None:
                 self._building = self._laid(*axes)
 
-    def _sum(self) -> None:
-        """Integrate everything."""
-        by_group = self._grid.by_group
-        others = []
-        for g in range(len(by_group)):
-            rest = self._grid.prior.copy()
-            for h, other in enumerate(by_group):
-                if h != g:
-                    rest *= other
-            others.append(rest)
-        joint = others[0] * by_group[0]
-        total = joint.sum()
-        self.log_evidence = float(np.log(total)) + sum(self._grid.log)
-        self._joint = joint / total
-        self._others = [rest / total for rest in others]
-        self.mass_k = self._joint.sum(axis=1)
-        self._moments = [self._weigh(g) for g in range(len(others))]
-
-    def _weigh(self, group: int) -> Array:
-        """Mass of every (k, bias), and its mean lower lapse and slope times that, (K, B, 3)."""
-        weighed = self._others[group][:, None] * self._grid.lapse_moments  # (K, 3, L)
-        moments = np.matmul(self._grid.values[group], np.swapaxes(weighed, 1, 2))
-        return np.asarray(moments * self._grid.prior_bias[group][:, None])
-
     def _better_axes(self) -> tuple[WeberModel, Axes] | None:
         """Axes that fit what is left, and coordinates; None where those there do."""
         axes = self.axes
@@ -312,48 +340,6 @@ class Belief:
             for axis, was, new in zip((low, high), before, model.transforms[-2:], strict=True)
         )
         return model, Axes(k, low, high, tuple(bias))
-
-    # -- what it says ----------------------------------------------------------------------------
-
-    def quantile(self, probability: float | Array) -> Array:
-        """Posterior quantiles of the Weber fraction."""
-        z = self.axes.k
-        if z.size == 1:
-            return np.full(np.shape(probability), self._grid.k[0])
-        fine = np.linspace(z[0], z[-1], 40 * z.size)
-        log_mass = np.maximum(np.log(np.maximum(self.mass_k, TINY)), -200.0)
-        density = np.exp(CubicSpline(z, log_mass - log_mass.max())(fine))
-        below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-        at = np.interp(probability, below / below[-1], fine)
-        return self._grid.model.value("weber_fraction", at)
-
-    def predicted(self) -> tuple[Array, Array]:
-        """Chance of the answer to every candidate given k, (K, C), and whatever k is, (C,)."""
-        given_k = np.empty((self.axes.k.size, self._candidates.n.size))
-        mass = np.maximum(self.mass_k, TINY)
-        for g, (moments, up) in enumerate(zip(self._moments, self._grid.up, strict=True)):
-            low, slope = moments[..., 1].sum(axis=1), moments[..., 2]
-            rise = np.einsum("kb,kbc->kc", slope, up)
-            given_k[:, self._grid.model.group == g] = (low[:, None] + rise) / mass[:, None]
-        given_k = np.clip(given_k, 0.0, 1.0)
-        return given_k, self.mass_k @ given_k
-
-    def entropy_of_all(self, drawn: int = 2000) -> Array:
-        """Mean entropy of the answer were all parameters known, (C,), nats.
-
-        Over so many nodes at even steps of the cumulative mass: without bias.
-        """
-        out = np.empty(self._candidates.n.size)
-        for g, up in enumerate(self._grid.up):
-            joint = (
-                self._grid.values[g] * self._grid.prior_bias[g][:, None] * self._others[g][:, None]
-            )
-            below = np.cumsum(joint)
-            steps = (np.arange(drawn) + 0.5) / drawn * below[-1]
-            k, b, lapse = np.unravel_index(np.searchsorted(below, steps), joint.shape)
-            p = self._grid.low[lapse, None] + self._grid.slope[lapse, None] * up[k, b]
-            out[self._grid.model.group == g] = entropy(p).mean(axis=0)
-        return out
 
 
 def entropy(p: Array) -> Array:

@@ -267,6 +267,17 @@ def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     return given
 
 
+def check_metres(hypotheses: Sequence[Hypothesis]) -> None:
+    """Refuses encodings of distances in another unit where tables have mm for metres."""
+    for h in hypotheses:
+        unit = getattr(getattr(h.encoding, "base", h.encoding), "unit", 1.0)
+        if unit != 1.0:
+            raise ValueError(
+                f"a plan has distances in metres, got {h.name!r} with an encoding in units of "
+                f"{unit:g} m; leave its unit= out, and give standards and offsets in metres."
+            )
+
+
 def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypothesis, ...]:
     """The same hypotheses with other priors, by parameter: `lapse_low=scipy.stats.beta(1, 19)`."""
     return tuple(

@@ -21,9 +21,9 @@ from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
-from .belief import Axes, Belief, entropy
-from .hypotheses import Hypothesis, SubjectPopulation, check_distinct
-from .scheme import Scheme
+from .belief import Axes, Belief, BeliefGrid, entropy
+from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
+from .scheme import Scheme, millimetres
 
 Array = NDArray[np.float64]
 
@@ -79,6 +79,7 @@ def information(
     2
     """
     given = check_distinct(hypotheses)
+    check_metres(given)
     at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
     rows = np.atleast_2d(_checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
     if len(rows) not in (1, at.size):
@@ -105,7 +106,8 @@ def information(
             parts.append(_of_answers(beliefs, int(encoded.sum()), place))
         bits[:, encoded] = np.mean(parts, axis=0) / np.log(2)
     named = zip(("weber_fraction_bits", "jnd_bits", "hypothesis_bits"), bits, strict=True)
-    return pd.DataFrame({"standard_mm": 1e3 * s1, "offset_mm": 1e3 * rows.ravel(), **dict(named)})
+    mm = {"standard_mm": millimetres(s1), "offset_mm": millimetres(rows.ravel())}
+    return pd.DataFrame({**mm, **dict(named)})
 
 
 def believed(
@@ -141,7 +143,13 @@ def believed(
         np.linspace(*end, n) if own else np.zeros(1)
         for end, n, own in zip(ends, sizes, free, strict=True)
     )
-    return Belief.after(hypothesis, cells, Axes(k, low, high, tuple(biases)))
+    grid = BeliefGrid(model, Axes(k, low, high, tuple(biases)))
+    for i, (n, count, group) in enumerate(zip(cells.n, cells.count, model.group, strict=True)):
+        grid.put(model.encodings.of(np.array([i])), group, [n - count, count])
+    for _ in biases:
+        grid.see_candidates()
+        grid.close()
+    return Belief(hypothesis, cells, grid)
 
 
 def _expected(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Cells:

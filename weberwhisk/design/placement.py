@@ -22,7 +22,7 @@ from ..behaviour.encodings import LogEncoding
 from ..behaviour.fit import fit_weber
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
-from .belief import Belief, Pair, entropy
+from .belief import Belief, GrowingBelief, Pair, entropy
 from .hypotheses import Hypothesis, check_distinct, options_of
 from .scheme import Scheme
 
@@ -239,7 +239,7 @@ class BayesianPlacer(TrialLog):
             _checks.positive("most", most, "write 400, say")
         self.easy_share, self.width, self.most = easy_share, width, most
         self._cells = scheme.cells()
-        self.beliefs = {h.name: Belief(h, self._cells) for h in self.hypotheses}
+        self.beliefs = {h.name: GrowingBelief(h, self._cells) for h in self.hypotheses}
 
     # -- what is known ---------------------------------------------------------------------------
 

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from .. import _checks
-from .._display import Shown, with_units
+from .._display import Shown
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from ..jnd import criterion_factor
 from ..output import csv_text
 from .analysis import AnalysisResult, analyse
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
-from .scheme import Constraints, Scheme
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct, check_metres
+from .scheme import Constraints, Scheme, millimetres
 from .trial_lists import sessions_needed, trial_lists
 
 Array = NDArray[np.float64]
@@ -106,6 +106,7 @@ class Plan(Shown):
             )
         if self.together and self.scheme.animals < 2:
             raise ValueError("One animal cannot be fitted together with others; give two or more.")
+        check_metres(self.hypotheses)
         self.constraints.check(self.scheme, first.encoding, self.animals.weber_fraction)
         for hypothesis in self.hypotheses:
             hypothesis.model(self.scheme)  # refuses what this one cannot feel
@@ -158,7 +159,7 @@ class Plan(Shown):
         low, high = (binom.ppf(q, n, share) / n for q in (0.025, 0.975))
         named = {"standard": frame["standard"], "comparison": frame["stimulus_2"], "n": n}
         found = pd.DataFrame({**named, "expected": share, "lower": low, "upper": high})
-        return with_units(found, ["standard", "comparison"])
+        return _in_mm(found, "standard", "comparison")
 
     @cached_property
     def curves(self) -> pd.DataFrame:
@@ -182,7 +183,7 @@ class Plan(Shown):
                 curve.insert(0, "standard", float(standard))
                 curve.insert(0, "hypothesis", name)
                 parts.append(curve)
-        return with_units(pd.concat(parts, ignore_index=True), ["standard", "comparison"])
+        return _in_mm(pd.concat(parts, ignore_index=True), "standard", "comparison")
 
     @cached_property
     def jnds(self) -> pd.DataFrame:
@@ -255,4 +256,10 @@ def _jnds(fit: WeberFit, name: str, at: Array, criterion: str = "75% 2AFC") -> p
     low, high = fit.interval(0.95)
     jnd = {"jnd": fit.weber_fraction * unit, "lower": low * unit, "upper": high * unit}
     found = pd.DataFrame({name: at, **jnd, "criterion": criterion})
-    return with_units(found, [name, "jnd", "lower", "upper"])
+    return _in_mm(found, name, "jnd", "lower", "upper")
+
+
+def _in_mm(table: pd.DataFrame, *lengths: str) -> pd.DataFrame:
+    """A table in mm, as the trial lists have them; the names of its columns then say so."""
+    found = table.assign(**{name: millimetres(table[name]) for name in lengths})
+    return found.rename(columns={name: f"{name}_mm" for name in lengths})

@@ -199,13 +199,14 @@ class Scheme:
     def table(self) -> pd.DataFrame:
         """One row a level: `standard_mm`, `offset_mm`, `comparison_mm`, `trials`."""
         cells = self.cells()
-        metres = {
-            "standard_mm": cells.standard,
-            "offset_mm": np.concatenate([np.asarray(row) for row in self.offsets]),
-            "comparison_mm": cells.stimulus_2,
-        }
-        table = pd.DataFrame({name: map(in_millimetres, v) for name, v in metres.items()})
-        return table.assign(trials=cells.n.astype(int))
+        return pd.DataFrame(
+            {
+                "standard_mm": millimetres(cells.standard),
+                "offset_mm": millimetres(np.concatenate(self.offsets)),
+                "comparison_mm": millimetres(cells.stimulus_2),
+                "trials": cells.n.astype(int),
+            }
+        )
 
     def with_trials(self, trials: int) -> Scheme:
         """The same levels with so many trials each."""
@@ -367,6 +368,7 @@ def _rows(name: str, values: Sequence[Any], count: int) -> list[list[Any]]:
     return [list(row) for row in given]
 
 
-def in_millimetres(metres: float) -> float:
-    """A length as one would write it: 20.1, not 20.100000000000001."""
-    return float(f"{metres * 1e3:.9g}")
+def millimetres(metres: ArrayLike) -> Array:
+    """Lengths as one would write them, 20.1 and not 20.100000000000001: tables join on them."""
+    given = np.asarray(metres, dtype=float)
+    return np.array([float(f"{v * 1e3:.9g}") for v in given.flat]).reshape(given.shape)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..behaviour.trials import Cells
-from .scheme import Scheme, in_millimetres
+from .scheme import Scheme, millimetres
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
@@ -149,10 +149,7 @@ def _of_animal(
     start = np.searchsorted(session, session)
     standard, comparison = levels.standard[level], levels.stimulus_2[level]
     comparison_second = (side == 2) == (comparison > standard)
-    standard_mm, comparison_mm = (
-        np.array([in_millimetres(v) for v in own])[level]
-        for own in (levels.standard, levels.stimulus_2)
-    )
+    standard_mm, comparison_mm = millimetres([levels.standard, levels.stimulus_2])[:, level]
     return pd.DataFrame(
         {
             "subject": np.full(level.size, subject),
