@@ -322,15 +322,41 @@ def compare_taper(
     >>> compare_taper(trials, whisker).table.index[0]
     'tapered'
     """
-    hint = "write Whisker.from_identity('C2'), say"
-    _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
+    encoded = taper_encodings(whisker, unit)
+    return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})
+
+
+def taper_encodings(whisker: Whisker, unit: float = 1.0) -> dict[str, CueEncoding]:
+    """Distance as (3.5) has it for a tapered whisker, and (3.6) for its cylinder, by name."""
+    _check_whisker(whisker)
     if whisker.tip_radius >= whisker.base_radius:
-        raise ValueError("the whisker has no taper to test; give one whose tip is thinner.")
-    encoded = {
+        raise ValueError(
+            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
+            f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
+        )
+    return {
         name: CueEncoding(Observer(w, Compliance(), Weber(1.0)), unit=unit)
         for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
     }
-    return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})
+
+
+def cue_encodings(
+    whisker: Whisker, deflection_angle: float, unit: float = 1.0
+) -> dict[str, CueEncoding]:
+    """Distance by compliance, and by the map of forces at that angle (rad), by name."""
+    _check_whisker(whisker)
+    compliance, force_map = (
+        Observer(whisker, cue, Weber(1.0)) for cue in (Compliance(), ForceMap())
+    )
+    return {
+        "compliance": CueEncoding(compliance, unit=unit),
+        "moment–axial-force map": CueEncoding(force_map, deflection_angle, unit),
+    }
+
+
+def _check_whisker(whisker: Whisker) -> None:
+    hint = "write Whisker.from_identity('C2'), say"
+    _checks.kind("whisker", whisker, "a Whisker", "tip_radius", hint)
 
 
 def compare_cues(
@@ -365,10 +391,5 @@ def compare_cues(
     >>> compare_cues(trials, whisker, deflection_angle=0.1).table.index[0]
     'compliance'
     """
-    encoded = {
-        "compliance": CueEncoding(Observer(whisker, Compliance(), Weber(1.0)), unit=unit),
-        "moment–axial-force map": CueEncoding(
-            Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle, unit
-        ),
-    }
+    encoded = cue_encodings(whisker, deflection_angle, unit)
     return compare({name: fit_weber(trials, encoding=p, **options) for name, p in encoded.items()})

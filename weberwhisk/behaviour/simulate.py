@@ -24,7 +24,6 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
-from .psychometric import response_probability
 from .tasks import task_named
 from .trials import Trials, notes_of
 
@@ -169,28 +168,6 @@ def simulate_trials(
     s0 = first
     if order == "random":  # the same pairs the other way round come after them
         first, second, s0 = np.r_[first, second], np.r_[second, first], np.r_[s0, s0]
-    p = np.concatenate(
-        [
-            response_probability(
-                chosen,
-                encoded,
-                first[own],
-                second[own],
-                standard=s0[own],
-                weber_fraction=fraction,
-                lapse_low=lapse_low,
-                lapse_high=lapse_high,
-                bias=b + wander,
-                noise=noise,
-            )
-            for own, b in zip(
-                np.array_split(np.arange(first.size), first.size // levels.shape[1]),
-                np.tile(shift, first.size // levels.size),
-                strict=True,
-            )
-        ],
-        axis=-1,
-    )  # (sessions, or 1 where all are alike; pairs of stimuli)
     # Uniform numbers alone: the streams of the other distributions may change between versions.
     pair = np.repeat(np.arange(levels.size), trials_per_level)
     place = np.argsort(rng.random(pair.size), kind="stable")
@@ -198,8 +175,7 @@ def simulate_trials(
     session[place] = np.sort(np.arange(pair.size) % sessions)
     which = pair + levels.size * (np.arange(pair.size) % 2) if order == "random" else pair
     uniform = rng.random(pair.size)
-    answer = (uniform < p[session % len(p), which]).astype(float)
-    answer[rng.random(pair.size) < missing] = np.nan
+    count = np.where(rng.random(pair.size) < missing, np.nan, 0.0)[place]  # the answers come below
     course, session, which = session[place], session[place] + 1, which[place]
     start = np.searchsorted(session, session)
     columns: dict[str, Any] = {} if subject is None else {"subject": np.full(which.size, subject)}
@@ -212,14 +188,12 @@ def simulate_trials(
             "stimulus_1": first[which],
             "stimulus_2": second[which],
             "n": np.ones(which.size, dtype=np.int64),
-            "count": answer[place],
+            "count": count,
         }
     )
     scale = "log" if is_log else "linear"
     trials = Trials(frame, chosen, scale, log_unit, "simulated trials", notes_of(frame))
-    if not effects:
-        return trials
-    moved = responses_with_effects(
+    answers = responses(
         trials,
         encoded,
         weber_fraction=fraction[course % len(fraction)],
@@ -231,8 +205,7 @@ def simulate_trials(
         uniform=uniform[place],
         rng=rng,
     )
-    count = np.where(np.isnan(frame["count"]), np.nan, moved)
-    return replace(trials, frame=frame.assign(count=count))
+    return replace(trials, frame=frame.assign(count=np.where(np.isnan(count), np.nan, answers)))
 
 
 def _course(
@@ -287,7 +260,7 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
     return np.array([[float(f"{value:.12g}") for value in row] for row in levels])
 
 
-def responses_with_effects(
+def responses(
     trials: Trials,
     encoding: Encoding,
     *,
@@ -342,7 +315,7 @@ def responses_with_effects(
                 p = np.asarray(beta.ppf(drawn, p * size, (1 - p) * size))
         return p
 
-    scatter = rng.random(len(frame))
+    scatter = rng.random(len(frame)) if effects else np.zeros(0)
     if not any(isinstance(effect, History) for effect, _ in bound):
         return (uniform < probability(0.0)).astype(float)
     after = (uniform < np.stack([probability(b) for b in (0.0, 1.0, -1.0)])).astype(int)

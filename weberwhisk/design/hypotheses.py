@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
-from ..behaviour.comparison import ConstantNoise
+from ..behaviour.comparison import ConstantNoise, cue_encodings, taper_encodings
 from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, unit_encodings
 from ..behaviour.fit import BIASES, fit_weber
 from ..behaviour.likelihood import WeberModel
@@ -22,9 +22,6 @@ from ..behaviour.psychometric import refuse_out_of_reach, response_probability
 from ..behaviour.result import WeberFit
 from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
-from ..cues import Compliance, ForceMap
-from ..observer import Observer
-from ..receptors import Weber
 from ..whisker import Whisker
 from .scheme import Scheme
 
@@ -159,16 +156,7 @@ def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
     >>> [h.name for h in taper(Whisker(50e-3, 100e-6, 5e-6))]
     ['tapered', 'cylindrical']
     """
-    _whisker(whisker)
-    if whisker.tip_radius >= whisker.base_radius:
-        raise ValueError(
-            f"the whisker has no taper to test, its tip ({whisker.tip_radius:g} m) being as thick "
-            f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
-        )
-    tapered, cylindrical = (
-        Hypothesis(name, CueEncoding(Observer(w, Compliance(), Weber(1.0))), **options)
-        for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
-    )
+    tapered, cylindrical = _hypotheses(taper_encodings(whisker), options)
     return tapered, cylindrical
 
 
@@ -190,17 +178,12 @@ def cues(
     >>> [h.name for h in cues(Whisker(50e-3, 100e-6, 5e-6), 0.1)]
     ['compliance', 'moment–axial-force map']
     """
-    _whisker(whisker)
-    return (
-        Hypothesis(
-            "compliance", CueEncoding(Observer(whisker, Compliance(), Weber(1.0))), **options
-        ),
-        Hypothesis(
-            "moment–axial-force map",
-            CueEncoding(Observer(whisker, ForceMap(), Weber(1.0)), deflection_angle),
-            **options,
-        ),
-    )
+    compliance, force_map = _hypotheses(cue_encodings(whisker, deflection_angle), options)
+    return compliance, force_map
+
+
+def _hypotheses(encodings: dict[str, CueEncoding], options: dict[str, Any]) -> list[Hypothesis]:
+    return [Hypothesis(name, encoding, **options) for name, encoding in encodings.items()]
 
 
 @renamed_arguments(percept="encoding")
@@ -282,12 +265,6 @@ def with_priors(hypotheses: Sequence[Hypothesis], **changes: Any) -> tuple[Hypot
     """The same hypotheses with other priors, by parameter: `lapse_low=scipy.stats.beta(1, 19)`."""
     return tuple(
         replace(h, priors=replace(h.priors, **changes)) for h in check_distinct(hypotheses)
-    )
-
-
-def _whisker(whisker: Whisker) -> None:
-    _checks.kind(
-        "whisker", whisker, "a Whisker", "tip_radius", 'write Whisker.from_identity("C2"), say'
     )
 
 
