@@ -27,7 +27,8 @@ from weberwhisk.design import (
     analyse,
     taper,
 )
-from weberwhisk.design.simulated_study import NEITHER, wilson
+from weberwhisk.design.experiments import wilson
+from weberwhisk.design.simulated_study import NEITHER
 from weberwhisk.figures import rehearsed
 
 C2 = Whisker.from_identity("C2")

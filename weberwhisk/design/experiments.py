@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 from scipy.stats import beta as beta_distribution
-from scipy.stats import binomtest
 
 from .. import _checks
 from ..behaviour.integrate import likelihood, marginal
@@ -244,6 +243,14 @@ def _integrated(x: Array, log_density: Array, finer: int = 8) -> tuple[Array, Ar
     return evidence, out
 
 
+def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
+    """Wilson's interval of a proportion (1927, J. Am. Stat. Assoc. 22:209), of any share."""
+    z = float(ndtri(0.5 + mass / 2))
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
+    return float(max(middle - reach, 0.0)), float(min(middle + reach, 1.0))
+
+
 def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
     """The scheme with so many animals, or trials of the comparison shown most."""
     if vary == "animals":
@@ -259,10 +266,10 @@ def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
     met = reaches(runs, goal)
     rows = []
     for key, own in runs.groupby(BY, sort=False):
-        count = int(met[own.index].sum())
-        lower, upper = binomtest(count, len(own)).proportion_ci(0.95, "wilson")
+        share = float(met[own.index].mean())
+        lower, upper = wilson(share, len(own))
         row = dict(zip(BY, key, strict=True)) | {
-            "runs": len(own), "power": count / len(own), "lower": lower, "upper": upper,
+            "runs": len(own), "power": share, "lower": lower, "upper": upper,
         }  # fmt: skip
         for name in ("half_width", "log_bayes_factor"):
             low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")

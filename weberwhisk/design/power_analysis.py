@@ -12,10 +12,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
-from scipy.stats import binomtest
 
 from .. import _checks, campaign
-from .experiments import BY, experiments, sized, summary
+from .experiments import BY, experiments, sized, summary, wilson
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .plan_file import encode
 from .scheme import Scheme
@@ -53,8 +52,7 @@ class Power:
                 f"{row['lapse']:g}: {what} {100 * row['power']:.3g} % "
                 f"({100 * row['lower']:.3g} to {100 * row['upper']:.3g})"
             )
-            missed = round(row["runs"] * (1 - row["coverage"]))
-            if binomtest(missed, int(row["runs"])).proportion_ci(0.95, "wilson").low > 0.1:
+            if wilson(1 - row["coverage"], int(row["runs"]))[0] > 0.1:
                 lines.append(
                     f"  Caution: these 95 % intervals of k hold the truth in {row['coverage']:.0%} "
                     "of runs: the animals are not as the priors have them. Give priors that hold "
@@ -284,18 +282,8 @@ def smallest(
 
 def _clear(found: Power, sure: float = 0.99) -> bool:
     """Whether these runs leave no doubt on which side of the goal's share the power lies."""
-    low, high = (
-        np.array(ends)
-        for ends in zip(
-            *(
-                binomtest(round(row["power"] * row["runs"]), row["runs"]).proportion_ci(
-                    sure, "wilson"
-                )
-                for row in found.table.to_dict("records")
-            ),
-            strict=True,
-        )
-    )
+    ends = found.table[["power", "runs"]].apply(lambda row: wilson(*row, sure), axis=1)
+    low, high = np.array(ends.tolist()).T
     return bool(low.min() > found.goal.share or high.min() < found.goal.share)
 
 

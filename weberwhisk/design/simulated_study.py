@@ -20,6 +20,7 @@ import pandas as pd
 from .. import _checks, campaign
 from ..behaviour.population import simulate_responses
 from ..behaviour.verdict import FitStatus
+from .experiments import wilson
 from .plan import Plan
 from .plan_file import plan_json, plan_of
 
@@ -115,20 +116,6 @@ def _met(row: pd.Series, share: float) -> str:
     if row["upper"] < share:
         return f"less than {wanted}"
     return f"not to be told from {wanted} by so many runs"
-
-
-def wilson(share: float, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a proportion (1927, J. Am. Stat. Assoc. 22:209).
-
-    Examples
-    --------
-    >>> [round(end, 4) for end in wilson(0.8, 100)]
-    [0.7112, 0.8666]
-    """
-    z = 1.959963984540054
-    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
-    return float(max(middle - reach, 0.0)), float(min(middle + reach, 1.0))
 
 
 def simulate_study(
