@@ -18,13 +18,7 @@ Flags = NDArray[np.bool_]
 
 
 def rows_in_words(rows: ArrayLike) -> str:
-    """Rows in words, the first below the header being 1.
-
-    Examples
-    --------
-    >>> rows_in_words([3]), rows_in_words([3, 4, 5, 8, 9])
-    ('row 3', 'rows 3, 4, 5 and 2 more')
-    """
+    """Rows in words, the first below the header being 1."""
     numbers = np.atleast_1d(np.asarray(rows))
     shown = ", ".join(map(str, numbers[:3].tolist()))
     more = f" and {numbers.size - 3} more" if numbers.size > 3 else ""
@@ -202,13 +196,7 @@ def _single_answers(
 
 
 def _as_text(cell: Any) -> str:
-    """A label as written: 1 and 1.0 are one label, as a gap in a column makes floats of integers.
-
-    Examples
-    --------
-    >>> _as_text(1.0), _as_text("2.0"), _as_text(" left")
-    ('1', '2', 'left')
-    """
+    """A label as written: 1 and 1.0 are one label, as a gap in a column makes floats of integers."""
     text = str(cell).strip()
     whole, point, zeros = text.partition(".")
     return whole if point and whole.lstrip("-").isdecimal() and not zeros.strip("0") else text

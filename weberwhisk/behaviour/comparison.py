@@ -183,12 +183,6 @@ class ConstantNoise:
     """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
 
     `typical` is a signal of middling strength, so that k remains a fraction.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> ConstantNoise(IdentityEncoding(), 2.0).sd_per_weber_fraction([1.0, 4.0])
-    array([2., 2.])
     """
 
     base: Encoding

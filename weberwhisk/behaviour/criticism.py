@@ -37,11 +37,8 @@ def check_fit(fit: object, name: str = "fit") -> None:
 def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
     """Observed and expected proportions by pair of stimuli.
 
-    Returns
-    -------
-    DataFrame
-        `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `expected` (posterior mean) and
-        `z`: their difference in binomial standard errors.
+    `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `expected` (posterior mean) and `z`,
+    their difference in binomial standard errors.
     """
     c = model.cells
     expected = model.probability(*draws.thinned(1000).values)[0].mean(axis=0)
@@ -315,11 +312,8 @@ def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws
 def predicted(model: WeberModel, draws: Draws, rng: np.random.Generator) -> pd.DataFrame:
     """Observed proportions beside those that observers with these parameters would give.
 
-    Returns
-    -------
-    DataFrame
-        A row a cell: `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `median`, `lower`,
-        `upper` (95 % of replicated data), and `inside`.
+    A row a cell: `standard`, `stimulus_1`, `stimulus_2`, `n`, `observed`, `median`, `lower`,
+    `upper` (95 % of replicated data), and `inside`.
     """
     c = model.cells
     n = np.maximum(c.n, 1)

@@ -255,13 +255,7 @@ def refuse_outside(encoding: Encoding, stimulus: ArrayLike) -> None:
 
 
 def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
-    """Refuse stimuli that give no signal.
-
-    Raises
-    ------
-    ValueError
-        Naming the first such stimulus, how many there are, and why.
-    """
+    """Refuse stimuli that give no signal: the first, how many there are, and why."""
     levels = np.unique(np.asarray(stimulus, dtype=float))
     encoded = gives_signal(encoding, levels)
     if encoded.all():
@@ -333,22 +327,10 @@ def unit_encodings(
     standard: ArrayLike,
     noise: str = "weber",
 ) -> UnitEncodings:
-    """Both encoded stimuli of every cell.
+    """Both encoded stimuli of every cell, (C,), in the stimulus's own unit.
 
-    Parameters
-    ----------
-    encoding : Encoding
-        How a stimulus is encoded.
-    stimulus_1, stimulus_2, standard : array_like, shape (C,)
-        In the stimulus's own unit.
-    noise : {"weber", "equal-variance"}
-        "weber": each interval has the sd of its own stimulus, as a receptor has. "equal-variance":
-        both have the sd of the standard, the textbook form.
-
-    Examples
-    --------
-    >>> unit_encodings(IdentityEncoding(), [1.0], [1.1], [1.0], "equal-variance").sd_2
-    array([1.])
+    With "weber" noise each interval has the sd of its own stimulus, as a receptor has;
+    "equal-variance" is the textbook form, where both have the sd of the standard.
     """
     _checks.one_of("noise", noise, NOISES)
     s1, s2, s0 = np.broadcast_arrays(
@@ -367,13 +349,7 @@ def unit_encodings(
 
 
 def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:
-    """The encoding a table of magnitudes calls for, when no whisker stands between.
-
-    Examples
-    --------
-    >>> encoding_for("log", 1.0, "weber")
-    LogEncoding(log_unit=1.0, direction=1, domain=(-inf, inf))
-    """
+    """The encoding a table of magnitudes calls for, when no whisker stands between."""
     _checks.one_of("noise", noise, NOISES)
     if scale == "linear":
         return IdentityEncoding()

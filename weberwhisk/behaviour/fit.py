@@ -213,19 +213,8 @@ def sample(
 ) -> SampledPosterior:
     """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
 
-    Parameters
-    ----------
-    model : WeberModel
-    seed : int, SeedSequence or Generator
-    ensembles : int
-        Independent ensembles; R-hat compares them.
-    precision : float
-        Monte Carlo error requested, in posterior sds.
-
-    Returns
-    -------
-    SampledPosterior
-        `trouble` says so where the run has not converged.
+    R-hat compares so many independent ensembles; `precision` is the Monte Carlo error requested, in
+    posterior sds. `trouble` says so where the run has not converged.
     """
     from ..posterior.ensemble import sample_stacked
     from ..posterior.run import Shortfall

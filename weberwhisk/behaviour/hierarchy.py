@@ -128,15 +128,7 @@ def _end_weights(shape: Sequence[int]) -> Array:
 def integrate_population(
     members: Members, priors: PopulationPriors, log_weber_fraction: Callable[[Array], Array]
 ) -> Population:
-    """The posterior of a population.
-
-    Parameters
-    ----------
-    members : Members
-    priors : PopulationPriors
-    log_weber_fraction : callable
-        Log-density of the prior of the population's ln k.
-    """
+    """The posterior of a population, given the log-density of the prior of its ln k."""
     grid = _Grid(Work(members), priors, log_weber_fraction)
     ranges = list(grid.bounds)
     coarse, fine = (13, 13, 7, 7, 7, 4), (23, 27, 11, 11, 21, 9)

@@ -63,23 +63,9 @@ class WeberModel:
     """One observer: k, effects and two lapses for all cells, one bias per group of cells.
 
     Given everything else, the biases of the groups are independent, which is what makes a bias per
-    standard as cheap as one bias: each is integrated by itself.
-
-    Parameters
-    ----------
-    task : Task
-    encodings : UnitEncodings
-        Of every cell; arrays (C,).
-    cells : Cells
-    priors : Priors
-    group : ndarray of int, shape (C,)
-        Which bias a cell has.
-    group_names : tuple of str
-        Names of the biases; empty where there is none.
-    effects : tuple of Effect
-        Bound to the table.
-    columns : ndarray, shape (E, C)
-        What each effect goes with.
+    standard as cheap as one bias: each is integrated by itself. `encodings` and `cells` have arrays
+    (C,); `group` (C,) says which bias a cell has, `group_names` is empty where there is none;
+    `effects` are bound to the table, and `columns` (E, C) what each goes with.
     """
 
     task: Task
@@ -216,18 +202,10 @@ class WeberModel:
     def probability(
         self, k: Array, low: Array, high: Array, bias: Array, effects: Array | None = None
     ) -> tuple[Array, Array]:
-        """P and 1 − P of every cell.
+        """P and 1 − P of every cell, (..., C), for k and lapses (...), biases (..., G), effects
+        (..., E).
 
-        Parameters
-        ----------
-        k, low, high : ndarray, shape (...)
-        bias : ndarray, shape (..., G)
-        effects : ndarray, shape (..., E), optional
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., C)
-            Both computed without subtraction from 1, so neither loses its tail.
+        Both are computed without subtraction from 1, so neither loses its tail.
         """
         low, high = (a[..., None] for a in self.lapses(low, high))
         d, weight = self.decide(k, effects)
@@ -291,14 +269,8 @@ class WeberModel:
     ) -> tuple[Array, Array]:
         """Where each bias lies given the rest: centre and sd, (..., G), by Fisher scoring.
 
-        Only the place of quadrature nodes depends on these, never the answer.
-
-        Parameters
-        ----------
-        encoded : tuple of ndarray, shape (..., C)
-            Decision variable, and what a bias of 1 adds to it, from the task's `decide`.
-        low, high : ndarray, shape (...)
-            Lapses.
+        Only the place of quadrature nodes depends on these, never the answer. `encoded` is what the
+        task decides by, (..., C), the lapses (...).
         """
         d, weight = encoded
         shape = (*np.broadcast_shapes(d.shape[:-1], low.shape, high.shape), self.n_groups)

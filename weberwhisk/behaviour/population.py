@@ -107,15 +107,7 @@ def draw_animals(
     bias_spread: float = 0.2,
     seed: int | np.random.SeedSequence | np.random.Generator,
 ) -> pd.DataFrame:
-    """Animals drawn from one population: the truth of `simulate_population`, a row an animal.
-
-    Examples
-    --------
-    >>> draw_animals(2, spread=0.0, bias_spread=0.0, seed=1)[["subject", "weber_fraction"]]
-      subject  weber_fraction
-    0      s1             0.1
-    1      s2             0.1
-    """
+    """Animals drawn from one population: the truth of `simulate_population`, a row an animal."""
     subjects = _checks.whole("subjects", subjects, "write 6, say")
     hint = "write for example 0.1"
     _checks.positive("weber_fraction", _checks.number("weber_fraction", weber_fraction, hint), hint)
@@ -144,13 +136,7 @@ def draw_animals(
 
 
 def joined(parts: list[Trials]) -> Trials:
-    """Tables of one task and scale, one below the other.
-
-    Raises
-    ------
-    ValueError
-        Where they differ in task, scale or unit, or there is none.
-    """
+    """Tables of one task, scale and unit, one below the other."""
     if not isinstance(parts, list | tuple):
         raise ValueError(f"parts must be a list of Trials, got {_checks.shown(parts)}.")
     for part in parts:

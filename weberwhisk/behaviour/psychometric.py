@@ -117,14 +117,7 @@ def _chance(
 
 
 def criterion(task: Task, proportion: float) -> str:
-    """The criterion of a threshold in words.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import task_named
-    >>> criterion(task_named("2AFC"), 0.75)
-    '75 % "second greater", 2AFC, lapses removed'
-    """
+    """The criterion of a threshold in words."""
     return f"{100 * proportion:.4g} % {task.answer}, {task.name.split()[0]}, lapses removed"
 
 
@@ -271,13 +264,8 @@ def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
 
 
 def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
-    """Refuse what the whisker cannot reach: past its tip, past its base, or flicked past.
-
-    Raises
-    ------
-    ValueError
-        Naming the farthest offender and by how much it is off.
-    """
+    """Refuse what the whisker cannot reach, past its tip, past its base, or flicked past: the
+    farthest offender, and by how much it is off."""
     at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
     if not at.size:
         raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
@@ -318,14 +306,7 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
 
 
 def in_words(encoding: Encoding, length: float) -> str:
-    """A stimulus with its unit: millimetres where it is a distance along a whisker.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> in_words(IdentityEncoding(), 0.06)
-    '0.06'
-    """
+    """A stimulus with its unit: millimetres where it is a distance along a whisker."""
     if not isinstance(encoding, OF_DISTANCE):
         return f"{length:.4g}"
     return f"{1e3 * encoding.unit * length:.4g} mm"

@@ -251,16 +251,9 @@ _COUNT_NAMES = {"choice": "greater", "correct": "correct"}
 def standards_of(stimulus_1: Array, stimulus_2: Array, scale: str) -> Array:
     """The standard of each trial, where the table names none.
 
-    The interval with fewer than half as many levels as the other holds the standards (interval 1
-    if both do). Otherwise every unordered pair is its own standard, named by its middle (geometric
-    for magnitudes): the design of a rat that compares neighbours on a ladder of levels.
-
-    Examples
-    --------
-    >>> standards_of(np.array([1.0, 1.0, 1.0]), np.array([0.9, 1.0, 1.1]), "linear")
-    array([1., 1., 1.])
-    >>> standards_of(np.array([0.0, 1.0]), np.array([1.0, 0.0]), "log")
-    array([0.5, 0.5])
+    The interval with fewer than half as many levels as the other holds the standards (interval 1 if
+    both do). Otherwise every unordered pair is its own standard, named by its middle (geometric for
+    magnitudes): the design of a rat that compares neighbours on a ladder of levels.
     """
     levels_1, levels_2 = np.unique(stimulus_1).size, np.unique(stimulus_2).size
     if levels_1 == 1 or 2 * levels_1 < levels_2:
@@ -292,13 +285,7 @@ DESCRIPTIONS = {
 
 
 def in_millimetres(table: pd.DataFrame) -> dict[str, str]:
-    """Our names of the stimuli that a table has in mm alone, and its own.
-
-    Examples
-    --------
-    >>> in_millimetres(pd.DataFrame(columns=["standard_mm", "stimulus_1", "stimulus_1_mm"]))
-    {'standard': 'standard_mm'}
-    """
+    """Our names of the stimuli that a table has in mm alone, and its own."""
     return {
         name: f"{name}_mm"
         for name in (*STIMULI, "comparison")
@@ -314,24 +301,8 @@ def describe_table(
 ) -> dict[str, Any]:
     """A table's entry in a data package: path, schema, and remarks such as `title` and `truth`.
 
-    Parameters
-    ----------
-    name : str
-        Of the file, without `.csv`.
-    table : DataFrame
-        As `Trials.table` gives it; a column may carry a unit in its name, as `stimulus_1_mm` does.
-    unit : str
-        Of the stimuli.
-    **remarks
-        Anything with a JSON form.
-
-    Examples
-    --------
-    >>> from weberwhisk import simulate_trials
-    >>> entry = describe_table("t", simulate_trials(seed=1).table(), unit="g", title="Weights")
-    >>> entry["schema"]["fields"][2]
-    {'name': 'standard', 'type': 'number', 'description': 'stimulus that the others are compared
-    with', 'unit': 'g'}
+    `name` is that of the file without `.csv`, `unit` that of the stimuli; a column, as
+    `Trials.table` gives it, may carry a unit in its name, as `stimulus_1_mm` does.
     """
     fields = []
     for column in map(str, table.columns):

@@ -209,14 +209,9 @@ def lapse_sensitivity(model: WeberModel, posterior: WeberPosterior) -> pd.DataFr
     """Median and 95 % interval of k with other lapse priors than those of the fit.
 
     Lapses and a poor Weber fraction explain the same errors, so the belief about lapses moves k, by
-    less the more easy trials there are.
-
-    Returns
-    -------
-    DataFrame
-        `lapses` ("as fitted", "never", "seldom": Beta(1, 20), "often": Beta(1, 9)),
-        `weber_fraction`, `lower`, `upper`, `change` (relative to the fit). Only the fit's own row
-        where the Weber fraction is fixed, the task has no free lapse, or emcee was needed.
+    less the more easy trials there are. Rows `lapses`: "as fitted", "never", "seldom" (Beta(1, 20))
+    and "often" (Beta(1, 9)), the first alone where the Weber fraction is fixed, the task has no
+    free lapse, or emcee was needed; `change` is relative to the fit.
     """
     own = list(posterior.quantile("weber_fraction", [0.5, 0.025, 0.975]))
     rows = [("as fitted", *own)]

@@ -191,23 +191,10 @@ class Processes(Workers):
 class Cluster(Workers):
     """The workers of a dask scheduler, whoever they are at the time.
 
-    The scheduler gives the task of a worker that dies to another one. After some deaths it gives
-    up the tasks that were waiting there too, so a chunk is said to kill only when it has had the
-    whole cluster to itself.
-
-    Parameters
-    ----------
-    address : str
-        Such as ``tcp://node1:8786``.
-    patience : float
-        Seconds without any worker, before the sweep is given up.
-    connect : float
-        Seconds to reach the scheduler.
-
-    Raises
-    ------
-    ValueError
-        If dask.distributed is not installed, or nobody answers at the address.
+    The scheduler gives the task of a worker that dies to another one. After some deaths it gives up
+    the tasks that were waiting there too, so a chunk is said to kill only when it has had the whole
+    cluster to itself. `connect` is how many seconds it may take to reach the scheduler, and
+    `patience` how many without any worker are waited before the sweep is given up.
     """
 
     seconds, trials = 1.5, 1  # the cluster's own cost is some ten milliseconds a task

@@ -35,21 +35,9 @@ def versions() -> dict[str, str | None]:
 class Log:
     """A file of JSON lines that belongs to one question, as a context manager.
 
-    Parameters
-    ----------
-    path : path
-        Made if it is missing. Where it holds an earlier part of the same, `lines` has that.
-    kind : str
-        What it is a log of, one word.
-    question : mapping
-        What was asked, as JSON has it: must be the same whenever the file is gone on with.
-    about : mapping, optional
-        For a reader of the file.
-
-    Attributes
-    ----------
-    lines : list of str
-        The lines that were there, without the first.
+    Made if it is missing; where it holds an earlier part of the same, `lines` has that, without the
+    first. `kind` is what it is a log of, one word; `question` what was asked, as JSON has it, the
+    same whenever the file is gone on with; `about` is for a reader of the file.
 
     Raises
     ------
@@ -145,13 +133,7 @@ class Log:
 
 
 def read_lines(path: str | os.PathLike[str], kind: str) -> list[str]:
-    """The lines written so far, without the first; the file may still be growing.
-
-    Raises
-    ------
-    ValueError
-        If it is no log of that kind.
-    """
+    """The lines written so far, without the first; the file may still be growing."""
     with open(path, "rb") as file:
         return _parse(file, Path(path), kind)[1]
 
@@ -197,13 +179,8 @@ def _parse(file: BinaryIO, path: Path, kind: str) -> tuple[dict[str, Any] | None
 
 
 def encode(number: int, frame: pd.DataFrame) -> str:
-    """The table of a chunk as one line of strict JSON, every number to its last bit.
-
-    Raises
-    ------
-    ValueError
-        For anything but a DataFrame of numbers, booleans and text.
-    """
+    """The table of a chunk, numbers, booleans and text, as one line of strict JSON, every number to
+    its last bit."""
     import pandas as pd
 
     if not isinstance(frame, pd.DataFrame):

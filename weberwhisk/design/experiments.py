@@ -62,35 +62,11 @@ def simulate(
     *,
     assurance: bool = False,
 ) -> tuple[Array, Array]:
-    """Answers of so many experiments.
+    """Answers (runs, animals, C) of so many experiments, and the true Weber fractions (runs,): of
+    the animal, or of the population with several.
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The truth.
-    scheme : Scheme
-    animals : SubjectPopulation
-        What they are like; each experiment draws its own.
-    runs : int
-    rng : Generator
-    assurance : bool
-        Draw the Weber fraction (with several animals their median) from the hypothesis's prior
-        instead, for every experiment anew.
-
-    Returns
-    -------
-    counts : ndarray, shape (runs, animals, C)
-    weber_fraction : ndarray, shape (runs,)
-        The true one, of the animal, or of the population with several.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> weber = Hypothesis("Weber", IdentityEncoding())
-    >>> counts, k = simulate(weber, Scheme([1.0], [-0.1, 0.1]), SubjectPopulation(), 5,
-    ...                      np.random.default_rng(1))
-    >>> counts.shape, k.shape
-    ((5, 1, 2), (5,))
+    Every experiment draws its own animals. With `assurance` the Weber fraction (with several
+    animals their median) is drawn from the hypothesis's prior, for every experiment anew.
     """
     model = hypothesis.model(scheme)
     shape = runs, scheme.animals
@@ -117,26 +93,11 @@ def simulate(
 def fit(
     hypothesis: Hypothesis, scheme: Scheme, counts: Array, batch: int = 2048, held: float = 7.5
 ) -> Fitted:
-    """Weigh a hypothesis by every experiment.
+    """Weigh a hypothesis by every experiment, counts (D, A, C); expected ones, not whole, will do
+    too.
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-    scheme : Scheme
-    counts : ndarray, shape (D, A, C)
-        From `simulate`; expected answers, which are not whole, will do as well.
-    batch : int
-        Data sets at once, of animals alone.
-    held : float
-        Nats under the best, to which the likelihood of one of several animals is tabulated.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> weber, scheme = Hypothesis("Weber", IdentityEncoding()), Scheme([1.0], [-0.1, 0.1], 50)
-    >>> low, middle, high = fit(weber, scheme, np.array([[[12.0, 38.0]]])).quantiles[0]
-    >>> bool(low < 0.1 < high)
-    True
+    `batch` data sets of animals alone are done at once; `held` is how far under the best, in nats,
+    the likelihood of one of several animals is tabulated.
     """
     model = hypothesis.model(scheme)
     apart = counts.shape[1] == 1 or not model.free[0]
@@ -178,17 +139,8 @@ def compare(
 def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
     """The work of a power analysis: so many experiments of one design, a row each.
 
-    Parameters
-    ----------
-    chunk : dict
-        As `power` writes it.
-    seed : SeedSequence
-
-    Returns
-    -------
-    DataFrame
-        The true `weber_fraction` and its `estimate`, `log_bayes_factor`, `half_width` and `covers`,
-        with what the chunk says of the design.
+    Columns: the true `weber_fraction` and its `estimate`, `log_bayes_factor`, `half_width` and
+    `covers`, with what the chunk, as `power` writes it, says of the design.
     """
     hypotheses = decode(chunk["hypotheses"])
     scheme, animals = decode(chunk["scheme"]), decode(chunk["animals"])

@@ -227,13 +227,7 @@ def noises(
 
 
 def check_distinct(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """Hypotheses that can be compared: names and predictions differ, and the task is one.
-
-    Raises
-    ------
-    ValueError
-        For none, names given twice, or different tasks.
-    """
+    """Hypotheses that can be compared: names differ, and the task is one."""
     given = tuple(_checks.several("hypotheses", hypotheses, "write taper(whisker), say"))
     for h in given:
         _checks.kind("a hypothesis", h, "a Hypothesis", "encoding", "write taper(whisker), say")

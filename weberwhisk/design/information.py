@@ -203,25 +203,10 @@ def _shared(
 
 
 class Precision:
-    """Expected intervals of k from any choice of positions.
+    """Expected intervals of k from any choice of the positions (C,), m, that there are.
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        True, and fitted.
-    standards, comparisons : array_like, shape (C,)
-        All positions there are to choose from, m.
-    animals : SubjectPopulation
-        `drawn` of them stand for all, the same for every choice.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> weber = Hypothesis("Weber", IdentityEncoding())
-    >>> told = Precision(weber, [1.0, 1.0, 1.0], [0.8, 1.0, 1.2], SubjectPopulation())
-    >>> middle, sides = (np.median(told.half_widths(at, 50)) for at in ([1], [0, 2]))
-    >>> bool(sides < middle)
-    True
+    One hypothesis is true, and fitted; `drawn` of the animals stand for all, the same for every
+    choice.
     """
 
     def __init__(

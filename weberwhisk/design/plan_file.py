@@ -85,17 +85,7 @@ MOST = 1e30  # no number of a plan is beyond
 def encode(value: Any) -> Any:
     """A noun, and whatever it is made of, in what JSON has.
 
-    Raises
-    ------
-    ValueError
-        For what has no such form: a cue or a receptor of one's own, say.
-
-    Examples
-    --------
-    >>> encode(LogEncoding(0.5))
-    {'is': 'LogEncoding', 'log_unit': 0.5}
-    >>> encode(stats.beta(0.3, 3))
-    {'is': 'beta', 'args': [0.3, 3], 'kwds': {}}
+    A cue or a receptor of one's own has no such form, and is refused.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -119,20 +109,8 @@ def encode(value: Any) -> Any:
 def decode(value: Any) -> Any:
     """What `encode` has written.
 
-    Raises
-    ------
-    ValueError
-        For an unknown noun, parts that are missing, too many or of the wrong kind, or values that
-        the noun refuses.
-
-    Examples
-    --------
-    >>> decode(encode(LogEncoding(0.5)))
-    LogEncoding(log_unit=0.5, direction=1, domain=(-inf, inf))
-    >>> decode({"is": "LogEncoding", "log_unit": None})
-    Traceback (most recent call last):
-        ...
-    ValueError: log_unit of LogEncoding must be number, got None
+    Refused are an unknown noun, parts that are missing, too many or of the wrong kind, and values
+    that the noun refuses.
     """
     if isinstance(value, list):
         return [decode(item) for item in value]
@@ -156,13 +134,7 @@ def decode(value: Any) -> Any:
 
 
 def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any, Any]:
-    """Parts of the kinds that they must be, infinite numbers no longer text; none missing or more.
-
-    Raises
-    ------
-    ValueError
-        Naming the part.
-    """
+    """Parts of the kinds that they must be, infinite numbers no longer text; none missing or more."""
     for strange in parts.keys() ^ kinds.keys():
         words = "lacks" if strange in kinds else "has nothing called"
         raise ValueError(f"{what} {words} {strange!r}")

@@ -72,15 +72,8 @@ def populations(
 ) -> tuple[Array, Array, Array]:
     """Medians mu of ln k (U,), even; their log posterior density (D, U), and the log evidence (D,).
 
-    Parameters
-    ----------
-    model : WeberModel
-    found : Likelihood
-        Of D·A animals, those of an experiment together.
-    animals : int
-        A.
-    finer : int
-        Nodes between those of k.
+    `found` is of D·A animals, those of an experiment together; there are `finer` nodes between
+    those of k.
     """
     log_k = np.log(model.value("weber_fraction", found.scores))
     lapses = _lapses(model, found, animals)

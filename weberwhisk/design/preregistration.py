@@ -22,15 +22,6 @@ def preregistration(plan: Plan) -> str:
     """The plan as a preregistration asks for it: question, design, size, analysis, inference.
 
     Every number is the plan's. What only the experimenter knows stands in square brackets.
-
-    Examples
-    --------
-    >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Scheme, taper
-    >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, 2e-3], trials=60, animals=3)
-    >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
-    >>> "3 animals, 240 trials each" in preregistration(plan)
-    True
     """
     parts = {
         "Question and hypotheses": _question(plan),
@@ -101,13 +92,7 @@ def _cue_in_words(cue: Cue, angle: float | None) -> str:
 
 
 def offsets_in_words(offsets: Sequence[float]) -> str:
-    """Offsets in millimetres, those that come with either sign once.
-
-    Examples
-    --------
-    >>> offsets_in_words([-2e-3, -1e-3, 1e-3, 2e-3]), offsets_in_words([-1e-3, 2e-3])
-    ('±1, ±2', '-1, +2')
-    """
+    """Offsets in millimetres, those that come with either sign once."""
     millimetres = [float(f"{o / MM:.4g}") for o in offsets]
     if sorted(millimetres) == sorted(-o for o in millimetres):
         return ", ".join(f"±{o:.4g}" for o in sorted(millimetres) if o > 0)

@@ -337,14 +337,7 @@ class Constraints:
 def easy_share(
     scheme: Scheme, encoding: Encoding, weber_fraction: float, proportion: float = 0.95
 ) -> float:
-    """Share of trials that an animal of this Weber fraction gets right that often, lapses aside.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> easy_share(Scheme([1.0], [-0.5, -0.1, 0.1, 0.5]), IdentityEncoding(), 0.1)
-    0.5
-    """
+    """Share of trials that an animal of this Weber fraction gets right that often, lapses aside."""
     cells = scheme.cells()
     score = np.abs(decision_variable(encoding, cells.standard, cells.stimulus_2)) / weber_fraction
     return float(cells.n[score >= ndtri(proportion)].sum() / cells.n.sum())

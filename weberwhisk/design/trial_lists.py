@@ -100,11 +100,6 @@ def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
     """Sessions of one animal, and blocks in all of them.
 
     A block holds every level in both orders, where a session can be that long.
-
-    Examples
-    --------
-    >>> sessions_needed(Scheme([20e-3], [-2e-3, 2e-3], 20).cells(), 25)
-    (2, 10)
     """
     trials = levels.n.astype(np.intp)
     sessions = -(-int(trials.sum()) // trials_per_session)
@@ -267,18 +262,11 @@ ANSWERS = ("left", "right")  # where the farther stimulus is 1, or 2
 def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """A conditions file for each session of each animal, with its name.
 
-    The names are those that PsychoPy's own participant and session make:
-    `$"psychopy_" + expInfo["participant"] + "_" + expInfo["session"] + ".csv"`, with sessions 001,
-    002 and so on; the loop takes it in sequential order, once. `correct_answer` is what a keyboard
-    component takes as its correct answer. The number of the trial is not called `trial`, which is
-    the name of a routine there.
-
-    Examples
-    --------
-    >>> from weberwhisk.design import Scheme, trial_lists
-    >>> lists = trial_lists(Scheme([20e-3], [-2e-3, 2e-3], 2), seed=1)
-    >>> [(name, len(table)) for name, table in psychopy_tables(lists)]
-    [('psychopy_s1_001', 4)]
+    The names are those that PsychoPy's own participant and session make: `$"psychopy_" +
+    expInfo["participant"] + "_" + expInfo["session"] + ".csv"`, with sessions 001, 002 and so on;
+    the loop takes it in sequential order, once. `correct_answer` is what a keyboard component takes
+    as its correct answer. The number of the trial is not called `trial`, which is the name of a
+    routine there.
     """
     table = lists.rename(columns={"trial": "trial_number"})
     table["correct_answer"] = [ANSWERS[greater - 1] for greater in table["greater"]]
@@ -289,15 +277,8 @@ def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     """All trials in numbers alone, so that MATLAB's `readtable` or `readmatrix` takes them.
 
-    `trial_type` is that of Bpod's examples, 1 where left is right and 2 where right is:
-    `T = readtable("bpod.csv"); TrialTypes = T.trial_type(T.subject == 1 & T.session == 3)';`
-
-    Examples
-    --------
-    >>> from weberwhisk.design import Scheme, trial_lists
-    >>> lists = trial_lists(Scheme([20e-3], [-2e-3, 2e-3], 2), seed=1)
-    >>> bpod_table(lists).columns[:5].tolist()
-    ['subject', 'session', 'block', 'trial', 'trial_type']
+    `trial_type` is that of Bpod's examples, 1 where left is right and 2 where right is: `T =
+    readtable("bpod.csv"); TrialTypes = T.trial_type(T.subject == 1 & T.session == 3)';`
     """
     table = lists.copy()
     table["subject"] = table["subject"].str.removeprefix("s").astype(int)

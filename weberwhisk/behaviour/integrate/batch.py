@@ -32,20 +32,11 @@ def zoomed(
     nodes: float = 12.0,
     slack: float = 2.5,
 ) -> Windows:
-    """Windows of every data set, of all that is no more than `cut` nats under its best node.
+    """Windows of every data set (R, C), of all that is no more than `cut` nats under its best node.
 
-    Parameters
-    ----------
-    counts : ndarray, shape (R, C)
-    steps : Steps
-        Of the last pass here.
-    cut : float
-    finer : float
-        From one pass to the next.
-    nodes : float
-        Of an axis, about, in the first pass, which goes over all of the prior.
-    slack : float
-        Nats by which the best of a pass's nodes may lie lower than the best there is.
+    `steps` are those of the last pass here, each `finer` than the one before; the first, over all
+    of the prior, has about `nodes` an axis. The best of a pass may lie `slack` nats under the best
+    there is.
     """
     windows = everything(model, len(counts))
     spans = [e[1].max() - e[0].min() for e in windows.ends]
@@ -153,14 +144,8 @@ def _zoom_steps(steps: Steps) -> Steps:
 def marginal(model: WeberModel, counts: Array, cut: float = 5.0) -> tuple[Array, Array]:
     """Scores of k (K,), and the log-likelihoods (R, K) there, biases and lapses integrated.
 
-    Parameters
-    ----------
-    model : WeberModel
-        Without effects; its cells say how many trials there are.
-    counts : ndarray, shape (R, C)
-        Answers counted, of the trials of every cell; they need not be whole.
-    cut : float
-        Nats under the best node, where a node counts as empty.
+    Of counts (R, C), which need not be whole, of a model without effects; a node so many nats under
+    the best counts as empty.
     """
     steps = batch_steps(model)
     at = ChoiceNodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
@@ -230,16 +215,8 @@ def over_fractions(
 ) -> Array:
     """Log-likelihood of the answers with the Weber fraction integrated, (B, Lo, Hi).
 
-    Parameters
-    ----------
-    model : WeberModel
-        Without effects.
-    lapses : tuple of ndarray
-        Coordinates (Lo,) and (Hi,), rising.
-    bias : ndarray, shape (B,), optional
-        Even scores of the one bias; by default biases are integrated, and B is 1.
-    cut : float
-        Nats under the best, where no k is looked for.
+    At rising coordinates (Lo,) and (Hi,) of the lapses, and even scores (B,) of the one bias;
+    without these biases are integrated, and B is 1. No k is looked for so many nats under the best.
     """
     counts, least = model.cells.count[None], least_sds(model)
     steps = Steps(1.0, 1.3 * least, np.full(2, 1.0), 1.3)

@@ -58,16 +58,8 @@ class Block:
 class ChoiceNodes:
     """What is evaluated in one pass: nodes of all axes, tables of the answers there.
 
-    Parameters
-    ----------
-    model : WeberModel
-        Its cells say how many trials there are.
-    windows : Windows
-    steps : Steps
-    counts : ndarray, shape (R, C)
-        Answers counted, of the trials of every cell; they need not be whole.
-    lapses : tuple of ndarray, optional
-        Rising coordinates of both lapses; by default even ones over the windows.
+    `counts` (R, C) of the trials of every cell need not be whole; rising coordinates of both
+    `lapses` are by default even ones over the windows.
     """
 
     def __init__(
@@ -338,17 +330,8 @@ class BetaBinomial:
 
     Sessions at one pair of stimuli share its P, so that their log-likelihood is one function of P
     for each ρ: it is tabulated over logit P, and read off at the nodes, where log-gammas would take
-    minutes.
-
-    Parameters
-    ----------
-    model : WeberModel
-        With the effect `Overdispersion`.
-    cells : ndarray of int, shape (C,)
-    share : float
-        Of the logit's own sd between table entries: at 0.1 errors are 3e-4 a pair, mostly common.
-    far : float
-        Logits beyond which a P is as good as 0 or 1.
+    minutes. Entries are a `share` of the logit's own sd apart: at 0.1 errors are 3e-4 a pair,
+    mostly common. Beyond logits of `far` a P is as good as 0 or 1.
     """
 
     def __init__(

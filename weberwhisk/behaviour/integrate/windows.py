@@ -122,20 +122,11 @@ def kept(
     cut: float,
     beyond: float,
 ) -> Windows:
-    """Windows around the nodes that matter.
+    """Windows around the outer nodes that matter, within those before.
 
-    Parameters
-    ----------
-    before : Windows
-        Whose ends are not passed.
-    axes : tuple of ndarray
-        Outer nodes, M in all.
-    profiles : list of (nodes (M, N), values (M, N, R)) pairs
-        For each inner axis: highest log density with each of its nodes and of the outer ones.
-    cut : float
-        Nats under the best node, where one counts as empty.
-    beyond : float
-        Of a gap, added where linear interpolation puts the end of a window.
+    `profiles` are, for each inner axis, its nodes (M, N) and the highest log density (M, N, R) with
+    each of them and of the outer ones. A node `cut` nats under the best counts as empty; `beyond`
+    of a gap is added where linear interpolation puts the end of a window.
     """
     shape = [a.size for a in axes]
     top = profiles[0][1].max(axis=1)  # (M, R)
