@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from weberwhisk.design import (
 from weberwhisk.design.best import _Search, _sites
 from weberwhisk.design.experiment import WIDE
 from weberwhisk.design.experiments import compare, fit
-from weberwhisk.design.information import Precision, expected_counts
+from weberwhisk.design.information import Precision
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -214,6 +215,10 @@ def test_the_sketch_judges_as_the_fit_does():
     search = _Search(
         (TAPERED, CYLINDRICAL), sites, animals, Goal(bayes_factor=10), limits, 3, 20
     )  # fmt: skip
+
+    def counts(h: Hypothesis, scheme: Scheme) -> Any:
+        return h.expected_counts(scheme, animals.weber_fraction, animals.lapse)[None, None]
+
     values, exact = [], []
     for places in ((0, 8, 15), (2, 5, 9), (0, 1, 2)):
         choice = tuple((i, (0, 2, 4)) for i in places)
@@ -221,9 +226,7 @@ def test_the_sketch_judges_as_the_fit_does():
         values.append(search.value(choice))
         exact.append(
             min(
-                compare(
-                    (TAPERED, CYLINDRICAL), h.name, scheme, expected_counts(h, scheme, animals)
-                )[0][0]
+                compare((TAPERED, CYLINDRICAL), h.name, scheme, counts(h, scheme))[0][0]
                 for h in (TAPERED, CYLINDRICAL)
             )
         )

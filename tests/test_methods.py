@@ -64,7 +64,7 @@ def test_a_whisker_is_described() -> None:
     tap = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6), ww.cues.Compliance())
     trials = _read("distance_tapered.csv")
     text = methods_paragraph(ww.fit_weber(trials, encoding=CueEncoding(tap, unit=1e-3)))
-    assert "50 mm long, of radius 100 µm at its base and 5 µm at its tip, by the cue Comp" in text
+    assert "a tapered whisker (50 mm long, radius 100 to 5 µm) by its rotational compl" in text
     assert "receptors Weber: the signal is noisy with an sd of the Weber fraction k times" in text
     other = replace(tap, noise=ww.receptors.LogNormal(0.1))
     text = methods_paragraph(ww.fit_weber(trials, encoding=CueEncoding(other, unit=1e-3)))

@@ -196,7 +196,7 @@ def _single_answers(
 
 
 def _as_text(cell: Any) -> str:
-    """A label as written: 1 and 1.0 are one label, as a gap in a column makes floats of integers."""
+    """A label as written: 1 and 1.0 are one, as a gap in a column makes floats of integers."""
     text = str(cell).strip()
     whole, point, zeros = text.partition(".")
     return whole if point and whole.lstrip("-").isdecimal() and not zeros.strip("0") else text

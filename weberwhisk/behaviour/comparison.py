@@ -13,11 +13,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from .. import _checks
-from .._deprecated import renamed_arguments, renamed_attribute
+from .._deprecated import renamed_arguments
 from .._display import Shown
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
@@ -26,7 +26,7 @@ from ..receptors import Weber
 from ..whisker import Whisker
 from .criticism import _Rows, check_fit
 from .effects import Drift, Effect, Floor, check_effects
-from .encodings import CueEncoding, Encoding, chosen_encoding, encoding_for
+from .encodings import ConstantNoise, CueEncoding, Encoding, chosen_encoding, encoding_for
 from .fit import fit_weber
 from .result import WeberFit
 from .trials import Trials, check_trials
@@ -173,35 +173,6 @@ def _by_answer(fit: WeberFit, cell: NDArray[np.intp]) -> tuple[Array, Array]:
     elpd[used], pareto_k[used] = pointwise_loo(both[..., used])
     shape = 2, model.cells.n.size
     return elpd.reshape(shape)[:, cell], pareto_k.reshape(shape)[:, cell]
-
-
-# -- the comparisons that matter here ------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ConstantNoise:
-    """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
-
-    `typical` is a signal of middling strength, so that k remains a fraction.
-    """
-
-    base: Encoding
-    typical: float
-    unit_sd = renamed_attribute("ConstantNoise", "unit_sd", "sd_per_weber_fraction")
-
-    @property
-    def direction(self) -> int:
-        return self.base.direction
-
-    @property
-    def domain(self) -> tuple[float, float]:
-        return self.base.domain
-
-    def mean(self, stimulus: ArrayLike) -> Array:
-        return self.base.mean(stimulus)
-
-    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
-        return np.full(np.shape(stimulus), self.typical)
 
 
 @renamed_arguments(percept="encoding")

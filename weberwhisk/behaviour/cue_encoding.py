@@ -6,6 +6,7 @@ the sd that they leave together, to first order in the noise.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_attribute
+from ..cues import Compliance, ForceMap
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -189,6 +191,33 @@ class CueEncoding:
             return "these signals cannot tell distance on this whisker"
         return outcome.message
 
+    @property
+    def described(self) -> str:
+        """What a distance is encoded through, in words."""
+        whisker, ends = self.observer.whisker, ""
+        if whisker.radius_ratio != 1:
+            ends = f" to {1e6 * whisker.tip_radius:.3g}"
+        shape = "tapered" if ends else "cylindrical"
+        if whisker.curvature:
+            shape += f", curved ({whisker.curvature:+.3g} /m)"
+        if whisker.hinge_stiffness is not None:
+            shape += f", hinged ({whisker.hinge_stiffness:.3g} N m/rad)"
+        return (
+            f"a {shape} whisker ({1e3 * whisker.length:.3g} mm long, radius "
+            f"{1e6 * whisker.base_radius:.3g}{ends} µm) by its {self._cue_in_words()}"
+        )
+
+    def _cue_in_words(self) -> str:
+        cue, at = self.observer.cue, ""
+        if isinstance(cue, Compliance):
+            tap = f"{np.degrees(cue.tap_angle):.3g}°" if cue.tap_angle else "a light tap"
+            return f"rotational compliance (§2e; {tap})"
+        if self.deflection_angle is not None:
+            at = f"; deflected by {np.degrees(self.deflection_angle):.3g}°"
+        if isinstance(cue, ForceMap):
+            return f"{' and '.join(cue.signal_names).replace('_', ' ')} (§2f{at})"
+        return f"{cue!r}{at}"
+
 
 def _varied(noise: ReceptorNoise, signals: int, factor: float, *, floor: bool) -> ReceptorNoise:
     """The same receptors with their Weber fractions times a factor, with or without their floor."""
@@ -325,6 +354,11 @@ class PooledEncoding(PlaceItself):
     def outcome(self, stimulus: float) -> str:
         """Why no look gives a signal at a distance, in words: the first look's reason."""
         return self.looks[0].outcome(stimulus - self.offsets[0])
+
+    @property
+    def described(self) -> str:
+        each = Counter(look.described for look in self.looks)
+        return ", and ".join(f"{n} independent looks through {words}" for words, n in each.items())
 
     def _pooled(self, stimulus: ArrayLike, sd: Callable[[CueEncoding, Array], Array]) -> Array:
         x = np.asarray(stimulus, dtype=float)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,11 @@ NOISES = ("weber", "equal-variance")
 
 
 class Encoding(Protocol):
-    """How a stimulus is encoded: what every observer model asks of it."""
+    """How a stimulus is encoded: what every observer model asks of it.
+
+    With noise that stays where the signal vanishes it also has `floor_sd(stimulus)`, the part of
+    the sd that does not go with the Weber fraction.
+    """
 
     @property
     def direction(self) -> int:
@@ -38,14 +42,6 @@ class Encoding(Protocol):
 
     def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
         """Noise sd of the signal at each stimulus, for a Weber fraction of 1."""
-
-
-@runtime_checkable
-class FlooredEncoding(Encoding, Protocol):
-    """An encoding with noise that stays where the signal vanishes."""
-
-    def floor_sd(self, stimulus: ArrayLike) -> Array:
-        """The part of the noise sd that does not go with the Weber fraction."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +111,6 @@ class LogAxisEncoding(LogEncoding):
     >>> LogAxisEncoding().sd_per_weber_fraction([-1.0, 1.0])
     array([1., 1.])
     """
-
-    unit_sd = renamed_attribute("LogAxisEncoding", "unit_sd", "sd_per_weber_fraction")
 
     def mean(self, stimulus: ArrayLike) -> Array:
         return self.log_unit * np.asarray(stimulus, dtype=float)
@@ -208,9 +202,49 @@ class PlaceEncoding(PlaceItself):
         """Why no place is known, in words."""
         return "no whisker touches the pole there"
 
+    @property
+    def described(self) -> str:
+        array = self.observer.array
+        return f"the {len(array.whiskers)} whiskers of a {array.species}'s array together"
+
+
+@dataclass(frozen=True)
+class ConstantNoise:
+    """An encoding whose noise is the same at every stimulus: sd = k × typical, against Weber's law.
+
+    `typical` is a signal of middling strength, so that k remains a fraction.
+    """
+
+    base: Encoding
+    typical: float
+    unit_sd = renamed_attribute("ConstantNoise", "unit_sd", "sd_per_weber_fraction")
+
+    @property
+    def direction(self) -> int:
+        return self.base.direction
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        return self.base.domain
+
+    def mean(self, stimulus: ArrayLike) -> Array:
+        return self.base.mean(stimulus)
+
+    def sd_per_weber_fraction(self, stimulus: ArrayLike) -> Array:
+        return np.full(np.shape(stimulus), self.typical)
+
+    @property
+    def described(self) -> str:
+        return f"{described(self.base)}, with the same noise at every distance"
+
 
 #: Encodings of a distance in metres, or in units of so many.
 OF_DISTANCE = (CueEncoding, PooledEncoding, PlaceEncoding)
+
+
+def described(encoding: Encoding) -> str:
+    """What an encoding is, in words."""
+    return str(getattr(encoding, "described", type(encoding).__name__))
 
 
 def chosen_encoding(encoding: Encoding | None, observer: Any) -> Encoding | None:
@@ -342,10 +376,9 @@ def unit_encodings(
     else:
         sd_1 = sd_2 = encoding.sd_per_weber_fraction(s0)
     means = sign * encoding.mean(s1), sign * encoding.mean(s2)
-    if not isinstance(encoding, FlooredEncoding):
-        return UnitEncodings(means[0], sd_1, means[1], sd_2)
-    floors = [encoding.floor_sd(s) for s in ((s1, s2) if noise == "weber" else (s0, s0))]
-    return UnitEncodings(means[0], sd_1, means[1], sd_2, *floors)
+    floor_sd = getattr(encoding, "floor_sd", None)
+    at = ((s1, s2) if noise == "weber" else (s0, s0)) if floor_sd else ()
+    return UnitEncodings(means[0], sd_1, means[1], sd_2, *map(floor_sd, at))
 
 
 def encoding_for(scale: str, log_unit: float | None, noise: str) -> Encoding:

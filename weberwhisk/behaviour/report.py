@@ -16,7 +16,7 @@ from ..posterior.arviz_io import to_arviz as convert
 from ..receptors import Weber
 from . import criticism
 from .cue_encoding import CueEncoding
-from .encodings import Encoding, IdentityEncoding
+from .encodings import Encoding, IdentityEncoding, described
 from .likelihood import Draws
 from .priors import in_words
 from .tasks import SignedChoice
@@ -373,18 +373,13 @@ def _encoded(encoding: Encoding, noise: str) -> str:
     if isinstance(encoding, IdentityEncoding):
         return f"The signal of a stimulus is its magnitude, noisy with {noise}."
     if isinstance(encoding, CueEncoding):
-        observer, whisker = encoding.observer, encoding.observer.whisker
-        cue, receptors = (type(part).__name__ for part in (observer.cue, observer.noise))
-        hinge = whisker.hinge_stiffness
-        on = "" if hinge is None else f" on a hinge of {hinge:.4g} N m/rad"
+        observer = encoding.observer
         plain = isinstance(observer.noise, Weber) and len(observer.cue.signal_names) == 1
         return (
-            f"Radial distance is encoded through a whisker {whisker.length * 1e3:.4g} mm long, of "
-            f"radius {whisker.base_radius * 1e6:.4g} µm at its base and "
-            f"{whisker.tip_radius * 1e6:.4g} µm at its tip,{on} by the cue {cue} with receptors "
-            f"{receptors}{f': the signal is noisy with {noise}' * plain}."
+            f"Radial distance is encoded through {encoding.described} with receptors "
+            f"{type(observer.noise).__name__}{f': the signal is noisy with {noise}' * plain}."
         )
-    return f"Stimuli are encoded by {type(encoding).__name__}."
+    return f"Stimuli are encoded by {described(encoding)}."
 
 
 def _how(method: str) -> str:

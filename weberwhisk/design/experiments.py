@@ -79,11 +79,8 @@ def simulate(
         low, high = (beta_distribution.ppf(rng.random(shape), *ends) for _ in range(2))
     else:
         low = high = np.full(shape, animals.lapse)
-    # One bias an animal, as in `simulate_population`; a criterion is as the prior has it.
-    centre = 0.0
-    if hypothesis.asked.bias_name == "criterion":
-        centre = float(hypothesis.priors.value("bias", 0.0))
-    bias = centre + animals.bias_spread * rng.standard_normal(shape)
+    # One bias an animal, as in `simulate_population`.
+    bias = hypothesis.usual_bias + animals.bias_spread * rng.standard_normal(shape)
     p, _ = model.probability(k, low, high, np.repeat(bias[..., None], model.n_groups, axis=-1))
     counts = rng.binomial(model.cells.n.astype(np.int64), np.clip(p, 0.0, 1.0))
     return counts.astype(float), k[:, 0] if scheme.animals == 1 else middle

@@ -12,13 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_arguments, renamed_attribute
-from ..behaviour.comparison import ConstantNoise, cue_encodings, taper_encodings
-from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, unit_encodings
+from ..behaviour.comparison import cue_encodings, taper_encodings
+from ..behaviour.encodings import (
+    ConstantNoise,
+    CueEncoding,
+    Encoding,
+    checked_encoding,
+    unit_encodings,
+)
 from ..behaviour.fit import BIASES, fit_weber
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors
-from ..behaviour.psychometric import refuse_out_of_reach, response_probability
+from ..behaviour.psychometric import refuse_out_of_reach
 from ..behaviour.result import WeberFit
 from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
@@ -83,6 +89,13 @@ class Hypothesis:
         """The median of what is believed of k: the expected animal."""
         return float(self.priors.value("weber_fraction", 0.0))
 
+    @property
+    def usual_bias(self) -> float:
+        """None, but for a criterion, which is as the prior has it."""
+        if self.asked.bias_name != "criterion":
+            return 0.0
+        return float(self.priors.value("bias", 0.0))
+
     def model(self, scheme: Scheme | Cells) -> WeberModel:
         """The likelihood that the trials of a scheme will have, no answers filled in yet.
 
@@ -111,6 +124,13 @@ class Hypothesis:
         """Fitted to a table as the planned analysis fits it, by quadrature for its evidence."""
         return fit_weber(trials, method="quadrature", **options_of(self))
 
+    def expected_counts(self, scheme: Scheme, weber_fraction: float, lapse: float) -> Array:
+        """Answers of such an animal on average, (C,): without bias, and not whole."""
+        model = self.model(scheme)
+        k, lost = np.array([weber_fraction]), np.array([lapse])
+        p, _ = model.probability(k, lost, lost, np.full((1, model.n_groups), self.usual_bias))
+        return np.asarray((p * model.cells.n)[0])
+
     def expected_trials(self, scheme: Scheme, weber_fraction: float, lapse: float) -> Trials:
         """The answers that one such animal gives on average: n·P of every level.
 
@@ -122,12 +142,9 @@ class Hypothesis:
         [3.8, 44.2]
         """
         cells = scheme.cells()
-        share = response_probability(
-            self.asked, self.encoding, cells.stimulus_1, cells.stimulus_2, noise=self.noise,
-            weber_fraction=weber_fraction, lapse_low=lapse, lapse_high=lapse,
-        )  # fmt: skip
         frame = pd.DataFrame({name: getattr(cells, name) for name in STIMULI})
-        frame = frame.assign(n=cells.n.astype(np.int64), count=cells.n * share)
+        count = self.expected_counts(scheme, weber_fraction, lapse)
+        frame = frame.assign(n=cells.n.astype(np.int64), count=count)
         return Trials(frame, self.asked, source="expected answers")
 
 

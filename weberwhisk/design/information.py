@@ -101,7 +101,10 @@ def information(
     if encoded.any():
         parts = []
         for truth in given if after is not None else given[:1]:
-            before = None if after is None else _expected(truth, after, likely)
+            before = None
+            if after is not None:  # the answers that an animal is expected to give
+                count = truth.expected_counts(after, likely.weber_fraction, likely.lapse)
+                before = replace(after.cells(), count=count)
             beliefs = [believed(h, s1[encoded], s2[encoded], before) for h in given]
             parts.append(_of_answers(beliefs, int(encoded.sum()), place))
         bits[:, encoded] = np.mean(parts, axis=0) / np.log(2)
@@ -150,20 +153,6 @@ def believed(
         grid.see_candidates()
         grid.close()
     return Belief(hypothesis, cells, grid)
-
-
-def _expected(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Cells:
-    """The answers to a scheme that an animal is expected to give."""
-    return replace(scheme.cells(), count=expected_counts(truth, scheme, animals)[0, 0])
-
-
-def expected_counts(truth: Hypothesis, scheme: Scheme, animals: SubjectPopulation) -> Array:
-    """Answers of an expected animal on average, (1, 1, C): without bias, and not whole."""
-    model = truth.model(scheme)
-    k, lapse = np.array([animals.weber_fraction]), np.array([animals.lapse])
-    bias = float(truth.priors.value("bias", 0.0)) if truth.asked.bias_name == "criterion" else 0.0
-    p, _ = model.probability(k, lapse, lapse, np.full((1, model.n_groups), bias))
-    return np.asarray(p * model.cells.n)[None]
 
 
 def _of_answers(beliefs: list[Belief], last: int, place: float) -> Array:

@@ -15,8 +15,8 @@ from scipy.stats.distributions import rv_frozen
 
 from .. import __version__, _checks
 from ..array import WhiskerArray
-from ..behaviour.comparison import ConstantNoise
 from ..behaviour.encodings import (
+    ConstantNoise,
     CueEncoding,
     IdentityEncoding,
     LogAxisEncoding,
@@ -134,7 +134,7 @@ def decode(value: Any) -> Any:
 
 
 def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any, Any]:
-    """Parts of the kinds that they must be, infinite numbers no longer text; none missing or more."""
+    """Parts of the kinds that they must be, infinite numbers no longer text; none less or more."""
     for strange in parts.keys() ^ kinds.keys():
         words = "lacks" if strange in kinds else "has nothing called"
         raise ValueError(f"{what} {words} {strange!r}")

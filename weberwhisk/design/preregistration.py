@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
-from ..behaviour.comparison import ConstantNoise
-from ..behaviour.encodings import CueEncoding, Encoding, PlaceEncoding, PooledEncoding
-from ..cues import Compliance, ForceMap
-from ..cues.protocol import Cue
+from ..behaviour.encodings import described
 from .plan import ONE_STIMULUS, Plan
 from .scheme import easy_share
 
-MM, UM = 1e-3, 1e-6
+MM = 1e-3
 
 
 def preregistration(plan: Plan) -> str:
@@ -52,43 +46,6 @@ def assumptions(plan: Plan) -> list[str]:
         f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
     ]
     return lines
-
-
-def described(encoding: Encoding) -> str:
-    """What an encoding is, in words."""
-    if isinstance(encoding, ConstantNoise):
-        return f"{described(encoding.base)}, with the same noise at every distance"
-    if isinstance(encoding, PooledEncoding):
-        each = Counter(map(described, encoding.looks))
-        return ", and ".join(f"{n} independent looks through {words}" for words, n in each.items())
-    if isinstance(encoding, PlaceEncoding):
-        array = encoding.observer.array
-        return f"the {len(array.whiskers)} whiskers of a {array.species}'s array together"
-    if not isinstance(encoding, CueEncoding):
-        return f"{type(encoding).__name__}"
-    whisker, cue = encoding.observer.whisker, encoding.observer.cue
-    shape = "cylindrical" if whisker.radius_ratio == 1 else "tapered"
-    radii = f"{whisker.base_radius / UM:.3g}"
-    if whisker.radius_ratio != 1:
-        radii += f" to {whisker.tip_radius / UM:.3g}"
-    if whisker.curvature:
-        shape = f"{shape}, curved ({whisker.curvature:+.3g} /m)"
-    if whisker.hinge_stiffness is not None:
-        shape = f"{shape}, hinged ({whisker.hinge_stiffness:.3g} N m/rad)"
-    return (
-        f"a {shape} whisker ({whisker.length / MM:.3g} mm long, radius {radii} µm) by its "
-        f"{_cue_in_words(cue, encoding.deflection_angle)}"
-    )
-
-
-def _cue_in_words(cue: Cue, angle: float | None) -> str:
-    if isinstance(cue, Compliance):
-        tap = f"{np.degrees(cue.tap_angle):.3g}°" if cue.tap_angle else "a light tap"
-        return f"rotational compliance (§2e; {tap})"
-    at = "" if angle is None else f"; deflected by {np.degrees(angle):.3g}°"
-    if isinstance(cue, ForceMap):
-        return f"{' and '.join(cue.signal_names).replace('_', ' ')} (§2f{at})"
-    return f"{cue!r}{at}"
 
 
 def offsets_in_words(offsets: Sequence[float]) -> str:
