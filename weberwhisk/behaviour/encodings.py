@@ -376,7 +376,7 @@ def unit_encodings(
     else:
         sd_1 = sd_2 = encoding.sd_per_weber_fraction(s0)
     means = sign * encoding.mean(s1), sign * encoding.mean(s2)
-    floor_sd = getattr(encoding, "floor_sd", None)
+    floor_sd: Any = getattr(encoding, "floor_sd", None)
     at = ((s1, s2) if noise == "weber" else (s0, s0)) if floor_sd else ()
     return UnitEncodings(means[0], sd_1, means[1], sd_2, *map(floor_sd, at))
 

@@ -282,8 +282,8 @@ def smallest(
 
 def _clear(found: Power, sure: float = 0.99) -> bool:
     """Whether these runs leave no doubt on which side of the goal's share the power lies."""
-    ends = found.table[["power", "runs"]].apply(lambda row: wilson(*row, sure), axis=1)
-    low, high = np.array(ends.tolist()).T
+    shares = zip(found.table["power"], found.table["runs"], strict=True)
+    low, high = np.array([wilson(share, n, sure) for share, n in shares]).T
     return bool(low.min() > found.goal.share or high.min() < found.goal.share)
 
 
