@@ -16,8 +16,8 @@ from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk import charts, cli, figures
-from weberwhisk._terminal import run_app
 from weberwhisk.charts import beams, fits, posteriors
+from weberwhisk.cli import run_app
 
 
 @pytest.fixture(scope="module")

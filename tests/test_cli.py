@@ -18,7 +18,7 @@ import typer
 
 import weberwhisk as ww
 from weberwhisk import _checks, cli
-from weberwhisk._terminal import new_app, progress, run_app
+from weberwhisk.cli import new_app, progress, run_app
 from weberwhisk.commands.figure import CHARTS
 from weberwhisk.commands.options import SCENES
 from weberwhisk.output import Run
@@ -465,7 +465,7 @@ def test_process_whose_reader_goes_is_quiet(many: bool) -> None:
 WAITING = """
 import signal, sys, typer
 from pathlib import Path
-from weberwhisk._terminal import new_app, run_app
+from weberwhisk.cli import new_app, run_app
 from weberwhisk.commands.options import SCENES
 from weberwhisk.output import Run
 

@@ -10,7 +10,7 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import cli
-from weberwhisk._terminal import run_app
+from weberwhisk.cli import run_app
 
 DESIGN = ["design", "--standard-mm", "20,30", "--level", "-2,-1,1,2", "--trials", "12"]
 REHEARSE = ["rehearse", "--runs", "2", "--workers", "1"]

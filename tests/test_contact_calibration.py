@@ -122,7 +122,7 @@ def test_refusals(change: dict, sentence: str) -> None:
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    from weberwhisk._terminal import run_app
+    from weberwhisk.cli import run_app
 
     path = tmp_path / "taps.csv"
     _taps(each=3).to_csv(path, index=False)

@@ -14,8 +14,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
-from weberwhisk._terminal import run_app
-from weberwhisk.cli import app
+from weberwhisk.cli import app, run_app
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
 from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 

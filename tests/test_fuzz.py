@@ -22,8 +22,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from weberwhisk import cli
-from weberwhisk._terminal import run_app
 from weberwhisk.behaviour import read_trials
+from weberwhisk.cli import run_app
 
 #: Formats that need the extra `tables`.
 EXTRAS = [

@@ -205,7 +205,7 @@ SLOWLY = """
 import sys, time
 from functools import partial
 from weberwhisk import charts, cli
-from weberwhisk._terminal import run_app
+from weberwhisk.cli import run_app
 
 sys.path.insert(0, sys.argv.pop(1))
 from test_charts import made_up

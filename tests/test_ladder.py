@@ -13,8 +13,7 @@ from scipy.integrate import solve_ivp
 
 import weberwhisk as ww
 from weberwhisk import Model, Outcome
-from weberwhisk._terminal import run_app
-from weberwhisk.cli import app
+from weberwhisk.cli import app, run_app
 from weberwhisk.mechanics import closed_form, elastica, profile, rod
 from weberwhisk.mechanics.model_choice import _direction
 from weberwhisk.mechanics.shape import Parabola, Profile

@@ -256,7 +256,7 @@ def test_units(text: str, kind: str, factor: float | None) -> None:
 def test_the_command_writes_table_touches_and_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    from weberwhisk._terminal import run_app
+    from weberwhisk.cli import run_app
 
     b = ww.press(KNOWN, 20e-3, np.linspace(0.1, 0.4, 4))
     path = tmp_path / "contacts.csv"

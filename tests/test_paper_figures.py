@@ -10,8 +10,7 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import paper
-from weberwhisk._terminal import run_app
-from weberwhisk.cli import app
+from weberwhisk.cli import app, run_app
 from weberwhisk.commands.paper import PANELS
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 from weberwhisk.paper import claims

@@ -13,8 +13,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import cli, surveys
-from weberwhisk._terminal import run_app
 from weberwhisk.behaviour import load_rat_auditory
+from weberwhisk.cli import run_app
 from weberwhisk.commands import quickstart
 
 FIGURES = ("jnd_curve", "jnd_surface", "rat_psychometric")

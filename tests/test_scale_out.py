@@ -20,9 +20,8 @@ from test_campaign import CHUNKS, logged, same
 
 import weberwhisk as ww
 from weberwhisk import campaign
-from weberwhisk._terminal import run_app
 from weberwhisk.campaign import CampaignError, executor, run
-from weberwhisk.cli import app
+from weberwhisk.cli import app, run_app
 from weberwhisk.design import Scheme, smallest, taper
 
 HERE = Path(__file__).parent

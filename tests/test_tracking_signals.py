@@ -289,8 +289,7 @@ def test_what_is_missing_is_asked_for_in_a_sentence(
 def test_the_command_goes_from_a_trackers_file_to_distances(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    from weberwhisk._terminal import run_app
-    from weberwhisk.cli import app
+    from weberwhisk.cli import app, run_app
 
     video, truth = _scene(4, [15e-3], frames=40)
     body = b"bwhiskbin1\0\0"

@@ -1,6 +1,6 @@
 """The commands by subject; `weberwhisk.cli` puts them together.
 
-Conventions that every command keeps, beside those of `weberwhisk._terminal`:
+Conventions that every command keeps, beside those of `weberwhisk.cli`:
 
 - Lengths are in millimetres, radii in micrometres, angles in degrees, forces in micronewtons, and
   every option's and column's name says so. Lists are comma-separated, or the option is repeated.

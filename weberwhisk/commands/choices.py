@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import numbers
 from ..behaviour import CueEncoding
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..behaviour.trials import STIMULI, data_package, describe_table
+from ..cli import numbers
 from ..output import Run, atomic_write, csv_text, to_json
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
 from . import options as opt

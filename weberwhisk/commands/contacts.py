@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import weberwhisk as ww
 
-from .._terminal import numbers, progress
+from ..cli import numbers, progress
 from ..output import Run, to_json
 from . import options as opt
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import numbers
 from ..behaviour.trials import STIMULI
 from ..campaign import all_cores
 from ..citing import versions_in_words
+from ..cli import numbers
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.preregistration import assumptions, offsets_in_words

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import numbers
 from ..behaviour import (
     CueEncoding,
     FitStatus,
@@ -22,6 +21,7 @@ from ..behaviour import (
 )
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.trials import in_millimetres
+from ..cli import numbers
 from ..output import Run, atomic_write, to_json
 from ..tables import load_table
 from . import options as opt

@@ -11,9 +11,9 @@ import numpy as np
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import numbers
 from ..behaviour import CueEncoding, IdentityEncoding
 from ..behaviour.trials import STIMULI
+from ..cli import numbers
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
 from ..design.session import RULES, Session, converse
 from ..output import Run

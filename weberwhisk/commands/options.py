@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_number, a_seed, numbers, raised_by_weberwhisk
+from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
 from ..output import Run, to_json
 

@@ -10,7 +10,7 @@ import numpy as np
 import weberwhisk as ww
 
 from .. import surveys
-from .._terminal import progress
+from ..cli import progress
 from ..cues import Compliance
 from ..mechanics.muscle import MuscleCurve
 from ..output import Run, atomic_write, to_json

@@ -11,8 +11,8 @@ import numpy as np
 import weberwhisk as ww
 
 from .. import _checks, surveys
-from .._terminal import progress
 from ..behaviour import load_rat_auditory
+from ..cli import progress
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
 from .figure import light_taps, tapered_and_not

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from .._terminal import a_seed, numbers, progress
+from ..cli import a_seed, numbers, progress
 from ..output import Run
 from . import options as opt
 
