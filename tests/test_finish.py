@@ -56,7 +56,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, pd.Se
         + 0.1 * encoding.sd_per_weber_fraction(lists[s] / 1e3) * rng.normal(size=len(lists))
         for s in ("stimulus_1_mm", "stimulus_2_mm")
     )
-    return folder, plan, pd.Series(np.where(second * encoding.direction > first, 2, 1))
+    return folder, plan, pd.Series(np.where((second - first) * encoding.direction > 0, 2, 1))
 
 
 @pytest.mark.parametrize("rig", ["psychopy", "bpod", "own"])
@@ -82,7 +82,9 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
     assert run_app(app, [*command, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     direct = plan.analyse(ww.read_trials(plan.trials.assign(choice=answer - 1)))
+    assert not direct.left_out
     for name, value in direct.log_evidence.items():
+        assert value < -10
         assert found["log_evidence"][name] == pytest.approx(value, rel=1e-6)
     assert run_app(app, [*command, "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "analysis.txt").read_text("utf-8").startswith(plan.title)
@@ -95,6 +97,9 @@ def test_a_table_without_an_answer_is_refused(
     bpod_table(plan.trials).to_csv(tmp_path / "data.csv", index=False)
     assert run_app(app, ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]) == 2
     assert "there is no one column of answers" in capsys.readouterr().err
+    bpod_table(plan.trials).assign(response=3).to_csv(tmp_path / "data.csv", index=False)
+    assert run_app(app, ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]) == 2
+    assert "no answer in response is known, got '3'" in capsys.readouterr().err
 
 
 def test_links_of_the_index_page_are_absolute() -> None:

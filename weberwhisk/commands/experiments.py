@@ -252,7 +252,7 @@ def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
 
 #: What rigs call an answer, and what their codes mean: PsychoPy's keyboard, and 1 or 2 for left or
 #: right in a table for Bpod (see `weberwhisk.design.trial_lists`).
-SIDES = {"left": "first", "right": "second", 1: "first", 2: "second"}
+SIDES = {"left": "first", "right": "second", "1": "first", "2": "second"}
 
 
 @opt.command
@@ -315,8 +315,15 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
             f"{str(file)!r}: there is no one column of answers, got {', '.join(found) or 'none'}; "
             "call it choice (1 where the second was judged farther), response or <keyboard>.keys."
         )
-    given = table[found[0]].map(lambda v: int(v) if isinstance(v, float) and v == v else v)
-    return table.assign(choice=given.where(given.isin(list(SIDES)), None))
+    given = table[found[0]].map(lambda v: str(v).strip().removesuffix(".0"))  # numbers, or text
+    known = given.isin(list(SIDES))
+    if not known.any():
+        got = _checks.listed(given.unique())
+        raise ValueError(
+            f"{str(file)!r}: no answer in {found[0]} is known, got {got}; "
+            "write left or 1 where the first was judged farther, right or 2 where the second."
+        )
+    return table.assign(choice=given.where(known, None))
 
 
 def in_words(found: AnalysisResult, trials: ww.Trials, plan: ww.design.Plan) -> str:
