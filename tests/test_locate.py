@@ -13,7 +13,7 @@ import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.contacts.columns import planar, unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
-from weberwhisk.contacts.touches import touch_posterior
+from weberwhisk.contacts.rows import touch_posterior
 
 pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
 
@@ -166,7 +166,7 @@ def _touch_readings(cue: ww.cues.Cue, seed: int, k: float) -> tuple[float, Latti
 @pytest.mark.parametrize(("soft", "k"), [(False, 0.1), (False, 0.3), (True, 0.1)])
 def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool, k: float) -> None:
     """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
-    from weberwhisk.contacts.touches import _SPANS
+    from weberwhisk.contacts.rows import _SPANS
 
     _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), 4, k)
     clouds = [lattice.cloud(readings.take([i])) for i in range(8)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -294,15 +294,7 @@ class Whisker(Value):
         >>> Whisker.from_identity("C2").cylinder().radius_ratio
         np.float64(1.0)
         """
-        return Whisker(
-            self.length,
-            self.base_radius,
-            self.base_radius,
-            self.youngs_modulus,
-            self.curvature,
-            self.density,
-            self.hinge_stiffness,
-        )
+        return replace(self, tip_radius=self.base_radius)
 
 
 def identities(species: str = "rat") -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -331,3 +331,31 @@ def _lack_of_fit(r: Array, ratio: Array, parameters: int, places: Array) -> floa
     if free < 1 or rest < 1 or not within > 0:
         return float("nan")
     return float(f_distribution.sf(between / free / (within / rest), free, rest))
+
+
+def averaged(
+    calibration: Calibration,
+    locate: Callable[[Whisker, Cue, Weber], pd.DataFrame],
+    progress: Callable[[int, int], None] | None,
+) -> pd.DataFrame:
+    """What `locate` makes of a table under each of the calibration's samples, as one table."""
+    best = (calibration.whisker, calibration.cue, calibration.noise)
+    every, passes = [], (*calibration.samples, best)
+    for sample in passes:
+        every.append(locate(*sample))
+        if progress:
+            progress(len(every) * len(every[0]) // len(passes), len(every[0]))
+    *every, out = every
+    # A draw that has a row beyond the whisker says nothing of it.
+    found, ends = ["radial_distance_mm", "sd_mm"], ["lower_mm", "upper_mm"]
+    mean, sd = (np.array([e[name] for e in every]) for name in found)
+    known = np.isfinite(mean).sum(axis=0) > len(every) / 2
+    middle = np.nanmean(mean[:, known], axis=0)
+    total = np.sqrt(np.nanmean(sd[:, known] ** 2, axis=0) + np.nanvar(mean[:, known], axis=0))
+    r, own = out.loc[known, found].to_numpy().T
+    off = (out.loc[known, ends].to_numpy().T - r) * (total / own)
+    out.loc[known, ends] = (middle + off).T
+    out.loc[known, found] = np.stack([middle, total], axis=1)
+    notes = (*out.attrs["notes"], f"Means over {len(every)} draws of the calibration.")
+    out.attrs = out.attrs | {"notes": notes}
+    return out

@@ -26,8 +26,7 @@ from .signals import AT_REST, CORRELATION
 
 def is_curved(whisker: Any) -> bool:
     """Whether a Whisker or Profile is curved anywhere."""
-    law = whisker.law if isinstance(whisker, Profile) else Profile.of(whisker).law
-    return any(np.any(value) for value in vars(law).values())
+    return any(np.any(value) for value in vars(Profile.of(whisker).law).values())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,7 +218,7 @@ def from_shape(
     raw: pd.DataFrame, si: dict[str, Array], whisker: Any, cue: Cue | None, notes: list[str]
 ) -> tuple[Profile, Cue, dict[str, Array], Array]:
     """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    profile = Profile.of(whisker)
     rest = [float(pd.to_numeric(raw[name]).iloc[0]) for name in AT_REST]
     side = np.where(si["moment"] < 0, -1.0, 1.0)
     free = ~raw["contact"].astype(str).str.lower().isin(("true", "1", "1.0")).to_numpy()

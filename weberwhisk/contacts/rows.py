@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from .. import _checks, domain
 from ..cues import Cue
@@ -18,12 +18,11 @@ from ..observer import Observer
 from ..posterior import Status
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
-from .calibration import Calibration
+from .calibration import Calibration, averaged
 from .columns import IN_PLANE, Array, one_side, planar, read_contacts
-from .lattice import Cloud, Lattice, Readings
+from .lattice import Cloud, Lattice, Readings, distances, log_prior_of_distance, quantiles
 from .readings import check_magnitudes, from_shape, is_curved, signals_of, turn_round
 from .signals import FROM_SHAPE
-from .touches import touch_posterior
 
 #: What `locate` adds to a table.
 RESULTS = (
@@ -35,7 +34,6 @@ TOUCH_RESULTS = (
 )  # fmt: skip
 #: The sd from measurement errors alone, where receptors have noise as well.
 MEASURED = "measurement_sd_mm"
-_DISAGREE = "rows_disagree"
 
 
 class _Located(NamedTuple):
@@ -134,7 +132,13 @@ def locate(
                 "A calibration has its own cue and noise and locates row by row; leave cue, noise "
                 "and touch out, or write locate(table, c.whisker, cue=c.cue, noise=c.noise)."
             )
-        return _calibrated(table, whisker, progress, columns=columns, units=units, prior=prior)
+
+        def under(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
+            return locate(
+                table, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior
+            )
+
+        return averaged(whisker, under, progress)
     _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
@@ -173,7 +177,11 @@ def locate(
         check_magnitudes(observer, y[rows], found)
         lattice = Lattice(observer, with_receptors=receptors, for_touches=named is not None)
         readings = Readings(y, covariance).take(rows)
-        tell = progress and partial(_later, progress, done, len(raw))
+
+        def tell(now: int, _: int, before: int = done) -> None:
+            if progress:
+                progress(before + now, len(raw))
+
         located = _rows(lattice, readings, tell, keep=named is not None)
         done += len(rows)
         for name, column in zip(RESULTS, located.numbers.T, strict=False):
@@ -190,67 +198,21 @@ def locate(
     errors = "its measurement errors" if covariance is not None else ""
     said = " and ".join(filter(None, [errors, f"{observer.noise!r}" if receptors else ""]))
     notes.append(f"Cue: {cue!r}. Noise of the table's numbers: {said}.")
-    order = (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ()))
     words["message"] = np.array([Status[s.upper()].message for s in words["status"]], dtype=object)
-    for name in order:
+    for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
 
 
-def _calibrated(
-    table: Any,
-    calibration: Calibration,
-    progress: Callable[[int, int], None] | None,
-    **options: Any,
-) -> pd.DataFrame:
-    """Distances under each of the calibration's samples, as one."""
-    best = (calibration.whisker, calibration.cue, calibration.noise)
-    every, passes = [], (*calibration.samples, best)
-    for w, c, n in passes:
-        every.append(locate(table, w, cue=c, noise=n, **options))
-        if progress:
-            progress(len(every) * len(every[0]) // len(passes), len(every[0]))
-    *every, out = every
-    # A draw that has a row beyond the whisker says nothing of it.
-    mean, sd = (np.array([e[name] for e in every]) for name in RESULTS[:2])
-    known = np.isfinite(mean).sum(axis=0) > len(every) / 2
-    total = np.sqrt((np.nanmean(sd[:, known] ** 2, axis=0)) + np.nanvar(mean[:, known], axis=0))
-    middle, wider = np.nanmean(mean[:, known], axis=0), total / out["sd_mm"].to_numpy()[known]
-    at = np.flatnonzero(known)
-    for name in RESULTS[2:4]:
-        column = out[name].to_numpy(copy=True)
-        column[at] = middle + wider * (column - out[RESULTS[0]].to_numpy())[at]
-        out[name] = column
-    for name, values in zip(RESULTS[:2], (middle, total), strict=True):
-        column = out[name].to_numpy(copy=True)
-        column[at] = values
-        out[name] = column
-    notes = (*out.attrs["notes"], f"Means over {len(every)} draws of the calibration.")
-    out.attrs = out.attrs | {"notes": notes}
-    return out
-
-
 def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
     """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
-    everything = np.arange(len(side))
     if not is_curved(whisker):
-        return [(everything, whisker)]
-    law = whisker.law if isinstance(whisker, Profile) else Profile.of(whisker).law
-    out: list[tuple[NDArray[np.intp], Any]] = []
-    for sign in (1.0, -1.0):
-        rows = everything[side == sign]
-        if rows.size and sign > 0:
-            out.append((rows, whisker))
-        elif rows.size:
-            mirrored = law.scaled(np.ones(()), sign)
-            profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
-            out.append((rows, profile.curved(mirrored)))
-    return out
-
-
-def _later(tell: Callable[[int, int], None], before: int, total: int, done: int, _: int) -> None:
-    tell(before + done, total)
+        return [(np.arange(len(side)), whisker)]
+    profile = Profile.of(whisker)
+    mirrored = profile.curved(profile.law.scaled(np.ones(()), -1.0))
+    seen = ((np.flatnonzero(side > 0), whisker), (np.flatnonzero(side < 0), mirrored))
+    return [(rows, own) for rows, own in seen if rows.size]
 
 
 def _rows(
@@ -264,10 +226,10 @@ def _rows(
     numbers = np.full((n, 6), np.nan)
     status = np.full(n, int(Status.NOT_A_READING))
     clouds: list[Cloud | None] = [None] * n
-    finite = np.asarray(np.isfinite(readings.value).all(axis=1), dtype=bool)
+    finite = np.isfinite(readings.value).all(axis=1)
     if readings.covariance is not None:
         finite &= np.isfinite(readings.covariance).all(axis=(1, 2))
-    zero = np.asarray((readings.value == 0).any(axis=1))
+    zero = (readings.value == 0).any(axis=1)
     status[finite & zero] = Status.NO_CONTACT
     rows = np.flatnonzero(finite & ~zero)
     some = readings.take(rows)
@@ -294,8 +256,7 @@ def _rows(
         done += len(at)
         if progress:
             progress(done, n)
-    numbers[:, :4] *= 1e3
-    numbers[:, 4:] = np.degrees(numbers[:, 4:])
+    numbers *= [1e3, 1e3, 1e3, 1e3, 180 / np.pi, 180 / np.pi]
     return _Located(numbers, status, clouds)
 
 
@@ -335,18 +296,105 @@ def _of_touches(
     """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status."""
     numbers = np.full((len(named), 4), np.nan)
     status = np.full(len(named), "no_touch", dtype=object)
-    rows_of: dict[Any, list[int]] = {}
-    for i, name in enumerate(named):
-        if name is not None:
-            rows_of.setdefault(name, []).append(i)
+    touch = pd.Series(named, dtype=object)
     good = (Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN)
-    for rows in rows_of.values():
-        used = [i for i in rows if located.clouds[i] is not None and located.status[i] in good]
+    for rows in touch.groupby(touch, sort=False).indices.values():
+        clouds = {i: located.clouds[i] for i in rows if located.status[i] in good}
+        used = {i: cloud for i, cloud in clouds.items() if cloud is not None}
         if not used:
             status[rows] = "not_a_reading"
             continue
-        clouds = [c for i in used if (c := located.clouds[i]) is not None]
-        found = touch_posterior(lattice, clouds, readings.take(used), 0.95)
+        found = touch_posterior(lattice, [*used.values()], readings.take([*used]), 0.95)
         numbers[rows] = [1e3 * v for v in (found.mean, found.sd, *found.ends)]
-        status[rows] = "converged" if found.agree else _DISAGREE
+        status[rows] = "converged" if found.agree else "rows_disagree"
     return numbers, status
+
+
+#: How far up to the fold the angles of a touch may go: shares have the density exp(−(share/span)⁴).
+_SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
+
+
+class LocatedTouch(NamedTuple):
+    """Posterior of the distance of a touch: mean, sd and interval, m; whether rows agree."""
+
+    mean: float
+    sd: float
+    ends: Array
+    agree: bool
+
+
+def touch_posterior(
+    lattice: Lattice, clouds: Sequence[Cloud], readings: Readings, mass: float
+) -> LocatedTouch:
+    """The posterior of n rows (n, S), each with the cells from which it may come.
+
+    p(r, E | rows) ∝ p(r) p(E) ∏ᵢ ∫ p(yᵢ | r, θᵢ, E) p(θᵢ | r) dθᵢ. The product of the rows' own
+    posteriors of r would count prior and unknown stiffness once a row, and be far too sure. How far
+    the angles go is unknown as well, and shared: with angles flat up to the fold, touches of small
+    angles had errors of 1.4 sd.
+
+    The logarithm of each row's integral is smooth where their product is sharp: it is had once on
+    coarse nodes, and the sum over rows is interpolated where the product is.
+    """
+    nothing = LocatedTouch(np.nan, np.nan, np.full(2, np.nan), False)
+    low, high = (f([cloud.layers[i] for cloud in clouds]) for f, i in ((max, 0), (min, -1)))
+    if not low < high or min(len(cloud.layers) for cloud in clouds) < 4:
+        return nothing
+    finest = min(cloud.step[0] for cloud in clouds)
+    x = np.linspace(low, high, 8 + int((high - low) / finest))
+    # A row's stiffness at a distance is known to some 2 k: with twice these steps, 0.15 sd off.
+    widest = 1.2 * max(lattice.observer.noise.weber_fractions(readings.value.shape[1]))
+    log_e = np.zeros(1)
+    if lattice.soft is not None:
+        steps = int(np.ceil(8 * lattice.log_sd / np.clip(widest, 0.02, 0.14)))
+        log_e = lattice.log_median + lattice.log_sd * np.linspace(-4, 4, steps + 1)
+    # ln of the rows' product for each span of the angles, (J, E, spans).
+    every = [_row(lattice, c, readings.take([i]), x, log_e) for i, c in enumerate(clouds)]
+    total = np.sum(every, axis=0)
+    ends = [(low, high), (log_e[0], log_e[-1])]
+    for fine in ((101, 51), (401, 101)):
+        axes = [np.linspace(*end, n) for end, n in zip(ends, fine, strict=True)]
+        x_fine, e_fine = axes[0], axes[1] if len(log_e) > 1 else log_e
+        found = make_interp_spline(x, total, 3)(x_fine)
+        if len(log_e) > 1:
+            found = make_interp_spline(log_e, found, 3, axis=1)(e_fine)
+        density = found + log_prior_of_distance(lattice.observer, x_fine)[:, None, None]
+        if lattice.soft is not None:
+            density += lattice.log_prior_of_stiffness(e_fine)[:, None]
+        if not np.isfinite(density).any():
+            return nothing
+        near = (density > density.max() - 20.0).any(axis=2)
+        ends = [
+            (axis[max(at[0] - 1, 0)], axis[min(at[-1] + 1, len(axis) - 1)])
+            for axis, at in ((axes[0], np.flatnonzero(near.any(axis=1))),
+                             (e_fine, np.flatnonzero(near.any(axis=0))))
+        ]  # fmt: skip
+    weight = np.exp(density - density.max()).sum(axis=(1, 2))
+    weight /= weight.sum()
+    r = distances(lattice.observer, x_fine)
+    mean, tails = weight @ r, np.array([(1 - mass) / 2, (1 + mass) / 2])
+    interval = distances(lattice.observer, quantiles(weight[None], x_fine, tails)[0])
+    return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), interval, True)
+
+
+def _row(lattice: Lattice, cloud: Cloud, row: Readings, x: Array, log_e: Array) -> Array:
+    """ln ∫ p(y | r, θ, E) p(θ | r, span) dθ of a row, (J, E, spans)."""
+    cells, own, many = cloud.cells, cloud.layers, len(log_e)
+    if many == 1:
+        cell, at_e = np.arange(len(cells.contact)), np.zeros(1, dtype=np.intp)
+        log = lattice.evidence(row, cells.signals)[0]
+    else:
+        middle, sd = lattice.match(row, cells.signals)
+        cell, at_e = np.nonzero(np.abs(log_e - middle[0][:, None]) < 8 * sd[0][:, None])
+        scaled = lattice.scaled(cells.signals[cell], log_e[at_e])
+        log = lattice.log_likelihood(row, scaled[None])[0]
+    log = log + cells.log_prior[cell]
+    top = log.max()
+    layer = np.repeat(np.arange(len(own)), np.diff(cloud.first, append=len(cells.contact)))
+    at, weight = layer[cell] * many + at_e, np.exp(log - top)
+    norms = np.exp(-(((np.arange(2000) + 0.5) / 2000 / _SPANS[:, None]) ** 4)).mean(axis=1)
+    within = np.exp(-((cloud.share / _SPANS[:, None]) ** 4)) / norms[:, None]
+    mass = [np.bincount(at, weight * one[cell], len(own) * many) for one in within]
+    log = np.log(np.maximum(mass, 1e-26)).reshape(len(_SPANS), len(own), many) + top
+    log -= np.maximum(cloud.log_prior, -100.0)[:, None]
+    return np.asarray(make_interp_spline(own, np.moveaxis(log, 0, -1), 3)(x))

@@ -120,7 +120,7 @@ def tracked_signals(
     True
     """
     _checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    profile = Profile.of(whisker)
     table = _one_whisker(tracking, identity)
     ppm, rate = _scales(tracking, pixels_per_mm, frame_rate)
     for name, value in (("pole_radius_px", pole_radius_px), ("friction_sd", friction_sd)):

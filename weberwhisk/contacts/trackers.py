@@ -305,7 +305,7 @@ def simulate_tracking(
     (50, 21)
     """
     _checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    profile = Profile.of(whisker)
     places = np.atleast_1d(_checks.positive("radial_distances", radial_distances, "give metres"))
     frames = _checks.whole("frames", frames, "write 200, say")
     for name, value in (("frame_rate", frame_rate), ("whisking_hz", whisking_hz),

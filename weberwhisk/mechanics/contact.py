@@ -307,28 +307,44 @@ def beyond_tip(
     return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
 
 
+def in_pieces(solve: Callable[..., Any], *given: Array) -> Any:
+    """`solve` of flat arrays (n,), piece by piece; what it returns joined along its last axis."""
+    pieces = (slice(start, start + ROWS) for start in range(0, max(given[0].size, 1), ROWS))
+    found = [solve(*(a[piece] for a in given)) for piece in pieces]
+    if isinstance(found[0], tuple):
+        return tuple(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
+    return np.concatenate(found, axis=-1)
+
+
+def flat_with(whisker: Whisker, *arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """The shape of scenes of a straight whisker; its length, taper, stiffness and they, flat."""
+    given = np.broadcast_arrays(whisker.length, whisker.taper, whisker.stiffness, *arguments)
+    flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in given]
+    return given[0].shape, flat
+
+
 def by_rows(
-    solve: Callable[..., tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]],
-    model: Model,
-    whisker: Whisker,
-    *arguments: ArrayLike,
+    solve: Callable[..., Any], model: Model, whisker: Whisker, *arguments: ArrayLike
 ) -> Bending:
-    """Broadcast a whisker and its contacts, solve them row by row, and shape the result.
+    """Broadcast a straight whisker and its contacts, solve them, and shape the result.
 
     `solve` takes flat arrays ``(length, taper, stiffness, *arguments)`` and returns the eight
     numbers (8, n), the outcomes (n,) and the errors (n,).
     """
     refuse_hinge(whisker, f"The {model.name.lower()} model")
-    given = np.broadcast_arrays(whisker.length, whisker.taper, whisker.stiffness, *arguments)
-    shape = given[0].shape
-    flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in given]
-    n = flat[0].size
-    numbers = np.empty((len(NUMBERS), n))
-    outcome = np.empty(n, dtype=np.int8)
-    error = np.empty(n)
-    for start in range(0, n, ROWS):
-        part = slice(start, start + ROWS)
-        numbers[:, part], outcome[part], error[part] = solve(*(a[part] for a in flat))
+    shape, flat = flat_with(whisker, *arguments)
+    return bending(whisker, model, shape, *in_pieces(solve, *flat))
+
+
+def bending(
+    whisker: Whisker,
+    model: Model,
+    shape: tuple[int, ...],
+    numbers: Array,
+    outcome: NDArray[np.int8],
+    error: Array,
+) -> Bending:
+    """A result in its scenes' shape, of flat numbers in SI units."""
     values: dict[str, Any] = {
         name: row.reshape(shape)[()] for name, row in zip(NUMBERS, numbers, strict=True)
     }

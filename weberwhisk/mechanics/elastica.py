@@ -18,7 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import refuse_hinge
 from ..whisker import Whisker
 from .chebyshev import Array, ChebyshevTable, Curve, fit, load_cap, nodes, the_map, unfold
-from .contact import ROWS, TIP_ROUNDING, Bending, FlickPast, Model, Outcome, beyond_tip, by_rows
+from .contact import (
+    TIP_ROUNDING,
+    Bending,
+    FlickPast,
+    Model,
+    Outcome,
+    beyond_tip,
+    by_rows,
+    flat_with,
+    in_pieces,
+)
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
 MAP_ERROR = 1e-12
@@ -172,16 +182,8 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     FlickPast
     """
     refuse_hinge(whisker, "flick_past")
-    shape = np.broadcast(whisker.length, whisker.taper, radial_distance).shape
-    length, taper, r = (
-        np.ravel(np.broadcast_to(a, shape)).astype(float)
-        for a in (whisker.length, whisker.taper, radial_distance)
-    )
-    pieces = [slice(start, start + ROWS) for start in range(0, max(r.size, 1), ROWS)]
-    angle, c_end, fold_angle, c_peak = (
-        np.concatenate(parts)
-        for parts in zip(*(_limit(length[p], taper[p], r[p]) for p in pieces), strict=True)
-    )
+    shape, (length, taper, _, r) = flat_with(whisker, radial_distance)
+    angle, c_end, fold_angle, c_peak = in_pieces(_limit, length, taper, r)
     beyond = np.isnan(angle)
     peak_angle = np.where(beyond, 0.0, fold_angle * np.sqrt(1 - np.maximum(c_peak, c_end) ** 2))
     ended = np.where(c_end > 0, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
@@ -304,20 +306,15 @@ def signal_jacobian(
         where the contact is not held. They grow without bound towards the fold.
     """
     refuse_hinge(whisker, "signal_jacobian")
-    given = np.broadcast_arrays(
-        whisker.length, whisker.taper, whisker.stiffness, radial_distance, deflection_angle
-    )
-    flat = [np.ravel(a).astype(float) for a in given]
-    jacobian = np.empty((flat[0].size, 3, 2))
-    for start in range(0, flat[0].size, ROWS):
-        part = slice(start, start + ROWS)
-        jacobian[part] = _signal_jacobian(*(a[part] for a in flat))
-    return jacobian.reshape(*given[0].shape, 3, 2)
+    shape, flat = flat_with(whisker, radial_distance, deflection_angle)
+    slopes = in_pieces(_signal_jacobian, *flat)
+    return np.moveaxis(slopes, -1, 0).reshape(*shape, 3, 2)
 
 
 def _signal_jacobian(
     length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
 ) -> Array:
+    """The derivatives (3, 2, n)."""
     outcome = _press(length, taper, stiffness, r, theta)[1]
     lost = outcome != Outcome.HELD
     v = np.where(lost, 0.0, r / length * taper)
@@ -351,16 +348,15 @@ def _signal_jacobian(
         alpha_theta = h * (1 + theta * d_theta[1])
         sine, cosine = np.sin(alpha), np.cos(alpha)
         lever_cosine, lever_sine = np.cos(alpha - theta), np.sin(alpha - theta)
-        jacobian = np.empty((theta.size, 3, 2))
-        jacobian[:, 0, 0] = sign * (
-            (force_r * r + force) * lever_cosine - force * r * lever_sine * alpha_r
-        )
-        jacobian[:, 0, 1] = r * (
-            force_theta * lever_cosine - force * lever_sine * (alpha_theta - 1)
-        )
-        jacobian[:, 1, 0] = force_r * sine + force * cosine * alpha_r
-        jacobian[:, 1, 1] = sign * (force_theta * sine + force * cosine * alpha_theta)
-        jacobian[:, 2, 0] = sign * (force_r * cosine - force * sine * alpha_r)
-        jacobian[:, 2, 1] = force_theta * cosine - force * sine * alpha_theta
-    jacobian[lost] = np.nan
-    return jacobian
+        moment_r = (force_r * r + force) * lever_cosine - force * r * lever_sine * alpha_r
+        moment_theta = force_theta * lever_cosine - force * lever_sine * (alpha_theta - 1)
+        axial_theta = force_theta * sine + force * cosine * alpha_theta
+        rows = [
+            [sign * moment_r, r * moment_theta],
+            [force_r * sine + force * cosine * alpha_r, sign * axial_theta],
+            [
+                sign * (force_r * cosine - force * sine * alpha_r),
+                force_theta * cosine - force * sine * alpha_theta,
+            ],
+        ]
+    return np.where(lost, np.nan, rows)

@@ -18,7 +18,7 @@ from .._display import member
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
 from .chebyshev import Array, ChebyshevTable, Curve, the_map, unfold
-from .contact import NUMBERS, TIP_ROUNDING, Bending, Model, Outcome
+from .contact import TIP_ROUNDING, Bending, Model, Outcome, bending
 from .continuation import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .shape import Profile
 
@@ -50,7 +50,7 @@ class Scenes:
     @classmethod
     def of(cls, whisker: Whisker | Profile, **arguments: ArrayLike) -> Scenes:
         """Scenes with the arguments named ``length`` and ``force`` brought to natural units."""
-        profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+        profile = Profile.of(whisker)
         base = profile.whisker
         whiskers = profile.arc[0], profile.radius[0], base.stiffness, *vars(profile.law).values()
         try:
@@ -78,7 +78,7 @@ class Scenes:
 
     def outcome(self, flat: NDArray[np.int8]) -> Any:
         """Outcomes in the scenes' shape."""
-        return flat.reshape(self.shape) if self.shape else Outcome(int(flat[0]))
+        return member(Outcome, flat.reshape(self.shape))
 
     def jacobian(self, slopes: Array) -> Array:
         """Slopes (3, 2, n) of moment and two forces to (r, θ_d), (..., 3, 2) and in SI units."""
@@ -90,25 +90,10 @@ class Scenes:
 
     def bending(self, numbers: Array, outcome: NDArray[np.int8], error: Array) -> Bending:
         """Results in the scenes' shape and in SI units."""
-        length, force, shape = self.length, self.force, self.shape
-        scale = {
-            "moment": force * length,
-            "axial_force": force,
-            "transverse_force": force,
-            "radial_distance": length,
-            "arc_length": length,
-            "force": force,
-        }
-        return Bending(
-            **{
-                name: (row * scale.get(name, 1.0)).reshape(shape)[()]
-                for name, row in zip(NUMBERS, numbers, strict=True)
-            },
-            outcome=self.outcome(outcome),
-            model=member(Model, np.full(shape, Model.PROFILE, dtype=np.int8)),
-            error=error.reshape(shape)[()],
-            whisker=self.whisker,
-        )
+        length, force, one = self.length, self.force, np.ones_like(self.length)
+        # In the order of `contact.NUMBERS`.
+        units = np.stack([force * length, force, force, length, one, one, length, force])
+        return bending(self.whisker, Model.PROFILE, self.shape, numbers * units, outcome, error)
 
 
 def by_rows(

@@ -75,11 +75,8 @@ def estimate(scene: SceneRows) -> Estimates:
     small, elastic = straight(scene, Model.CLOSED_FORM)[0][:3], numbers[:3]
     flat_beam, true = elastic.copy(), elastic.copy()
     unit = np.ones_like(push)
-    slopes = np.moveaxis(
-        elastica._signal_jacobian(unit, scene.taper, unit, scene.distance, np.nan_to_num(push)),
-        0,
-        -1,
-    )
+    given = unit, scene.taper, unit, scene.distance, np.nan_to_num(push)
+    slopes = elastica._signal_jacobian(*given)
     held, moved = outcome == Outcome.HELD, np.zeros(push.size)
     flat = np.flatnonzero((top == Model.PROFILE) & held)
     if flat.size:

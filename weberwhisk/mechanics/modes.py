@@ -133,7 +133,7 @@ def modes(
     >>> modes(w, 3).normalised_frequency.round(3)
     array([ 7.894, 19.448, 36.51 ])
     """
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    profile = Profile.of(whisker)
     sizes = (
         profile.radius.shape[1:],
         np.shape(profile.whisker.density),

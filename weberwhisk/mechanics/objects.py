@@ -116,7 +116,7 @@ def sweep(
     >>> (s.bending.radial_distance * 1e3).round(2)
     array([  nan, 25.32, 26.25])
     """
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    profile = Profile.of(whisker)
     given = travel if rotation is None else rotation
     if given is None or (rotation is not None and travel is not None):
         raise ValueError(

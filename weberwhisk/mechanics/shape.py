@@ -152,8 +152,10 @@ class Profile(Value):
         self._set(**tables)
 
     @classmethod
-    def of(cls, whisker: Whisker) -> Profile:
-        """The profile of a linearly tapered whisker of constant curvature."""
+    def of(cls, whisker: Whisker | Profile) -> Profile:
+        """The profile of a linearly tapered whisker of constant curvature; a profile as it is."""
+        if isinstance(whisker, Profile):
+            return whisker
         kind("whisker", whisker, "a Whisker", "taper", "write Whisker(50e-3, 100e-6, 5e-6), say")
         length, base, tip = np.broadcast_arrays(
             whisker.length, whisker.base_radius, whisker.tip_radius

@@ -166,7 +166,7 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
     >>> print(f"{found.first_frequency:.0f} Hz; 1 % at {found.limit(0.01):.0f} Hz")
     84 Hz; 1 % at 10 Hz
     """
-    profile = whisker if isinstance(whisker, Profile) else Profile.of(whisker)
+    profile = Profile.of(whisker)
     length = float(profile.whisker.length)
     r = float(finite("radial_distance", radial_distance, "give metres, such as 30e-3"))
     if not 0 < r < length * (1 + 1e-9):
