@@ -1,18 +1,32 @@
 """The map of all forces in space (§2g), against the rod of model 3."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cue_checks import keeps_the_protocol, small_noise_limit
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.cues import ForceMap, LateralSlip, SpaceMap
-from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.cues import (
+    ForceMap,
+    Friction,
+    Fused,
+    LateralSlip,
+    SpaceMap,
+    UnknownCurvature,
+    UnknownHinge,
+    UnknownStiffness,
+)
+from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
+from weberwhisk.fusion import prior_draws
 from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import rod
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+CURVED = replace(W, curvature=8.0)
+SPACE = (*SIGNALS, "moment_direction", "force_direction", "torsion_angle")
 CONTACT = np.array([[20e-3, 0.3, -2.0], [30e-3, 0.5, 0.4], [40e-3, 0.2, 2.5]])
 
 
@@ -83,3 +97,124 @@ def test_readings_of_the_wrong_shape_or_kind_are_refused():
             cue.contact(W, [1e-6], *more)
         with pytest.raises(ValueError, match=f"{words} must be a number"):
             cue.contact(W, ["a", 1.0], *more)
+
+
+def test_a_curved_whisker_keeps_the_protocol():
+    observer = ww.Observer(CURVED, SpaceMap(SPACE))
+    keeps_the_protocol(observer, CONTACT * [1, 0.5, 1])
+    assert observer.model == "rod"
+    assert observer.why.startswith("the rod models all there is; the straight elastica is off")
+
+
+def test_signals_of_a_curved_whisker_are_those_of_the_rod():
+    rng = np.random.default_rng(5)
+    place = rng.uniform([10e-3, 0.02, -3.1], [45e-3, 0.1, 3.1], (40, 3))
+    cue = SpaceMap(IN_SPACE)
+    table, outcome = cue.signals(CURVED, place)
+    exact, held = cue.signals(CURVED, place, model="rod")
+    assert np.array_equal(outcome, held)
+    sizes = np.abs(exact[:, [0, 2]])  # of moment and force
+    for i, name in enumerate(IN_SPACE):
+        unit = 1.0 if name.endswith(("direction", "angle")) else sizes[:, int("force" in name)]
+        assert np.max(np.abs(table[:, i] - exact[:, i]) / unit) < 1e-4, name
+
+
+@pytest.mark.parametrize(("azimuth", "sign"), [(0.0, 1), (np.pi, -1)])
+def test_in_the_plane_of_curvature_it_is_the_force_map(azimuth, sign):
+    place = np.array([[15e-3, 0.4], [30e-3, 0.3], [42e-3, 0.1]])
+    whole = np.column_stack([place, [azimuth] * 3])
+    found, _ = SpaceMap(SPACE).signals(CURVED, whole)
+    plane, _ = ForceMap(SIGNALS).signals(replace(W, curvature=sign * 8.0), place)
+    assert found[:, :3] == pytest.approx(plane, rel=1e-4)
+    assert found[:, 3:] == pytest.approx(np.tile([azimuth, azimuth, 0.0], (3, 1)), abs=1e-9)
+
+
+def test_components_and_sizes_are_the_same_vectors_and_roll_turns_them():
+    place = CONTACT * [1, 0.5, 1]
+    for whisker in (W, CURVED):
+        for roll in (0.0, 0.7):
+            turned = place + [0, 0, roll]
+            found = SpaceMap(IN_SPACE, roll=roll).signals(whisker, turned)[0]
+            s = dict(zip(IN_SPACE, found.T, strict=True))
+            about, across = s["moment_direction"], s["force_direction"]
+            assert s["moment_z"] == pytest.approx(s["moment"] * np.cos(about), rel=1e-9)
+            assert s["moment_y"] == pytest.approx(-s["moment"] * np.sin(about), rel=1e-9)
+            assert s["force_y"] == pytest.approx(s["transverse_force"] * np.cos(across), rel=1e-9)
+            assert s["force_z"] == pytest.approx(s["transverse_force"] * np.sin(across), rel=1e-9)
+            assert s["torsion"] == pytest.approx(
+                s["moment"] * np.tan(s["torsion_angle"]), abs=1e-20
+            )
+            plain = SpaceMap(SPACE).signals(whisker, place)[0] + [0, 0, 0, roll, roll, 0]
+            assert found[:, [0, 1, 2, 8, 9, 10]] == pytest.approx(plain, rel=1e-9)
+
+
+def brute(observer, reading, model, count, found):
+    """Mean and sd of each unknown by midpoints in distance, deflection and azimuth themselves."""
+    parts = [found.estimates[name] for name in observer.unknowns]
+    share = (np.arange(count) + 0.5) / count * 2 - 1
+    axes = [e.mean + 5.5 * e.sd * share for e in parts]
+    place = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
+    signals, outcome = observer.cue.signals(observer.whisker, place, model=model)
+    held = outcome == Outcome.HELD
+    log = observer.noise.log_likelihood(reading, np.where(held[:, None], signals, 1.0))
+    weight = np.where(held, np.exp(log - log[held].max()), 0.0)
+    mean = weight @ place / weight.sum()
+    return mean, np.sqrt(weight @ (place - mean) ** 2 / weight.sum()), parts
+
+
+@pytest.mark.parametrize(
+    ("signals", "model", "count"),
+    [(SPACE, None, 41), pytest.param(SPACE[:5], "rod", 17, marks=pytest.mark.slow)],
+)
+def test_posteriors_are_those_of_a_plain_sum(signals, model, count):
+    observer = ww.Observer(CURVED, SpaceMap(signals))
+    reading = observer.read(np.array([30e-3, 0.25, 2.0]), seed=4)
+    found = ww.posterior(observer, reading)
+    assert found.status == ww.Status.CONVERGED
+    mean, sd, parts = brute(observer, reading, model, count, found)
+    for i, estimate in enumerate(parts):
+        assert estimate.mean == pytest.approx(mean[i], abs=3e-3 * sd[i])
+        assert estimate.sd == pytest.approx(sd[i], rel=3e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [0.03, 0.1, 0.3])
+def test_intervals_hold_the_contact_as_often_as_they_say(k):
+    noise = Joint([Weber(k), GeneralisedWeber(0, floor=k)], sizes=[3, 2])
+    observer = ww.Observer(CURVED, SpaceMap(), noise)
+    place = prior_draws(observer, 400, seed=6)
+    found = ww.posterior(observer, noise.sample(observer.signals(place)[0], 7))
+    for i, name in enumerate(observer.unknowns):
+        low, high = found.interval(0.95, name).T
+        inside = np.mean((low <= place[:, i]) & (place[:, i] <= high))
+        assert abs(inside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 400)
+
+
+def test_jnds_are_those_of_the_information():
+    observer = ww.Observer(CURVED, SpaceMap())
+    place = np.array([[30e-3, 0.25, 2.0]])
+    jnd = fisher_jnd(observer, place)
+    assert 0.2e-3 < jnd[0] < 2e-3
+    assert fisher_jnd(ww.Observer(CURVED, SpaceMap(SPACE)), place)[0] < jnd[0]
+
+
+def test_a_stiffness_that_is_unknown_is_a_factor_of_all_forces():
+    cue = UnknownStiffness(SpaceMap(IN_SPACE))
+    soft, stiff = cue.signals(CURVED, [[30e-3, 0.25, 2.0, 0.5], [30e-3, 0.25, 2.0, 1.0]])[0]
+    assert soft / stiff == pytest.approx([0.5] * 8 + [1.0] * 3)
+
+
+def test_what_space_does_not_know_is_refused():
+    for wrapped in (Friction, lambda c: UnknownCurvature(c, 1.0), lambda c: UnknownHinge(c, 0.3)):
+        with pytest.raises(ValueError, match="without friction whose shape is known"):
+            wrapped(SpaceMap())
+    with pytest.raises(ValueError, match="this cue is for straight whiskers|This cue is for"):
+        ww.Observer(CURVED, Fused(SpaceMap(), ForceMap()))
+    with pytest.raises(ValueError, match="posterior"):
+        SpaceMap().contact(CURVED, [1e-6, 1e-6], 1e-5)
+    with pytest.raises(ValueError, match='write model="rod"'):
+        ww.Observer(CURVED, SpaceMap(), model="profile").signals(CONTACT)
+    with pytest.raises(ValueError, match="base is clamped"):
+        ww.Observer(replace(CURVED, hinge_stiffness=1e-4), SpaceMap())
+    with pytest.raises(ValueError, match="signals"):
+        SpaceMap(["moment", "weight"])

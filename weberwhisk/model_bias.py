@@ -27,9 +27,10 @@ def chosen(observer: Any) -> Chosen:
     forward = observer.forward
     if forward.is_plain:
         return Chosen("elastica")
+    best = "profile" if forward.azimuth is None else "rod"
     if not forward.is_smooth:
-        return Chosen("profile")
-    return Chosen("elastica" if of_model(observer, "elastica") < observer.tolerance else "profile")
+        return Chosen(best)
+    return Chosen("elastica" if of_model(observer, "elastica") < observer.tolerance else best)
 
 
 def why(observer: Any) -> str:
@@ -42,10 +43,11 @@ def why(observer: Any) -> str:
             "the elastica models all there is; the closed form is off by up to "
             f"{of_model(observer, 'closed_form'):.2g} JND, 0.1 allowed"
         )
+    whole = "the rod" if forward.azimuth is not None else "the curved planar beam"
     if not forward.is_smooth:
-        return "the curved planar beam models all there is, and nothing cheaper does"
+        return f"{whole} models all there is, and nothing cheaper does"
     off = f"the straight elastica is off by up to {of_model(observer, 'elastica'):.2g} JND"
-    start = "" if observer.model == "elastica" else "the curved planar beam models all there is; "
+    start = "" if observer.model == "elastica" else f"{whole} models all there is; "
     return f"{start}{off}, {observer.tolerance:g} allowed"
 
 
@@ -62,7 +64,7 @@ def _table(observer: Any) -> str:
         return ""
     return (
         f"The table of this whisker is off by up to {forward.error:.1g} of the lateral force, "
-        f'{forward.error / least:.1g} of a Weber fraction: write model="profile"'
+        f'{forward.error / least:.1g} of a Weber fraction: write model="{observer.model}"'
     )
 
 
@@ -72,7 +74,8 @@ def _shape_at_rest(observer: Any) -> str:
     if of is None or np.any(whisker.curvature) or not cue.takes_curved:
         return ""
     contact = observer.contact(observer.space.spread(np.linspace(0.15, 0.85, 4)))[0]
-    exact = cue.signals(replace(whisker, curvature=of[2]), contact, model="profile")
+    model = "rod" if "azimuth" in cue.unknowns else "profile"
+    exact = cue.signals(replace(whisker, curvature=of[2]), contact, model=model)
     off = between(observer, contact, cue.signals(whisker, contact), exact)
     if off < 1:
         return ""

@@ -76,8 +76,8 @@ class Fused(Cue):
 
     @property
     def takes_curved(self) -> bool:  # type: ignore[override]
-        """Where all cues do."""
-        return all(cue.takes_curved for cue in self.cues)
+        """Where all cues do, in one plane."""
+        return all(cue.takes_curved and "azimuth" not in cue.unknowns for cue in self.cues)
 
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
         """With all that any of the cues does not know."""

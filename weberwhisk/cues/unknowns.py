@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .._checks import number, one_or_more, positive_number, refuse_hinge
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
+from .force_map import SIGNALS, SIX
 from .protocol import Array, Cue, Felt, a_cue
 
 
@@ -38,10 +39,10 @@ class _Wrapped(Cue):
 
     def _refuse_straight(self) -> None:
         """Refuse cues that take neither friction nor curvature."""
-        if not self.cue.takes_curved:
+        if not self.cue.takes_curved or "azimuth" in self.cue.unknowns:
             raise ValueError(
-                f"{self.cue!r} is for straight whiskers without friction; write cues.ForceMap(), "
-                "Compliance() or BalanceOfMoments(), or a fusion of them."
+                f"{self.cue!r} is for whiskers without friction whose shape is known; write "
+                "cues.ForceMap(), Compliance() or BalanceOfMoments(), or a fusion of them."
             )
 
     @property
@@ -288,7 +289,7 @@ class UnknownHinge(_Wrapped):
 
 
 #: Signals that are proportional to EI₀.
-FORCES = ("moment", "axial_force", "transverse_force", "moment_rate")
+FORCES = (*SIGNALS, "moment_rate", *SIX[1:])
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

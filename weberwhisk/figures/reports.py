@@ -196,9 +196,7 @@ def _line(ax: Axes, part: pd.DataFrame, style: dict[str, Any], label: str) -> No
 def _beside(ax: Axes, text: str, row: Any, xytext: tuple[float, float], **more: Any) -> None:
     """Small print beside a mark."""
     at = row["seconds"], max(row["error"], ROUNDING / 2)
-    drawn = ax.annotate(
-        text, at, xytext=xytext, textcoords="offset points", fontsize=SMALL, **more
-    )
+    drawn = ax.annotate(text, at, xytext=xytext, textcoords="offset points", fontsize=SMALL, **more)
     if box := drawn.get_bbox_patch():
         box.set_boxstyle("square", pad=0.05)
 

@@ -25,11 +25,12 @@ from ..whisker import Whisker
 from . import closed_form, hinge, ladder
 from .chebyshev import Array
 from .contact import ROWS, Outcome
-from .shape import Profile, Spiral
+from .shape import Law, Profile, Spiral
 from .surface import Surface, base_signals, surface_of
 
 if TYPE_CHECKING:
     from .planar_surface import PlanarSurface
+    from .space_surface import SpaceSurface
 
 NAMES = ("moment", "axial_force", "transverse_force")
 #: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.
@@ -56,6 +57,9 @@ class ForwardModel(Value):
         Stiffness of the hinge, N m/rad; by default the whisker's own.
     friction_range, offset_range, hinge_range : (float, float), optional
         Of all that may be asked for; by default what is given.
+    azimuth : float or array, optional
+        Of contacts in space, rad, from the side that the whisker curves to: see `space_surface`.
+        By default contacts are in the plane of curvature, on that side.
 
     Examples
     --------
@@ -74,6 +78,7 @@ class ForwardModel(Value):
     friction_range: tuple[float, float] = (0.0, 0.0)
     offset_range: tuple[float, float] = (0.0, 0.0)
     hinge_range: tuple[float, float] = (0.0, 0.0)
+    azimuth: Any = None
 
     # -- what it is like -----------------------------------------------------------------------
 
@@ -126,8 +131,12 @@ class ForwardModel(Value):
         return known and isinstance(self.whisker, Whisker)
 
     @cached_property
-    def surface(self) -> Surface | PlanarSurface:
+    def surface(self) -> Surface | PlanarSurface | SpaceSurface:
         """The table that serves it, made once."""
+        if self.azimuth is not None:
+            from .space_surface import space_surface
+
+            return space_surface(self.whisker)
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
         return planar_surface(self.clamped.whisker, self.friction_range, self.offset_range)
@@ -175,6 +184,8 @@ class ForwardModel(Value):
         }
         if self.hinge_range[1] > self.hinge_range[0]:
             out["hinge"] = np.geomspace(*self.hinge_range, count)
+        if self.azimuth is not None:
+            out["azimuth"] = np.linspace(0.0, np.pi, count)
         return out
 
     # -- contacts ------------------------------------------------------------------------------
@@ -204,20 +215,35 @@ class ForwardModel(Value):
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
+        if self.azimuth is not None:
+            r, azimuth = np.broadcast_arrays(np.asarray(r, dtype=float), self.azimuth)
+            limit: Any = self.surface.limit  # of a `SpaceSurface`
+            parts = [limit(*part) for part in _pieces(r.reshape(-1), azimuth.reshape(-1))]
+            return np.concatenate(parts).reshape(r.shape)
         shape, (flat, psi, kappa, compliance) = self._rows(r)
         if self.is_hinged:
             compliance = np.broadcast_to(compliance, flat.shape)
             return hinge.largest(self._table, self._compliances, flat, compliance)[3].reshape(shape)
-        if isinstance(self.surface, Surface):
-            return self.surface.limit(flat).reshape(shape)
-        return self.surface.limit(flat, psi, kappa).reshape(shape)
+        surface: Any = self.surface
+        uncertain = () if isinstance(surface, Surface) else (psi, kappa)
+        return np.asarray(surface.limit(flat, *uncertain)).reshape(shape)
 
     @cached_property
     def reach(self) -> float:
         """Largest radial distance of any contact, m: where the tip is at rest."""
-        if isinstance(self.surface, Surface):
+        if self.is_plain or self.model in ("elastica", "closed_form"):
             return self.length
-        return max(self.surface.reach(f.offset) for f in self.extremes())
+        tip = np.array([self.length])
+        return max(float(np.hypot(*self._law(f.offset).point(tip))[0]) for f in self.extremes())
+
+    def _law(self, offset: Any) -> Law:
+        """The shape at rest, more curved by an offset."""
+        whisker = self.clamped.whisker
+        law = (whisker if isinstance(whisker, Profile) else Profile.of(whisker)).law
+        if not np.any(offset):
+            return law
+        assert isinstance(law, Spiral)
+        return Spiral(law.base + offset, law.rate + 0 * np.asarray(offset))
 
     def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """Moment, axial and transverse force (..., 3), NaN where not held, and outcome (...)."""
@@ -245,6 +271,34 @@ class ForwardModel(Value):
         inner, falls = hinge.bent(self._table, self._compliances, flat, angle, compliance)
         return inner.reshape(shape), falls.reshape(shape)
 
+    def in_space(self, r: ArrayLike, push: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+        """The six signals (..., 6) of `space_surface`, NaN where not held, and outcome (...).
+
+        Without friction, at `azimuth`: by the table or, where the model is "rod", one by one.
+
+        Raises
+        ------
+        ValueError
+            For a named model that knows no space.
+        """
+        given = (np.asarray(a, dtype=float) for a in (r, push, self.azimuth))
+        r, push, azimuth = np.broadcast_arrays(*given)
+        if self.model == "profile":
+            raise ValueError(
+                'The planar beam knows no contacts out of its plane, got model="profile"; write '
+                'model="rod", or leave it out for a table of the rod.'
+            )
+        flat = [a.reshape(-1) for a in (r, push, azimuth)]
+        if self.model == "rod":
+            from .space_surface import pressed
+
+            parts = [pressed(self.whisker, *flat)]
+        else:
+            solve: Any = self.surface
+            parts = [solve(*part) for part in _pieces(*flat)]
+        signals, outcome = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return signals.reshape(*r.shape, 6), outcome.reshape(r.shape)
+
     def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """`signals` of a clamped base by the table, whichever model is named."""
         surface = self.surface
@@ -262,9 +316,7 @@ class ForwardModel(Value):
         """By solving the equations of the model that was named, contact by contact."""
         whisker = self.whisker
         if np.any(self.offset):
-            law = (whisker if isinstance(whisker, Profile) else Profile.of(whisker)).law
-            assert isinstance(law, Spiral)
-            bent = Spiral(law.base + self.offset, law.rate + 0 * np.asarray(self.offset))
+            bent: Any = self._law(self.offset)
             whisker = (
                 replace(whisker, curvature=bent.base)
                 if isinstance(whisker, Whisker)
@@ -343,6 +395,11 @@ def planar_surface(
     from .planar_surface import PlanarSurface
 
     return PlanarSurface(whisker, friction, offset)
+
+
+def _pieces(*flat: Array) -> list[list[Array]]:
+    """Arrays (n,) in parts of `ROWS`."""
+    return [[a[i : i + ROWS] for a in flat] for i in range(0, max(flat[0].size, 1), ROWS)]
 
 
 def _straightened(whisker: Whisker) -> Whisker:

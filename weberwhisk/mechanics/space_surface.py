@@ -123,28 +123,44 @@ class SpaceSurface:
         """The push at which contacts first come to the tip; that of the fold where they do not."""
         across, samples = self._sizes[2], 24
         c = np.linspace(1.0, 0.0, samples)
-        arc = r * (basis(across, c).T @ coefficients[:, 6])
-        beyond = arc > 1
+        over = r * (basis(across, c).T @ coefficients[:, 6]) - 1
+        beyond = over > 0
         beyond[0] = False
-        slips = beyond.any(axis=0)
-        first = np.where(slips, beyond.argmax(axis=0), 1)
+        slips = np.flatnonzero(beyond.any(axis=0))
+        first, terms = beyond[:, slips].argmax(axis=0), coefficients[:, 6, slips]
         low, high = c[first], c[first - 1]
-        for _ in range(40):
-            middle = (low + high) / 2
-            arc = r * np.einsum("kn,kn->n", basis(across, middle), coefficients[:, 6])
-            low, high = np.where(arc > 1, middle, low), np.where(arc > 1, high, middle)
-        return np.where(slips, last * (1 - high**2), last)
+        at_low, at_high = over[first, slips], over[first - 1, slips]
+        for _ in range(9):  # regula falsi, an end that stays counted for half
+            share = np.clip(at_low / (at_low - at_high), 1e-3, 1 - 1e-3)
+            middle = low + (high - low) * share
+            at = r[slips] * np.einsum("kn,kn->n", basis(across, middle), terms) - 1
+            lost = at > 0
+            at_high = np.where(lost, 0.5 * at_high, at)
+            at_low = np.where(lost, at, 0.5 * at_low)
+            low, high = np.where(lost, middle, low), np.where(lost, high, middle)
+        out = last.copy()
+        out[slips] *= 1 - high**2
+        return out
 
     def limit(self, r: Array, azimuth: Array) -> Array:
         """Largest push at distances and azimuths (n,), rad; NaN out of reach."""
-        x = np.asarray(r, dtype=float) / self.length
-        azimuth = np.broadcast_to(azimuth, x.shape)
-        poly, by_r, _, last = self._placed(x, azimuth)
-        far = np.flatnonzero(x > self._safe)
-        if far.size:
-            terms = self._across(poly[:, far], by_r[:, far])
-            last[far] = self._slips(x[far], last[far], terms)
-        return np.where((x > 0) & (x <= self._reach), last, np.nan)
+        pairs, which = _pairs(r, azimuth)
+        x, _, _, end, _ = self._at(*pairs, tabled=False)
+        return np.where((x > 0) & (x <= self._reach), end, np.nan)[which]
+
+    def _at(
+        self, r: Array, azimuth: Array, *, tabled: bool = True
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Distances in lengths, room, the pushes at fold and end; and `_across`, all or beyond
+        the distance from which contacts come to the tip.
+        """
+        x = r / self.length
+        poly, by_r, room, last = self._placed(x, azimuth)
+        far = x > self._safe
+        terms = self._across(poly, by_r) if tabled else self._across(poly[:, far], by_r[:, far])
+        end = last.copy()
+        end[far] = self._slips(x[far], last[far], terms[..., far] if tabled else terms)
+        return x, room, last, end, terms
 
     def reach(self) -> float:
         """Distance of the tip at rest, m."""
@@ -152,22 +168,23 @@ class SpaceSurface:
 
     def __call__(self, r: Array, push: Array, azimuth: Array) -> tuple[Array, NDArray[np.int8]]:
         """`SIX` signals (n, 6), NaN where not held, and outcomes (n,)."""
-        x = np.asarray(r, dtype=float) / self.length
-        poly, by_r, room, last = self._placed(x, azimuth)
-        terms = self._across(poly, by_r)
-        end, far = last.copy(), np.flatnonzero(x > self._safe)
-        if far.size:
-            end[far] = self._slips(x[far], last[far], terms[..., far])
-        known = (x > 0) & (x <= self._reach) & np.isfinite(azimuth)
+        # Grids and tiles have many pushes at one distance and azimuth, where most of the work is.
+        pairs, which = _pairs(r, azimuth)
+        x, room, last, end, terms = self._at(*pairs)
+        known = (x > 0) & (x <= self._reach) & np.isfinite(pairs[1])
+        x = np.where(known, x, self._reach)
+        terms[:, :6] *= 3 * room / x**2 * (self.stiffness / self.length**2)
+        terms[:, _ODD] *= np.sin(pairs[1])
+        terms[:, 3:6] *= x * self.length
+        known = known[which]
+        slips, last, end = (end < last)[which], last[which], end[which]
         held = known & (push >= 0) & (push <= end)
-        with np.errstate(all="ignore"):
-            c = np.where(held, np.sqrt(np.maximum(1 - push / last, 0.0)), 0.0)
-            out = np.einsum("kin,kn->ni", terms[:, :6], basis(self._sizes[2], c))
-            out *= (3 * push * room / x**2 * (self.stiffness / self.length**2))[:, None]
-            out[:, _ODD[:6]] *= np.sin(azimuth)[:, None]
-            out[:, 3:] *= r[:, None]
-        out[~held] = np.nan
-        lost = np.where(end < last, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
+        c = np.where(held, np.sqrt(np.maximum(1 - push / np.where(held, last, 1.0), 0.0)), 0.0)
+        powers = basis(self._sizes[2], c).T
+        powers *= np.where(held, push, np.nan)[:, None]
+        rows = np.ascontiguousarray(terms[:, :6].transpose(2, 0, 1))
+        out = np.matmul(powers[:, None], rows[which])[:, 0]
+        lost = np.where(slips, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
         lost = np.where(push < 0, Outcome.NO_TOUCH, lost)
         lost = np.where(known, lost, Outcome.OUT_OF_REACH)
         return out, np.where(held, Outcome.HELD, lost).astype(np.int8)
@@ -184,6 +201,15 @@ class SpaceSurface:
         off = np.abs(found - exact) / lateral[:, None]
         off[:, 3:] /= r[:, None]
         return float(np.max(np.where(np.isnan(off), np.inf, off)))
+
+
+def _pairs(r: Array, azimuth: Array) -> tuple[tuple[Array, Array], NDArray[np.intp]]:
+    """The distinct pairs (m,) of distances and azimuths (n,), and which each is."""
+    distances, i = np.unique(np.asarray(r, dtype=float), return_inverse=True)
+    azimuths, j = np.unique(np.broadcast_to(azimuth, i.shape), return_inverse=True)
+    pairs, which = np.unique(i * azimuths.size + j, return_inverse=True)
+    i, j = np.divmod(pairs, max(azimuths.size, 1))
+    return (distances[i], azimuths[j]), which
 
 
 @lru_cache(maxsize=16)

@@ -132,9 +132,9 @@ def _balance_monotonic() -> str:
 
 
 def _white_areas() -> str:
-    grid = paper.surface(
-        MuscleCurve.NORMALISED, paper.DISTANCES[::10], paper.IMPACTS[::10]
-    ).query("outcome != 'BALANCED'")
+    grid = paper.surface(MuscleCurve.NORMALISED, paper.DISTANCES[::10], paper.IMPACTS[::10]).query(
+        "outcome != 'BALANCED'"
+    )
     share, angle = paper.dashed_line()
     below = grid["impact_angle_deg"] <= np.interp(grid["radial_distance"], share, angle) + 1e-9
     wrong = int((below == (grid["outcome"] == "END_OF_WHISKING")).sum())

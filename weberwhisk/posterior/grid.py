@@ -59,6 +59,7 @@ def integrate(
     depth: float = 28.0,
     looks: int = 12,
     widenings: int = 6,
+    nodes: tuple[int, int] | None = None,
     together: int = 2_000_000,
 ) -> Sums:
     """Integrate B densities over boxes of D = 1 to 4 coordinates.
@@ -80,6 +81,8 @@ def integrate(
     widenings : int
         Most times that it is made wider again: coarse nodes see the ends of a narrow ridge badly (a
         posterior's sd was 9 % off).
+    nodes : (int, int), optional
+        Along each axis while closing in and at last; by default those of `NODES`.
     together : int
         Nodes that are worked on together.
 
@@ -115,7 +118,7 @@ def integrate(
             "give the ends of what each coordinate can be."
         )
     first, last = begin.copy(), end.copy()
-    coarse, fine = NODES[begin.shape[1]]
+    coarse, fine = nodes or NODES[begin.shape[1]]
     rows = max(1, together // fine ** begin.shape[1])
     parts = []
     for start in range(0, len(begin), rows):

@@ -242,10 +242,12 @@ Likelihood = AllUnknowns | LastSummed
 def likelihood_of(observer: Observer) -> Likelihood:
     """Of three unknowns and more the last is summed out, where signals are smooth in it.
 
-    Not so of two cues with an unknown each: the last is known by its own cue as well as any is.
+    Not so of two cues with an unknown each, nor of the azimuth of a curved whisker's contact: the
+    last is known by its own signals as well as any is.
     """
     if (
         len(observer.unknowns) < 3
+        or observer.forward.azimuth is not None
         or observer.unknowns[-1] not in observer.unknowns[observer.bounded :]
     ):
         return AllUnknowns(observer)

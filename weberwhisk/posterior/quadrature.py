@@ -18,6 +18,7 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
+from .about_modes import ModeGrid, peaks
 from .grid import OwnGrids
 from .likelihood import LastSummed, likelihood_of
 from .marginals import by_draws, draws, tile_quantiles
@@ -106,13 +107,18 @@ def quadrature(
     length = longest(wanted)
     found: list[_Found] = []
     left = np.arange(len(reading))
+    if observer.forward.azimuth is not None:
+        found = _about_modes(observer, reading, wanted, progress)
+        left = np.setdiff1d(left, [f.rows[0] for f in found]).astype(np.intp)
     # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
-    if len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
+    elif len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
         whole = _whole(observer, length)
         if whole is not None:
             served, left = _by_whole(observer, reading, whole, wanted)
             found.append(served)
-    pieces = [left[i : i + 64] for i in range(0, len(left), 64)]
+    # Tiles of three unknowns that all signals tell of would be too many.
+    tiled = left if observer.forward.azimuth is None else left[:0]
+    pieces = [tiled[i : i + 64] for i in range(0, len(tiled), 64)]
     for own in on_threads(lambda rows: _by_own(observer, reading, rows, length, wanted), pieces):
         found += own
         if progress:
@@ -126,6 +132,21 @@ def quadrature(
     if progress:
         progress(len(reading), len(reading))
     return _solution(observer, reading, found, wanted)
+
+
+def _about_modes(observer: Observer, reading: Array, wanted: float, progress: Any) -> list[_Found]:
+    """What grids about the highest points find, of the readings that they serve."""
+    found = []
+    for start in range(0, len(reading), 64):
+        rows = np.arange(start, min(start + 64, len(reading)))
+        centre, root, alone = peaks(observer, reading[rows])
+        for row, *about in zip(rows[alone], centre[alone], root[alone], strict=True):
+            grid = ModeGrid(observer, reading[[row]], *about)
+            if (grid.error <= wanted).all():
+                found.append(_Found(np.array([row]), grid, grid.moments, grid.error))
+            if progress:
+                progress(int(row) + 1, len(reading))
+    return found
 
 
 #: Most tiles of a whole tiling of two unknowns: 2 kB each, and six times that of three.

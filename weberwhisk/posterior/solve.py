@@ -215,7 +215,7 @@ class Factors(NamedTuple):
 def factors_of(observer: Observer) -> Factors | None:
     """The factors of the posterior, if it is a product."""
     cue = getattr(observer.cue, "all_but_last", None)
-    if cue is None:
+    if cue is None or not observer.forward.is_plain:
         return None
     own, size = len(cue.signal_names), len(observer.cue.signal_names)
     noise, rest = observer.noise.part(size, 0, own), observer.noise.part(size, own, size)
