@@ -119,7 +119,9 @@ def test_signals_of_a_curved_whisker_are_those_of_the_rod():
         assert np.max(np.abs(table[:, i] - exact[:, i]) / unit) < 1e-4, name
 
 
-@pytest.mark.parametrize(("azimuth", "sign"), [(0.0, 1), (np.pi, -1)])
+@pytest.mark.parametrize(
+    ("azimuth", "sign"), [(np.pi, -1), pytest.param(0.0, 1, marks=pytest.mark.slow)]
+)
 def test_in_the_plane_of_curvature_it_is_the_force_map(azimuth, sign):
     place = np.array([[15e-3, 0.4], [30e-3, 0.3], [42e-3, 0.1]])
     whole = np.column_stack([place, [azimuth] * 3])
@@ -133,7 +135,7 @@ def test_components_and_sizes_are_the_same_vectors_and_roll_turns_them():
     place = CONTACT * [1, 0.5, 1]
     for whisker in (W, CURVED):
         for roll in (0.0, 0.7):
-            turned = place + [0, 0, roll]
+            turned = place + np.array([0, 0, roll])
             found = SpaceMap(IN_SPACE, roll=roll).signals(whisker, turned)[0]
             s = dict(zip(IN_SPACE, found.T, strict=True))
             about, across = s["moment_direction"], s["force_direction"]
@@ -208,13 +210,13 @@ def test_what_space_does_not_know_is_refused():
     for wrapped in (Friction, lambda c: UnknownCurvature(c, 1.0), lambda c: UnknownHinge(c, 0.3)):
         with pytest.raises(ValueError, match="without friction whose shape is known"):
             wrapped(SpaceMap())
-    with pytest.raises(ValueError, match="this cue is for straight whiskers|This cue is for"):
+    with pytest.raises(ValueError, match="This cue is for straight whiskers"):
         ww.Observer(CURVED, Fused(SpaceMap(), ForceMap()))
     with pytest.raises(ValueError, match="posterior"):
         SpaceMap().contact(CURVED, [1e-6, 1e-6], 1e-5)
     with pytest.raises(ValueError, match='write model="rod"'):
         ww.Observer(CURVED, SpaceMap(), model="profile").signals(CONTACT)
-    with pytest.raises(ValueError, match="base is clamped"):
+    with pytest.raises(ValueError, match="clamped base, got hinge_stiffness"):
         ww.Observer(replace(CURVED, hinge_stiffness=1e-4), SpaceMap())
-    with pytest.raises(ValueError, match="signals"):
+    with pytest.raises(ValueError, match="signal 'weight' is unknown"):
         SpaceMap(["moment", "weight"])

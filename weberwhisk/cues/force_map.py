@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import number, numbers, one_or_more, positive_number
+from .._checks import number, numbers, one_or_more, positive_number, refuse_hinge
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
@@ -335,11 +335,11 @@ class SpaceMap(Cue):
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
         """The mechanics of contacts (..., 3): those of a curved whisker, at their azimuths."""
         forward = forward_of(whisker)
-        ranges = (*forward.friction_range, *forward.offset_range)
-        if forward.is_hinged or any(ranges):
+        refuse_hinge(forward.whisker, "SpaceMap")
+        if any((*forward.friction_range, *forward.offset_range)):
             raise ValueError(
-                "SpaceMap knows contacts without friction of whiskers whose shape is known and "
-                "whose base is clamped, got others; write cues.ForceMap(), which takes them."
+                "SpaceMap knows contacts without friction of whiskers whose shape is known, got "
+                "others; write cues.ForceMap(), which takes them."
             )
         if forward.is_plain:
             return forward
