@@ -17,7 +17,7 @@ from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
 from .fit import fit_weber
-from .io import load_numerosity, load_rat_auditory, read_trials
+from .io import read_trials
 from .located import with_distances
 from .population import simulate_moving, simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
@@ -25,7 +25,7 @@ from .priors import PopulationPriors, Priors
 from .psychometric import response_probability, threshold
 from .report import methods_paragraph
 from .result import WeberFit
-from .simulate import simulate_trials
+from .simulate import load_numerosity, load_rat_auditory, simulate_trials
 from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
 from .verdict import FitStatus, WeberLawTest, weber_law_test

@@ -265,7 +265,6 @@ class WeberModel:
         encoded: tuple[Array, Array | float],
         low: Array,
         high: Array,
-        start: Array | None = None,
     ) -> tuple[Array, Array]:
         """Where each bias lies given the rest: centre and sd, (..., G), by Fisher scoring.
 
@@ -279,7 +278,7 @@ class WeberModel:
         mean, sd = self.priors.moments("bias")
         low, high = (a[..., None] for a in self.lapses(low, high))
         n, x = self.cells.n, self.cells.count
-        bias = np.full(shape, mean) if start is None else np.broadcast_to(start, shape)
+        bias = np.full(shape, mean)
         precision = np.ones(shape)
         for _ in range(25):
             up, down = self.task.chance(d, weight * bias[..., self.group])

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..output import atomic_write, csv_text
-from .checking import rows_in_words
 from .tasks import Task
 
 Array = NDArray[np.float64]
@@ -233,6 +232,14 @@ def notes_of(frame: pd.DataFrame, rows: NDArray[np.intp] | None = None) -> tuple
     if empty:
         notes.append(f"{empty} rows hold a level without trials, which says nothing.")
     return tuple(notes)
+
+
+def rows_in_words(rows: ArrayLike) -> str:
+    """Rows in words, the first below the header being 1."""
+    numbers = np.atleast_1d(np.asarray(rows))
+    shown = ", ".join(map(str, numbers[:3].tolist()))
+    more = f" and {numbers.size - 3} more" if numbers.size > 3 else ""
+    return f"row{'s' if numbers.size > 1 else ''} {shown}{more}"
 
 
 def check_trials(trials: Any) -> None:

@@ -75,8 +75,16 @@ def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
 Array = NDArray[np.float64]
 
 
+class _OfSessions(Effect):
+    """The noise of a session times exp of the value, as far as its column says."""
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        factor = np.exp(value * column)
+        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
+
+
 @dataclass(frozen=True, eq=False)
-class Drift(Effect):
+class Drift(_OfSessions):
     """A learning animal, smoothly: ln k goes by `drift` from the first session to the last.
 
     Linear in the number of the session in its row, or with `of_log` in its logarithm (fast first,
@@ -100,13 +108,9 @@ class Drift(Effect):
         course = np.log1p(np.arange(len(sessions))) if self.of_log else np.arange(len(sessions))
         return (course / course[-1] - 0.5)[place]
 
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        factor = np.exp(value * column)
-        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
-
 
 @dataclass(frozen=True, eq=False)
-class Step(Effect):
+class Step(_OfSessions):
     """A learning animal, by blocks: ln k changes by this much from session `at` on.
 
     Several steps make a piecewise course; the Weber fraction is that before the first.
@@ -131,10 +135,6 @@ class Step(Effect):
         sessions, place = sessions_of(trials, "Step")
         _checks.one_of("the session of a Step", str(self.at), map(str, sessions))
         return (place >= [str(s) for s in sessions].index(str(self.at))).astype(float)
-
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        factor = np.exp(value * column)
-        return signals._replace(sd_1=signals.sd_1 * factor, sd_2=signals.sd_2 * factor)
 
 
 def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
