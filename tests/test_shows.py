@@ -22,6 +22,7 @@ from nbclient import NotebookClient
 
 import weberwhisk as ww
 from weberwhisk._display import Shown
+from weberwhisk.design import Goal, Plan, Scheme, taper
 
 matplotlib.use("agg")
 ROOT = Path(__file__).parent.parent
@@ -63,6 +64,8 @@ def results() -> dict[str, Any]:
     fit = ww.fit_weber(trials)
     never = ww.fit_weber(trials, priors={"lapse_low": 0.0, "lapse_high": 0.0})
     cones = ww.Observer(W, ww.cues.ForceMap())
+    pair = taper(W)
+    scheme = Scheme.spaced(pair[0].encoding, [15e-3, 40e-3], trials=5)
     return {
         "one reading": ww.posterior(TAP, TAP.read(30e-3, seed=1)),
         "many readings": ww.posterior(TAP, TAP.read([[20e-3], [30e-3]], seed=1)),
@@ -79,6 +82,8 @@ def results() -> dict[str, Any]:
         "contact": ww.press(W, 30e-3, 0.2),
         "contacts": ww.press(W, [[20e-3], [30e-3]], np.linspace(0.01, 0.4, 20)),
         "lost": ww.press(W, 60e-3, 0.2),
+        "power": ww.power(scheme, pair, trials=[5, 10], truths=["tapered"], runs=8, seed=1),
+        "study": ww.simulate_study(Plan(scheme, pair, Goal(bayes_factor=10)), 2, seed=1),
     }  # fmt: skip
 
 
@@ -121,6 +126,9 @@ def test_lines_hold_the_numbers(made: dict[str, Any]) -> None:
     assert f"M = {contact.moment * 1e6:.4g} µN m" in repr(contact)
     assert "out of reach" in repr(made["lost"])
     assert "2 of 2 contacts held" in repr(made["curve"])
+    touches = ww.touches(TAP, TAP.read([[30e-3], [30e-3]], seed=1))
+    low, high = touches.interval()
+    assert f"(95 %: {1e3 * low:.1f} to {1e3 * high:.1f}), of 2; converged" in repr(touches)
     assert "20, 30 mm" in repr(made["plan"]).replace("10, 30", "20, 30")
 
 
@@ -132,6 +140,8 @@ def test_a_curve_has_units_in_its_names_and_the_contact_in_its_index(made: dict[
     plain = {"criterion", "unreliable", "linear", "outcome"}
     assert {name for name in curve.table if not name.endswith("_mm")} == plain
     assert list(curves.lines()) == ["5.73°", "11.46°"]
+    tilted = ww.jnd_curve(ww.Observer(W, ww.cues.LateralSlip()), [20e-3], n_readings=2, seed=1)
+    assert "surface_tilt_deg" in tilted.table
 
 
 def test_help_documents_the_function_also_after_its_package_was_imported() -> None:

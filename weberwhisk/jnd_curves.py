@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._checks import angle, generator, one_of, positive, whole
 from ._deprecated import renamed_arguments
 from ._display import Shown, with_units
+from .coordinates import UNITS
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
 from .mechanics.contact import Outcome
 from .observer import Observer
@@ -23,10 +24,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Columns of a `JNDCurve` that are lengths or angles.
-_LENGTHS = ("radial_distance", "side", "closed_form", "propagation", "fisher", "posterior",
-            "posterior_error", "estimator", "estimator_error")  # fmt: skip
-_ANGLES = ("deflection_angle", "bearing")
+#: Columns of a `JNDCurve` that are JNDs, m.
+_JNDS = ("closed_form", "propagation", "fisher", "posterior", "posterior_error", "estimator",
+         "estimator_error")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,8 +67,9 @@ class JNDCurve(Shown):
     @cached_property
     def table(self) -> pd.DataFrame:
         """JNDs in mm, with the contact as index."""
-        named = ([n for n in names if n in self._rows] for names in (_LENGTHS, _ANGLES))
-        found = with_units(self._rows, *named)
+        names = self.observer.unknowns
+        known = {unit: [n for n in names if UNITS.get(n) == unit] for unit in ("m", "rad")}
+        found = with_units(self._rows, [*known["m"], *_JNDS], known["rad"])
         index = ["radial_distance_mm", "deflection_angle_deg"]
         return found.set_index([name for name in index if name in found])
 

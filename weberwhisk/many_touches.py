@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from ._checks import finite, kind, whole
-from ._display import with_units
+from ._display import interval_text, with_units
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .jnd import fisher_jnd
 from .mechanics.contact import Outcome
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Touches:
     """The posterior of a radial distance from n touches; `touches` makes it.
 
@@ -56,6 +56,11 @@ class Touches:
     status: Status
     r: Array
     density: Array
+
+    def __repr__(self) -> str:
+        low, high = self.interval()
+        r = interval_text(1e3 * self.mean, 1e3 * low, 1e3 * high, " mm")
+        return f"<Touches: r = {r}, of {self.count}; {self.status.message}>"
 
     def interval(self, mass: float = 0.95) -> tuple[float, float]:
         """The equal-tailed interval that holds the distance with probability `mass`, m."""

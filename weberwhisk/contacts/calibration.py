@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
 from .. import _checks
+from .._display import Shown
 from ..cues import Cue
 from ..cues.protocol import Felt
 from ..mechanics.contact import Outcome
@@ -68,8 +69,8 @@ def _slope(r: Array, apex: Any, hinge: Any) -> Array:
     return 1 / (1 / (1 / r - 1 / apex) + hinge)
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Shown):
     """What taps at known distances tell of a whisker and its sensor.
 
     Attributes
@@ -98,6 +99,7 @@ class Calibration:
         taps left open widens the distances.
     """
 
+    _figure: ClassVar[str] = "calibrated"
     whisker: Whisker
     cue: HingedTap
     noise: Weber
@@ -107,6 +109,12 @@ class Calibration:
     p_value: float
     effective_draws: float
     samples: tuple[tuple[Whisker, HingedTap, Weber], ...]
+
+    def _line(self) -> str:
+        return f"k = {float(self.noise.weber_fraction):.3g} of the sensor. {self.message}"
+
+    def _table(self) -> pd.DataFrame:
+        return self.parameters
 
     @property
     def fits(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
 
 from .. import _checks, campaign
+from .._display import Shown, interval_text
 from .experiments import BY, experiments, sized, summary, wilson
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .plan_file import encode
@@ -24,8 +25,8 @@ Array = NDArray[np.float64]
 MOST = {"trials": 1000, "animals": 200}
 
 
-@dataclass(frozen=True)
-class Power:
+@dataclass(frozen=True, repr=False)
+class Power(Shown):
     """What designs of several sizes reach.
 
     Columns of `table`, a row for each truth and size: `truth`; `trials` of the comparison shown
@@ -37,10 +38,19 @@ class Power:
     interval. `runs` has one row an experiment.
     """
 
+    _figure: ClassVar[str] = "power_curve"
     goal: Goal
     table: pd.DataFrame
-    runs: pd.DataFrame = field(repr=False)
+    runs: pd.DataFrame
     assurance: bool = False
+
+    def _line(self) -> str:
+        last = self.table.sort_values(["animals", "trials"]).groupby("truth", sort=False).last()
+        return f"{'assurance' if self.assurance else 'power'} " + "; ".join(
+            f"{interval_text(row['power'], row['lower'], row['upper'])} where {truth} is true, "
+            f"{row['animals']} × {row['trials']} trials a comparison"
+            for truth, row in last.iterrows()
+        )
 
     def report(self) -> str:
         """The table in words, a line a row."""

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from .. import _checks, campaign
+from .._display import Shown, interval_text
 from ..behaviour.population import simulate_responses
 from ..behaviour.verdict import FitStatus
 from .experiments import wilson
@@ -27,8 +28,8 @@ from .plan_file import plan_json, plan_of
 NEITHER = "undecided"
 
 
-@dataclass(frozen=True)
-class SimulatedStudy:
+@dataclass(frozen=True, repr=False)
+class SimulatedStudy(Shown):
     """Outcomes of an experiment that was simulated.
 
     Parameters
@@ -48,8 +49,9 @@ class SimulatedStudy:
           the same for a hypothesis, for an interval the share of animals where it is narrow enough.
     """
 
-    plan: Plan = field(repr=False)
-    table: pd.DataFrame = field(repr=False)
+    _figure: ClassVar[str] = "rehearsed"
+    plan: Plan
+    table: pd.DataFrame
 
     def summary(self) -> pd.DataFrame:
         """How often, by truth, with the Monte Carlo error.
@@ -84,6 +86,12 @@ class SimulatedStudy:
                 }
             )
         return pd.DataFrame(rows).set_index("truth")
+
+    def _line(self) -> str:
+        rows = self.summary()[["reached", "lower", "upper", "runs"]].iterrows()
+        return "goal reached by " + "; ".join(
+            f"{truth} {interval_text(*row.iloc[:3])} of {row['runs']:g} runs" for truth, row in rows
+        )
 
     def report(self) -> str:
         """What came out, in plain words."""
