@@ -137,7 +137,7 @@ def test_an_object_that_the_sweep_does_not_reach_is_out_of_reach():
     assert np.isnan(s.first_contact)
 
 
-@pytest.mark.parametrize("radius", [5e-3, 12e-3])
+@pytest.mark.parametrize("radius", [5e-3, pytest.param(12e-3, marks=pytest.mark.slow)])
 def test_the_fold_at_a_cylinder_is_the_largest_rotation_of_any_tangent_whisker(radius):
     """All whiskers tangent to the circle, found one force at a time by SciPy, know no path."""
     centre = np.array([30e-3, -1e-3 - radius])
@@ -198,8 +198,14 @@ BODIES = {
 }
 
 
-@pytest.mark.parametrize("whisker", [W, CURLED], ids=["straight", "curled"])
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize(
+    ("name", "whisker"),
+    [
+        pytest.param(name, w, id=f"{name}-{shape}", marks=[pytest.mark.slow] * ((i + j) % 2))
+        for i, name in enumerate(BODIES)
+        for j, (shape, w) in enumerate({"straight": W, "curled": CURLED}.items())
+    ],
+)
 def test_the_whisker_is_never_inside_the_object(name, whisker):
     body = BODIES[name]
     s = sweep(whisker, body, np.radians(np.arange(-42, 60, 4.0)))

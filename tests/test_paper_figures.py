@@ -11,6 +11,7 @@ import pytest
 import weberwhisk as ww
 from weberwhisk import paper
 from weberwhisk.cli import app, run_app
+from weberwhisk.commands import figure
 from weberwhisk.commands.paper import PANELS
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 from weberwhisk.paper import claims
@@ -137,8 +138,9 @@ def test_every_claim_names_a_test_that_is_there():
         assert f"({equation})" in said
 
 
-def test_the_command_draws_every_panel_and_says_what_it_finds(tmp_path, capsys):
+def test_the_command_draws_every_panel_and_says_what_it_finds(tmp_path, monkeypatch):
     """In a folder away from the source, with nothing but the package."""
+    monkeypatch.setattr(figure.Asked, "readings", lambda asked, times=1: 3)
     assert run_app(app, ["paper", "--short", "--out", str(tmp_path / "out")]) == 0
     text = (tmp_path / "out" / "paper.md").read_text("utf-8")
     places = [text.index(f"({name}.png)") for name in PANELS]

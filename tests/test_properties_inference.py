@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from property_strategies import POWERS, floats, logarithmic, scaled, whiskers
 
@@ -181,6 +181,7 @@ ALL_CUES = [
 
 
 @pytest.mark.parametrize("make", ALL_CUES)
+@settings(max_examples=settings.default.max_examples // 2)
 @given(data=st.data())
 def test_every_cue_has_whole_signals_posteriors_and_jnds(make, data: st.DataObject) -> None:
     # Whiskers of a rat's size: some cues have lengths of their own.

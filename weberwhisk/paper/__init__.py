@@ -14,6 +14,7 @@ the text. The two differ in their unit alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -223,6 +224,7 @@ def balance_angles() -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
+@cache
 def curve_end(curve: MuscleCurve, impact: float = IMPACT) -> float:
     """The largest distance over L at which muscle and whisker still balance, by finer grids."""
     low, high = 0.3, 1.0
