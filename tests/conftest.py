@@ -54,7 +54,7 @@ EACH = {
     "test_analyses", "test_arviz_io", "test_browser_pages", "test_cli", "test_comparison",
     "test_cues", "test_data_synthetic", "test_docs", "test_finish", "test_layers", "test_methods",
     "test_misuse", "test_protocols", "test_quickstart", "test_readme", "test_reading_outcomes",
-    "test_runs", "test_shows", "test_threads", "test_trackers", "test_trials", "test_whisker",
+    "test_runs", "test_shows", "test_threads", "test_trials", "test_whisker",
 }  # fmt: skip
 
 

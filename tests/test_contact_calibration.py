@@ -12,8 +12,6 @@ import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.contacts import HingedTap
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 TRUE = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
 NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)
 HINGE, K = 0.012, 0.025

@@ -75,7 +75,6 @@ def test_the_jacobian_is_the_slope_of_the_chances(cue):
     assert np.allclose(cue.jacobian(W, r), expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.once
 def test_more_poses_change_little():
     """What five nodes in each direction are worth, in sds of the posterior."""
     many = ComparativeLength(ROW.lengths, ROW.bases, sweeps=ROW.sweeps, poses=11)

@@ -510,7 +510,6 @@ def test_posterior_predictive_is_nearer_to_the_data(fit: WeberFit) -> None:
 # -- Weber's law ----------------------------------------------------------------------------------
 
 
-@pytest.mark.once
 def test_weber_law_holds_where_it_does_and_fails_where_it_does_not() -> None:
     same = [simulate_trials(weber_fraction=0.1, standards=s, trials_per_level=60, seed=20 + i)
             for i, s in enumerate((1.0, 2.0))]  # fmt: skip
@@ -542,7 +541,6 @@ def test_weber_law_evidence_by_brute_force() -> None:
     assert test.log_bayes_factor == pytest.approx(together - apart, abs=1e-4)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("bias", ["shared", "per standard"])
 def test_weber_law_evidence_with_lapses_and_bias_by_brute_force(bias: str) -> None:
     """Lapses, and a shared bias, are common to the standards, whose trials are not equally many."""
@@ -599,7 +597,6 @@ def test_perfect_performance_bounds_from_above() -> None:
     assert "Harder comparisons" in fit.report()
 
 
-@pytest.mark.once
 def test_reversed_labels_are_found() -> None:
     right = simulate_trials(trials_per_level=20, seed=30)
     wrong = replace(right, frame=right.frame.assign(count=1 - right.frame["count"]))
@@ -613,7 +610,6 @@ def test_reversed_labels_are_found() -> None:
     assert fit_weber(never).status is FitStatus.REVERSED
 
 
-@pytest.mark.once
 def test_chance_performance_does_not_claim_a_weber_fraction() -> None:
     fit = fit_weber(counted(NINE.tolist(), 40, [20] * 9))
     assert "Easier comparisons" in fit.report()
@@ -782,7 +778,6 @@ def test_a_poor_animal_is_within_reach_of_the_prior() -> None:
     assert low < 1.5 < high
 
 
-@pytest.mark.once
 def test_a_ridge_between_bias_and_lapses_is_integrated() -> None:
     """One ratio up and one down: four parameters on two proportions."""
     trials = counted([0.8, 1.25], 1500, [470, 900])
@@ -885,7 +880,6 @@ def judge(errors: np.ndarray, covered: float, per_level: int = 33) -> None:
     assert stats.binomtest(round(covered * n), n, 0.95).pvalue > 0.005
 
 
-@pytest.mark.once
 def test_recovery_and_coverage() -> None:
     judge(*recover(60, 40_000))
 
@@ -957,7 +951,6 @@ def test_the_rat_over_its_whole_course_says_why_one_bias_is_not_enough() -> None
     assert own.log_evidence > shared.log_evidence + 50  # type: ignore[operator]
 
 
-@pytest.mark.once
 def test_the_rat_needs_a_bias_per_standard() -> None:
     trials = load_rat_auditory(range(31, 36))
     shared, own = (fit_weber(trials, bias=b) for b in ("shared", "per standard"))

@@ -11,8 +11,6 @@ from scipy import special, stats
 
 from weberwhisk.posterior.grid import Sums, integrate
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 Array = NDArray[np.float64]
 
 

@@ -256,7 +256,6 @@ def moments_of(fit: PopulationFit) -> dict[str, Array]:
     return out
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("count", [2, 5])
 def test_population_and_animals_by_brute_force(count: int) -> None:
     trials, _ = animals(count)
@@ -268,7 +267,6 @@ def test_population_and_animals_by_brute_force(count: int) -> None:
         assert found[name][1] == pytest.approx(sd, rel=0.01), name
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_population_with_biases_by_brute_force(count: int) -> None:
     trials, _ = animals(count, bias_spread=0.3)
@@ -360,7 +358,6 @@ def test_scales_of_biases_that_were_not_tabulated_are_missed() -> None:
     assert np.isinf(errors[1])
 
 
-@pytest.mark.once
 def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
     # Twelve animals without any bias: with the scale of a single fit k is 0.0927, and 0.0979 with
     # one that is learnt.
@@ -378,7 +375,6 @@ def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
 # -- what pooling does ----------------------------------------------------------------------------
 
 
-@pytest.mark.once
 def test_pooling_draws_animals_together_and_errs_less() -> None:
     trials, truth = animals(8, spread=0.2, trials_per_level=14, bias_spread=0.2)
     fit = fit_population(trials)
@@ -429,7 +425,6 @@ def test_the_unit_does_not_matter(unit: float) -> None:
     )
 
 
-@pytest.mark.once
 def test_five_animals_of_a_percent_correct_task() -> None:
     trials, truth = animals(
         5, task="3AFC percent correct", offsets=[0.1, 0.2, 0.4, 0.8], trials_per_level=20
@@ -498,7 +493,6 @@ def test_no_animal_at_all_is_an_outcome() -> None:
         fit.to_arviz()
 
 
-@pytest.mark.once
 def test_perfect_and_hopeless_animals_are_carried_by_the_others() -> None:
     trials, _ = animals(3, spread=0.1, trials_per_level=30)
     frame = trials.frame.copy()

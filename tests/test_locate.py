@@ -15,8 +15,6 @@ from weberwhisk.contacts.columns import planar, unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
 from weberwhisk.contacts.rows import touch_posterior
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 C2 = ww.Whisker.from_identity("C2")
 KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)
 SOFT = ww.cues.UnknownStiffness(ww.cues.ForceMap())

@@ -16,8 +16,6 @@ from weberwhisk.commands.paper import PANELS
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 from weberwhisk.paper import claims
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 ROOT = Path(__file__).parent.parent
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 IMPACT = np.radians(60)

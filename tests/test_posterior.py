@@ -1,10 +1,13 @@
 """The three engines against brute-force integrals that share no code with them."""
 
+import itertools
+
 import numpy as np
 import pytest
 from mpmath import mp
 from numpy.polynomial.legendre import leggauss
 from scipy import stats
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Status
@@ -37,8 +40,12 @@ def brute_force(observer, reading, floor=0.0):
         return float(at + mean), float(mp.sqrt(second / total - mean**2))
 
 
-@pytest.mark.parametrize("taper", ["tapered", "cylinder"])
-@pytest.mark.parametrize("k", [0.005, 0.05, 0.2, 0.5])
+@pytest.mark.parametrize(
+    ("k", "taper"),
+    slow_but(
+        itertools.product([0.005, 0.05, 0.2, 0.5], ["tapered", "cylinder"]), quick=(0, 3, 4, 7)
+    ),
+)
 def test_quadrature_in_one_dimension_is_exact_to_1e_8(k, taper):
     w = W if taper == "tapered" else W.cylinder()
     observer = ww.Observer(w, Compliance(), Weber(k))
@@ -143,7 +150,6 @@ def test_quadrature_in_two_dimensions_reaches_1e_4(k, fraction, degrees):
         assert max(e.mean_error, e.sd_error) < 1e-4 * sd[i]
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("k", [0.02, 0.1, 0.3])
 def test_emcee_agrees_with_quadrature_within_its_own_error(k):
     observer = ww.Observer(W, Compliance(), Weber(k))
@@ -174,7 +180,6 @@ def test_emcee_agrees_in_two_dimensions():
         assert np.all(np.abs(a.sd - b.sd) < 5 * a.sd_error + 0.01 * b.sd)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(
     ("k", "count"), [(0.5, 6), *(pytest.param(k, 48, marks=pytest.mark.slow) for k in (0.3, 0.5))]
 )

@@ -25,8 +25,6 @@ from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sweeping import SweepFilter, follow
 from weberwhisk.whisker import identities, rest_shape
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 MU = np.arctan(0.48)
 
 

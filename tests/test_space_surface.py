@@ -10,8 +10,6 @@ from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.mechanics.space_surface import pressed, space_surface
 from weberwhisk.mechanics.surface import Surface
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 BEND = 8.0
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=BEND)
 

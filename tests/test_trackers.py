@@ -13,8 +13,6 @@ import pytest
 
 import weberwhisk as ww
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 REAL = Path(__file__).parent / "data" / "tracking" / "test_5frames.measurements"
 
 

@@ -10,8 +10,6 @@ import pytest
 
 import weberwhisk as ww
 
-pytestmark = pytest.mark.once  # arithmetic in which ArviZ has no part
-
 ROOT = Path(__file__).parents[1]
 C2 = ww.Whisker.from_identity("C2", curved=True)
 
