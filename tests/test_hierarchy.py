@@ -24,7 +24,7 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.hierarchy import _zoomed, integrate_population
 from weberwhisk.behaviour.lapses import BiasScales
 from weberwhisk.behaviour.population import joined
-from weberwhisk.behaviour.tabulated import Members, Work, tabulate
+from weberwhisk.behaviour.tabulated import Members, tabulate
 from weberwhisk.posterior.ensemble import sample_stacked
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def likelihood(trials: Trials, log_k: Array) -> Array:
     return np.log(np.where(x == 1, p, 1 - p)).sum(axis=-1)
 
 
-def work_of(trials: Trials, sessions: bool, priors: object = KNOWN) -> Work:
+def work_of(trials: Trials, sessions: bool, priors: object = KNOWN) -> Members:
     parts, animal = [], []
     for i, subject in enumerate(trials.subjects):
         own = trials.select(subject=subject)
@@ -63,7 +63,7 @@ def work_of(trials: Trials, sessions: bool, priors: object = KNOWN) -> Work:
             fit = fit_weber(part, priors=priors)
             parts.append(tabulate(fit.model.merged(), fit.posterior.draws(), np.ones(1)))
             animal.append(i)
-    return Work(Members(tuple(parts), np.array(animal), sessions, Priors().lapse_correlation))
+    return Members(tuple(parts), np.array(animal), sessions, Priors().lapse_correlation)
 
 
 # -- the integrals --------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def test_population_with_biases_by_brute_force(count: int) -> None:
         assert found[name][1] == pytest.approx(sd, rel=0.01), name
 
 
-def population_density(work: Work, prior: PopulationPriors, x: Array) -> Array:
+def population_density(work: Members, prior: PopulationPriors, x: Array) -> Array:
     """Log posterior of (ln k of the population, log spread) with every animal integrated out."""
     flat = x.reshape(-1, 2)
     log_like = work.given_lapses(*AS_ALONE)[0, 0]

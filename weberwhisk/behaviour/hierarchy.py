@@ -19,7 +19,7 @@ from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import map_coordinates
 
 from .priors import PopulationPriors
-from .tabulated import Members, Work
+from .tabulated import Members
 
 Array = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ def integrate_population(
     members: Members, priors: PopulationPriors, log_weber_fraction: Callable[[Array], Array]
 ) -> Population:
     """The posterior of a population, given the log-density of the prior of its ln k."""
-    grid = _Grid(Work(members), priors, log_weber_fraction)
+    grid = _Grid(members, priors, log_weber_fraction)
     ranges = list(grid.bounds)
     coarse, fine = (13, 13, 7, 7, 7, 4), (23, 27, 11, 11, 21, 9)
     finer_biases = (23, 27, 11, 27, 21, 9)  # where their scale has a peak and a long tail
@@ -157,7 +157,7 @@ def integrate_population(
         tuple(grid.axes),
         grid.values(),
         mass,
-        grid.work.x,
+        grid.members.x,
         of_members,
         of_animals,
         float(top + np.log(total)),
@@ -173,14 +173,17 @@ class _Grid:
     """
 
     def __init__(
-        self, work: Work, priors: PopulationPriors, log_weber_fraction: Callable[[Array], Array]
+        self,
+        members: Members,
+        priors: PopulationPriors,
+        log_weber_fraction: Callable[[Array], Array],
     ) -> None:
-        self.work, self.priors, self.log_weber_fraction = work, priors, log_weber_fraction
-        tables = work.members.tables
+        self.members, self.priors, self.log_weber_fraction = members, priors, log_weber_fraction
+        tables = members.tables
         no_lapses = all(t.low.size == t.high.size == 1 for t in tables)
-        scales, self.unit = work.members.scales.nodes, work.members.scales.unit
+        scales, self.unit = members.scales.nodes, members.scales.unit
         self.fixed = [
-            False, False, not work.members.sessions, scales.size == 1, no_lapses, no_lapses,
+            False, False, not members.sessions, scales.size == 1, no_lapses, no_lapses,
         ]  # fmt: skip
         self.bounds: list[tuple[float, float]] = [
             (-12.0, 12.0),
@@ -204,7 +207,7 @@ class _Grid:
     def cut_off(self, mass: Array, share: float = 1e-3) -> bool:
         """Whether scales of the biases that were not tabulated are likely too: whether the density
         at the last is more than that share of the peak."""
-        by_scale, ends = mass.sum(axis=(0, 1, 2, 4, 5)), self.work.members.scales.nodes[[0, -1]]
+        by_scale, ends = mass.sum(axis=(0, 1, 2, 4, 5)), self.members.scales.nodes[[0, -1]]
         at_end = np.isclose(self.on_axes()[0][3][[0, -1]], ends) & (ends != 0) & (not self.fixed[3])
         return bool(np.any(at_end & (2 * by_scale[[0, -1]] > share * by_scale.max())))
 
@@ -219,7 +222,7 @@ class _Grid:
     def values(self) -> dict[str, Array]:
         """The parameters at the nodes; they broadcast."""
         place, *spreads, mean, spread = self.on_axes()[0]
-        middle, sd = self.work.middle(*spreads)  # (T, Z, B)
+        middle, sd = self.members.middle(*spreads)  # (T, Z, B)
         log_k = middle + sd * place[:, None, None, None]
         rest = np.meshgrid(*spreads, mean, spread, indexing="ij", sparse=True)
         return dict(zip(NAMES, (log_k[..., None, None], *(a[None] for a in rest)), strict=True))
@@ -228,10 +231,10 @@ class _Grid:
         """Log posterior mass of every node, not normalised."""
         out = np.empty([a.size for a in self.axes])
         for at, log_like, within, between in self._slices():
-            total, _ = self.work.log_likelihood(log_like, within, between)
+            total, _ = self.members.log_likelihood(log_like, within, between)
             out[at] = total.T.reshape(out[at].shape)
         on_axes, slopes = self.on_axes()
-        _, scale = self.work.middle(*on_axes[1:4])
+        _, scale = self.members.middle(*on_axes[1:4])
         out += self.log_weber_fraction(self.values()[NAMES[0]]) + np.log(scale)[..., None, None]
         for j, name in enumerate(NAMES):
             if self.fixed[j]:
@@ -255,28 +258,28 @@ class _Grid:
         tiled = np.broadcast_to(tau, log_k.shape[:2]).ravel()
         known: dict[tuple[int, int], Array] = {}
         for i, m in enumerate(mean):  # a row of lapse populations at a time: they take memory
-            log_like = self.work.given_lapses(np.full(spread.size, m), spread, scale)
+            log_like = self.members.given_lapses(np.full(spread.size, m), spread, scale)
             for s, session_spread in enumerate(sigma):
-                within = self.work.within(session_spread)
+                within = self.members.within(session_spread)
                 for b in range(scale.size):
                     between = known.get((s, b))
                     if between is None:
-                        between = self.work.kernel(log_k[..., s, b].ravel(), tiled)
+                        between = self.members.kernel(log_k[..., s, b].ravel(), tiled)
                         if (len(known) + 1) * between.size <= most_numbers:
                             known[s, b] = between
                     yield (slice(None), slice(None), s, b, i), log_like[b], within, between
 
     def shrunken(self, mass: Array) -> tuple[Array, Array]:
         """Posterior probabilities of ln k of each member (U, X) and each animal (A, X)."""
-        work = self.work
-        size = work.members.first.size, work.x.size
-        members, animals = np.zeros((len(work.members.tables), size[1])), np.zeros(size)
+        members = self.members
+        size = members.first.size, members.x.size
+        sessions, animals = np.zeros((len(members.tables), size[1])), np.zeros(size)
         for at, every, within, between in self._slices():
             for weight, log_like in zip(mass[at].reshape(-1, len(every)).T, every, strict=True):
                 if weight.sum() < 1e-9:
                     continue
-                _, by_animal = work.log_likelihood(log_like, within, between)
-                animal, own = work.by_animal(log_like, within)
+                _, by_animal = members.log_likelihood(log_like, within, between)
+                animal, own = members.by_animal(log_like, within)
                 # What the others say of an animal: every population by how it fares without it.
                 low = by_animal.min(
                     axis=1, keepdims=True, where=weight > 1e-12 * weight.max(), initial=np.inf
@@ -286,14 +289,14 @@ class _Grid:
                 animals += np.exp(log_post)
                 if within is None:
                     continue
-                rest = log_post[work.members.animal] - own  # without this session
+                rest = log_post[members.animal] - own  # without this session
                 high = rest.max(axis=1, keepdims=True)
                 prior = np.log(np.maximum(np.exp(rest - high) @ within.T, 1e-300)) + high
-                members += np.exp(prior + log_like)
+                sessions += np.exp(prior + log_like)
         animals /= animals.sum(axis=1, keepdims=True)
-        if not work.members.sessions:
+        if not members.sessions:
             return animals, animals
-        return members / members.sum(axis=1, keepdims=True), animals
+        return sessions / sessions.sum(axis=1, keepdims=True), animals
 
 
 def _narrowed(

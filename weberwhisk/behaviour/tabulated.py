@@ -21,7 +21,8 @@ from .likelihood import Draws, WeberModel
 
 @dataclass(frozen=True)
 class Members:
-    """The tables of a population: one for each animal, or for each session of each animal.
+    """The likelihood of a population's parameters, given the tables of its members: one for each
+    animal, or for each session of each animal.
 
     `animal` (U,) rises and says whose each table is; `scales` are those of the biases at which all
     were made.
@@ -38,24 +39,25 @@ class Members:
         """The first table of each animal."""
         return np.flatnonzero(np.r_[True, np.diff(self.animal) > 0])
 
-    def axis(self, finest: float) -> Array:
-        """Nodes of ln k on which all members are compared."""
+    @cached_property
+    def _moments(self) -> tuple[Array, Array]:
+        """Mean and log sd of ln k of each alone, with the prior's lapses, by scale, (U, S)."""
+        found = np.array([_moments(t) for t in self.tables])
+        return found[:, 0], found[:, 1]
+
+    @cached_property
+    def x(self) -> Array:
+        """Nodes of ln k on which all are compared."""
+        # However little members tell, spreads are distinguished from 0.1 on.
+        step = min(float(np.exp(self._moments[1].min())) / 4, 0.15)
         low = min(t.log_k[0] for t in self.tables) - 0.5
         high = max(t.log_k[-1] for t in self.tables) + 0.5
-        return np.arange(low, high + finest, finest)
+        return np.arange(low, high + step, step)
 
-
-class Work:
-    """The likelihood of a population's parameters, given its members' tables."""
-
-    def __init__(self, members: Members) -> None:
-        self.members = members
-        moments = np.array([_moments(t) for t in members.tables])  # (U, 2, S)
-        self._mean, self._log_sd = moments[:, 0], moments[:, 1]
-        finest = float(np.exp(self._log_sd.min()))
-        # However little members tell, spreads are distinguished from 0.1 on.
-        self.x = members.axis(min(finest / 4, 0.15))
-        self.step = self.x[1] - self.x[0]
+    @property
+    def step(self) -> float:
+        """How far these are apart."""
+        return float(self.x[1] - self.x[0])
 
     def middle(
         self, spread: Array, session_spread: Array, bias_scale: Array
@@ -64,10 +66,11 @@ class Work:
 
         As if every member's likelihood were normal: only the place of nodes depends on it.
         """
-        onto = self.members.scales.onto(bias_scale).T
-        own_mean, own_sd = self._mean @ onto, np.exp(self._log_sd @ onto)  # (U, B)
+        onto = self.scales.onto(bias_scale).T
+        mean, log_sd = self._moments
+        own_mean, own_sd = mean @ onto, np.exp(log_sd @ onto)  # (U, B)
         precision = 1 / (own_sd[:, None] ** 2 + session_spread[:, None] ** 2)  # (U, Z, B)
-        first = self.members.first
+        first = self.first
         total = np.add.reduceat(precision, first)
         mean = np.add.reduceat(precision * own_mean[:, None], first) / total
         weight = 1 / (1 / total + spread[:, None, None, None] ** 2)  # (T, A, Z, B)
@@ -91,7 +94,7 @@ class Work:
 
     def within(self, session_spread: float) -> Array | None:
         """The kernel of sessions about their animal's ln k, (X, X); none where they are one."""
-        if not self.members.sessions:
+        if not self.sessions:
             return None
         return self.kernel(self.x, np.full(self.x.shape, session_spread))
 
@@ -100,10 +103,10 @@ class Work:
 
         For J populations of lapses, and each scale of the biases (B,).
         """
-        onto, rho = self.members.scales.onto(bias_scale), self.members.lapse_correlation
+        onto, rho = self.scales.onto(bias_scale), self.lapse_correlation
         out = [
             table.given_lapses(table.lapse_weights(mean, spread, rho), self.x, onto)
-            for table in self.members.tables
+            for table in self.tables
         ]
         return np.array(out).transpose(1, 3, 0, 2)
 
@@ -115,7 +118,7 @@ class Work:
         if within is None:
             return log_like, log_like
         own = _log_product(log_like, within)
-        return np.add.reduceat(own, self.members.first, axis=-2), own
+        return np.add.reduceat(own, self.first, axis=-2), own
 
     def log_likelihood(
         self, log_like: Array, within: Array | None, between: Array
