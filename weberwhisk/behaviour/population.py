@@ -249,38 +249,11 @@ def simulate_responses(
 ) -> Trials:
     """What observers with known parameters answer to a list of trials.
 
-    `simulate_trials` makes its own list, with the standard always first; this one takes any.
-
-    Parameters
-    ----------
-    table : DataFrame
-        One row a trial: `standard`, `stimulus_1`, `stimulus_2` (or with `_mm`, as `trial_lists`
-        has them, taken in the unit of the encoding), and `subject`; `session` and `trial` are kept.
-    animals : DataFrame
-        The truth, as from `draw_animals`: a row for each `subject`, or each of its sessions where
-        there is a column `session`.
-    encoding : Encoding
-    noise : {"weber", "equal-variance"}
-    missing : float
-        Share of trials without an answer.
-    task : str
-        As in `read_trials`.
-    seed : int, SeedSequence or Generator
-
-    Raises
-    ------
-    ValueError
-        For stimuli that give no signal, and trials of an animal whose truth is not given.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> table = pd.DataFrame({"subject": "s1", "standard": 1.0, "stimulus_1": [1.0, 1.5],
-    ...                       "stimulus_2": [1.5, 1.0]})
-    >>> animal = pd.DataFrame([{"subject": "s1", "weber_fraction": 0.01, "lapse_low": 0.0,
-    ...                         "lapse_high": 0.0, "bias": 0.0}])
-    >>> simulate_responses(table, animal, encoding=IdentityEncoding(), seed=1).frame["count"].values
-    array([1., 0.])
+    `simulate_trials` makes its own list, with the standard always first; this one takes any: a row
+    a trial with `subject`, `standard`, `stimulus_1`, `stimulus_2` (or with `_mm`, as `trial_lists`
+    has them, taken in the unit of the encoding), where `session` and `trial` are kept. `animals` is
+    the truth, as from `draw_animals`: a row for each `subject`, or each of its sessions where there
+    is a column `session`. A share of trials, `missing`, gets no answer.
     """
     chosen = task_named(task)
     share = _checks.number("missing", missing, "write for example 0.02")

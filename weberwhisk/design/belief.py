@@ -148,15 +148,9 @@ LEAST_TOLD = 8  # trials that the coordinates of the lapses are made for at firs
 
 
 class Belief:
-    """The posterior of one hypothesis on a grid.
+    """The posterior of one hypothesis on a grid that has all answers so far.
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-    candidates : Cells
-        The pairs of stimuli that may be put; what is put may differ.
-    grid : BeliefGrid
-        With all answers so far.
+    `candidates` are the pairs of stimuli that may be put; what is put may differ.
     """
 
     def __init__(self, hypothesis: Hypothesis, candidates: Cells, grid: BeliefGrid) -> None:

@@ -72,11 +72,7 @@ class Scheme:
         trials: int | Sequence[Any] = 20,
         animals: int = 1,
     ) -> None:
-        at = np.atleast_1d(
-            _checks.finite("standards", standards, "give one distance in m, or several")
-        ).ravel()
-        if not at.size:
-            raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
+        at = _standards(standards)
         if np.unique(at).size < at.size:
             raise ValueError(f"a standard was given twice, in {at.tolist()}; give each once.")
         _checks.whole("animals", animals, "write 20")
@@ -148,9 +144,7 @@ class Scheme:
         ((-0.002, 0.002),)
         """
         checked_encoding(encoding)
-        at = np.atleast_1d(_checks.finite("standards", standards, "give distances in m")).ravel()
-        if not at.size:
-            raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
+        at = _standards(standards)
         _checks.non_negative("step", _checks.number("step", step, "write 0"), "write 0, or 1e-5")
         _checks.positive("weber_fraction", weber_fraction, "write for example 0.1")
         at = np.unique(_snapped(at, step))
@@ -341,6 +335,13 @@ def easy_share(
     cells = scheme.cells()
     score = np.abs(decision_variable(encoding, cells.standard, cells.stimulus_2)) / weber_fraction
     return float(cells.n[score >= ndtri(proportion)].sum() / cells.n.sum())
+
+
+def _standards(standards: ArrayLike) -> Array:
+    at = np.ravel(_checks.finite("standards", standards, "give one distance in m, or several"))
+    if not at.size:
+        raise ValueError("a design needs standards, got none; write standards=[15e-3, 30e-3].")
+    return at
 
 
 def _snapped(distance: ArrayLike, step: float) -> Array:

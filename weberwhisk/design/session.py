@@ -267,37 +267,12 @@ class Session:
 def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator[str]:
     """Trials out, answers in, a line of JSON each.
 
-    Parameters
-    ----------
-    session : Session
-    lines : iterable of str
-        Answers: ``1``, ``0`` or ``null`` (none given), or an object with ``choice`` and, where
-        they differ from what was proposed, ``standard`` and ``comparison``. With ``trial``, its
-        number, an answer that was sent twice is refused.
-    unit : str
-        Ending of the names of stimuli: ``"_mm"``.
-
-    Yields
-    ------
-    str
-        A trial, ``{"trial": 1, "standard": …, "comparison": …, "easy": false, …}``, after every
-        answer; ``{"error": "…"}`` where a line could not be used: the trial still stands; at the
-        end ``{"finished": "…", "trials": …}``.
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> from weberwhisk.design import Hypothesis, Scheme, Staircase
-    >>> staircase = Staircase(Hypothesis("Weber", IdentityEncoding()),
-    ...                       Scheme([20.0], [[-4.0, -2.0, 2.0, 4.0]]), most=2, seed=1)
-    >>> answers = ["1", "2", '{"choice": 0, "comparison_mm": 23.9}']
-    >>> with Session(staircase, None) as session:
-    ...     for line in converse(session, answers, "_mm"):
-    ...         print(line)
-    {"trial": 1, "standard_mm": 20.0, "comparison_mm": 16.0, "easy": false}
-    {"trial": 2, "standard_mm": 20.0, "comparison_mm": 24.0, "easy": false}
-    {"error": "choice must be 1 (\\"second greater\\"), 0, or None for no answer, got 2."}
-    {"finished": "there are 2 trials, as many as wanted", "trials": 2}
+    A trial, ``{"trial": 1, "standard": …, "comparison": …, "easy": false, …}``, after every answer;
+    ``{"error": "…"}`` where a line could not be used: the trial still stands; at the end
+    ``{"finished": "…", "trials": …}``. Answers are ``1``, ``0`` or ``null`` (none given), or an
+    object with ``choice`` and, where they differ from what was proposed, ``standard`` and
+    ``comparison``; with ``trial``, its number, an answer that was sent twice is refused. `unit` is
+    the ending of the names of stimuli, ``"_mm"``.
     """
     answers = iter(lines)
     while not session.finished:
@@ -327,7 +302,7 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
 
 def _known(placer: Placer) -> dict[str, Any]:
     """What is known so far, where the placer knows it."""
-    if isinstance(placer, Staircase) or not isinstance(placer, BayesianPlacer):
+    if not isinstance(placer, BayesianPlacer):
         return {}
     low, high = placer.interval()
     known = {"weber_fraction": placer.weber_fraction, "low": low, "high": high}
