@@ -221,3 +221,19 @@ def test_a_reading_whose_search_comes_to_a_standstill_is_not_found_in_silence():
     found, outcome = ForceMap().contact(W, [4.035570122755542e-08, 1.4052928242893354e-06])
     assert outcome == Outcome.OUT_OF_REACH
     assert np.isnan(found).all()
+
+
+def test_moments_at_a_known_angle_are_inverted_each_by_itself():
+    """The first row's outcome stood for all, and rows after the first were off by a tenth."""
+    observer = ww.Observer(W, ForceMap("moment", deflection_angle=0.2))
+    contacts = np.array([[10e-3], [20e-3], [30e-3]])
+    moments = observer.signals(contacts)[0]
+    for wanted in (moments, moments[:, 0]):
+        found, outcome = observer.cue.contact(W, wanted)
+        assert found == pytest.approx(contacts, rel=1e-9)
+        assert outcome.tolist() == [Outcome.HELD] * 3
+    assert observer.cue.contact(W, moments[0, 0])[0] == pytest.approx([10e-3])
+    reading = np.concatenate([[[1e-12]], moments[1:]])
+    lost = [Outcome.OUT_OF_REACH, Outcome.HELD, Outcome.HELD]
+    assert ww.posterior(observer, reading).outcome.tolist() == lost
+    assert ww.posterior(observer, reading[::-1]).outcome.tolist() == lost[::-1]

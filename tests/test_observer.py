@@ -12,6 +12,7 @@ from weberwhisk import cues, receptors
 from weberwhisk.surveys import CUES
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
+STIFFNESS = cues.UnknownStiffness(cues.ForceMap())
 
 
 def test_an_observer_does_not_change():
@@ -35,6 +36,28 @@ def test_observers_are_equal_by_value():
     assert len({made(), made(), made(k=0.2), made(low=2e-2)}) == 3
     assert made() != replace(made(), model="elastica")
     assert made() != "an observer"
+
+
+@pytest.mark.parametrize(
+    ("cue", "changed"),
+    [
+        (STIFFNESS, {"cue": cues.UnknownStiffness(cues.ForceMap(), 0.05)}),
+        (STIFFNESS, {"cue": cues.ForceMap()}),
+        (cues.SpaceMap(), {"cue": cues.ForceMap()}),
+        (cues.AngleSideAngle(), {"whisker": ww.Whisker(30e-3, 60e-6, 3e-6)}),
+    ],
+)
+def test_one_made_from_another_has_its_own_defaults_and_the_users_choices(cue, changed):
+    """It kept the priors and noise of the cue that was replaced: 6.8 mm where 3.9 was right."""
+    prior = {"radial_distance": stats.uniform(1e-3, 2e-2)}
+    for given in ({}, {"prior": prior}):
+        made = ww.Observer(W, cue, **given)
+        fresh = ww.Observer(**{"whisker": W, "cue": cue, **given, **changed})
+        for observer in (made, pickle.loads(pickle.dumps(made))):
+            assert replace(observer, **changed) == fresh
+            assert replace(replace(observer, **changed), cue=cue, whisker=W) == made
+    own = receptors.Weber(0.2)
+    assert replace(ww.Observer(W, cues.ForceMap(), own), cue=cues.Compliance()).noise is own
 
 
 @pytest.mark.parametrize(

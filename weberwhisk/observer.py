@@ -78,6 +78,8 @@ class Observer:
     _: KW_ONLY
     model: str | None = field(default=None, repr=False)
     tolerance: float = field(default=0.1, repr=False)
+    #: The noise and priors that are the cue's own: whoever is made from this one fills in anew.
+    _filled: tuple[ReceptorNoise | None, Mapping[str, Any]] = field(default=(None, {}), repr=False)
     #: The change of variables between contacts and coordinates without edges.
     space: ContactCoordinates = field(init=False, repr=False)
 
@@ -100,14 +102,23 @@ class Observer:
                     f"An observer has one whisker, got {np.size(value)} "
                     f"values of {name}; make one Observer for each."
                 )
-        prior = {**self.cue.priors(self.whisker), **priors_of(self.prior, self.cue)}
         set_ = object.__setattr__
+        if self.noise is self._filled[0]:
+            set_(self, "noise", None)
+        if isinstance(self.prior, Mapping):
+            own = self._filled[1]
+            set_(self, "prior", {n: p for n, p in self.prior.items() if own.get(n) is not p})
+        given = priors_of(self.prior, self.cue)
+        own = {n: p for n, p in self.cue.priors(self.whisker).items() if n not in given}
+        prior = {**own, **given}
         if isinstance(self.model, model_bias.Chosen):  # by an observer that this one is made from
             set_(self, "model", None)
         if self.model is not None:
             one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
         positive_number("tolerance", self.tolerance, "give a fraction of the JND, such as 0.1")
-        set_(self, "noise", self.cue.default_noise() if self.noise is None else self.noise)
+        usual = self.cue.default_noise() if self.noise is None else None
+        set_(self, "_filled", (usual, MappingProxyType(own)))
+        set_(self, "noise", self.noise if usual is None else usual)
         set_(self, "prior", MappingProxyType(prior))
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
         self._check_noise()
@@ -156,7 +167,9 @@ class Observer:
 
     def __reduce__(self) -> Any:  # its mappings are views, which do not pickle
         make = partial(Observer, model=self.model, tolerance=self.tolerance)
-        return make, (self.whisker, self.cue, self.noise, dict(self.prior))
+        noise = None if self.noise is self._filled[0] else self.noise
+        prior = {n: p for n, p in self.prior.items() if n not in self._filled[1]}
+        return make, (self.whisker, self.cue, noise, prior)
 
     @property
     def unknowns(self) -> tuple[str, ...]:

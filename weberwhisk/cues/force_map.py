@@ -123,7 +123,7 @@ class ForceMap(Cue):
         ----------
         whisker : Whisker
         signals : array, shape (..., S)
-            Moment (N m) and forces (N), as in `signal_names`.
+            Moment (N m) and forces (N), as in `signal_names`; of the moment alone also (...).
 
         Returns
         -------
@@ -141,6 +141,8 @@ class ForceMap(Cue):
         """
         wanted = numbers("signals", signals, "give the base signals in SI units")
         if self.deflection_angle is not None and self.signal_names == ("moment",):
+            alone = wanted.ndim == 0 or wanted.shape[-1] != 1
+            wanted = readings("signals", wanted[..., None] if alone else wanted, 1)
             contact = self._bisect(whisker, wanted)
         elif self.deflection_angle is None and len(self.signal_names) == 2:
             wanted = readings("signals", wanted, 2)
@@ -160,7 +162,7 @@ class ForceMap(Cue):
         known = self.deflection_angle is not None
         if (self.signal_names != ("moment",)) if known else (len(self.signal_names) != 2):
             return np.zeros(reading.shape[:-1], dtype=np.int8)
-        return self.contact(whisker, reading[..., 0] if known else reading)[1]
+        return self.contact(whisker, reading)[1]
 
     def _bisect(self, whisker: Whisker, wanted: Array) -> Array:
         low = np.full(wanted.shape, 1e-9 * forward_of(whisker).length)
