@@ -266,9 +266,10 @@ class Run:
         if self.out_dir is not None:
             self.path(f"{name}.csv").write_text(csv_text(table), "utf-8", newline="\n")
 
-    def figure(self, name: str, figure: Any) -> None:
-        """Keep a Matplotlib figure as ``<name>.png`` and ``<name>.svg``."""
+    def figure(self, name: str, drawn: Any) -> None:
+        """Keep a Matplotlib figure, or that of axes, as ``<name>.png`` and ``<name>.svg``."""
         if self.out_dir is not None:
+            figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
             figure.savefig(self.path(f"{name}.png"))
             figure.set_layout_engine("none")  # found: a fourth of the time, and once is enough
             # The record has the date: two figures differ only where they look different.

@@ -211,7 +211,7 @@ def simulate(
                     trials, encoding=encoding, effects=[e for e, _ in effects],
                     priors={"weber_fraction": weber_fraction, **free},
                 )  # fmt: skip
-                opt.draw(run, "trials", ww.figures.psychometrics(exact, unit=unit))
+                run.figure("trials", ww.figures.psychometrics(exact, unit=unit))
     if as_json:
         print(to_json({"truth": known, "rows": table.astype(object).to_dict("records")}))
         return

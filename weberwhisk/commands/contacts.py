@@ -103,9 +103,9 @@ def locate(
             names = [touch, *(c for c in table.columns if c.startswith("touch_") and c != touch)]
             run.table("touches", own[names].drop_duplicates(touch))
         if run.out_dir is not None:
-            opt.draw(run, "located", ww.figures.located(table, against=time, by=touch or ""))
+            run.figure("located", ww.figures.located(table, against=time, by=touch or ""))
             if touch is not None:
-                opt.draw(run, "touches", ww.figures.located(table, against=touch, by=touch))
+                run.figure("touches", ww.figures.located(table, against=touch, by=touch))
     if taps is not None:
         whisker = by.whisker
     notes = (*heard, *table.attrs["notes"])
@@ -161,7 +161,7 @@ def calibrate(
         run.table("residuals", found.residuals)
         run.table("left_out", found.left_out)
         if run.out_dir is not None:
-            opt.draw(run, "calibration", ww.figures.calibrated(found))
+            run.figure("calibration", ww.figures.calibrated(found))
     if as_json:
         print(to_json({
             "whisker": opt.describe(found.whisker), "message": found.message,

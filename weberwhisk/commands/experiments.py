@@ -227,7 +227,7 @@ def rehearse(
         run.table("rehearsal_summary", summary)
         if run.out_dir is not None:
             atomic_write(run.path("rehearsal.txt"), found.report())
-            opt.draw(run, "rehearsal", ww.figures.rehearsed(found))
+            run.figure("rehearsal", ww.figures.rehearsed(found))
     if stream is not None:
         stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
     if as_json:

@@ -38,8 +38,8 @@ class Asked(NamedTuple):
         return 16 if self.short else 200 * times
 
 
-def _made(name: str, table: pd.DataFrame, axes: Any) -> Made:
-    return Made({name: table}, ww.figures.figure_of(axes))
+def _made(name: str, table: pd.DataFrame, chart: Any) -> Made:
+    return Made({name: table}, chart)
 
 
 def _of(asked: Asked) -> dict[str, Any]:

@@ -175,7 +175,7 @@ def fit(
             atomic_write(run.path("fit_report.txt"), report)
             if result.status is not FitStatus.NO_TRIALS:
                 unit = "mm" if encoding else ""
-                opt.draw(run, "psychometric", ww.figures.psychometrics(result, unit=unit))
+                run.figure("psychometric", ww.figures.psychometrics(result, unit=unit))
     if as_json:
         print(to_json(answer))
         return
@@ -282,8 +282,8 @@ def _fit_together(
             atomic_write(run.path("fit.json"), found.to_json() + "\n")
             if found.population is not None:
                 unit = "mm" if options["encoding"] else ""
-                opt.draw(run, "shrinkage", ww.figures.shrinkage(found))
-                opt.draw(run, "population", ww.figures.population(found, unit=unit))
+                run.figure("shrinkage", ww.figures.shrinkage(found))
+                run.figure("population", ww.figures.population(found, unit=unit))
     if as_json:
         print(found.to_json())
         return

@@ -18,7 +18,7 @@ from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase,
 from ..design.session import RULES, Session, converse
 from ..output import Run
 from .choices import distance_encoding
-from .options import NO_SHAPE, Number, Shape, Texts, as_asked, command, draw
+from .options import NO_SHAPE, Number, Shape, Texts, as_asked, command
 
 
 @command
@@ -72,7 +72,7 @@ def next_trials(
         table = placer.trials().table()
         run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in STIMULI}))
         if run.out_dir is not None and len(table):
-            draw(run, "trials", ww.figures.placements(placer))
+            run.figure("trials", ww.figures.placements(placer))
 
 
 def _placer(

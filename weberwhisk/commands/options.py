@@ -163,11 +163,6 @@ def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
     return (kept.pop("shape")._asdict() if "shape" in kept else {}) | kept
 
 
-def draw(run: Run, name: str, axes: Any) -> None:
-    """Keep the figure that axes stand in."""
-    run.figure(name, ww.figures.figure_of(axes))
-
-
 def enough_draws(draws: int) -> None:
     """Refuse fewer readings than an sd needs, by the option's name."""
     if draws < 2:

@@ -51,7 +51,7 @@ def paper(
         with progress("The paper's figures", len(PANELS) + 1, as_json=as_json) as advance:
             made: dict[str, tuple[dict[str, pd.DataFrame], Any]] = {}
             rates = moment_rates()
-            drawn = ww.figures.figure_of(ww.figures.paper_1d(rates))
+            drawn = ww.figures.paper_1d(rates)
             made["figure-1d"] = {"figure-1d": rates}, drawn
             advance()
             arcs, degrees = (remade.ARCS, remade.DEGREES)

@@ -16,7 +16,7 @@ from ..cli import progress
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
 from .figure import light_taps, tapered_and_not
-from .options import command, describe, draw, enough_draws, whisker_line, wrote
+from .options import command, describe, enough_draws, whisker_line, wrote
 
 
 @command
@@ -69,7 +69,7 @@ def curves(
     checks = [curve["posterior"].to_numpy() for curve in exact.values()]
     table = tapered_and_not(found)
     run.table("jnd_curve", table.assign(posterior_by_quadrature_mm=np.concatenate(checks) * 1e3))
-    draw(run, "jnd_curve", ww.figures.jnd_lines(found, length=whisker.length, weber_fraction=k))
+    run.figure("jnd_curve", ww.figures.jnd_lines(found, length=whisker.length, weber_fraction=k))
     return {name: _compared(curve, exact[name], whisker, k) for name, curve in found.items()}
 
 
@@ -118,7 +118,7 @@ def jnd_surface(
     points = ww.JNDCurve.joined(parts).table.reset_index()
     run.table("jnd_surface_posteriors", points)
     shown = ww.figures.jnd_surface(table, length=whisker.length, weber_fraction=k, points=points)
-    draw(run, "jnd_surface", shown)
+    run.figure("jnd_surface", shown)
     scale = whisker.length * k
     along = moment_dominated(whisker, k)
 
@@ -169,7 +169,7 @@ def rat_choices(
     run.table("rat_choices", seen)
     run.table("rat_fit", fit.summary().reset_index())
     atomic_write(run.path("rat_report.txt"), fit.report())
-    draw(run, "rat_psychometric", ww.figures.psychometrics(fit))
+    run.figure("rat_psychometric", ww.figures.psychometrics(fit))
     step = float(np.median(np.abs(seen["stimulus_2"] - seen["stimulus_1"])))
     louder = seen["stimulus_2"] > seen["stimulus_1"]
     right = seen["observed"].where(louder, 1 - seen["observed"])

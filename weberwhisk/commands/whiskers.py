@@ -90,9 +90,7 @@ def bend(
         table = pd.DataFrame(columns)
         run.table("bend", table)
         if run.out_dir is not None:
-            opt.draw(
-                run, "bend", _figure(whisker, where * units[0], much * units[1], names[0], model)
-            )
+            run.figure("bend", _figure(whisker, where * units[0], much * units[1], names[0], model))
     opt.show(table, run, whisker, as_json=as_json)
     if not as_json:
         for outcome in sorted({ww.Outcome(o) for o in np.asarray(bending.outcome)[~bending.held]}):
@@ -168,7 +166,7 @@ def jnd(
         written["radial_distance_mm"] = np.tile(asked, max(angles.size, 1))
         run.table("jnd", written)
         if run.out_dir is not None:
-            opt.draw(run, "jnd", ww.figures.jnd_lines(curve))
+            run.figure("jnd", ww.figures.jnd_lines(curve))
     opt.show(written, run, whisker, as_json=as_json)
     if not as_json:
         print(f"Every column of lengths is a JND of radial distance, criterion {criterion}.")

@@ -198,8 +198,8 @@ def fill(run: Run, plan: Plan) -> None:
         atomic_write(run.path(name), text)
     run.table("planned_levels", plan.levels)
     run.table("planned_jnds", plan.jnds)
-    run.figure("planned_psychometric", figure_of(planned_psychometrics(plan)))
-    run.figure("planned_jnd", figure_of(planned_jnds(plan)))
+    run.figure("planned_psychometric", planned_psychometrics(plan))
+    run.figure("planned_jnd", planned_jnds(plan))
     if plan.power is not None:
         run.table("planned_power", plan.power)
-        run.figure("planned_power", figure_of(planned_power(plan)))
+        run.figure("planned_power", planned_power(plan))
