@@ -12,9 +12,9 @@ import weberwhisk as ww
 from weberwhisk import paper
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands import figure
-from weberwhisk.commands.paper import PANELS
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 from weberwhisk.paper import claims
+from weberwhisk.paper.claims import PANELS
 
 ROOT = Path(__file__).parent.parent
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)

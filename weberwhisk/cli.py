@@ -260,8 +260,8 @@ COMMANDS = {
     "rehearse": "experiments:rehearse",
     "analyse": "experiments:analyse",
     "next": "next:next_trials",
-    "paper": "paper:paper",
-    "chart": "paper:chart",
+    "paper": "figure:paper",
+    "chart": "figure:chart",
     "figure": "figure:figure",
 }
 app = lazy_app(f"{__package__}.commands", COMMANDS)

@@ -1,8 +1,9 @@
-"""`weberwhisk figure`: charts of what every cue tells of distance, each with its table."""
+"""`weberwhisk figure`, `paper` and `chart`: what every cue tells, the paper's figures, speed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
@@ -10,8 +11,10 @@ import numpy as np
 import weberwhisk as ww
 
 from .. import _checks, along_whisk, surveys
-from ..output import Run, to_json
-from .options import NO_SHAPE, Path, Shape, Text, as_asked, command, describe, the_whisker, wrote
+from ..cli import progress
+from ..mechanics.muscle import MuscleCurve
+from ..output import Run, atomic_write, to_json
+from .options import NO_SHAPE, Shape, Text, as_asked, command, describe, the_whisker, wrote
 from .whiskers import curve_in_steps
 
 if TYPE_CHECKING:
@@ -266,4 +269,94 @@ def figure(
     if as_json:
         print(to_json({key: table.to_dict("records") for key, table in made.tables.items()}))
         return
+    wrote(run)
+
+
+@command
+def paper(
+    short: Annotated[bool, "Few posteriors: seconds."] = False,
+    seed: int = surveys.SEED,
+    out: Annotated[Path, "Folder for figures and paper.md.", {"metavar": "FOLDER"}] = Path("paper"),
+    as_json: bool = False,
+) -> None:
+    """Every figure of Solomon & Hartmann (2011), and every claim with what we find.
+
+    Writes figures 1d, 2a-f, 3a-c, 4a and 4b with their tables, and paper.md: each equation and
+    claim, the numbers found now, the test that shows it, and where the sentence ends.
+    """
+    from .. import paper as remade
+    from ..paper import claims
+
+    inputs = {"radius_ratio": float(surveys.WHISKER.radius_ratio), "short": short}
+    with Run(out, "paper", inputs, seed) as run:
+        with progress("The paper's figures", len(claims.PANELS) + 1, as_json=as_json) as advance:
+            made: dict[str, tuple[dict[str, pd.DataFrame], Any]] = {}
+            rates = remade.moment_rates()
+            drawn = ww.figures.paper_1d(rates)
+            made["figure-1d"] = {"figure-1d": rates}, drawn
+            advance()
+            arcs, degrees = (remade.ARCS, remade.DEGREES)
+            table = remade.contacts(arcs, degrees[::3] if short else degrees)
+            chart = ww.figures.paper_2(remade.examples(), remade.lines(), table)
+            made["figure-2"] = {"figure-2": table}, chart
+            advance()
+            step = slice(None, None, 5 if short else 1)
+            place, impact = remade.DISTANCES[step], remade.IMPACTS[step]
+            a, b = remade.moments(), remade.balance_angles()
+            c = remade.surface(MuscleCurve.NORMALISED, place, impact)
+            line, angle = remade.dashed_line()
+            edge = (line[step], angle[step])
+            chart = ww.figures.paper_3(a, remade.muscle(), b, c, edge)
+            made["figure-3"] = {"figure-3a": a, "figure-3b": b, "figure-3c": c}, chart
+            advance()
+            for name, make in (("figure-4a", figure_4a), ("figure-4b", figure_4b)):
+                made[name] = make(Asked(short=short, seed=seed))
+                advance()
+            rows = list(claims.rows())
+            advance()
+        for name, (tables, chart) in made.items():
+            for key, each in tables.items():
+                run.table(key, each)
+            run.figure(name, chart)
+        atomic_write(run.path("paper.md"), claims.as_markdown(rows))
+    if as_json:
+        print(to_json({"claims": rows, "files": run.files}))
+        return
+    wrote(run)
+
+
+@command
+def chart(
+    full: Annotated[bool, "Every setting and more data: some ten minutes."] = False,
+    out: Path = Path("chart"),
+    as_json: bool = False,
+) -> None:
+    """Chart error against CPU time: beams, posteriors, JND curves and fits, and how each grows.
+
+    Takes about half a minute; with --full ten. Every method is swept over its own knob; time and
+    error are of the same run. What needs other packages (PyElastica, dynesty, psignifit and so on)
+    is added by analyses/speed_accuracy.py.
+    """
+    import pandas as pd
+
+    from .. import charts, figures
+
+    foot = charts.machine()
+    tables = {}
+    with Run(out, "chart", {"full": full, "machine": foot}) as run:
+        with progress("Charting", len(charts.PARTS), as_json=as_json) as advance:
+            for name, measure in charts.PARTS.items():
+                tables[name] = measure(full=full)
+                run.table(name, tables[name])
+                advance()
+        table = pd.concat(tables.values(), ignore_index=True)
+        run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot))
+        run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot))
+    if as_json:
+        print(to_json({"machine": foot, "rows": table.to_dict("records")}))
+        return
+    print(foot)
+    for name, rows in tables.items():
+        shown = rows.drop(columns="part").dropna(axis="columns", how="all")
+        print(f"\n{name}\n{shown.to_string(index=False, float_format='{:.3g}'.format)}")
     wrote(run)

@@ -1,4 +1,4 @@
-"""Solomon & Hartmann (2011) remade: the numbers of its figures 2 and 3; `claims` has its sentences.
+"""Solomon & Hartmann (2011) remade: the numbers of its figures; `claims` has its sentences.
 
 Figure 2, large bending of a tapered whisker (radius ratio 20) and a cylinder: each is loaded at
 many arc lengths until the contact angle is 90°, as in the paper; some of those contacts an object
@@ -21,12 +21,28 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from ..cues import Compliance
 from ..mechanics import Bending, Outcome, bend, flick_past, press
 from ..mechanics.muscle import WHISKING, Balance, MuscleCurve, moment_balance
 from ..surveys import WHISKER
 from ..whisker import Whisker
 
 Array = NDArray[np.float64]
+
+CONE = Whisker(WHISKER.length, WHISKER.base_radius, 0.0, WHISKER.youngs_modulus)
+
+
+def moment_rates() -> pd.DataFrame:
+    """Figure 1d: dM/dθ in units of EI/L against r/L, for a cone, R = 20 and a cylinder."""
+    share, tables = np.linspace(0.02, 0.995, 200), []
+    for name, whisker in (
+        ("cone", CONE), ("tapered, R = 20", WHISKER), ("cylinder", WHISKER.cylinder())
+    ):  # fmt: skip
+        rate = Compliance().signals(whisker, share[:, None] * whisker.length)[0][:, 0]
+        columns = {"radial_distance": share, "rate": rate / whisker.moment_scale}
+        tables.append(pd.DataFrame(columns).assign(whisker=name))
+    return pd.concat(tables, ignore_index=True)
+
 
 # -- figure 2 --------------------------------------------------------------------------------------
 

@@ -25,11 +25,11 @@ from ..observer import Observer
 from ..receptors import Weber
 from ..surveys import NONE, WHISKER, K
 from ..whisker import Whisker
+from . import CONE
 
 Array = NDArray[np.float64]
 
 L = float(WHISKER.length)
-CONE = Whisker(WHISKER.length, WHISKER.base_radius, 0.0, WHISKER.youngs_modulus)
 CYLINDER = WHISKER.cylinder()
 SHARES = np.linspace(0.05, 0.95, 19)
 
@@ -317,3 +317,36 @@ def rows() -> Iterator[dict[str, str]]:
             "limit": claim.limit,
             "test": claim.test,
         }
+
+
+#: The paper's figures in its order, with what each shows.
+PANELS = {
+    "figure-1d": "1d. dM/dθ is monotonic in radial distance.",
+    "figure-2": "2a–f. Large bending of a tapered whisker (radius ratio 20) and a cylinder.",
+    "figure-3": "3a–c. Balance of moments: angle of balance, by distance and impact angle.",
+    "figure-4a": "4a. JND of radial distance by compliance: closed forms, and posteriors.",
+    "figure-4b": "4b. JND by moment and axial force, noise in the moment alone.",
+}
+
+
+def as_markdown(rows: list[dict[str, str]]) -> str:
+    """The claims beside what is found, with the figures."""
+    lines = [
+        "# Radial distance and Weber's law, remade",
+        "",
+        "Solomon JH, Hartmann MJZ (2011) *Phil. Trans. R. Soc. B* 366:3049, "
+        "doi:10.1098/rstb.2011.0166. Numbers are computed by `weberwhisk paper`; values called the "
+        "paper's are those of its text. A whisker of 50 mm, radius ratio 20, and k = 0.1 unless "
+        "said otherwise; lengths over L.",
+    ]
+    for name, words in PANELS.items():
+        lines += ["", f"**Figure {words}**", "", f"![{words}]({name}.png)"]
+    lines += [
+        "",
+        "| where | the paper says | we find | where the sentence ends | shown by |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        cells = [row["where"], row["claim"], row["found"], row["limit"] or "–", f"`{row['test']}`"]
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(lines) + "\n"
