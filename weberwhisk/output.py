@@ -269,7 +269,8 @@ class Run:
     def figure(self, name: str, drawn: Any) -> None:
         """Keep a Matplotlib figure, or that of axes, as ``<name>.png`` and ``<name>.svg``."""
         if self.out_dir is not None:
-            figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
+            drawn = np.ravel(np.asarray(drawn, dtype=object))[0]
+            figure = getattr(drawn, "figure", drawn)
             figure.savefig(self.path(f"{name}.png"))
             figure.set_layout_engine("none")  # found: a fourth of the time, and once is enough
             # The record has the date: two figures differ only where they look different.
@@ -365,15 +366,13 @@ def _made_earlier(out_dir: Path, name: str) -> list[str]:
     for left in sorted(out_dir.glob(f"{FINISHED}*")):
         _move_into_place(left, out_dir)
     record = out_dir / name
-    try:
+    if not record.exists():
+        return []
+    with suppress(ValueError, KeyError, TypeError):
         names = json.loads(record.read_text("utf-8"))["files"]
         # Names only: a record edited by hand must not reach outside its folder.
         if all(NAME.fullmatch(name) for name in names):
             return list(names)
-    except FileNotFoundError:
-        return []
-    except (ValueError, KeyError, TypeError):
-        pass
     raise ValueError(
         f"{str(record)!r} is not a record that weberwhisk wrote; move it, or name another "
         "output folder."
