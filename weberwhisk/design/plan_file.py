@@ -79,7 +79,6 @@ OLD = {
     "percept": "encoding",
 }
 KIND = "is"  # the key that says which noun a mapping is
-MOST = 1e30  # no number of a plan is beyond
 
 
 def encode(value: Any) -> Any:
@@ -154,7 +153,8 @@ def _read(value: Any) -> Any:
     return float(value) if isinstance(value, str) else value
 
 
-def _is(value: Any, kind: str) -> bool:
+def _is(value: Any, kind: str, most: float = 1e30) -> bool:
+    """Whether a value is of a kind; no number of a plan is beyond `most`."""
     match kind:
         case "null":
             return value is None
@@ -167,7 +167,7 @@ def _is(value: Any, kind: str) -> bool:
         case "number" | "limit":
             if isinstance(value, str | bool):
                 return kind == "limit" and value in ("inf", "-inf", "nan")
-            return isinstance(value, int | float) and abs(value) < MOST
+            return isinstance(value, int | float) and abs(value) < most
         case "numbers" | "limits":
             return _is(value, kind[:-1]) or _all_are(value, kind)
         case "distribution":

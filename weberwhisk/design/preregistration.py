@@ -9,8 +9,6 @@ from ..behaviour.encodings import described
 from .plan import ONE_STIMULUS, Plan
 from .scheme import easy_share
 
-MM = 1e-3
-
 
 def preregistration(plan: Plan) -> str:
     """The plan as a preregistration asks for it: question, design, size, analysis, inference.
@@ -50,7 +48,7 @@ def assumptions(plan: Plan) -> list[str]:
 
 def offsets_in_words(offsets: Sequence[float]) -> str:
     """Offsets in millimetres, those that come with either sign once."""
-    millimetres = [float(f"{o / MM:.4g}") for o in offsets]
+    millimetres = [float(f"{1e3 * o:.4g}") for o in offsets]
     if sorted(millimetres) == sorted(-o for o in millimetres):
         return ", ".join(f"±{o:.4g}" for o in sorted(millimetres) if o > 0)
     return ", ".join(f"{o:+.4g}" for o in millimetres)
@@ -76,7 +74,7 @@ def _design(plan: Plan) -> str:
     if task in ONE_STIMULUS:
         question = "whether a radial distance is farther than the standard held in mind"
     levels = "; ".join(
-        f"{s / MM:.5g} mm against {_numbers([c / MM for c in row])} mm"
+        f"{1e3 * s:.5g} mm against {_numbers([1e3 * c for c in row])} mm"
         for s, row in zip(scheme.standards, scheme.comparisons, strict=True)
     )
     counts = sorted({n for row in scheme.trials for n in row})
