@@ -198,6 +198,10 @@ def test_jnds_are_those_of_the_information():
     jnd = fisher_jnd(observer, place)
     assert 0.2e-3 < jnd[0] < 2e-3
     assert fisher_jnd(ww.Observer(CURVED, SpaceMap(SPACE)), place)[0] < jnd[0]
+    curve = ww.jnd_curve(observer, 30e-3, 0.25, n_readings=4, seed=1)
+    straight = ww.jnd_curve(ww.Observer(W, SpaceMap()), 30e-3, 0.25, n_readings=4, seed=1)
+    assert curve["closed_form"][0] == pytest.approx(straight["closed_form"][0], rel=1e-3)
+    assert curve["posterior"][0] == pytest.approx(curve["fisher"][0], rel=0.3)
 
 
 def test_a_stiffness_that_is_unknown_is_a_factor_of_all_forces():
@@ -220,3 +224,5 @@ def test_what_space_does_not_know_is_refused():
         ww.Observer(replace(CURVED, hinge_stiffness=1e-4), SpaceMap())
     with pytest.raises(ValueError, match="signal 'weight' is unknown"):
         SpaceMap(["moment", "weight"])
+    with pytest.raises(ValueError, match="it has to be known"):
+        SpaceMap(roll=None)

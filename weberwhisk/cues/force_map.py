@@ -292,7 +292,7 @@ class SpaceMap(Cue):
         A curved one's torsion is one more.
     roll : float
         Of the plane of curvature about the base tangent, rad: ω, y and z are then counted from a
-        side that is turned back by as much.
+        side that is turned back by as much. It has to be known.
 
     Raises
     ------
@@ -324,7 +324,8 @@ class SpaceMap(Cue):
         self, signals: Sequence[str] = (*SIGNALS, *DIRECTIONS), *, roll: float = 0.0
     ) -> None:
         names = one_or_more("signals", signals, IN_SPACE)
-        roll = number("roll", roll, "give radians, 0 where the whisker curves towards y")
+        hint = "give radians, 0 where the whisker curves towards y: it has to be known"
+        roll = number("roll", roll, hint)
         self._set(signal_names=names, roll=roll)
 
     @cached_property

@@ -46,9 +46,10 @@ class ForwardModel(Value):
     whisker : Whisker or Profile
     model : {"closed_form", "elastica", "profile"}, optional
         Which model; by default the elastica of a straight whisker without friction, and the
-        planar beam's `PlanarSurface` of any other. The elastica of a curved one is that of the
-        same taper, deflected by as much from rest. On a hinge, tables say how much of a deflection
-        bends the whisker, and a model that is named solves for the signals of that.
+        planar beam's `PlanarSurface` of any other. The elastica and the closed form of a curved
+        one are those of the same taper, deflected by as much from rest. On a hinge, tables say how
+        much of a deflection bends the whisker, and a model that is named solves for the signals of
+        that.
     friction : float or array
         Friction angle, rad, as in `press`; arrays broadcast with the contacts.
     offset : float or array
@@ -314,6 +315,10 @@ class ForwardModel(Value):
 
     def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """By solving the equations of the model that was named, contact by contact."""
+        if self.model == "closed_form":
+            bare = closed_form.press(_straightened(self.base), r, theta)
+            signals = np.stack([getattr(bare, name) for name in NAMES], axis=-1)
+            return signals, np.asarray(bare.outcome, dtype=np.int8)
         whisker = self.whisker
         if np.any(self.offset):
             bent: Any = self._law(self.offset)
