@@ -178,6 +178,33 @@ def test_torque_threshold_and_saturation_cut_the_curve_where_they_should() -> No
     assert (table["threshold_mm"] >= table["weber_mm"]).all()
 
 
+@pytest.mark.parametrize(
+    ("r", "push", "torque"), [(35e-3, np.radians(24), 1.98e-6), (45e-3, np.radians(12), 1.47e-7)]
+)
+def test_torque_stops_the_push_on_the_way_up_to_the_largest_moment(r, push, torque) -> None:
+    """Past the peak of the moment, or the fold, the torque had been ignored."""
+    peak = np.nanmax(ww.press(WHISKER, r, np.linspace(0, push, 2001)).moment)
+    assert peak > torque
+    row = along_whisk.limits(WHISKER, [r], push=push, torque=torque).iloc[0]
+    assert row["stopped"]
+    assert row["moment_micronewton_metre"] == pytest.approx(1e6 * torque, rel=1e-9)
+    before = np.linspace(0, np.radians(row["deflection_angle_deg"]), 50)[:-1]
+    assert np.all(np.asarray(ww.press(WHISKER, r, before).moment) < torque)
+
+
+def test_angles_along_a_whisk_are_those_of_straight_whiskers() -> None:
+    """A curved one, whose angles start where it lies, had JNDs of a negative moment."""
+    curved = ww.Whisker.from_identity("C2", curved=True)
+    for ask in (
+        lambda: along_whisk.limits(curved, [20e-3]),
+        lambda: along_whisk.resolution_along_push(curved, 20e-3, [0.1, 0.2]),
+    ):
+        with pytest.raises(ValueError, match=r"straight whisker is needed.*write curvature=0"):
+            ask()
+    with pytest.raises(ValueError, match="push must be"):
+        along_whisk.limits(WHISKER, [20e-3], push=-0.1)
+
+
 def test_friction_makes_a_reversal_jump_and_none_leaves_it_still() -> None:
     angles = np.radians([16.0, 24.0])
     at = along_whisk.bodies(25e-3, [5e-3])

@@ -63,6 +63,31 @@ def test_jnd_curve_leaves_out_posteriors_that_are_not_there() -> None:
     assert figures.jnd_lines(table).containers == []
 
 
+def test_lines_of_two_angles_are_not_joined_and_no_closed_form_has_no_line() -> None:
+    force_map = ww.Observer(WHISKER, ww.cues.ForceMap())
+    curve = ww.jnd_curve(
+        force_map, [20e-3, 25e-3, 20e-3, 25e-3], [0.1, 0.1, 0.2, 0.2], n_readings=4, seed=1
+    )
+    ax = figures.jnd_lines(curve.table, length=50e-3)
+    assert [list(line.get_xdata()) for line in ax.get_lines()[:1]] == [[0.4, 0.5]]
+    assert ax.get_ylabel().startswith("JND/L,")  # no Weber fraction was given
+    ax = figures.jnd_lines(curve.table.assign(closed_form_mm=np.nan))
+    assert not any("closed form" in str(line.get_label()) for line in ax.get_lines())
+
+
+def test_a_posterior_that_is_not_there_says_so_and_three_signals_need_three_axes() -> None:
+    ax = figures.posterior_histogram(ww.posterior(observer(), [np.nan]))
+    assert "no posterior" in ax.texts[0].get_text()
+    with pytest.raises(ValueError, match="of 'distance' is unknown"):
+        figures.posterior_histogram(ww.posterior(observer(), [1e-5]), of="distance")
+    bent = ww.press(WHISKER, [10e-3, 20e-3], 0.1)
+    with pytest.raises(ValueError, match="give three axes"):
+        figures.bending(bent, ax)
+    with pytest.raises(ValueError, match="against 'arc_length' is unknown"):
+        figures.bending(bent, against="arc_length")
+    assert "10 to 20 mm" in str(figures.bending(bent)[0].get_lines()[0].get_label())
+
+
 def test_jnd_surface_ends_where_the_whisker_flicks_past() -> None:
     r, share = np.linspace(0.1, 0.9, 9) * 50e-3, np.linspace(0.1, 1.0, 12)
     limit = np.asarray(ww.flick_past(WHISKER, r).deflection_angle)

@@ -5,7 +5,8 @@ import pytest
 from short_forms import slow_but
 
 import weberwhisk as ww
-from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk import figures
+from weberwhisk.cues import Compliance, ForceMap, Friction
 from weberwhisk.jnd import fisher_jnd, is_linear, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
@@ -165,9 +166,22 @@ def test_a_contact_that_is_not_held_has_no_jnd_by_any_route():
     assert table[routes].loc[1].notna().all()
 
 
-def test_no_deflection_is_refused():
-    with pytest.raises(ValueError, match="no force to feel"):
-        ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3], 0.0, n_readings=4)
+@pytest.mark.parametrize("angle", [0.0, -0.2])
+def test_a_deflection_that_is_not_positive_is_refused(angle):
+    """A negative one gave a JND of 1e-8 mm by posteriors, 5 mm by the closed form."""
+    with pytest.raises(ValueError, match="deflects the whisker by more than 0"):
+        ww.jnd_curve(ww.Observer(W, ForceMap()), [20e-3], angle, n_readings=4)
+
+
+@pytest.mark.parametrize("cue", [ForceMap(), Friction(ForceMap(), 0.2)])
+def test_whiskers_beyond_the_closed_form_have_the_other_routes(cue):
+    """All but the tap and the balance of moments were refused, by a model nobody asked for."""
+    w = ww.Whisker.from_identity("C2", curved=not isinstance(cue, Friction))
+    curve = ww.jnd_curve(ww.Observer(w, cue), [8e-3, 10e-3], 0.15, n_readings=4, seed=1)
+    assert curve["closed_form"].isna().all()
+    assert curve[["propagation", "fisher", "posterior"]].notna().all(axis=None)
+    drawn = figures.jnd_lines(curve).get_lines()
+    assert drawn[0].get_label() == "8.594°: exact slope"
 
 
 def test_readings_that_are_all_the_same_event_have_no_scatter():

@@ -27,5 +27,5 @@ def test_rows_are_those_of_jnd_curve(angles):
 
 def test_several_whiskers_are_refused():
     several = ww.Whisker([50e-3, 40e-3], 100e-6, 5e-6)
-    with pytest.raises(ValueError, match="a sweep has one whisker"):
+    with pytest.raises(ValueError, match="A sweep has one whisker"):
         ww.jnd_sweep(several, 0.1, 10e-3, seed=1)

@@ -44,6 +44,12 @@ def bodies(distance: float, radii: Sequence[float] = (2e-3, 5e-3, 15e-3)) -> dic
     return {"peg": peg(distance, 0.0), **round_ones}
 
 
+def _straight(whisker: Whisker) -> None:
+    """Refuse a whisker whose angles are not counted from where it lies without contact."""
+    if not isinstance(whisker, Whisker) or np.any(whisker.curvature):
+        raise ValueError(f"A straight whisker is needed, got {whisker!r}; write curvature=0.")
+
+
 def resolution_along_push(
     whisker: Whisker,
     radial_distance: float,
@@ -79,6 +85,7 @@ def resolution_along_push(
     import pandas as pd
 
     angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
+    _straight(whisker)
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
     objects = bodies(radial_distance) | {"wall, by the tip": leaning(whisker)}
     parts = []
@@ -215,14 +222,20 @@ def limits(
     r = np.atleast_1d(_checks.positive("places", places, "give metres"))
     for name, value in (("torque", torque), ("saturation", saturation)):
         _checks.positive(name, value, "give newton metres, such as 1e-6")
-    angle = np.full(r.shape, float(push))
-    stopped = np.asarray(press(whisker, r, angle).moment) > torque
-    if stopped.any():  # the moment rises with the angle up to the fold
+    push = _checks.positive_number("push", push, "give radians, such as 0.1")
+    _straight(whisker)
+    angle = np.full(r.shape, push)
+    # The moment has its peak before the whisker flicks past, and torque stops it on the way up.
+    way = np.linspace(0.0, push, 401)
+    above = np.asarray(press(whisker, r[:, None], way).moment) > torque
+    stopped = above.any(axis=1)
+    if stopped.any():
 
         def excess(theta: Array, at: Array) -> Array:
             return np.asarray(press(whisker, at, theta).moment) - torque
 
-        bracket = np.zeros(int(stopped.sum())), angle[stopped]
+        first = above[stopped].argmax(axis=1)
+        bracket = way[first - 1], way[first]
         angle[stopped] = elementwise.find_root(excess, bracket, args=(r[stopped],)).x
     moment = np.asarray(press(whisker, r, angle).moment)
     h = 1e-5 * r

@@ -104,7 +104,7 @@ class JNDCurve(Shown):
 
         criterion, contacts = str(self["criterion"].iloc[0]), self.table.reset_index()
         factor = criterion_factor(criterion)
-        r = np.linspace(0.005, 0.999, 200) * self.observer.whisker.length
+        r = np.linspace(0.005, 0.999, 200) * self.observer.forward.length
         angles: list[float | None] = [None]
         if "deflection_angle" in self._rows:
             angles = list(dict.fromkeys(self["deflection_angle"]))
@@ -115,7 +115,7 @@ class JNDCurve(Shown):
             columns = [r] if at is None else [r, np.full_like(r, at)]
             contact = self.observer.at_middle(np.stack(columns, axis=-1))
             routes = {
-                "closed_form": weber_propagation(self.observer, contact, model="closed_form"),
+                "closed_form": _closed_form(self.observer, contact),
                 "propagation": weber_propagation(self.observer, contact),
             }
             line = pd.DataFrame(
@@ -201,7 +201,7 @@ def jnd_curve(
     table = pd.DataFrame(
         {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
     )
-    table["closed_form"] = factor * weber_propagation(observer, contact, model="closed_form")
+    table["closed_form"] = factor * _closed_form(observer, contact)
     table["propagation"] = factor * weber_propagation(observer, contact)
     table["fisher"] = factor * fisher_jnd(observer, contact)
     table.loc[~held, ["closed_form", "propagation", "fisher"]] = np.nan
@@ -234,6 +234,13 @@ def jnd_curve(
     return JNDCurve(observer, table)
 
 
+def _closed_form(observer: Observer, contact: Array) -> Array:
+    """The closed forms are a straight whisker's without friction: NaN where more is modelled."""
+    if not observer.forward.is_plain:
+        return np.full(contact.shape[:-1], np.nan)
+    return weber_propagation(observer, contact, model="closed_form")
+
+
 def _contact(
     observer: Observer, radial_distance: ArrayLike, deflection_angle: ArrayLike | None
 ) -> Array:
@@ -250,10 +257,10 @@ def _contact(
             "write deflection_angle=np.radians(10), say."
         )
     theta = angle("deflection_angle", deflection_angle, "give radians, such as 0.2")
-    if np.any(theta == 0):
+    if np.any(theta <= 0):
         raise ValueError(
-            "Without deflection there is no force to feel, got deflection_angle=0; "
-            "write np.radians(5), say."
+            "A contact deflects the whisker by more than 0, got deflection_angle="
+            f"{np.min(theta):g}; write np.radians(5), say."
         )
     return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
 

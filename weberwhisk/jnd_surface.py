@@ -76,9 +76,11 @@ def jnd_sweep(
     2            0.10                10.0           0.810
     3            0.10                40.0           0.960
     """
+    if not isinstance(whisker, Whisker):
+        raise ValueError(f"A sweep needs a Whisker, got {whisker!r}; write Whisker.from_identity.")
     fields = {name: getattr(whisker, name) for name in whisker.__dataclass_fields__}
     if any(np.ndim(value) for value in fields.values()):
-        raise ValueError(f"a sweep has one whisker, got {whisker!r}; give its fields as numbers.")
+        raise ValueError(f"A sweep has one whisker, got {whisker!r}; give its fields as numbers.")
     criterion_factor(criterion)
     k = positive("weber_fraction", weber_fraction, "write 0.1, say").ravel()
     r = positive("radial_distance", radial_distance, "give metres, such as 30e-3").ravel()

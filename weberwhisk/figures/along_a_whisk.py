@@ -154,9 +154,7 @@ def reversal(table: pd.DataFrame) -> Figure:
             angle = mine["push_deg"]
             if i == 0:
                 jnd = mine["jnd_mm"]
-                ax.fill_between(
-                    angle, -jnd, jnd, color="0.85", linewidth=0, label="± a JND (k = 0.1)"
-                )
+                ax.fill_between(angle, -jnd, jnd, color="0.85", linewidth=0, label="± a JND")
             ax.plot(
                 angle, mine["bias_mm"], LINES[i], color=COLOURS[i], marker=MARKERS[i],
                 markevery=max(len(mine) // 8, 1), markersize=3, label=str(direction),

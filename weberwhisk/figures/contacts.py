@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from .._checks import one_of, shown
 from ..jnd_curves import JNDCurve
 from .style import (
     COLOURS,
@@ -65,8 +66,11 @@ def bending(
     >>> len(bending(lines))
     3
     """
+    one_of("against", against, ("force", *_UNKNOWNS))
     if axes is None:
         axes = list(open_figure(DOUBLE, 2.7).subplots(1, 3))
+    if np.size(np.array(axes, dtype=object)) != 3:
+        raise ValueError(f"Three signals are drawn, got {shown(axes)}; give three axes.")
     label, unit, name, symbol = "Contact force (µN)", 1e-6, "arc_length", "s"
     if against != "force":
         label, unit = _UNKNOWNS[against]
@@ -81,7 +85,8 @@ def bending(
         for i, held in enumerate(np.isfinite(y)):
             if not held.any():  # out of reach: there is no line
                 continue
-            text = f"{symbol} = {np.max(place[i][held]) * 1e3:.4g} mm"
+            ends = dict.fromkeys(f"{1e3 * f(place[i][held]):.4g}" for f in (np.min, np.max))
+            text = f"{symbol} = {' to '.join(ends)} mm"
             dot = {"marker": MARKERS[i % len(MARKERS)]} if held.sum() == 1 else {}
             ax.plot(x[i] / unit, y[i] / scale, **look(i, **dot), label=text)
             if points is not None:
@@ -177,8 +182,15 @@ def posterior_histogram(
             f"One posterior is drawn at a time, got {len(result.reading)} readings; "
             "infer from one of them."
         )
+    one_of("of", of, result.observer.unknowns)
     ax = axes_or_new(ax)
     label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
+    ax.set_xlabel(label)
+    ax.set_ylabel("Probability density")
+    if not np.isfinite(result.estimates[of].mean).all():
+        why = result.status.message
+        ax.text(0.5, 0.5, f"no posterior: {why}", transform=ax.transAxes, ha="center", wrap=True)
+        return ax
     column = result.observer.unknowns.index(of)
     values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
     ax.hist(values, bins=60, density=True, color=COLOURS[4], edgecolor="none")
@@ -190,8 +202,6 @@ def posterior_histogram(
             end, color=COLOURS[1], linestyle="--",
             label=f"95 %: {low:.3g} to {high:.3g}" if end == low else None,
         )  # fmt: skip
-    ax.set_xlabel(label)
-    ax.set_ylabel("Probability density")
     legend_above(ax)
     return ax
 
@@ -202,7 +212,7 @@ def jnd_lines(
     ax: Axes | None = None,
     *,
     length: float | None = None,
-    weber_fraction: float = 1.0,
+    weber_fraction: float | None = None,
 ) -> Axes:
     """The JND of radial distance against distance: closed form as lines, posteriors as points.
 
@@ -216,8 +226,8 @@ def jnd_lines(
     ax : Axes, optional
     length : float, optional
         Length of the whisker, m. With it both axes are fractions of it and the JND is divided by
-        `weber_fraction`, as in the paper; without it they are in mm.
-    weber_fraction : float
+        `weber_fraction`, where that is given, as in the paper; without it they are in mm.
+    weber_fraction : float, optional
         See `length`.
 
     Returns
@@ -236,18 +246,19 @@ def jnd_lines(
     given = tables if isinstance(tables, Mapping) else {"": tables}
     named: dict[str, pd.DataFrame] = {}
     for label, one in given.items():
-        parts = one.lines() if isinstance(one, JNDCurve) else {"": one}
+        parts = one.lines() if isinstance(one, JNDCurve) else _by_angle(one)
         named |= {", ".join(filter(None, (label, angle))): t for angle, t in parts.items()}
     x_unit = 1.0 if length is None else 1e3 * length
-    y_unit = 1.0 if length is None else 1e3 * length * weber_fraction
+    y_unit = 1.0 if length is None else 1e3 * length * (weber_fraction or 1.0)
     for i, (label, table) in enumerate(named.items()):
-        rows = table.reset_index().sort_values("radial_distance_mm")
+        rows = table.sort_values("radial_distance_mm")
         prefix = f"{drawable(label)}: " if label else ""
         # The closed form holds for small angles; where it is not what the observer has, both show.
         x = rows["radial_distance_mm"].to_numpy(float) / x_unit
         exact = rows["propagation_mm"].to_numpy(float) / y_unit
         closed = rows["closed_form_mm"].to_numpy(float) / y_unit
-        ax.plot(x, closed, **look(i), label=f"{prefix}closed form")
+        if np.isfinite(closed).any():
+            ax.plot(x, closed, **look(i), label=f"{prefix}closed form")
         if not np.allclose(exact, closed, rtol=1e-3, equal_nan=True):
             ax.plot(x, exact, **look(i) | {"linestyle": ":"}, label=f"{prefix}exact slope")
         points = np.isfinite(rows["posterior_mm"].to_numpy(float))
@@ -265,9 +276,18 @@ def jnd_lines(
         ax.set_ylabel(f"JND of radial distance (mm), {_criterion(named)}")
     else:
         ax.set_xlabel("Radial distance r/L")
-        ax.set_ylabel(f"JND/(kL), {_criterion(named)}")
+        unit = "L" if weber_fraction is None else "(kL)"
+        ax.set_ylabel(f"JND/{unit}, {_criterion(named)}")
     legend_above(ax)
     return ax
+
+
+def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """The rows of each deflection angle, by its label."""
+    rows = table.reset_index()
+    if "deflection_angle_deg" not in rows or rows["deflection_angle_deg"].nunique() < 2:
+        return {"": rows}
+    return {f"{angle:.4g}°": part for angle, part in rows.groupby("deflection_angle_deg")}
 
 
 def _criterion(tables: Mapping[str, pd.DataFrame]) -> str:
