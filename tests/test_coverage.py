@@ -49,6 +49,7 @@ CUES = {
 }
 #: Three unknowns, whose intervals take ten times as long.
 LARGE = ("space", "unknown side", "soft map", "soft fusion")
+SUMMED = ("three signals", "unknown side")  # by brute force, below
 
 
 def share_covered(name, n):
@@ -56,7 +57,9 @@ def share_covered(name, n):
     return coverage(observer, prior_draws(observer, n, seed=1), seed=2)
 
 
-@pytest.mark.parametrize("name", CUES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SUMMED)) for n in CUES]
+)
 def test_intervals_cover_as_often_as_they_say(name):
     n = 12 if name in LARGE else 40
     # Fewer hits than this are rarer than one in 16 000; too many, only for larger samples.

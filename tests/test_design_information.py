@@ -256,6 +256,7 @@ def test_the_best_scheme_beats_a_plain_one_in_simulation():
     assert found[0] > found[1] + 0.15
 
 
+@pytest.mark.slow
 def test_the_best_scheme_for_k_needs_no_more_trials_than_a_plain_one():
     """And far fewer than one of narrow offsets, which leaves lapses and k mixed up."""
     goal, limits = Goal(half_width=0.3), Constraints(farthest=46e-3)

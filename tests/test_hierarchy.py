@@ -375,6 +375,7 @@ def test_k_is_not_pulled_by_biases_that_are_alike() -> None:
 # -- what pooling does ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pooling_draws_animals_together_and_errs_less() -> None:
     trials, truth = animals(8, spread=0.2, trials_per_level=14, bias_spread=0.2)
     fit = fit_population(trials)

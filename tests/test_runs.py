@@ -426,7 +426,7 @@ def whole(out: Path) -> float:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no lock on folders there")
-@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("there", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_two_runs_at_once_leave_one_of_the_two(tmp_path: Path, there: bool) -> None:
     """They ended in tracebacks, and left files that no record listed."""
     out = tmp_path / "out"

@@ -107,6 +107,7 @@ def test_a_step_that_moves_the_moment_far_vouches_for_nothing() -> None:
     assert abs(chosen.moment / true.moment - 1) <= 0.1 * costs.TOLERANCE
 
 
+@pytest.mark.slow
 def test_scenes_near_the_fold_are_left_to_the_rung_that_knows() -> None:
     """Bent towards the push, with friction: the square of the step is what an estimate may miss."""
     kind = costs.Kind("", bow=-0.2)

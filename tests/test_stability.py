@@ -301,7 +301,8 @@ def judged_population(*numbers: float) -> Any:
     return populations.judge({name: np.array([value]) for name, value in case})
 
 
-@pytest.mark.parametrize("animals", [3.0, pytest.param(5.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("animals", [3.0, 5.0])
 def test_a_population_of_animals_that_tell_little_is_no_wider_than_they_are(
     monkeypatch: pytest.MonkeyPatch, animals: float
 ) -> None:
