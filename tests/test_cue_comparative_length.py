@@ -231,3 +231,17 @@ def test_misuse_is_refused_in_one_sentence(make, words):
     with pytest.raises(ValueError, match=words) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+def test_a_sweep_may_pass_half_a_turn_and_there_may_be_no_contacts():
+    """Above the axis a neighbour that faces backwards touched never, below it always."""
+    own = ww.Whisker(50e-3, 100e-6, 5e-6)
+    small = {"angle_sd": 0.01, "orientation_sd": 0.01, "position_sd": 1e-4, "base_sd": 1e-4}
+    back = [[-1, 1], [np.pi - 0.5, np.pi + 0.5]]
+    for y in (1e-3, -1e-3):
+        cue = ComparativeLength([40e-3], [[60e-3, y]], sweeps=back, **small)
+        # Patterns 00, 01 and 10: what is left is that both touch.
+        assert cue.signals(own, np.array([30e-3]))[0] == pytest.approx([0, 0, 0], abs=1e-6)
+        assert cue.interval(own, [1, 1]) == pytest.approx((20e-3, 50e-3, 0), abs=2e-5)
+    assert PAIR.signals(W, np.zeros((0, 1)))[0].shape == (0, 3)
+    assert PAIR.jacobian(W, np.zeros((0, 1))).shape == (0, 3, 1)

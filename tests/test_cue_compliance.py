@@ -95,6 +95,8 @@ def test_posteriors_have_the_closed_forms_width_at_small_noise(cue, noise, secon
 def test_two_readings_are_inverted():
     rate, _ = Compliance(velocity_spread=1.0).signals(W, np.array([20e-3, 3.0]))
     assert Compliance().radial_distance(W, *rate) == pytest.approx(20e-3, rel=1e-12)
+    beyond = Compliance().radial_distance(W, [0.0, -1e-5, np.nan])  # they were 53 and 56 mm
+    assert np.isnan(beyond).all()
 
 
 def test_the_lateral_slip_is_that_of_a_rod_pressed_by_a_tilted_plane():

@@ -39,6 +39,9 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.effects import Drift, Floor
 from weberwhisk.behaviour.population import joined, simulate_responses
+from weberwhisk.cues.angle_side_angle import triangle_jnd
+from weberwhisk.receptors import GeneralisedWeber
+from weberwhisk.sweeping import follow
 
 TRIALS = simulate_trials(trials_per_level=3, seed=1)
 ANIMALS = simulate_population(2, trials_per_level=3, seed=1)[0]
@@ -217,9 +220,47 @@ def test_degrees_for_radians_are_hinted_at():
         press(WHISKER, 20e-3, 20)
     with pytest.warns(UserWarning, match="did you pass degrees"):
         CueEncoding(Observer(WHISKER, cues.ForceMap()), 10.0)
+    with pytest.warns(UserWarning, match="bearing is in radians, got 90: did you pass degrees"):
+        triangle_jnd(30e-3, 90, 10e-3)
 
 
 @pytest.mark.parametrize("call", [ww.posterior, ww.touches])
 def test_what_is_no_observer_is_named(call):
     with pytest.raises(ValueError, match="observer must be an Observer, got 'C2'"):
         call("C2", [1.0])
+
+
+CURVED = Whisker(50e-3, 100e-6, 5e-6, curvature=20.0)
+RECEPTOR_AND_CUE_MISUSES: list[tuple[Callable[[], object], str]] = [
+    (lambda: cues.VibrissaLength().radial_distance(WHISKER, [1, 0, 1]), "must have 2 numbers"),
+    (lambda: cues.VibrissaLength().radial_distance(WHISKER, 1.0), "must have 2 numbers"),
+    (lambda: cues.AngleSideAngle().radial_distance(WHISKER, [1.0, 1.2, 1.3]), "have 2 numbers"),
+    (lambda: follow(WHISKER, [0.1], [1e-6], start=(30e-3,)), "start must have 2 numbers"),
+    *(
+        (
+            lambda d=d: Observer(WHISKER, cues.Compliance(), prior={"radial_distance": d}),
+            "must be a frozen SciPy distribution, a continuous one",
+        )
+        for d in (stats.lognorm, stats.uniform, stats.randint(0, 3))
+    ),
+    (lambda: triangle_jnd(30e-3, 1.5, 10e-3, correlation=2.0), "between -1 and 1, got 2"),
+    (lambda: cues.Compliance().radial_distance(CURVED, 1e-5), "of a light tap on a straight"),
+    (
+        lambda: cues.Compliance(tap_angle=0.3).radial_distance(WHISKER, 1e-5),
+        "of a light tap on a straight",
+    ),
+    (lambda: GeneralisedWeber(0.1, floor=0.0, ceiling=[np.nan, 1.0]), "ceiling must be finite"),
+    (lambda: GeneralisedWeber(0.1, floor=0.0, ceiling=["a", 1.0]), "ceiling must be a number"),
+    (
+        lambda: cues.UnknownCurvature(cues.ForceMap(), 2.0).signals(WHISKER, [[0.03, 0.2, 0]]),
+        "give less spread to the curvature, whose 7 sd are -14 to 14 1/m more",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(len(RECEPTOR_AND_CUE_MISUSES)))
+def test_misuse_of_cues_and_receptors_is_one_clear_sentence(number: int) -> None:
+    work, part = RECEPTOR_AND_CUE_MISUSES[number]
+    with pytest.raises(ValueError, match=part) as caught:
+        work()
+    assert str(caught.value).count(";") == 1

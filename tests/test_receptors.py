@@ -389,3 +389,12 @@ def test_a_log_normal_force_map_has_webers_linear_jnd():
 def test_nonsense_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_one_signal_of_several_may_have_no_ceiling_or_nothing_but_a_floor():
+    noise = GeneralisedWeber(0.1, floor=0.0, ceiling=[None, 1.0])
+    assert noise == GeneralisedWeber(0.1, floor=0.0, ceiling=[np.inf, 1.0])
+    assert noise.mean([3.0, 3.0]).tolist() == [3.0, 1.0]
+    assert GeneralisedWeber(0.1, floor=1.0, ceiling=[None]).is_scale_family is False
+    constant = GeneralisedWeber([0.0, 0.1], floor=0.2).without_floor()
+    assert constant == GeneralisedWeber([0.0, 0.1], floor=[0.2, 0.0])

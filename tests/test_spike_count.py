@@ -279,3 +279,12 @@ def test_the_figure_of_all_models_is_made(tmp_path):
 def test_nonsense_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_no_rows_have_no_likelihood_and_equal_thresholds_webers_law():
+    noise = SpikeCount(slow=Afferents(5, 1e-6, 1e-6))
+    assert noise.mean(np.zeros((0, 1))).shape == (0, 5)
+    assert noise.log_likelihood(np.zeros((0, 5)), np.zeros((0, 1))).shape == (0,)
+    signals = np.array([1e-7, 1e-6, 1e-5])
+    exact = noise.effective_weber_fraction(signals[:, None])[:, 0]
+    assert noise.weber_law(signals) == pytest.approx(exact, rel=1e-3)

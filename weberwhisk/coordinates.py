@@ -343,9 +343,10 @@ def priors_of(prior: Any, cue: Cue) -> Mapping[str, Any]:
         )
     for name, distribution in prior.items():
         one_of("prior of", name, cue.unknowns)
-        if not hasattr(distribution, "support"):
+        loose, whole = hasattr(distribution, "freeze"), hasattr(distribution, "logpmf")
+        if not hasattr(distribution, "support") or loose or whole:
             raise ValueError(
-                f"The prior of {name} must be a frozen SciPy distribution, got "
-                f"{distribution!r}; write scipy.stats.uniform(10e-3, 20e-3), say."
+                f"The prior of {name} must be a frozen SciPy distribution, a continuous one, got "
+                f"{shown(distribution)}; write scipy.stats.uniform(10e-3, 20e-3), say."
             )
     return prior

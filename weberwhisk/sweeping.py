@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._checks import finite, non_negative, positive
 from .cues import ForceMap
-from .cues.protocol import straight
+from .cues.protocol import readings, straight
 from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.surface import rate_on_wall, slid, surface_of, tip_contacts
@@ -126,7 +126,8 @@ def follow(
     push, moments = _checked(push_angle, moment)
     r, theta, before = 0.0, 0.0, 0.0
     if start is not None:
-        r, theta = (float(v) for v in positive("start", start, "give r in m and θ_d in rad"))
+        pair = readings("start", positive("start", start, "give r in m and θ_d in rad"), 2)
+        r, theta = map(float, pair)
     found = np.full((2, push.size), np.nan)
     outcome = np.full(push.size, Outcome.OUT_OF_REACH, dtype=np.int8)
     for k, angle in enumerate(push):

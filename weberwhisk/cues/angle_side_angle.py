@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, non_negative, non_negative_number, positive, positive_number
+from .._checks import angle, finite, non_negative, non_negative_number, positive, positive_number
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, reach_at, straight
+from .protocol import Array, Cue, Felt, reach_at, readings, straight
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))
@@ -203,7 +203,8 @@ class AngleSideAngle(Cue):
         NaN and `PARALLEL` where the lines of sight do not meet ahead, NaN and `OUT_OF_REACH` (or
         what else becomes of such a contact) where they meet too far off.
         """
-        first, second = np.moveaxis(finite("angles", angles, "give radians"), -1, 0)
+        pair = readings("angles", finite("angles", angles, "give radians"), 2)
+        first, second = np.moveaxis(pair, -1, 0)
         s = self.side if side is None else positive("side", side, "give metres, such as 10e-3")
         apex = second - first
         meet = (first > 0) & (apex > 0) & (second < np.pi)
@@ -351,11 +352,14 @@ def triangle_jnd(
     array([22.23,  4.51,  1.24])
     """
     r = positive("radial_distance", radial_distance, "give metres, such as 30e-3")
-    theta = finite("bearing", bearing, "give radians, such as np.pi / 2")
+    theta = angle("bearing", bearing, "give radians, such as np.pi / 2")
     s = positive("side", side, "give metres, such as 10e-3")
     sigma = non_negative("angle_sd", angle_sd, "give radians")
     s_sd = non_negative("side_sd", side_sd, "give metres")
     rho = finite("correlation", correlation, "write a number from -1 to 1")
+    if np.any(np.abs(rho) > 1):
+        worst = rho.flat[np.abs(rho).argmax()]
+        raise ValueError(f"correlation must lie between -1 and 1, got {worst:g}; write 0 for none.")
     along, across = s + r * np.cos(theta), r * np.sin(theta)
     q, apex = np.hypot(along, across), theta - np.arctan2(across, along)
     near = r * np.cos(apex)

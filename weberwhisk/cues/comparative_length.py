@@ -172,6 +172,12 @@ class ComparativeLength(Cue):
     def _lengths(self, whisker: Whisker) -> Array:
         return np.concatenate([[float(whisker.length)], self.lengths])
 
+    def _angle(self, y: Array, x: Array) -> Array:
+        """Of what each whisker meets, within half a turn of the middle of its sweep, rad."""
+        angle = np.arctan2(y, x)
+        turns = np.round((angle - self.sweeps.mean(axis=1)) / (2 * np.pi))
+        return np.asarray(angle - 2 * np.pi * turns)
+
     def _touches(self, whisker: Whisker, r: Array) -> tuple[Array, Array]:
         """Chance of each whisker's touch in each pose, and its slope in r, (n, P, whiskers)."""
         turn, shift, _ = self._poses
@@ -191,7 +197,7 @@ class ComparativeLength(Cue):
         # … and in the angle, the more the closer by, to that of the sector's ends.
         sd = np.hypot(self.angle_sd, self.base_sd / distance)
         shrink = (self.base_sd / distance / sd) ** 2 / distance * nearer  # −d ln sd/dr
-        low, high = ((np.arctan2(y, x) - end) / sd for end in self.sweeps.T)
+        low, high = ((self._angle(y, x) - end) / sd for end in self.sweeps.T)
         swept = ndtr(low) - ndtr(high)
         low_rise, high_rise = (_normal(q) * (turning / sd + q * shrink) for q in (low, high))
         return reached * swept, fall * nearer * swept + reached * (low_rise - high_rise)
@@ -203,14 +209,14 @@ class ComparativeLength(Cue):
         """
         half, parts = self.reports.shape[1] // 2, []
         rows = 256  # distances worked on together
-        for start in range(0, r.size, rows):
+        for start in range(0, max(r.size, 1), rows):  # of none there is one empty piece
             touch, slope = self._touches(whisker, r.reshape(-1)[start : start + rows])
             if step:
                 touch = touch + step * slope
             first, second = _together(touch[..., :half]), _together(touch[..., half:])
             both = np.swapaxes(first * self._poses[2][:, None], 1, 2) @ second
-            parts.append(both.reshape(len(touch), -1))
-        return np.concatenate(parts).reshape(*r.shape, -1)
+            parts.append(both.reshape(len(touch), len(self.reports)))
+        return np.concatenate(parts).reshape(*r.shape, len(self.reports))
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Chances (..., 2ⁿ − 1) of all patterns but "all touch", of a contact (..., 1)."""
@@ -268,7 +274,7 @@ class ComparativeLength(Cue):
         cuts = np.append(cuts[np.isfinite(cuts)], [*x, 0.0, self.farthest(whisker)])
         cuts = np.unique(np.clip(cuts, 0.0, self.farthest(whisker)))
         middle = (cuts[:-1] + cuts[1:]) / 2
-        along, angle = middle[:, None] - x, np.arctan2(-y, middle[:, None] - x)
+        along, angle = middle[:, None] - x, self._angle(-y, middle[:, None] - x)
         touch = (np.hypot(along, y) <= lengths) & (low <= angle) & (angle <= high)
         fits = np.flatnonzero((touch == pattern).all(axis=1))
         if not fits.size:
@@ -294,5 +300,5 @@ def _together(touch: Any) -> Any:
     out = np.ones((*shape, 1))
     for k in range(touch.shape[-1]):
         own = np.stack([1 - touch[..., k], touch[..., k]], axis=-1)
-        out = (out[..., :, None] * own[..., None, :]).reshape(*shape, -1)
+        out = (out[..., :, None] * own[..., None, :]).reshape(*shape, 2 ** (k + 1))
     return out

@@ -151,12 +151,26 @@ class Compliance(Cue):
         moment_rate: ArrayLike,
         angular_velocity: ArrayLike | None = None,
     ) -> Array:
-        """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA); θ̇ by default the cue's."""
+        """The inverse (2.1) for a light tap, m: r = Cθ̇A/(Cθ̇ + ṀA); θ̇ by default the cue's.
+
+        NaN where no distance up to the tip gives the rate.
+
+        Raises
+        ------
+        ValueError
+            For a whisker that is curved, and a cue whose tap is not light.
+        """
         velocity = self.angular_velocity if angular_velocity is None else angular_velocity
         forward, rate = forward_of(whisker), np.asarray(moment_rate, dtype=float)
+        if self.tap_angle > 0 or not forward.is_plain:
+            raise ValueError(
+                f"Equation (2.1) is of a light tap on a straight whisker, got {self!r} and "
+                f"{whisker}; write posterior(), which needs no inverse."
+            )
         # What the hinge does not take up.
         bending = np.asarray(velocity) - forward.hinge_compliance * rate
-        return closed_form.distance_from_moment(forward.base, rate, bending)
+        r = closed_form.distance_from_moment(forward.base, rate, bending)
+        return np.where((r > 0) & (r <= whisker.length * (1 + 1e-12)), r, np.nan)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

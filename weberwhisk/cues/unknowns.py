@@ -200,12 +200,13 @@ class UnknownCurvature(_Wrapped):
     Raises
     ------
     ValueError
-        For a cue of straight whiskers alone, and a spread that is not positive.
+        For a cue of straight whiskers alone, and a spread that is not positive. Where it is used,
+        for a spread whose 7 sd bend the whisker too much: 2 1/m on a straight one of 50 mm.
 
     Examples
     --------
     >>> from weberwhisk.cues import ForceMap
-    >>> UnknownCurvature(ForceMap(), 2.0).unknowns
+    >>> UnknownCurvature(ForceMap(), 1.0).unknowns
     ('radial_distance', 'deflection_angle', 'curvature_offset')
     """
 
@@ -214,7 +215,7 @@ class UnknownCurvature(_Wrapped):
     unknown: ClassVar[str] = "curvature_offset"
 
     def __init__(self, cue: Cue, spread: float) -> None:
-        self._wrap(cue, spread=positive_number("spread", spread, "give the sd in 1/m, such as 2.0"))
+        self._wrap(cue, spread=positive_number("spread", spread, "give the sd in 1/m, such as 1.0"))
         self._refuse_straight()
 
     def _under(self, whisker: Any, value: Any = 0.0) -> ForwardModel:

@@ -12,7 +12,7 @@ from .._checks import finite, non_negative_number, positive_number
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, straight
+from .protocol import Array, Cue, Felt, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,7 +140,8 @@ class VibrissaLength(Cue):
         A touch of the tip puts the object into the middle of the tip's zone; after any other
         event the method does not work: NaN, and `NO_TOUCH` or `TIP_NOT_TOUCHED`.
         """
-        touch, tip = np.moveaxis(finite("reading", reading, "give two numbers, 0 or 1"), -1, 0)
+        pair = readings("reading", finite("reading", reading, "give two numbers, 0 or 1"), 2)
+        touch, tip = np.moveaxis(pair, -1, 0)
         at_tip = (touch == 1) & (tip == 1)
         outcome = np.select(
             [at_tip, touch == 1], [Outcome.HELD, Outcome.TIP_NOT_TOUCHED], Outcome.NO_TOUCH

@@ -105,9 +105,14 @@ class PlanarSurface:
                     if self.error < 1e-5:
                         break
         except NotFound:
+            low, high = offset
+            remedy = (
+                'curvature or friction, or model="profile", which solves each contact by itself'
+            )
+            if high > low:
+                remedy = f"spread to the curvature, whose 7 sd are {low:.3g} to {high:.3g} 1/m more"
             raise ValueError(
-                f"The folds of {whisker} were not found; give less curvature or friction, or "
-                'model="profile", which solves each contact by itself.'
+                f"The folds of {whisker} were not found; give less {remedy}."
             ) from None
 
     def _build(self, grid: Grid, shape: list[int]) -> None:

@@ -7,13 +7,13 @@ where they are to be exact.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import non_negative, number, positive
+from .._checks import non_negative, number, numbers, positive
 from .protocol import Array, ReceptorNoise, Seed
 
 
@@ -238,7 +238,7 @@ class GeneralisedWeber(Gaussian):
         k, one for all signals or one each. 0 leaves constant noise, natural for angles.
     floor : float or sequence of float
         Receptor threshold noise σ₀, in the unit of each signal.
-    ceiling : float or sequence of float, optional
+    ceiling : float or sequence of float or None, optional
         Signal above which the receptor is saturated: it reports the ceiling, whatever the signal,
         and carries no information.
     correlation : float
@@ -271,15 +271,13 @@ class GeneralisedWeber(Gaussian):
                 "A signal without noise has no likelihood, got weber_fraction 0 and floor 0; "
                 "write one of them above zero."
             )
-        ceiling = self.ceiling
-        if ceiling is None or (isinstance(ceiling, float) and ceiling == np.inf):
-            ceiling = np.inf
-        else:
-            ceiling = positive("ceiling", ceiling, "write None for no ceiling")
+        each = np.asarray(self.ceiling, dtype=object)
+        ceiling = numbers("ceiling", np.where(each == None, np.inf, each), "write None for none")  # noqa: E711
+        positive("ceiling", np.where(ceiling == np.inf, 1.0, ceiling), "write None for no ceiling")
         self._set(
             weber_fraction=k,
             floor=floor,
-            ceiling=ceiling,
+            ceiling=np.inf if ceiling.ndim == 0 and np.isinf(ceiling) else ceiling,
             correlation=checked_correlation(self.correlation),
         )
 
@@ -287,6 +285,10 @@ class GeneralisedWeber(Gaussian):
     def is_scale_family(self) -> bool:
         """Without a floor and a ceiling, where this is `Weber`'s law."""
         return not np.any(self.floor) and bool(np.all(np.isinf(self.ceiling)))
+
+    def without_floor(self) -> GeneralisedWeber:
+        """Without the floor, but of signals whose noise is a floor alone."""
+        return replace(self, floor=np.where(np.asarray(self.weber_fraction) > 0, 0.0, self.floor))
 
     def uninformative(self, signals: Array) -> NDArray[np.bool_]:
         """Where a signal lies above the ceiling, (..., S)."""

@@ -279,7 +279,7 @@ class SpikeCount(ReceptorNoise):
             )
         if signals.ndim > 1 and reading.ndim in (1, signals.ndim):  # long tables go in pieces
             # 100 000 counts together fit the cache.
-            rows = max(1, 100_000 // max(1, signals[0].size * self.number))
+            rows = max(1, 100_000 // max(1, int(np.prod(signals.shape[1:])) * self.number))
             one = reading.ndim == 1 or len(reading) == 1
             if len(signals) > rows and (one or len(reading) == len(signals)):
                 pieces = [slice(i, i + rows) for i in range(0, len(signals), rows)]
@@ -352,7 +352,8 @@ class SpikeCount(ReceptorNoise):
             if part.number == 1:
                 continue
             low, high = np.log(part.lowest), np.log(part.highest)
-            spacing = (high - low) / (part.number - 1)
+            spacing = max(high - low, 1e-4) / (part.number - 1)  # thresholds may all be one
+            high = low + spacing * (part.number - 1)
             s_low, s_high = (
                 expit(part.exponent * (log_magnitude - edge))
                 for edge in (low - spacing / 2, high + spacing / 2)
@@ -383,4 +384,4 @@ def _off_zero(signals: Array) -> Array:
 
 def _flat(values: Array) -> Array:
     """(..., S, number) as (..., S·number)."""
-    return values.reshape(*values.shape[:-2], -1)
+    return values.reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
