@@ -184,12 +184,12 @@ def test_posteriors_are_those_of_a_plain_sum(signals, model, count):
 def test_intervals_hold_the_contact_as_often_as_they_say(k):
     noise = Joint([Weber(k), GeneralisedWeber(0, floor=k)], sizes=[3, 2])
     observer = ww.Observer(CURVED, SpaceMap(), noise)
-    place = prior_draws(observer, 400, seed=6)
+    place = prior_draws(observer, 300, seed=6)
     found = ww.posterior(observer, noise.sample(observer.signals(place)[0], 7))
     for i, name in enumerate(observer.unknowns):
-        low, high = found.interval(0.95, name).T
+        low, high = found.interval(0.95, of=name).T
         inside = np.mean((low <= place[:, i]) & (place[:, i] <= high))
-        assert abs(inside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 400)
+        assert abs(inside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
 
 
 def test_jnds_are_those_of_the_information():
