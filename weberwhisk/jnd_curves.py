@@ -115,7 +115,7 @@ class JNDCurve(Shown):
             columns = [r] if at is None else [r, np.full_like(r, at)]
             contact = self.observer.at_middle(np.stack(columns, axis=-1))
             routes = {
-                "closed_form": _closed_form(self.observer, contact),
+                "closed_form": weber_propagation(self.observer, contact, model="closed_form"),
                 "propagation": weber_propagation(self.observer, contact),
             }
             line = pd.DataFrame(
@@ -201,7 +201,7 @@ def jnd_curve(
     table = pd.DataFrame(
         {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
     )
-    table["closed_form"] = factor * _closed_form(observer, contact)
+    table["closed_form"] = factor * weber_propagation(observer, contact, model="closed_form")
     table["propagation"] = factor * weber_propagation(observer, contact)
     table["fisher"] = factor * fisher_jnd(observer, contact)
     table.loc[~held, ["closed_form", "propagation", "fisher"]] = np.nan
@@ -232,13 +232,6 @@ def jnd_curve(
     table["linear"] = is_linear(observer, contact)
     table["outcome"] = [Outcome(int(o)).message for o in outcome]
     return JNDCurve(observer, table)
-
-
-def _closed_form(observer: Observer, contact: Array) -> Array:
-    """The closed forms are a straight whisker's without friction: NaN where more is modelled."""
-    if not observer.forward.is_plain:
-        return np.full(contact.shape[:-1], np.nan)
-    return weber_propagation(observer, contact, model="closed_form")
 
 
 def _contact(
