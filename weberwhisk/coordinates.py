@@ -53,11 +53,6 @@ class ContactCoordinates:
     reach : (float, float)
         Ends of the radial distance, m.
 
-    Raises
-    ------
-    ValueError
-        For a prior of the distance that has no overlap with the whisker's reach.
-
     Notes
     -----
     x₁ = asinh(logit(r/reach)), in which base and tip lie double-exponentially far off, and
@@ -66,14 +61,6 @@ class ContactCoordinates:
     double-exponentially. So the tails of posteriors are short, and the force map's ridge, along
     which M is constant, is straight. Any further unknown has a coordinate in which its prior is
     the standard normal.
-
-    Examples
-    --------
-    >>> from weberwhisk import cues
-    >>> space = ContactCoordinates(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap(), {})
-    >>> contact, log_jacobian = space.constrain([0.0, 1.0])
-    >>> contact.round(4), space.unconstrain(contact).round(12)
-    (array([0.025 , 0.7024]), array([0., 1.]))
     """
 
     whisker: Whisker
@@ -244,13 +231,7 @@ class ContactCoordinates:
 
 
 def constrain_distance(y: Array) -> tuple[Array, Array]:
-    """The fraction logistic(sinh y) and the ln of its slope.
-
-    Examples
-    --------
-    >>> unconstrain_distance(constrain_distance(np.array([-1.0, 2.0]))[0]).round(12)
-    array([-1.,  2.])
-    """
+    """The fraction logistic(sinh y) and the ln of its slope."""
     z = np.sinh(np.clip(y, -FARTHEST, FARTHEST))
     return _logistic(z, 0.5 * np.log1p(z * z))
 
@@ -261,13 +242,7 @@ def unconstrain_distance(fraction: Array) -> Array:
 
 
 def constrain_angle(y: Array) -> tuple[Array, Array]:
-    """The fraction logistic(y + eʸ) and the ln of its slope.
-
-    Examples
-    --------
-    >>> unconstrain_angle(constrain_angle(np.array([-1.0, 2.0]))[0]).round(12)
-    array([-1.,  2.])
-    """
+    """The fraction logistic(y + eʸ) and the ln of its slope."""
     growth = np.exp(np.minimum(y, 30.0))
     return _logistic(y + growth, np.log1p(growth))
 

@@ -39,18 +39,7 @@ READING_SDS = 8.0
 
 
 def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
-    """Refuse whiskers that can only be a slip of units: longer than 20 m, or wider than long.
-
-    Raises
-    ------
-    ValueError
-
-    Examples
-    --------
-    >>> refuse_length(41.0, 1e-4)
-    Traceback (most recent call last):
-    ValueError: A whisker of 41 m is none: did you pass millimetres? Write 0.041 for 41 mm.
-    """
+    """Refuse whiskers that can only be a slip of units: longer than 20 m, or wider than long."""
     longest = float(np.max(length))
     if longest > 100 * LENGTHS[1]:
         raise ValueError(
@@ -68,16 +57,7 @@ def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:
 
 
 def of_whisker(whisker: Any) -> tuple[str, ...]:
-    """What of a whisker lies outside, a sentence each; none if nothing does.
-
-    Examples
-    --------
-    >>> from weberwhisk import Whisker
-    >>> of_whisker(Whisker(50e-3, 100e-6, 5e-6))
-    ()
-    >>> of_whisker(Whisker(1e-3, 100e-6, 5e-6))
-    ('a length of 1 mm, where whiskers are 2 to 200 mm long',)
-    """
+    """What of a whisker lies outside, a sentence each; none if nothing does."""
     whisker = getattr(whisker, "whisker", whisker)  # of a profile
     ratio = np.asarray(whisker.radius_ratio)
     ratio = np.where(np.isinf(ratio), 1.0, ratio)
@@ -90,13 +70,7 @@ def of_whisker(whisker: Any) -> tuple[str, ...]:
 
 
 def of_contact(radial_distance: ArrayLike, reach: ArrayLike) -> tuple[str, ...]:
-    """What of radial distances lies outside, a sentence each.
-
-    Examples
-    --------
-    >>> of_contact(0.1e-3, 50e-3)
-    ('a contact at 0.002 of the reach, where 0.01 to 1 are covered',)
-    """
+    """What of radial distances lies outside, a sentence each."""
     share = np.asarray(radial_distance, dtype=float) / np.asarray(reach, dtype=float)
     where = f"where {CONTACTS[0]:g} to {CONTACTS[1]:g} are covered"
     return tuple(f"a contact at {v:g} of the reach, {where}" for v in _beyond(share, CONTACTS))
@@ -105,13 +79,7 @@ def of_contact(radial_distance: ArrayLike, reach: ArrayLike) -> tuple[str, ...]:
 def of_weber_fractions(
     weber_fractions: ArrayLike, known: tuple[float, float] = WEBER_FRACTIONS
 ) -> tuple[str, ...]:
-    """What of Weber fractions lies outside, a sentence each; 0 stands for none.
-
-    Examples
-    --------
-    >>> of_weber_fractions([0.1, 10.0])
-    ('a Weber fraction of 10, where 0.01 to 0.6 are covered: did you pass per cent?',)
-    """
+    """What of Weber fractions lies outside, a sentence each; 0 stands for none."""
     k = np.asarray(weber_fractions, dtype=float)
     hint = ": did you pass per cent?" if np.max(k, initial=0.0) > 1 else ""
     where = f"where {known[0]:g} to {known[1]:g} are covered{hint}"
@@ -119,29 +87,13 @@ def of_weber_fractions(
 
 
 def of_observer(observer: Any) -> tuple[str, ...]:
-    """What of an observer's whisker and receptors lies outside, a sentence each.
-
-    Examples
-    --------
-    >>> from weberwhisk import Observer, Whisker, cues, receptors
-    >>> w = Whisker(50e-3, 100e-6, 5e-6)
-    >>> of_observer(Observer(w, cues.Compliance()))
-    ()
-    >>> of_observer(Observer(w, cues.Compliance(), receptors.Weber(0.001)))
-    ('a Weber fraction of 0.001, where 0.01 to 0.6 are covered',)
-    """
+    """What of an observer's whisker and receptors lies outside, a sentence each."""
     k = observer.noise.weber_fractions(len(observer.cue.signal_names))
     return of_whisker(observer.whisker) + of_weber_fractions(k)
 
 
 def sentence(outside: Iterable[str]) -> str:
-    """All that lies outside, in one sentence; empty if nothing does.
-
-    Examples
-    --------
-    >>> sentence(["a length of 1 mm, where whiskers are 2 to 200 mm long"])
-    'Outside the domain: a length of 1 mm, where whiskers are 2 to 200 mm long.'
-    """
+    """All that lies outside, in one sentence; empty if nothing does."""
     found = list(outside)
     return f"Outside the domain: {'; '.join(found)}." if found else ""
 

@@ -186,11 +186,6 @@ def alone(observer: Observer) -> list[Observer]:
 
     Where a cue does not know of the deflection angle, the prior of distance is what the fusion's
     prior says of it.
-
-    Raises
-    ------
-    ValueError
-        For an observer whose cue is not `Fused`, or whose noise is not `Joint` by cues.
     """
     return [_part(observer, [i]) for i in range(len(_fused(observer).cues))]
 

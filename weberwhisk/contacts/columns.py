@@ -42,15 +42,7 @@ NAMES = {**QUANTITIES, **{f"{name}_sd": kind for name, kind in QUANTITIES.items(
 
 
 def unit_factor(text: str, kind: str) -> float | None:
-    """SI units in a unit as people write it; None where it is none of that kind.
-
-    Examples
-    --------
-    >>> unit_factor("µN m", "moment"), unit_factor("micronewton_metre", "moment")
-    (1e-06, 1e-06)
-    >>> unit_factor("mm", "moment") is None, round(unit_factor("deg", "angle"), 4)
-    (True, 0.0175)
-    """
+    """SI units in a unit as people write it; None where it is none of that kind."""
     plain = text.strip().replace("µ", "u").replace("μ", "u").replace("°", "deg")
     plain = re.sub(r"newton", "N", plain.replace("metres", "m").replace("metre", "m"))
     plain = re.sub(r"degrees?", "deg", re.sub(r"radians?", "rad", plain))
@@ -73,16 +65,6 @@ def find_columns(
 
     A quantity stands in the column that `columns` names for it, or in one of its own name with a
     unit as suffix or none.
-
-    Raises
-    ------
-    ValueError
-        For quantities, columns and units that there are not, and two columns of one quantity.
-
-    Examples
-    --------
-    >>> find_columns(["t", "moment_uNm", "Fx"], {"axial_force": "Fx"}, {"axial_force": "mN"})
-    {'axial_force': ('Fx', 0.001, True), 'moment': ('moment_uNm', 1e-06, True)}
     """
     for argument, name in ((columns, "columns"), (units, "units")):
         if argument is not None and not isinstance(argument, Mapping):
@@ -154,13 +136,7 @@ def _of(
 
 
 def values_of(table: pd.DataFrame, column: str) -> Array:
-    """A column as numbers, NaN where a cell holds none.
-
-    Raises
-    ------
-    ValueError
-        For a column of text.
-    """
+    """A column as numbers, NaN where a cell holds none."""
     series = table[column]
     out = pd.to_numeric(series, errors="coerce").to_numpy(dtype=float)
     text = series.notna().to_numpy() & np.isnan(out)

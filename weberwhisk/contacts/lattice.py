@@ -115,16 +115,10 @@ def log_prior_of_distance(observer: Observer, x: Array) -> Array:
 
 
 class Lattice:
-    """The lattice of an observer.
+    """The lattice of an observer, whose cue may be an `UnknownStiffness`.
 
-    Parameters
-    ----------
-    observer : Observer
-        Its cue may be an `UnknownStiffness`.
-    with_receptors : bool
-        Whether readings have the noise of its receptors; else only their measurement errors.
-    for_touches : bool
-        Whether cells are to resolve distance and angle at each stiffness, as touches need.
+    Without receptors readings have their measurement errors alone; cells for touches resolve
+    distance and angle at each stiffness.
     """
 
     def __init__(

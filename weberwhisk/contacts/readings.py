@@ -82,13 +82,6 @@ def turn_round(si: dict[str, Array], sides: list[tuple[Any, Any]], notes: list[s
 
     Of all conventions that a table may have, the one in which its rows are likest to contacts of
     the whisker: where the whisker is curved, axial forces and angles may be of either sign.
-
-    Parameters
-    ----------
-    si : dict
-        Signals in SI units, all pushed to positive moments.
-    sides : list of (rows, whisker)
-        As seen from either side.
     """
     order = ("moment", "deflection_angle", "transverse_force", "axial_force")
     names = [n for n in order if n in si]

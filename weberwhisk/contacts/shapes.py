@@ -85,16 +85,7 @@ class FittedShape(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The whisker whose shapes are fitted.
-
-    Parameters
-    ----------
-    profile : Profile
-    reach : float
-        How far it was tracked, in lengths.
-    change : float
-        Of the numbers of a shape, for derivatives.
-    """
+    """The whisker whose shapes are fitted; its tracked `reach`, in lengths; `change` for slopes."""
 
     profile: Profile
     reach: float

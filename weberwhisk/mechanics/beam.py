@@ -178,15 +178,9 @@ class Path:
 
 
 def follow(rows: Rows, arc: Array, force: Array, friction: Array, steps: int) -> Path:
-    """Follow the whiskers from their contacts to the base.
+    """Follow whiskers from contacts (n,) to the base: arcs over L, forces ≥ 0 over EI₀/L², rad.
 
-    Parameters
-    ----------
-    rows : Rows
-    arc, force, friction : array (n,)
-        Contact in units of the length, force ≥ 0 in units of EI₀/L², friction angle in rad.
-    steps : int
-        Runge–Kutta steps on each piece.
+    In `steps` Runge–Kutta steps on each piece.
     """
     n = arc.size
     state = np.zeros((ROWS_OF_STATE, n))

@@ -186,14 +186,9 @@ class Walk:
 
 
 def walk(branch: Branch, target: Array, *, peaks: bool = False) -> Walk:
-    """Walk branches from zero load to the deflection angle `target`, or to their end.
+    """Walk branches from zero load to the angles `target` (n,), rad or infinite, or to their end.
 
-    Parameters
-    ----------
-    target : array (n,)
-        Deflection angle, rad; infinite to walk to the end.
-    peaks : bool
-        Whether to find where the moment is largest on the way, too.
+    With `peaks` the largest moment on the way is found as well.
     """
     n = branch.r.size
     v = np.stack([branch.start / (branch.r * branch.unit), np.zeros(n)])

@@ -117,12 +117,6 @@ def press_chosen(
     """Press each whisker by the model chosen for its scene; arguments as for `ladder.press`.
 
     `tolerance` is that of solving the equations of the planar beam.
-
-    Raises
-    ------
-    ValueError
-        For a friction angle of a right angle or more, and a choice made for scenes of a shape
-        that does not broadcast with these.
     """
 
     def solve(rows: Rows, r: Array, theta: Array, psi: Array, turn: Array, model: Array) -> Solved:
