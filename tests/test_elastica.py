@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.mechanics.chebyshev import load_cap, the_map
-from weberwhisk.mechanics.elastica import DeflectionLimit
+from weberwhisk.mechanics.surface import Surface
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 SIGNALS = ("moment", "axial_force", "transverse_force")
@@ -169,7 +169,7 @@ def test_at_flick_past_the_fold_or_the_tip_is_reached(ratio):
     path = ww.press(w, r, theta).moment
     assert np.all(np.nanmax(path, axis=0) <= end.at_moment_peak.moment * (1 + 1e-9))
     assert np.allclose(np.nanmax(path, axis=0), end.at_moment_peak.moment, rtol=1e-3)
-    assert np.allclose(DeflectionLimit(w)(r), end.deflection_angle, rtol=1e-9)
+    assert np.allclose(Surface(w).limit(r), end.deflection_angle, rtol=1e-9)
 
 
 def test_the_fold_is_a_fold_of_the_force_given_face():

@@ -5,7 +5,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.mechanics.surface import Surface, base_signals
+from weberwhisk.mechanics.forward import ForwardModel
+from weberwhisk.mechanics.surface import Surface
 
 TIPS = {"truncated": 5e-6, "cone": 0.0, "needle": 1e-7, "blunt": 50e-6, "cylinder": 100e-6}
 
@@ -43,9 +44,9 @@ def test_the_limit_is_flick_pasts():
 def test_any_shape_in_pieces_or_whole():
     w = ww.Whisker(50e-3, 100e-6, 5e-6)
     r, theta = np.linspace(5e-3, 45e-3, 150)[:, None], np.linspace(0.01, 1.5, 100)
-    signals, outcome = base_signals(w, r, theta)
+    signals, outcome = ForwardModel(w).tabled(r, theta)
     assert signals.shape == (150, 100, 3)
     assert outcome.shape == (150, 100)
-    row, held = base_signals(w, r[40], theta)
+    row, held = ForwardModel(w).tabled(r[40], theta)
     assert np.allclose(signals[40], row, rtol=1e-13, atol=0, equal_nan=True)
     assert np.array_equal(outcome[40], held)

@@ -307,13 +307,15 @@ def beyond_tip(
     return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
 
 
-def in_pieces(solve: Callable[..., Any], *given: Array) -> Any:
-    """`solve` of flat arrays (n,), piece by piece; what it returns joined along its last axis."""
+def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
+    """`solve` of flat arrays (n,), or (1,) for all, piece by piece; what it returns, joined."""
     pieces = (slice(start, start + ROWS) for start in range(0, max(given[0].size, 1), ROWS))
-    found = [solve(*(a[piece] for a in given)) for piece in pieces]
+    found = [solve(*(a[piece] if a.size > 1 else a for a in given)) for piece in pieces]
+    if len(found) == 1:
+        return found[0]
     if isinstance(found[0], tuple):
-        return tuple(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
-    return np.concatenate(found, axis=-1)
+        return tuple(np.concatenate(parts, axis=axis) for parts in zip(*found, strict=True))
+    return np.concatenate(found, axis=axis)
 
 
 def flat_with(whisker: Whisker, *arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import refuse_hinge
 from ..whisker import Whisker
-from .chebyshev import Array, ChebyshevTable, Curve, fit, load_cap, nodes, the_map, unfold
+from .chebyshev import Array, ChebyshevTable, load_cap, the_map, unfold
 from .contact import (
     TIP_ROUNDING,
     Bending,
@@ -183,7 +183,7 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     """
     refuse_hinge(whisker, "flick_past")
     shape, (length, taper, _, r) = flat_with(whisker, radial_distance)
-    angle, c_end, fold_angle, c_peak = in_pieces(_limit, length, taper, r)
+    angle, c_end, fold_angle, c_peak = in_pieces(limits, length, taper, r)
     beyond = np.isnan(angle)
     peak_angle = np.where(beyond, 0.0, fold_angle * np.sqrt(1 - np.maximum(c_peak, c_end) ** 2))
     ended = np.where(c_end > 0, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
@@ -200,66 +200,7 @@ def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
     )
 
 
-class DeflectionLimit:
-    """The largest deflection angle of one whisker as a function of radial distance.
-
-    What `flick_past` solves for at every call, as curves: up to some distance the fold ends it,
-    from there on the tip, where θ²/(L − r) is smooth.
-
-    Parameters
-    ----------
-    whisker : Whisker
-        With numbers, not arrays, for its fields.
-
-    Examples
-    --------
-    >>> limit = DeflectionLimit(Whisker(50e-3, 100e-6, 5e-6))
-    >>> np.degrees(limit(np.array([35e-3]))).round(2)
-    array([24.57])
-    """
-
-    def __init__(self, whisker: Whisker) -> None:
-        self.length, self.taper = float(whisker.length), float(whisker.taper)
-
-        def at(r: Array) -> tuple[Array, Array]:
-            return _limit(np.full_like(r, self.length), np.full_like(r, self.taper), r)[:2]
-
-        low, high = np.array([1e-3 * self.length]), np.array([self.length])
-        for _ in range(54):
-            middle = (low + high) / 2
-            tip = at(middle)[1] > 0
-            low, high = np.where(tip, low, middle), np.where(tip, middle, high)
-        self.tip_from = float(high[0])
-        # Enough nodes for the error to be rounding, from cylinder to cone.
-        r = self._tip_distance(nodes(24))
-        room = self.length - r
-        # Of a whisker that all but ends in a point no distance is left between the fold's end and
-        # the tip: no room, no angle.
-        self.tip = Curve(fit(np.where(room > 0, at(r)[0] ** 2 / (room + (room == 0)), 0)[:, None]))
-
-    def _tip_distance(self, x: Array) -> Array:
-        return self.tip_from + (self.length - self.tip_from) * x
-
-    def __call__(self, radial_distance: Array) -> Array:
-        """Largest angle at each distance (n,), rad; NaN out of reach."""
-        v = np.clip(radial_distance / self.length * self.taper, 0.0, 1.0)
-        return self.of(radial_distance, the_map().fold_angle(v))
-
-    def of(self, radial_distance: Array, fold: Array) -> Array:
-        """The same where the angles of the folds (n,) are known."""
-        v = radial_distance / self.length * self.taper
-        angle = np.where(beyond_tip(radial_distance, self.length, v), np.nan, fold)
-        tip = radial_distance > self.tip_from
-        if np.any(tip):
-            room = np.maximum(self.length - radial_distance[tip], 0.0)
-            x = 1 - room / max(self.length - self.tip_from, 1e-300)
-            angle[tip] = np.where(
-                np.isnan(angle[tip]), np.nan, np.sqrt(room * self.tip(np.maximum(x, 0.0))[0])
-            )
-        return angle
-
-
-def _limit(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, Array]:
+def limits(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, Array]:
     """Largest angle, c there, fold angle and c at the moment peak, at each r (n,)."""
     table = the_map()
     v = r / length * taper

@@ -24,9 +24,9 @@ from .._values import Value
 from ..whisker import Whisker
 from . import closed_form, hinge, ladder
 from .chebyshev import Array
-from .contact import ROWS, Outcome
+from .contact import Outcome, in_pieces
 from .shape import Law, Profile, Spiral
-from .surface import Surface, base_signals, surface_of
+from .surface import Surface, surface_of
 
 if TYPE_CHECKING:
     from .planar_surface import PlanarSurface
@@ -219,8 +219,7 @@ class ForwardModel(Value):
         if self.azimuth is not None:
             r, azimuth = np.broadcast_arrays(np.asarray(r, dtype=float), self.azimuth)
             limit: Any = self.surface.limit  # of a `SpaceSurface`
-            parts = [limit(*part) for part in _pieces(r.reshape(-1), azimuth.reshape(-1))]
-            return np.concatenate(parts).reshape(r.shape)
+            return np.asarray(in_pieces(limit, r.ravel(), azimuth.ravel())).reshape(r.shape)
         shape, (flat, psi, kappa, compliance) = self._rows(r)
         if self.is_hinged:
             compliance = np.broadcast_to(compliance, flat.shape)
@@ -293,24 +292,20 @@ class ForwardModel(Value):
         if self.model == "rod":
             from .space_surface import pressed
 
-            parts = [pressed(self.whisker, *flat)]
+            signals, outcome = pressed(self.whisker, *flat)
         else:
-            solve: Any = self.surface
-            parts = [solve(*part) for part in _pieces(*flat)]
-        signals, outcome = (np.concatenate(column) for column in zip(*parts, strict=True))
+            signals, outcome = in_pieces(self.surface, *flat, axis=0)
         return signals.reshape(*r.shape, 6), outcome.reshape(r.shape)
 
     def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
         """`signals` of a clamped base by the table, whichever model is named."""
         surface = self.surface
         if isinstance(surface, Surface):
-            return base_signals(_straightened(self.base), np.asarray(r), np.asarray(theta))
-        shape, (flat, push, psi, kappa, _) = self._rows(r, theta)
-        out, outcome = np.empty((flat.size, 3)), np.empty(flat.size, dtype=np.int8)
-        for start in range(0, flat.size, ROWS):
-            part = slice(start, start + ROWS)
-            given = (a[part] if a.size > 1 else a for a in (psi, kappa))
-            out[part], outcome[part] = surface(flat[part], push[part], *given)
+            both = np.broadcast_arrays(r, theta)
+            shape, flat = both[0].shape, [a.reshape(-1) for a in both]
+        else:
+            shape, (*flat, _) = self._rows(r, theta)
+        out, outcome = in_pieces(surface, *flat, axis=0)
         return out.reshape(*shape, 3), outcome.reshape(shape)
 
     def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
@@ -400,11 +395,6 @@ def planar_surface(
     from .planar_surface import PlanarSurface
 
     return PlanarSurface(whisker, friction, offset)
-
-
-def _pieces(*flat: Array) -> list[list[Array]]:
-    """Arrays (n,) in parts of `ROWS`."""
-    return [[a[i : i + ROWS] for a in flat] for i in range(0, max(flat[0].size, 1), ROWS)]
 
 
 def _straightened(whisker: Whisker) -> Whisker:

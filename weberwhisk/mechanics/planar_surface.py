@@ -56,16 +56,6 @@ class PlanarSurface:
         Friction angles that it is made for, rad; twice the same where it is known.
     offset : (float, float)
         As much, 1/m, may the curvature differ from the whisker's along its whole length.
-
-    Attributes
-    ----------
-    error : float
-        Largest error of 60 contacts beside the planar beam's own, over the lateral force.
-
-    Raises
-    ------
-    ValueError
-        For a whisker that winds by more than 2 rad at rest, or whose folds are not found.
     """
 
     def __init__(

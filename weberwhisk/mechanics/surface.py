@@ -29,8 +29,8 @@ from .._checks import refuse_hinge
 from ..whisker import Whisker
 from . import elastica
 from .chebyshev import Array, ChebyshevTable, Curve, fit, nodes, place_of, the_map, unfold
-from .contact import ROWS, Outcome
-from .elastica import DeflectionLimit, press
+from .contact import Outcome, beyond_tip
+from .elastica import limits, press
 
 #: What the terms left out may add up to, along either axis, of the closed form's signals.
 TOLERANCE = 1e-9
@@ -57,13 +57,39 @@ class Surface:
         refuse_hinge(whisker, "This cue or table")
         self.length, self.taper = float(whisker.length), float(whisker.taper)
         self.stiffness = float(whisker.stiffness)
-        self._limit = DeflectionLimit(whisker)
+
+        def at(r: Array) -> tuple[Array, Array]:
+            return limits(np.full_like(r, self.length), np.full_like(r, self.taper), r)[:2]
+
+        # Up to some distance the fold ends contacts, from there on the tip.
+        low, high = np.array([1e-3 * self.length]), np.array([self.length])
+        for _ in range(54):
+            middle = (low + high) / 2
+            tip = at(middle)[1] > 0
+            low, high = np.where(tip, low, middle), np.where(tip, middle, high)
+        self.tip_from = float(high[0])
+        # There θ²/(L − r) is smooth; enough nodes for the error to be rounding, cylinder to cone.
+        r = self.tip_from + (self.length - self.tip_from) * nodes(24)
+        room = self.length - r
+        # Of a whisker that all but ends in a point no distance is left between the fold's end and
+        # the tip: no room, no angle.
+        self._tip = Curve(fit(np.where(room > 0, at(r)[0] ** 2 / (room + (room == 0)), 0)[:, None]))
 
     def limit(self, radial_distance: Array) -> Array:
         """Largest deflection angle at each distance (n,), rad; NaN out of reach."""
         r = np.asarray(radial_distance, dtype=float)
         v = np.clip(r / self.length * self.taper, 0.0, 1.0)
-        return self._limit.of(r, (1 - v) * _fold()(unfold(v))[0])
+        return self._limit(r, (1 - v) * _fold()(unfold(v))[0])
+
+    def _limit(self, r: Array, fold: Array) -> Array:
+        """The same where the angles of the folds (n,) are known."""
+        angle = np.where(beyond_tip(r, self.length, r / self.length * self.taper), np.nan, fold)
+        tip = (r > self.tip_from) & ~np.isnan(angle)
+        if np.any(tip):
+            room = np.maximum(self.length - r[tip], 0.0)
+            x = np.maximum(1 - room / max(self.length - self.tip_from, 1e-300), 0.0)
+            angle[tip] = np.sqrt(room * self._tip(x)[0])
+        return angle
 
     def __call__(
         self, radial_distance: Array, deflection_angle: Array
@@ -74,7 +100,7 @@ class Surface:
         x = unfold(v)
         fold = (1 - v) * _fold()(x)[0]
         theta = np.abs(deflection_angle)
-        limit = self._limit.of(r, fold)
+        limit = self._limit(r, fold)
         with np.errstate(divide="ignore", invalid="ignore"):
             tangent = theta / fold
             c = np.sqrt(np.maximum((1 - tangent) * (1 + tangent), 0.0))
@@ -90,7 +116,7 @@ class Surface:
         if not held.all():
             out[~held] = np.nan
             outcome[~held] = np.where(
-                r > self._limit.tip_from, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST
+                r > self.tip_from, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST
             )[~held]
             outcome[np.isnan(limit) | ~(r > 0)] = Outcome.OUT_OF_REACH
         return out, outcome
@@ -100,23 +126,6 @@ class Surface:
 def surface_of(whisker: Whisker) -> Surface:
     """The surface of a whisker, kept for its next contacts."""
     return Surface(whisker)
-
-
-def base_signals(
-    whisker: Whisker, radial_distance: Array, deflection_angle: Array
-) -> tuple[Array, NDArray[np.int8]]:
-    """Signals (..., 3) and outcomes (...) of contacts on one straight whisker, in pieces."""
-    surface = surface_of(whisker)
-    r, theta = np.broadcast_arrays(radial_distance, deflection_angle)
-    flat_r, flat_theta = r.reshape(-1), theta.reshape(-1)
-    if flat_r.size <= ROWS:
-        out, outcome = surface(flat_r, flat_theta)
-    else:
-        out, outcome = np.empty((flat_r.size, 3)), np.empty(flat_r.size, dtype=np.int8)
-        for start in range(0, flat_r.size, ROWS):
-            part = slice(start, start + ROWS)
-            out[part], outcome[part] = surface(flat_r[part], flat_theta[part])
-    return out.reshape(*r.shape, 3), outcome.reshape(r.shape)
 
 
 @cache
@@ -186,17 +195,7 @@ def slope(whisker: Whisker, r: Array, theta: Array) -> Array:
 
 
 def rate_on_wall(whisker: Whisker, r: Array, theta: Array) -> Array:
-    """dr/dρ (n,) of contacts with a wall, m per rad: (wall); 0 of contacts that are not held.
-
-    Examples
-    --------
-    A wall is left behind as the whisker is pushed on, soon at a slower pace:
-
-    >>> w = Whisker(50e-3, 100e-6, 5e-6)
-    >>> rate = rate_on_wall(w, np.array([45e-3, 30e-3]), np.array([0.1, 0.4]))
-    >>> bool(rate[0] < rate[1] < 0)
-    True
-    """
+    """dr/dρ (n,) of contacts with a wall, m per rad: (wall); 0 of contacts that are not held."""
     length = float(whisker.length)
     r, theta = np.clip(r, 1e-3 * length, length), np.maximum(theta, 1e-6)
     # On this side of the largest angles and of the tip.
