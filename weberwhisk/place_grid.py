@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._display import Shown
-from .place_sensor import one_place
+from .array import WhiskerArray
+from .place_sensor import Sensor, one_place
 from .posterior import Status
 
 if TYPE_CHECKING:
@@ -58,6 +59,22 @@ class Frame(NamedTuple):
         return cls(covariance @ pull, matrix, np.full(2, -reach), np.full(2, reach))
 
 
+class PlaceObserver(Protocol):
+    """What a `Place` asks of its observer: an `ArrayObserver`, which stands above this module."""
+
+    @property
+    def array(self) -> WhiskerArray:
+        """Where the whiskers are."""
+
+    @property
+    def sensors(self) -> Mapping[str, Sensor]:
+        """Whiskers with their observers, by name."""
+
+    @property
+    def box(self) -> Array:
+        """Ends of x and of y (2, 2) between which the place is, m."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Place(Shown):
     """The posterior of an object's place; `place` makes it.
@@ -79,7 +96,7 @@ class Place(Shown):
         Nodes, m, the mass that they stand for, and ln of the density, 1/m².
     """
 
-    observer: Any
+    observer: PlaceObserver
     readings: Mapping[str, NDArray[np.float64] | None]
     status: Status
     mean: Array
