@@ -20,7 +20,7 @@ import stability_posteriors as posteriors
 from hunting import Axis, Domain, Fate, Judged
 
 from weberwhisk.posterior import emcee
-from weberwhisk.posterior.ensemble import default_moves, recommended_walkers
+from weberwhisk.posterior.moves import default_moves, recommended_walkers
 
 Array = np.ndarray
 Case = dict[str, Array]

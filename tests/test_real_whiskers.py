@@ -20,7 +20,8 @@ from weberwhisk.cues import (
 from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
-from weberwhisk.posterior.likelihood import LastSummed, likelihood_of
+from weberwhisk.posterior.summed import LastSummed
+from weberwhisk.posterior.tiling import likelihood_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sweeping import SweepFilter, follow
 from weberwhisk.whisker import identities, rest_shape
@@ -194,7 +195,7 @@ def test_signals_angle_and_prior_are_functions_of_the_friction_at_a_place():
     contact, log_prior = observer.contact(np.column_stack([x, np.full(3, z)]))
     signals, outcome = observer.signals(contact)
     assert (outcome == 0).all()
-    found = parts @ likelihood.lattice.basis(np.array(z))
+    found = parts @ likelihood.basis(np.array(z))
     assert found[:, :2] == pytest.approx(signals, rel=1e-3)
     shift = log_prior + 0.5 * (z**2 + np.log(2 * np.pi)) - log_first
     assert found[:, 2] == pytest.approx(shift, abs=1e-4)

@@ -20,8 +20,7 @@ from .jnd import SD, criterion_factor, fisher_jnd
 from .mechanics.contact import Outcome
 from .observer import Observer
 from .posterior import posterior
-from .posterior.grid import integrate
-from .posterior.tiling import prior_box
+from .posterior.grid import integrate, prior_box
 from .receptors import ReceptorNoise, Seed
 
 if TYPE_CHECKING:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from weberwhisk.posterior.ensemble import recommended_walkers, sample_stacked
+from weberwhisk.posterior.ensemble import sample_stacked
 from weberwhisk.posterior.grid import integrate
+from weberwhisk.posterior.moves import recommended_walkers
 
 Array = NDArray[np.float64]
 K = 0.1

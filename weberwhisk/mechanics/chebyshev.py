@@ -56,9 +56,8 @@ def product(matrix: Array, columns: Array, block: int = 256) -> Array:
     size = columns.shape[1]
     whole = size - size % block
     out = np.empty((len(matrix), size))
-    blocks, filled = (
-        a[:, :whole].reshape(len(a), -1, block).swapaxes(0, 1) for a in (columns, out)
-    )
+    blocks = columns[:, :whole].reshape(len(columns), -1, block).swapaxes(0, 1)
+    filled = out[:, :whole].reshape(len(out), -1, block).swapaxes(0, 1)
     np.matmul(matrix, blocks, out=filled)
     np.matmul(matrix, columns[:, whole:], out=out[:, whole:])
     return out
@@ -81,11 +80,11 @@ class Curve:
     def __call__(self, x: Array) -> Array:
         """Values (k, len(x))."""
         # In pieces whose polynomials stay in the cache: four times as fast on a million points.
-        piece = 8192
-        pieces = [x[i : i + piece] for i in range(0, x.size, piece)] or [x]
-        rows, n = np.ascontiguousarray(self.coefficients.T), len(self.coefficients)
-        values = [product(rows, basis(n, part)) for part in pieces]
-        return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
+        rows, n, size = np.ascontiguousarray(self.coefficients.T), len(self.coefficients), 8192
+        out = np.empty((len(rows), x.size))
+        for i in range(0, x.size, size):
+            out[:, i : i + size] = product(rows, basis(n, x[i : i + size]))
+        return out
 
     @cached_property
     def derivative(self) -> Curve:

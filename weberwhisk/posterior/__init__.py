@@ -1,6 +1,213 @@
 """Posteriors of a contact: quadrature, emcee and Laplace, from one `Observer`."""
 
-from .result import Estimate, Posterior, Status
-from .solve import posterior
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+from warnings import warn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import domain
+from .._checks import kind, one_of
+from .._display import member
+from ..observer import Observer
+from ..receptors import Seed
+from .grid import factors_of, with_factor
+from .peaks import laplace
+from .quadrature import quadrature
+from .result import Array, Estimate, Posterior, Solution, Status
 
 __all__ = ["Estimate", "Posterior", "Status", "posterior"]
+
+
+@cache
+def _keep_memory() -> None:
+    """Let freed arrays be used again instead of handing them back to the kernel.
+
+    The C library returns each freed block that is larger than any it has seen freed before; the
+    kernel clears it afresh for the next array, at more than the cost of the arithmetic (a factor
+    of 2 to 4 in quadrature in one dimension). One block of 16 MB, never touched, raises that bar.
+    """
+    np.empty(1 << 21)
+
+
+def posterior(
+    observer: Observer,
+    reading: ArrayLike,
+    method: str = "quadrature",
+    *,
+    seed: Seed = None,
+    tolerance: float | None = None,
+    moves: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Posterior:
+    """The posterior of a contact given readings of its signals.
+
+    Parameters
+    ----------
+    observer : Observer
+    reading : array, shape (S,) or (B, S)
+        One reading or many: the cue's signals in SI units (with one signal also () or (B,)).
+    method : {"quadrature", "emcee", "laplace"}
+        Quadrature is the reference: exact to about 1e-10 in one dimension, to `tolerance` in two.
+        emcee samples thousands of posteriors stacked in one run. Laplace is the Gaussian at the
+        mode, and says where that will not do. An unknown that shares no signal with the others
+        (`SpaceMap`'s azimuth) is integrated by itself, whatever the method.
+    seed : int, SeedSequence or Generator
+        Of emcee's walkers; NumPy's global state is neither read nor changed.
+    tolerance : float, optional
+        Error of mean and sd asked for, over the sd. Default 1e-6 (quadrature in one dimension),
+        1e-2 (in two; 1e-4 at some five times the cost), 2 % and 3 % (emcee).
+    moves : {"independent", "grid"}, optional
+        Of emcee. The default owes nothing to quadrature, which it can so check: differential
+        evolution and stretches inside each ensemble, and draws from a mixture of Student's t that
+        starts from a scatter of the prior with the Fisher information, and learns from draws.
+        ``"grid"`` lets the mixture learn from quadrature's draws instead: two to three times as
+        quick with two unknowns, and no check of quadrature.
+    progress : callable, optional
+        Called with (posteriors done, posteriors in all).
+
+    Returns
+    -------
+    Posterior
+        With a `Status` for every reading; `NOT_A_READING`, and NaN, where a number is missing, and
+        `NO_CONTACT` where all are zero that have no noise without a signal.
+
+    Raises
+    ------
+    ValueError
+        For a reading of the wrong shape or of text, an unknown method, a tolerance that is
+        not positive.
+
+    Examples
+    --------
+    >>> from weberwhisk import Observer, Whisker, cues
+    >>> observer = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.Compliance())
+    >>> reading = observer.read(30e-3, seed=1)
+    >>> p = posterior(observer, reading)
+    >>> print(f"{p.mean * 1e3:.2f} ± {p.sd * 1e3:.2f} mm, {p.status.message}")
+    29.47 ± 1.31 mm, converged
+    """
+    one_of("method", method, ("quadrature", "emcee", "laplace"))
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"tolerance must be above zero, got {tolerance!r}; write 1e-3, say.")
+    kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
+    y = observer.checked_reading(reading, missing=True)
+    single = y.ndim == 1
+    rows = y.reshape(-1, y.shape[-1])
+    solve = _solver(method)
+    if moves is not None:
+        if method != "emcee":
+            raise ValueError(f'moves are of emcee, got {moves!r}; write method="emcee".')
+        solve = partial(solve, moves=moves)
+    _keep_memory()
+
+    given = np.isfinite(rows).all(axis=1)
+    nothing = _of_no_contact(observer, rows)
+    known = np.asarray(given & ~nothing)
+    if not known.any():
+        solution = _of_nothing(len(observer.unknowns))
+    elif (factors := factors_of(observer)) is None:
+        solution = solve(observer, rows[known], seed, tolerance, progress)
+    else:
+        size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
+        first = solve(factors.first, rows[known, :size], seed, tolerance, progress)
+        solution = with_factor(first, observer, factors, rows[known, size:])
+    _hint_at_units(observer, rows[known], solution)
+    if not known.all():
+        solution = solution.among(known)
+        solution.status[given & nothing] = Status.NO_CONTACT
+    solution.status[_outside(observer, solution)] = Status.OUTSIDE_DOMAIN
+
+    def shaped(values: NDArray[Any]) -> Any:
+        return values[0] if single else values
+
+    return Posterior(
+        observer,
+        y,
+        method + _who(solution),
+        {
+            name: Estimate(*map(shaped, estimate))
+            for name, estimate in zip(observer.unknowns, solution.estimates, strict=True)
+        },
+        member(Status, shaped(solution.status)),
+        shaped(solution.log_evidence),
+        solution.quantile_of,
+        solution.draws_of,
+        solution.quantile_error_of,
+    )
+
+
+def _solver(method: str) -> Any:
+    """The function of a method; emcee is imported when first asked for, as it is heavy."""
+    if method == "quadrature":
+        return quadrature
+    if method == "emcee":
+        from .emcee import sample
+
+        return sample
+    return laplace
+
+
+def _who(solution: Solution) -> str:
+    """What is to be added to the method's name: whether readings were summed by themselves."""
+    own = solution.own_grid
+    if own is None or not own.any():
+        return ""
+    return ", own grid" if own.all() else f", {own.sum()} of {len(own)} on own grids"
+
+
+def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
+    """Readings (B, R) that are zero wherever noise only grows with the signal: no contact's.
+
+    Such noise has no zeros but of a signal that is zero, and not all are but without deflection.
+    """
+    noise, size = observer.noise, len(observer.cue.signal_names)
+    if not noise.reads_signals or noise.is_categorical or reading.shape[1] != size:
+        return np.zeros(len(reading), dtype=bool)
+    graded = noise.floors(size) == 0
+    return np.asarray(graded.any() & (reading[:, graded] == 0).all(axis=1))
+
+
+def _outside(observer: Observer, solution: Solution) -> NDArray[np.bool_]:
+    """Posteriors (B,) that converged, of an observer or at a distance outside the domain."""
+    share = solution.estimates[0].mean / observer.reach[1]
+    outside = (share < domain.CONTACTS[0]) | bool(domain.of_observer(observer))
+    return np.asarray(outside & (solution.status == Status.CONVERGED))
+
+
+def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> None:
+    """Warn of readings (B, R) so far above what the whisker gives that the unit may be another.
+
+    More than half of them are above 30 times what is usual, and explained by no contact, or by one
+    within a hundredth of the reach of the base.
+    """
+    if observer.noise.is_categorical:  # reports have no unit
+        return
+    times = np.abs(reading) / observer.usual_reading
+    low, high = observer.reach
+    at_base = solution.estimates[0].mean < low + 0.01 * (high - low)
+    odd = (times > 30).any(axis=1) & (at_base | (solution.status == Status.IMPROBABLE_READING))
+    if odd.sum() * 2 > len(odd):
+        first = int(np.argmax(odd))
+        warn(
+            f"{odd.sum()} of {len(reading)} readings are far above what this whisker gives, the "
+            f"first {reading[first].tolist()}, {times[first].max():.3g} times the usual; readings "
+            "are in SI units (N m, N, rad): did you pass mN?",
+            stacklevel=3,
+        )
+
+
+def _of_nothing(unknowns: int) -> Solution:
+    """The solution for no reading at all."""
+    none = np.empty(0)
+    return Solution(
+        [Estimate(none, none, none, none)] * unknowns,
+        np.empty(0, dtype=np.int8),
+        none,
+        lambda p, unknown: np.empty((0, len(p))),
+        lambda count, seed: np.empty((0, 4, count, unknowns)),
+    )

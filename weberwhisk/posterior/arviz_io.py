@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from enum import IntFlag
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -174,6 +175,34 @@ def pointwise_loo(log_likelihood: ArrayLike) -> Loo:
         elpd[varies] = np.asarray(pointwise).ravel()
         pareto_k[varies] = np.asarray(found["pareto_k"]).ravel()
     return Loo(elpd, pareto_k)
+
+
+class Shortfall(IntFlag):
+    """Why a posterior's sample is not to be relied on; 0 is converged, reasons add up."""
+
+    RHAT = 1
+    SHORT = 2
+    IMPRECISE = 4
+    STUCK = 8
+    ACCEPTANCE = 16
+
+    @property
+    def message(self) -> str:
+        """The reasons in words.
+
+        Examples
+        --------
+        >>> Shortfall(12).message
+        'Monte Carlo error above the precision asked for; a walker has not moved'
+        """
+        reasons = {
+            Shortfall.RHAT: "independent ensembles disagree (R-hat above 1.01)",
+            Shortfall.SHORT: "fewer than 160 autocorrelation times in all ensembles together",
+            Shortfall.IMPRECISE: "Monte Carlo error above the precision asked for",
+            Shortfall.STUCK: "a walker has not moved",
+            Shortfall.ACCEPTANCE: "fewer than 5 % of the proposals are accepted",
+        }
+        return "; ".join(reasons[flag] for flag in Shortfall if flag & self) or "converged"
 
 
 def split(x: ArrayLike) -> Array:

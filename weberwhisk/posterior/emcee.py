@@ -20,10 +20,10 @@ from ..coordinates import FARTHEST
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
-from .ensemble import MoveMaker, StackedSample, default_moves, recommended_walkers, sample_stacked
-from .moves import StackedMixture, student_t
+from .ensemble import StackedSample, sample_stacked
+from .moves import MoveMaker, StackedMixture, default_moves, recommended_walkers, student_t
 from .panels import panels_of
-from .peaks import is_divided
+from .peaks import climb, density_at, is_divided, prior_precision, score
 from .quadrature import quadrature
 from .result import (
     Array,
@@ -199,19 +199,19 @@ def fisher_mixture(
     mode : array, shape (B, U)
     """
     scatter, shape = _scatter(observer)
-    dim = scatter.shape[1]
+    dim, density = scatter.shape[1], density_at(observer, scatter)
     best = np.concatenate(
         [
-            _best_places(observer, reading[start : start + 256], scatter, shape, places)
+            _best_places(density, reading[start : start + 256], shape, places)
             for start in range(0, len(reading), 256)
         ]
     )
     count = best.shape[1]
     owner = np.repeat(np.arange(len(reading)), count)
-    x, top, covariance = _climb(observer, reading[owner], scatter[best.ravel()], 2.0 * dim, 15)
+    x, top, covariance = climb(observer, reading[owner], scatter[best.ravel()], 2.0 * dim, 15)
     top = top.reshape(-1, count)
     highest = np.arange(len(reading)) * count + top.argmax(axis=1)
-    mode, peak, at_mode = _climb(observer, reading, x[highest], 1e-4, 25)
+    mode, peak, at_mode = climb(observer, reading, x[highest], 1e-4, 25)
     centre = np.concatenate([x.reshape(-1, count, dim), mode[:, None]], axis=1)
     shape_of = (len(reading), count, dim, dim)
     spread = np.concatenate([covariance.reshape(shape_of), at_mode[:, None]], axis=1)
@@ -254,8 +254,8 @@ def _adapted(
     each = student_t(x, mixture.centre, np.asarray(np.linalg.inv(mixture.root), dtype=float))
     weight = mixture.weight
     index, owner = np.arange(count), np.repeat(np.arange(count), draws)
-    _, _, information = _score(observer, reading[owner], x.reshape(-1, dim))
-    root = width * np.linalg.cholesky(np.linalg.inv(information + _prior_precision(observer)))
+    _, _, information = score(observer, reading[owner], x.reshape(-1, dim))
+    root = width * np.linalg.cholesky(np.linalg.inv(information + prior_precision(observer)))
     root = root.reshape(count, draws, dim, dim)
     inverse = np.linalg.inv(root)
     chosen = np.empty((count, kernels), dtype=int)
@@ -278,11 +278,6 @@ def _adapted(
     return Mixture(centre, root, weight / weight.sum(axis=1, keepdims=True))
 
 
-def _prior_precision(observer: Observer) -> Array:
-    """Curvature of ln prior in x, about: ¼ and more of what is flat, 1 of the standard normal."""
-    return np.diag(np.where(np.arange(len(observer.unknowns)) < observer.bounded, 0.25, 1.0))
-
-
 def _scatter(observer: Observer) -> tuple[Array, tuple[int, ...]]:
     """Coordinates (n, U) all over the prior, and the shape of the grid they are on."""
     dim, bounded = len(observer.unknowns), observer.bounded
@@ -292,17 +287,12 @@ def _scatter(observer: Observer) -> tuple[Array, tuple[int, ...]]:
 
 
 def _best_places(
-    observer: Observer, reading: Array, scatter: Array, shape: tuple[int, ...], places: int
+    density: Callable[[Array], Array], reading: Array, shape: tuple[int, ...], places: int
 ) -> NDArray[np.intp]:
-    """Which of the scatter (B, K) are best, each at least two steps of the grid from the others."""
-    contact, log_prior = observer.contact(scatter)
-    signals, outcome = observer.signals(contact)
-    held = np.asarray(outcome == 0)
-    log_prior = np.where(held, log_prior, -np.inf)
-    table = observer.noise.log_likelihoods(reading, np.where(held[:, None], signals, 1.0))
-    table = table + log_prior
+    """Which of a grid's places (B, K) are best, each at least two steps from the others."""
+    table = density(reading)
     refuse_impossible(reading, table.max(axis=1))
-    grid = np.stack(np.unravel_index(np.arange(len(scatter)), shape), axis=-1)
+    grid = np.stack(np.unravel_index(np.arange(table.shape[1]), shape), axis=-1)
     near = [np.flatnonzero((np.abs(grid - at) <= 2).all(axis=1)) for at in grid]
     best = np.empty((len(reading), places), dtype=np.intp)
     for k in range(places):
@@ -312,63 +302,6 @@ def _best_places(
         for row, at in enumerate(best[:, k]):
             table[row, near[at]] = -np.inf
     return best
-
-
-def _climb(
-    observer: Observer, reading: Array, start: Array, enough: float, steps: int
-) -> tuple[Array, Array, Array]:
-    """Fisher scoring from places (n, U) of readings (n, R), down to a squared decrement.
-
-    Returns the places, ln of the density there (n,), and the inverse of the information (n, U, U),
-    that of the prior in x included.
-    """
-    dim = start.shape[1]
-    x, top = start.copy(), np.full(len(start), -np.inf)
-    covariance = np.broadcast_to(np.eye(dim), (len(start), dim, dim)).copy()
-    prior = _prior_precision(observer)
-    radius, moving, trial = np.full(len(start), 0.5), np.arange(len(start)), start.copy()
-    for _ in range(steps):
-        value, gradient, information = _score(observer, reading[moving], trial[moving])
-        better = value >= top[moving]
-        rows = moving[better]
-        x[rows], top[rows] = trial[rows], value[better]
-        inverse = np.linalg.inv(information[better] + prior)
-        covariance[rows] = inverse
-        step = np.einsum("nij,nj->ni", inverse, gradient[better])
-        decrement = np.einsum("ni,ni->n", step, gradient[better])
-        radius[rows] *= 1.5
-        radius[moving[~better]] /= 4
-        length = np.linalg.norm(step, axis=1)
-        trial[rows] = (
-            x[rows] + step * np.minimum(1.0, radius[rows] / np.maximum(length, 1e-12))[:, None]
-        )
-        back = moving[~better]
-        trial[back] = x[back] + (trial[back] - x[back]) / 4
-        moving = np.sort(np.concatenate([rows[decrement > enough], back[radius[back] > 1e-6]]))
-        if not moving.size:
-            break
-    return x, top, covariance
-
-
-def _score(observer: Observer, reading: Array, x: Array) -> tuple[Array, Array, Array]:
-    """ln of the density at x (n, U), its gradient, and the information of one reading in x."""
-    dim = x.shape[1]
-    h = 1e-4
-    stencil = np.concatenate([np.zeros((1, dim)), h * np.eye(dim), -h * np.eye(dim)])
-    contact, log_prior = observer.contact(x[:, None] + stencil)
-    signals, outcome = observer.signals(contact)
-    held = (outcome == 0) & np.isfinite(log_prior)
-    held &= np.abs(x[:, None, 0] + stencil[:, 0]) < FARTHEST
-    signals = np.where(held[..., None], signals, 1.0)
-    value = observer.noise.log_likelihood(reading[:, None], signals) + log_prior
-    value = np.where(held & np.isfinite(value), value, -np.inf)
-    inside = np.asarray(np.isfinite(value).all(axis=1))
-    steps = np.where(inside[:, None], value, 0.0)
-    gradient = (steps[:, 1 : 1 + dim] - steps[:, 1 + dim :]) / (2 * h)
-    slope = np.swapaxes(signals[:, 1 : 1 + dim] - signals[:, 1 + dim :], 1, 2) / (2 * h)
-    information = np.swapaxes(slope, 1, 2) @ observer.noise.fisher(signals[:, 0]) @ slope
-    known = np.isfinite(information).all(axis=(1, 2), keepdims=True) & inside[:, None, None]
-    return value[:, 0], gradient, np.where(known, information, 0.0)
 
 
 def _from_quadrature(observer: Observer, reading: Array, rng: np.random.Generator) -> Array:

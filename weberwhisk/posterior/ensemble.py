@@ -13,21 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
+import emcee
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from weberwhisk.posterior.moves import (
-    Array,
-    StackedDifferentialEvolution,
-    StackedMove,
-    StackedStretch,
-)
-from weberwhisk.posterior.run import EnsembleRun
-
-Seed = int | np.random.SeedSequence | np.random.Generator
-MoveMaker = Callable[[int, np.random.Generator], StackedMove]
+from ..receptors import Seed
+from . import arviz_io as diagnostics
+from .arviz_io import Shortfall
+from .moves import Array, MoveMaker, StackedMove, checked_start, default_moves, refuse_outside
+from .result import checked_density
 
 
 @dataclass(frozen=True)
@@ -73,42 +68,6 @@ class StackedSample:
         """Which posteriors met every criterion, shape (B,)."""
         return self.shortfall == 0
 
-    def quantile(self, probability: ArrayLike) -> Array:
-        """Quantiles of every column from `values`, shape (..., B, C)."""
-        flat = self.values.reshape(len(self.values), -1, self.values.shape[-1])
-        return np.asarray(np.quantile(flat, np.asarray(probability), axis=1))
-
-
-def recommended_walkers(dim: int) -> int:
-    """Walkers in an ensemble that cost least for what they give.
-
-    With four ensembles a run's length is set by 40 autocorrelation times, and these depend little
-    on the number of walkers: 4.6, 4.6, 4.7 steps in one dimension with 4, 8, 16 of them, 7.7 and
-    8.5 in two with 6 and 8. In one dimension 8 balance that length against 2 % in the sd.
-
-    Examples
-    --------
-    >>> [recommended_walkers(dim) for dim in (1, 2, 3, 4)]
-    [8, 6, 8, 10]
-    """
-    return max(8 if dim == 1 else 6, 2 * dim + 2)
-
-
-def default_moves(dim: int) -> list[tuple[MoveMaker, float]]:
-    """Moves and the share of the steps that each is given.
-
-    Differential evolution in one dimension; beyond, one step in seven is a stretch to up to eight
-    times the distance. Measured, in steps for one independent draw of the mean in one dimension:
-    differential evolution 4.6 for a Gaussian and 9 for the shelf that Weber noise of 30 % leaves
-    near the tip, the stretch move 27 and 30 (13 and 17 with stretch 8). In two dimensions, in
-    evaluations until 3 % in the sd: of a Gaussian 9 500 with differential evolution, 10 000 with
-    the mixture, 35 000 with the stretch move; of a banana (y = x²/2 ± 0.3) over 1 000 000,
-    690 000 and 680 000, and 330 000 with half of each, which suits strongly curved posteriors.
-    """
-    if dim == 1:
-        return [(StackedDifferentialEvolution, 1.0)]
-    return [(StackedDifferentialEvolution, 6.0), (partial(StackedStretch, stretch=8.0), 1.0)]
-
 
 def sample_stacked(
     log_density: Callable[..., ArrayLike],
@@ -121,7 +80,6 @@ def sample_stacked(
     max_steps: int | NDArray[np.int64] = 20_000,
     keep: int = 1024,
     indexed: bool = False,
-    progress: Callable[[int, int], None] | None = None,
 ) -> StackedSample:
     """Sample B posteriors in one emcee run, each until it is good enough.
 
@@ -162,8 +120,6 @@ def sample_stacked(
         Draws of each ensemble kept in the result, to a multiple of W.
     indexed : bool
         The log-density takes the index of the posteriors, so those that are done drop out.
-    progress : callable, optional
-        Called with the number of posteriors done and B.
 
     Returns
     -------
@@ -187,7 +143,7 @@ def sample_stacked(
     >>> bool(np.all(abs(fit.sd - 1) < 4 * fit.mcse_sd))
     True
     """
-    places = _checked_start(start)
+    places = checked_start(start)
     if not 0 < precision < 1:
         raise ValueError(f"precision must lie between 0 and 1, got {precision}; 0.02 is usual.")
     posteriors, _, walkers, dim = places.shape
@@ -211,8 +167,6 @@ def sample_stacked(
             blank = np.zeros((posteriors, *value.shape[1:]), value.dtype)
             fields.setdefault(name, blank)[run.alive[fresh]] = value[fresh]
         done[run.alive[fresh]] = True
-        if progress is not None:
-            progress(int(done.sum()), posteriors)
         waiting = ~done[run.alive]
         if waiting.any():
             # As soon as a quarter of them may be ready: judging is not free, nor is waiting.
@@ -223,40 +177,216 @@ def sample_stacked(
     return StackedSample(**fields)
 
 
-def _checked_start(start: ArrayLike) -> Array:
-    """`start` as (B, E, W, D), refused where emcee would go wrong without a word."""
-    places = np.asarray(start, dtype=float)
-    if places.ndim != 4 or places.size == 0:
-        raise ValueError(
-            f"start must have shape (B, E, W, D), got {places.shape}; give W walkers for each of "
-            "E ensembles of each of B posteriors."
+class EnsembleRun:
+    """The posteriors still running, `alive`, and the record of their steps.
+
+    `series` (2, b, C, E, n) holds the means over the walkers, and over `batch` steps, of the
+    columns and of their squares, both about `origin`; `coords` (n, b, E, W, D) every batch-th
+    step. When the record is full it is halved and `batch` doubled, so it stays short.
+    """
+
+    def __init__(
+        self,
+        log_density: Callable[..., ArrayLike],
+        start: Array,
+        moves: list[tuple[StackedMove, float]],
+        rng: np.random.Generator,
+        functions: Callable[[Array], ArrayLike] | None,
+        indexed: bool,
+        selected: int,
+    ) -> None:
+        self.log_density, self.moves, self.functions = log_density, moves, functions
+        self.indexed, self.selected = indexed, selected
+        self.alive = np.arange(len(start))
+        for move, _ in moves:
+            move.begin(len(start), start[0, ..., 0].size)
+        self.shape = start.shape[1:]
+        self.batch, self.steps, self.checked = 1, 0, 0
+        self.moved = np.zeros(start.shape[:-1])
+        # A new sampler copies NumPy's global state, unless the state to go on from has its own.
+        own = np.random.RandomState(rng.integers(2**32, size=4)).get_state()
+        self.state = emcee.State(start.reshape(-1, start.shape[-1]).copy(), random_state=own)
+        self.state.log_prob = self.density(self.state.coords)
+        refuse_outside(self.state.log_prob.reshape(len(start), -1))
+        self.origin = self.columns(start[None])[0].mean(axis=(1, 2))
+        self.series = np.empty((2, *self.origin.shape, self.shape[0], 0))
+        self.coords = np.empty((0, *start.shape))
+
+    def density(self, rows: Array) -> Array:
+        """The log-density of rows in block order; refuses NaN and +inf, which would stick."""
+        x = rows.reshape(len(self.alive), -1, self.shape[-1])
+        out = self.log_density(x, self.alive) if self.indexed else self.log_density(x)
+        return checked_density(out, x, self.alive).ravel()
+
+    def columns(self, coords: Array) -> Array:
+        """The functions, if any, of coordinates (n, b, E, W, D): (n, b, E, W, C)."""
+        if self.functions is None:
+            return coords
+        n, b, e, w, dim = coords.shape
+        points = coords.swapaxes(0, 1).reshape(b, n * e * w, dim)
+        extra = np.asarray(self.functions(points), dtype=float)
+        if extra.ndim != 3 or extra.shape[:2] != points.shape[:2] or not np.isfinite(extra).all():
+            raise ValueError(
+                f"functions must return finite values of shape {points.shape[:2]} and one axis "
+                f"more for points of shape {points.shape}, got shape {extra.shape} with "
+                f"{np.sum(~np.isfinite(extra))} not finite; return -inf as log-density where "
+                "they are not defined."
+            )
+        return extra.reshape(b, n, e, w, extra.shape[-1]).swapaxes(0, 1)
+
+    def advance(self, steps: int, *, piece: int = 32, stored: int = 1024) -> None:
+        """Run emcee until at least `steps` have been made in all.
+
+        In pieces of so many steps; when so many are on record they are halved.
+        """
+        self.moved[:] = 0
+        self.checked = self.steps
+        coords, series = [self.coords], [self.series]
+        while self.steps < steps:
+            length = max(piece, self.batch)
+            sampler = emcee.EnsembleSampler(
+                *self.state.coords.shape, self.density, moves=self.moves, vectorize=True
+            )
+            sampler.log_prob_fn = self.density  # emcee's wrapper prints all walkers on an error
+            self.state = sampler.run_mcmc(self.state, length, skip_initial_state_check=True)
+            self.steps += length
+            self.moved += sampler.backend.accepted.reshape(self.moved.shape)
+            chain = sampler.get_chain().reshape(length, *self.moved.shape, -1)
+            coords.append(chain[self.batch - 1 :: self.batch])
+            series.append(self.summed(chain))
+            if sum(map(len, coords)) >= max(stored, 4 * self.selected):
+                coords = [np.concatenate(coords)[1::2]]
+                series = [_batched(np.concatenate(series, axis=-1), 2)]
+                self.batch *= 2
+        self.coords, self.series = np.concatenate(coords), np.concatenate(series, axis=-1)
+
+    def summed(self, chain: Array) -> Array:
+        """`series` of new steps (n, b, E, W, D)."""
+        values = self.columns(chain) - self.origin[:, None, None]
+        n, b, e, w, c = values.shape
+        pool = np.tile(np.eye(c), (w, 1)) / w  # a product is faster than a mean over so few
+        both = [v.reshape(-1, w * c) @ pool for v in (values, np.square(values))]
+        return _batched(np.stack(both).reshape(2, n, b, e, c).transpose(0, 2, 4, 3, 1), self.batch)
+
+    def leave(self, stay: NDArray[np.bool_]) -> None:
+        """Go on with some of the posteriors only."""
+        self.alive, self.moved = self.alive[stay], self.moved[stay]
+        for move, _ in self.moves:
+            move.leave(stay)
+        self.series, self.origin = self.series[:, stay], self.origin[stay]
+        self.coords = self.coords[:, stay]
+        rows = np.repeat(stay, self.shape[0] * self.shape[1])
+        state = self.state
+        self.state = emcee.State(
+            state.coords[rows], log_prob=state.log_prob[rows], random_state=state.random_state
         )
-    _, ensembles, walkers, dim = places.shape
-    if ensembles < 4:
-        raise ValueError(
-            f"start must hold at least 4 independent ensembles, got {ensembles}; "
-            "convergence is judged by how far they agree."
-        )
-    if walkers % 2 or walkers < 2 * dim + 2:
-        raise ValueError(
-            f"start must hold an even number of walkers, at least 2 D + 2 = {2 * dim + 2}, got "
-            f"{walkers}; `recommended_walkers({dim})` is {recommended_walkers(dim)}."
-        )
-    finite = np.isfinite(places).all(axis=(1, 2, 3))
-    if not finite.all():
-        raise ValueError(
-            f"start must be finite, but is not for {np.sum(~finite)} posterior(s), the first being "
-            f"{np.argmin(finite)}; draw the walkers inside the support."
-        )
-    off = places - places.mean(axis=2, keepdims=True)
-    widest = np.abs(off).max(axis=2, keepdims=True)
-    off /= np.where(widest > 0, widest, 1.0)
-    spread = np.linalg.eigvalsh(off.swapaxes(2, 3) @ off)
-    flat = (spread[..., 0] <= 1e-12 * spread[..., -1]).any(axis=1)
-    if flat.any():
-        raise ValueError(
-            f"The walkers of an ensemble must differ in every direction, but those of "
-            f"{flat.sum()} posterior(s) do not, the first being {np.argmax(flat)}; they would "
-            "never leave the line or plane they start on, so scatter them."
-        )
-    return places
+
+    def judge(
+        self,
+        precision: float,
+        *,
+        every: bool,
+        rhat_limit: float = 1.01,
+        times: float = 160.0,
+        least_acceptance: float = 0.05,
+        heavy: float = 4.0,
+    ) -> dict[str, NDArray]:
+        """Every field of `StackedSample` for the posteriors still running.
+
+        R-hat is held to Vehtari et al. (2021); a run to so many autocorrelation times in all
+        ensembles together (emcee advises 50 for one); where the kurtosis is `heavy` the precision
+        asked for is tightened by √2. What takes the draws (kurtosis, R-hat) is worked out where
+        nothing else is wrong, or for `every` posterior.
+        """
+        burn = self.burn_in()
+        parts = [np.flatnonzero(burn == cut) for cut in np.unique(burn)]
+        joined = [self.statistics(rows, int(burn[rows[0]])) for rows in parts]
+        order = np.argsort(np.concatenate(parts))
+        out = {k: np.concatenate([p[k] for p in joined])[order] for k in joined[0]}
+        out["acceptance"] = self.moved.mean(axis=(1, 2)) / (self.steps - self.checked)
+        out["steps"] = np.full(len(burn), self.steps)
+        out["burn_in"] = burn * self.batch
+        times /= self.shape[0]
+        fault = np.zeros(len(burn), dtype=np.int64)
+        fault |= Shortfall.SHORT * ~(self.steps >= times * out["tau"]).all(axis=1)
+        fault |= Shortfall.IMPRECISE * ~(_excess(out, precision) <= 1).all(axis=1)
+        fault |= Shortfall.STUCK * (self.moved == 0).any(axis=(1, 2))
+        fault |= Shortfall.ACCEPTANCE * (out["acceptance"] < least_acceptance)
+        # The steps at which these two would be met, if nothing but their number changed.
+        short = np.maximum(times * out["tau"], self.steps * _excess(out, precision) ** 2)
+        out["needed"] = short.max(axis=1)
+        asked = np.flatnonzero((fault == 0) | every)
+        values = self.values(asked, burn[asked])
+        tight, rhat = np.full(out["mean"].shape, precision), np.full(out["mean"].shape, np.nan)
+        if asked.size:
+            rhat[asked] = diagnostics.rhat(np.moveaxis(values, -1, 1))
+            tight[asked] = precision * np.where(_kurtosis(values) > heavy, np.sqrt(0.5), 1.0)
+        fault[asked] |= Shortfall.RHAT * ~(rhat[asked] < rhat_limit).all(axis=1)
+        fault |= Shortfall.IMPRECISE * ~(_excess(out, tight) <= 1).all(axis=1)
+        kept = np.full((len(burn), *values.shape[1:]), np.nan)
+        kept[asked] = values
+        return out | {"shortfall": fault, "rhat": rhat, "values": kept}
+
+    def burn_in(self) -> NDArray[np.intp]:
+        """The shortest of n/8, n/4 and n/2 batches after which no drift of 3 errors is left."""
+        n = self.series.shape[-1]
+        late = self.series[..., n // 2 :]
+        pieces = _batched(late, late.shape[-1] // 8)
+        noise = pieces.var(axis=(-2, -1)) / (pieces.shape[-2] * pieces.shape[-1])
+        burn = np.full(len(self.alive), n // 2)
+        settled = np.ones(len(burn), dtype=bool)
+        for cut in (n // 4, n // 8):
+            early = self.series[..., cut : cut + (n - cut) // 4]
+            gap = early.mean(axis=(-2, -1)) - late.mean(axis=(-2, -1))
+            share = 1.0 + late.shape[-1] / early.shape[-1]
+            settled &= (gap**2 <= 9.0 * noise * share).all(axis=(0, 2))
+            burn[settled] = cut
+        return burn
+
+    def statistics(self, rows: NDArray[np.intp], cut: int) -> dict[str, NDArray]:
+        """Moments and their Monte Carlo errors after a burn-in of `cut` batches."""
+        first, second = self.series[:, rows, ..., cut:]
+        mean = first.mean(axis=(-2, -1))
+        centre = mean[..., None, None]
+        spread = second - 2 * centre * first + centre**2
+        variance = np.maximum(spread.mean(axis=(-2, -1)), 0.0)
+        of_mean, time = diagnostics.long_run_variance(first)
+        of_variance, _ = diagnostics.long_run_variance(spread)
+        count = first.shape[-2] * first.shape[-1]
+        sd = np.sqrt(variance)
+        return {
+            "mean": mean + self.origin[rows],
+            "sd": sd,
+            "mcse_mean": np.sqrt(of_mean / count),
+            "mcse_sd": np.sqrt(of_variance / count) / (2 * np.where(sd > 0, sd, np.nan)),
+            "tau": time * self.batch,
+            "ess": count * variance / np.where(of_mean > 0, of_mean, np.nan),
+        }
+
+    def values(self, rows: NDArray[np.intp], cut: NDArray[np.intp]) -> Array:
+        """An even selection of the columns of posteriors `rows`, (b, E, N, C), in order of time."""
+        steps = np.linspace(cut, len(self.coords) - 1, self.selected).round().astype(np.intp)
+        chosen = np.moveaxis(self.columns(self.coords[steps, rows]), 0, 2)
+        draws = self.selected * self.shape[1]
+        return chosen.reshape(len(rows), self.shape[0], draws, chosen.shape[-1])
+
+
+def _batched(x: Array, size: int) -> Array:
+    """Means over `size` neighbours along the last axis; a rest that fills no batch is left out."""
+    whole = x.shape[-1] // size * size
+    return x[..., :whole].reshape(*x.shape[:-1], -1, size).mean(axis=-1) if size > 1 else x
+
+
+def _excess(out: dict[str, NDArray], precision: ArrayLike) -> Array:
+    """Monte Carlo errors over those asked for, (b, C); the mean's may be √2 times the sd's."""
+    target = np.asarray(precision) * np.where(out["sd"] > 0, out["sd"], np.nan)
+    return np.asarray(np.maximum(out["mcse_sd"], out["mcse_mean"] / np.sqrt(2.0)) / target)
+
+
+def _kurtosis(values: Array) -> Array:
+    """Of the draws (b, E, N, C) of each column, (b, C); 3 is Gaussian."""
+    square = np.square(values - values.mean(axis=(1, 2), keepdims=True))
+    variance = square.mean(axis=(1, 2))
+    return np.asarray(
+        np.square(square).mean(axis=(1, 2)) / np.where(variance > 0, variance, np.nan) ** 2
+    )

@@ -13,9 +13,9 @@ from numpy.polynomial import legendre
 from scipy.special import logit, wrightomega
 
 from ..coordinates import constrain_angle
-from .likelihood import ORDER
 from .result import Array, Index
 from .tiled import TiledObserver, Weighed, summed
+from .tiling import ORDER
 
 _X, _W = legendre.leggauss(ORDER)
 #: From values at the nodes of an axis to Legendre coefficients.

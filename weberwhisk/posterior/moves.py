@@ -1,10 +1,13 @@
-"""emcee moves for many posteriors in one ensemble: walkers meet only inside their own block."""
+"""Where walkers of many posteriors may start, and emcee moves that keep them in their own block."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import emcee
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
 Array = NDArray[np.float64]
@@ -251,3 +254,87 @@ def student_t_draws(rng: np.random.Generator, shape: tuple[int, ...], dim: int) 
     freedom = 4 + dim % 2
     z = rng.standard_normal((*shape, dim))
     return np.asarray(z / np.sqrt(rng.chisquare(freedom, shape) / freedom)[..., None])
+
+
+MoveMaker = Callable[[int, np.random.Generator], StackedMove]
+
+
+def recommended_walkers(dim: int) -> int:
+    """Walkers in an ensemble that cost least for what they give.
+
+    With four ensembles a run's length is set by 40 autocorrelation times, and these depend little
+    on the number of walkers: 4.6, 4.6, 4.7 steps in one dimension with 4, 8, 16 of them, 7.7 and
+    8.5 in two with 6 and 8. In one dimension 8 balance that length against 2 % in the sd.
+
+    Examples
+    --------
+    >>> [recommended_walkers(dim) for dim in (1, 2, 3, 4)]
+    [8, 6, 8, 10]
+    """
+    return max(8 if dim == 1 else 6, 2 * dim + 2)
+
+
+def default_moves(dim: int) -> list[tuple[MoveMaker, float]]:
+    """Moves and the share of the steps that each is given.
+
+    Differential evolution in one dimension; beyond, one step in seven is a stretch to up to eight
+    times the distance. Measured, in steps for one independent draw of the mean in one dimension:
+    differential evolution 4.6 for a Gaussian and 9 for the shelf that Weber noise of 30 % leaves
+    near the tip, the stretch move 27 and 30 (13 and 17 with stretch 8). In two dimensions, in
+    evaluations until 3 % in the sd: of a Gaussian 9 500 with differential evolution, 10 000 with
+    the mixture, 35 000 with the stretch move; of a banana (y = x²/2 ± 0.3) over 1 000 000,
+    690 000 and 680 000, and 330 000 with half of each, which suits strongly curved posteriors.
+    """
+    if dim == 1:
+        return [(StackedDifferentialEvolution, 1.0)]
+    return [(StackedDifferentialEvolution, 6.0), (partial(StackedStretch, stretch=8.0), 1.0)]
+
+
+def checked_start(start: ArrayLike) -> Array:
+    """`start` as (B, E, W, D), refused where emcee would go wrong without a word."""
+    places = np.asarray(start, dtype=float)
+    if places.ndim != 4 or places.size == 0:
+        raise ValueError(
+            f"start must have shape (B, E, W, D), got {places.shape}; give W walkers for each of "
+            "E ensembles of each of B posteriors."
+        )
+    _, ensembles, walkers, dim = places.shape
+    if ensembles < 4:
+        raise ValueError(
+            f"start must hold at least 4 independent ensembles, got {ensembles}; "
+            "convergence is judged by how far they agree."
+        )
+    if walkers % 2 or walkers < 2 * dim + 2:
+        raise ValueError(
+            f"start must hold an even number of walkers, at least 2 D + 2 = {2 * dim + 2}, got "
+            f"{walkers}; `recommended_walkers({dim})` is {recommended_walkers(dim)}."
+        )
+    finite = np.isfinite(places).all(axis=(1, 2, 3))
+    if not finite.all():
+        raise ValueError(
+            f"start must be finite, but is not for {np.sum(~finite)} posterior(s), the first being "
+            f"{np.argmin(finite)}; draw the walkers inside the support."
+        )
+    off = places - places.mean(axis=2, keepdims=True)
+    widest = np.abs(off).max(axis=2, keepdims=True)
+    off /= np.where(widest > 0, widest, 1.0)
+    spread = np.linalg.eigvalsh(off.swapaxes(2, 3) @ off)
+    flat = (spread[..., 0] <= 1e-12 * spread[..., -1]).any(axis=1)
+    if flat.any():
+        raise ValueError(
+            f"The walkers of an ensemble must differ in every direction, but those of "
+            f"{flat.sum()} posterior(s) do not, the first being {np.argmax(flat)}; they would "
+            "never leave the line or plane they start on, so scatter them."
+        )
+    return places
+
+
+def refuse_outside(log_prob: Array) -> None:
+    """Refuse walkers that start where the density is zero: emcee takes them, and they stay."""
+    outside = np.isneginf(log_prob).sum(axis=1)
+    if outside.any():
+        raise ValueError(
+            f"{outside.sum()} walker(s) of {np.sum(outside > 0)} posterior(s) start where the "
+            f"log-density is -inf, the first in posterior {np.argmax(outside > 0)}; start every "
+            "walker inside the support."
+        )

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit, ndtri
 
 from .._checks import finite
+from ..coordinates import FARTHEST
+from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
@@ -53,27 +55,28 @@ class Mode:
         return np.asarray(root * np.minimum(1.0, widest / length)[:, None, None])
 
 
-def find_mode(
-    observer: Observer, reading: Array, starts: Array | None = None, *, steps: int = 60
-) -> Mode:
-    """Newton's method in a trust region, from the best point of a coarse grid.
+def find_mode(observer: Observer, reading: Array, starts: Array | None = None) -> Mode:
+    """The highest points of the posteriors of readings (B, S), or those above starts (B, U).
 
-    Parameters
-    ----------
-    observer : Observer
-    reading : array, shape (B, S)
-    starts : array, shape (B, U), optional
-        `starting_points`, if they are there already.
-    steps : int
-        Most iterations; few posteriors need more than ten.
+    From the best point of a coarse grid; with one unknown from the best of the panels, between
+    which no peak is lost: a signature (§2d) may have more peaks, and narrower ones, than any fixed
+    grid has places.
     """
-    starts = starting_points(observer, reading) if starts is None else starts
-    return _climb(observer, reading, starts, steps)
+    if starts is None:
+        starts = _starting_points(observer, reading)
+    x, top, _ = climb(observer, reading, starts, 1e-9, 60)
+    values, vectors = np.linalg.eigh(_hessian(observer, reading, x))
+    scale = 1 / np.maximum(np.abs(values), 1e-6)
+    return Mode(x, top, np.einsum("bde,be,bfe->bdf", vectors, scale, vectors))
 
 
-def starting_points(observer: Observer, reading: Array, places: Array | None = None) -> Array:
-    """The best points of a coarse grid, or of places (n, 1) of one unknown, for readings (B, R)."""
-    grid, density = _coarse(observer, places)
+def _starting_points(observer: Observer, reading: Array) -> Array:
+    """Where `find_mode` starts, (B, U)."""
+    if len(observer.unknowns) == 1:
+        places = panels_of(observer).middles
+    else:
+        places = observer.space.spread(expit(np.linspace(-7.0, 6.0, 27)))
+    density = density_at(observer, places)
     best = np.zeros(len(reading), dtype=np.intp)
 
     def part(start: int) -> None:
@@ -83,120 +86,102 @@ def starting_points(observer: Observer, reading: Array, places: Array | None = N
         refuse_impossible(reading[rows], table.max(axis=1))
 
     list(on_threads(part, range(0, len(reading), 256)))
-    return grid[best]
+    return places[best]
 
 
-def _coarse(
-    observer: Observer, places: Array | None = None
-) -> tuple[Array, Callable[[Array], Array]]:
-    """The coarse grid (n, U), or places; ln of readings' densities (B, n) there."""
-    ends = (-8.0, 8.0, 129) if len(observer.unknowns) == 1 else (-7.0, 6.0, 27)
-    grid = observer.space.spread(expit(np.linspace(*ends))) if places is None else places
-    contact, log_prior = observer.contact(grid)
+def density_at(observer: Observer, places: Array) -> Callable[[Array], Array]:
+    """ln of the densities (B, n) that readings (B, R) have at places (n, U)."""
+    contact, log_prior = observer.contact(places)
     signals, outcome = observer.signals(contact)
-    held = np.asarray(outcome == 0)
+    held = np.asarray(outcome == Outcome.HELD)
     signals, log_prior = np.where(held[:, None], signals, 1.0), np.where(held, log_prior, -np.inf)
-
-    def density(reading: Array) -> Array:
-        table = observer.noise.log_likelihoods(reading, signals)
-        table += log_prior
-        return table
-
-    return grid, density
+    return lambda reading: observer.noise.log_likelihoods(reading, signals) + log_prior
 
 
-def _climb(
-    observer: Observer,
-    reading: Array,
-    start: Array,
-    steps: int,
-    *,
-    radius: float = 0.5,
-    h: float = 1e-4,
-) -> Mode:
-    """The peaks above starting points (B, U), with first steps no longer than the radius.
+def climb(
+    observer: Observer, reading: Array, start: Array, enough: float, steps: int
+) -> tuple[Array, Array, Array]:
+    """Fisher scoring from places (n, U) of readings (n, R), down to a squared decrement.
 
-    Finite differences are over h: posteriors are 0.005 wide in x, and wider.
+    Returns the places, ln of the density there (n,), and the inverse of the information (n, U, U),
+    that of the prior in x included.
     """
     dim = start.shape[1]
-    x = start.copy()
-    reach = np.full(len(x), radius)
-    stencil, weights_gradient, weights_hessian = _stencil(dim)
-    top = np.full(len(x), -np.inf)
-    centre = x.copy()
-    gradient, hessian = np.zeros((len(x), dim)), np.zeros((len(x), dim, dim))
-    moving = np.arange(len(x))
+    x, top = start.copy(), np.full(len(start), -np.inf)
+    covariance = np.broadcast_to(np.eye(dim), (len(start), dim, dim)).copy()
+    prior = prior_precision(observer)
+    radius, moving, trial = np.full(len(start), 0.5), np.arange(len(start)), start.copy()
     for _ in range(steps):
-        points = x[moving, None] + h * stencil
-        values = observer.log_density(points, reading[moving, None])
-        now = values[:, 0]
-        better = (now >= top[moving]) & np.isfinite(now)
-        accepted, rejected = moving[better], moving[~better]
-        centre[accepted], top[accepted] = x[accepted], now[better]
-        relative = _mirrored(values[better] - now[better, None])
-        gradient[accepted] = relative @ weights_gradient.T / h
-        hessian[accepted] = np.einsum("dek,bk->bde", weights_hessian, relative) / h**2
-        reach[rejected] /= 4
-        reach[accepted] *= 1.5
-        step = _newton(gradient[moving], hessian[moving], reach[moving])
-        x[moving] = centre[moving] + step
-        # Converged to a fraction of the posterior's own width, or to rounding.
-        gain = np.abs(np.einsum("bd,bd->b", step, gradient[moving]))
-        moving = moving[(gain > 1e-9) & (reach[moving] > 1e-9)]
+        value, gradient, information = score(observer, reading[moving], trial[moving])
+        better = value >= top[moving]
+        rows = moving[better]
+        x[rows], top[rows] = trial[rows], value[better]
+        inverse = np.linalg.inv(information[better] + prior)
+        covariance[rows] = inverse
+        step = np.einsum("nij,nj->ni", inverse, gradient[better])
+        decrement = np.einsum("ni,ni->n", step, gradient[better])
+        radius[rows] *= 1.5
+        radius[moving[~better]] /= 4
+        length = np.linalg.norm(step, axis=1)
+        trial[rows] = (
+            x[rows] + step * np.minimum(1.0, radius[rows] / np.maximum(length, 1e-12))[:, None]
+        )
+        back = moving[~better]
+        trial[back] = x[back] + (trial[back] - x[back]) / 4
+        moving = np.sort(np.concatenate([rows[decrement > enough], back[radius[back] > 1e-6]]))
         if not moving.size:
             break
-    values, vectors = np.linalg.eigh(hessian)
-    scale = 1 / np.maximum(np.abs(values), 1e-6)
-    return Mode(centre, top, np.einsum("bde,be,bfe->bdf", vectors, scale, vectors))
+    return x, top, covariance
 
 
-def _stencil(dim: int) -> tuple[Array, Array, Array]:
-    """Offsets around a point (the point itself first) and the weights of gradient and Hessian."""
-    unit = np.eye(dim)
-    pairs = [(i, j) for i in range(dim) for j in range(i)]
-    offsets = [np.zeros(dim), *(sign * unit[i] for i in range(dim) for sign in (1, -1))]
-    offsets += [sign * (unit[i] + unit[j]) for i, j in pairs for sign in (1, -1)]
-    gradient = np.zeros((dim, len(offsets)))
-    hessian = np.zeros((dim, dim, len(offsets)))
-    for i in range(dim):
-        gradient[i, 1 + 2 * i : 3 + 2 * i] = [0.5, -0.5]
-        hessian[i, i, [0, 1 + 2 * i, 2 + 2 * i]] = [-2, 1, 1]
-    # What the diagonals bend, less what the axes do.
-    for k, (i, j) in enumerate(pairs):
-        own = hessian[i, i] + hessian[j, j]
-        first = 1 + 2 * dim + 2 * k
-        hessian[i, j, [0, first, first + 1]] = [-1, 0.5, 0.5]
-        hessian[i, j] -= own / 2
-        hessian[j, i] = hessian[i, j]
-    return np.array(offsets), gradient, hessian
+def score(observer: Observer, reading: Array, x: Array) -> tuple[Array, Array, Array]:
+    """ln of the density at x (n, U), its gradient, and the information of one reading in x."""
+    dim = x.shape[1]
+    h = 1e-4
+    stencil = np.concatenate([np.zeros((1, dim)), h * np.eye(dim), -h * np.eye(dim)])
+    contact, log_prior = observer.contact(x[:, None] + stencil)
+    signals, outcome = observer.signals(contact)
+    held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
+    held &= np.abs(x[:, None, 0] + stencil[:, 0]) < FARTHEST
+    signals = np.where(held[..., None], signals, 1.0)
+    value = observer.noise.log_likelihood(reading[:, None], signals) + log_prior
+    value = np.where(held & np.isfinite(value), value, -np.inf)
+    inside = np.asarray(np.isfinite(value).all(axis=1))
+    steps = np.where(inside[:, None], value, 0.0)
+    gradient = (steps[:, 1 : 1 + dim] - steps[:, 1 + dim :]) / (2 * h)
+    slope = np.swapaxes(signals[:, 1 : 1 + dim] - signals[:, 1 + dim :], 1, 2) / (2 * h)
+    information = np.swapaxes(slope, 1, 2) @ observer.noise.fisher(signals[:, 0]) @ slope
+    known = np.isfinite(information).all(axis=(1, 2), keepdims=True) & inside[:, None, None]
+    return value[:, 0], gradient, np.where(known, information, 0.0)
 
 
-def _mirrored(relative: Array) -> Array:
-    """Values (B, n) on the stencil over that in its midst, with points outside the support filled.
+def prior_precision(observer: Observer) -> Array:
+    """Curvature of ln prior in x, about: ¼ and more of what is flat, 1 of the standard normal."""
+    return np.diag(np.where(np.arange(len(observer.unknowns)) < observer.bounded, 0.25, 1.0))
 
-    By what makes a straight line of the point across, or by none where that is outside as well.
+
+def _hessian(observer: Observer, reading: Array, x: Array, *, h: float = 1e-4) -> Array:
+    """Second derivatives (B, U, U) of ln of the density at x (B, U), by differences.
+
+    Posteriors are 0.005 wide in x, and wider. The prior's where a point is outside the support.
     """
-    lost = ~np.isfinite(relative)
-    if lost.any():
-        across = relative.copy()
-        across[:, 1::2], across[:, 2::2] = -relative[:, 2::2], -relative[:, 1::2]
-        relative = np.where(lost, np.where(np.isfinite(across), across, 0.0), relative)
-    return relative
-
-
-def _newton(gradient: Array, hessian: Array, radius: Array) -> Array:
-    """An uphill Newton step no longer than the radius."""
-    values, vectors = np.linalg.eigh(hessian)
-    curvature = np.maximum(np.abs(values), 1e-6)
-    step = np.einsum("bde,be,bfe,bf->bd", vectors, 1 / curvature, vectors, gradient)
-    length = np.linalg.norm(step, axis=1)
-    return step * np.minimum(1.0, radius / np.maximum(length, 1e-300))[:, None]
+    dim, prior = x.shape[1], prior_precision(observer)
+    out = np.zeros((len(x), dim, dim))
+    for i in range(dim):
+        for j in range(i + 1):
+            a, b = h * np.eye(dim)[[i, j]] / 2
+            points = x[:, None] + [a + b, a - b, b - a, -a - b]
+            value = observer.log_density(points, reading[:, None])
+            with np.errstate(invalid="ignore"):
+                bend = (value @ [1.0, -1.0, -1.0, 1.0]) / h**2
+            out[:, i, j] = out[:, j, i] = np.where(np.isfinite(bend), bend, -prior[i, j])
+    return out
 
 
 def laplace(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
-    mode = find_highest(observer, reading)
+    mode = find_mode(observer, reading)
     contact, _ = observer.contact(mode.x)
     to_contact = contact_slope(observer, mode.x)
     covariance = to_contact @ mode.covariance @ np.swapaxes(to_contact, 1, 2)
@@ -318,18 +303,6 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
         weight = np.exp(log + log_weight - (log + log_weight).max())
         counts.append(_count(log + log_prior, weight / weight.sum(), share))
     return np.array(counts) if y.ndim > 1 else counts[0]
-
-
-def find_highest(observer: Observer, reading: Array) -> Mode:
-    """`find_mode`; with one unknown from the best of the panels, between which no peak is lost.
-
-    A signature (§2d) may have more peaks, and narrower ones, than any fixed grid has places.
-    """
-    if len(observer.unknowns) > 1:
-        return find_mode(observer, reading)
-    return find_mode(
-        observer, reading, starting_points(observer, reading, panels_of(observer).middles)
-    )
 
 
 def is_divided(observer: Observer, reading: Array) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ agree. What would take too many tiles gets a plain grid.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,6 @@ from ..receptors import Seed
 from ..threads import on_threads
 from .about_modes import ModeGrid, peaks
 from .grid import OwnGrids
-from .likelihood import LastSummed, likelihood_of
 from .marginals import by_draws, draws, tile_quantiles
 from .panels import panels_of
 from .result import (
@@ -29,13 +28,16 @@ from .result import (
     Index,
     Solution,
     Status,
+    among,
     is_outside,
     is_unidentified,
+    joined,
     refuse_impossible,
 )
+from .summed import LastSummed
 from .summed_tiles import SummedTiles
 from .tiled import Moments, TiledObserver
-from .tiling import Tiles, TooManyTiles, expected_tiles, tiles_of
+from .tiling import Tiles, TooManyTiles, expected_tiles, likelihood_of, tiles_of
 
 
 def longest(tolerance: float) -> float:
@@ -119,7 +121,8 @@ def quadrature(
     # Tiles of three unknowns that all signals tell of would be too many.
     tiled = left if observer.forward.azimuth is None else left[:0]
     pieces = [tiled[i : i + 64] for i in range(0, len(tiled), 64)]
-    for own in on_threads(lambda rows: _by_own(observer, reading, rows, length, wanted), pieces):
+    by_own = partial(_by_own, observer, reading, length=length, wanted=wanted)
+    for own in on_threads(by_own, pieces):
         found += own
         if progress:
             progress(sum(len(f.rows) for f in found), len(reading))
@@ -169,7 +172,7 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
     """
     try:
         likelihood = likelihood_of(observer)
-        if isinstance(likelihood, LastSummed) and likelihood.lattice.turns:
+        if likelihood.turns:
             return None  # some 4000 tiles of 20 kB, and their certificate takes minutes
         most = MOST_TILES // 6 ** (likelihood.dim - 2)
         tiled = _tiled(observer, tiles_of(observer, length, most=most), length)
@@ -181,7 +184,7 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
     contact = tiled.tiles.nodes.contact.reshape(-1, tiled.dim)[node]
     if isinstance(likelihood, LastSummed):
         z = np.clip(rng.standard_normal(certifying), -3, 3)
-        contact = likelihood.lattice.with_last(contact, z)
+        contact = likelihood.with_last(contact, z)
     signals, outcome = observer.signals(contact)
     reading = observer.noise.sample(signals[outcome == Outcome.HELD], rng)
     try:
@@ -217,7 +220,7 @@ def _by_whole(
     tiled, error = whole
     parts = [slice(i, i + 1024) for i in range(0, len(reading), 1024)]
     found = on_threads(lambda part: tiled.moments(reading[part]), parts)
-    moments = Moments._make(np.concatenate(column) for column in zip(*found, strict=True))
+    moments = joined(list(found))
     served = np.asarray(_served(tiled, reading, moments) & bool((error <= wanted).all()))
     errors = np.broadcast_to(error, (int(served.sum()), len(error)))
     rows = np.arange(len(reading))
@@ -268,7 +271,7 @@ def _by_own(
     hidden = (moments.rough > 1e-5) & ~far & (not deep)
     for row in rows[hidden]:  # where hardly any contacts are
         out += _by_own(observer, reading, np.array([row]), length, wanted, deep=True)
-    rows, moments = rows[~far & ~hidden], Moments._make(c[~far & ~hidden] for c in moments)
+    rows, moments = rows[~far & ~hidden], among(moments, ~far & ~hidden)
     start = length
     error = np.full(moments.mean.shape, np.inf)
     while rows.size and length > start / 1.5**3.5:
@@ -281,7 +284,7 @@ def _by_own(
         good = np.asarray((error <= wanted).all(axis=1))
         out.append(_of(good, rows, coarse, moments, error[good]))
         rows, error, coarse = rows[~good], error[~good], fine
-        moments = Moments._make(column[~good] for column in beside)
+        moments = among(beside, ~good)
     out.append(_of(np.ones(len(rows), dtype=bool), rows, coarse, moments, error))
     return out
 
@@ -289,7 +292,7 @@ def _by_own(
 def _of(
     some: NDArray[np.bool_], rows: Index, tiled: TiledObserver, moments: Moments, error: Array
 ) -> _Found:
-    return _Found(rows[some], tiled, Moments._make(c[some] for c in moments), error)
+    return _Found(rows[some], tiled, among(moments, some), error)
 
 
 def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: float) -> Solution:
@@ -309,9 +312,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         error[rows] = part.error + moments.misfit[:, None] / 2
         log_evidence[rows] = moments.log_evidence
         signals[rows], contact[rows] = moments.signals, moments.contact
-    likelihood = likelihood_of(observer)
-    if isinstance(likelihood, LastSummed):
-        error = error + likelihood.lattice.unsure
+    error += likelihood_of(observer).unsure
     known = np.isfinite(sd).all(axis=1)
     with np.errstate(invalid="ignore"):
         status[~(error <= wanted).all(axis=1)] = Status.IMPRECISE

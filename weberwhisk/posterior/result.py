@@ -5,11 +5,11 @@ And what every engine gives back for that, and asks of a posterior before it sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -320,16 +320,17 @@ class Solution(NamedTuple):
         )
 
 
-def of_nothing(unknowns: int) -> Solution:
-    """The solution for no reading at all."""
-    none = np.empty(0)
-    return Solution(
-        [Estimate(none, none, none, none)] * unknowns,
-        np.empty(0, dtype=np.int8),
-        none,
-        lambda p, unknown: np.empty((0, len(p))),
-        lambda count, seed: np.empty((0, 4, count, unknowns)),
-    )
+Columns = TypeVar("Columns", bound=tuple[Any, ...])
+
+
+def among(columns: Columns, rows: Any) -> Columns:
+    """Some rows of arrays side by side in a named tuple."""
+    return columns._make(column[rows] for column in columns)  # type: ignore[attr-defined]
+
+
+def joined(parts: Sequence[Columns]) -> Columns:
+    """Named tuples of arrays, one below the other."""
+    return parts[0]._make(map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[attr-defined]
 
 
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:

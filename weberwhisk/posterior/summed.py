@@ -38,8 +38,12 @@ class NotSmooth(Exception):
     """Signals that are no combination of few smooth functions of the last unknown."""
 
 
-class LastLattice:
-    """The signals of an observer as functions of its last unknown, on a lattice of its coordinate.
+class LastSummed:
+    """What tiles ask of an observer's contacts, the last unknown being summed out on a lattice.
+
+    Nodes have the `parts` (..., S, D) of their signals, combinations of functions of the last
+    unknown. `panels` are so many parts of its range, of each of which a box says what readings it
+    makes plausible.
 
     Raises
     ------
@@ -47,8 +51,13 @@ class LastLattice:
         Where contacts are lost, or signals bend, within four sds of the prior.
     """
 
+    panels = 8
+
     def __init__(self, observer: Observer, *, samples: int = 65, most: int = 24) -> None:
-        self.observer = observer
+        self.observer, self.noise = observer, observer.noise
+        self.dim = len(observer.unknowns) - 1
+        #: Most boxes, beyond which a plain grid is quicker.
+        self.most = 24_000 // 4 ** (self.dim - 1)
         x = observer.space.spread(1 / (1 + np.exp(-np.linspace(-6, 5, 17))), others=5)[:, :-1]
         x = np.unique(x, axis=0)
         #: Whether the angle at a node moves with the last unknown.
@@ -103,7 +112,7 @@ class LastLattice:
         self.unsure += misfit / 3 if misfit > 1e-4 and not self.turns else 0.0
         self._lay(parts)
 
-    def contact(self, x: Array, z: Any = 0.0) -> tuple[Array, Array]:
+    def with_z(self, x: Array, z: Any = 0.0) -> tuple[Array, Array]:
         """Contacts (..., U) at coordinates x (..., U − 1) and z (...); ln of the prior of x."""
         z = np.broadcast_to(np.asarray(z, dtype=float), x.shape[:-1])
         contact, log_prior = self.observer.contact(np.concatenate([x, z[..., None]], axis=-1))
@@ -116,7 +125,7 @@ class LastLattice:
         if not self.turns:
             whole[..., -1] = self.observer.last_unknown(z)
             return whole
-        return self.contact(self.observer.coordinates(whole)[..., :-1], z)[0]
+        return self.with_z(self.observer.coordinates(whole)[..., :-1], z)[0]
 
     def _signals(self, x: Array, z: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Signals (n, J, S) and whether contacts are held, at coordinates x (n, U − 1) and z (J,).
@@ -128,10 +137,10 @@ class LastLattice:
             felt = self.observer.given(self.observer.contact(x)[0])
             pairs = [felt(np.full(len(x), v)) for v in self.observer.last_unknown(z)]
         else:
-            middle, log_middle = self.contact(x)
+            middle, log_middle = self.with_z(x)
             pairs = []
             for one in z:
-                contact, log_prior = self.contact(x, one)
+                contact, log_prior = self.with_z(x, one)
                 signals, outcome = self.observer.signals(contact)
                 with np.errstate(invalid="ignore", divide="ignore"):
                     more = [log_prior - log_middle, contact[:, 1] / middle[:, 1]]
@@ -183,7 +192,7 @@ class LastLattice:
 
         Beyond either end there is a point of no mass.
         """
-        width = min(float(self.widths(parts, z).min()) for z in (-2.0, 0.0, 2.0))
+        width = min(float(self.widths_at(parts, z).min()) for z in (-2.0, 0.0, 2.0))
         self.half = int(min(np.ceil(self.reach * points / width), most))
         self.step = self.reach / self.half
         self.z = self.step * np.arange(-self.half - 1, self.half + 2)
@@ -211,7 +220,7 @@ class LastLattice:
             self.scales = np.exp([0.0, -1.0, 1.0]) if logs else np.array([0.0, 1.0, -1.0])
             self.constant = self.log_prior - noise.reading_size(size) * np.log(phi)
 
-    def widths(self, parts: Array, z: float) -> Array:
+    def widths_at(self, parts: Array, z: float) -> Array:
         """Widths (...) of the bump at z, by prior and Fisher information; parts (..., S, D)."""
         parts = parts[..., : self.size, :]
         signals, slope = parts @ self.basis(np.array(z)), parts @ self.slope(z)
@@ -229,6 +238,99 @@ class LastLattice:
             return index
         return np.clip(index, 0, 2 * self.half + 2)
 
+    def contact(self, x: Array) -> tuple[Array, Array]:
+        """Contacts (..., U − 1) at coordinates x, of the last unknown's middle; ln of the prior."""
+        if not self.turns:
+            return self.observer.contact(x)
+        contact, log_prior = self.with_z(x)
+        return contact[..., :-1], log_prior
+
+    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The parts (..., S, D) of the signals at coordinates (..., U − 1), and which are held."""
+        parts, held = self.parts(x.reshape(-1, self.dim))
+        shape = x.shape[:-1]
+        return parts.reshape(*shape, *parts.shape[1:]), held.reshape(shape)
+
+    def views(self, parts: Array) -> list[tuple[Array, Array | None]]:
+        """Signals (..., S) at three places of the last unknown, and their slopes."""
+        parts = parts[..., : self.size, :]
+        return [(parts @ self.basis(np.array(z)), parts @ self.slope(z)) for z in (0.0, -2.0, 2.0)]
+
+    def interval(self, parts: Array, width: float) -> tuple[Array, Array]:
+        """Between which readings (..., panels, R) lie, of each panel."""
+        ends = self.basis(np.linspace(-1, 1, 2 * self.panels + 1) * self.reach)
+        signals = np.einsum("...sd,ed->...es", parts[..., : self.size, :], ends)
+        low, high = self.noise.interval(signals, width)
+        cut = [slice(i, i + 2 * self.panels - 1 + (i > 1), 2) for i in range(3)]
+        low = np.minimum.reduce([low[..., c, :] for c in cut])
+        return low, np.maximum.reduce([high[..., c, :] for c in cut])
+
+    def curve(self, reading: Array, parts: Array) -> LastCurve:
+        """ln of the density of the last unknown, for readings (m, R) and nodes (m, N, S, D)."""
+        if self.quadratic:
+            signals = parts @ self.unit
+            scales = self.scales
+            told = (self.noise.log_likelihood(c * reading[:, None], signals) for c in scales)
+            return Quadratic(self, *told)
+        return LastCurve(self, reading, parts)
+
+    def search(self, curve: LastCurve, low: Index, high: Index, width: Array, count: int) -> Peak:
+        """The bumps of curves (m, N) between panels (m,), about as wide as (m,).
+
+        Told by samples of each, from the best of which Newton's method goes on. A second bump that
+        counts is within reach.
+        """
+        samples = 6
+        size = 2 * self.half / self.panels
+        share = (np.arange(samples) + 0.5) / samples
+        at = 1 + size * (low[:, None] + (high + 1 - low)[:, None] * share)
+        seen = np.broadcast_to(at.astype(np.intp)[:, None], (len(low), count, samples))
+        log = curve(seen)
+        index = np.take_along_axis(seen, log.argmax(axis=-1)[..., None], axis=-1)[..., 0]
+        # Of bumps narrower than samples are apart, closer samples about the best.
+        apart = size * (high + 1 - low) / samples
+        about = np.linspace(-1, 1, 9)
+        while (apart > 2 * width / self.step).any():
+            closer = self.at((index[..., None] + apart[:, None, None] * about).astype(np.intp))
+            best = curve(closer).argmax(axis=-1)[..., None]
+            index, apart = np.take_along_axis(closer, best, axis=-1)[..., 0], apart / 4
+        peak = self.climb(curve, index, width, 3)
+        far = np.abs(seen - peak.place[..., None]) * self.step
+        far = np.where(log > peak.height[..., None] - 12, far, 0.0).max(axis=-1)
+        return peak._replace(reach=np.maximum(peak.reach, far + 2 * peak.width))
+
+    def climb(self, curve: LastCurve, index: Index, width: Array, steps: int) -> Peak:
+        """The bumps (m, N) near indices, about as wide as (m,), by Newton's method."""
+        stride = np.maximum(1, (0.7 * width / self.step).astype(np.intp))[:, None]
+        three = stride[..., None] * np.arange(-1, 2)
+        for _ in range(steps):
+            index = np.minimum(np.maximum(index, 1 + stride), 2 * self.half + 1 - stride)
+            log = curve(index[..., None] + three)
+            below, middle, above = log[..., 0], log[..., 1], log[..., 2]
+            with np.errstate(invalid="ignore"):
+                rise, bend = (above - below) / 2, 2 * middle - below - above
+            if not np.isfinite(rise).all():
+                rise, bend = np.nan_to_num(rise, posinf=9, neginf=-9), np.nan_to_num(bend, nan=1.0)
+            bend = np.minimum(np.maximum(bend, 0.02), 50.0)
+            move = np.minimum(np.maximum(rise / bend, -4.0), 4.0)
+            index = index + np.rint(move * stride).astype(np.intp)
+        found = np.minimum(stride * self.step * bend**-0.5, 1.0)
+        # Of a bump that is found the rise is little; more is of one that the lattice does not show.
+        return Peak(index, found, middle + np.clip(rise * move / 2, 0.0, 8.0), 5 * found)
+
+    def log_likelihood(self, reading: Array, parts: Array) -> Array:
+        """ln p(reading | the other unknowns), (m, N), about: of bumps taken for Gaussian."""
+        m, count = parts.shape[:2]
+        low = np.zeros(m, dtype=np.intp)
+        width = self.widths(parts).min(axis=1)
+        peak = self.search(self.curve(reading, parts), low, low + self.panels - 1, width, count)
+        return np.asarray(peak.height + np.log(peak.width) + 0.5 * np.log(2 * np.pi))
+
+    def widths(self, parts: Array) -> Array:
+        """The least of the bumps' widths (...) at three places, as far as the lattice shows."""
+        least = np.minimum.reduce([self.widths_at(parts, z) for z in (0.0, -2.0, 2.0)])
+        return np.maximum(least, 2 * self.step)
+
 
 def _less(z: Array) -> Array:
     """How much a misfit at z (J,) counts, (J, 1): the prior has hardly any mass far out."""
@@ -241,7 +343,7 @@ class LastCurve:
     For readings (m, R) and nodes (m, N, S, D).
     """
 
-    def __init__(self, lattice: LastLattice, reading: Array, parts: Array) -> None:
+    def __init__(self, lattice: LastSummed, reading: Array, parts: Array) -> None:
         self.lattice, self.reading, self.parts = lattice, reading, parts
 
     def __call__(self, index: Index) -> Array:
@@ -268,7 +370,7 @@ class LastCurve:
 class Quadratic(LastCurve):
     """The same where that is quadratic, from ln p(c y | signals) (m, N) at the three scales c."""
 
-    def __init__(self, lattice: LastLattice, middle: Array, one: Array, other: Array) -> None:
+    def __init__(self, lattice: LastSummed, middle: Array, one: Array, other: Array) -> None:
         self.lattice, self.middle = lattice, middle
         self.first, self.second = (one - other) / 2, (one + other) / 2 - middle
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from .likelihood import ORDER, LastSummed, Rule
-from .result import Array, Index
-from .summed import LastCurve, Peak, Quadratic
+from .result import Array, Index, among
+from .summed import LastCurve, LastSummed, Quadratic
 from .tiled import TiledObserver, Weighed
+from .tiling import ORDER, rule
 
 
 class SummedTiles(TiledObserver):
@@ -23,16 +23,16 @@ class SummedTiles(TiledObserver):
         super().__init__(likelihood.observer, *args, **kwargs)  # type: ignore[arg-type]
 
     def _prepare(self, signals: Array) -> None:
-        likelihood, lattice = self.likelihood, self.likelihood.lattice
+        likelihood = self.likelihood
         self._parts = signals
         self._centre = np.array([(ORDER**self.dim + ORDER ** (self.dim - 1)) // 2])
         self._width = likelihood.widths(signals[:, self._centre])[:, 0]
-        if lattice.quadratic:
-            unit = signals @ lattice.unit
+        if likelihood.quadratic:
+            unit = signals @ likelihood.unit
             prepared = self.observer.noise.prepared
             self._at_all = {key: prepared(unit[:, nodes]) for key, nodes in self._sets().items()}
         # Linear between the few nodes along each axis, and on to the tile's ends.
-        x = Rule.of(1).points[:, 0]
+        x = rule(1)[0][:, 0]
         part = (x - x[1]) / (x[ORDER - 2] - x[1])
         line = np.stack([1 - part, part])
         self._between = line
@@ -48,13 +48,13 @@ class SummedTiles(TiledObserver):
 
     def _curve(self, reading: Array, tile: Index, nodes: str) -> LastCurve:
         """Curves (n, N) of pairs of a reading (n, R) and a tile: its centre, few or all nodes."""
-        if not self.likelihood.lattice.quadratic:
+        if not self.likelihood.quadratic:
             parts = self._parts[tile]
             parts = parts if nodes == "all" else parts[:, self._sets()[nodes]]
             return self.likelihood.curve(reading, parts)
         at = self._at_all[nodes]
-        lattice = self.likelihood.lattice
-        return Quadratic(lattice, *(at(c * reading, tile) for c in lattice.scales))
+        likelihood = self.likelihood
+        return Quadratic(likelihood, *(at(c * reading, tile) for c in likelihood.scales))
 
     def found(self, reading: Array) -> tuple[Index, Index, Index, Index]:
         """Pairs of a reading (B, R) and a tile, and the first and the last panel of each."""
@@ -69,7 +69,7 @@ class SummedTiles(TiledObserver):
         return row, tile, first[row, tile].astype(np.intp), last[row, tile].astype(np.intp)
 
     def weigh(self, reading: Array, *, whole: bool = False, most: int = 4) -> Weighed:
-        likelihood, lattice = self.likelihood, self.likelihood.lattice
+        likelihood = self.likelihood
         row, tile, low, high = self.found(reading)
         curve = self._curve(reading[row], tile, "centre")
         first = likelihood.search(curve, low, high, self._width[tile], 1)
@@ -78,7 +78,7 @@ class SummedTiles(TiledObserver):
         # The best place of a tile is up to four sds from its centre.
         live = self._matters(row, tile, log, self.negligible + 8.0)
         row, tile, centre = row[live], tile[live], centre[live]
-        first = Peak._make(column[live] for column in first)
+        first = among(first, live)
         curve = self._curve(reading[row], tile, "few")
         start = np.repeat(first.place, len(self._few), axis=1)
         peak = likelihood.climb(curve, start, self._width[tile], 3)
@@ -92,17 +92,19 @@ class SummedTiles(TiledObserver):
         best = np.full(len(reading), -np.inf)
         np.maximum.at(best, row, log.max(axis=1, initial=-np.inf))
         narrow = np.where(log > best[row, None] - 8, width, np.inf).min(axis=1, initial=np.inf)
-        narrowest = np.full(len(reading), lattice.reach)
+        narrowest = np.full(len(reading), likelihood.reach)
         np.minimum.at(narrowest, row, narrow)
-        stride = np.maximum((1.2 * narrowest / lattice.step).astype(np.intp), 1)
+        stride = np.maximum((1.2 * narrowest / likelihood.step).astype(np.intp), 1)
         # Nodes of no weight, as told by what is between the few and the centre, are left out, but
         # not where the density along a tile is asked for.
         about = ends @ self._between + (centre - ends.mean(axis=1))[:, None] * self._bulge
         about += self.log_weight[tile]
         pair, node = np.nonzero((about > best[row, None] - self.negligible) | whole)
-        points = np.ceil(reach.max(axis=1, initial=0.0) / (stride[row] * lattice.step)).astype(int)
+        points = np.ceil(reach.max(axis=1, initial=0.0) / (stride[row] * likelihood.step)).astype(
+            int
+        )
         middle = np.einsum("pc,cp->p", index[pair], self._between[:, node])
-        step = np.rint((middle - lattice.half - 1) / stride[row[pair]]).astype(np.intp)
+        step = np.rint((middle - likelihood.half - 1) / stride[row[pair]]).astype(np.intp)
         curve = self._curve(reading[row], tile, "all")
         return self._summed(row, tile, stride, pair, node, step, points[pair], curve, most)
 
@@ -124,22 +126,22 @@ class SummedTiles(TiledObserver):
 
         And again with twice as many where a share that is `lost` beyond the last may count.
         """
-        lattice, count = self.likelihood.lattice, len(stride)
+        likelihood, count = self.likelihood, len(stride)
         whose, own = row[pair], stride[row[pair]]
         weight_of = self.log_weight[tile[pair], node]
         logs = np.full(len(pair), -np.inf)
         top = np.full(count, -np.inf)
-        turn = np.ones((2, len(pair))) if lattice.turns else None
-        size = 2 * (int(np.ceil(lattice.half / stride.min())) + 1) + 1
+        turn = np.ones((2, len(pair))) if likelihood.turns else None
+        size = 2 * (int(np.ceil(likelihood.half / stride.min())) + 1) + 1
         kept: list[tuple[Index, Array, Array]] = []
         left: Index = np.arange(len(pair))
-        first: Index = centre * own + (lattice.half + 1)
+        first: Index = centre * own + (likelihood.half + 1)
         for attempt in range(most):
             again: list[Index] = []
             for some in _blocks(left, points):
                 about: Index = np.arange(-points[some[0]], points[some[0]] + 1)
                 steps = first[some, None] + about * own[some, None]
-                index = lattice.at(steps)
+                index = likelihood.at(steps)
                 share = curve.at(pair[some], node[some], index)
                 high = share.max(axis=1)
                 share -= np.where(np.isfinite(high), high, 0.0)[:, None]
@@ -172,12 +174,12 @@ class SummedTiles(TiledObserver):
         weight = np.zeros((len(row), self.log_weight.shape[1]))
         weight[pair, node] = weight_of
         steps = (np.arange(size) - size // 2) * stride[:, None]
-        last = lattice.value[lattice.at(lattice.half + 1 + steps)]
+        last = likelihood.value[likelihood.at(likelihood.half + 1 + steps)]
         place = np.zeros(count, dtype=np.intp)
         highest = np.flatnonzero(weight_of == 1.0)
         place[whose[highest]] = centre[highest]
-        best = lattice.z[lattice.at(lattice.half + 1 + place * stride)].astype(np.float64)
-        top = top + np.log(stride * lattice.step)
+        best = likelihood.z[likelihood.at(likelihood.half + 1 + place * stride)].astype(np.float64)
+        top = top + np.log(stride * likelihood.step)
         of_last = np.asarray(mass.reshape(count, size), dtype=np.float64)
         turned: tuple[Array, Array] | None = None
         if turn is not None:
@@ -206,7 +208,7 @@ class SummedTiles(TiledObserver):
         sure = np.zeros(rows)
         sought = [(rising[0], sure), (rising[1], sure), (rising[0], lost), (rising[0], -lost)]
         out = np.full((len(sought), rows, len(probability)), np.nan)
-        step = weighed.stride * self.likelihood.lattice.step
+        step = weighed.stride * self.likelihood.step
         for i in np.flatnonzero(weighed.last_mass.sum(axis=1) > 0):
             z = (place - count // 2) * step[i]
             inside = np.diff(rising[0][i], append=2.0) > 0
@@ -223,7 +225,7 @@ class SummedTiles(TiledObserver):
 
         Of its density at each, by points in the range that it has at all, and straight between.
         """
-        lattice, size = self.likelihood.lattice, self.likelihood.lattice.size
+        likelihood, size = self.likelihood, self.likelihood.size
         first = self.likelihood.contact(x)[0]
         drawn = np.full(first.shape[:2], np.nan)
         for i, y in enumerate(reading):
@@ -234,27 +236,29 @@ class SummedTiles(TiledObserver):
             if not held.size or np.isnan(first[i]).any():
                 continue
             middle = weighed.last_mass.shape[1] // 2
-            step = weighed.stride[0] * lattice.step
+            step = weighed.stride[0] * likelihood.step
             low, high = (held[0] - 1 - middle) * step, (held[-1] + 1 - middle) * step
             points_here = max(points, 4 * (held[-1] - held[0]))
             z = np.linspace(low, high, points_here)
             parts, _ = self.likelihood.signals(x[i], first[i])
             log = np.empty((len(first[i]), points_here))
-            for j, functions in enumerate(lattice.basis(np.clip(z, -lattice.reach, lattice.reach))):
+            for j, functions in enumerate(
+                likelihood.basis(np.clip(z, -likelihood.reach, likelihood.reach))
+            ):
                 seen = parts @ functions
                 log[:, j] = self.observer.noise.log_likelihood(y, seen[:, :size]) - 0.5 * z[j] ** 2
-                if lattice.turns:
+                if likelihood.turns:
                     log[:, j] += seen[:, size]
             rise = np.cumsum(np.exp(log - log.max(axis=1, keepdims=True)), axis=1)
             wanted = rng.random(len(rise)) * rise[:, -1]
             above = np.minimum((rise < wanted[:, None]).sum(axis=1), points_here - 1)
             drawn[i] = z[above] + (rng.random(len(rise)) - 0.5) * (z[1] - z[0])
-        if lattice.turns:
-            return lattice.contact(x, drawn)[0]
+        if likelihood.turns:
+            return likelihood.with_z(x, drawn)[0]
         return np.concatenate([first, self.observer.last_unknown(drawn)[..., None]], axis=-1)
 
     def _misfit(self, tile: Index) -> Array:
-        if not self.likelihood.lattice.turns:
+        if not self.likelihood.turns:
             return super()._misfit(tile)
         return np.asarray(self._parts[tile, :, -1, 0])
 
@@ -266,7 +270,7 @@ class SummedTiles(TiledObserver):
             )
         assert weighed.last_best is not None
         first = self.tiles.nodes.contact[tile, node]
-        contact = self.likelihood.lattice.with_last(first, weighed.last_best)
+        contact = self.likelihood.with_last(first, weighed.last_best)
         signals, _ = self.observer.signals(contact)
         return contact, np.nan_to_num(signals, nan=1.0)
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..observer import Observer
-from .likelihood import ORDER
-from .result import Array, Index
-from .tiling import NEGLIGIBLE, Tiles
+from .result import Array, Index, joined
+from .tiling import NEGLIGIBLE, ORDER, Tiles
 
 #: Tiles that are looked for together.
 GROUP = 16
@@ -192,7 +191,7 @@ class TiledObserver:
         """Moments of the contact for readings (B, R); NaN where no tile has mass."""
         size = self.together
         parts = [self._moments(reading[i : i + size]) for i in range(0, len(reading), size)]
-        return Moments._make(np.concatenate(column) for column in zip(*parts, strict=True))
+        return joined(parts)
 
     def _moments(self, reading: Array) -> Moments:
         weighed = self.weigh(reading)

@@ -11,15 +11,241 @@ lie; the boxes themselves are the same.
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
+from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .likelihood import Boxes, Nodes, Rule, likelihood_of, measured, nodes_of
-from .result import Array, Index
+from .result import Array, Index, among, joined
+from .summed import LastSummed, NotSmooth
+
+#: Nodes along each axis of a tile.
+ORDER = 6
+
+
+@lru_cache
+def rule(dim: int) -> tuple[Array, Array]:
+    """Nodes (N, d) of Gauss–Legendre's product rule on the unit box, and ln of its weights.
+
+    `ORDER` nodes an axis, the last axis running fastest.
+    """
+    x, w = leggauss(ORDER)
+    points = np.stack(np.meshgrid(*[(x + 1) / 2] * dim, indexing="ij"), axis=-1)
+    weight = np.stack(np.meshgrid(*[w / 2] * dim, indexing="ij"), axis=-1).prod(axis=-1)
+    return points.reshape(-1, dim), np.log(weight).ravel()
+
+
+class Boxes(NamedTuple):
+    """Boxes (n, d) of the coordinates; their keys put neighbours side by side."""
+
+    low: Array
+    high: Array
+    key: Array
+    span: Array
+
+
+class Nodes(NamedTuple):
+    """What is known at the nodes of boxes: (n, N, d), (n, N), (n, N, …), and the boxes' readings.
+
+    `log_weight` is ln of prior and rule; `low` and `high` (n, panels, R) bound the readings that a
+    box makes plausible; `lengths` (n, d) are those of the boxes, in sd; `kink` (n,) says which
+    have one, and `bent` (n, d) along which axes the signals are no polynomial.
+    """
+
+    contact: Array
+    log_weight: Array
+    signals: Array
+    low: Array
+    high: Array
+    lengths: Array
+    kink: NDArray[np.bool_]
+    bent: NDArray[np.bool_]
+
+
+class AllUnknowns:
+    """Every unknown has an axis of the tiles; nodes have the signals themselves."""
+
+    panels, turns, unsure = 1, False, 0.0
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.noise = observer, observer.noise
+        self.dim = len(observer.unknowns)
+        #: Most boxes: 120 000 in two dimensions, 20 000 in three.
+        self.most = 720_000 // 6 ** (self.dim - 1)
+        #: Contacts (..., U) at coordinates x, and ln of the prior.
+        self.contact = observer.contact
+
+    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Signals (..., S) of contacts (..., U), and which are held."""
+        signals, outcome = self.observer.signals(contact)
+        held = outcome == Outcome.HELD
+        return np.where(held[..., None], signals, 1.0), np.asarray(held)
+
+    def views(self, signals: Array) -> list[tuple[Array, Array | None]]:
+        """The signals; there is nothing left to know."""
+        return [(signals, None)]
+
+    def interval(self, signals: Array, width: float) -> tuple[Array, Array]:
+        """Between which readings (..., 1, R) lie."""
+        low, high = self.noise.interval(signals, width)
+        return low[..., None, :], high[..., None, :]
+
+    def log_likelihood(self, reading: Array, signals: Array) -> Array:
+        """ln p(reading | contact), (m, N), for readings (m, R) and nodes (m, N, S)."""
+        return self.noise.log_likelihood(reading[:, None], signals)
+
+
+Likelihood = AllUnknowns | LastSummed
+
+
+@lru_cache(maxsize=64)
+def likelihood_of(observer: Observer) -> Likelihood:
+    """Of three unknowns and more the last is summed out, where signals are smooth in it.
+
+    Not so of two cues with an unknown each, nor of the azimuth of a curved whisker's contact: the
+    last is known by its own signals as well as any is.
+    """
+    if (
+        len(observer.unknowns) < 3
+        or observer.forward.azimuth is not None
+        or observer.unknowns[-1] not in observer.unknowns[observer.bounded :]
+    ):
+        return AllUnknowns(observer)
+    try:
+        return LastSummed(observer)
+    except NotSmooth:
+        return AllUnknowns(observer)
+
+
+def nodes_of(boxes: Boxes) -> Array:
+    """The nodes (n, N, d) of boxes."""
+    points, _ = rule(boxes.low.shape[1])
+    return np.asarray(boxes.low[:, None] + (boxes.high - boxes.low)[:, None] * points)
+
+
+def _weighted(log_prior: Array, boxes: Boxes) -> Array:
+    """ln of prior and rule at the nodes (n, N) of boxes."""
+    size = np.log(boxes.high - boxes.low).sum(axis=1)
+    return np.asarray(log_prior + rule(boxes.low.shape[1])[1] + size[:, None])
+
+
+def measured(observer: Observer, boxes: Boxes) -> Nodes:
+    """What is known at the nodes of boxes, and how long the boxes are."""
+    likelihood, points = likelihood_of(observer), nodes_of(boxes)
+    contact, log_prior = likelihood.contact(points)
+    log_weight = _weighted(log_prior, boxes)
+    signals, held = likelihood.signals(points, contact)
+    held &= log_weight > -np.inf
+    log_weight = np.where(held, log_weight, -np.inf)
+    low, high = _bounds(likelihood, signals, held)
+    views = likelihood.views(signals)
+    seen = views[0][0]
+    partly = held.any(axis=1) & ~held.all(axis=1)
+    # A kink or an edge within the box is closed in, as far as there is mass to speak of.
+    blind = np.asarray(observer.noise.uninformative(seen)).reshape(*held.shape, -1)
+    mixed = np.logical_and(blind.any(axis=1), ~blind.all(axis=1))
+    kink = np.asarray(partly | np.any(mixed, axis=1))
+    score = observer.space.prior_scores(contact)
+    each = [_lengths(observer, score, *view, held) for view in views]
+    # Friction turns the sign of a force, which at one friction angle bends the density at one
+    # contact, at another elsewhere, and not at all once the friction is summed out: the middle.
+    lengths = np.asarray((np.median if likelihood.turns else np.max)(each, axis=0))
+    bent = _bent(observer, seen, held)
+    return Nodes(contact, log_weight, signals, low, high, lengths, kink, bent)
+
+
+def _bounds(likelihood: Likelihood, signals: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Between which readings (n, panels, R) boxes make plausible lie."""
+    low, high = likelihood.interval(signals, 7.0)  # a reading may lie so many sd from a box
+    known = held[..., None, None]
+    # The nodes end before the box does: by less than half of what the signals do between two.
+    dim = likelihood.dim
+    found = []
+    for ends, sign in ((low, -1), (high, 1)):
+        ends = np.where(known, ends, np.nan)
+        grid = ends.reshape(len(ends), *(ORDER,) * dim, *ends.shape[2:])
+        beyond = np.zeros((len(ends), *ends.shape[2:]))
+        for axis in range(1, dim + 1):
+            step = np.abs(np.diff(grid, axis=axis)).reshape(len(ends), -1, *ends.shape[2:])
+            beyond = np.maximum(beyond, 0.5 * np.where(np.isnan(step), 0.0, step).max(axis=1))
+        end = sign * np.where(known, sign * ends, -np.inf).max(axis=1)
+        found.append(end + sign * beyond)
+    # Of a box that is partly without contacts the nodes do not say all.
+    partly = held.any(axis=1) & ~held.all(axis=1)
+    found[0][partly], found[1][partly] = -np.inf, np.inf
+    return found[0], found[1]
+
+
+def _bent(
+    observer: Observer, signals: Array, held: NDArray[np.bool_], *, most: float = 0.03
+) -> NDArray[np.bool_]:
+    """Along which axes (n, d) the signals of boxes are no polynomial, as told by its last terms.
+
+    So it is at the node of a vibration, whose size is felt and not its sign: tilings of two lengths
+    may agree there, and both be wrong. `most` is in sd; each halving halves what a kink leaves.
+    """
+    dim = round(np.log(held.shape[1]) / np.log(ORDER))
+    last = np.linalg.inv(legvander(leggauss(ORDER)[0], ORDER - 1))[-2:]
+    place, step = observer.noise.resolution(signals)
+    scaled = (place / step.min(axis=1, keepdims=True)).reshape(len(held), *(ORDER,) * dim, -1)
+    out = np.repeat(np.all(held, axis=1, keepdims=True), dim, axis=1)
+    for axis in range(dim):  # by the last two Legendre coefficients
+        tail = np.abs(np.moveaxis(scaled, axis + 1, -1) @ last.T).sum(axis=-1)
+        out[:, axis] &= tail.reshape(len(held), -1).max(axis=1) > most
+    return out
+
+
+def _lengths(
+    observer: Observer,
+    score: Array,
+    signals: Array,
+    slope: Array | None,
+    held: NDArray[np.bool_],
+) -> Array:
+    """Lengths (n, d) of boxes: what a reading and the prior tell along each axis, in sd.
+
+    And 4 for each factor of e in the noise, which bends the density. With the slopes (n, N, S) of
+    an unknown that is summed out, what is left to tell where that is not known (Schur complement).
+    """
+    count, dim = len(score), score.shape[-1]
+    shape = (count, *(ORDER,) * dim)
+    score = score.reshape(*shape, -1)
+    if slope is not None:
+        noisier = [np.log(observer.noise.resolution(signals + h * slope)[1]) for h in (1e-3, -1e-3)]
+        tilt = ((noisier[0] - noisier[1]) / 2e-3).reshape(*shape, -1)
+        slope = slope.reshape(*shape, -1)
+    spread = np.log(observer.noise.resolution(signals)[1]).reshape(*shape, -1)
+    signals, held = signals.reshape(*shape, -1), held.reshape(shape)
+    out = np.empty((count, dim))
+    for axis in range(dim):
+
+        def lines(values: NDArray[Any], axis: int = axis) -> NDArray[Any]:
+            """Along the axis, where it meets the first and the last nodes of the others."""
+            ends = (slice(0, ORDER, ORDER - 1),) * (dim - 1)
+            return np.moveaxis(values, axis + 1, 1)[:, :, *ends]
+
+        s, z, w, h = map(lines, (signals, score, spread, held))
+        both = h[:, 1:] & h[:, :-1]
+        step = np.where(both[..., None], np.diff(s, axis=1), 0.0)
+        told = observer.noise.fisher((s[:, 1:] + s[:, :-1]) / 2)
+        square = np.einsum("...i,...ij,...j->...", step, told, step)
+        bend = np.diff(w, axis=1)
+        if slope is not None:
+            d, t = ((v[:, 1:] + v[:, :-1]) / 2 for v in map(lines, (slope, tilt)))
+            of_last = (told @ d[..., None])[..., 0]
+            move = (of_last * step).sum(axis=-1) / (1 + (of_last * d).sum(axis=-1))
+            square = np.maximum(square - move * (of_last * step).sum(axis=-1), 0.0)
+            bend = bend - move[..., None] * t
+        square = np.where(both, square, 0.0) + np.square(np.diff(z, axis=1)).sum(axis=-1)
+        bend = np.where(both, np.abs(bend).max(axis=-1), 0.0)
+        length = (np.sqrt(square) + 4 * bend).sum(axis=1)
+        out[:, axis] = length.reshape(count, -1).max(axis=1)
+    ends = rule(1)[0]
+    return np.nan_to_num(out / float(ends[-1, 0] - ends[0, 0]), nan=np.inf, posinf=np.inf)
+
 
 #: ln of the share of the prior below which a box is not cut further and, `LEFT_OUT` below that,
 #: left out: of all contacts, over the share of an average tile; where readings are followed.
@@ -52,23 +278,9 @@ def tiles_of(
 ) -> Tiles:
     """The tiles of all contacts, or of those that some readings (B, R) may come from.
 
-    Parameters
-    ----------
-    observer : Observer
-    length : float
-        Longest tile, in sd.
-    reading : array, shape (B, R), optional
-    most : int, optional
-        Most boxes; by default what the likelihood says.
-    everywhere : bool
-        Look for readings far from all contacts, too.
-    deep : bool
-        Follow readings where hardly any of the prior is, as a whole tiling does not.
-
-    Raises
-    ------
-    TooManyTiles
-        Where it would take more.
+    None is longer than `length`, in sd, and there are no more than `most` (what the likelihood
+    says), or it raises `TooManyTiles`. Looks `everywhere` for readings far from all contacts too;
+    `deep` follows them where hardly any of the prior is, as a whole tiling does not.
     """
     total, likelihood = trunk_mass(observer), likelihood_of(observer)
     most = most or likelihood.most
@@ -76,7 +288,7 @@ def tiles_of(
     rough = DEEP if deep else ROUGH - np.log(expected_tiles(observer, length))
     best = None if reading is None else np.full(len(reading), -np.inf)
     kept: list[Tiles] = []
-    level = _trunk(observer)
+    level = trunk(observer)
     count = 0
     waiting = [Tiles(level.boxes, level.nodes)]
     while waiting:
@@ -87,7 +299,7 @@ def tiles_of(
             if reading is not None:
                 assert best is not None
                 live &= _followed(observer, nodes, reading, best, everywhere)
-            boxes, nodes = boxes.of(live), nodes.of(live)
+            boxes, nodes = among(boxes, live), among(nodes, live)
             parts = np.clip(np.ceil(nodes.lengths / length), 1, 4).astype(np.intp)
             mass = nodes.log_weight.max(axis=1) - total
             cut = nodes.bent | (nodes.kink & (mass > -11.0))[:, None]  # where there is some mass
@@ -95,50 +307,38 @@ def tiles_of(
             parts[boxes.high - boxes.low < 1e-6] = 1
             parts[mass < rough] = 1
             whole = (parts == 1).all(axis=1)
-            kept.append(Tiles(boxes.of(whole), nodes.of(whole)))
-            following.append(_split(boxes.of(~whole), parts[~whole]))
+            kept.append(Tiles(among(boxes, whole), among(nodes, whole)))
+            following.append(_split(among(boxes, ~whole), parts[~whole]))
             count += int(whole.sum())
-        boxes = Boxes._make(np.concatenate(column) for column in zip(*following, strict=True))
+        boxes = joined(following)
         if count + len(boxes.low) > most:
             raise TooManyTiles
         waiting = []
         for i in range(0, len(boxes.low), CHUNK):
-            part = Boxes._make(column[i : i + CHUNK] for column in boxes)
+            part = among(boxes, slice(i, i + CHUNK))
             waiting.append(Tiles(part, measured(observer, part)))
-    boxes = Boxes._make(np.concatenate(c) for c in zip(*(t.boxes for t in kept), strict=True))
-    nodes = Nodes._make(np.concatenate(c) for c in zip(*(t.nodes for t in kept), strict=True))
+    boxes, nodes = joined([t.boxes for t in kept]), joined([t.nodes for t in kept])
     order = np.argsort(boxes.key, kind="stable")
-    return Tiles(
-        Boxes._make(column[order] for column in boxes),
-        Nodes._make(column[order] for column in nodes),
-    )
+    return Tiles(among(boxes, order), among(nodes, order))
 
 
 def _split(boxes: Boxes, parts: Index) -> Boxes:
     """Each box cut into so many parts (n, d) along each axis."""
-    dim = boxes.low.shape[1]
-    out = [Boxes(np.empty((0, dim)), np.empty((0, dim)), np.empty(0), np.empty(0))]
-    for number in np.unique(parts, axis=0):
-        some = boxes.of((parts == number).all(axis=1))
-        place = np.array(list(product(*map(range, number))))
-        step = (some.high - some.low) / number
-        low = some.low[:, None] + step[:, None] * place
-        high = np.where(place + 1 == number, some.high[:, None], low + step[:, None])
-        span = some.span / len(place)
-        key = some.key[:, None] + span[:, None] * np.arange(len(place))
-        out.append(
-            Boxes(
-                low.reshape(-1, dim),
-                high.reshape(-1, dim),
-                key.ravel(),
-                np.repeat(span, len(place)),
-            )
-        )
-    return Boxes._make(np.concatenate(column) for column in zip(*out, strict=True))
+    count = parts.prod(axis=1)
+    whose = np.repeat(np.arange(len(parts)), count)
+    number = np.arange(len(whose)) - np.repeat(np.cumsum(count) - count, count)
+    place, left = np.empty((len(whose), parts.shape[1]), dtype=np.intp), number
+    for axis in reversed(range(parts.shape[1])):
+        left, place[:, axis] = np.divmod(left, parts[whose, axis])
+    step = ((boxes.high - boxes.low) / parts)[whose]
+    low = boxes.low[whose] + step * place
+    high = np.where(place + 1 == parts[whose], boxes.high[whose], low + step)
+    span = (boxes.span / count)[whose]
+    return Boxes(low, high, boxes.key[whose] + span * number, span)
 
 
 @lru_cache(maxsize=64)
-def _trunk(observer: Observer) -> Tiles:
+def trunk(observer: Observer) -> Tiles:
     """The first boxes, of those whose prior is not nothing, and what is known at their nodes."""
     dim, bounded = likelihood_of(observer).dim, observer.bounded
     steps = (0.5, 1.0) if dim == len(observer.unknowns) == 2 else (1.0, 1.5)
@@ -167,43 +367,25 @@ def _trunk(observer: Observer) -> Tiles:
     boxes = Boxes(corner[0], corner[1], np.arange(count, dtype=float), np.ones(count))
     parts = []
     for i in range(0, count, CHUNK):
-        some = Boxes._make(column[i : i + CHUNK] for column in boxes)
-        some = some.of(_prior_weight(observer, some).max(axis=1) > -200.0)
+        some = among(boxes, slice(i, i + CHUNK))
+        some = among(
+            some, _weighted(observer.contact(nodes_of(some))[1], some).max(axis=1) > -200.0
+        )
         parts.append(Tiles(some, measured(observer, some)))
-    return Tiles(
-        Boxes._make(np.concatenate(c) for c in zip(*(t.boxes for t in parts), strict=True)),
-        Nodes._make(np.concatenate(c) for c in zip(*(t.nodes for t in parts), strict=True)),
-    )
-
-
-def prior_box(observer: Observer) -> tuple[Array, Array]:
-    """Ends (U,) of the coordinates between which the prior is not nothing."""
-    boxes = _trunk(observer).boxes
-    further = [6.0] * (len(observer.unknowns) - boxes.low.shape[1])
-    low, high = boxes.low.min(axis=0), boxes.high.max(axis=0)
-    return np.append(low, np.negative(further)), np.append(high, further)
+    return Tiles(joined([t.boxes for t in parts]), joined([t.nodes for t in parts]))
 
 
 @lru_cache(maxsize=64)
 def trunk_mass(observer: Observer) -> float:
     """ln of the prior's integral, about."""
-    return float(np.logaddexp.reduce(_trunk(observer).nodes.log_weight, axis=None))
+    return float(np.logaddexp.reduce(trunk(observer).nodes.log_weight, axis=None))
 
 
 def expected_tiles(observer: Observer, length: float) -> float:
     """About how many tiles all contacts take."""
-    nodes = _trunk(observer).nodes
+    nodes = trunk(observer).nodes
     live = nodes.log_weight.max(axis=1) > trunk_mass(observer) - 23.0
     return float(np.maximum(nodes.lengths[live] / length, 1.0).prod(axis=1).sum())
-
-
-def _prior_weight(observer: Observer, boxes: Boxes) -> Array:
-    """ln of prior and rule at the nodes (n, N) of boxes."""
-    rule = Rule.of(boxes.low.shape[1])
-    _, log_prior = observer.contact(nodes_of(boxes))
-    return np.asarray(
-        log_prior + rule.log_weight + np.log(boxes.high - boxes.low).sum(axis=1)[:, None]
-    )
 
 
 def _followed(
@@ -221,7 +403,7 @@ def _followed(
     likelihood = likelihood_of(observer)
     out = np.zeros(len(nodes.low), dtype=bool)
     step = max(1, 400_000 // nodes.log_weight.shape[1])
-    widest = np.diff(Rule.of(1).points[:, 0]).max()
+    widest = np.diff(rule(1)[0][:, 0]).max()
     unseen = 0.5 * np.square(np.minimum(nodes.lengths, 1e6) * widest).sum(axis=1)
     for i in range(0, len(row), step):
         r, b = row[i : i + step], box[i : i + step]
