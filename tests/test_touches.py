@@ -36,17 +36,26 @@ def test_ten_equal_touches_divide_the_sd_by_root_ten(cue):
     assert ten.sd == pytest.approx(one.sd / np.sqrt(10), rel=0.02)
 
 
-def test_the_product_is_that_of_a_fine_sum():
-    """Three touches at three deflections, beside a sum over distance and each deflection."""
-    observer = Observer(W, cues.ForceMap(), Weber(0.1))
-    readings = observer.read([[30e-3, 0.1], [30e-3, 0.2], [30e-3, 0.3]], seed=1)
-    r = np.linspace(18e-3, 44e-3, 500)
-    share = (np.arange(3000) + 0.5) / 3000
+@pytest.mark.parametrize(
+    ("k", "distance", "angles", "between"),
+    [
+        (0.1, 30e-3, [0.1, 0.2, 0.3], (18e-3, 44e-3)),
+        # Where the axial force turns with the angle: ten touches were 4 sd off, and converged.
+        (0.03, 5.185e-3, np.tile([1.27, 0.555, 0.42, 1.12, 0.2], 2), (3.8e-3, 5.9e-3)),
+    ],
+)
+def test_the_product_is_that_of_a_fine_sum(k, distance, angles, between):
+    """Of several deflections, beside a sum over distance and each deflection."""
+    observer = Observer(W, cues.ForceMap(), Weber(k))
+    readings = observer.read(np.column_stack([np.full(len(angles), distance), angles]), seed=9)
+    r = np.linspace(*between, 400)
+    share = (np.arange(2000) + 0.5) / 2000
     theta = observer.angle_range(r)[1][:, None] * share
     place = np.stack([np.broadcast_to(r[:, None], theta.shape), theta], axis=-1)
+    signals, _ = observer.signals(place)
     log = np.log(observer.distance_prior(r))
     for reading in readings:
-        likelihood = np.exp(observer.log_likelihood(reading, place)).mean(axis=1)
+        likelihood = np.exp(observer.noise.log_likelihood(reading, signals)).mean(axis=1)
         log += np.log(np.maximum(likelihood, 1e-300))
     weight = np.exp(log - log.max())
     mean = weight @ r / weight.sum()
