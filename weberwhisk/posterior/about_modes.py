@@ -1,7 +1,7 @@
 """Three unknowns that every signal tells of: a grid about the highest point of each posterior.
 
 Contacts of a curved whisker in space need too many tiles, and a plain grid takes a million nodes
-to find them. Here Newton's method climbs from several starts, all around the base; the grid lies
+to find them. Here Fisher scoring climbs from several starts, all around the base; the grid lies
 along the axes of the Gaussian there, skewed so that its distances and azimuths stay those of a
 product, of which `mechanics.space_surface` makes use. A posterior that has a second peak elsewhere,
 or that the grid does not close off, is left to the others.
