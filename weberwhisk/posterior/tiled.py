@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import product
 from typing import NamedTuple
 
@@ -130,8 +130,7 @@ class TiledObserver:
 
         Those of no weight are 0, but not in `whole` tiles.
         """
-        plain = self.observer.noise.gaussian_on == "linear" and not self.everywhere
-        if plain and self.count <= 4000:  # without looking for those near a reading
+        if not self.everywhere and self._crowded:  # without looking for those near a reading
             row, tile = self._of_all(reading)
         else:
             row, tile = self.find(reading)
@@ -146,6 +145,18 @@ class TiledObserver:
         weight -= np.where(np.isfinite(top), top, 0.0)[row, None]
         np.exp(weight, out=weight)
         return Weighed(row, tile, weight, top)
+
+    @cached_property
+    def _crowded(self) -> bool:
+        """Whether readings may come from more than a fifth of the tiles, as they do above k = 0.14.
+
+        As told by those of some tiles' own signals. With fewer near, looking is twice as quick.
+        """
+        noise = self.observer.noise
+        if noise.gaussian_on != "linear" or not 0 < self.count <= 4000:
+            return False
+        some = self.tiles.nodes.signals[:: -(-self.count // 32), self._few[0]]
+        return len(self.find(noise.mean(some))[0]) > 0.2 * len(some) * self.count
 
     def _of_all(self, reading: Array) -> tuple[Index, Index]:
         """`find` and `_matters` where there are few tiles: of all at once, by products of matrices.
