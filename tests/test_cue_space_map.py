@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cue_checks import keeps_the_protocol, small_noise_limit
+from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -226,3 +227,29 @@ def test_what_space_does_not_know_is_refused():
         SpaceMap(["moment", "weight"])
     with pytest.raises(ValueError, match="it has to be known"):
         SpaceMap(roll=None)
+
+
+def test_directions_are_read_on_a_circle():
+    """Directions on either side of π gave an azimuth of 0, on the other side of the whisker."""
+    observer = ww.Observer(W, SpaceMap())
+    shape = observer.signals([30e-3, 0.3, 0.0])[0]
+    pairs = np.array([[0.0, 0.1], [3.13, -3.12], [-3.12, 3.13], [5.0, -1.3], [-1.2, 5.0]])
+    found = ww.posterior(observer, np.array([[*shape[:3], *pair] for pair in pairs]))
+    means = np.exp(1j * pairs).sum(axis=1)
+    off = np.angle(np.exp(1j * found.estimates["azimuth"].mean) / means)
+    assert off == pytest.approx(0, abs=1e-6)
+    assert found.estimates["azimuth"].sd == pytest.approx(0.1 / np.sqrt(2), rel=1e-4)
+    assert np.all(found.status == ww.Status.CONVERGED)
+    low, high = found.interval(0.95, of="azimuth").T
+    assert np.all(
+        (low < found.estimates["azimuth"].mean) & (found.estimates["azimuth"].mean < high)
+    )
+    about = {"azimuth": stats.norm(3.0, 0.3)}
+    own = ww.Observer(W, SpaceMap(), prior=about)
+    turned = own.checked_reading([*shape[:3], -3.12, 3.13])[3:]
+    assert turned == pytest.approx([2 * np.pi - 3.12, 3.13])
+    # A range with ends keeps what noise carries beyond them.
+    curved = ww.Observer(CURVED, SpaceMap())
+    assert curved.checked_reading([*shape[:3], 3.2, -3.1])[3:] == pytest.approx(
+        [3.2, 2 * np.pi - 3.1]
+    )

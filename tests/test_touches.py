@@ -94,3 +94,40 @@ def test_more_touches_than_the_grid_can_tell_are_not_called_improbable():
     found = touches(observer, np.repeat(reading, 8000, axis=0))
     assert found.status == Status.IMPRECISE
     assert np.isnan(found.mean)
+
+
+FORCES, TAP = Observer(W, cues.ForceMap()), Observer(W, cues.Compliance())
+CONTACT = FORCES.signals([[30e-3, 0.3]])[0]
+TIP = TAP.signals([[0.9999 * W.length]])[0]
+
+
+@pytest.mark.parametrize(
+    ("observer", "readings", "status"),
+    [
+        (FORCES, CONTACT * [1, 5], Status.CONVERGED),
+        (FORCES, CONTACT * [1, 12], Status.IMPROBABLE_READING),
+        (FORCES, CONTACT * [1, 20], Status.IMPROBABLE_READING),
+        (FORCES, np.repeat(CONTACT * [1, 12], 3, axis=0), Status.IMPROBABLE_READING),
+        (TAP, 0.9 * TIP, Status.CONVERGED),
+        (TAP, 0.4 * TIP, Status.IMPROBABLE_READING),
+        (TAP, np.full((1, 1), 1e-9), Status.IMPROBABLE_READING),
+        (Observer(W.cylinder(), cues.ForceMap()), CONTACT, Status.UNIDENTIFIED),
+    ],
+)
+def test_touches_that_no_contact_explains_or_that_tell_of_none_say_so(observer, readings, status):
+    """They were compared with one another alone: 17.5 ± 0.6 mm, converged, for 20 times a force."""
+    assert touches(observer, readings).status == status
+
+
+@pytest.mark.parametrize(
+    ("work", "says"),
+    [
+        (lambda: touches(TAP, TIP).interval(95), "mass must lie between 0 and 1, got 95"),
+        (lambda: touches(TAP, TIP).interval(-1), "mass must lie between 0 and 1, got -1"),
+        (lambda: touches_jnd(FORCES, 30e-3, []), "deflection_angles must be one or more, got none"),
+        (lambda: touches_jnd(FORCES, [3e-2, 2e-2], 0.1), "radial_distance must be one number"),
+    ],
+)
+def test_misuse_of_touches_is_refused(work, says):
+    with pytest.raises(ValueError, match=says):
+        work()

@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.interpolate import CubicSpline
 
-from ._checks import finite, kind, whole
+from ._checks import finite, kind, number, positive_number, whole
 from ._display import interval_text, with_units
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .jnd import fisher_jnd
 from .mechanics.contact import Outcome
 from .observer import Observer
-from .posterior import Status
+from .posterior.result import Status, is_outside, is_unidentified
 from .receptors import Seed
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ class Touches:
     mean, sd : float
         Of the radial distance, m.
     status : Status
-        `IMPROBABLE_READING` where no one distance explains all touches.
+        `IMPROBABLE_READING` where a touch lies more than 5 sd from every contact at the distance
+        found, or 8 from its own best; `UNIDENTIFIED` where none of them tells of its contact.
     r, density : array
         Density of the distance, 1/m, at distances, m.
     """
@@ -65,7 +66,16 @@ class Touches:
         return f"<Touches: r = {r}, of {self.count}; {self.status.message}>"
 
     def interval(self, mass: float = 0.95) -> tuple[float, float]:
-        """The equal-tailed interval that holds the distance with probability `mass`, m."""
+        """The equal-tailed interval that holds the distance with probability `mass`, m.
+
+        Raises
+        ------
+        ValueError
+            For a mass outside 0 to 1.
+        """
+        mass = number("mass", mass, "write 0.95, say")
+        if not 0 <= mass <= 1:
+            raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
         step = np.diff(self.r)
         rise = np.append(0.0, np.cumsum((self.density[1:] + self.density[:-1]) / 2 * step))
         tail = (1 - mass) / 2
@@ -130,9 +140,15 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     kept = log > log.max() - 32.0
     first, last = np.argmax(kept), len(kept) - np.argmax(kept[::-1])
     rows, log, each = rows[first:last], log[first:last], each[:, first:last]
-    if len(rows) < 4 or not np.isfinite(log.max()):
+    top, far = log.argmax(), bool(log.max() == -np.inf)
+    if not far:
+        contact, far = grid.best_contacts(y, rows[top])
+        # A distance that all touches allow is for none of them worse by 8 sd than its own best.
+        far |= len(y) > 1 and bool((best - each[:, top] > 32.0).any())
+    status = Status.IMPROBABLE_READING if far else grid.status
+    if len(rows) < 4 or log[top] == -np.inf:
         # Hundreds of touches say more than the rows of the grid can tell.
-        lost = Status.IMPRECISE if np.isfinite(log.max()) else Status.IMPROBABLE_READING
+        lost = status if far else Status.IMPRECISE
         nan = np.full(2, np.nan)
         return Touches(observer, len(y), np.nan, np.nan, lost, nan, nan)
     log = np.maximum(log, log.max() - 60.0)  # none there to speak of
@@ -143,10 +159,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     mass = weight.sum()
     mean = float(weight @ r / mass)
     sd = float(np.sqrt(weight @ (r - mean) ** 2 / mass))
-    # A distance that all touches allow is for none of them worse by 8 sd than its own best.
-    at = np.argmin(np.abs(x[rows] - fine[weight.argmax()]))
-    far = len(y) > 1 and (best - each[:, at] > 32.0).any()
-    status = Status.IMPROBABLE_READING if far else grid.status
+    # What is no wider than the reach by far is known.
+    wide = sd * len(y) ** 0.5 > 0.1 * (observer.reach[1] - observer.reach[0])
+    if wide and not far and is_unidentified(observer, contact).all():
+        status = Status.UNIDENTIFIED
     density = weight / np.exp(log_slope) / mass / (fine[1] - fine[0])
     return Touches(observer, len(y), mean, sd, status, r, density)
 
@@ -188,6 +204,7 @@ class _Grid:
         low, width = observer.angle_range(r)
         fraction, log_across = constrain_angle(y)
         theta = low + width[:, None] * fraction
+        self.r, self.theta = r, theta
         weight = np.broadcast_to(log_across + log_step, theta.shape).copy()
         if "deflection_angle" in observer.prior:
             weight += observer.prior["deflection_angle"].logpdf(theta)
@@ -217,6 +234,15 @@ class _Grid:
                 self._first[k, 0, i], self._last[k, -1, i] = 0, len(top)
                 self._first[k, 1:, i] = np.searchsorted(top, ends)
                 self._last[k, :-1, i] = np.searchsorted(foot, ends, side="right")
+
+    def best_contacts(self, reading: Array, row: int) -> tuple[Array, bool]:
+        """The most probable contacts (n, U) at one distance; if any is 5 sd from its reading."""
+        signals = self.signals.reshape(*self.weight.shape, -1)[row]
+        best = (self.observer.noise.log_likelihoods(reading, signals) + self.weight[row]).argmax(1)
+        far = is_outside(self.observer.noise, reading, signals[best]).any()
+        theta = self.theta[row][best]
+        contact = np.stack([np.full(len(theta), self.r[row]), theta], axis=-1)
+        return contact[:, : self.observer.bounded], bool(far)
 
     def _told(self, x: Array, depth: Array) -> tuple[Array, Array]:
         """Information (n, D, U, U) at coordinates x (n,) and depths (D,); dθ/d depth."""
@@ -339,7 +365,8 @@ def touches_jnd(
     Raises
     ------
     ValueError
-        For numbers of touches or readings below 1, and contacts that are not held.
+        For no numbers of touches or angles, numbers of touches below 1 and of readings below 2, and
+        contacts that are not held.
 
     Notes
     -----
@@ -348,7 +375,10 @@ def touches_jnd(
     """
     import pandas as pd
 
+    radial_distance = positive_number("radial_distance", radial_distance, "give metres")
     angles = np.atleast_1d(finite("deflection_angles", deflection_angles, "give radians"))
+    if not angles.size:
+        raise ValueError("deflection_angles must be one or more, got none; give radians.")
     wanted = [whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)]
     n_readings = whole("n_readings", n_readings, "write 100, say", least=2)
     rng = np.random.default_rng(seed)

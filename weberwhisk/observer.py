@@ -400,7 +400,11 @@ class Observer:
         return array
 
     def checked_reading(self, reading: ArrayLike, *, missing: bool = False) -> Array:
-        """`reading` as an array (..., S) of finite numbers, or with `missing` also of others."""
+        """`reading` as an array (..., S) of finite numbers, or with `missing` also of others.
+
+        Directions in space are counted in whole turns to be near the first, and that near the
+        middle of the azimuth's prior.
+        """
         hint = "give the base signals in SI units"
         array = numbers("reading", reading, hint) if missing else finite("reading", reading, hint)
         count = self.noise.reading_size(len(self.cue.signal_names))
@@ -414,4 +418,13 @@ class Observer:
                 f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
+        turned = [i for i, name in enumerate(self.cue.signal_names) if "_direction" in name]
+        if turned and "azimuth" in self.prior and self.noise.reads_signals:
+            off = array[..., turned] - self.prior["azimuth"].median()
+            # Noise may carry a direction beyond an end of the usual range, which goes all around.
+            room = 1.5 * np.pi if "azimuth" in self._filled[1] else np.pi
+            first = np.where(np.abs(off[..., :1]) > room, off[..., :1], 0.0)
+            array, full = array.copy(), 2 * np.pi
+            array[..., turned] -= full * np.round(first / full)
+            array[..., turned] -= full * np.round((off - off[..., :1]) / full)
         return array

@@ -302,6 +302,10 @@ class SpaceMap(Cue):
 
     Notes
     -----
+    Directions are read to whole turns. On a straight whisker a posterior goes on beyond an azimuth
+    of π; on a curved one, or with a prior of your own, it ends where the prior does: for contacts
+    about π write ``prior={"azimuth": scipy.stats.uniform(0, 2 * np.pi)}``.
+
     Components change sign, as a curved whisker's axial force does where it is pushed against its
     curvature: under Weber's law alone they would be known exactly there; give the noise a floor.
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..coordinates import family
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .result import Array, Estimate, Index, Solution, Status, checked_density, is_outside
@@ -303,8 +304,14 @@ def factors_of(observer: Observer) -> Factors | None:
 def with_factor(first: Solution, observer: Observer, factors: Factors, own: Array) -> Solution:
     """The posteriors of all unknowns, from those of all but the last; `own` (B, R) tells of it.
 
-    Of two faults the first factor's is said.
+    Of two faults the first factor's is said. An azimuth that may be any has no ends: that of a
+    reading beyond a quarter turn is summed about half a turn on, and may so come out beyond π.
     """
+    name, half = observer.unknowns[-1], np.zeros(len(own))
+    usual = observer.cue.priors(observer.whisker)[name]
+    if name == "azimuth" and family(observer.prior[name]) == family(usual):
+        half = np.pi * np.round(own[:, 0] / np.pi)
+        own = own - half[:, None]
 
     def density(x: Array, index: Index) -> Array:
         value = observer.last_unknown(x[..., 0])
@@ -320,7 +327,8 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
     status = np.where(found.error[:, 0] < 1e-2, Status.CONVERGED, Status.IMPRECISE)
     signals = np.repeat(best, factors.signals, axis=-1)
     status[is_outside(factors.noise, own, signals)] = Status.IMPROBABLE_READING
-    mean, sd, error = found.mean[:, 0], found.sd[:, 0], found.error[:, 0]
+    value = value + half[:, None]
+    mean, sd, error = found.mean[:, 0] + half, found.sd[:, 0], found.error[:, 0]
     last = len(observer.unknowns) - 1
 
     def at(probability: Array) -> Array:
