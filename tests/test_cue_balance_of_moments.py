@@ -1,5 +1,8 @@
 """Balance of moments (§2h): the angle at which muscle and whisker balance, effort known or felt."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
@@ -256,3 +259,11 @@ def test_misuse_is_refused_in_one_sentence(make, words):
     with pytest.raises(ValueError, match=words) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+def test_another_curve_has_its_own_gain_and_the_users_stays():
+    printed, named = BalanceOfMoments(curve=MuscleCurve.PRINTED), BalanceOfMoments(gain=3.0)
+    for cue in (BalanceOfMoments(), pickle.loads(pickle.dumps(BalanceOfMoments()))):
+        assert replace(cue, curve=MuscleCurve.PRINTED) == printed
+    assert replace(printed, curve=MuscleCurve.NORMALISED) == BalanceOfMoments()
+    assert replace(named, curve=MuscleCurve.PRINTED).gain == 3.0

@@ -20,6 +20,10 @@ from .angle_side_angle import ANGLE_SD
 from .protocol import Array, Cue, Felt
 
 
+class _OfCurve(float):
+    """The gain that a muscle curve calls for: a cue made with another curve takes that one's."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class BalanceOfMoments(Cue):
     """Radial distance from the angle θ_b at which muscle and bent whisker balance (§2h).
@@ -93,11 +97,15 @@ class BalanceOfMoments(Cue):
         if effort is not None:
             effort = positive_number("effort", effort, "give a part of the largest, 0.5 say")
         width = positive_number("separation", self.separation, "give w of equation (2.2), 1.25 say")
-        gain = self.curve.gain(width) if self.gain is None else self.gain
+        gain = self.gain
+        if gain is None or isinstance(gain, _OfCurve):
+            gain = _OfCurve(self.curve.gain(width))
+        else:
+            gain = positive_number("gain", gain, "give muscle units per EI₀/L, such as 2.0")
         self._set(
             impact_angle=impact,
             effort=effort,
-            gain=positive_number("gain", gain, "give muscle units per EI₀/L, such as 2.0"),
+            gain=gain,
             separation=width,
             whisking=(low, high),
         )
