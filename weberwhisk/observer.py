@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property, partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,13 @@ from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
+
+
+class _Filled(NamedTuple):
+    """The noise and priors that are the cue's own: whoever is made from an observer has others."""
+
+    noise: ReceptorNoise | None
+    priors: Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +85,7 @@ class Observer:
     _: KW_ONLY
     model: str | None = field(default=None, repr=False)
     tolerance: float = field(default=0.1, repr=False)
-    #: The noise and priors that are the cue's own: whoever is made from this one fills in anew.
-    _filled: tuple[ReceptorNoise | None, Mapping[str, Any]] = field(default=(None, {}), repr=False)
+    _filled: _Filled = field(default=_Filled(None, MappingProxyType({})), repr=False)
     #: The change of variables between contacts and coordinates without edges.
     space: ContactCoordinates = field(init=False, repr=False)
 
@@ -103,10 +109,12 @@ class Observer:
                     f"values of {name}; make one Observer for each."
                 )
         set_ = object.__setattr__
-        if self.noise is self._filled[0]:
+        # By an observer that this one is made from, or by nobody.
+        before = self._filled if isinstance(self._filled, _Filled) else _Filled(None, {})
+        if self.noise is before.noise:
             set_(self, "noise", None)
         if isinstance(self.prior, Mapping):
-            own = self._filled[1]
+            own = before.priors
             set_(self, "prior", {n: p for n, p in self.prior.items() if own.get(n) is not p})
         given = priors_of(self.prior, self.cue)
         own = {n: p for n, p in self.cue.priors(self.whisker).items() if n not in given}
@@ -117,7 +125,7 @@ class Observer:
             one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
         positive_number("tolerance", self.tolerance, "give a fraction of the JND, such as 0.1")
         usual = self.cue.default_noise() if self.noise is None else None
-        set_(self, "_filled", (usual, MappingProxyType(own)))
+        set_(self, "_filled", _Filled(usual, MappingProxyType(own)))
         set_(self, "noise", self.noise if usual is None else usual)
         set_(self, "prior", MappingProxyType(prior))
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
@@ -167,8 +175,8 @@ class Observer:
 
     def __reduce__(self) -> Any:  # its mappings are views, which do not pickle
         make = partial(Observer, model=self.model, tolerance=self.tolerance)
-        noise = None if self.noise is self._filled[0] else self.noise
-        prior = {n: p for n, p in self.prior.items() if n not in self._filled[1]}
+        noise = None if self.noise is self._filled.noise else self.noise
+        prior = {n: p for n, p in self.prior.items() if n not in self._filled.priors}
         return make, (self.whisker, self.cue, noise, prior)
 
     @property
@@ -422,7 +430,7 @@ class Observer:
         if turned and "azimuth" in self.prior and self.noise.reads_signals:
             off = array[..., turned] - self.prior["azimuth"].median()
             # Noise may carry a direction beyond an end of the usual range, which goes all around.
-            room = 1.5 * np.pi if "azimuth" in self._filled[1] else np.pi
+            room = 1.5 * np.pi if "azimuth" in self._filled.priors else np.pi
             first = np.where(np.abs(off[..., :1]) > room, off[..., :1], 0.0)
             array, full = array.copy(), 2 * np.pi
             array[..., turned] -= full * np.round(first / full)
