@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from .result import Array, Index, joined
-from .tiling import NEGLIGIBLE, ORDER, Tiles
+from .tiling import NEGLIGIBLE, ORDER, Tiles, near_the_cut
 
 #: Tiles that are looked for together.
 GROUP = 16
@@ -41,9 +41,9 @@ class Weighed(NamedTuple):
 class Moments(NamedTuple):
     """Of B posteriors: mean and sd (B, U), ln of the evidence; and how well it went.
 
-    The share of the mass on the best node, the contact there (B, U) and its signals (B, S), and the
-    share on tiles that are longer than they should be; and how far off signals are at the nodes, in
-    sds, where they are functions of an unknown that is summed out.
+    The share of the mass on the best node, the contact there (B, U) and its signals (B, S); the
+    share on tiles that are longer than they should be, or next to what is left out; and how far off
+    signals are at the nodes, in sds, where they are functions of an unknown that is summed out.
     """
 
     mean: Array
@@ -83,6 +83,7 @@ class TiledObserver:
         contact = np.where(np.isfinite(nodes.log_weight)[..., None], nodes.contact, 0.0)
         one = np.ones((*contact.shape[:-1], 1))
         self._rough = nodes.lengths.max(axis=1) > 1.01 * longest
+        self._rough |= near_the_cut(observer, nodes, longest)
         #: 1, the contact and its squares at each node, (T, N, 1 + 2U).
         self._powers = np.concatenate([one, contact, contact**2], axis=-1)
         self._middle = self._powers[:, few].mean(axis=1)

@@ -285,7 +285,7 @@ def tiles_of(
     total, likelihood = trunk_mass(observer), likelihood_of(observer)
     most = most or likelihood.most
     deep = deep and reading is not None
-    rough = DEEP if deep else ROUGH - np.log(expected_tiles(observer, length))
+    rough = DEEP if deep else _rough(observer, length)
     best = None if reading is None else np.full(len(reading), -np.inf)
     kept: list[Tiles] = []
     level = trunk(observer)
@@ -386,6 +386,20 @@ def expected_tiles(observer: Observer, length: float) -> float:
     nodes = trunk(observer).nodes
     live = nodes.log_weight.max(axis=1) > trunk_mass(observer) - 23.0
     return float(np.maximum(nodes.lengths[live] / length, 1.0).prod(axis=1).sum())
+
+
+def _rough(observer: Observer, length: float) -> float:
+    return float(ROUGH - np.log(expected_tiles(observer, length)))
+
+
+def near_the_cut(observer: Observer, nodes: Nodes, length: float) -> NDArray[np.bool_]:
+    """Which tiles (n,) hold so little of the prior that others like them were left out.
+
+    Those that are not cut further, where a reading comes from: a tile next to it that is left out
+    has e^6 times less of the prior at least, beside others.
+    """
+    rough = trunk_mass(observer) + _rough(observer, length)
+    return np.asarray(nodes.log_weight.max(axis=1) < rough)
 
 
 def _followed(
