@@ -11,6 +11,7 @@ import pytest
 import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.contacts import HingedTap
+from weberwhisk.contacts.calibration import averaged
 
 TRUE = ww.Whisker(0.12, 0.8e-3, 0.2e-3, youngs_modulus=3e9)
 NOMINAL = ww.Whisker(0.12, 0.8e-3, 0.4e-3, youngs_modulus=2e9)
@@ -140,3 +141,28 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     made = {p.name for p in (tmp_path / "out").iterdir()}
     assert {"parameters.csv", "residuals.csv", "left_out.csv", "calibrate.run.json",
             "calibration.png"} <= made  # fmt: skip
+
+
+def test_slopes_over_velocities_are_not_beside_slopes() -> None:
+    taps = _taps(each=2).assign(angular_velocity=1.0)
+    contacts = taps[["moment_rate"]]
+    with pytest.raises(ValueError, match="the contacts have none"):
+        ww.locate(contacts, ww.calibrate(taps, NOMINAL, draws=1000))
+    found = ww.calibrate(taps.drop(columns="angular_velocity"), NOMINAL, draws=1000)
+    with pytest.raises(ValueError, match="the taps have none"):
+        ww.locate(contacts.assign(angular_velocity=1.0), found)
+
+
+def test_ends_of_intervals_stay_on_the_whisker() -> None:
+    found = ww.calibrate(_taps(each=2), NOMINAL, draws=1000)
+
+    def under(*_: object) -> pd.DataFrame:
+        ends = {"lower_mm": [0.1, 60.0], "upper_mm": [119.0, 60.0]}
+        out = pd.DataFrame({"radial_distance_mm": [60.0, 60.0], "sd_mm": [20.0, 0.0]} | ends)
+        out.loc[0, "radial_distance_mm"] += next(moved)
+        out.attrs = {"notes": ()}
+        return out
+
+    moved = iter(np.append(np.linspace(-40, 40, len(found.samples)), 0.0))
+    out = averaged(found, under, None)
+    assert out[["lower_mm", "upper_mm"]].to_numpy().tolist() == [[0.0, 120.0], [60.0, 60.0]]

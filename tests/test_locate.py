@@ -11,7 +11,7 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk.cli import app
-from weberwhisk.contacts.columns import planar, unit_factor
+from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
 from weberwhisk.contacts.rows import touch_posterior
 
@@ -322,3 +322,38 @@ def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, cou
 def test_six_signals_without_a_moment_are_no_contact() -> None:
     si = {"moment_y": np.array([0.0, 3e-6]), "moment_z": np.array([0.0, 4e-6])}
     np.testing.assert_allclose(planar(si, [])["moment"], [0.0, 5e-6], rtol=1e-12)
+
+
+def test_units_of_many_words_and_of_errors() -> None:
+    def factor(header: list[str], name: str, **options: dict) -> float:
+        mapped, units = options.get("columns"), options.get("units")
+        return find_columns(header, mapped, units)[name][1]
+
+    assert factor(["moment_rate_uN_m_per_s"], "moment_rate") == 1e-6
+    assert factor(["moment_milli_newton_metre"], "moment") == 1e-3
+    assert factor(["M_uN_m_per_s"], "moment_rate", columns={"moment_rate": "M_uN_m_per_s"}) == 1e-6
+    assert factor(["m_Nm"], "moment", columns={"moment": "m_Nm"}) == 1.0
+    assert factor(["m_N_m"], "moment", columns={"moment": "m_N_m"}) == 1.0
+    assert factor(["moment", "moment_sd"], "moment_sd", units={"moment": "uN m"}) == 1e-6
+    assert factor(["moment_uNm", "moment_uNm_sd"], "moment_sd") == 1e-6
+    assert factor(["moment_uNm", "moment_sd_nNm"], "moment_sd") == 1e-9
+
+
+def test_a_modulus_that_was_given_is_known_be_it_the_default(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    from weberwhisk.cli import run_app
+
+    b = ww.press(C2, [20e-3], 0.2)
+    table = pd.DataFrame(
+        {"moment_uNm": 1e6 * b.moment, "axial_force_uN": 1e6 * b.axial_force, 0: 1}
+    )
+    unsaid, said = (ww.locate(table, C2, known_stiffness=known) for known in (None, True))
+    assert "is the default" in unsaid.attrs["notes"][0]
+    assert "UnknownStiffness" not in said.attrs["notes"][-1]
+    assert list(said.columns[:3]) == ["moment_uNm", "axial_force_uN", "0"]
+    table.to_csv(tmp_path / "contacts.csv", index=False)
+    words = ["locate", str(tmp_path / "contacts.csv"), "--identity", "C2"]
+    for more, unknown in (([], True), (["--youngs-modulus-gpa", "3.34"], False)):
+        assert run_app(app, [*words, *more]) in (0, None)
+        assert ("UnknownStiffness" in capsys.readouterr().out) == unknown

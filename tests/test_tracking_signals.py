@@ -316,3 +316,13 @@ def test_the_real_sample_has_no_shapes_and_says_so(tmp_path: Path) -> None:
     video = ww.read_tracking(sample, shortest_px=200, pixels_per_mm=20, frame_rate=500)
     with pytest.raises(ValueError, match=r"measurements alone do not say the shape"):
         ww.tracked_signals(video, C2)
+
+
+def test_sessions_and_lost_columns_are_told() -> None:
+    video, _ = _scene(4, [15e-3], frames=40)
+    one = ww.tracked_signals(video, C2).iloc[10:14]
+    two = one.assign(rest_curvature_per_m=one["rest_curvature_per_m"] + 1)
+    with pytest.raises(ValueError, match="several sessions, got 2"):
+        ww.locate(pd.concat([one, two]), C2)
+    with pytest.raises(ValueError, match="tracked shapes has no friction_angle_deg, transverse"):
+        ww.locate(one.drop(columns=["friction_angle_deg", "transverse_force_uN"]), C2)

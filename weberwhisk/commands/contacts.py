@@ -91,7 +91,7 @@ def locate(
                 )
             table = ww.locate(
                 table_or_path, by, columns=mapped, units=units, touch=touch, noise=noise,
-                progress=step,
+                known_stiffness=shape.youngs_modulus_gpa is not None, progress=step,
             )  # fmt: skip
         if time is not None and not (
             time in table.columns and pd.api.types.is_numeric_dtype(table[time])

@@ -97,6 +97,8 @@ class Calibration(Shown):
     samples : tuple of (Whisker, HingedTap, Weber)
         Some draws of the posterior. ``locate(table, c)`` is the mean over them, so that what the
         taps left open widens the distances.
+    by_velocity : bool
+        Whether slopes were divided by an angular velocity, which contacts then need too.
     """
 
     _figure: ClassVar[str] = "calibrated"
@@ -109,6 +111,7 @@ class Calibration(Shown):
     p_value: float
     effective_draws: float
     samples: tuple[tuple[Whisker, HingedTap, Weber], ...]
+    by_velocity: bool
 
     def _line(self) -> str:
         return f"k = {float(self.noise.weber_fraction):.3g} of the sensor. {self.message}"
@@ -187,7 +190,7 @@ def calibrate(
     _checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
     _checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
     draws = _checks.whole("draws", draws, "write 20000, say", least=1000)
-    r, y = _taps(table, whisker, columns, units)
+    r, y, by_velocity = _taps(table, whisker, columns, units)
     places = np.unique(r)
     rng = _checks.generator(seed)
     mode, covariance = _mode(r, y, whisker, hinge)
@@ -227,7 +230,7 @@ def calibrate(
         found, cue, noise, parameters, residuals,
         _left_out(r, y, whisker, hinge), _lack_of_fit(r, y / fitted, len(mode) - 1, places),
         float(1 / (weight**2).sum()),
-        tuple((*_as_found(x[i], whisker, counts), Weber(float(k[i]))) for i in kept),
+        tuple((*_as_found(x[i], whisker, counts), Weber(float(k[i]))) for i in kept), by_velocity,
     )  # fmt: skip
 
 
@@ -242,8 +245,8 @@ def _as_found(x: Array, whisker: Whisker, counts: bool) -> tuple[Whisker, Hinged
     return found, HingedTap(give, float(scale / found.compliance_constant) if counts else 1.0)
 
 
-def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array, Array]:
-    """Distances, m, and slopes of the taps."""
+def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array, Array, bool]:
+    """Distances, m, and slopes of the taps; whether these were divided by a velocity."""
     raw, si, _ = read_contacts(table, columns, units)
     if "radial_distance_mm" not in raw or "moment_rate" not in si:
         raise ValueError(
@@ -267,7 +270,7 @@ def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array
         )
     if np.any(y <= 0):
         raise ValueError(f"Slopes must be above zero, got {y[y <= 0][0]:g}; leave such taps out.")
-    return r, y
+    return r, y, "angular_velocity" in si
 
 
 def _natural(x: Array, whisker: Whisker) -> tuple[Array, Array, Array, Array]:
@@ -361,8 +364,11 @@ def averaged(
     middle = np.nanmean(mean[:, known], axis=0)
     total = np.sqrt(np.nanmean(sd[:, known] ** 2, axis=0) + np.nanvar(mean[:, known], axis=0))
     r, own = out.loc[known, found].to_numpy().T
-    off = (out.loc[known, ends].to_numpy().T - r) * (total / own)
-    out.loc[known, ends] = (middle + off).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = (out.loc[known, ends].to_numpy().T - r) * (total / own)
+    off = np.where(own > 0, off, np.outer([-1.96, 1.96], total))
+    reach = 1e3 * calibration.whisker.length
+    out.loc[known, ends] = np.clip(middle + off, 0.0, reach).T
     out.loc[known, found] = np.stack([middle, total], axis=1)
     notes = (*out.attrs["notes"], f"Means over {len(every)} draws of the calibration.")
     out.attrs = out.attrs | {"notes": notes}

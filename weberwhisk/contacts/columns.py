@@ -88,7 +88,10 @@ def find_columns(
             continue
         # The longest name first, so that `moment_rate` is no moment in a unit "rate".
         for quantity in sorted(NAMES, key=len, reverse=True):
-            rest = re.fullmatch(rf"{quantity}(?:[_ (\[]+(.+?)[)\]]?)?", column)
+            unit = r"[_ (\[]+(.+?)[)\]]?"
+            rest = re.fullmatch(rf"{quantity}(?:{unit})?", column)
+            if rest is None and quantity.endswith("_sd"):
+                rest = re.fullmatch(rf"{quantity.removesuffix('_sd')}{unit}_sd", column)
             if rest is None or (rest[1] and unit_factor(rest[1], NAMES[quantity]) is None):
                 continue
             if quantity in (columns or {}):
@@ -100,6 +103,10 @@ def find_columns(
                 )
             found[quantity] = _of(quantity, column, rest[1] or "", units)
             break
+    for quantity, (column, _, said) in found.items():
+        of = found.get(quantity.removesuffix("_sd"))
+        if of is not None and not said:
+            found[quantity] = (column, *of[1:])
     for quantity in units or {}:
         if quantity not in found:
             raise ValueError(
@@ -126,11 +133,16 @@ def _of(
             )
             raise ValueError(f"{given!r} is no unit of {quantity}; write one such as {known}.")
         return column, factor, True
-    # The column's own suffix, one or two words long.
-    for words in (1, 2, 3):
-        suffix = "_".join(re.split(r"[_ (\[\])]+", text.strip(" )]"))[-words:])
+    # What stands behind our name, or the longest suffix of another's; there a letter alone before
+    # a unit is no prefix: m_Nm is a moment m in N m.
+    words = re.split(r"[_ (\[\])]+", text.strip(" )]"))
+    last = len(words) - 1
+    suffixes = [
+        "_".join(words[i:]) for i in range(1, last + 1) if i == last or words[i] not in PREFIX
+    ]
+    for suffix in suffixes if text == column else [text]:
         factor = unit_factor(suffix, kind) if suffix else None
-        if factor is not None and (column != suffix):
+        if factor is not None:
             return column, factor, True
     return column, 1.0, False
 
@@ -202,16 +214,16 @@ def read_contacts(
     table: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
 ) -> tuple[pd.DataFrame, dict[str, Array], dict[str, tuple[str, float, bool]]]:
     """The table, its known quantities in SI, and where each of them was found."""
-    raw = _table(table)
-    found = find_columns([str(c) for c in raw.columns], columns, units)
+    raw = _table(table).rename(columns=str)
+    if not raw.columns.is_unique:
+        twice = raw.columns[raw.columns.duplicated()][0]
+        raise ValueError(f"There are two columns {twice!r}; give each its own name.")
+    found = find_columns(list(raw.columns), columns, units)
     return raw, {q: values_of(raw, c) * factor for q, (c, factor, _) in found.items()}, found
 
 
 def _table(table: Any) -> pd.DataFrame:
     if isinstance(table, pd.DataFrame):
-        if not table.columns.is_unique:
-            twice = table.columns[table.columns.duplicated()][0]
-            raise ValueError(f"There are two columns {str(twice)!r}; give each its own name.")
         raw = table
     else:
         raw, _ = load_table(table, "contact")

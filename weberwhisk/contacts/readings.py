@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from .. import _checks
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
@@ -116,8 +117,9 @@ def turn_round(si: dict[str, Array], sides: list[tuple[Any, Any]], notes: list[s
 
 
 def signals_of(
-    si: dict[str, Array], cue: Cue | None, whisker: Any, notes: list[str], header: list[str]
-) -> tuple[Cue, Array, Array | None]:
+    si: dict[str, Array], cue: Cue | None, whisker: Any, known: bool | None, notes: list[str],
+    header: list[str],
+) -> tuple[Cue, Array, Array | None]:  # fmt: skip
     """The cue, the readings (n, S) and the covariances of their errors, if the table has any."""
     forces = [name for name in SIGNALS if name in si]
     if cue is None:
@@ -135,9 +137,14 @@ def signals_of(
                 'with columns={"moment": "M"}, or on the command line with --column moment=M.'
             )
         plain: Whisker = getattr(whisker, "whisker", whisker)
-        if plain.youngs_modulus == YOUNGS_MODULUS:
+        if known is None:
+            known = plain.youngs_modulus != YOUNGS_MODULUS
+        if not known:
             cue = UnknownStiffness(cue)
-            notes.append("Young's modulus was not given: unknown, 3.34 GPa with an sd of ln 0.42.")
+            notes.append(
+                "Young's modulus is the default, and so taken as unknown: 3.34 GPa with an sd of "
+                "ln 0.42; if it was measured, write known_stiffness=True."
+            )
     names = {"measured_angle": "deflection_angle"}
     wanted = [names.get(name, name) for name in cue.signal_names]
     missing = [name for name in wanted if name not in si]
@@ -212,7 +219,21 @@ def from_shape(
 ) -> tuple[Profile, Cue, dict[str, Array], Array]:
     """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
     profile = Profile.of(whisker)
-    rest = [float(pd.to_numeric(raw[name]).iloc[0]) for name in AT_REST]
+    common = [*AT_REST, "friction_angle_deg"]
+    missing = [n for n in (*common, "contact", CORRELATION) if n not in raw]
+    missing += [n for n in ("moment", "transverse_force") if n not in si]
+    if missing:
+        raise ValueError(
+            f"A table of tracked shapes has no {', '.join(missing)}; keep the columns that "
+            "tracked_signals wrote, or drop signals_from to locate its forces alone."
+        )
+    numbers = raw[common].apply(pd.to_numeric).drop_duplicates()
+    if len(numbers) > 1:
+        raise ValueError(
+            f"These rows are of several sessions, got {len(numbers)} shapes at rest or angles of "
+            "friction; locate each alone."
+        )
+    *rest, friction = (float(v) for v in numbers.iloc[0])
     side = np.where(si["moment"] < 0, -1.0, 1.0)
     free = ~raw["contact"].astype(str).str.lower().isin(("true", "1", "1.0")).to_numpy()
     out = {name: np.where(free, 0.0, v * (1 if name.endswith("_sd") else side))
@@ -221,10 +242,32 @@ def from_shape(
     out[CORRELATION] = np.where(free, 0.0, raw[CORRELATION].to_numpy(dtype=float))
     if cue is None:
         cue = ForceMap(["moment", "transverse_force"])
-        angle = float(np.radians(pd.to_numeric(raw["friction_angle_deg"]).iloc[0]))
-        cue = cue if angle == 0 else Friction(cue, angle)
+        cue = cue if friction == 0 else Friction(cue, float(np.radians(friction)))
     notes.append(
         "Signals are of tracked shapes: the whisker's stiffness drops out of the distance, and its "
         f"curvature at rest is {rest[0]:.3g} + {rest[1]:.3g} s /m."
     )
     return profile.curved(Spiral(*rest)), cue, out, side
+
+
+def touches_of(raw: pd.DataFrame, touch: str | Sequence[Any]) -> NDArray[np.object_]:
+    """The touch of each row, None where it is in none."""
+    if isinstance(touch, str):
+        if touch not in raw.columns:
+            raise ValueError(
+                f"The table has no column {touch!r} of touches; it has "
+                f"{_checks.listed(map(str, raw.columns), 8)}."
+            )
+        values = raw[touch].to_list()
+    else:
+        values = _checks.several("touch", touch, "write the name of a column")
+        if len(values) != len(raw):
+            raise ValueError(
+                f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "
+                "those in no touch None."
+            )
+    out = np.empty(len(values), dtype=object)
+    for i, value in enumerate(values):
+        empty = value is None or value is False or pd.isna(value) or value == 0
+        out[i] = None if empty or str(value).strip() in ("", "0", "False") else value
+    return out

@@ -21,7 +21,14 @@ from ..whisker import Whisker
 from .calibration import Calibration, averaged
 from .columns import IN_PLANE, Array, one_side, planar, read_contacts
 from .lattice import Cloud, Lattice, Readings, distances, log_prior_of_distance, quantiles
-from .readings import check_magnitudes, from_shape, is_curved, signals_of, turn_round
+from .readings import (
+    check_magnitudes,
+    from_shape,
+    is_curved,
+    signals_of,
+    touches_of,
+    turn_round,
+)
 from .signals import FROM_SHAPE
 
 #: What `locate` adds to a table.
@@ -54,6 +61,7 @@ def locate(
     touch: str | Sequence[Any] | None = None,
     noise: ReceptorNoise | None = None,
     prior: Mapping[str, Any] | None = None,
+    known_stiffness: bool | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pd.DataFrame:
     """The radial distance of each contact of a table, with its uncertainty.
@@ -64,14 +72,13 @@ def locate(
         A row a contact, or a frame: `moment`, `axial_force`, `transverse_force`,
         `deflection_angle`; `moment_rate` with `angular_velocity`; or the six signals `force_x` …
         `moment_z`. Units stand behind the name (`moment_uNm`); without one, SI. A measurement error
-        stands in `moment_sd_uNm` and the like, one for every signal used. Files as in
-        `read_trials`.
+        stands in `moment_sd_uNm` and the like, without a unit in its signal's, one for every signal
+        used. Files as in `read_trials`.
     whisker : Whisker, Profile or Calibration
         A calibration by taps brings cue and noise along, and its uncertainty into the distances:
         means over draws of its posterior, the sds of which are added to those of the rows, and the
         intervals widened as much.
-        With another Young's modulus than the default, it is taken as known; else the stiffness is
-        unknown, with the published spread of moduli. A table of `tracked_signals` brings its own
+        A table of `tracked_signals` brings its own
         curvature at rest, and its moment and forces are of the same stiffness, which is then taken
         as known.
     cue : Cue, optional
@@ -89,6 +96,9 @@ def locate(
         `measurement_sd_mm` is the sd without receptors.
     prior : mapping, optional
         As of `Observer`.
+    known_stiffness : bool, optional
+        By default, whether Young's modulus is another than the default. Else the stiffness is
+        unknown, with the published spread of moduli.
     progress : callable, optional
         Called with (rows done, rows in all).
 
@@ -133,9 +143,17 @@ def locate(
                 "and touch out, or write locate(table, c.whisker, cue=c.cue, noise=c.noise)."
             )
 
+        raw, si, _ = read_contacts(table, columns, units)
+        if ("angular_velocity" in si) != whisker.by_velocity:
+            told, lacks = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
+            raise ValueError(
+                f"The {told} have an angular_velocity, the {lacks} have none, and their slopes "
+                "cannot be compared; give both or neither."
+            )
+
         def under(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
             return locate(
-                table, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior
+                raw, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior
             )
 
         return averaged(whisker, under, progress)
@@ -160,9 +178,9 @@ def locate(
             )
         side = one_side(si, notes)
         turn_round(si, _by_side(side, whisker), notes)
-    cue, y, covariance = signals_of(si, cue, whisker, notes, header)
+    cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, header)
     receptors = covariance is None or noise is not None
-    named = None if touch is None else _touches(raw, touch)
+    named = None if touch is None else touches_of(raw, touch)
     out, done = raw.copy(), 0
     both = (MEASURED,) if covariance is not None and receptors else ()
     found_rows = {name: np.full(len(raw), np.nan) for name in (*RESULTS[:6], *both)}
@@ -265,29 +283,6 @@ def _prior_sd(observer: Observer) -> float:
     weight = observer.distance_prior(r)
     mean = np.average(r, weights=weight)
     return float(np.sqrt(np.average((r - mean) ** 2, weights=weight)))
-
-
-def _touches(raw: pd.DataFrame, touch: str | Sequence[Any]) -> NDArray[np.object_]:
-    """The touch of each row, None where it is in none."""
-    if isinstance(touch, str):
-        if touch not in raw.columns:
-            raise ValueError(
-                f"The table has no column {touch!r} of touches; it has "
-                f"{_checks.listed(map(str, raw.columns), 8)}."
-            )
-        values = raw[touch].to_list()
-    else:
-        values = _checks.several("touch", touch, "write the name of a column")
-        if len(values) != len(raw):
-            raise ValueError(
-                f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "
-                "those in no touch None."
-            )
-    out = np.empty(len(values), dtype=object)
-    for i, value in enumerate(values):
-        empty = value is None or value is False or pd.isna(value) or value == 0
-        out[i] = None if empty or str(value).strip() in ("", "0", "False") else value
-    return out
 
 
 def _of_touches(
