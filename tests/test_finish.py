@@ -7,6 +7,7 @@ import json
 import re
 import runpy
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,11 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
+from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.cli import app, run_app
+from weberwhisk.commands.experiments import in_words, rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
+from weberwhisk.design.preregistration import preregistration
 from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 
 ROOT = Path(__file__).parent.parent
@@ -99,7 +103,59 @@ def test_a_table_without_an_answer_is_refused(
     assert "there is no one column of answers" in capsys.readouterr().err
     bpod_table(plan.trials).assign(response=3).to_csv(tmp_path / "data.csv", index=False)
     assert run_app(app, ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]) == 2
-    assert "no answer in response is known, got '3'" in capsys.readouterr().err
+    assert "column 'response', rows 1, 2, 3 and" in (said := capsys.readouterr().err)
+    assert "'3' is no answer that is known; write left, 1 where" in said
+
+
+def test_every_answer_of_every_table_is_analysed_or_refused(
+    planned: tuple[Path, Plan, pd.Series], tmp_path: Path
+) -> None:
+    _, plan, answer = planned
+    own = plan.trials.drop(columns=["block", "level", "greater"])
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    half = len(own) // 2
+    sides = answer.map({1: "left", 2: "right"})
+    own.assign(choice=sides)[:half].to_csv(first, index=False)  # sides under the name of a choice
+    rest = own.assign(response=answer.astype(object))[half:]
+    rest.iloc[3, -1] = None
+    rest.to_csv(second, index=False)
+    trials = rig_trials([first, second])
+    assert (trials.n_trials, trials.n_missing) == (len(own) - 1, 1)
+    given = trials.frame["count"]
+    assert given[given.notna()].tolist() == (answer - 1)[given.notna().to_numpy()].tolist()
+    found = plan.analyse(trials, unit=1e-3)
+    words = in_words(found, trials, plan)
+    assert "1 trials have no answer" in words
+    assert "planned 10" in words
+    precise = replace(plan, goal=Goal(half_width=0.2), power=None)
+    assert "the planned" not in in_words(found, trials, precise)  # of Bayes factors there was none
+    rest.assign(response=answer - 1).to_csv(second, index=False)  # 0 and 1: which is which?
+    with pytest.raises(ValueError, match=r"'0' is no answer that is known; write left, 1 where"):
+        rig_trials([first, second])
+    with pytest.raises(ValueError, match="write in it whose trial each row is"):
+        replace(plan, scheme=plan.scheme.with_animals(2)).analyse(
+            replace(trials, frame=trials.frame.drop(columns="subject"))
+        )
+
+
+def test_a_yes_no_plan_is_analysed_as_one(
+    planned: tuple[Path, Plan, pd.Series], tmp_path: Path
+) -> None:
+    _, plan, _ = planned
+    asked = [replace(h, task="go/no-go") for h in plan.hypotheses]
+    plan = replace(plan, hypotheses=asked, power=None)
+    answers = simulate_responses(
+        plan.trials, plan.animals.draw(plan.scheme.animals, 1), encoding=asked[0].encoding,
+        task="yes/no", seed=1,
+    )  # fmt: skip
+    plan.trials.assign(choice=answers.frame["count"]).to_csv(tmp_path / "data.csv", index=False)
+    trials = rig_trials([tmp_path / "data.csv"], plan.hypotheses[0].task)
+    found, direct = plan.analyse(trials, unit=1e-3), plan.analyse(answers)
+    assert found.log_evidence == pytest.approx(direct.log_evidence, rel=1e-6)
+    with pytest.raises(ValueError, match="the plan is of go/no-go, got trials of 2AFC"):
+        plan.analyse(rig_trials([tmp_path / "data.csv"]), unit=1e-3)
+    assert "Φ((I2 − I1 − c σ1)/σ2)" in (text := " ".join(preregistration(plan).split()))
+    assert "second farther" not in text
 
 
 def test_links_of_the_index_page_are_absolute() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from scipy.integrate import quad
@@ -15,6 +16,7 @@ from weberwhisk.behaviour import (
     IdentityEncoding,
     LogEncoding,
     Priors,
+    Trials,
     fit_weber,
     response_probability,
     simulate_trials,
@@ -408,3 +410,36 @@ def test_the_figure_shows_every_trial():
     placer = session(BayesianPlacer(PLAIN, lattice(PLAIN.encoding, 1.0)), 9, animal(PLAIN, seed=1))
     ax = placements(placer)
     assert sum(len(line.get_xdata()) for line in ax.lines[:2]) == 9
+
+
+def test_a_trial_belongs_to_its_standard_whichever_came_first():
+    h = Hypothesis("Weber", IdentityEncoding(), bias="per standard")
+    scheme = Scheme([1.0, 1.4], [[-0.3, 0.3], [-0.3, 0.3]])
+    placer = BayesianPlacer(h, scheme)
+    placer.record(1.3, 1.0, 0, nominal=1.0)  # nearer to the other standard
+    assert placer.trials().frame["standard"].tolist() == [1.0]
+    frame = pd.DataFrame({"standard": 1.0, "stimulus_1": [1.3] * 40, "stimulus_2": 1.0,
+                          "n": 1, "count": [0.0, 1.0] * 20})  # fmt: skip
+    trials = Trials(frame, h.asked)
+    for s1, s2, count in frame[["stimulus_1", "stimulus_2", "count"]].to_numpy()[1:]:
+        placer.record(s1, s2, int(count), nominal=1.0)
+    assert next_trial(trials, h, scheme).information == pytest.approx(
+        placer.next().information, rel=1e-9
+    )
+
+
+def test_a_staircase_of_another_task():
+    h = Hypothesis("Weber", IdentityEncoding(), task="same-different")
+    staircase = Staircase(h, lattice(h.encoding, 1.0, each_side=8), seed=1)
+    for _ in range(12):
+        trial = staircase.next()
+        staircase.record(trial.standard, trial.comparison, 1)  # "different" is right on either side
+    assert staircase._tracks[1.0].level == 7
+    for _ in range(40):
+        trial = staircase.next()
+        difficult = abs(trial.comparison - trial.standard) < 0.1
+        staircase.record(trial.standard, trial.comparison, 0 if difficult else 1)
+    assert len(staircase._tracks[1.0].turns) > 4
+    assert np.isnan(staircase.weber_fraction)  # Φ⁻¹ of the share is of 2AFC
+    with pytest.raises(ValueError, match="is off the whisker"):
+        staircase.record(1.0, -1.0, 1)

@@ -220,3 +220,36 @@ def test_the_session_is_fitted_as_any_table(tmp_path: Path) -> None:
         assert fit_weber(trials, bias="shared").weber_fraction == pytest.approx(
             session.placer.weber_fraction, rel=0.03
         )
+
+
+def test_an_answer_that_cannot_be_written_is_not_learnt_nor_half_written(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    file = tmp_path / "rat1.jsonl"
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with Session(placer(), file) as session:
+        said = converse(session, iter(["1"] * 4), "_mm")
+        next(said), next(said)
+        kept = file.read_bytes()
+        before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(kept) + 40, most[1]))  # a full disk
+        try:
+            with pytest.raises(ValueError, match="cannot be written"):
+                next(said)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, most)
+            signal.signal(signal.SIGXFSZ, before)
+        assert session.placer.n_trials == 1  # type: ignore[attr-defined]
+        assert file.read_bytes() == kept
+        trial = session.next()
+        session.record(trial.standard, trial.comparison, 1)
+    assert len(file.read_bytes().splitlines()) == 3
+
+
+def test_a_session_goes_on_with_more_trials(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for most in (2, 3):
+        monkeypatch.setattr("sys.stdin", io.StringIO("1\n0\n"))
+        command = ["next", "--standard", "1", "--most", str(most), "--log", str(tmp_path / "log")]
+        assert run_app(app, command) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["trials"] == 3

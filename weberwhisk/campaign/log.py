@@ -75,7 +75,7 @@ class Log:
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             try:
-                self._file = opened.enter_context(open(self.path, "a+b"))
+                self._file = opened.enter_context(open(self.path, "a+b", buffering=0))
                 lock = self.path.with_name(f".{self.path.name}.lock")
                 opened.enter_context(output.locked(lock, 0.0))
             except TimeoutError:
@@ -99,11 +99,17 @@ class Log:
             self.sync()
 
     def append(self, *lines: str) -> None:
-        """Add lines; they are in the system's hands, safe from this process being killed."""
+        """Add lines; they are in the system's hands, safe from this process being killed.
+
+        All of them or, where that fails, none.
+        """
+        text = "".join(f"{line}\n" for line in lines).encode("ascii")
+        before = os.fstat(self._file.fileno()).st_size
         try:
-            self._file.write("".join(f"{line}\n" for line in lines).encode("ascii"))
-            self._file.flush()
-        except OSError as error:  # a full disk
+            while text:  # a nearly full disk takes a part
+                text = text[self._file.write(text) :]
+        except OSError as error:
+            self._file.truncate(before)
             raise output.unwritable(self.path, error) from error
 
     def sync(self) -> None:

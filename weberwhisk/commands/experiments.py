@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from ..behaviour.trials import STIMULI
+from ..behaviour.trials import STIMULI, rows_in_words
 from ..campaign import all_cores
 from ..citing import versions_in_words
 from ..cli import numbers
@@ -250,11 +250,6 @@ def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
     return folder / f"rehearsal-{hashlib.sha256(question).hexdigest()[:8]}.jsonl"
 
 
-#: What rigs call an answer, and what their codes mean: PsychoPy's keyboard, and 1 or 2 for left or
-#: right in a table for Bpod (see `weberwhisk.design.trial_lists`).
-SIDES = {"left": "first", "right": "second", "1": "first", "2": "second"}
-
-
 @opt.command
 def analyse(
     file: Annotated[Path, "plan.json, as `weberwhisk design` writes it.", {"metavar": "PLAN"}],
@@ -271,7 +266,7 @@ def analyse(
         if not path.is_file():
             raise ValueError(f"{str(path)!r} is not a file; name a plan.json and tables of trials.")
     plan = read_plan(file)
-    trials = rig_trials(data)
+    trials = rig_trials(data, plan.hypotheses[0].task)
     inputs = {"plan": str(file), "trials_sha256": plan.fingerprint, "data": [str(d) for d in data]}
     with Run(out, "analyse", inputs) as run:
         found = plan.analyse(trials, unit=1e-3)
@@ -288,49 +283,59 @@ def analyse(
     opt.wrote(run)
 
 
-def rig_trials(files: list[Path]) -> ww.Trials:
+def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
     """The trials in one rig's tables, in mm; rows without a stimulus are no trials."""
     import pandas as pd
 
-    tables = [load_table(path)[0] for path in files]
-    table = pd.concat(tables, ignore_index=True)
+    table = pd.concat([_with_choice(load_table(path)[0], path) for path in files])
     named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
-    if "stimulus_1" in named:
-        table = table[table[named["stimulus_1"]].notna()]
     if "trial" not in table and "trial_number" in table:
         named["trial"] = "trial_number"
-    labels = None
-    if "choice" not in table:
-        table = _with_choice(table, files[0])
-        labels = {side: which for side, which in SIDES.items() if side in set(table["choice"])}
-    return ww.read_trials(table, columns=named, choice_labels=labels)
+    return ww.read_trials(table.reset_index(drop=True), columns=named, task=task)
 
 
 def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
-    """The table with its column of answers as `choice`: codes of `SIDES`, or none."""
+    """The trials of one table, their answers as `choice`: 1, 0 or NaN for none."""
     keys = [str(name) for name in table if str(name).endswith(".keys")]
     found = [*keys, *(name for name in ("response",) if name in table)]
+    found = ["choice"] if "choice" in table else found
     if len(found) != 1:
         raise ValueError(
             f"{str(file)!r}: there is no one column of answers, got {', '.join(found) or 'none'}; "
             "call it choice (1 where the second was judged farther), response or <keyboard>.keys."
         )
-    given = table[found[0]].map(lambda v: str(v).strip().removesuffix(".0"))  # numbers, or text
-    known = given.isin(list(SIDES))
-    if not known.any():
-        got = _checks.listed(given.unique())
+    places = np.arange(1, len(table) + 1)
+    for name in ("stimulus_1_mm", "stimulus_1"):
+        if name in table:
+            shown = table[name].notna().to_numpy()
+            table, places = table[shown], places[shown]
+            break
+    given = table[found[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
+    # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
+    codes = {"left": 0.0, "right": 1.0}
+    if found == ["choice"]:
+        codes |= {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
+    else:
+        codes |= {"1": 0.0, "2": 1.0}
+    none = "", "nan", "none", "<na>", "null", "na", "n/a"
+    unknown = ~given.isin([*codes, *none]).to_numpy()
+    if unknown.any():
         raise ValueError(
-            f"{str(file)!r}: no answer in {found[0]} is known, got {got}; "
-            "write left or 1 where the first was judged farther, right or 2 where the second."
+            f"{str(file)!r}, column {found[0]!r}, {rows_in_words(places[unknown])}: "
+            f"{_checks.listed(given[unknown].unique())} is no answer that is known; write "
+            f"{', '.join(code for code, second in codes.items() if not second)} where the first "
+            f"was judged farther, {', '.join(code for code, second in codes.items() if second)} "
+            "where the second, and nothing for no answer."
         )
-    return table.assign(choice=given.where(known, None))
+    return table.assign(choice=given.map(codes))
 
 
 def in_words(found: AnalysisResult, trials: ww.Trials, plan: ww.design.Plan) -> str:
     """What the planned analysis finds."""
     lines = [
         f"{plan.title}. {trials.n_trials} trials with an answer of {max(len(trials.subjects), 1)} "
-        f"animals, analysed as planned; {plan.scheme.total_trials} were planned."
+        f"animals, analysed as planned; {plan.scheme.total_trials} were planned.",
+        *trials.notes,
     ]
     for row in found.estimates.to_dict("records"):
         lines.append(
@@ -342,10 +347,11 @@ def in_words(found: AnalysisResult, trials: ww.Trials, plan: ww.design.Plan) -> 
     if len(found.log_evidence) > 1:
         best = max(found.log_evidence, key=lambda name: found.log_evidence[name])
         size = found.log_bayes_factor(best) / np.log(10)
-        need = plan.goal.bayes_factor or 10.0
-        verdict = "which meets" if size > np.log10(need) else "which does not meet"
-        lines.append(
-            f"Best: {best}, by a Bayes factor of 10^{size:.2f}, {verdict} the planned {need:g}."
-        )
+        words = f"Best: {best}, by a Bayes factor of 10^{size:.2f}"
+        need = plan.goal.bayes_factor
+        if need is not None:
+            verdict = "meets" if size > np.log10(need) else "does not meet"
+            words += f", which {verdict} the planned {need:g}"
+        lines.append(f"{words}.")
     lines.append(f"Software: {versions_in_words('numpy', 'scipy')}.")
     return "\n".join(lines) + "\n"

@@ -66,7 +66,9 @@ def next_trials(
     placer = _placer(goal, encoding, whisker, at, limits, bias.replace("-", " "), task,
                      easy_share, width_percent, most, seed)  # fmt: skip
     unit = "" if encoding is None else "_mm"
-    with Run(out, "next", inputs, seed) as run, Session(placer, log, inputs) as session:
+    # More trials, or fewer, go on with the same file.
+    question = {name: value for name, value in inputs.items() if name != "most"}
+    with Run(out, "next", inputs, seed) as run, Session(placer, log, question) as session:
         for line in converse(session, sys.stdin, unit):
             print(line, flush=True)
         table = placer.trials().table()

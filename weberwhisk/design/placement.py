@@ -65,6 +65,9 @@ class Placer(Protocol):
     def next(self, standard: float | None = None) -> Proposal:
         """The next trial, the same until it is recorded."""
 
+    def check(self, standard: float, comparison: float, choice: Any) -> Any:
+        """Refuses what `record` would."""
+
     def record(self, standard: float, comparison: float, choice: Any) -> None:
         """What was shown, and what was answered."""
 
@@ -116,21 +119,30 @@ class TrialLog:
     def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
         raise NotImplementedError
 
-    def _pair(self, standard: float, comparison: float) -> Pair:
-        """What was shown; its standard is the nearest of the scheme's."""
+    def check(
+        self, standard: float, comparison: float, choice: Any, nominal: float | None = None
+    ) -> Pair:
+        """What was shown, with the scheme's standard nearest to the nominal one; refuses what
+        `record` would."""
         for name, value in (("standard", standard), ("comparison", comparison)):
             _checks.number(name, value, "give what was shown")
-        nominal = min(self.scheme.standards, key=lambda s: abs(s - standard))
-        return float(standard), float(comparison), nominal
-
-    def _note(self, pair: Pair, choice: Any) -> int | None:
-        """Keep a trial; another is to be chosen then."""
-        missing = choice is None or (isinstance(choice, float) and np.isnan(choice))
-        if not missing and choice not in (0, 1):
+        about = standard if nominal is None else _checks.number("nominal", nominal, "give 1, say")
+        near = min(self.scheme.standards, key=lambda s: abs(s - about))
+        pair = float(standard), float(comparison), near
+        self._encode(pair)
+        if choice is not None and choice == choice and choice not in (0, 1):
             raise ValueError(
                 f"choice must be 1 ({self.hypotheses[0].asked.answer}), 0, or None for no answer, "
                 f"got {choice!r}."
             )
+        return pair
+
+    def _encode(self, pair: Pair) -> None:
+        raise NotImplementedError
+
+    def _note(self, pair: Pair, choice: Any) -> int | None:
+        """Keep a trial; another is to be chosen then."""
+        missing = choice is None or choice != choice
         self._rows.append((*pair, np.nan if missing else float(choice)))
         self._proposal = None
         return None if missing else int(choice)
@@ -138,7 +150,7 @@ class TrialLog:
     def trials(self) -> Trials:
         """Every trial recorded, in order.
 
-        The standard of a trial is the nearest of the scheme's, whatever was shown.
+        The standard of a trial is the scheme's nearest to stimulus 1, unless one was given.
         """
         rows = np.array(self._rows, dtype=float).reshape(-1, 4)
         frame = pd.DataFrame(
@@ -295,6 +307,10 @@ class BayesianPlacer(TrialLog):
 
     # -- trial by trial --------------------------------------------------------------------------
 
+    def _encode(self, pair: Pair) -> None:
+        for belief in self.beliefs.values():
+            belief.encode(pair)
+
     def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
         easy, draw = rng.random() < self.easy_share, rng.random()
         cells = self._cells
@@ -319,7 +335,9 @@ class BayesianPlacer(TrialLog):
         s1, s2 = float(cells.stimulus_1[at]), float(cells.stimulus_2[at])
         return Proposal(number, s1, s2, bool(easy), float(information[at]))
 
-    def record(self, standard: float, comparison: float, choice: Any) -> None:
+    def record(
+        self, standard: float, comparison: float, choice: Any, *, nominal: float | None = None
+    ) -> None:
         """Learn from a trial: what was shown, whether or not it was proposed, and the answer.
 
         Parameters
@@ -328,15 +346,16 @@ class BayesianPlacer(TrialLog):
             Stimulus 1 and stimulus 2, in the encoding's unit.
         choice : {0, 1, None}
             1 is the answer that the task counts, "second greater" say; None for no answer.
+        nominal : float, optional
+            The standard of the trial; stimulus 1 by default. Give it where the comparison came
+            first: a bias may belong to the standard.
 
         Raises
         ------
         ValueError
             For another choice, or stimuli that cannot be encoded; the trial is not kept then.
         """
-        pair = self._pair(standard, comparison)
-        for belief in self.beliefs.values():
-            belief.encode(pair)
+        pair = self.check(standard, comparison, choice, nominal)
         answer = self._note(pair, choice)
         if answer is not None:
             for belief in self.beliefs.values():
@@ -370,8 +389,10 @@ def next_trial(
     19
     """
     placer = BayesianPlacer(hypotheses, scheme, **options)
-    columns = [trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "n", "count")]
-    for s1, s2, n, count in zip(*columns, strict=True):
+    names = "stimulus_1", "stimulus_2", "n", "count", "standard"
+    columns = [trials.frame[c].to_numpy(float) for c in names]
+    for s1, s2, n, count, nominal in zip(*columns, strict=True):
         for i in range(int(n)):
-            placer.record(s1, s2, None if np.isnan(count) else int(i < count))
+            choice = None if np.isnan(count) else int(i < count)
+            placer.record(s1, s2, choice, nominal=nominal)
     return placer.next()

@@ -34,11 +34,9 @@ from .hypotheses import (
     options_of,
 )
 from .scheme import Constraints, Scheme, millimetres
-from .trial_lists import sessions_needed, trial_lists
+from .trial_lists import ONE_STIMULUS, check_answers, check_task, sessions_needed, trial_lists
 
 Array = NDArray[np.float64]
-
-TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
 
 @dataclass(frozen=True)
@@ -235,11 +233,7 @@ class Plan(Shown):
             whole = _checks.whole(name, getattr(self, name), "write 300, say", least=least)
             object.__setattr__(self, name, whole)
         first = self.hypotheses[0]
-        if first.task not in (*TWO_STIMULI, *ONE_STIMULUS):
-            raise ValueError(
-                f"Trial lists are made for one or two stimuli a trial, got the task "
-                f"{first.task!r}; write 2AFC, 2IFC, yes/no or go/no-go."
-            )
+        check_task(first.task)
         if self.goal.bayes_factor is not None and len(self.hypotheses) < 2:
             raise ValueError(
                 f"A Bayes factor compares two hypotheses, got {first.name!r} alone; give another, "
@@ -351,6 +345,7 @@ class Plan(Shown):
 
     def analyse(self, trials: Trials, *, unit: float = 1.0) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
+        check_answers(trials, self.hypotheses[0].task, self.scheme.animals)
         return analyse(trials, self.hypotheses, together=self.together, unit=unit)
 
     def _line(self) -> str:

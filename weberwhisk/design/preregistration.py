@@ -6,8 +6,9 @@ import textwrap
 from collections.abc import Sequence
 
 from ..behaviour.encodings import described
-from .plan import ONE_STIMULUS, Plan
+from .plan import Plan
 from .scheme import easy_share
+from .trial_lists import ONE_STIMULUS
 
 
 def preregistration(plan: Plan) -> str:
@@ -130,13 +131,17 @@ def _analysis(plan: Plan) -> str:
     noise = "of its own stimulus" if h.noise == "weber" else "of the standard"
     bias = {"none": "no response bias", "shared": "one response bias b",
             "per standard": "a response bias b for each standard"}[h.bias]  # fmt: skip
+    chance = "P(second farther) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b)"
+    if h.task in ONE_STIMULUS:  # b is the criterion c there, and I1 the standard's signal
+        chance = f"P({h.asked.answer}) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1 − c σ1)/σ2)"
+        bias = bias.replace("response bias", "criterion").replace(" b", " c")
     priors = ", ".join(
         f"{name.replace('_', ' ')} ~ {h.priors.words(name)}"
         for name in ("weber_fraction", *h.asked.lapses, "bias")
         if name != "bias" or h.bias != "none"
     )
     return (
-        f"{fitted}: P(second farther) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b), "
+        f"{fitted}: {chance}, "
         f"each signal with the sd {noise}, σ = k I, two lapse rates and {bias}. Priors (SciPy): "
         f"{priors}; normal scores of the two lapse rates correlate by "
         f"{h.priors.lapse_correlation:g}. The Weber fraction is reported as the posterior median "

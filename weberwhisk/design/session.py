@@ -20,7 +20,10 @@ from scipy.special import ndtri
 
 from .. import _checks
 from ..behaviour.psychometric import decision_variable
+from ..behaviour.tasks import SignedChoice, YesNo
+from ..behaviour.trials import Cells
 from ..campaign.log import Log
+from .belief import Pair
 from .hypotheses import Hypothesis
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog
 from .scheme import Scheme
@@ -125,12 +128,12 @@ class Staircase(TrialLog):
         ValueError
             For another choice, or stimuli that cannot be encoded; the trial is not kept then.
         """
-        pair = self._pair(standard, comparison)
+        pair = self.check(standard, comparison, choice)
         answer = self._note(pair, choice)
         if answer is None:
             return
-        is_choice = self.hypotheses[0].asked.response == "choice"
-        right = answer == int(comparison > standard) if is_choice else bool(answer)
+        signed = isinstance(self.hypotheses[0].asked, SignedChoice | YesNo)
+        right = answer == int(comparison > standard) if signed else bool(answer)
         track = self._tracks[pair[2]]
         track.right = track.right + 1 if right else 0
         way = -1 if not right else int(track.right >= RULES[self.rule])
@@ -144,6 +147,9 @@ class Staircase(TrialLog):
         lowest = max(side.size for side in self._sides[pair[2]]) - 1
         track.level = int(np.clip(track.level + way * stride, 0, lowest))
 
+    def _encode(self, pair: Pair) -> None:
+        self.hypotheses[0].model(Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0))))
+
     def _difficulty(self, pair: Sequence[float]) -> float:
         """|d| of a trial for a Weber fraction of 1."""
         encoding = self.hypotheses[0].encoding
@@ -153,12 +159,13 @@ class Staircase(TrialLog):
     def weber_fraction(self) -> float:
         """The textbook's estimate: the mean level (of logarithms) at all turns but the first two.
 
-        NaN before the third turn, and for 1-up/1-down, which settles at chance. Lapses and bias
-        move it; `fits` takes them into account.
+        NaN before the third turn, for 1-up/1-down, which settles at chance, and for tasks but 2AFC
+        and 2IFC, whose right answers are not Φ of the level. Lapses and bias move it; `fits` takes
+        them into account, and other tasks.
         """
         turns = [d for track in self._tracks.values() for d in track.turns[2:]]
         share = 0.5 ** (1 / RULES[self.rule])
-        if not turns or share == 0.5:
+        if not turns or share == 0.5 or not isinstance(self.hypotheses[0].asked, SignedChoice):
             return float("nan")
         return float(np.exp(np.mean(np.log(turns))) / ndtri(share))
 
@@ -244,9 +251,15 @@ class Session:
         return self.placer.next(standard)
 
     def record(self, standard: float, comparison: float, choice: Any) -> None:
-        """Keep and learn from a trial: what was shown, and the answer."""
+        """Keep and learn from a trial: what was shown, and the answer.
+
+        Raises
+        ------
+        ValueError
+            For what the placer refuses, and a file that cannot be written: the trial is not kept.
+        """
         proposed = self.placer.next()
-        self.placer.record(standard, comparison, choice)
+        self.placer.check(standard, comparison, choice)
         if self._log is not None:
             row = {
                 "trial": proposed.trial,
@@ -256,7 +269,8 @@ class Session:
                 "easy": proposed.easy,
                 "proposed": [proposed.standard, proposed.comparison],
             }
-            self._log.append(json.dumps(row))
+            self._log.append(json.dumps(row))  # where it fails, the trial still stands
+        self.placer.record(standard, comparison, choice)
 
     def sync(self) -> None:
         """Have the trials on the disk, safe from a power cut too."""
@@ -290,10 +304,13 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
             if not line.strip():
                 continue
             try:
-                session.record(*_answer(line, trial, names))
-                break
+                answer = _answer(line, trial, names)
+                session.placer.check(*answer)
             except ValueError as error:
                 yield json.dumps({"error": " ".join(str(error).split())})
+                continue
+            session.record(*answer)  # a file that cannot be written ends the session
+            break
         else:
             return
     about = {"finished": session.finished, "trials": session.next().trial - 1}

@@ -23,11 +23,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..behaviour.trials import Cells
+from ..behaviour.trials import Cells, Trials
 from .scheme import Scheme, millimetres
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
+
+TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
 
 def trial_lists(
@@ -284,3 +286,29 @@ def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
     table["subject"] = table["subject"].str.removeprefix("s").astype(int)
     table.insert(4, "trial_type", table.pop("greater"))
     return table
+
+
+def check_task(task: str) -> None:
+    """Refuses what no trial list is made for."""
+    if task not in (*TWO_STIMULI, *ONE_STIMULUS):
+        raise ValueError(
+            f"Trial lists are made for one or two stimuli a trial, got the task {task!r}; write "
+            "2AFC, 2IFC, yes/no or go/no-go."
+        )
+
+
+def check_answers(trials: Trials, task: str, animals: int) -> None:
+    """Refuses trials of another question than was planned, and several animals without names."""
+    asked = trials.task.name
+    if asked != task and not any(
+        {asked, task} <= {*alike} for alike in (TWO_STIMULI, ONE_STIMULUS)
+    ):
+        raise ValueError(
+            f"{trials.source}: the plan is of {task}, got trials of {asked}; write "
+            f"read_trials(table, task={task!r})."
+        )
+    if animals > 1 and not trials.subjects:
+        raise ValueError(
+            f"{trials.source}: the plan is of {animals} animals, got no column 'subject'; write "
+            "in it whose trial each row is."
+        )
