@@ -118,7 +118,7 @@ def run_all(size: int, generations: int, seed: int = SEED) -> pd.DataFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the references, past the ends of what exists
             found = hunt(d, size * effort, generations, seed + i)
-        tables.append(found.assign(panel=panel, x=found[x], y=found[y]))
+        tables.append(found.assign(panel=panel, across=found[x], up=found[y]))
         print(f"{d.name}: {len(found)} cases, {len(silent(found))} wrong in silence", flush=True)
     return pd.concat(tables, ignore_index=True)
 
@@ -138,8 +138,8 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
     for fate in (Fate.REFUSED, Fate.UNJUDGED, Fate.RIGHT, Fate.WARNED, Fate.SILENT):
         some = cases[cases["fate"] == fate]
         ax.plot(
-            some["x"],
-            some["y"],
+            some["across"],
+            some["up"],
             "X" if fate == Fate.SILENT else ".",
             color=COLOURS[fate],
             markersize=5 if fate == Fate.SILENT else 1.8,
@@ -177,7 +177,7 @@ def make(folder: Path, *, short: bool = False, seed: int = SEED) -> pd.DataFrame
     cases = run_all(*((1, 1) if short else (6, 3)), seed)
     with Run(folder, "stability", {"short": short}, seed) as run:
         run.table("stability", summary(cases))
-        run.table("stability_cases", cases.drop(columns=["x", "y"]))
+        run.table("stability_cases", cases.drop(columns=["across", "up"]))
         run.figure("stability", draw(cases))
     return cases
 

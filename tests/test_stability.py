@@ -161,7 +161,7 @@ def test_the_maps_are_drawn() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         cases = hunting.hunt(DOMAINS["quadrature, log-normal"], 6, 0, 1)
-    cases = cases.assign(panel="quadrature, one unknown", x=cases["distance"], y=cases["k"])
+    cases = cases.assign(panel="quadrature, one unknown", across=cases["distance"], up=cases["k"])
     assert len(stability.draw(cases).axes) == 16
     counts = stability.summary(cases)
     assert counts[["right", "warned", "refused", "silent", "unjudged"]].to_numpy().sum() == 12
