@@ -20,6 +20,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
+from weberwhisk.behaviour.criticism import checks
 from weberwhisk.behaviour.effects import (
     ComparisonBias,
     Contraction,
@@ -419,3 +420,32 @@ def test_effects_that_cannot_show_are_refused() -> None:
     with pytest.raises(ValueError, match="noise grows with the stimulus"):
         fit_weber(counts, effects=[Floor()], noise="equal-variance")
     assert task_named("same-different").bias_name == "criterion"
+
+
+def test_sessions_in_words_go_in_the_order_of_the_table() -> None:
+    trials = simulate_trials(sessions=12, trials_per_level=12, seed=1)
+    words = trials.table().assign(session=[f"day {s}" for s in trials.frame["session"]])
+    read, plain = read_trials(words), IdentityEncoding()
+    for numbered, named in ((Drift(), Drift()), (Step(at=2), Step(at="day 2"))):
+        assert np.array_equal(named.column(read, plain), numbered.column(trials, plain))
+
+
+@pytest.mark.parametrize("effect", [History(), PastContraction()])
+def test_what_goes_by_the_trial_before_needs_trials_in_their_order(effect: Effect) -> None:
+    trials = simulate_trials(sessions=2, trials_per_level=10, seed=1)
+    table = trials.table()
+    effect.column(read_trials(table), IdentityEncoding())
+    torn = pd.concat([table[5:], table[:5]])  # the first session comes back
+    for disordered in (table.sort_values("stimulus_2"), torn, torn.drop(columns="trial")):
+        with pytest.raises(ValueError, match="sort by session and trial"):
+            effect.column(read_trials(disordered), IdentityEncoding())
+    fit = fit_weber(read_trials(table.sort_values(["session", "stimulus_2"])))
+    assert "repetition" in checks(fit_weber(trials)).index
+    assert {"trend", "repetition"}.isdisjoint(checks(fit).index)
+
+
+def test_a_comparison_bias_needs_standards_that_were_shown() -> None:
+    rows = {"stimulus_1": [1.0, 2.0, 3.0, 4.0], "stimulus_2": [2.0, 1.0, 4.0, 3.0]}
+    ladder = read_trials(pd.DataFrame({**rows, "choice": [1, 0, 1, 0]}))
+    with pytest.raises(ValueError, match="standards that were never shown"):
+        ComparisonBias().column(ladder, IdentityEncoding())

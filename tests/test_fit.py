@@ -32,7 +32,10 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
-from weberwhisk.behaviour.encodings import IdentityEncoding
+from weberwhisk.behaviour.encodings import Encoding, IdentityEncoding
+from weberwhisk.behaviour.lapses import log_lapses_possible
+from weberwhisk.behaviour.population import simulate_responses
+from weberwhisk.behaviour.psychometric import threshold
 from weberwhisk.design import Scheme, taper
 
 ENDS = [0.025, 0.5, 0.975]
@@ -959,3 +962,54 @@ def test_the_rat_needs_a_bias_per_standard() -> None:
     # k alone misreads the animal by a factor of more than two.
     assert shared.weber_fraction > 2 * own.weber_fraction
     assert own.status is FitStatus.DETERMINED
+
+
+def test_a_standard_without_answers_shifts_no_bias_per_standard() -> None:
+    trials = simulate_trials(
+        standards=[1.0, 2.0, 4.0], bias=[0.0, 1.5, -1.5], trials_per_level=8, seed=1
+    )
+    frame = trials.frame.copy()
+    frame.loc[frame["standard"] == 1.0, "count"] = np.nan
+    fit = fit_weber(replace(trials, frame=frame), bias="per standard")
+    alone = fit_weber(trials.select(standard=[2.0, 4.0]), bias="per standard")
+    found, meant = (f.threshold(proportion=0.5, with_bias=True) for f in (fit, alone))
+    pd.testing.assert_frame_equal(found, meant)
+    assert fit.psychometric([4.0], 4.0).equals(alone.psychometric([4.0], 4.0))
+    assert fit.to_arviz().posterior["standard"].values.tolist() == [2.0, 4.0]
+    with pytest.raises(ValueError, match="standard 1 has no answers in the table"):
+        fit.threshold(1.0, with_bias=True)
+
+
+def test_standards_alike_to_six_digits_have_names_of_their_own() -> None:
+    fit = fit_weber(
+        simulate_trials(standards=[2.0, 2.0000001], trials_per_level=5, seed=1), bias="per standard"
+    )
+    assert fit.summary().index.tolist()[-2:] == ["bias[2.0]", "bias[2.0000001]"]
+
+
+def test_lapses_on_the_edge_count_half() -> None:
+    """Of two uniform lapses half are possible; by whole nodes it was 0.486."""
+    flat = Priors(lapse_low=stats.uniform(), lapse_high=stats.uniform(), lapse_correlation=0.0)
+    assert np.exp(log_lapses_possible(task_named("2AFC"), flat)) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_false_alarms_above_the_proportion_leave_no_threshold() -> None:
+    point = threshold(
+        task_named("same-different"),
+        IdentityEncoding(),
+        1.0,
+        0.5,
+        weber_fraction=0.1,
+        bias=[0.1, 2.0],
+    )
+    assert np.isfinite(point[1])
+    assert np.isinf(point[0])
+
+
+@pytest.mark.parametrize("encoding", [LogEncoding(2.0), IdentityEncoding()])
+def test_simulated_responses_are_on_the_scale_of_their_encoding(encoding: Encoding) -> None:
+    own = simulate_trials(encoding=encoding, subject="a", trials_per_level=1, seed=1)
+    truth = {"weber_fraction": [0.1], "lapse_low": [0.0], "lapse_high": [0.0], "bias": [0.0]}
+    animals = pd.DataFrame({"subject": ["a"], **truth})
+    again = simulate_responses(own.frame, animals, encoding=encoding, seed=1)
+    assert (again.scale, again.log_unit) == (own.scale, own.log_unit)

@@ -514,3 +514,44 @@ def test_columns_in_mm_are_read_in_metres_where_all_stimuli_are() -> None:
     frame = read_trials(table, columns=mapped).frame  # and not a standard of another unit
     assert frame["stimulus_2"].tolist() == [22, 18]
     assert (frame["standard"] > 1).all()
+
+
+@pytest.mark.parametrize(
+    ("answer", "value", "options", "said"),
+    [
+        (
+            "correct",
+            "hit",
+            {"choice_labels": {"hit": "first"}},
+            "got them for the answer 'correct'",
+        ),
+        ("n_greater", 1, {"choice_labels": {1: "first"}}, "got them for the answer 'n_greater'"),
+        ("choice", 1, {"columns": {"n": "of"}}, "columns maps 'n'"),
+    ],
+)
+def test_options_that_would_be_ignored_or_misread_are_refused(
+    answer: str, value: object, options: dict[str, object], said: str
+) -> None:
+    table = pd.DataFrame({"standard": 1.0, "comparison": [1.1], "n": 5, "of": 5, answer: value})
+    assert said in refusal(table, **options)
+
+
+def test_a_session_called_inf_is_text_and_logical_words_of_a_spreadsheet_are_answers() -> None:
+    table = pd.DataFrame({"session": ["inf", "1"], "standard": 1.0, "comparison": 1.1})
+    trials = read_trials(table.assign(choice=pd.Series(["TRUE", "FALSE"], dtype=object)))
+    assert trials.sessions == ["1", "inf"]
+    assert trials.frame["count"].tolist() == [1.0, 0.0]
+
+
+def test_standards_that_differ_by_rounding_alone_are_one() -> None:
+    table = pd.DataFrame({"standard": [2.0, 2.0000000000000004], "comparison": 2.2, "choice": 1})
+    assert read_trials(table).standards.tolist() == [2.0]
+
+
+def test_the_one_stimulus_of_every_row_is_the_standard() -> None:
+    """In random order each pair was its own standard, never shown."""
+    trials = simulate_trials(order="random", seed=1)
+    stimuli = trials.table()[["stimulus_1", "stimulus_2", "choice"]]
+    assert read_trials(stimuli).standards.tolist() == [1.0]
+    two = pd.DataFrame({"stimulus_1": [1.0, 4.0], "stimulus_2": [4.0, 1.0], "choice": [1, 0]})
+    assert read_trials(two).standards.tolist() == [2.0]  # either may be: the middle of the pair

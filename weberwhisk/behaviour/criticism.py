@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
 from .. import _checks
+from .effects.kinds import in_order
 from .likelihood import Draws, WeberModel, gather
 from .trials import STIMULI
 
@@ -148,7 +149,7 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
         pairs of stimuli. `overdispersion`: the intraclass correlation of the answers to one pair
         in one session. `sessions`: squared residuals of whole sessions. `trend`: correlation of
         residuals with the course of trials. `repetition`: correlation of a residual with the one
-        before. The last two need a row a trial, `sessions` two sessions or more.
+        before. The last two need a row a trial, in order, `sessions` two sessions or more.
 
     Examples
     --------
@@ -236,7 +237,7 @@ class _Rows:
                 lambda off, spread: _squares(off, spread, sessions).mean(axis=1),
                 "the effect Drift or Step, or fewer sessions",
             )
-        if (self.n == 1).all() and self.n.size > 2:
+        if (self.n == 1).all() and self.n.size > 2 and in_order(self.frame):
             course = np.linspace(-1, 1, self.n.size)
             course /= (course @ course) ** 0.5 * np.sqrt(course.size)
             follows = np.ones(self.n.size - 1, bool) if sessions is None else np.diff(sessions) == 0

@@ -184,11 +184,19 @@ def build_model(
         names = (label,)
     elif chosen == "per standard":
         levels, group = np.unique(cells.standard, return_inverse=True)
-        names = tuple(f"{label}[{s:g}]" for s in levels)
+        names = names_by_standard(label, levels)
     unit_known = trials.scale == "linear" or trials.log_unit is not None
     believed = priors_for(priors, cells, unit_known, task, by_name, [both])
     model = WeberModel(task, both, cells, believed, group, names, bound, columns)
     return model, encoded, chosen
+
+
+def names_by_standard(label: str, standards: Array) -> tuple[str, ...]:
+    """A name for the bias of each standard, in full where six digits would name two alike."""
+    short = tuple(f"{label}[{s:g}]" for s in standards)
+    if len(set(short)) == len(short):
+        return short
+    return tuple(f"{label}[{float(s)!r}]" for s in standards)
 
 
 def encoding_of(trials: Trials, encoding: Encoding | None, observer: Any, noise: str) -> Encoding:

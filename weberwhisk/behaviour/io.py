@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..tables import load_table
 from .tasks import TASKS, Task, task_named
-from .trials import LABELS, SCALES, Trials, in_millimetres, notes_of, rows_in_words, standards_of
+from .trials import (
+    LABELS,
+    SCALES,
+    Trials,
+    in_millimetres,
+    notes_of,
+    rounded_standards,
+    rows_in_words,
+    standards_of,
+)
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -121,6 +130,16 @@ def read_trials(
         raise ValueError(
             f"log_unit={log_unit:g} was given for magnitudes; write scale='log', or leave it out."
         )
+    if choice_labels and answer != "choice":
+        raise ValueError(
+            "choice_labels say which stimulus was reported greater, got them for the answer "
+            f"{answer!r}; leave them out and write 1 for correct and 0 for wrong, or counts."
+        )
+    if "n" in mapped and not answer.startswith("n_"):
+        raise ValueError(
+            f"columns maps 'n', the trials of a row, got {answer!r}, the answer of one trial; map "
+            "'n_greater' or 'n_correct' to the count of answers, or leave 'n' out."
+        )
     if stimuli == ("log_ratio",):
         scale, log_unit = "log", 1.0 if log_unit is None else log_unit
     table = check.table
@@ -142,7 +161,7 @@ def read_trials(
     frame = pd.DataFrame(
         {
             **labels,
-            "standard": standard,
+            "standard": rounded_standards(standard, scale),
             "stimulus_1": s1,
             "stimulus_2": s2,
             "n": n.astype(np.int64),
@@ -276,7 +295,8 @@ class TableCheck:
         if blank.any() and column != "trial":
             self.add(column, blank, f"empty; name the {column} of every trial.")
         values = pd.to_numeric(cells, errors="coerce")
-        if column != "subject" and values.notna().all() and (values == values.round()).all():
+        whole = (values == values.round()) & (values.abs() < 2**53)
+        if column != "subject" and whole.all():
             return values.to_numpy(np.int64)
         names = np.array([_plain(c) for c in cells], dtype=object)
         # A terminal obeys what is not printed, and a figure has no sign for it.
@@ -349,7 +369,7 @@ def _single_answers(
     cells: pd.Series, answer: str, labels: Mapping[Any, str] | None
 ) -> tuple[Array, str]:
     if labels is None:
-        truths = {True: 1, False: 0, "True": 1, "False": 0}
+        truths = {True: 1, False: 0, "True": 1, "False": 0, "TRUE": 1, "FALSE": 0}
         values = pd.to_numeric(cells.map(lambda c: truths.get(c, c)), errors="coerce")
         kept = values.where(values.isin([0, 1])).to_numpy(float)
         remedy = "write 1 for correct and 0 for wrong"

@@ -151,8 +151,9 @@ def log_lapses_possible(task: Task, priors: Priors) -> float:
         values.append(priors.value(name, scores[-1]) * (name in task.lapses))
     low, high = task.asymptotes(values[0][:, None], values[1][None, :])
     weight = np.exp(log_score_prior(scores[0][:, None], scores[1], priors.lapse_correlation))
-    rising = np.broadcast_to(low + high < 1, weight.shape)
-    return float(np.log(weight[rising].sum() / weight.sum()))
+    # A node on the edge stands for as much inside as outside.
+    rising = np.heaviside(np.round(1 - low - high, 12), 0.5)
+    return float(np.log((weight * rising).sum() / weight.sum()))
 
 
 def log_score_prior(low: Array, high: Array, correlation: float) -> Array:

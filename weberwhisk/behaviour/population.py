@@ -13,7 +13,7 @@ from scipy.stats import beta as beta_distribution
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from .encodings import CueEncoding, Encoding, checked_encoding, refuse_unencoded
+from .encodings import CueEncoding, Encoding, LogEncoding, checked_encoding, refuse_unencoded
 from .psychometric import response_probability
 from .simulate import simulate_trials
 from .tasks import task_named
@@ -293,6 +293,8 @@ def simulate_responses(
     frame = table[[name for name in LABELS if name in table]].assign(
         standard=standard, stimulus_1=s1, stimulus_2=s2, n=np.ones(p.size, np.int64), count=answer
     )
+    log_unit = encoding.log_unit if isinstance(encoding, LogEncoding) else None
     return Trials(
-        frame.reset_index(drop=True), chosen, source="simulated trials", notes=notes_of(frame)
-    )
+        frame.reset_index(drop=True), chosen, "linear" if log_unit is None else "log", log_unit,
+        "simulated trials", notes_of(frame),
+    )  # fmt: skip

@@ -150,7 +150,8 @@ def threshold(
 
     Solved by bisection to machine precision, whatever the encoding. Infinite (or the edge's own
     side: −inf, or 0 for magnitudes) where no comparison reaches it: under Weber noise Φ never
-    passes Φ(1/k), so a poor observer has no 90 % point.
+    passes Φ(1/k), so a poor observer has no 90 % point, nor has a same–different observer one below
+    its false alarms.
 
     Parameters
     ----------
@@ -193,7 +194,8 @@ def threshold(
             cells = unit_encodings(encoding, standard, comparison, standard, noise)
             return _chance(task, cells, k, shift, bound)[0] - proportion
 
-    if rises_on_both_sides(task):
+    both = rises_on_both_sides(task)
+    if both:
         upward_at = np.full(k.shape, upward)
         sign = np.ones(k.shape)[..., None]
     else:
@@ -217,7 +219,9 @@ def threshold(
         far = sign * above(middle) >= 0
         inner, outer = np.where(far, inner, middle), np.where(far, middle, outer)
     answer = 0.5 * (inner + outer)[..., 0]
-    return np.where(beyond.any(axis=-1), answer, np.where(upward_at, np.inf, encoding.domain[0]))
+    # Where the standard itself gets more such answers, moving away from it only adds to them.
+    reached = beyond.any(axis=-1) & ~(both & (passed[..., 0] > 0))
+    return np.where(reached, answer, np.where(upward_at, np.inf, encoding.domain[0]))
 
 
 def rises_on_both_sides(task: Task) -> bool:

@@ -112,7 +112,7 @@ def _limits(fit: WeberFit, least_p: float = 0.01) -> str:
 
 
 def _remedy(fit: WeberFit) -> str:
-    if fit.model.task.has_bias and fit.bias != "per standard" and fit.trials.standards.size > 1:
+    if fit.model.task.has_bias and fit.bias != "per standard" and fit.standards.size > 1:
         return ' Try bias="per standard".'
     if len(fit.trials.sessions) > 1:
         return " Try fewer sessions: the animal may have changed."
@@ -157,7 +157,7 @@ def _instead(fit: WeberFit) -> str:
         "believe lapses to be few, priors={'lapse_low': scipy.stats.beta(1, 20), "
         "'lapse_high': scipy.stats.beta(1, 20)}"
     ]
-    if fit.model.task.has_bias and fit.bias == "shared" and fit.trials.standards.size > 1:
+    if fit.model.task.has_bias and fit.bias == "shared" and fit.standards.size > 1:
         ways.append('fit bias="per standard"')
     if len(fit.trials.sessions) > 1:
         ways.append(
@@ -206,7 +206,7 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> ArvizData:
     dims = {name: ["cell"] for name in ("answers", "n", "stimulus_1", "stimulus_2")}
     coords: dict[str, Any] = {"cell": np.arange(cells.n.size)}
     if model.free_bias and many:
-        dims["bias"], coords["standard"] = ["standard"], fit.trials.standards
+        dims["bias"], coords["standard"] = ["standard"], fit.standards
     return convert(
         named(draws),
         prior=named(criticism.prior_draws(model, len(draws), rng)),
@@ -247,7 +247,7 @@ def as_dict(fit: WeberFit) -> dict[str, object]:
             "n_trials": fit.trials.n_trials,
             "n_missing": fit.trials.n_missing,
             "cells": int(fit.model.cells.n.size),
-            "standards": fit.trials.standards.tolist(),
+            "standards": fit.standards.tolist(),
         },
         "settings": {
             "task": fit.model.task.name,

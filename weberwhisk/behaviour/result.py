@@ -79,6 +79,12 @@ class WeberFit(Shown):
         return self.posterior.log_evidence
 
     @property
+    def standards(self) -> Array:
+        """Standards with an answer, rising; those of the table where none has one."""
+        answered = np.unique(self.model.cells.standard)
+        return answered if answered.size else self.trials.standards
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the inferred parameters."""
         return self.model.names
@@ -164,7 +170,7 @@ class WeberFit(Shown):
         Parameters
         ----------
         standard : array_like, optional
-            One or several; those of the table by default.
+            One or several; those that have answers by default.
         proportion : float
             Of "second greater" (below ½: the downward threshold), of correct answers, and so on.
         mass : float
@@ -188,7 +194,7 @@ class WeberFit(Shown):
         at = np.array([ends_at[0], 0.5, ends_at[1]])
         rows = []
         for s in np.atleast_1d(
-            self.trials.standards
+            self.standards
             if standard is None
             else _checks.finite("standard", standard, "give one stimulus or several").ravel()
         ):
@@ -262,12 +268,12 @@ class WeberFit(Shown):
         levels = np.atleast_1d(_checks.finite("comparisons", comparisons, "give one or several"))
         refuse_outside(self.encoding, levels)
         if standard is None:
-            if self.trials.standards.size != 1:
+            if self.standards.size != 1:
                 raise ValueError(
-                    f"the table has {self.trials.standards.size} standards; name one, for example "
-                    f"standard={self.trials.standards[0]:g}."
+                    f"the table has {self.standards.size} standards; name one, for example "
+                    f"standard={self.standards[0]:g}."
                 )
-            standard = float(self.trials.standards[0])
+            standard = float(self.standards[0])
         standard = _checks.number("standard", standard, "name one standard")
         p = self._probability(np.full(levels.shape, standard), levels, standard)
         low, median, high = np.quantile(p, [tails(mass)[0], 0.5, tails(mass)[1]], axis=0)
@@ -294,11 +300,11 @@ class WeberFit(Shown):
         """The column of the bias that a standard has."""
         if self.bias != "per standard":
             return 0
-        at = np.flatnonzero(np.isclose(self.trials.standards, standard, rtol=1e-9, atol=0))
+        at = np.flatnonzero(np.isclose(self.standards, standard, rtol=1e-9, atol=0))
         if not at.size:
-            known = ", ".join(f"{s:g}" for s in self.trials.standards)
+            known = ", ".join(f"{s:g}" for s in self.standards)
             raise ValueError(
-                f"standard {standard:g} is not in the table, so it has no bias; "
+                f"standard {standard:g} has no answers in the table, so it has no bias; "
                 f"choose one of {known}."
             )
         return int(at[0])

@@ -258,22 +258,31 @@ _COUNT_NAMES = {"choice": "greater", "correct": "correct"}
 def standards_of(stimulus_1: Array, stimulus_2: Array, scale: str) -> Array:
     """The standard of each trial, where the table names none.
 
-    The interval with fewer than half as many levels as the other holds the standards (interval 1 if
+    The one value of four or more that occurs in every row is the standard. Where there is none, the
+    interval with fewer than half as many levels as the other holds the standards (interval 1 if
     both do). Otherwise every unordered pair is its own standard, named by its middle (geometric for
     magnitudes): the design of a rat that compares neighbours on a ladder of levels.
     """
+    first_row = *stimulus_1[:1], *stimulus_2[:1]
+    everywhere = [v for v in first_row if ((stimulus_1 == v) | (stimulus_2 == v)).all()]
+    if len(everywhere) == 1 and np.unique([stimulus_1, stimulus_2]).size > 3:
+        return np.full(stimulus_1.shape, everywhere[0])
     levels_1, levels_2 = np.unique(stimulus_1).size, np.unique(stimulus_2).size
     if levels_1 == 1 or 2 * levels_1 < levels_2:
         return stimulus_1
     if levels_2 == 1 or 2 * levels_2 < levels_1:
         return stimulus_2
     if scale == "log":
-        middle = 0.5 * (stimulus_1 + stimulus_2)
-    else:
-        middle = np.sqrt(stimulus_1) * np.sqrt(stimulus_2)
-    return (
-        np.round(middle, 12) if scale == "log" else np.array([float(f"{m:.12g}") for m in middle])
-    )
+        return 0.5 * (stimulus_1 + stimulus_2)
+    return np.sqrt(stimulus_1) * np.sqrt(stimulus_2)
+
+
+def rounded_standards(standard: Array, scale: str) -> Array:
+    """Standards to twelve digits, so that those that differ by rounding alone are one."""
+    if scale == "log":
+        return np.round(standard, 12)
+    levels, place = np.unique(standard, return_inverse=True)
+    return np.array([float(f"{s:.12g}") for s in levels])[place]
 
 
 DESCRIPTIONS = {

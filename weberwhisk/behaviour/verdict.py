@@ -285,7 +285,7 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
             f"Weber's law is tested without effects, got {', '.join(e.name for e in model.effects)}"
             "; fit without them, or compare fits with and without NearMiss() or Floor()."
         )
-    if fit.trials.standards.size < 2:
+    if fit.standards.size < 2:
         raise ValueError(
             "Weber's law needs two standards or more, got 1; collect another standard."
         )

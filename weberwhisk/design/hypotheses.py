@@ -20,7 +20,7 @@ from ..behaviour.encodings import (
     checked_encoding,
     unit_encodings,
 )
-from ..behaviour.fit import BIASES, fit_weber
+from ..behaviour.fit import BIASES, fit_weber, names_by_standard
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors
@@ -117,7 +117,7 @@ class Hypothesis:
         group = np.zeros(cells.n.size, dtype=np.intp)
         if self.bias == "per standard":
             levels, group = np.unique(cells.standard, return_inverse=True)
-            names = tuple(f"{label}[{s:g}]" for s in levels)
+            names = names_by_standard(label, levels)
         return WeberModel(self.asked, encoded, cells, self.priors, group, names)
 
     def fit(self, trials: Trials) -> WeberFit:

@@ -300,7 +300,7 @@ class Plan(Shown):
         """
         parts = []
         for name, fit in self.expected_fits:
-            for standard in fit.trials.standards:
+            for standard in fit.standards:
                 own = fit.trials.frame.query("standard == @standard")["stimulus_2"]
                 low, high = own.min(), own.max()
                 margin = 0.1 * (high - low) or 0.05 * standard

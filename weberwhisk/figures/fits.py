@@ -67,7 +67,7 @@ def psychometric(
     'Second reported greater'
     """
     ax = axes_or_new(ax)
-    known = fit.trials.standards
+    known = fit.standards
     if standard is None and known.size > 1:
         raise ValueError(
             f"There are {known.size} standards; name one, such as standard={known[0]:g}, or draw "
@@ -90,7 +90,7 @@ def psychometrics(
     unit: str = "",
 ) -> NDArray[np.object_]:
     """`psychometric` at every standard, or at one, in small multiples; returns their axes."""
-    known = fit.trials.standards if standard is None else np.array([float(standard)])
+    known = fit.standards if standard is None else np.array([float(standard)])
     if axes is not None:
         given = list(np.ravel(np.array(axes, dtype=object)))
         if len(given) < len(known):
@@ -334,7 +334,7 @@ def population(
     fits = {labels: one for labels, one in fit.fits.items() if one.parameters}
     if ax is not None or not fits:
         return shrinkage(fit, ax)
-    known = np.unique(np.concatenate([one.trials.standards for one in fits.values()]))
+    known = np.unique(np.concatenate([one.standards for one in fits.values()]))
     if known.size > 3:
         known = known[[0, known.size // 2, -1]]
     animals = list(dict.fromkeys(labels[0] for labels in fits))
@@ -345,7 +345,7 @@ def population(
     for i, standard in enumerate(known):
         axes.append(figure.add_subplot(grid[i], sharey=axes[0] if axes else None))
         for (animal, *_), one in fits.items():
-            if np.isclose(one.trials.standards, standard).any():
+            if np.isclose(one.standards, standard).any():
                 number = animals.index(animal)
                 name = f"{drawable(animal)}, alone" if len(animals) <= 12 else "animals, alone"
                 _animal(one, axes[-1], float(standard), number, name)

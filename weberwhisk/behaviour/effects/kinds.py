@@ -13,7 +13,7 @@ from scipy.stats.distributions import rv_frozen
 
 from ... import _checks
 from ..encodings import Encoding, Signals, UnitEncodings
-from ..trials import Trials
+from ..trials import SDS, Trials
 
 
 class Effect:
@@ -61,6 +61,11 @@ def needs_rows(trials: Trials, what: str) -> None:
             f"{trials.source}: {what} needs a row a trial, got counts; give the trials in their "
             "order."
         )
+    if not in_order(trials.frame):
+        raise ValueError(
+            f"{trials.source}: {what} needs the trials in their order, got rows whose trial falls "
+            "within a session, or sessions in pieces; sort by session and trial."
+        )
 
 
 def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
@@ -70,6 +75,17 @@ def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
         if label in frame:
             new |= (frame[label] != frame[label].shift(1)).to_numpy()
     return np.cumsum(new)
+
+
+def in_order(frame: pd.DataFrame) -> bool:
+    """Whether rows come session by session, trials rising in each, as far as columns tell."""
+    block = session_block(frame)
+    labels = frame[[label for label in ("subject", "session") if label in frame]]
+    if labels.size and block[-1] - block[0] >= len(labels.drop_duplicates()):
+        return False
+    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
+        return True
+    return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
 
 
 Array = NDArray[np.float64]
@@ -88,7 +104,8 @@ class Drift(_OfSessions):
     """A learning animal, smoothly: ln k goes by `drift` from the first session to the last.
 
     Linear in the number of the session in its row, or with `of_log` in its logarithm (fast first,
-    slow later). The Weber fraction is that in the middle of the course.
+    slow later). The Weber fraction is that in the middle of the course. Sessions that are not
+    numbers go in the order in which they first appear in the table.
 
     Examples
     --------
@@ -113,7 +130,8 @@ class Drift(_OfSessions):
 class Step(_OfSessions):
     """A learning animal, by blocks: ln k changes by this much from session `at` on.
 
-    Several steps make a piecewise course; the Weber fraction is that before the first.
+    Several steps make a piecewise course; the Weber fraction is that before the first. Sessions
+    that are not numbers go in the order in which they first appear in the table.
 
     Examples
     --------
@@ -138,13 +156,14 @@ class Step(_OfSessions):
 
 
 def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
-    """Sessions in order, and the place of each row's."""
+    """Sessions in order (text as it first appears in the table), and the place of each row's."""
     if what and len(trials.sessions) < 2:
         raise ValueError(
             f"{trials.source}: {what} needs two sessions or more, got {len(trials.sessions)}; "
             "give the table a column 'session'."
         )
-    levels, place = np.unique(trials.frame["session"].to_numpy(), return_inverse=True)
+    sessions = trials.frame["session"]
+    place, levels = pd.factorize(sessions, sort=pd.api.types.is_numeric_dtype(sessions))
     return levels.tolist(), place
 
 
@@ -346,6 +365,12 @@ class ComparisonBias(Effect):
         s1, s2, standard = (
             trials.frame[c].to_numpy(float) for c in ("stimulus_1", "stimulus_2", "standard")
         )
+        shown = np.isclose(s1, standard, 1e-9, 1e-12) | np.isclose(s2, standard, 1e-9, 1e-12)
+        if len(trials) and not shown.any() and SDS[0] not in trials.frame:
+            raise ValueError(
+                f"{trials.source}: ComparisonBias needs to know which stimulus was the standard, "
+                "got standards that were never shown; give the table a column 'standard'."
+            )
         return np.sign(np.abs(s2 - standard) - np.abs(s1 - standard))
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
