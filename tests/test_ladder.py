@@ -620,3 +620,8 @@ def test_slopes_of_a_rolled_whisker_are_those_of_each_alone() -> None:
     together = ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=rolls)
     alone = [ww.signal_jacobian(CURVED, 30e-3, 0.2, roll=float(roll)) for roll in rolls]
     np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-12)
+
+
+def test_no_contacts_are_none_with_friction_too() -> None:
+    for whisker in (ww.Whisker(50e-3, 100e-6, 5e-6), ww.Whisker(50e-3, 100e-6, 5e-6, curvature=5)):
+        assert ww.press(whisker, [], [], []).moment.shape == (0,)

@@ -65,7 +65,7 @@ def _multi(folder: Path) -> Path:
     for frame in range(2):
         values = np.arange(18.0) + 100 * frame
         values[2::3] = 0.9
-        values[11] = 0.1 if frame else 0.9
+        values[14] = 0.1 if frame else 0.9
         rows.append([str(frame), *(str(v) for v in values)])
     path.write_text("".join(",".join(row) + "\n" for row in rows))
     return path
@@ -119,7 +119,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert tables["multi"][["frame", "whisker"]].to_numpy().tolist() == [
         [0, 0], [0, 1], [1, 0], [1, 1]]  # fmt: skip
     assert [v.tolist() for v in tables["multi"]["x"]] == [
-        [0, 3, 6], [9, 12, 15], [100, 103, 106], [112, 115]]  # fmt: skip
+        [0, 3, 6], [9, 12, 15], [100, 103, 106], [109, 115]]  # fmt: skip
     assert tables["multi"].attrs["notes"][0].startswith("1 of 12 points")
     whole = ww.read_tracking(tmp_path / "multi.csv", likelihood=0.0)
     assert whole["x"][3].tolist() == [109, 112, 115]
@@ -296,3 +296,23 @@ def test_poses_ask_for_movement_where_it_is_not(
     path.write_bytes(b"\x89HDF\r\n")
     with pytest.raises(ModuleNotFoundError, match=r"weberwhisk\[tracking\]"):
         ww.read_tracking(path)
+
+
+def test_a_whisker_without_its_first_keypoint_is_left_out(tmp_path: Path) -> None:
+    """The next keypoint would stand for the base, from which distances are."""
+    table = pd.DataFrame({"frame": np.repeat([0, 1, 2, 3], 3), "x": [0.0, 5, 10] * 4, "y": 0.0})
+    table["likelihood"] = [1, 1, 1, 0.1, 1, 1, 1, 0.1, 1, 1, 1, 1]
+    table.loc[9, "x"] = np.nan
+    table.to_csv(tmp_path / "a.csv", index=False)
+    found = ww.read_tracking(tmp_path / "a.csv")
+    assert found["frame"].tolist() == [0, 2]
+    assert [v.tolist() for v in found["x"]] == [[0, 5, 10], [0, 10]]
+    assert "2 whiskers have no likely first keypoint" in found.attrs["notes"][1]
+
+
+def test_whiskers_may_have_names(tmp_path: Path) -> None:
+    table = pd.DataFrame({"frame": 0, "whisker": np.repeat(["C2", "C1", "3"], 2), "x": range(6)})
+    table.assign(y=0).to_csv(tmp_path / "a.csv", index=False)
+    found = ww.read_tracking(tmp_path / "a.csv")
+    assert found["follicle_x"].tolist() == [4, 2, 0]
+    assert "3 is 0, C1 is 1, C2 is 2" in found.attrs["notes"][0]

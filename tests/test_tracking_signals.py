@@ -326,3 +326,19 @@ def test_sessions_and_lost_columns_are_told() -> None:
         ww.locate(pd.concat([one, two]), C2)
     with pytest.raises(ValueError, match="tracked shapes has no friction_angle_deg, transverse"):
         ww.locate(one.drop(columns=["friction_angle_deg", "transverse_force_uN"]), C2)
+
+
+def test_labels_that_repeat_text_and_first_points() -> None:
+    video, truth = _scene(4, [15e-3], frames=40)
+    one = ww.tracked_signals(video, C2, contact=truth["contact"])
+    text = truth["contact"].map({True: "True", False: "False"})
+    both = pd.concat([video.assign(label=i, touch=text) for i in (0, 1)])
+    both.attrs = video.attrs
+    again = ww.tracked_signals(both, C2, identity=1, contact="touch")
+    pd.testing.assert_frame_equal(again, one)
+    assert not any("first points" in note for note in one.attrs["notes"])
+    cut = np.random.default_rng(1).integers(0, 3, len(video))
+    for name in "xy":
+        video[name] = [v[c:] for v, c in zip(video[name], cut, strict=True)]
+    notes = ww.tracked_signals(video, C2).attrs["notes"]
+    assert any("first points scatter by 0." in note for note in notes)

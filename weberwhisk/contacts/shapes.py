@@ -331,7 +331,8 @@ def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> ND
                 f"contact must have a value for each of {len(tracking)} rows, got {len(several)}."
             )
         values = pd.Series(several, index=tracking.index)
-    return np.asarray(values.loc[table.index].fillna(False).astype(bool))
+    words = values.loc[table.index].astype(str).str.strip().str.lower()
+    return ~words.isin(("false", "0", "0.0", "", "no", "none", "nan", "<na>")).to_numpy()
 
 
 def pole_of(pole: ArrayLike, tracking: pd.DataFrame, table: pd.DataFrame, plane: Array) -> Any:

@@ -90,8 +90,10 @@ def tracked_signals(
         `moment_sd_uNm` and so on, the correlation `moment_transverse_corr`;
         `shape_distance_mm` and `shape_distance_sd_mm`, from the shape alone; with a pole also
         `pole_distance_mm` and `pole_distance_sd_mm`; `misfit`, χ² over its degrees of freedom;
-        `side`, 1 where the push is to the left as seen from the base, −1 to the right. Errors are
-        those of tracking; receptors come in with ``locate(…, noise=)``. The curvature at rest is
+        `side`, 1 where the push is towards +y of a whisker along +x (to the right in an image,
+        whose y runs down), −1 to the other side. Errors are those of tracking, but for where along
+        the whisker its first point is, from which distances count; receptors come in with
+        ``locate(…, noise=)``. The curvature at rest is
         `rest_curvature_per_m` + `rest_curvature_rate_per_m2` s. ``attrs["notes"]`` says what was
         found and checked.
 
@@ -121,6 +123,9 @@ def tracked_signals(
     """
     _checks.kind("whisker", whisker, "a Whisker or Profile", "stiffness", "write Whisker(…)")
     profile = Profile.of(whisker)
+    index: Any = getattr(tracking, "index", None)
+    if isinstance(tracking, pd.DataFrame):
+        tracking = tracking.reset_index(drop=True)  # labels may repeat
     table = _one_whisker(tracking, identity)
     ppm, rate = _scales(tracking, pixels_per_mm, frame_rate)
     for name, value in (("pole_radius_px", pole_radius_px), ("friction_sd", friction_sd)):
@@ -167,6 +172,14 @@ def tracked_signals(
              f"{noise * unit:.2g} px."]  # fmt: skip
     if given is None:
         notes[0] += f" Contacts: where the shape differs, {100 * false_alarms:g} % false alarms."
+    middle = np.median(points.base.real) + 1j * np.median(points.base.imag)
+    along = np.real((points.base - middle) * np.exp(-1j * own[:, 0]))
+    scatter = 1.4826 * float(np.median(np.abs(along - np.median(along))))
+    if scatter > 3 * noise:
+        notes.append(
+            f"The first points scatter by {1e3 * length * scatter:.2g} mm along the whisker, and "
+            "distances with them, which are from there; their sds leave this out."
+        )
     out = table[["frame"]].copy()
     out["time_s"] = table["frame"] / rate
     out["contact"] = ~free
@@ -198,8 +211,8 @@ def tracked_signals(
         columns = {name: (np.zeros(0), np.zeros(0)) for name in names}
         columns |= {"corr": np.zeros(0), "misfit": np.zeros(0)}
     rows = _in_units(columns, profile.whisker).set_axis(touched)
-    rows = rows.reindex(np.arange(len(out))).set_axis(out.index)  # by place: labels may repeat
-    out = pd.concat([out, rows], axis=1)
+    rows = rows.reindex(np.arange(len(out))).set_axis(out.index)
+    out = pd.concat([out, rows], axis=1).set_axis(index[table.index])
     out.attrs = {"notes": tuple(notes)}
     return out
 
@@ -338,6 +351,8 @@ def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> 
         alike = float(np.corrcoef(bent, crossed)[0, 1])
         # What noise leaves of a correlation of 1.
         least = 0.97 * float((1 + error[clear].mean() / np.var(crossed)) ** -0.5)
+        # Fisher: arctanh r has an sd of (n − 3)^−½.
+        least = float(np.tanh(np.arctanh(least) - 3 / np.sqrt(clear.sum() - 3)))
         good = abs(slope - 1) < 0.05 + 3 * se and alike > least
         verdict = "agree" if good else "DO NOT agree; check scale, whisker, pole and friction"
         notes = [f"EI·Δκ at the base and contact × force {verdict}: slope {slope:.3g} ± {se:.2g}, "

@@ -204,7 +204,15 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
     axes = ["x", "y", *(["z"] if "z" in points else [])]
     keys = ["frame", *(["whisker"] if "whisker" in points else [])]
     sure = ["likelihood"] if "likelihood" in points else []
-    points = points[[*keys, *axes, *sure]].apply(pd.to_numeric, errors="coerce")
+    points = points[[*keys, *axes, *sure]].copy()
+    named = points[keys[-1]].dropna().astype(str).str.strip()
+    named = named[named != ""]
+    if len(keys) > 1 and pd.to_numeric(named, errors="coerce").isna().any():
+        numbers, known_as = pd.factorize(named, sort=True)
+        points["whisker"] = pd.Series(numbers, named.index)
+        said = ", ".join(f"{name} is {i}" for i, name in enumerate(known_as[:8]))
+        notes.append(f"Whiskers were numbered in the order of their names: {said}.")
+    points = points.apply(pd.to_numeric, errors="coerce")
     known = np.isfinite(points[[*keys, *axes]].to_numpy(dtype=float)).all(axis=1)
     if sure:
         doubtful = known & (points["likelihood"] < likelihood).to_numpy()
@@ -213,6 +221,15 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
             notes.append(
                 f"{doubtful.sum()} of {len(points)} points are less likely than {likelihood:g}: "
                 "left out."
+            )
+        # Distances are from the first keypoint: the next must not stand for it.
+        seen = pd.Series(known).groupby([points[name].to_numpy() for name in keys])
+        lost = known & ~seen.transform("first").eq(True).to_numpy()
+        if lost.any():
+            known &= ~lost
+            notes.append(
+                f"{len(points[lost].drop_duplicates(keys))} whiskers have no likely first keypoint:"
+                " left out."
             )
     if known.sum() < 2:
         raise ValueError(f"{path.name}: it has no points with numbers in frame, x and y.")

@@ -54,7 +54,8 @@ def read_tracking(
     shortest_px : float
         Shorter segments are left out: most of what trackers find is fur.
     likelihood : float
-        Keypoints of poses that are less likely than this are left out.
+        Keypoints of poses that are less likely than this are left out, and whiskers the first
+        keypoint of which is: distances are from there.
     follicles : (x, y, x, y), optional
         Corners of the box in which follicles lie, pixels; segments that start elsewhere are left
         out.

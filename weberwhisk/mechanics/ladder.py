@@ -336,7 +336,7 @@ def _model_of(
         bow = max(np.max(np.abs(value)) for value in vars(whisker.law).values())
     if bow > 0:
         found["Intrinsic curvature"] = (f"{bow:g} 1/m", Model.PROFILE)
-    tilt, turn = np.max(np.abs(friction_angle)), np.max(np.abs(np.sin(roll)))
+    tilt, turn = (np.max(np.abs(v), initial=0.0) for v in (friction_angle, np.sin(roll)))
     if tilt > 0:
         found["Friction"] = (f"{tilt:g} rad", Model.PROFILE)
     if turn > 0 and bow > 0:
