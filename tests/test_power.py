@@ -27,7 +27,7 @@ from weberwhisk.design import (
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.experiments import Fitted, compare, fit, reaches, simulate, sized
+from weberwhisk.design.experiments import Fitted, compare, fit, reaches, simulate, sized, wilson
 from weberwhisk.design.power_analysis import _probit, smallest
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -100,9 +100,9 @@ def check_brute_force(places, trials, truth, runs, others=1024):
     assert np.abs(ours - plain).max() < 0.1
     assert abs(np.mean(ours - plain)) < 0.03
     # Others: the same power, within the Monte Carlo error of both.
-    found = ww.power(
-        scheme, hypotheses, expected=ALIKE, truths=[truth], runs=others, seed=2
-    ).table["power"][0]
+    found = ww.power(scheme, hypotheses, expected=ALIKE, truths=[truth], runs=others, seed=2).table[
+        "power"
+    ][0]
     share = np.mean(plain > np.log(10))
     error = np.sqrt(max(found * (1 - found), 0.01) * (1 / runs + 1 / others))
     assert abs(found - share) < 3.5 * error
@@ -534,3 +534,40 @@ def test_wrong_types_are_refused_in_a_sentence(call, taken):
             call(wrong)
         place = error.traceback[-1].path
         assert "weberwhisk" in str(place), (wrong, error.value)
+
+
+def test_animals_that_are_fitted_apart_are_counted_so() -> None:
+    scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 45e-3], trials=20)
+    expected = SubjectPopulation(spread=0.2)
+    single = ww.power(scheme, [TAPERED], expected=expected, runs=192)
+    middle = float(single.table["half_width"].iloc[0])  # which half of the animals reach
+    how = {"goal": Goal(half_width=middle), "expected": expected, "runs": 64}
+    together = ww.power(scheme.with_animals(3), [TAPERED], **how | {"runs": 12}).table.iloc[0]
+    apart = ww.power(scheme.with_animals(3), [TAPERED], together=False, **how).table.iloc[0]
+    assert apart["power"] == pytest.approx(0.5, abs=0.1)
+    assert apart["half_width"] == pytest.approx(middle, rel=0.1)
+    assert abs(together["power"] - apart["power"]) > 0.15
+    rng = np.random.default_rng(1)
+    counts, k = simulate(TAPERED, scheme.with_animals(3), expected, 8, rng, together=False)
+    assert k.shape == (8, 3)
+    found = fit(TAPERED, scheme.with_animals(3), counts, together=False)
+    alone = fit(TAPERED, scheme, counts.reshape(24, 1, -1))
+    assert found.quantiles.reshape(24, 3) == pytest.approx(alone.quantiles, rel=1e-9)
+    evidence = alone.log_evidence.reshape(8, 3).sum(axis=1)
+    assert found.log_evidence == pytest.approx(evidence, rel=1e-9)
+    plan = ww.plan_experiment("C2", trials=10, animals=2, together=False, runs=8,
+                              goal=Goal(half_width=0.2))  # fmt: skip
+    assert "of their animals" in plan.power_in_words()
+
+
+def test_a_share_of_none_or_all_has_an_interval_to_the_end() -> None:
+    for n in (12, 97):
+        assert wilson(0.0, n)[0] == 0.0
+        assert wilson(1.0, n)[1] == 1.0
+
+
+def test_a_weber_fraction_that_is_given_is_covered() -> None:
+    (fixed,) = with_priors([TAPERED], weber_fraction=0.1)
+    scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 45e-3], trials=5)
+    found = ww.power(scheme, [fixed], runs=8, expected=SubjectPopulation(0.1, spread=0.0))
+    assert found.table["coverage"].tolist() == [1.0]

@@ -188,17 +188,20 @@ def fit(
 def compared(
     name: str, fit: ww.WeberFit, whisker: ww.Whisker | None, priors: dict[str, Any] | None
 ) -> tuple[pd.DataFrame, str]:
-    """A table and a verdict on the trials of a fit, with its encoding, bias and priors."""
+    """A table and a verdict on the trials of a fit, with its encoding, bias, noise, effects and
+    priors."""
     _checks.one_of("--compare", name, ("noise", "drift", "law", "taper", "cues"))
     trials = fit.trials
-    options: dict[str, Any] = {"bias": fit.bias, "priors": priors}
+    options: dict[str, Any] = {
+        "bias": fit.bias, "priors": priors, "noise": fit.noise, "effects": fit.model.effects,
+    }  # fmt: skip
     if name == "law":
         test = fit.weber_law_test()
         return test.by_standard, test.report()
     if name == "noise":
         found = compare_noise(trials, encoding=fit.encoding, **options)
     elif name == "drift":
-        found = compare_drift(trials, encoding=fit.encoding, noise=fit.noise, **options)
+        found = compare_drift(trials, encoding=fit.encoding, **options)
     else:
         if whisker is None or not isinstance(fit.encoding, CueEncoding):
             raise ValueError(
@@ -302,7 +305,8 @@ def _selected(
     trials: ww.Trials, subject: str | None, session: str | None, together: bool = False
 ) -> ww.Trials:
     if subject is not None:
-        trials = trials.select(subject=subject)
+        own = [one for one in trials.subjects if str(one) == subject]  # "1" is a number there
+        trials = trials.select(subject=own or subject)
     elif len(trials.subjects) > 1 and not together:
         raise ValueError(
             f"{trials.source}: there are {len(trials.subjects)} subjects "

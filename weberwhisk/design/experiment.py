@@ -127,6 +127,13 @@ def plan_experiment(
                 f"{name} must be {kind.__name__}, got {_checks.shown(value)}; leave it out, say."
             )
     aim = goal or Goal(bayes_factor=10.0)
+    if scheme is not None and (trials, standards) != (None, None):
+        raise ValueError("A scheme has its standards and trials; leave standards and trials out.")
+    if scheme is not None and animals not in (1, scheme.animals):
+        raise ValueError(
+            f"A scheme has its animals, got {scheme.animals} and animals={animals}; write "
+            f"scheme.with_animals({animals})."
+        )
     limits, likely = constraints or Constraints(step=10e-6), expected or SubjectPopulation()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
     wanted = _what_to_find(find, trials, scheme)
@@ -162,7 +169,7 @@ def plan_experiment(
     )  # refuses what cannot be shown before anything is computed
     options = {
         "goal": aim, "expected": likely, "runs": runs, "workers": workers, "scheduler": scheduler,
-        "progress": progress,
+        "progress": progress, "together": together is not False,
     }  # fmt: skip
     found: pd.DataFrame | None = None
     if wanted != "nothing":
@@ -222,14 +229,22 @@ def _hypotheses(
     deflection_angle: float | None,
 ) -> Sequence[Hypothesis]:
     if hypotheses is not None:
-        if cue is not None:
-            raise ValueError("Hypotheses have their cues, got hypotheses and cue; leave one out.")
+        if cue is not None or deflection_angle is not None:
+            raise ValueError(
+                "Hypotheses have their cues, got hypotheses and a cue or deflection_angle; leave "
+                "one out."
+            )
         return hypotheses
     if goal.bayes_factor is not None:
-        if cue is not None and not isinstance(cue, Compliance):
+        if cue is not None and not (isinstance(cue, Compliance) and cue.tap_angle == 0):
             raise ValueError(
-                f"Taper is tested by the compliance cue, got {cue!r}; leave cue out, or give the "
-                "hypotheses."
+                f"Taper is tested by the compliance cue at the lightest tap, got {cue!r}; leave "
+                "cue out, or give the hypotheses."
+            )
+        if deflection_angle is not None:
+            raise ValueError(
+                "Taper is tested by the compliance cue, which has no deflection angle, got "
+                f"{deflection_angle!r}; leave it out."
             )
         return taper(whisker)
     observer = Observer(whisker, cue or Compliance(), Weber(1.0))

@@ -40,7 +40,8 @@ class Fitted:
     """Posteriors of D experiments under one hypothesis.
 
     `log_evidence` (D,) of the sequences of answers; `quantiles` (D, 3) of the Weber fraction, or
-    with several animals of the population's median: 2.5, 50 and 97.5 %.
+    with several animals of the population's median: 2.5, 50 and 97.5 %. Of several animals fitted
+    apart they are (D, A, 3), each one's own.
     """
 
     log_evidence: Array
@@ -48,8 +49,9 @@ class Fitted:
 
     @property
     def half_width(self) -> Array:
-        """Half the width of the 95 % interval over the posterior median, (D,): 0.2 is ±20 %."""
-        low, middle, high = self.quantiles.T
+        """Half the width of the 95 % interval over the posterior median, (D,) or (D, A): 0.2 is
+        ±20 %."""
+        low, middle, high = np.moveaxis(self.quantiles, -1, 0)
         return (high - low) / (2 * middle)
 
 
@@ -61,9 +63,10 @@ def simulate(
     rng: np.random.Generator,
     *,
     assurance: bool = False,
+    together: bool = True,
 ) -> tuple[Array, Array]:
     """Answers (runs, animals, C) of so many experiments, and the true Weber fractions (runs,): of
-    the animal, or of the population with several.
+    the animal, or of the population with several; (runs, animals) where these are fitted apart.
 
     Every experiment draws its own animals. With `assurance` the Weber fraction (with several
     animals their median) is drawn from the hypothesis's prior, for every experiment anew.
@@ -83,21 +86,24 @@ def simulate(
     bias = hypothesis.usual_bias + animals.bias_spread * rng.standard_normal(shape)
     p, _ = model.probability(k, low, high, np.repeat(bias[..., None], model.n_groups, axis=-1))
     counts = rng.binomial(model.cells.n.astype(np.int64), np.clip(p, 0.0, 1.0))
-    return counts.astype(float), k[:, 0] if scheme.animals == 1 else middle
+    true = k[:, 0] if scheme.animals == 1 else middle if together else k
+    return counts.astype(float), true
 
 
 @one_blas_thread
 def fit(
-    hypothesis: Hypothesis, scheme: Scheme, counts: Array, batch: int = 2048, held: float = 7.5
-) -> Fitted:
+    hypothesis: Hypothesis, scheme: Scheme, counts: Array, batch: int = 2048, held: float = 7.5,
+    together: bool = True,
+) -> Fitted:  # fmt: skip
     """Weigh a hypothesis by every experiment, counts (D, A, C); expected ones, not whole, will do
     too.
 
     `batch` data sets of animals alone are done at once; `held` is how far under the best, in nats,
-    the likelihood of one of several animals is tabulated.
+    the likelihood of one of several animals is tabulated. Animals that are not fitted `together`
+    each have a posterior, and evidence multiplies.
     """
     model = hypothesis.model(scheme)
-    apart = counts.shape[1] == 1 or not model.free[0]
+    apart = counts.shape[1] == 1 or not model.free[0] or not together
     # The first few experiments with several animals tell how much memory one takes.
     size = max(1, batch // counts.shape[1]) if apart else 4
     found: list[tuple[Array, Array]] = []
@@ -108,7 +114,10 @@ def fit(
         flat = some.reshape(-1, some.shape[-1])
         if apart:
             evidence, quantiles = _single(hypothesis.priors, *marginal(model, flat))
-            found.append((evidence.reshape(len(some), -1).sum(axis=1), quantiles[: len(some)]))
+            each = quantiles[: len(some)]
+            if not together and counts.shape[1] > 1:
+                each = quantiles.reshape(*some.shape[:2], -1)
+            found.append((evidence.reshape(len(some), -1).sum(axis=1), each))
         else:
             table = likelihood(model, flat, steps_of(model), bias_scales(model), held)
             mu, by_median, evidence = populations(model, table, counts.shape[1])
@@ -121,13 +130,17 @@ def fit(
 
 
 def compare(
-    hypotheses: Sequence[Hypothesis], truth: str, scheme: Scheme, counts: Array
+    hypotheses: Sequence[Hypothesis],
+    truth: str,
+    scheme: Scheme,
+    counts: Array,
+    together: bool = True,
 ) -> tuple[Array, Fitted]:
     """Log Bayes factor of the truth against the best of the others (D,), and the truth's fit.
 
     Infinite where there is no other.
     """
-    fits = {h.name: fit(h, scheme, counts) for h in hypotheses}
+    fits = {h.name: fit(h, scheme, counts, together=together) for h in hypotheses}
     others = [f.log_evidence for name, f in fits.items() if name != truth]
     best = np.max(others, axis=0) if others else np.full(len(counts), -np.inf)
     return fits[truth].log_evidence - best, fits[truth]
@@ -137,17 +150,25 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
     """The work of a power analysis: so many experiments of one design, a row each.
 
     Columns: the true `weber_fraction` and its `estimate`, `log_bayes_factor`, `half_width` and
-    `covers`, with what the chunk, as `power` writes it, says of the design.
+    `covers`, with what the chunk, as `power` writes it, says of the design. Where several animals
+    are fitted apart these are medians over them, and `covers` a share, as in `SimulatedStudy`.
     """
     hypotheses = decode(chunk["hypotheses"])
     scheme, animals = decode(chunk["scheme"]), decode(chunk["animals"])
     truth = next(h for h in hypotheses if h.name == chunk["truth"])
     counts, k = simulate(
         truth, scheme, animals, chunk["runs"], np.random.default_rng(seed),
-        assurance=chunk["assurance"],
+        assurance=chunk["assurance"], together=(together := chunk.get("together", True)),
     )  # fmt: skip
-    log_factor, fitted = compare(hypotheses, truth.name, scheme, counts)
-    low, middle, high = fitted.quantiles.T
+    log_factor, fitted = compare(hypotheses, truth.name, scheme, counts, together)
+    low, middle, high = np.moveaxis(fitted.quantiles, -1, 0)
+    width, covers = fitted.half_width, (low <= k) & (k <= high)
+    narrow = {}
+    if width.ndim == 2:
+        if chunk["half_width"] is not None:
+            narrow = {"reached": (width < chunk["half_width"]).mean(axis=1)}
+        k, middle, width = (np.median(of, axis=1) for of in (k, middle, width))
+        covers = covers.mean(axis=1)
     return pd.DataFrame(
         {
             **chunk["label"],
@@ -155,8 +176,9 @@ def experiments(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataF
             "weber_fraction": k,
             "estimate": middle,
             "log_bayes_factor": log_factor,
-            "half_width": fitted.half_width,
-            "covers": (low < k) & (k < high),
+            "half_width": width,
+            "covers": covers,
+            **narrow,
         }
     )
 
@@ -197,7 +219,8 @@ def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
     z = float(ndtri(0.5 + mass / 2))
     middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
-    return float(max(middle - reach, 0.0)), float(min(middle + reach, 1.0))
+    low = 0.0 if share <= 0 else float(max(middle - reach, 0.0))  # not 1e-17
+    return low, 1.0 if share >= 1 else float(min(middle + reach, 1.0))
 
 
 def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
@@ -229,7 +252,7 @@ def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
 
 
 def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
-    """Which experiments reach the goal."""
+    """Which experiments reach the goal, or what share of their animals, fitted apart."""
     if goal.bayes_factor is not None:
         return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
-    return runs["half_width"] < goal.half_width
+    return runs["reached"] if "reached" in runs else runs["half_width"] < goal.half_width

@@ -368,9 +368,10 @@ class Plan(Shown):
         inside = (sizes["trials"] <= most) & (sizes["animals"] <= self.scheme.animals)
         trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
         compared = len(self.hypotheses) > 1
+        whose = "" if compared or self.together or animals == 1 else " of their animals"
         each = [
             f"{100 * row['power']:.3g} % (95 % interval {100 * row['lower']:.3g} to "
-            f"{100 * row['upper']:.3g} %)" + f" if {row['truth']} is true" * compared
+            f"{100 * row['upper']:.3g} %){whose}" + f" if {row['truth']} is true" * compared
             for row in self.power.to_dict("records")
             if row["trials"] == trials and row["animals"] == animals
         ]

@@ -112,6 +112,7 @@ def power(
     truths: Sequence[str] | None = None,
     runs: int = 1000,
     assurance: bool = False,
+    together: bool = True,
     seed: int | np.random.SeedSequence = 1,
     **sweep: Any,
 ) -> Power:
@@ -145,6 +146,9 @@ def power(
     assurance : bool
         Draw k from the prior for every experiment: power averaged over what is believed, not power
         at one value (O'Hagan, Stevens & Campbell 2005, Pharmaceut. Statist. 4:187).
+    together : bool
+        Fit several animals at once. Otherwise each by itself: evidence multiplies over animals, and
+        a goal about intervals is reached by the share of animals whose own is narrow enough.
     seed : int or SeedSequence
     **sweep
         As for `campaign.run`: `workers`, `scheduler`, `out`, `title`, `progress`.
@@ -194,6 +198,8 @@ def power(
             replace(likely, lapse=lapse), truth, int(runs), assurance,
         )
     ]  # fmt: skip
+    if not together:
+        chunks = [c | {"together": False, "half_width": aim.half_width} for c in chunks]
     for h in given:  # refused here, in one sentence, not in a worker
         h.model(scheme)
     table = campaign.run(experiments, chunks, seed=seed, **({"title": "power"} | sweep))
