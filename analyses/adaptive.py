@@ -64,8 +64,11 @@ class Constant(TrialLog):
         s1, s2 = self._cells.stimulus_1[at], self._cells.stimulus_2[at]
         return Proposal(len(self._rows) + 1, float(s1), float(s2))
 
+    def _encode(self, pair: tuple[float, float, float]) -> None:
+        """Stimuli of a scheme can be encoded."""
+
     def record(self, standard: float, comparison: float, choice: Any) -> None:
-        self._note(self._pair(standard, comparison), choice)
+        self._note(self.check(standard, comparison, choice), choice)
 
 
 def scene(part: str, method: str, seed: int) -> Any:
