@@ -380,7 +380,7 @@ def test_the_observer_chooses_its_model_and_says_why():
 def test_what_real_observers_refuse():
     with pytest.raises(ValueError, match="up to 30°"):
         Friction(ForceMap(), 0.6)
-    with pytest.raises(ValueError, match="straight whiskers without friction"):
+    with pytest.raises(ValueError, match="without friction whose shape is known"):
         Friction(cues.Vibration())
     with pytest.raises(ValueError, match="unknown in"):
         Friction(Friction(ForceMap()))
