@@ -19,7 +19,8 @@ from weberwhisk.cues import (
     UnknownHinge,
     UnknownStiffness,
 )
-from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
+from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.cues.space_map import IN_SPACE
 from weberwhisk.fusion import prior_draws
 from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import rod

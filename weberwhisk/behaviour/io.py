@@ -305,7 +305,7 @@ class TableCheck:
             self.add(
                 column,
                 hidden,
-                f"{names[hidden][0]!r} holds characters that are not printed; write letters.",
+                f"{names[hidden][0]!r} contains characters that are not printed; write letters.",
             )
         return names
 

@@ -98,7 +98,7 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
     typical = np.abs(observer.signals(contact)[0])
     if not np.isfinite(typical).all():
         raise ValueError(
-            "--receptors are told in units of the signals at half the length, and there the "
+            "--receptors are in units of the signals at half the length, and there the "
             "contact is not held; give a smaller --deflection-angle-deg."
         )
     return RECEPTORS[name](number, typical)

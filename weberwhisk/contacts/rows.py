@@ -145,18 +145,18 @@ def locate(
 
         raw, si, _ = read_contacts(table, columns, units)
         if ("angular_velocity" in si) != whisker.by_velocity:
-            told, lacks = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
+            having, lacking = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
             raise ValueError(
-                f"The {told} have an angular_velocity, the {lacks} have none, and their slopes "
+                f"The {having} have an angular_velocity, the {lacking} have none, and their slopes "
                 "cannot be compared; give both or neither."
             )
 
-        def under(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
+        def located(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
             return locate(
                 raw, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior
             )
 
-        return averaged(whisker, under, progress)
+        return averaged(whisker, located, progress)
     _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]

@@ -4,9 +4,10 @@ from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
 from .comparative_length import ComparativeLength
 from .compliance import Compliance, LateralSlip
-from .force_map import ForceMap, SpaceMap
+from .force_map import ForceMap
 from .fused import Fused
 from .protocol import Cue
+from .space_map import SpaceMap
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownStiffness
 from .vibration import Vibration
 from .vibrissa_length import VibrissaLength

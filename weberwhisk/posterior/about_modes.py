@@ -101,7 +101,7 @@ def _scattered(observer: Observer) -> tuple[Array, Array, Array, NDArray[np.intp
     return x, signals, log_prior, 4 * third + around
 
 
-def peaks(
+def highest_points(
     observer: Observer, reading: Array, *, least: float = 14.0, apart: float = 5.0
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The highest points (B, 3) of posteriors, roots (B, 3, 3) of the Gaussians there, and which

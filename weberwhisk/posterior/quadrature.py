@@ -18,7 +18,7 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
-from .about_modes import ModeGrid, peaks
+from .about_modes import ModeGrid, highest_points
 from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
 from .panels import panels_of
@@ -142,7 +142,7 @@ def _about_modes(observer: Observer, reading: Array, wanted: float, progress: An
     found = []
     for start in range(0, len(reading), 64):
         rows = np.arange(start, min(start + 64, len(reading)))
-        centre, root, alone = peaks(observer, reading[rows])
+        centre, root, alone = highest_points(observer, reading[rows])
         for row, *about in zip(rows[alone], centre[alone], root[alone], strict=True):
             grid = ModeGrid(observer, reading[[row]], *about)
             if (grid.error <= wanted).all():
