@@ -151,12 +151,12 @@ def locate(
                 "cannot be compared; give both or neither."
             )
 
-        def located(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
+        def located_by(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
             return locate(
                 raw, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior
             )
 
-        return averaged(whisker, located, progress)
+        return averaged(whisker, located_by, progress)
     _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
     raw, si, found = read_contacts(table, columns, units)
     header = [str(c) for c in raw.columns]
