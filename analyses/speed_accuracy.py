@@ -38,7 +38,7 @@ from scipy.optimize import root
 import weberwhisk as ww
 from weberwhisk import charts, figures
 from weberwhisk.behaviour import Trials
-from weberwhisk.charts import beams, fits, posteriors
+from weberwhisk.charts import beams, posteriors
 from weberwhisk.charts.beams import timed
 from weberwhisk.mechanics import closed_form
 from weberwhisk.output import Run
@@ -229,7 +229,7 @@ def other_posteriors(full: bool, scenes: Iterable[str] = posteriors.OBSERVERS) -
 # -- fits ----------------------------------------------------------------------------------------
 
 
-def psychofit_answer(trials: Trials) -> fits.Answer:
+def psychofit_answer(trials: Trials) -> charts.Answer:
     """psychofit's spread of an error function of ln ratio, as a Weber fraction; no interval."""
     import psychofit
 
@@ -256,8 +256,8 @@ def other_fits(full: bool, sets: int) -> pd.DataFrame:
     tools = {"psychofit": psychofit_answer, "psignifit": psignifit_answer}
     return pd.DataFrame(
         [
-            fits.measure_tool(name, tool, per_level, sets)
-            for per_level in (fits.SIZES if full else fits.SIZES[:1])
+            charts.measure_tool(name, tool, per_level, sets)
+            for per_level in (charts.SIZES if full else charts.SIZES[:1])
             for name, tool in tools.items()
             if find_spec(name)
         ]
@@ -275,10 +275,10 @@ def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
             [posteriors.measure(full=full), other_posteriors(full)], ignore_index=True
         ),
         "fits": pd.concat(
-            [fits.measure(full=full, sets=sets), other_fits(full, sets)], ignore_index=True
+            [charts.measure_fits(full=full, sets=sets), other_fits(full, sets)], ignore_index=True
         ),
         "jnds": posteriors.measure_jnds(full=full),
-        "growth": fits.measure_growth(full=full),
+        "growth": charts.measure_growth(full=full),
     }
 
 

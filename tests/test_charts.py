@@ -16,7 +16,7 @@ from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk import charts, cli, figures
-from weberwhisk.charts import beams, fits, posteriors
+from weberwhisk.charts import beams, posteriors
 from weberwhisk.cli import run_app
 
 
@@ -63,11 +63,11 @@ def test_the_referee_of_posteriors_is_right_and_so_is_quadrature() -> None:
 
 
 def test_fits_are_scored() -> None:
-    row = fits.measure_tool("known", lambda trials: (0.11, 0.09, 0.12), 5, 3)
+    row = charts.measure_tool("known", lambda trials: (0.11, 0.09, 0.12), 5, 3)
     assert row["error"] == pytest.approx(0.1)
     assert row["bias"] == pytest.approx(0.1)
     assert row["coverage"] == 1
-    value, low, high = fits.TOOLS["quadrature"](ww.simulate_trials(weber_fraction=0.1, seed=1))
+    value, low, high = charts.TOOLS["quadrature"](ww.simulate_trials(weber_fraction=0.1, seed=1))
     assert low < value < high
 
 
@@ -75,15 +75,15 @@ def test_every_tool_fits_the_same_data_sets(monkeypatch: pytest.MonkeyPatch) -> 
     """With a quarter of them an RMSE looked 2 to 10 % lower than another's."""
     seen: dict[str, list[bytes]] = {}
 
-    def tool(name: str) -> fits.Tool:
-        def answer(trials: ww.behaviour.Trials) -> fits.Answer:
+    def tool(name: str) -> charts.Tool:
+        def answer(trials: ww.behaviour.Trials) -> charts.Answer:
             seen.setdefault(name, []).append(trials.cells().count.tobytes())
             return (0.1 + 0.01 * len(seen[name]), 0.05, 0.2)
 
         return answer
 
-    monkeypatch.setattr(fits, "TOOLS", {name: tool(name) for name in fits.TOOLS})
-    table = fits.measure(sets=5)
+    monkeypatch.setattr(charts, "TOOLS", {name: tool(name) for name in charts.TOOLS})
+    table = charts.measure_fits(sets=5)
     assert table["count"].unique().tolist() == [5]
     assert "emcee" in seen
     assert all(sets == seen["quadrature"] for sets in seen.values())
@@ -130,8 +130,8 @@ def test_jnd_curves_are_judged_by_their_own_truth() -> None:
 
 
 def test_growth_is_that_of_the_arithmetic() -> None:
-    assert fits.slope([1, 4, 16, 64], [3, 12, 48, 192]) == pytest.approx(1)
-    assert np.isnan(fits.slope([1], [1]))
+    assert charts.slope([1, 4, 16, 64], [3, 12, 48, 192]) == pytest.approx(1)
+    assert np.isnan(charts.slope([1], [1]))
 
 
 def made_up() -> dict[str, pd.DataFrame]:

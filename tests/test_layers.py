@@ -14,12 +14,11 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_checks`, `_deprecated`, `_display` and `_values`. A folder's modules share its
+# its own folder, `_checks`, `_deprecated` and `_values`. A folder's modules share its
 # entry, unless they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
     "_checks": (),
     "_deprecated": (),
-    "_display": (),
     "_values": (),
     "domain": (),
     "whisker": ("domain",),
@@ -76,8 +75,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "fusion": ("jnd", "sweeping"),
     "threads": (),
     "campaign": ("threads", "output"),
-    "jnd_curves": ("jnd",),
-    "jnd_surface": ("jnd_curves", "campaign"),
+    "jnd_curves": ("jnd", "campaign"),
     "along_whisk": ("jnd", "sweeping"),
     "surveys": ("fusion", "jnd_curves", "array"),
     "paper": ("surveys",),
@@ -89,7 +87,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "citing": (),
     "charts": ("behaviour", "jnd_curves"),
     "figures": ("design", "charts", "places"),
-    "": ("figures", "jnd_surface", "contacts", "many_touches", "place_maps"),
+    "": ("figures", "contacts", "many_touches", "place_maps"),
     "cli": ("campaign",),
     "commands": ("", "charts", "surveys", "along_whisk", "paper", "output", "cli"),
 }
@@ -147,7 +145,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_checks", "_deprecated", "_display", "_values"}
+    own = {place, "_checks", "_deprecated", "_values"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 

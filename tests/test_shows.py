@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from nbclient import NotebookClient
 
 import weberwhisk as ww
-from weberwhisk._display import Shown
+from weberwhisk._values import Shown
 from weberwhisk.design import Goal, Plan, Scheme, taper
 
 matplotlib.use("agg")

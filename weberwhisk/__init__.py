@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from ._deprecated import renamed_names
-from ._display import Shown
+from ._values import Shown
 
 __version__ = "0.1.0"
 
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from .figures.page import write_plan
     from .fusion import added_information, fused_jnds, information
     from .jnd import convert_jnd, criterion_factor
-    from .jnd_curves import JNDCurve, jnd_curve
-    from .jnd_surface import jnd_sweep
+    from .jnd_curves import JNDCurve, jnd_curve, jnd_sweep
     from .many_touches import Touches, touches, touches_jnd
     from .mechanics import (
         Bending,
@@ -76,8 +75,7 @@ _NAMES = {
     "fusion": "added_information fused_jnds information",
     "jnd": "convert_jnd criterion_factor",
     "many_touches": "Touches touches touches_jnd",
-    "jnd_curves": "JNDCurve jnd_curve",
-    "jnd_surface": "jnd_sweep",
+    "jnd_curves": "JNDCurve jnd_curve jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",

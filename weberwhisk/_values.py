@@ -1,11 +1,21 @@
-"""Frozen dataclasses that compare, hash and print by value, arrays among their fields included."""
+"""What objects are to their user: values that compare, hash and print, and results that show
+themselves in a line, as HTML in a notebook and as a figure."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields
-from typing import Any
+from enum import IntEnum
+from html import escape
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 class Value:
@@ -88,3 +98,100 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return repr(value)
+
+
+# -- results --------------------------------------------------------------------------------------
+
+
+class Shown:
+    """Base of results that show themselves.
+
+    A result says what it found in `_line` and has its numbers in `_table`; `_figure` names the
+    function of `weberwhisk.figures` that draws it. Those stand above all results; the package
+    gives `_load_figures` when it is imported, so that no result imports a figure.
+    """
+
+    _figure: ClassVar[str]
+    _load_figures: ClassVar[Callable[[], Any]]
+
+    def _line(self) -> str:
+        """The estimate, its interval and its status."""
+        raise NotImplementedError
+
+    def _table(self) -> pd.DataFrame | None:
+        """What a notebook shows below the line."""
+        found = self.summary() if hasattr(self, "summary") else getattr(self, "table", None)
+        return cast("pd.DataFrame | None", found)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self._line()}>"
+
+    def _repr_html_(self) -> str:
+        table = self._table()
+        line = f"<p><b>{type(self).__name__}</b>: {escape(self._line())}</p>"
+        if table is None:
+            return line
+        return line + table.to_html(max_rows=12, float_format="{:.4g}".format, na_rep="–")
+
+    def plot(self, ax: Axes | None = None, **options: object) -> Figure:
+        """Draw it with its function of `weberwhisk.figures`; see there for further options.
+
+        Without `ax` on a figure of its own, which `pyplot` knows: a notebook shows it, and
+        `plt.show()` does in a script.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        figures = Shown._load_figures()
+        drawn: Figure = figures.shown(getattr(figures, self._figure), self, ax, options)
+        return drawn
+
+
+def with_units(
+    table: pd.DataFrame, lengths: Iterable[str] = (), angles: Iterable[str] = ()
+) -> pd.DataFrame:
+    """A table in SI units in mm and degrees, which the names of its columns then say.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"at": [20e-3], "push": [0.1], "outcome": ["held"]})
+    >>> with_units(table, ["at"], ["push"]).round(3).to_dict("records")
+    [{'at_mm': 20.0, 'push_deg': 5.73, 'outcome': 'held'}]
+    """
+    named: dict[str, str] = {}
+    found = table.copy()
+    for names, unit, scale in ((lengths, "mm", 1e3), (angles, "deg", 180 / math.pi)):
+        for name in names:
+            found[name] = table[name] * scale
+            named[name] = f"{name}_{unit}"
+    return found.rename(columns=named)
+
+
+Member = TypeVar("Member", bound=IntEnum)
+
+
+def member(kind: type[Member], codes: Any) -> Member:
+    """The member that a code stands for; an array of codes stays one, and is typed as a member.
+
+    So that `result.status.message` is text to a type checker, for one result as most are.
+    """
+    return kind(int(codes)) if codes.ndim == 0 else codes
+
+
+def interval_text(middle: float, low: float, high: float, unit: str = "") -> str:
+    """An estimate with its 95 % interval, rounded to where they differ.
+
+    Examples
+    --------
+    >>> interval_text(0.09982, 0.0851, 0.1177), interval_text(30.12, 27.83, 32.41, " mm")
+    ('0.100 (95 %: 0.085 to 0.118)', '30.1 mm (95 %: 27.8 to 32.4)')
+    """
+    width = abs(high - low)
+    if not (math.isfinite(middle) and math.isfinite(width) and width > 0):
+        return f"{middle:.3g}{unit} (95 %: {low:.3g} to {high:.3g})"
+    digits = max(1 - math.floor(math.log10(width)), 0)
+    if abs(middle) >= 1e4 or digits > 6:
+        return f"{middle:.4g}{unit} (95 %: {low:.4g} to {high:.4g})"
+    return f"{middle:.{digits}f}{unit} (95 %: {low:.{digits}f} to {high:.{digits}f})"

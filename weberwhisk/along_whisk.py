@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import elementwise
 
 from . import _checks
-from ._display import with_units
+from ._values import with_units
 from .cues import ForceMap
 from .jnd import fisher_jnd
 from .mechanics import press

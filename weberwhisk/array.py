@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._checks import number, one_of, one_or_more
-from ._display import Shown
-from ._values import Value
+from ._values import Shown, Value
 from .mechanics.shape import Profile, Spiral
 from .whisker import SPECIES, Whisker, rest_shape
 from .whisker import identities as known_identities

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ._checks import generator, whole
 from ._deprecated import renamed_arguments
-from ._display import with_units
+from ._values import with_units
 from .coordinates import UNITS
 from .cues.fused import Fused
 from .cues.protocol import Array, Cue

@@ -19,7 +19,7 @@ from scipy import ndimage
 from scipy.interpolate import CubicSpline
 
 from ._checks import finite, kind, number, positive_number, whole
-from ._display import interval_text, with_units
+from ._values import interval_text, with_units
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .jnd import fisher_jnd
 from .mechanics.contact import Outcome

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._display import Shown
+from ._values import Shown
 from .array import WhiskerArray
 from .place_sensor import Sensor, one_place
 from .posterior import Status

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ._display import with_units
+from ._values import with_units
 from .array import published
 from .cues import (
     AngleSideAngle,

@@ -5,7 +5,8 @@
 Prints a row for this checkout's package and one for every other package folder named. A tuning
 constant is whatever a module keeps under a name in capitals with a number written in its value.
 The chain is the deepest stack, in calls and in files of the package, of one posterior of two
-unknowns, traced in a fresh interpreter.
+unknowns, traced in a fresh interpreter that has imported the subpackage: modules that are only
+loaded have no part in it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ HERE = Path(__file__).parent.parent.parent / "weberwhisk"
 
 TRACE = """
 import json, sys, threading
-import numpy as np, weberwhisk as ww
+import numpy as np, weberwhisk as ww, weberwhisk.posterior
 root = ww.__path__[0]
 w = ww.Whisker(50e-3, 100e-6, 5e-6)
 o = ww.Observer(w, ww.cues.ForceMap(), ww.receptors.Weber(0.1))

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from .._display import Shown
+from .._values import Shown
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.arviz_io import pointwise_loo

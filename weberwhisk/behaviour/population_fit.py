@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from .._display import Shown, interval_text
+from .._values import Shown, interval_text
 from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report

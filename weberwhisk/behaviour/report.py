@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import __version__
-from .._display import interval_text
+from .._values import interval_text
 from ..posterior.arviz_io import ArvizData
 from ..posterior.arviz_io import to_arviz as convert
 from ..receptors import Weber

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_attribute
-from .._display import Shown, interval_text
+from .._values import Shown, interval_text
 from ..posterior.arviz_io import ArvizData
 from . import criticism, report
 from . import psychometric as curve

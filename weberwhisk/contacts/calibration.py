@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
 from .. import _checks
-from .._display import Shown
+from .._values import Shown
 from ..cues import Cue
 from ..cues.protocol import Felt
 from ..mechanics.contact import Outcome

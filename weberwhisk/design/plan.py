@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from .. import _checks
-from .._display import Shown
+from .._values import Shown
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.result import WeberFit

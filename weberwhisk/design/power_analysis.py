@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
 
 from .. import _checks, campaign
-from .._display import Shown, interval_text
+from .._values import Shown, interval_text
 from .experiments import BY, experiments, sized, summary, wilson
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
 from .plan_file import encode

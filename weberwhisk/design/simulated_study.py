@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from .. import _checks, campaign
-from .._display import Shown, interval_text
+from .._values import Shown, interval_text
 from ..behaviour.population import simulate_responses
 from ..behaviour.verdict import FitStatus
 from .experiments import wilson

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import domain
 from .._checks import refuse_hinge
 from .._deprecated import renamed_attribute
-from .._display import Shown, member
+from .._values import Shown, member
 from ..whisker import Whisker
 
 Array = NDArray[np.float64]
@@ -309,8 +309,10 @@ def beyond_tip(
 
 def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
     """`solve` of flat arrays (n,), or (1,) for all, piece by piece; what it returns, joined."""
-    pieces = (slice(start, start + ROWS) for start in range(0, max(given[0].size, 1), ROWS))
-    found = [solve(*(a[piece] if a.size > 1 else a for a in given)) for piece in pieces]
+    found = []
+    for start in range(0, max(given[0].size, 1), ROWS):
+        piece = slice(start, start + ROWS)
+        found.append(solve(*[a[piece] if a.size > 1 else a for a in given]))
     if len(found) == 1:
         return found[0]
     if isinstance(found[0], tuple):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
-from .._display import member
+from .._values import member
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
 from .chebyshev import Array, ChebyshevTable, Curve, the_map, unfold

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
-from .._display import member
+from .._values import member
 from ..whisker import Whisker
 from .chebyshev import Array
 from .contact import Bending, Outcome

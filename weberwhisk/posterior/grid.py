@@ -1,23 +1,30 @@
-"""One plain grid for what nothing else serves: it closes in on the mass, and says how well.
+"""Plain grids: for what nothing else serves, and about the highest point of a contact in space.
 
 Midpoints of a box of the coordinates, the same number along each axis; the box closes in on where
 they have mass until it stays, and is summed by more of them, wider again where a face of it holds
 mass. Half of the nodes, left out in turn, and what is left on the faces tell the error: nothing is
 assumed of the density, and a peak between the first nodes is missed.
+
+Contacts of a curved whisker in space need too many tiles, and a plain grid takes a million nodes
+to find them. There Fisher scoring climbs from several starts, all around the base; the grid lies
+along the axes of the Gaussian there, skewed so that its distances and azimuths stay those of a
+product, of which `mechanics.space_surface` makes use. A posterior that has a second peak elsewhere,
+or that the grid does not close off, is left to the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
-from ..coordinates import family
 from ..observer import Observer
-from ..receptors import ReceptorNoise, Seed
-from .result import Array, Estimate, Index, Solution, Status, checked_density, is_outside
+from .peaks import find_mode
+from .result import Array, Index, checked_density
 from .tiled import Moments
 from .tiling import trunk
 
@@ -274,94 +281,102 @@ def prior_box(observer: Observer) -> tuple[Array, Array]:
     return np.append(low, np.negative(further)), np.append(high, further)
 
 
-class Factors(NamedTuple):
-    """An observer of all unknowns but the last, and the noise of the signals that are the last.
+# -- about the highest point -----------------------------------------------------------------------
 
-    An unknown that shares no signal with the others stands by itself: the azimuth of a contact in
-    space is told by the directions of moment and force, which tell of nothing else. The posterior
-    is a product, and two unknowns and one cost less than three.
+#: The axes of the grid: distance, azimuth, angle.
+_SKEWED = np.array([0, 2, 1])
+
+
+class ModeGrid(OwnGrids):
+    """The posterior of one reading (1, R) about its highest point, `centre` (3,) in x.
+
+    `root` (3, 3) is of the Gaussian's covariance there; the grid goes `wide` sds far.
     """
 
-    first: Observer
-    noise: ReceptorNoise
-    signals: int
+    def __init__(
+        self, observer: Observer, reading: Array, centre: Array, root: Array, wide: float = 16.0
+    ) -> None:
+        self.observer, self.centre, self.root = observer, centre, root
+        ends = np.full((1, 3), wide)
+
+        def density(u: Array, index: Index) -> Array:
+            return observer.log_density(self._place(u), reading[:, None])
+
+        def contact(u: Array) -> Array:
+            return observer.contact(self._place(u))[0]
+
+        for _ in range(3):
+            found = integrate(density, -ends, ends, functions=contact, depth=20.0, nodes=(23, 31))
+            weight, u = found.weights[0], found.points[0]
+            mean, at_end = weight @ u, weight[(np.abs(u) > 0.9 * wide).any(axis=1)].sum()
+            covariance = (weight * (u - mean).T) @ (u - mean)
+            if at_end < 1e-6 and np.diagonal(covariance).max() < 4:
+                break
+            # Wider than it is at the highest point: once more as it is in all.
+            self.centre = self._place(mean)
+            self.root = _skewed(self.root @ covariance @ self.root.T)
+        found.error[:] += wide * at_end
+        self.weights, self.points, self.error = found.weights, found.points, found.error
+        self.contacts = contact(found.points)
+        best = self.contacts[:, self.weights[0].argmax()]
+        signals = np.nan_to_num(observer.signals(best)[0], nan=1.0)
+        log_evidence = found.log_evidence + np.linalg.slogdet(self.root)[1]
+        share, none = self.weights.max(axis=1), np.zeros(1)
+        self.moments = Moments(found.mean, found.sd, log_evidence, share, best, signals, none, none)
+
+    def _place(self, u: Array) -> Array:
+        """Coordinates x of points on the axes of the Gaussian."""
+        return np.asarray(self.centre + u @ self.root.T)
+
+    def draws(self, count: int, rng: np.random.Generator) -> Array:
+        """Contacts (1, count, 3) drawn from the cells about the nodes."""
+        u = self.points[0, rng.choice(self.weights.size, count, p=self.weights[0])]
+        cell = [np.diff(np.unique(axis)[:2])[0] for axis in self.points[0].T]
+        u = u + cell * (rng.random(u.shape) - 0.5)
+        return self.observer.contact(self._place(u))[0][None]
 
 
-def factors_of(observer: Observer) -> Factors | None:
-    """The factors of the posterior, if it is a product."""
-    cue = getattr(observer.cue, "all_but_last", None)
-    if cue is None or not observer.forward.is_plain:
-        return None
-    own, size = len(cue.signal_names), len(observer.cue.signal_names)
-    noise, rest = observer.noise.part(size, 0, own), observer.noise.part(size, own, size)
-    if noise is None or rest is None:
-        return None  # the noise of some signals of either kind is one
-    prior = {name: observer.prior[name] for name in cue.unknowns if name in observer.prior}
-    first = Observer(observer.whisker, cue, noise, prior, model=observer.model)
-    return Factors(first, rest, size - own)
+def _skewed(covariance: Array) -> Array:
+    """Roots (..., 3, 3) whose first axis alone moves the distance, and the third no azimuth."""
+    root = np.linalg.cholesky(covariance[..., _SKEWED, :][..., _SKEWED])
+    return np.asarray(root[..., np.argsort(_SKEWED), :])
 
 
-def with_factor(first: Solution, observer: Observer, factors: Factors, own: Array) -> Solution:
-    """The posteriors of all unknowns, from those of all but the last; `own` (B, R) tells of it.
+@lru_cache(maxsize=16)
+def _scattered(observer: Observer) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Coordinates (n, 3) all over, signals there, ln of the prior, and which region each is in."""
+    x = observer.space.spread(expit(np.linspace(-4, 4, 12)), others=25)
+    contact, log_prior = observer.contact(x)
+    signals, outcome = observer.signals(contact)
+    held = outcome == 0
+    x, contact, signals, log_prior = x[held], contact[held], signals[held], log_prior[held]
+    low, high = observer.reach
+    third = np.minimum(3 * (contact[:, 0] - low) / (high - low), 2).astype(np.intp)
+    around = np.minimum((contact[:, 2] % (2 * np.pi)) / (np.pi / 2), 3).astype(np.intp)
+    return x, signals, log_prior, 4 * third + around
 
-    Of two faults the first factor's is said. An azimuth that may be any has no ends: that of a
-    reading beyond a quarter turn is summed about half a turn on, and may so come out beyond π.
+
+def highest_points(
+    observer: Observer, reading: Array, *, least: float = 14.0, apart: float = 5.0
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The highest points (B, 3) of posteriors, roots (B, 3, 3) of the Gaussians there, and which
+    have no other peak: within `least` in ln and more than `apart` sds off.
     """
-    name, half = observer.unknowns[-1], np.zeros(len(own))
-    usual = observer.cue.priors(observer.whisker)[name]
-    if name == "azimuth" and family(observer.prior[name]) == family(usual):
-        half = np.pi * np.round(own[:, 0] / np.pi)
-        own = own - half[:, None]
-
-    def density(x: Array, index: Index) -> Array:
-        value = observer.last_unknown(x[..., 0])
-        signals = np.repeat(value[..., None], factors.signals, axis=-1)
-        log = factors.noise.log_likelihood(own[index, None], signals)
-        return np.asarray(log - 0.5 * (x[..., 0] ** 2 + np.log(2 * np.pi)))
-
-    ends = np.full((len(own), 1), 8.0)
-    found = integrate(density, -ends, ends, functions=observer.last_unknown)
-    value = observer.last_unknown(found.points)[..., 0]
-    rise = np.cumsum(found.weights, axis=1) - found.weights / 2
-    best = np.take_along_axis(value, found.weights.argmax(axis=1)[:, None], axis=1)
-    status = np.where(found.error[:, 0] < 1e-2, Status.CONVERGED, Status.IMPRECISE)
-    signals = np.repeat(best, factors.signals, axis=-1)
-    status[is_outside(factors.noise, own, signals)] = Status.IMPROBABLE_READING
-    value = value + half[:, None]
-    mean, sd, error = found.mean[:, 0] + half, found.sd[:, 0], found.error[:, 0]
-    last = len(observer.unknowns) - 1
-
-    def at(probability: Array) -> Array:
-        """Values (B, Q) at probabilities (B, Q)."""
-        pairs = zip(probability, rise, value, strict=True)
-        return np.stack([np.interp(p, up, v) for p, up, v in pairs])
-
-    def quantile_of(p: Array, unknown: int) -> Array:
-        if unknown < last:
-            return first.quantile_of(p, unknown)
-        return at(np.broadcast_to(p, (len(own), len(p))))
-
-    def quantile_error_of(p: Array, unknown: int) -> Array:
-        if unknown < last:
-            known = first.quantile_error_of
-            return np.full((len(own), len(p)), np.nan) if known is None else known(p, unknown)
-        # Straight lines between nodes of a tenth of the sd miss less than a hundredth of it.
-        return np.asarray(sd[:, None] * (0.01 + error[:, None] / (4 * p * (1 - p))))
-
-    def draws_of(count: int, seed: Seed) -> Array:
-        rng = np.random.default_rng(seed)
-        draws = first.draws_of(count, rng)
-        chains, kept = draws.shape[1:3]
-        strata = np.arange(chains * kept) + rng.random((len(own), chains * kept))
-        lone = at(rng.permuted(strata / (chains * kept), axis=1))
-        return np.concatenate([draws, lone.reshape(len(own), chains, kept, 1)], axis=-1)
-
-    return Solution(
-        [*first.estimates, Estimate(mean, sd, error * sd, error * sd)],
-        np.where(first.status == Status.CONVERGED, status, first.status).astype(np.int8),
-        first.log_evidence + found.log_evidence,
-        quantile_of,
-        draws_of,
-        quantile_error_of,
-        first.own_grid,
+    x, signals, log_prior, region = _scattered(observer)
+    table = observer.noise.log_likelihoods(reading, signals) + log_prior
+    regions = np.unique(region)
+    starts = [np.where(region == k, table, -np.inf).argmax(axis=1) for k in regions]
+    start = x[np.stack(starts, axis=1)].reshape(-1, 3)
+    mode = find_mode(observer, np.repeat(reading, len(regions), axis=0), start)
+    height = mode.log_density.reshape(len(reading), -1)
+    rows, best = np.arange(len(reading)), height.argmax(axis=1)
+    centres = mode.x.reshape(*height.shape, 3)
+    centre = centres[rows, best]
+    covariance = mode.covariance.reshape(*height.shape, 3, 3)[rows, best]
+    root = _skewed(covariance)
+    root *= np.minimum(1.0, 2.0 / np.linalg.norm(root, axis=(1, 2)))[:, None, None]
+    off = np.linalg.solve(root, np.swapaxes(centres - centre[:, None], 1, 2))
+    other = (height > height.max(axis=1, keepdims=True) - least) & (
+        np.linalg.norm(off, axis=1) > apart
     )
+    return centre, root, ~other.any(axis=1)

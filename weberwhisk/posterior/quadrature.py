@@ -18,8 +18,7 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
-from .about_modes import ModeGrid, highest_points
-from .grid import OwnGrids
+from .grid import ModeGrid, OwnGrids, highest_points
 from .marginals import by_draws, draws, tile_quantiles
 from .panels import panels_of
 from .result import (

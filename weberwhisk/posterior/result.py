@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._checks import finite
-from .._display import Shown, interval_text, member
+from .._values import Shown, interval_text, member
 from ..coordinates import UNITS
 from ..mechanics.contact import Outcome
 from ..observer import Observer
