@@ -36,7 +36,7 @@ from weberwhisk.behaviour.encodings import Encoding, IdentityEncoding
 from weberwhisk.behaviour.lapses import log_lapses_possible
 from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.behaviour.psychometric import threshold
-from weberwhisk.design import Scheme, taper
+from weberwhisk.design import Hypothesis, Scheme, taper
 
 ENDS = [0.025, 0.5, 0.975]
 
@@ -1013,3 +1013,18 @@ def test_simulated_responses_are_on_the_scale_of_their_encoding(encoding: Encodi
     animals = pd.DataFrame({"subject": ["a"], **truth})
     again = simulate_responses(own.frame, animals, encoding=encoding, seed=1)
     assert (again.scale, again.log_unit) == (own.scale, own.log_unit)
+
+
+def test_a_weber_fraction_that_was_given_is_reported() -> None:
+    fit = fit_weber(simulate_trials(trials_per_level=10, seed=1), priors={"weber_fraction": 0.1})
+    assert fit.interval() == (0.1, 0.1)
+    assert "which was given" in fit.report()
+
+
+def test_priors_leave_the_criterion_of_same_and_different_its_own() -> None:
+    """Below zero a criterion calls everything different: a normal prior had half its mass there."""
+    trials = simulate_trials(task="same-different", bias=1.0, trials_per_level=5, seed=1)
+    fits = [fit_weber(trials, priors=p) for p in ({"lapse_low": 0.02}, Priors(lapse_low=0.02))]
+    assert {fit.model.priors.words("bias") for fit in fits} == {"lognorm(0.7, scale=1.3)"}
+    asked = Hypothesis("x", IdentityEncoding(), task="same-different")
+    assert asked.priors.words("bias") == "lognorm(0.7, scale=1.3)"

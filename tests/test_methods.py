@@ -74,6 +74,24 @@ def test_a_whisker_is_described() -> None:
 def test_a_population_is_described() -> None:
     found = ww.fit_population(_read("animals_six.csv"))
     text = methods_paragraph(found)
-    assert f"{found.subjects['n'].sum()} trials of 6 animals: ln k is normal" in text
+    assert (
+        f"{found.subjects['n'].sum()} trials of the task 2AFC, of 6 animals: ln k is normal" in text
+    )
     assert "spread ~ halfnorm(scale=0.5), lapse_mean ~ norm(0, 1)" in text
     assert f"status: {found.status.name}" in text
+
+
+def test_what_was_given_is_said_and_who_was_left_out_is_not_counted() -> None:
+    trials = ww.simulate_trials(trials_per_level=20, sessions=3, seed=1)
+    given = ww.fit_weber(trials, priors={"bias": 0.3}, effects=[effects.Drift(prior=0.4)])
+    assert "drift fixed at 0.4, bias fixed at 0.3" in methods_paragraph(given)
+    many, _ = ww.simulate_population(3, trials_per_level=10, seed=1)
+    frame = many.frame.assign(count=(many.frame["count"] - (many.frame["subject"] == "s2")).abs())
+    fit = ww.fit_population(
+        replace(many, frame=frame), priors={"lapse_low": 0.02, "lapse_high": 0.02}
+    )
+    text = methods_paragraph(fit)
+    assert "180 trials of the task 2AFC, of 2 animals" in text
+    assert "s2 stays out" in text
+    assert "lapse_low fixed at 0.02" in text
+    assert "lapse_mean" not in text

@@ -443,3 +443,13 @@ def test_a_staircase_of_another_task():
     assert np.isnan(staircase.weber_fraction)  # Φ⁻¹ of the share is of 2AFC
     with pytest.raises(ValueError, match="is off the whisker"):
         staircase.record(1.0, -1.0, 1)
+
+
+def test_a_table_of_other_answers_or_of_two_animals_is_no_session() -> None:
+    scheme = lattice(IdentityEncoding(), 1.0)
+    scored = simulate_trials(trials_per_level=1, task="2AFC percent correct", seed=1)
+    with pytest.raises(ValueError, match="got trials of 2AFC percent correct"):
+        next_trial(scored, PLAIN, scheme)
+    two, _ = ww.simulate_population(2, trials_per_level=1, seed=1)
+    with pytest.raises(ValueError, match="for one animal, got 2 subjects"):
+        next_trial(two, PLAIN, scheme)

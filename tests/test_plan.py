@@ -41,8 +41,9 @@ from weberwhisk.design import (
     plan_json,
     taper,
     trial_lists,
+    with_priors,
 )
-from weberwhisk.design.plan_file import plan_of
+from weberwhisk.design.plan_file import decode, encode, plan_of
 from weberwhisk.design.preregistration import preregistration
 from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 from weberwhisk.output import csv_text
@@ -751,3 +752,35 @@ def test_old_names_are_taken_for_a_release(plan: Plan) -> None:
     for name, new in (("Animals", "SubjectPopulation"), ("Finding", "AnalysisResult")):
         with pytest.warns(DeprecationWarning, match=new):
             assert getattr(design, name) is getattr(design, new)
+
+
+def test_a_plan_keeps_the_model_of_its_observers() -> None:
+    """Power, which goes by JSON, was of an elastica where a closed form was asked for."""
+    whisker = Whisker.from_identity("C2")
+    given = CueEncoding(Observer(whisker, ForceMap(), model="closed_form"), 0.5)
+    again = decode(encode(given))
+    assert again == given
+    assert again != CueEncoding(Observer(whisker, ForceMap()), 0.5)
+    old = encode(CueEncoding(Observer(whisker, ForceMap()), 0.5))
+    del old["observer"]["model"]
+    assert decode(old) == CueEncoding(Observer(whisker, ForceMap()), 0.5)
+    own = Observer(whisker, ForceMap(), prior={"radial_distance": norm(20e-3, 1e-3)})
+    with pytest.raises(ValueError, match="has a prior or a tolerance of its own"):
+        encode(own)
+
+
+def test_plans_of_a_given_weber_fraction() -> None:
+    """They were made to be fitted together, which no analysis does, and drew no JNDs."""
+    known = with_priors(taper(Whisker.from_identity("C2")), weber_fraction=0.1)
+    plan = plan_experiment("C2", hypotheses=known, trials=10, animals=2, runs=0)
+    assert not plan.together
+    assert plan.jnds["lower_mm"].equals(plan.jnds["upper_mm"])
+    with pytest.raises(ValueError, match="write together=False"):
+        replace(plan, together=True)
+
+
+def test_power_of_other_sizes_says_nothing_of_the_plan() -> None:
+    plan = plan_experiment("C2", trials=10, runs=0)
+    sizes = pd.DataFrame({"truth": ["tapered"], "trials": [40], "animals": [1]})
+    sizes = sizes.assign(power=0.5, lower=0.4, upper=0.6)
+    assert replace(plan, power=sizes).power_in_words() == ""

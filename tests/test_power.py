@@ -571,3 +571,10 @@ def test_a_weber_fraction_that_is_given_is_covered() -> None:
     scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 45e-3], trials=5)
     found = ww.power(scheme, [fixed], runs=8, expected=SubjectPopulation(0.1, spread=0.0))
     assert found.table["coverage"].tolist() == [1.0]
+
+
+def test_sizes_may_be_an_array():
+    scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 45e-3])
+    options = {"truths": ["tapered"], "runs": 4, "seed": 1}
+    found = ww.power(scheme, [TAPERED, CYLINDRICAL], trials=np.array([5, 10]), **options)
+    assert found.table["trials"].tolist() == [5, 10]

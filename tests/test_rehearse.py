@@ -243,3 +243,15 @@ def test_the_figure_shows_every_run(found: SimulatedStudy) -> None:
 def test_no_runs_are_refused(plan: Plan) -> None:
     with pytest.raises(ValueError, match="runs must be a whole number of 1 or more, got 0"):
         simulate_study(plan, 0)
+
+
+def test_rehearsed_animals_have_the_criterion_that_is_believed(monkeypatch) -> None:
+    """They had one of 0 whatever the prior, and power simulated others."""
+    asked = Hypothesis("x", taper(C2)[0].encoding, Priors(bias=norm(1.5, 0.2)), task="yes/no")
+    alike = SubjectPopulation(0.1, spread=0.0, lapse=0.0, bias_spread=0.0)
+    plan = Plan(Scheme([25e-3], [-1e-3, 3e-3], 400), [asked], Goal(half_width=0.3), alike)
+    seen = []
+    monkeypatch.setattr(Plan, "analyse", lambda self, t: seen.append(t) or analyse(t, [asked]))
+    simulate_study(plan, 1, seed=1)
+    cells = seen[0].cells()
+    assert np.allclose(cells.count / cells.n, plan.levels["expected"], atol=0.08)

@@ -17,7 +17,8 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
-from weberwhisk.behaviour.population import joined
+from weberwhisk.behaviour.encodings import IdentityEncoding
+from weberwhisk.behaviour.population import joined, simulate_responses
 from weberwhisk.behaviour.trials import data_package, describe_table
 
 
@@ -324,3 +325,20 @@ def test_an_order_needs_two_intervals() -> None:
         simulate_trials(order="random", task="yes/no", seed=1)
     with pytest.raises(ValueError, match="order 'randon' is unknown"):
         simulate_trials(order="randon", seed=1)
+
+
+def test_easy_trials_of_a_scattered_observer_are_answered_right() -> None:
+    """At a probability of 1 no beta distribution is left: all such answers were the wrong one."""
+    scattered = [(effects.Overdispersion(), 0.05)]
+    trials = simulate_trials(weber_fraction=0.02, trials_per_level=20, effects=scattered, seed=1)
+    cells = trials.cells()
+    assert (cells.count / cells.n)[[0, -1]].tolist() == [0.0, 1.0]
+
+
+def test_a_truth_that_is_not_whole_is_refused() -> None:
+    table = pd.DataFrame({"subject": ["a"], "standard": 1.0, "stimulus_1": 1.0, "stimulus_2": 2.0})
+    animals = pd.DataFrame(
+        {"subject": ["a"], "weber_fraction": 0.1, "lapse_low": np.nan, "lapse_high": 0, "bias": 0}
+    )
+    with pytest.raises(ValueError, match="The truth about a is not given"):
+        simulate_responses(table, animals, encoding=IdentityEncoding(), seed=1)

@@ -272,7 +272,7 @@ def simulate_responses(
     checked_encoding(encoding)
     keys = [name for name in ("subject", "session") if name in animals]
     truth = table[keys].merge(animals, how="left", on=keys, validate="many_to_one")
-    unknown = truth["weber_fraction"].isna().to_numpy()
+    unknown = truth[list(TRUTH)].isna().any(axis=1).to_numpy()
     if unknown.any():
         who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
         raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")

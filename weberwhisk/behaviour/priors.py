@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from .. import _checks
 from .encodings import UnitEncodings
-from .tasks import Task, YesNo
+from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
 
 Array = NDArray[np.float64]
@@ -366,6 +366,8 @@ def priors_for(
     """
     own = dict(effects or {})
     if isinstance(priors, Priors):
+        if task is not None:
+            priors = of_task(priors, task)
         return replace(priors, effects=own | dict(priors.effects)) if own else priors
     if priors is not None and not isinstance(priors, Mapping):
         raise ValueError(
@@ -386,12 +388,18 @@ def priors_for(
         assert task is not None
         changes["weber_fraction"] = levels_prior(shown, task)
         changes = dict.fromkeys(("lapse_low", "lapse_high"), _LAPSE_BY_LEVELS) | changes
-    if task is not None and task.name == "same-different":
-        changes = {"bias": _SAME_DIFFERENT} | changes
     steps = np.abs(cells.stimulus_2 - cells.stimulus_1)
     if not unit_known and np.any(steps > 0):
         scale = float(np.median(steps[steps > 0]))
         changes = {"weber_fraction": stats.lognorm(np.log(3.0), scale=scale)} | changes
     if own:
         changes["effects"] = own
-    return replace(DEFAULTS, **changes) if changes else DEFAULTS
+    made = replace(DEFAULTS, **changes) if changes else DEFAULTS
+    return made if task is None else of_task(made, task)
+
+
+def of_task(priors: Priors, task: Task) -> Priors:
+    """The priors with the task's own belief about its bias, where nothing else is said of it."""
+    if isinstance(task, SameDifferent) and priors.bias is _BIAS:
+        return replace(priors, bias=_SAME_DIFFERENT)
+    return priors

@@ -41,8 +41,8 @@ def _data(fit: WeberFit) -> str:
     missing = f", and {t.n_missing} without an answer" if t.n_missing else ""
     return (
         f"Data. {t.source}: {t.n_trials} trials with an answer{missing}; "
-        f"{cells.n.size} pair{'s' if cells.n.size != 1 else ''} of stimuli at {t.standards.size} "
-        f"standard{'s' if t.standards.size != 1 else ''}; task {t.task.name}. "
+        f"{_counted(cells.n.size, 'pair')} of stimuli at {_counted(fit.standards.size, 'standard')}"
+        f"; task {t.task.name}. "
         f"Observer: {fit.noise} noise, bias {fit.bias}{moved}, {fit.method}."
     )
 
@@ -133,6 +133,8 @@ def _next(fit: WeberFit) -> str:
     }
     if fit.status in advice:
         return f"What to collect next. {advice[fit.status]}"
+    if "weber_fraction" not in fit.parameters:
+        return "What to collect next. Nothing for the Weber fraction, which was given."
     low, high = fit.interval()
     width = np.log(high / low)
     if width <= 0.4:
@@ -226,7 +228,7 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> ArvizData:
 
 def as_dict(fit: WeberFit) -> dict[str, object]:
     """Everything a reader needs to use or repeat a fit, ready for JSON."""
-    low, high = fit.interval() if "weber_fraction" in fit.parameters else (fit.weber_fraction,) * 2
+    low, high = fit.interval()
     return {
         "weber_fraction": fit.weber_fraction,
         "lower": low,
@@ -323,7 +325,7 @@ def _of_one(fit: WeberFit) -> list[str]:
     said = [
         f"A model of the observer was fitted to {_counted(trials.n_trials, 'trial')}{missing} of "
         f"the task {trials.task.name}, with {_counted(cells.n.size, 'pair')} of stimuli at "
-        f"{_counted(trials.standards.size, 'standard')}.",
+        f"{_counted(fit.standards.size, 'standard')}.",
         _encoded(fit.encoding, _NOISE[fit.noise]),
     ]
     if isinstance(trials.task, SignedChoice) and not fit.effects:
@@ -342,26 +344,42 @@ def _of_one(fit: WeberFit) -> list[str]:
         rho = believed.lapse_correlation
         correlated = f"; the normal scores of the two lapse rates correlate by {rho:g}"
     priors = [f"{name} ~ {words}" for name, words in fit.summary()["prior"].items()]
-    given = ("weber_fraction", *lapses)
-    priors += [f"{n} {believed.words(n)}" for n in given if believed.is_fixed(n)]
+    given = {n: n for n in fit.model.lead if not n.startswith("lapse_") or n in lapses}
+    given |= {"bias": trials.task.bias_name or ""} if fit.bias != "none" else {}
+    priors += [f"{name} {believed.words(n)}" for n, name in given.items() if believed.is_fixed(n)]
     said.append(f"Parameters and priors: {', '.join(priors)}{correlated}.")
     return [*said, _how(fit.method), f"The fit's status: {fit.status.name}."]
 
 
 def _of_many(fit: PopulationFit) -> list[str]:
-    trials = int(fit.subjects["n"].sum())
-    levels = "" if fit.sessions is None else f" and {_counted(len(fit.sessions), 'session')}"
-    priors = [f"{name} ~ {fit.believed.words(name)}" for name in ("weber_fraction", *fit.lapses)]
-    own = ["spread", *["session_spread"] * (fit.sessions is not None), "lapse_mean", "lapse_spread"]
-    own += ["bias_scale"] * ("bias_scale" in fit.parameters)
-    priors += [f"{name} ~ {in_words(getattr(fit.priors, name))}" for name in own]
+    status = f"The fit's status: {fit.status.name}."
+    if fit.population is None:
+        return [*fit.notes, status]
+    own = fit.subjects if fit.sessions is None else fit.sessions
+    used = own[own["weber_fraction"].notna()]
+    one, believed = next(iter(fit.fits.values())), fit.believed
+    levels = "" if fit.sessions is None else f" and {_counted(len(used), 'session')}"
+    lapses = ", and so are the normal scores of lapse rates" if fit.lapses else ""
+    priors = [f"{name} ~ {believed.words(name)}" for name in ("weber_fraction", *fit.lapses)]
+    known = [name for name in one.model.lapse_names if name not in fit.lapses]
+    if "bias_scale" in fit.parameters:
+        priors.append(f"{one.model.task.bias_name} ~ {believed.words('bias')} times bias_scale")
+    elif one.bias != "none":
+        known.append("bias")
+    priors += [f"{name} {believed.words(name)}" for name in known]
+    of_all = ["spread", *["session_spread"] * (fit.sessions is not None)]
+    of_all += ["lapse_mean", "lapse_spread"] * bool(fit.lapses)
+    of_all += ["bias_scale"] * ("bias_scale" in fit.parameters)
+    priors += [f"{name} ~ {in_words(getattr(fit.priors, name))}" for name in of_all]
     return [
-        f"A hierarchical model was fitted to {_counted(trials, 'trial')} of "
-        f"{_counted(len(fit.subjects), 'animal')}{levels}: ln k is normal between animals, each "
-        "learning from the others (partial pooling), and so are the normal scores of lapse rates.",
+        f"A hierarchical model was fitted to {_counted(int(used['n'].sum()), 'trial')} of the task "
+        f"{one.trials.task.name}, of {_counted(used['subject'].nunique(), 'animal')}{levels}: ln k "
+        f"is normal between animals, each learning from the others (partial pooling){lapses}.",
+        *fit.notes,
+        _encoded(one.encoding, _NOISE[one.noise]),
         f"Parameters and priors: {', '.join(priors)}.",
         _how("quadrature"),
-        f"The fit's status: {fit.status.name}.",
+        status,
     ]
 
 

@@ -108,11 +108,12 @@ class WeberFit(Shown):
         mass : float
             Its posterior probability.
         parameter : str
-            One of `parameters`.
+            One of `parameters`; a Weber fraction that was given is both ends.
         kind : {"equal-tailed", "hdi"}
             As much left out on either side, or the shortest (highest density).
         """
-        _checks.one_of("parameter", parameter, self.parameters)
+        if parameter != "weber_fraction":
+            _checks.one_of("parameter", parameter, self.parameters)
         _checks.one_of("kind", kind, ("equal-tailed", "hdi"))
         if kind == "hdi":
             return self._shortest(parameter, mass)

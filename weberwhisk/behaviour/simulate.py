@@ -315,7 +315,8 @@ def responses(
                 )
                 drawn = scatter[: len(frame)][cell.reshape(-1)]
                 size = 1 / value - 1
-                p = np.asarray(beta.ppf(drawn, p * size, (1 - p) * size))
+                found = beta.ppf(drawn, p * size, (1 - p) * size)
+                p = np.where(np.isnan(found), p, found)  # none of it is left at 0 and 1
         return p
 
     scatter = rng.random(len(frame)) if effects else np.zeros(0)

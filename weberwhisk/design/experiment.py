@@ -177,7 +177,8 @@ def plan_experiment(
     elif runs:
         found = _curve(scheme, given, seed, options)
     if together is None:
-        together = scheme.animals > 1
+        known = any(h.priors.is_fixed("weber_fraction") for h in given)
+        together = scheme.animals > 1 and not known
     return Plan(scheme, **own, together=together, power=found)
 
 

@@ -23,7 +23,7 @@ from ..behaviour.encodings import (
 from ..behaviour.fit import BIASES, fit_weber, names_by_standard
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.population import draw_animals
-from ..behaviour.priors import DEFAULTS, Priors
+from ..behaviour.priors import DEFAULTS, Priors, of_task
 from ..behaviour.psychometric import refuse_out_of_reach
 from ..behaviour.result import WeberFit
 from ..behaviour.tasks import Task, task_named
@@ -78,6 +78,7 @@ class Hypothesis:
                 f"{self.task} has no response bias to fit, got bias={self.bias!r}; write "
                 'bias="none".'
             )
+        object.__setattr__(self, "priors", of_task(self.priors, self.asked))
 
     @property
     def asked(self) -> Task:

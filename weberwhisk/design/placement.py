@@ -25,6 +25,7 @@ from ..behaviour.trials import Trials
 from .belief import Belief, GrowingBelief, Pair, entropy
 from .hypotheses import Hypothesis, check_distinct, options_of
 from .scheme import Scheme
+from .trial_lists import check_answers
 
 Array = NDArray[np.float64]
 
@@ -389,6 +390,12 @@ def next_trial(
     19
     """
     placer = BayesianPlacer(hypotheses, scheme, **options)
+    check_answers(trials, placer.hypotheses[0].task, 1)
+    if len(trials.subjects) > 1:
+        raise ValueError(
+            f"{trials.source}: trials are placed for one animal, got {len(trials.subjects)} "
+            f"subjects; write trials.select(subject={trials.subjects[0]!r}), say."
+        )
     names = "stimulus_1", "stimulus_2", "n", "count", "standard"
     columns = [trials.frame[c].to_numpy(float) for c in names]
     for s1, s2, n, count, nominal in zip(*columns, strict=True):

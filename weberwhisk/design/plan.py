@@ -167,8 +167,7 @@ def _pooled(trials: Trials, hypotheses: Sequence[Hypothesis]) -> AnalysisResult:
 def _row(hypothesis: Hypothesis, subject: str, fit: WeberFit | PopulationFit) -> dict[str, Any]:
     k: Sequence[float] = (np.nan, np.nan, np.nan)
     if not (isinstance(fit, PopulationFit) and fit.population is None):
-        fitted = "weber_fraction" in fit.parameters  # else a number that was given
-        k = fit.weber_fraction, *(fit.interval(0.95) if fitted else (fit.weber_fraction,) * 2)
+        k = fit.weber_fraction, *fit.interval(0.95)
     names = "hypothesis", "subject", "weber_fraction", "lower", "upper", "status"
     return dict(zip(names, (hypothesis.name, subject, *k, fit.status.name), strict=True))
 
@@ -241,6 +240,11 @@ class Plan(Shown):
             )
         if self.together and self.scheme.animals < 2:
             raise ValueError("One animal cannot be fitted together with others; give two or more.")
+        if self.together and any(h.priors.is_fixed("weber_fraction") for h in self.hypotheses):
+            raise ValueError(
+                "A Weber fraction that is given is not learnt from several animals; write "
+                "together=False."
+            )
         check_metres(self.hypotheses)
         self.constraints.check(self.scheme, first.encoding, self.animals.weber_fraction)
         for hypothesis in self.hypotheses:
@@ -366,6 +370,8 @@ class Plan(Shown):
         most = max(map(max, self.scheme.trials))
         sizes = self.power[["trials", "animals"]].drop_duplicates()
         inside = (sizes["trials"] <= most) & (sizes["animals"] <= self.scheme.animals)
+        if not inside.any():
+            return ""
         trials, animals = sizes[inside].sort_values(["animals", "trials"]).iloc[-1]
         compared = len(self.hypotheses) > 1
         whose = "" if compared or self.together or animals == 1 else " of their animals"

@@ -26,6 +26,7 @@ from ..behaviour.encodings import (
 )
 from ..behaviour.priors import Priors
 from ..cues import Compliance, ForceMap, Friction
+from ..model_bias import Chosen
 from ..observer import Observer
 from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Weber
@@ -45,7 +46,8 @@ NOUNS: dict[type, str] = {
     WhiskerArray: "species:text sides:text curved:flag identities:texts protraction",
     Weber: "weber_fraction:numbers correlation:numbers",
     GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
-    Observer: "whisker:Whisker cue:Compliance|ForceMap|Friction noise:Weber|GeneralisedWeber",
+    Observer: "whisker:Whisker cue:Compliance|ForceMap|Friction noise:Weber|GeneralisedWeber "
+    "model:text|null",
     ArrayObserver: "array:WhiskerArray cue:Compliance|ForceMap|Friction|null "
     "noise:Weber|GeneralisedWeber|null angle_sd missed",
     CueEncoding: "observer:Observer deflection_angle:number|null unit",
@@ -89,7 +91,7 @@ def encode(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if value is None or isinstance(value, bool | int | str):
-        return value
+        return None if isinstance(value, Chosen) else value  # a model is chosen again
     if isinstance(value, float):
         return value if np.isfinite(value) else str(value)
     if isinstance(value, list | tuple):
@@ -102,7 +104,13 @@ def encode(value: Any) -> Any:
         known = ", ".join(noun.__name__ for noun in NOUNS)
         raise ValueError(f"{value!r} cannot be written to a plan; make it of {known}.")
     parts = {name: encode(getattr(value, a)) for name, a, _ in _parts(type(value))}
-    return {KIND: type(value).__name__, **parts}
+    made = {KIND: type(value).__name__, **parts}
+    if isinstance(value, Observer) and decode(made) != value:
+        raise ValueError(
+            f"{value!r} has a prior or a tolerance of its own, which a plan does not keep; leave "
+            "it out."
+        )
+    return made
 
 
 def decode(value: Any) -> Any:
@@ -120,8 +128,8 @@ def decode(value: Any) -> Any:
         return parts
     parts = {OLD.get(name, name): item for name, item in parts.items()}
     name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
-    if name == "Whisker":  # plans of before there were hinges
-        parts.setdefault("hinge_stiffness", None)
+    for late in ("hinge_stiffness",) * (name == "Whisker") + ("model",) * (name == "Observer"):
+        parts.setdefault(late, None)  # of plans that were written before there was one
     noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:
         return _frozen(value[KIND], parts)

@@ -178,21 +178,23 @@ def power(
     _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
     likely = SubjectPopulation() if expected is None else expected
     _checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
-    for name, given_sizes in (("trials", trials), ("animals", animals), ("lapses", lapses)):
-        if given_sizes is not None:
-            for size in _checks.several(name, given_sizes, "write [20], say"):
-                _checks.number(name, size, "write 20, say")
+    sizes = []
+    for name, given_sizes, own in (
+        ("trials", trials, max(map(max, scheme.trials))),
+        ("animals", animals, scheme.animals),
+        ("lapses", lapses, likely.lapse),
+    ):
+        some = [own] if given_sizes is None else _checks.several(name, given_sizes, "write [20]")
+        sizes.append([_checks.number(name, size, "write 20, say") for size in some])
     named = [h.name for h in given]
     if truths is not None:
         named = _checks.several("truths", truths, f"write {named}, say")
     for name in named:
         _checks.one_of("truth", name, [h.name for h in given])
     _checks.whole("runs", runs, "write 1000")
-    most = max(map(max, scheme.trials))
-    sizes = product(named, trials or [most], animals or [scheme.animals], lapses or [likely.lapse])
     chunks = [
         chunk
-        for truth, n, number, lapse in sizes
+        for truth, n, number, lapse in product(named, *sizes)
         for chunk in _chunks(
             sized(sized(scheme, "trials", n), "animals", number), given,
             replace(likely, lapse=lapse), truth, int(runs), assurance,

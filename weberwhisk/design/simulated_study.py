@@ -188,6 +188,7 @@ def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.Da
     truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
     of_animals, of_answers = seed.spawn(2)
     animals = plan.animals.draw(plan.scheme.animals, of_animals)
+    animals["bias"] += truth.usual_bias
     answers = simulate_responses(
         plan.trials, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task,
         seed=of_answers,

@@ -138,8 +138,13 @@ def _answer_label(fit: WeberFit) -> str:
 
 
 def _shown_at(fit: WeberFit, standard: float) -> tuple[Array, Cells]:
-    """Where the choices at the nearest standard stand on the axis, and their counts."""
+    """Where the choices at a standard stand on the axis, and their counts."""
     every = fit.trials.cells()
+    if every.standard.size and not np.isclose(every.standard, standard).any():
+        raise ValueError(
+            f"standard {standard:g} has no answers to draw; choose one of "
+            f"{', '.join(f'{s:g}' for s in fit.standards)}."
+        )
     cells = every.of(float(every.standard[np.argmin(np.abs(every.standard - standard))]))
     first, second = cells.stimulus_1, cells.stimulus_2
     return second - first if _relative(fit) else standard * second / first, cells
