@@ -8,7 +8,6 @@ from short_forms import slow_but
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import AngleSideAngle, ContactAndDetachment, Cue, TwoWhiskers
-from weberwhisk.cues.angle_side_angle import triangle_jnd
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber
 
@@ -20,6 +19,21 @@ CUES = [
     ContactAndDetachment(2e-3, side_sd=0.2e-3, push=0.2),
 ]
 EVERY = pytest.mark.parametrize("cue", CUES, ids=repr)
+ONE_DEGREE = np.radians(1.0)
+
+
+def triangle_jnd(r, theta, s, *, angle_sd=ONE_DEGREE, side_sd=0.0, correlation=0.0):
+    """The JND of distance by angle–side–angle for small noise, (...), m, from the triangle alone.
+
+    From r = side·sin θ₁/sin δ with δ = θ₂ − θ₁ the angle at the object, and q = side·sin θ₂/sin δ
+    the distance from the first place: ∂r/∂θ₁ = q/sin δ, ∂r/∂θ₂ = −r cos δ/sin δ, ∂r/∂side =
+    r/side. So Δr² = σ²(q² + r² cos²δ − 2ρ q r cos δ)/sin²δ + (r σ_side/side)².
+    """
+    along, across = s + r * np.cos(theta), r * np.sin(theta)
+    q, apex = np.hypot(along, across), theta - np.arctan2(across, along)
+    near = r * np.cos(apex)
+    angles = angle_sd**2 * (q**2 + near**2 - 2 * correlation * q * near) / np.sin(apex) ** 2
+    return np.sqrt(angles + (r * side_sd / s) ** 2)
 
 
 def drawn(cue, n, seed):

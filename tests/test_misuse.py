@@ -39,7 +39,6 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.effects import Drift, Floor
 from weberwhisk.behaviour.population import joined, simulate_responses
-from weberwhisk.cues.angle_side_angle import triangle_jnd
 from weberwhisk.receptors import GeneralisedWeber
 from weberwhisk.sweeping import follow
 
@@ -220,8 +219,6 @@ def test_degrees_for_radians_are_hinted_at():
         press(WHISKER, 20e-3, 20)
     with pytest.warns(UserWarning, match="did you pass degrees"):
         CueEncoding(Observer(WHISKER, cues.ForceMap()), 10.0)
-    with pytest.warns(UserWarning, match="bearing is in radians, got 90: did you pass degrees"):
-        triangle_jnd(30e-3, 90, 10e-3)
 
 
 @pytest.mark.parametrize("call", [ww.posterior, ww.touches])
@@ -243,7 +240,6 @@ RECEPTOR_AND_CUE_MISUSES: list[tuple[Callable[[], object], str]] = [
         )
         for d in (stats.lognorm, stats.uniform, stats.randint(0, 3))
     ),
-    (lambda: triangle_jnd(30e-3, 1.5, 10e-3, correlation=2.0), "between -1 and 1, got 2"),
     (lambda: cues.Compliance().radial_distance(CURVED, 1e-5), "of a light tap on a straight"),
     (
         lambda: cues.Compliance(tap_angle=0.3).radial_distance(WHISKER, 1e-5),

@@ -51,13 +51,7 @@ def cite(*, bibtex: bool = False) -> str:
 
 
 def versions_in_words(*packages: str) -> str:
-    """This package's version, Python's, and those of the packages, for a methods section.
-
-    Examples
-    --------
-    >>> versions_in_words("numpy").startswith("weberwhisk ")
-    True
-    """
+    """This package's version, Python's, and those of the packages, for a methods section."""
     known = versions(*packages)
     found = [f"{name} {known[name]}" for name in packages if known[name]]
     return ", ".join([f"weberwhisk {__version__}", f"Python {platform.python_version()}", *found])

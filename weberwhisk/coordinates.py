@@ -38,29 +38,15 @@ FARTHEST = 5.0
 class ContactCoordinates:
     """The bijection between the contacts open to an observer and x in ℝᵁ.
 
-    Parameters
-    ----------
-    whisker : Whisker
-    cue : Cue
-    prior : mapping of name to frozen SciPy distribution
-        Their supports bound distance and angle further; each unknown that the whisker does not
-        bound needs one.
+    Supports of the `prior`, of frozen SciPy distributions by name, bound distance and angle
+    further; each unknown that the whisker does not bound needs one. The first `bounded` unknowns
+    are those that the whisker bounds; `reach` has the ends of the radial distance, m.
 
-    Attributes
-    ----------
-    bounded : int
-        How many unknowns the whisker bounds: the first ones.
-    reach : (float, float)
-        Ends of the radial distance, m.
-
-    Notes
-    -----
-    x₁ = asinh(logit(r/reach)), in which base and tip lie double-exponentially far off, and
-    x₂ = y + ln(M/θ_d), with M the small-angle moment and logistic(y + eʸ) the fraction of the
-    largest θ_d at that r. Down low x₂ is ln M, up high it closes in on the fold or the tip
-    double-exponentially. So the tails of posteriors are short, and the force map's ridge, along
-    which M is constant, is straight. Any further unknown has a coordinate in which its prior is
-    the standard normal.
+    x₁ = asinh(logit(r/reach)), in which base and tip lie double-exponentially far off, and x₂ = y +
+    ln(M/θ_d), with M the small-angle moment and logistic(y + eʸ) the fraction of the largest θ_d at
+    that r. Down low x₂ is ln M, up high it closes in on the fold or the tip double-exponentially.
+    So the tails of posteriors are short, and the force map's ridge, along which M is constant, is
+    straight. Any further unknown has a coordinate in which its prior is the standard normal.
     """
 
     whisker: Whisker

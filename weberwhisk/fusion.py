@@ -136,16 +136,7 @@ def _log_density_at(observer: Observer, x: Array, reading: Array) -> Array:
 
 
 def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
-    """Contacts (count, U) drawn from an observer's prior.
-
-    Examples
-    --------
-    >>> from weberwhisk import Whisker, cues
-    >>> w = Whisker(50e-3, 100e-6, 5e-6)
-    >>> contact = prior_draws(Observer(w, cues.ForceMap()), 1000, seed=1)
-    >>> contact.shape
-    (1000, 2)
-    """
+    """Contacts (count, U) drawn from an observer's prior."""
     rng = np.random.default_rng(seed)
     if not observer.space.reach_varies:
         return _drawn(observer, count, rng)

@@ -56,14 +56,9 @@ ARRAY = "which of three whiskers touch (b)"
 def neighbours(whisker: Whisker = WHISKER, identity: str | None = None) -> ComparativeLength:
     """Which of three whiskers touch: this one and the two nearest of its row.
 
-    Parameters
-    ----------
-    whisker : Whisker
-        Without an identity its neighbours are assumed: four and three fifths as long, with bases
-        3 and 6 mm in front.
-    identity : str, optional
-        With one they have the mean lengths of the rat's, and bases as far away, along the row, as
-        the array's equations say (Belli, Bresee, Graff & Hartmann 2018, PLoS ONE).
+    Without an identity its neighbours are assumed: four and three fifths as long, with bases 3 and
+    6 mm in front. With one they have the mean lengths of the rat's, and bases as far away, along
+    the row, as the array's equations say (Belli, Bresee, Graff & Hartmann 2018, PLoS ONE).
 
     Examples
     --------
@@ -278,13 +273,9 @@ def surface(
 ) -> pd.DataFrame:
     """The linear JND over every contact up to flick-past, as `figures.jnd_surface` takes it.
 
-    Returns
-    -------
-    DataFrame
-        ``radial_distance_mm``, ``deflection_angle_deg``, ``jnd_mm``, ``contact_angle_deg`` and,
-        where one signal alone is noisy, ``signed_jnd_mm``. To first order an error of that signal
-        moves r by the slope of the *other* in θ_d over the Jacobian; where that slope passes
-        through zero the signed JND does, a false zero that no posterior has.
+    Where one signal alone is noisy there is ``signed_jnd_mm``: to first order an error of that
+    signal moves r by the slope of the *other* in θ_d over the Jacobian; where that slope passes
+    through zero the signed JND does, a false zero that no posterior has.
     """
     import pandas as pd
 

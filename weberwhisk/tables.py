@@ -15,34 +15,11 @@ from . import _checks
 def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[pd.DataFrame, str]:
     """The table as it stands, and its name for messages; its index counts rows from 1.
 
-    Parameters
-    ----------
-    source : path or DataFrame
-        By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
-        `trials`), and everything else as text, plain or compressed. Text is separated by commas,
-        tabs or semicolons, whichever its header has most of.
-    row : str
-        What one row is, for messages.
-
-    Returns
-    -------
-    DataFrame
-        Text formats give text in every cell. Rows without any entry are left out and counted, so
-        the index is that of the file: the first row below the header is 1.
-    str
-
-    Raises
-    ------
-    FileNotFoundError
-        With the path as its `filename`.
-    ValueError
-        For what is not readable as a table, or needs a package that is not there.
-
-    Examples
-    --------
-    >>> table, name = load_table(pd.DataFrame({"choice": [1, 0]}))
-    >>> name, table.index.tolist()
-    ('table', [1, 2])
+    By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
+    `trials`), and everything else as text, plain or compressed, separated by commas, tabs or
+    semicolons, whichever its header has most of; text gives text in every cell. Rows without any
+    entry are left out and counted, so the index is that of the file: the first row below the header
+    is 1. `row` is what one row is, for messages.
     """
     if isinstance(source, pd.DataFrame):
         return _numbered(source), "table"

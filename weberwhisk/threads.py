@@ -24,24 +24,12 @@ _inside: ContextVar[bool] = ContextVar("inside a thread of on_threads", default=
 
 
 def in_browser() -> bool:
-    """Whether this is Python in WebAssembly (Pyodide), which has neither threads nor processes.
-
-    Examples
-    --------
-    >>> in_browser()
-    False
-    """
+    """Whether this is Python in WebAssembly (Pyodide), which has neither threads nor processes."""
     return sys.platform == "emscripten"
 
 
 def core_count() -> int:
-    """Cores that this process may run on, which may be fewer than the machine has.
-
-    Examples
-    --------
-    >>> core_count() >= 1
-    True
-    """
+    """Cores that this process may run on, which may be fewer than the machine has."""
     if in_browser():
         return 1
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
@@ -104,11 +92,6 @@ def on_threads(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Ite
     """Results in the order of the tasks, which must not depend on each other.
 
     A task that has tasks of its own does these one after the other.
-
-    Examples
-    --------
-    >>> list(on_threads(abs, [-1, 2, -3]))
-    [1, 2, 3]
     """
     waiting = list(tasks)
     count = 1 if _inside.get() else min(thread_count(), len(waiting))

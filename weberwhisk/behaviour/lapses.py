@@ -209,15 +209,7 @@ AS_BELIEVED = BiasScales(np.ones(1), 1.0)
 
 
 def scaled_prior(priors: Priors, bias: Array, step: Array, scales: Array) -> Array:
-    """Log prior mass of nodes of a bias for each scale, (..., B, S).
-
-    Parameters
-    ----------
-    bias : ndarray, shape (..., B)
-    step : ndarray, shape (..., B)
-        Widths of the nodes.
-    scales : ndarray, shape (S,)
-    """
+    """Log prior mass (..., B, S) of nodes of a bias, of widths `step` (..., B), for each scale."""
     sd = priors.moments("bias")[1]
     # A density narrower than the step of the nodes cannot be seen on them.
     width = np.maximum(scales, 0.8 * step[..., None] / sd)
@@ -237,19 +229,8 @@ def likely_scales(
     """Nodes over the scales that the members, each fitted alone, do not exclude.
 
     Their biases are taken for normal here, which decides where the nodes lie and nothing else.
-
-    Parameters
-    ----------
-    models, draws
-        Of every member.
-    prior : frozen distribution
-        Of the scale.
-    margin : float
-        By what factor a scale may be off that is guessed so.
-    likely : float
-        Nats under the best guess, where scales are left out.
-    far : float
-        Of the prior, beyond which scales are not looked for.
+    Scales `likely` nats under the best guess are left out, which may be off by a factor of
+    `margin`; beyond a share `far` of their prior they are not looked for.
     """
     priors = models[0].priors
     if not any(model.free_bias for model in models):

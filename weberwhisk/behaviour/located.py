@@ -287,17 +287,9 @@ def binned(
 
 
 def estimate_scatter(gap: Array, sd: Array) -> Scatter:
-    """Offset and scatter of places from measured gaps to the nominal ones, by maximum likelihood.
+    """Offset and scatter of places from gaps (n,) to the nominal ones, by maximum likelihood.
 
-    Parameters
-    ----------
-    gap, sd : ndarray, shape (n,)
-        Measured less nominal, and the sd of each measurement; NaN where there is none.
-
-    Examples
-    --------
-    >>> estimate_scatter(np.array([0.5, 1.5]), np.array([0.1, 0.1])).offset
-    1.0
+    Gaps are measured less nominal, with the sd of each measurement; NaN where there is none.
     """
     some = np.isfinite(gap)
     gap, sd = gap[some], sd[some]

@@ -352,17 +352,6 @@ def priors_for(
     Where the unit of a log scale is unknown, the Weber fraction is centred on the median step of
     the table instead of 0.1: scaling the column then scales the answer and nothing else. The pairs
     that each animal was shown are needed for the belief "levels" alone.
-
-    Raises
-    ------
-    ValueError
-        For an unknown parameter, or a prior that is not one.
-
-    Examples
-    --------
-    >>> one = np.ones(1)
-    >>> priors_for({"lapse_low": 0.0}, Cells(one, one, one, one, one), True).words("lapse_low")
-    'fixed at 0'
     """
     own = dict(effects or {})
     if isinstance(priors, Priors):

@@ -253,12 +253,6 @@ def difference_sd(encoding: Encoding, standard: ArrayLike) -> Array:
     """Offset that moves the difference between the two signals by one of its sds, for k = 1.
 
     √2 σ(s)/|μ′(s)|, the small-offset limit: for a tapered whisker's compliance √2 r (1 − r/A).
-
-    Examples
-    --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> difference_sd(IdentityEncoding(), [1.0, 2.0]).round(6)
-    array([1.414214, 2.828427])
     """
     s = np.asarray(standard, dtype=float)
     low, high = encoding.domain

@@ -37,13 +37,8 @@ class Log:
 
     Made if it is missing; where it holds an earlier part of the same, `lines` has that, without the
     first. `kind` is what it is a log of, one word; `question` what was asked, as JSON has it, the
-    same whenever the file is gone on with; `about` is for a reader of the file.
-
-    Raises
-    ------
-    ValueError
-        If the file is of another question or of none, is being written by another process, or
-        cannot be written.
+    same whenever the file is gone on with; `about` is for a reader of the file. Files of another
+    question or of none, that another process is writing, or that cannot be written, are refused.
 
     Examples
     --------

@@ -33,12 +33,6 @@ def timed(call: Callable[[], T], *, least: float = 5e-3, repeats: int = 3) -> tu
     """The result of a call and the CPU seconds that it takes: the least of a few, caches warm.
 
     A call of more than `least` seconds is made once more and no further.
-
-    Examples
-    --------
-    >>> value, seconds = timed(lambda: sum(range(1000)))
-    >>> value, seconds > 0
-    (499500, True)
     """
     result = call()
     times = []
@@ -269,17 +263,7 @@ def beam_row(
 
 
 def measure(*, full: bool = False) -> pd.DataFrame:
-    """Relative error of the moment, and CPU seconds a contact, of every model and of SciPy.
-
-    Parameters
-    ----------
-    full : bool
-        Every setting, or a few.
-
-    Returns
-    -------
-    DataFrame
-    """
+    """Relative error of the moment, and CPU seconds a contact, of every model and of SciPy."""
     rows = []
     for scene in SCENES:
         truth(scene)

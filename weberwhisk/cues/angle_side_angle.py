@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import angle, finite, non_negative, non_negative_number, positive, positive_number
+from .._checks import finite, non_negative_number, positive, positive_number
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
@@ -305,63 +305,3 @@ class ContactAndDetachment(AngleSideAngle):
 def _held_to(whisker: Whisker, push: float) -> float:
     """The distance at which a deflection is the largest that is held, m."""
     return reach_at(whisker, push, "push")
-
-
-def triangle_jnd(
-    radial_distance: ArrayLike,
-    bearing: ArrayLike,
-    side: ArrayLike,
-    *,
-    angle_sd: ArrayLike = ANGLE_SD,
-    side_sd: ArrayLike = 0.0,
-    correlation: ArrayLike = 0.0,
-) -> Array:
-    """The JND of distance by angle–side–angle for small noise, (...), m; all inputs broadcast.
-
-    Parameters
-    ----------
-    radial_distance, bearing : float or array
-        r, m, and the second angle, rad: the object as seen from the second place.
-    side, side_sd : float or array
-        The side and its sd, m.
-    angle_sd : float or array
-        Sd of each angle, rad.
-    correlation : float or array
-        Between the errors of the two angles: an error that both share partly cancels.
-
-    Returns
-    -------
-    array
-        The sd of one observation (criterion d′ = 1).
-
-    Notes
-    -----
-    From r = side·sin θ₁/sin δ with δ = θ₂ − θ₁ the angle at the object, and q = side·sin θ₂/sin δ
-    the distance from the first place: ∂r/∂θ₁ = q/sin δ, ∂r/∂θ₂ = −r cos δ/sin δ, ∂r/∂side =
-    r/side. So
-
-        Δr² = σ²(q² + r² cos²δ − 2ρ q r cos δ)/sin²δ + (r σ_side/side)²
-
-    As sin δ = side·sin θ₂/q, a short side gives √2·σ·r²/(side·sin θ₂): in half the side twice the
-    JND, at twice the distance four times.
-
-    Examples
-    --------
-    >>> jnd = triangle_jnd(30e-3, np.pi / 2, np.array([1e-3, 5e-3, 25e-3]))
-    >>> (jnd * 1e3).round(2)
-    array([22.23,  4.51,  1.24])
-    """
-    r = positive("radial_distance", radial_distance, "give metres, such as 30e-3")
-    theta = angle("bearing", bearing, "give radians, such as np.pi / 2")
-    s = positive("side", side, "give metres, such as 10e-3")
-    sigma = non_negative("angle_sd", angle_sd, "give radians")
-    s_sd = non_negative("side_sd", side_sd, "give metres")
-    rho = finite("correlation", correlation, "write a number from -1 to 1")
-    if np.any(np.abs(rho) > 1):
-        worst = rho.flat[np.abs(rho).argmax()]
-        raise ValueError(f"correlation must lie between -1 and 1, got {worst:g}; write 0 for none.")
-    along, across = s + r * np.cos(theta), r * np.sin(theta)
-    q, apex = np.hypot(along, across), theta - np.arctan2(across, along)
-    near = r * np.cos(apex)
-    angles = sigma**2 * (q**2 + near**2 - 2 * rho * q * near) / np.sin(apex) ** 2
-    return np.asarray(np.sqrt(angles + (r * s_sd / s) ** 2))

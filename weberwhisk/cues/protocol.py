@@ -143,16 +143,7 @@ def straight(
     whisker: Any,
     instead: str = "cues.ForceMap(), Compliance() or BalanceOfMoments(), which take curved ones",
 ) -> None:
-    """Refuse whiskers that most cues do not take: curved, hinged or rubbing ones, and profiles.
-
-    Raises
-    ------
-    ValueError
-
-    Examples
-    --------
-    >>> straight(Whisker(50e-3, 100e-6, 5e-6))
-    """
+    """Refuse whiskers that most cues do not take: curved, hinged or rubbing ones, and profiles."""
     if not isinstance(whisker, Whisker):
         raise ValueError(
             "This cue needs a Whisker, straight and without friction, got a "
@@ -168,13 +159,7 @@ def straight(
 
 
 def readings(name: str, value: Any, count: int) -> Array:
-    """`value` as an array (..., count) for an inverse; what is infinite has none, and becomes NaN.
-
-    Raises
-    ------
-    ValueError
-        For text and for another number of values along the last axis.
-    """
+    """`value` as an array (..., count) for an inverse; what is infinite has none: NaN."""
     array = numbers(name, value, "give the base signals in SI units")
     if array.ndim == 0 or array.shape[-1] != count:
         raise ValueError(
@@ -194,24 +179,8 @@ def a_cue(value: Any) -> Cue:
 def reach_at(whisker: Whisker | ForwardModel, deflection_angle: float, name: str) -> float:
     """Largest radial distance at which an angle is held: the tip, or where it flicks past, m.
 
-    Parameters
-    ----------
-    whisker : Whisker or ForwardModel
-    deflection_angle : float
-        From where it first touches, rad.
-    name : str
-        Of the angle, for the refusal.
-
-    Raises
-    ------
-    ValueError
-        For an angle that is held nowhere.
-
-    Examples
-    --------
-    >>> w = Whisker(50e-3, 100e-6, 5e-6)
-    >>> round(reach_at(w, np.radians(24.5732), "tap_angle") / w.length, 5)
-    0.7
+    The angle is from where the whisker first touches, rad; one that is held nowhere is refused by
+    its `name`.
     """
     forward = forward_of(whisker)
     length = forward.reach

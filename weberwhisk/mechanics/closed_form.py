@@ -21,19 +21,10 @@ from .contact import Bending, Model, Outcome, beyond_tip, by_rows
 
 
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
-    """Bend a straight whisker by a given force at a given arc length, at small angle.
+    """Bend a straight whisker by a force (N) at an arc length (m), at small angle.
 
-    Parameters
-    ----------
-    whisker : Whisker
-    arc_length, force : float or array
-        m, N.
-
-    Returns
-    -------
-    Bending
-        Outcome `HELD` wherever the contact is on the whisker: this model knows no flick-past, and
-        its `error` says how far it can be trusted.
+    `HELD` wherever the contact is on the whisker: this model knows no flick-past, and its `error`
+    says how far it can be trusted.
     """
     return by_rows(_bend, Model.CLOSED_FORM, whisker, arc_length, force)
 
@@ -48,19 +39,10 @@ def _bend(
 
 
 def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Bending:
-    """Press a straight whisker against a point, at small angle: equation (2.3).
+    """Press a straight whisker against a point (m, rad), at small angle: equation (2.3).
 
-    Parameters
-    ----------
-    whisker : Whisker
-    radial_distance, deflection_angle : float or array
-        m, rad.
-
-    Returns
-    -------
-    Bending
-        Outcome `HELD` wherever the contact is on the whisker, as for `bend`. Where a push next to
-        the tip slides it off, the `error` is 1: there is nothing to be relied on.
+    `HELD` wherever the contact is on the whisker, as for `bend`. Where a push next to the tip
+    slides it off, the `error` is 1: there is nothing to be relied on.
     """
     return by_rows(_press, Model.CLOSED_FORM, whisker, radial_distance, deflection_angle)
 
@@ -114,18 +96,9 @@ def moment(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: Array
 def signal_jacobian(
     whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
 ) -> Array:
-    """Derivatives of M, Fx, Fy (rows) with respect to r and θ_d (columns) at small angle.
+    """Derivatives (..., 3, 2) of M, Fx, Fy to r and θ_d at small angle.
 
-    Parameters
-    ----------
-    whisker : Whisker
-    radial_distance, deflection_angle : float or array
-        m, rad.
-
-    Returns
-    -------
-    array, shape (..., 3, 2)
-        Of M = Cθ(1/r − 1/A), Fx = Cθ²(3−2u)/(2r²), Fy = Cθ(1−u)/r² with C = 3EI₀, u = r/A.
+    Of M = Cθ(1/r − 1/A), Fx = Cθ²(3−2u)/(2r²), Fy = Cθ(1−u)/r² with C = 3EI₀, u = r/A.
     """
     refuse_hinge(whisker, "The closed form")
     r, theta = np.asarray(radial_distance, dtype=float), np.asarray(deflection_angle, dtype=float)
@@ -140,18 +113,9 @@ def signal_jacobian(
 
 
 def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: ArrayLike) -> Array:
-    """Radial distance from moment and deflection angle (or from their rates): equation (2.1).
+    """Radial distance (m) from moment and deflection angle, or from their rates: equation (2.1).
 
-    Parameters
-    ----------
-    whisker : Whisker
-    moment, deflection_angle : float or array
-        N m and rad, or Ṁ and θ̇ in N m/s and rad/s.
-
-    Returns
-    -------
-    array
-        r = Cθ A/(Cθ + M A), m; beyond the tip where the moment is too small for the whisker.
+    r = Cθ A/(Cθ + M A); beyond the tip where the moment is too small for the whisker.
 
     Examples
     --------
@@ -168,21 +132,11 @@ def distance_from_moment(whisker: Whisker, moment: ArrayLike, deflection_angle: 
 def contact_from_signals(
     whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike
 ) -> tuple[Array, Array]:
-    """Radial distance and deflection angle from moment and axial force, at small angle.
+    """Radial distance (m) and deflection angle (rad) from moment and axial force (compression).
 
-    The inverse of M²/(2EI₀Fx) = 3(1−u)²/(3−2u): §2f in closed form.
-
-    Parameters
-    ----------
-    whisker : Whisker
-    moment, axial_force : float or array
-        N m, N (> 0, compression).
-
-    Returns
-    -------
-    radial_distance, deflection_angle : array
-        m, rad. NaN where no contact on this whisker gives such signals, as for every reading on
-        a cylinder, whose map is a single curve.
+    At small angle: the inverse of M²/(2EI₀Fx) = 3(1−u)²/(3−2u): §2f in closed form. NaN where no
+    contact on this whisker gives such signals, as for every reading on a cylinder, whose map is a
+    single curve.
 
     Examples
     --------

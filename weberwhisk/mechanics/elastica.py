@@ -35,25 +35,11 @@ MAP_ERROR = 1e-12
 
 
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
-    """Bend a straight whisker by a given normal force at a given arc length.
+    """Bend a straight whisker by a force (N) at an arc length (m), as `weberwhisk.bend` does.
 
-    Parameters
-    ----------
-    whisker : Whisker
-    arc_length : float or array
-        Arc length from base to contact, m.
-    force : float or array
-        Contact force normal to the whisker, N; its sign is that of the deflection.
-
-    Returns
-    -------
-    Bending
-        Outcome `HELD`, or `PAST_FOLD` where this is an equilibrium at the given force that an
-        object fixed in space could no longer hold. `FLICKED_PAST` marks loads beyond the map.
-
-    Notes
-    -----
-    Relative error about 1e-12, for every taper from the cylinder to the perfect cone.
+    `PAST_FOLD` is an equilibrium at the given force that an object fixed in space could no longer
+    hold; `FLICKED_PAST` marks loads beyond the map. Relative error about 1e-12, for every taper
+    from the cylinder to the perfect cone.
     """
     return by_rows(_bend, Model.ELASTICA, whisker, arc_length, force)
 
@@ -85,23 +71,8 @@ def _bend(
 
 
 def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike) -> Bending:
-    """Press a straight whisker against a point at a given distance and deflection angle.
+    """Press a straight whisker against a point (m, rad), as `weberwhisk.press` does.
 
-    Parameters
-    ----------
-    whisker : Whisker
-    radial_distance : float or array
-        Straight-line distance from base to contact, m.
-    deflection_angle : float or array
-        Angle between base tangent and the line to the contact, rad.
-
-    Returns
-    -------
-    Bending
-        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`.
-
-    Notes
-    -----
     Relative error about 1e-12. Within a fraction ε of the fold angle the signals themselves go as
     √ε, so that the last digits of the angle cost twice as many of the signals; `Bending.error`
     carries this.
@@ -169,18 +140,7 @@ def _numbers(
 
 
 def flick_past(whisker: Whisker, radial_distance: ArrayLike) -> FlickPast:
-    """The largest deflection angle at a radial distance, and why it ends.
-
-    Parameters
-    ----------
-    whisker : Whisker
-    radial_distance : float or array
-        m.
-
-    Returns
-    -------
-    FlickPast
-    """
+    """The largest deflection angle at a radial distance (m), and why it ends."""
     refuse_hinge(whisker, "flick_past")
     shape, (length, taper, _, r) = flat_with(whisker, radial_distance)
     angle, c_end, fold_angle, c_peak = in_pieces(limits, length, taper, r)
@@ -232,20 +192,7 @@ def limits(length: Array, taper: Array, r: Array) -> tuple[Array, Array, Array, 
 def signal_jacobian(
     whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayLike
 ) -> Array:
-    """Derivatives of the base signals with respect to the contact.
-
-    Parameters
-    ----------
-    whisker : Whisker
-    radial_distance, deflection_angle : float or array
-        m, rad.
-
-    Returns
-    -------
-    array, shape (..., 3, 2)
-        Rows moment, axial force, transverse force; columns d/dr (per m), d/dθ_d (per rad). NaN
-        where the contact is not held. They grow without bound towards the fold.
-    """
+    """Derivatives of the base signals to the contact, as `weberwhisk.signal_jacobian` has them."""
     refuse_hinge(whisker, "signal_jacobian")
     shape, flat = flat_with(whisker, radial_distance, deflection_angle)
     slopes = in_pieces(_signal_jacobian, *flat)

@@ -275,11 +275,6 @@ class ForwardModel(Value):
         """The six signals (..., 6) of `space_surface`, NaN where not held, and outcome (...).
 
         Without friction, at `azimuth`: by the table or, where the model is "rod", one by one.
-
-        Raises
-        ------
-        ValueError
-            For a named model that knows no space.
         """
         given = (np.asarray(a, dtype=float) for a in (r, push, self.azimuth))
         r, push, azimuth = np.broadcast_arrays(*given)

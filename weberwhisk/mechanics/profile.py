@@ -52,29 +52,12 @@ def bend(
     *,
     tolerance: float = TOLERANCE,
 ) -> Bending:
-    """Bend any whisker by a given contact force at a given arc length.
+    """Bend any whisker by a force (N) at an arc length (m), as `weberwhisk.bend` does.
 
-    Parameters
-    ----------
-    whisker : Whisker or Profile
-    arc_length, force : float or array
-        m; N, its sign the side that the whisker is pushed to.
-    friction_angle : float or array
-        Angle by which friction tilts the force from the normal towards the base, rad, between
-        −π/2 and π/2.
-    tolerance : float
-        Relative error to stay below.
-
-    Returns
-    -------
-    Bending
-        Outcome `HELD`; `PAST_FOLD` where an object fixed in space could no longer hold this
-        equilibrium; `FLICKED_PAST` for loads past that again; `OUT_OF_REACH` beyond the tip.
-
-    Raises
-    ------
-    ValueError
-        For input that is not finite, and a friction angle of a right angle or more.
+    `friction_angle` (rad, between −π/2 and π/2) is that by which friction tilts the force from the
+    normal towards the base; `tolerance` the relative error to stay below. `PAST_FOLD` is an
+    equilibrium that an object fixed in space could no longer hold, `FLICKED_PAST` a load past that
+    again.
 
     Examples
     --------
@@ -123,35 +106,18 @@ def press(
     *,
     tolerance: float = TOLERANCE,
 ) -> Bending:
-    """Press any whisker against a point at a given radial distance and deflection angle.
+    """Press any whisker against a point (m, rad), as `weberwhisk.press` does.
 
     All motion is in the plane; whether the whisker would leave it, past the point, `rod.press`
-    says.
+    says. A curved whisker at rest lies at an angle of its own (`rest_angle`): the sign of the force
+    is that of the difference. `STUCK` is where no contact that slides at this friction angle is in
+    balance, though one without friction is, or this much friction never lets the contact slide at
+    all.
 
-    Parameters
-    ----------
-    whisker : Whisker or Profile
-    radial_distance, deflection_angle : float or array
-        m; rad, from the base tangent to the line base → contact. A curved whisker at rest lies at
-        an angle of its own (`rest_angle`): the sign of the force is that of the difference.
-    friction_angle, tolerance
-        As for `bend`.
-
-    Returns
-    -------
-    Bending
-        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`, or
-        `STUCK`: no contact that slides at this friction angle is in balance there, though one
-        without friction is, or this much friction never lets the contact slide at all.
-        ``error`` is an upper estimate of the relative error of the signals, above the true one in
-        99.7 % of scenes and by a factor of 11 in the median. The true error is below `tolerance`
-        away from the fold. Towards it, where signals go as the square root of the angle left, and
-        towards zero load, it grows without bound and `error` with it.
-
-    Raises
-    ------
-    ValueError
-        As for `bend`.
+    ``error`` is an upper estimate of the relative error of the signals, above the true one in 99.7
+    % of scenes and by a factor of 11 in the median. The true error is below `tolerance` away from
+    the fold. Towards it, where signals go as the square root of the angle left, and towards zero
+    load, it grows without bound and `error` with it.
 
     Examples
     --------
@@ -178,30 +144,10 @@ def signal_jacobian(
     *,
     tolerance: float = TOLERANCE,
 ) -> Array:
-    """Derivatives of the base signals with respect to the contact, at fixed friction angle.
+    """Derivatives of the base signals to the contact, as `weberwhisk.signal_jacobian` has them.
 
-    Parameters
-    ----------
-    radial_distance, deflection_angle, friction_angle : float or array
-        m, rad, rad; as for `press`.
-    tolerance : float
-        Relative error of the equilibrium.
-
-    Returns
-    -------
-    array, shape (..., 3, 2)
-        Rows moment, axial force, transverse force; columns d/dr (per m), d/dθ_d (per rad). NaN
-        where the contact is not held. They grow without bound towards the fold.
-
-    Raises
-    ------
-    ValueError
-        As for `press`.
-
-    Notes
-    -----
-    The pass's derivatives of signals and contact point to contact arc and force, the latter
-    inverted.
+    At a fixed friction angle: the pass's derivatives of signals and contact point to contact arc
+    and force, the latter inverted.
 
     Examples
     --------
@@ -264,22 +210,9 @@ def flick_past(
     side: ArrayLike = 1.0,
     tolerance: float = TOLERANCE,
 ) -> FlickPast:
-    """The last deflection angle at a radial distance, why it ends, and the peak of the moment.
+    """The last deflection angle at a radial distance (m), why it ends, and the moment's peak.
 
-    Parameters
-    ----------
-    radial_distance : float or array
-        m.
-    friction_angle, tolerance
-        As for `bend`.
-    side : +1, -1 or array
-        Sign of the force: which way the whisker is pushed.
-
-    Returns
-    -------
-    FlickPast
-        Ended by a fold (`FLICKED_PAST`) or the tip (`SLIPPED_OFF_TIP`); `OUT_OF_REACH` where the
-        whisker at rest does not get to this distance.
+    As `weberwhisk.flick_past`; `side`, 1 or −1, is the sign of the force: which way it is pushed.
 
     Examples
     --------

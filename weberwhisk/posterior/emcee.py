@@ -186,17 +186,12 @@ def _moves(mixture: Mixture, dim: int, share: float) -> list[tuple[MoveMaker, fl
 def fisher_mixture(
     observer: Observer, reading: Array, *, places: int = 6, prior_share: float = 0.1
 ) -> tuple[Mixture, Array]:
-    """A mixture of t's like each posterior, from a scatter of the prior and Fisher information.
+    """A mixture of t's like each posterior, by the Fisher information, and the modes (B, U).
 
-    The best places of the scatter, none next to another, climb by Fisher scoring until they are
-    among the bulk of what is about them (a Newton decrement of √(2U) sds), the best of them on to
-    its peak. About each the mixture has the inverse of the information, with a weight of the mass
-    that this would be; a `prior_share` is as wide as the scatter.
-
-    Returns
-    -------
-    mixture : Mixture
-    mode : array, shape (B, U)
+    The best places of a scatter of the prior, none next to another, climb by Fisher scoring until
+    they are among the bulk of what is about them (a Newton decrement of √(2U) sds), the best of
+    them on to its peak. About each the mixture has the inverse of the information, with a weight of
+    the mass that this would be; a `prior_share` is as wide as the scatter.
     """
     scatter, shape = _scatter(observer)
     dim, density = scatter.shape[1], density_at(observer, scatter)

@@ -85,63 +85,24 @@ def sample_stacked(
 
     All run together; after 256 steps, and whenever their number has grown by a tenth to a half,
     each is judged. It is done when the Monte Carlo errors of every mean and sd are small enough,
-    its ensembles agree and are 160 autocorrelation times long together (40 each, if they are
-    four), and every walker moves; or at `max_steps`, with its reasons. What is left out as
-    burn-in is the shortest of an eighth, a quarter and a half of the run after which early and
-    late steps agree.
+    its ensembles agree and are 160 autocorrelation times long together (40 each, if they are four),
+    and every walker moves; or at `max_steps` (B,), with its reasons. What is left out as burn-in is
+    the shortest of an eighth, a quarter and a half of the run after which early and late steps
+    agree.
 
-    Memory is about 8·B·E·W·D·1024 bytes at most: run some hundred to a thousand posteriors a call.
+    ``log_density(x)``, with x (B, M, D), any M, returns (B, M): −inf, but never NaN or +inf; with
+    `indexed`, ``log_density(x, index)`` as for `grid.integrate`, so that posteriors that are done
+    drop out. `start` (B, E, W, D) has the walkers of E ≥ 4 ensembles, an even number W ≥ 2 D + 2,
+    all inside the support, rather too wide than too narrow. The makers of `moves` take the walkers
+    in a block and a Generator. ``functions(x)`` (B, M, Q) are judged and summarised in place of the
+    coordinates. `keep` draws of each ensemble stay in the result. The same seed, density and start
+    give the same bits. Memory is about 8·B·E·W·D·1024 bytes at most.
 
-    Parameters
-    ----------
-    log_density : callable
-        ``log_density(x)`` with x of shape (B, M, D), any M, returns (B, M). May be -inf, never
-        NaN or +inf. With `indexed`, ``log_density(x, index)`` as for `grid.integrate`.
-    start : array_like, shape (B, E, W, D)
-        Walkers of E >= 4 ensembles, an even number W >= 2 D + 2 in each, all inside the support.
-        Draws from a rough approximation, rather too wide than too narrow, shorten the burn-in.
-    seed : int, SeedSequence or Generator
-        The same seed, log-density and start give the same bits. NumPy's global state is neither
-        used nor changed.
-    moves : sequence of (maker, weight), optional
-        Makers take the walkers in a block and a Generator. Default: `default_moves`.
-    functions : callable, optional
-        ``functions(x)`` of shape (B, M, Q): quantities judged and summarised in place of the
-        coordinates.
-    precision : float
-        Largest Monte Carlo error of an sd, relative to it; the mean's may be √2 times as much,
-        as it is for independent draws. Where the kurtosis is above 4 both are tightened by √2:
-        runs that happened to see little of a heavy tail look surer than they should. With it none
-        of 8000 posteriors with kurtosis 5 to 75 passed with an sd wrong by more than 10 %
-        (`pytest -m slow`); without it 2 of 2500 did.
-    max_steps : int or array of int, shape (B,)
-        Steps after which posteriors that are not good enough are given up.
-    keep : int
-        Draws of each ensemble kept in the result, to a multiple of W.
-    indexed : bool
-        The log-density takes the index of the posteriors, so those that are done drop out.
-
-    Returns
-    -------
-    StackedSample
-
-    Raises
-    ------
-    ValueError
-        If a walker starts outside the support, an ensemble is too small or does not span the
-        space, or the log-density is NaN or +inf.
-
-    Examples
-    --------
-    Gaussians about 0 and 10:
-
-    >>> centre = np.array([[0.0], [10.0]])
-    >>> start = centre[:, :, None, None] + np.random.default_rng(1).normal(size=(2, 4, 8, 1))
-    >>> fit = sample_stacked(lambda x: -0.5 * (x[..., 0] - centre) ** 2, start, seed=1)
-    >>> fit.converged.tolist(), fit.mean.round(1).ravel().tolist()
-    ([True, True], [0.0, 10.0])
-    >>> bool(np.all(abs(fit.sd - 1) < 4 * fit.mcse_sd))
-    True
+    `precision` is the largest Monte Carlo error of an sd, relative to it; the mean's may be √2
+    times as much, as it is for independent draws. Where the kurtosis is above 4 both are tightened
+    by √2: runs that happened to see little of a heavy tail look surer than they should. With it
+    none of 8000 posteriors with kurtosis 5 to 75 passed with an sd wrong by more than 10 % (`pytest
+    -m slow`); without it 2 of 2500 did.
     """
     places = checked_start(start)
     if not 0 < precision < 1:

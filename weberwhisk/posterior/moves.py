@@ -16,20 +16,14 @@ Array = NDArray[np.float64]
 class StackedMove(emcee.moves.Move):
     """An emcee move that pairs walkers only inside their own block of rows.
 
-    Block b owns rows b*W to (b+1)*W. At each step the places 0 to W-1 are split in two halves at
-    random; each half is updated against the other, in all blocks at once and in block order.
+    Block b owns rows b*W to (b+1)*W, W even. At each step the places 0 to W-1 are split in two
+    halves at random; each half is updated against the other, in all blocks at once and in order.
 
     Which place pairs with which is drawn once a step and shared by all blocks; the stretch, the
     sign and the acceptance are drawn for each walker. Given the shared draws every block's step
     still leaves its own density invariant, so the blocks stay independent; and each block draws
-    only from its own place in the stream, so changing one posterior does not change another.
-
-    Parameters
-    ----------
-    walkers : int
-        Walkers in a block, even.
-    rng : numpy.random.Generator
-        emcee hands its moves an old `RandomState`; this is faster, and seeded by the caller.
+    only from its own place in the stream, so changing one posterior does not change another. emcee
+    hands its moves an old `RandomState`; `rng` is faster, and seeded by the caller.
     """
 
     def __init__(self, walkers: int, rng: np.random.Generator) -> None:
@@ -130,17 +124,9 @@ class StackedMixture(StackedMove):
     independent draws, and walkers cross from one peak to another in their right proportion.
 
     As no proposal depends on a walker, all move at once, and where few posteriors are left the
-    proposals of many steps are drawn and their densities worked out together.
-
-    Parameters
-    ----------
-    centre : array, shape (B, K, D)
-    root : array, shape (B, K, D, D)
-        Lower triangular: of the covariance of each t, but for its own factor ν/(ν − 2).
-    weight : array, shape (B, K)
-        They sum to one over K.
-    ahead, most_ahead : int
-        Proposals worked out together, unless one step takes more, and the most steps of them.
+    proposals of many steps are worked out together: so many in all (`ahead`), unless one step takes
+    more, and of so many steps (`most_ahead`). `centre` (B, K, D); `root` (B, K, D, D), lower
+    triangular, of the covariance of each t but for its own factor ν/(ν − 2); `weight` (B, K).
     """
 
     def __init__(
@@ -265,11 +251,6 @@ def recommended_walkers(dim: int) -> int:
     With four ensembles a run's length is set by 40 autocorrelation times, and these depend little
     on the number of walkers: 4.6, 4.6, 4.7 steps in one dimension with 4, 8, 16 of them, 7.7 and
     8.5 in two with 6 and 8. In one dimension 8 balance that length against 2 % in the sd.
-
-    Examples
-    --------
-    >>> [recommended_walkers(dim) for dim in (1, 2, 3, 4)]
-    [8, 6, 8, 10]
     """
     return max(8 if dim == 1 else 6, 2 * dim + 2)
 

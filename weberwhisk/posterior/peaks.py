@@ -258,27 +258,11 @@ def _beside_the_density(
 
 
 def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> Any:
-    """In how many separate stretches of distance the most probable share of a posterior lies.
+    """In how many separate stretches of distance a share `mass` of a posterior lies, () or (B,).
 
-    The highest-density region of that mass is one interval where the reading leaves one place,
-    several where it leaves several. A second peak of less mass than is left out does not count.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of one unknown.
-    reading : array, shape (R,) or (B, R)
-    mass : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    int or array of int, shape (B,)
-
-    Raises
-    ------
-    ValueError
-        For an observer of several unknowns, a mass outside 0 to 1, a reading of the wrong shape.
+    Its highest-density region is one interval where a reading (R,) or (B, R) leaves one place,
+    several where it leaves several, of an observer of one unknown. A second peak of less mass than
+    is left out does not count.
 
     Examples
     --------
