@@ -167,8 +167,8 @@ def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool,
     from weberwhisk.contacts.rows import _SPANS
 
     _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), 4, k)
-    clouds = [lattice.cloud(readings.take([i])) for i in range(8)]
-    found = touch_posterior(lattice, clouds, readings, 0.95)
+    clouds = lattice.clouds(readings)
+    found = touch_posterior(clouds, readings, 0.95)
     observer = lattice.observer
     r = np.linspace(max(0.02 * C2.length, found.mean - 8 * found.sd),
                     min(0.9995 * C2.length, found.mean + 8 * found.sd), 121)  # fmt: skip
@@ -202,6 +202,51 @@ def test_touches_are_named_in_every_row() -> None:
     assert one["touch_sd_mm"].iloc[0] < 0.8 * one["sd_mm"].min()
     assert one["touch_lower_mm"].iloc[0] < 20 < one["touch_upper_mm"].iloc[0]
     assert found["touch_status"].tolist() == ["converged"] * 4 + ["no_touch"] * 2
+
+
+def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side() -> None:
+    """Pushed from both sides, a whisker with hardly a curve gives what a straight one does."""
+    b = ww.press(KNOWN, 16e-3, np.linspace(0.1, 0.4, 4))
+    side = np.array([1, -1, 1, -1])
+    table = pd.DataFrame({"moment": side * b.moment, "axial_force": b.axial_force, "touch": 1})
+    straight, hardly = (
+        ww.locate(table, w, touch="touch", known_stiffness=True)
+        for w in (KNOWN, replace(KNOWN, curvature=1e-3))
+    )
+    assert hardly["touch_radial_distance_mm"].nunique() == 1
+    for name in ("touch_radial_distance_mm", "touch_sd_mm", "touch_lower_mm"):
+        np.testing.assert_allclose(hardly[name], straight[name], rtol=2e-3)
+    curved = ww.Whisker.from_identity("C2", curved=True, youngs_modulus=3e9)
+    b = ww.press(curved, 16e-3, ww.rest_angle(curved, 16e-3) + np.repeat([0.002, 0.2], [6, 3]))
+    sd, z = {"moment": 1e-7, "axial_force": 1e-5}, []
+    for seed in (1, 4):
+        rng = np.random.default_rng(seed)
+        noisy = {n: getattr(b, n) + e * rng.standard_normal(9) for n, e in sd.items()}
+        assert (noisy["moment"] < 0).any()
+        table = pd.DataFrame(noisy).assign(touch=1, **{f"{n}_sd": e for n, e in sd.items()})
+        found = ww.locate(table, curved, touch="touch")
+        assert found["touch_radial_distance_mm"].nunique() == 1
+        assert not any("mirrored" in note for note in found.attrs["notes"])
+        z.append((found["touch_radial_distance_mm"][0] - 16) / found["touch_sd_mm"][0])
+    assert np.abs(z).max() < 2.6
+
+
+def test_rows_alike_in_readings_and_errors_share_cells() -> None:
+    """Rows in a table with their errors are what each is alone, with other rows' errors or not."""
+    rng = np.random.default_rng(1)
+    b = ww.press(KNOWN, rng.uniform(14e-3, 15e-3, 24), rng.uniform(0.3, 0.33, 24))
+    table = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
+    for name in ("moment", "axial_force"):
+        table[f"{name}_sd"] = 0.05 * table[name].median() * rng.uniform(0.95, 1.05, 24)
+    table.loc[20:, "moment_sd"] *= 0.5
+    found = ww.locate(table, KNOWN)
+    lattice = Lattice(ww.Observer(KNOWN, ww.cues.ForceMap()), with_receptors=False)
+    covariance = np.stack([np.diag(row) for row in table.iloc[:, 2:].to_numpy() ** 2])
+    assert 1 < len(lattice.alike(Readings(table.iloc[:, :2].to_numpy(), covariance))) < 12
+    for i in (0, 11, 19, 23):
+        alone = ww.locate(table.iloc[[i]], KNOWN)
+        for name in ("radial_distance_mm", "lower_mm", "upper_mm"):
+            assert abs(found.loc[i, name] - alone.loc[i, name]) < 0.02 * alone.loc[i, "sd_mm"]
 
 
 def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:

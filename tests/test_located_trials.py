@@ -84,10 +84,8 @@ def _touches(
     contact = np.stack([true, theta], axis=-1)
     y = Readings(lattice.observer.read(contact, rng))
     found = []
-    for i in range(len(true)):
-        row = y.take([i])
-        cloud = lattice.cloud(row)
-        log = lattice.evidence(row, cloud.cells.signals)[0] + cloud.cells.log_prior
+    for i, cloud in enumerate(lattice.clouds(y)):
+        log = lattice.evidence(y.take([i]), cloud.cells.signals)[0] + cloud.cells.log_prior
         mass = np.add.reduceat(np.exp(log - log.max()), cloud.first)
         found.append((distances(lattice.observer, cloud.layers), mass / mass.sum()))
     return found

@@ -189,7 +189,7 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     return out
 
 
-def one_side(si: dict[str, Array], notes: list[str]) -> Array:
+def one_side(si: dict[str, Array], touch: Any, notes: list[str]) -> Array:
     """Turn every row to positive moments in place; the side of each row, 1 or −1.
 
     Moment, transverse force and angle change sign with the side.
@@ -198,7 +198,7 @@ def one_side(si: dict[str, Array], notes: list[str]) -> Array:
     lead = next((n for n in turned if n in si), None)
     if lead is None:
         return np.ones(len(next(iter(si.values()), [])))
-    side = np.where(si[lead] < 0, -1.0, 1.0)
+    side = sides_of(si[lead], si.get(f"{lead}_sd"), touch)
     if np.any(side < 0):
         notes.append(
             f"{int((side < 0).sum())} of {side.size} rows are pushed to the other side ({lead} "
@@ -208,6 +208,23 @@ def one_side(si: dict[str, Array], notes: list[str]) -> Array:
     if "angular_velocity" in si:
         si["angular_velocity"] = np.abs(si["angular_velocity"])
     return side
+
+
+def sides_of(lead: Array, sd: Array | None, touch: Any, within: float = 4.0) -> Array:
+    """The side to which each row is pushed, 1 or −1: the sign of its moment.
+
+    A touch has one side. Rows of it whose sign may be that of their measurement error, `within` so
+    many sds of zero (one in 30 000 are farther), are on the side that all its rows together are
+    likelier to be on, by Σ ±z²/2.
+    """
+    side = np.where(lead < 0, -1.0, 1.0)
+    if sd is None or touch is None:
+        return side
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.nan_to_num(lead / np.abs(sd), posinf=0.0, neginf=0.0)
+    names = pd.Series(touch, dtype=object)
+    likelier = pd.Series(z * np.abs(z)).groupby(names).transform("sum").fillna(0.0).to_numpy()
+    return np.where((np.abs(z) < within) & (likelier != 0), np.sign(likelier), side)
 
 
 def read_contacts(

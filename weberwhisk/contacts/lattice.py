@@ -13,6 +13,7 @@ A stiffness that scales signals is integrated at each cell by Gauss and Hermite'
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -73,7 +74,7 @@ class Cloud:
     cells: LatticeCells
     step: Array
     precise: bool
-    observer: Observer
+    lattice: Lattice
 
     @cached_property
     def first(self) -> Index:
@@ -89,7 +90,7 @@ class Cloud:
     @cached_property
     def share(self) -> Array:
         """How far up to the fold the angle of each cell goes, 0 where its prior is given."""
-        observer, contact = self.observer, self.cells.contact
+        observer, contact = self.lattice.observer, self.cells.contact
         if observer.bounded < 2 or "deflection_angle" in observer.prior:
             return np.zeros(len(contact))
         low, width = observer.angle_range(contact[:, 0])
@@ -98,7 +99,7 @@ class Cloud:
     @cached_property
     def log_prior(self) -> Array:
         """ln of the prior density of each distance in x."""
-        return log_prior_of_distance(self.observer, self.layers)
+        return log_prior_of_distance(self.lattice.observer, self.layers)
 
 
 def distances(observer: Observer, x: Array) -> Array:
@@ -159,12 +160,10 @@ class Lattice:
         y = readings.value.reshape(*own, -1)
         if readings.covariance is None:
             return self.observer.noise.log_likelihood(y, signals)
-        size = y.shape[-1]
         root = np.linalg.cholesky(self.covariance(readings, signals))
-        off = y - self.observer.noise.mean(signals)
-        z = np.linalg.solve(np.broadcast_to(root, (*off.shape, size)), off[..., None])[..., 0]
+        z = _whitened(np.linalg.inv(root), y - self.observer.noise.mean(signals))
         log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-        return -0.5 * (z**2).sum(axis=-1) - log_sd - 0.5 * size * np.log(2 * np.pi)
+        return -0.5 * (z**2).sum(axis=-1) - log_sd - 0.5 * y.shape[-1] * np.log(2 * np.pi)
 
     def covariance(self, readings: Readings, signals: Array) -> Array:
         """Covariances (n, ..., S, S) of readings (n, S) at signals (n or 1, ..., S)."""
@@ -230,18 +229,31 @@ class Lattice:
             for a, b, h in zip(ends.min(axis=0), ends.max(axis=0), step, strict=True)
         ]
         grid = np.meshgrid(*axes, indexing="ij")
-        cells = self._cells(np.stack([a.ravel() for a in grid], axis=-1).astype(np.intp), step)
-        return cells.take(np.isfinite(cells.log_prior)), step
+        place = np.stack([a.ravel() for a in grid], axis=-1).astype(np.intp)
+        return self._cells([(place, step, True)])[0], step
 
-    def _cells(self, place: Index, step: Array, *, changes: bool = True) -> LatticeCells:
-        contact, signals, log_prior = self._at(place * step)
-        change = np.zeros((self.unknowns if changes else 0, *signals.shape))
-        for d in range(len(change)):
-            aside = 1e-3 * step[d] * (np.arange(self.unknowns) == d)
-            _, moved, still = self._at(place * step + aside)
-            both = np.isfinite(still) & np.isfinite(log_prior)
-            change[d] = np.where(both[:, None], (moved - signals) / 1e-3, 0.0)
-        return LatticeCells(place, contact, signals, log_prior, change)
+    def _cells(self, wanted: Sequence[tuple[Index, Array, bool]]) -> list[LatticeCells]:
+        """Cells held at places (N, U) in steps (U,), with their changes or without, in one go."""
+        axes = np.eye(self.unknowns)
+        x = [
+            place * step + aside
+            for place, step, changes in wanted
+            for aside in (0.0 * step, *(1e-3 * step * axes if changes else ()))
+        ]
+        ends = np.cumsum([len(part) for part in x])[:-1]
+        found = self._at(np.concatenate(x))
+        parts = zip(*(np.split(values, ends) for values in found), strict=True)
+        out = []
+        for place, _, changes in wanted:
+            contact, signals, log_prior = next(parts)
+            change = np.zeros((self.unknowns if changes else 0, *signals.shape))
+            for d in range(len(change)):
+                _, moved, still = next(parts)
+                both = np.isfinite(still) & np.isfinite(log_prior)
+                change[d] = np.where(both[:, None], (moved - signals) / 1e-3, 0.0)
+            cells = LatticeCells(place, contact, signals, log_prior, change)
+            out.append(cells.take(np.isfinite(log_prior)))
+        return out
 
     def _at(self, x: Array) -> tuple[Array, Array, Array]:
         """Contacts, signals (0 where not held) and ln of the prior in x, −inf where not held."""
@@ -250,36 +262,47 @@ class Lattice:
         held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
         return contact, np.where(held[:, None], signals, 0.0), np.where(held, log_prior, -np.inf)
 
-    def cloud(
-        self, reading: Readings, most: int = 60_000, drop: float = 23.0, widest: float = 1.9
-    ) -> Cloud:
-        """The cells from which one reading (1, S), and those within 1 sd of it, may come.
+    def clouds(
+        self, readings: Readings, most: int = 60_000, drop: float = 23.0, widest: float = 1.9
+    ) -> list[Cloud]:
+        """For each of n readings, the cells from which it, and those within 1 sd of it, may come.
 
         Left out are those whose ln of the density is `drop` below the best: 5 sd beyond readings
         1 sd from the middle. `widest` is by how many sds signals may change from a cell to the next
-        where the density is highest.
+        where the density is highest. Signals of some hundred cells cost what the calls cost, so
+        that readings are taken together.
         """
-        cells, step = self._start
+        every = [self._start] * len(readings.value)
+        precise = np.zeros(len(every), dtype=bool)
+        left = list(range(len(every)))
         for _ in range(14):
-            log, lengths = self._tempered(reading, cells, step)
-            kept = log > log.max() - 1.2 * drop
-            wide = lengths > widest
-            if not wide.any() or kept.sum() * 2 ** int(wide.sum()) > most:
+            wanted = {}
+            for i in left:
+                cells, step = every[i]
+                log, lengths = self._tempered(readings.take([i]), cells, step)
+                kept, wide = log > log.max() - 1.2 * drop, lengths > widest
+                precise[i] = not wide.any()
+                if precise[i] or kept.sum() * 2 ** int(wide.sum()) > most:
+                    continue
+                step = np.where(wide, step / 2, step)
+                halves = np.array(np.meshgrid(*[[0, 1] if w else [0] for w in wide], indexing="ij"))
+                place = np.where(wide, 2, 1) * cells.place[kept, None]
+                place = (place + halves.reshape(self.unknowns, -1).T).reshape(-1, self.unknowns)
+                # Half the step changes signals half as much: where that will do, it is the last.
+                precise[i] = (np.where(wide, lengths / 2, lengths) <= widest).all()
+                wanted[i] = place, step, not precise[i]
+            if not wanted:
                 break
-            step = np.where(wide, step / 2, step)
-            halves = np.array(np.meshgrid(*[[0, 1] if w else [0] for w in wide], indexing="ij"))
-            place = np.where(wide, 2 * cells.place[kept], cells.place[kept])
-            place = (place[:, None] + halves.reshape(self.unknowns, -1).T).reshape(-1, len(step))
-            # Half the step changes signals half as much: where that will do, it is the last.
-            last = bool((np.where(wide, lengths / 2, lengths) <= widest).all())
-            cells = self._cells(place, step, changes=not last)
-            if last:
-                wide[:] = False
-                break
-        log = self.evidence(reading, cells.signals)[0] + cells.log_prior
-        at = np.flatnonzero(log > log.max() - drop)
-        at = at[np.lexsort(cells.place[at].T[::-1])]
-        return Cloud(cells.take(at), step, not wide.any(), self.observer)
+            for i, cells in zip(wanted, self._cells([*wanted.values()]), strict=True):
+                every[i] = cells, wanted[i][1]
+            left = [i for i in wanted if not precise[i]]
+        out = []
+        for i, (cells, step) in enumerate(every):
+            log = self.evidence(readings.take([i]), cells.signals)[0] + cells.log_prior
+            at = np.flatnonzero(log > log.max() - drop)
+            at = at[np.lexsort(cells.place[at].T[::-1])]
+            out.append(Cloud(cells.take(at), step, bool(precise[i]), self))
+        return out
 
     def _tempered(self, reading: Readings, cells: LatticeCells, step: Array) -> tuple[Array, Array]:
         """ln of the density of cells (N,), as blurred as they are wide; their lengths (U,) in sd.
@@ -300,9 +323,8 @@ class Lattice:
             log_sd = np.log(sd).sum(axis=1)
         else:  # errors of a row may go together: in units in which they do not
             root = np.linalg.cholesky(self.covariance(reading, signals))
-            off, change, scale = (
-                np.linalg.solve(root, v[..., None])[..., 0] for v in (off, change, signals)
-            )
+            inverse = np.linalg.inv(root)
+            off, change, scale = (_whitened(inverse, v) for v in (off, change, signals))
             log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
         # Across half a cell each way, and a little more for curvature.
         spread = np.sqrt(1 + 0.36 * np.abs(change).sum(axis=0) ** 2)
@@ -318,17 +340,28 @@ class Lattice:
     def alike(self, readings: Readings) -> list[Index]:
         """Rows in groups: every signal within one sd of that of the first of its group.
 
-        Rows with measurement errors of their own stay alone.
+        Where they have measurement errors of their own, in units in which the first one's are
+        independent and 1, and these must be alike too.
         """
-        if readings.covariance is not None:
-            return [np.array([i]) for i in range(len(readings.value))]
-        sd = np.sqrt(self.variance(readings, readings.value))
-        left, groups = np.lexsort(readings.value.T), []
+        value, covariance = readings
+        if covariance is None:
+            variance = np.maximum(self.variance(readings, value), 1e-300)
+            own = variance[..., None] * np.eye(value.shape[1])
+        else:
+            own = self.covariance(readings, value)
+        inverse = np.linalg.inv(np.linalg.cholesky(own))
+        far = 1.01 * np.sqrt(value.shape[1] * own[:, -1, -1])
+        left, groups = np.lexsort(value.T), []
         while left.size:
-            off = np.abs(readings.value[left] - readings.value[left[0]])
-            near = (off <= sd[left[0]]).all(axis=1)
-            groups.append(left[near])
-            left = left[~near]
+            first = left[0]
+            end = np.searchsorted(value[left, -1], value[first, -1] + far[first], side="right")
+            some = left[:end]
+            near = (np.abs(_whitened(inverse[first], value[some] - value[first])) <= 1).all(axis=1)
+            if covariance is not None:
+                errors = inverse[first] @ covariance[some] @ inverse[first].T
+                near &= (np.abs(errors - errors[0]) < 0.25).all(axis=(1, 2))
+            groups.append(some[near])
+            left = np.delete(left, np.flatnonzero(near))
         return groups
 
     # -- sums ----------------------------------------------------------------------------------
@@ -359,6 +392,11 @@ class Lattice:
             off.max(axis=1),
             (weight.max(axis=1) < 0.8) & cloud.precise,
         )  # fmt: skip
+
+
+def _whitened(inverse: Array, values: Array) -> Array:
+    """Values (..., S) in units in which errors are independent and 1, by the roots' inverses."""
+    return np.asarray(np.einsum("...ij,...j->...i", inverse, values))
 
 
 class Summary(NamedTuple):

@@ -21,7 +21,7 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import YOUNGS_MODULUS, Whisker
-from .columns import NAMES, PREFIX, Array
+from .columns import NAMES, PREFIX, Array, sides_of
 from .signals import AT_REST, CORRELATION
 
 
@@ -215,8 +215,9 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
 
 
 def from_shape(
-    raw: pd.DataFrame, si: dict[str, Array], whisker: Any, cue: Cue | None, notes: list[str]
-) -> tuple[Profile, Cue, dict[str, Array], Array]:
+    raw: pd.DataFrame, si: dict[str, Array], whisker: Any, cue: Cue | None, touch: Any,
+    notes: list[str],
+) -> tuple[Profile, Cue, dict[str, Array], Array]:  # fmt: skip
     """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
     profile = Profile.of(whisker)
     common = [*AT_REST, "friction_angle_deg"]
@@ -234,7 +235,7 @@ def from_shape(
             "friction; locate each alone."
         )
     *rest, friction = (float(v) for v in numbers.iloc[0])
-    side = np.where(si["moment"] < 0, -1.0, 1.0)
+    side = sides_of(si["moment"], si.get("moment_sd"), touch)
     free = ~raw["contact"].astype(str).str.lower().isin(("true", "1", "1.0")).to_numpy()
     out = {name: np.where(free, 0.0, v * (1 if name.endswith("_sd") else side))
            for name, v in si.items()}  # fmt: skip

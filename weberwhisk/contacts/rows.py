@@ -48,7 +48,7 @@ class _Located(NamedTuple):
 
     numbers: Array
     status: NDArray[np.int64]
-    clouds: list[Cloud | None]
+    clouds: NDArray[np.object_]
 
 
 def locate(
@@ -167,8 +167,9 @@ def locate(
     unsaid = [q for q, (_, _, said) in found.items() if not said]
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
+    named = None if touch is None else touches_of(raw, touch)
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
-        whisker, cue, si, side = from_shape(raw, si, whisker, cue, notes)
+        whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
     else:
         si = planar(si, notes)
         if notes[-1:] == [IN_PLANE] and is_curved(whisker):
@@ -176,47 +177,43 @@ def locate(
                 "Six signals of a curved whisker do not say how its curvature lies; give moment, "
                 "axial_force and transverse_force in its plane, or a straight whisker."
             )
-        side = one_side(si, notes)
+        side = one_side(si, named, notes)
         turn_round(si, _by_side(side, whisker), notes)
     cue, y, covariance = signals_of(si, cue, whisker, known_stiffness, notes, header)
-    receptors = covariance is None or noise is not None
-    named = None if touch is None else touches_of(raw, touch)
+    readings, receptors = Readings(y, covariance), covariance is None or noise is not None
     out, done = raw.copy(), 0
     both = (MEASURED,) if covariance is not None and receptors else ()
     found_rows = {name: np.full(len(raw), np.nan) for name in (*RESULTS[:6], *both)}
-    words = {"status": np.full(len(raw), "", dtype=object)}
-    if named is not None:
-        found_rows |= {name: np.full(len(raw), np.nan) for name in TOUCH_RESULTS[:4]}
-        words["touch_status"] = words["status"].copy()
+    status = np.zeros(len(raw), dtype=int)
+    clouds = np.full(len(raw), None, dtype=object)
     for rows, own in _by_side(side, whisker):
         observer = Observer(own, cue, noise, prior or {})  # type: ignore[arg-type]
         if observer.noise.is_categorical or not observer.noise.reads_signals:
             raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
         check_magnitudes(observer, y[rows], found)
         lattice = Lattice(observer, with_receptors=receptors, for_touches=named is not None)
-        readings = Readings(y, covariance).take(rows)
 
         def tell(now: int, _: int, before: int = done) -> None:
             if progress:
                 progress(before + now, len(raw))
 
-        located = _rows(lattice, readings, tell, keep=named is not None)
+        located = _rows(lattice, readings.take(rows), tell, keep=named is not None)
         done += len(rows)
         for name, column in zip(RESULTS, located.numbers.T, strict=False):
             found_rows[name][rows] = column
-        words["status"][rows] = [Status(s).name.lower() for s in located.status]
+        status[rows], clouds[rows] = located.status, located.clouds
         if both:
-            alone = _rows(Lattice(observer, with_receptors=False), readings, None, keep=False)
+            lattice = Lattice(observer, with_receptors=False)
+            alone = _rows(lattice, readings.take(rows), None, keep=False)
             found_rows[MEASURED][rows] = alone.numbers[:, 1]
-        if named is not None:
-            numbers, status = _of_touches(lattice, readings, located, named[rows])
-            for name, column in zip(TOUCH_RESULTS, numbers.T, strict=False):
-                found_rows[name][rows] = column
-            words["touch_status"][rows] = status
+    words = {"status": np.array([Status(s).name.lower() for s in status], dtype=object)}
+    if named is not None:
+        numbers, words["touch_status"] = _of_touches(clouds, status, readings, named)
+        found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
     errors = "its measurement errors" if covariance is not None else ""
     said = " and ".join(filter(None, [errors, f"{observer.noise!r}" if receptors else ""]))
     notes.append(f"Cue: {cue!r}. Noise of the table's numbers: {said}.")
-    words["message"] = np.array([Status[s.upper()].message for s in words["status"]], dtype=object)
+    words["message"] = np.array([Status(s).message for s in status], dtype=object)
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
@@ -243,7 +240,7 @@ def _rows(
     n = len(readings.value)
     numbers = np.full((n, 6), np.nan)
     status = np.full(n, int(Status.NOT_A_READING))
-    clouds: list[Cloud | None] = [None] * n
+    clouds = np.full(n, None, dtype=object)
     finite = np.isfinite(readings.value).all(axis=1)
     if readings.covariance is not None:
         finite &= np.isfinite(readings.covariance).all(axis=(1, 2))
@@ -254,8 +251,13 @@ def _rows(
     outside = bool(domain.of_observer(lattice.observer)) and lattice.with_receptors
     prior_sd = _prior_sd(lattice.observer)
     done = n - len(rows)
-    for group in lattice.alike(some):
-        cloud = lattice.cloud(some.take(group[:1]))
+    groups = lattice.alike(some)
+    batches = (groups[i : i + 16] for i in range(0, len(groups), 16))
+    for group, cloud in (
+        pair
+        for batch in batches
+        for pair in zip(batch, lattice.clouds(some.take([g[0] for g in batch])), strict=True)
+    ):
         found = lattice.summarise(cloud, some.take(group), 0.95)
         at = rows[group]
         numbers[at, 0], numbers[at, 1] = found.mean[:, 0], found.sd[:, 0]
@@ -269,8 +271,8 @@ def _rows(
         own[found.off > 5] = Status.IMPROBABLE_READING
         own[~found.precise] = Status.IMPRECISE
         status[at] = own
-        for i in at if keep else ():
-            clouds[i] = cloud
+        if keep:
+            clouds[at] = cloud
         done += len(at)
         if progress:
             progress(done, n)
@@ -286,23 +288,23 @@ def _prior_sd(observer: Observer) -> float:
 
 
 def _of_touches(
-    lattice: Lattice, readings: Readings, located: _Located, named: NDArray[np.object_]
+    clouds: NDArray[np.object_], status: Array, readings: Readings, named: NDArray[np.object_]
 ) -> tuple[Array, NDArray[np.object_]]:
     """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status."""
     numbers = np.full((len(named), 4), np.nan)
-    status = np.full(len(named), "no_touch", dtype=object)
+    words = np.full(len(named), "no_touch", dtype=object)
     touch = pd.Series(named, dtype=object)
-    good = (Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN)
-    for rows in touch.groupby(touch, sort=False).indices.values():
-        clouds = {i: located.clouds[i] for i in rows if located.status[i] in good}
-        used = {i: cloud for i, cloud in clouds.items() if cloud is not None}
-        if not used:
-            status[rows] = "not_a_reading"
+    good = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED, Status.OUTSIDE_DOMAIN))
+    for each in touch.groupby(touch, sort=False).indices.values():
+        rows = np.asarray(each)
+        used = rows[good[rows]]
+        if not used.size:
+            words[rows] = "not_a_reading"
             continue
-        found = touch_posterior(lattice, [*used.values()], readings.take([*used]), 0.95)
+        found = touch_posterior(clouds[used].tolist(), readings.take(used), 0.95)
         numbers[rows] = [1e3 * v for v in (found.mean, found.sd, *found.ends)]
-        status[rows] = "converged" if found.agree else "rows_disagree"
-    return numbers, status
+        words[rows] = "converged" if found.agree else "rows_disagree"
+    return numbers, words
 
 
 #: How far up to the fold the angles of a touch may go: shares have the density exp(−(share/span)⁴).
@@ -318,10 +320,9 @@ class LocatedTouch(NamedTuple):
     agree: bool
 
 
-def touch_posterior(
-    lattice: Lattice, clouds: Sequence[Cloud], readings: Readings, mass: float
-) -> LocatedTouch:
+def touch_posterior(clouds: Sequence[Cloud], readings: Readings, mass: float) -> LocatedTouch:
     """The posterior of n rows (n, S), each with the cells from which it may come.
+
 
     p(r, E | rows) ∝ p(r) p(E) ∏ᵢ ∫ p(yᵢ | r, θᵢ, E) p(θᵢ | r) dθᵢ. The product of the rows' own
     posteriors of r would count prior and unknown stiffness once a row, and be far too sure. How far
@@ -331,6 +332,12 @@ def touch_posterior(
     The logarithm of each row's integral is smooth where their product is sharp: it is had once on
     coarse nodes, and the sum over rows is interpolated where the product is.
     """
+    lattice = clouds[0].lattice
+    if len({cloud.lattice.observer.reach for cloud in clouds}) > 1:
+        raise ValueError(
+            "A touch has rows from both sides of a curved whisker, which reach differently far at "
+            "the cue's angle; give the rows of each side a touch of their own."
+        )
     nothing = LocatedTouch(np.nan, np.nan, np.full(2, np.nan), False)
     low, high = (f([cloud.layers[i] for cloud in clouds]) for f, i in ((max, 0), (min, -1)))
     if not low < high or min(len(cloud.layers) for cloud in clouds) < 4:
@@ -344,7 +351,7 @@ def touch_posterior(
         steps = int(np.ceil(8 * lattice.log_sd / np.clip(widest, 0.02, 0.14)))
         log_e = lattice.log_median + lattice.log_sd * np.linspace(-4, 4, steps + 1)
     # ln of the rows' product for each span of the angles, (J, E, spans).
-    every = [_row(lattice, c, readings.take([i]), x, log_e) for i, c in enumerate(clouds)]
+    every = [_row(c, readings.take([i]), x, log_e) for i, c in enumerate(clouds)]
     total = np.sum(every, axis=0)
     ends = [(low, high), (log_e[0], log_e[-1])]
     for fine in ((101, 51), (401, 101)):
@@ -372,9 +379,9 @@ def touch_posterior(
     return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), interval, True)
 
 
-def _row(lattice: Lattice, cloud: Cloud, row: Readings, x: Array, log_e: Array) -> Array:
+def _row(cloud: Cloud, row: Readings, x: Array, log_e: Array) -> Array:
     """ln ∫ p(y | r, θ, E) p(θ | r, span) dθ of a row, (J, E, spans)."""
-    cells, own, many = cloud.cells, cloud.layers, len(log_e)
+    lattice, cells, own, many = cloud.lattice, cloud.cells, cloud.layers, len(log_e)
     if many == 1:
         cell, at_e = np.arange(len(cells.contact)), np.zeros(1, dtype=np.intp)
         log = lattice.evidence(row, cells.signals)[0]
