@@ -17,7 +17,21 @@ from ._values import Shown
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from . import behaviour, campaign, cues, design, figures, mechanics, receptors, sweeping
+    from . import (
+        along_whisk,
+        array,
+        behaviour,
+        campaign,
+        contacts,
+        cues,
+        design,
+        figures,
+        many_touches,
+        mechanics,
+        places,
+        receptors,
+        sweeping,
+    )
     from .array import WhiskerArray
     from .behaviour import (
         Comparison,
@@ -85,15 +99,9 @@ _NAMES = {
     "citing": "cite",
 }
 _MODULES = (
-    "behaviour",
-    "campaign",
-    "cues",
-    "design",
-    "figures",
-    "mechanics",
-    "receptors",
-    "sweeping",
-)
+    "along_whisk array behaviour campaign contacts cues design figures many_touches mechanics places "
+    "receptors sweeping"
+).split()
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = [
     "ArrayObserver",
@@ -118,6 +126,8 @@ __all__ = [
     "Whisker",
     "WhiskerArray",
     "added_information",
+    "along_whisk",
+    "array",
     "array_by_count",
     "array_by_whisker",
     "array_resolution",
@@ -128,6 +138,7 @@ __all__ = [
     "choose_model",
     "cite",
     "compare",
+    "contacts",
     "convert_jnd",
     "criterion_factor",
     "cues",
@@ -142,8 +153,10 @@ __all__ = [
     "jnd_curve",
     "jnd_sweep",
     "locate",
+    "many_touches",
     "mechanics",
     "place",
+    "places",
     "plan_experiment",
     "posterior",
     "power",

@@ -4,7 +4,7 @@ themselves in a line, as HTML in a notebook and as a figure."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields
 from enum import IntEnum
 from html import escape
@@ -148,25 +148,36 @@ class Shown:
         return drawn
 
 
+#: What the name of a column says for an SI unit, and how many of it are one SI unit.
+_COLUMN_UNITS = {
+    "m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "rad/s": ("deg_per_s", 180 / math.pi),
+    "1/m": ("per_m", 1.0), "N m/rad": ("Nm_per_rad", 1.0),
+}  # fmt: skip
+
+
 def with_units(
-    table: pd.DataFrame, lengths: Iterable[str] = (), angles: Iterable[str] = ()
+    table: pd.DataFrame,
+    lengths: Iterable[str] = (),
+    angles: Iterable[str] = (),
+    units: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
     """A table in SI units in mm and degrees, which the names of its columns then say.
+
+    `units` has SI units by name, of such columns as are there; what is named nowhere has none.
 
     Examples
     --------
     >>> import pandas as pd
-    >>> table = pd.DataFrame({"at": [20e-3], "push": [0.1], "outcome": ["held"]})
-    >>> with_units(table, ["at"], ["push"]).round(3).to_dict("records")
-    [{'at_mm': 20.0, 'push_deg': 5.73, 'outcome': 'held'}]
+    >>> table = pd.DataFrame({"at": [20e-3], "push": [0.1], "bow": [2.0], "outcome": ["held"]})
+    >>> with_units(table, ["at"], ["push"], {"bow": "1/m"}).round(3).to_dict("records")
+    [{'at_mm': 20.0, 'push_deg': 5.73, 'bow_per_m': 2.0, 'outcome': 'held'}]
     """
-    named: dict[str, str] = {}
+    of = {n: unit for n, unit in (units or {}).items() if n in table}
+    of |= dict.fromkeys(lengths, "m") | dict.fromkeys(angles, "rad")
     found = table.copy()
-    for names, unit, scale in ((lengths, "mm", 1e3), (angles, "deg", 180 / math.pi)):
-        for name in names:
-            found[name] = table[name] * scale
-            named[name] = f"{name}_{unit}"
-    return found.rename(columns=named)
+    for name, unit in of.items():
+        found[name] = table[name] * _COLUMN_UNITS[unit][1]
+    return found.rename(columns={n: f"{n}_{_COLUMN_UNITS[unit][0]}" for n, unit in of.items()})
 
 
 Member = TypeVar("Member", bound=IntEnum)

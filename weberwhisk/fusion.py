@@ -303,6 +303,4 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
         table["optimal"] = np.sum(jnds**-2.0, axis=0) ** -0.5
     table["together"] = factor * fisher_jnd(observer, place)
     table["gain"] = table["best"] / table["together"]
-    lengths = [n for n in observer.unknowns if UNITS.get(n) == "m"]
-    angles = [n for n in observer.unknowns if UNITS.get(n) == "rad"]
-    return with_units(table, [*lengths, *names, "best", "optimal", "together"], angles)
+    return with_units(table, [*names, "best", "optimal", "together"], units=UNITS)

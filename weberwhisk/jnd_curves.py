@@ -71,9 +71,7 @@ class JNDCurve(Shown):
     @cached_property
     def table(self) -> pd.DataFrame:
         """JNDs in mm, with the contact as index."""
-        names = self.observer.unknowns
-        known = {unit: [n for n in names if UNITS.get(n) == unit] for unit in ("m", "rad")}
-        found = with_units(self._rows, [*known["m"], *_JNDS], known["rad"])
+        found = with_units(self._rows, _JNDS, units=UNITS)
         index = ["radial_distance_mm", "deflection_angle_deg"]
         return found.set_index([name for name in index if name in found])
 
