@@ -98,10 +98,10 @@ _NAMES = {
     "figures.page": "write_plan",
     "citing": "cite",
 }
-_MODULES = (
-    "along_whisk array behaviour campaign contacts cues design figures many_touches mechanics places "
-    "receptors sweeping"
-).split()
+_MODULES = {
+    "along_whisk", "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
+    "many_touches", "mechanics", "places", "receptors", "sweeping",
+}  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = [
     "ArrayObserver",

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from enum import IntEnum
 from html import escape
+from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 class Value:
     """Base of frozen dataclasses (``eq=False, repr=False``) whose fields may be arrays.
+
+    One that takes more than it holds, a list for an array, has an ``__init__`` of its own.
 
     Two of one type with equal fields are equal and have one hash, so that what is worked out for
     one is found again by the other; fields cannot be changed, nor can arrays among them.
@@ -71,12 +74,13 @@ class Value:
     def __repr__(self) -> str:
         parts = []
         in_order = True
+        taken = signature(type(self)).parameters
         for f in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, f.name)
-            if f.default is not MISSING and _plain(value) == _plain(f.default):
+            value, how = getattr(self, f.name), taken.get(f.name, f)
+            if _plain(value) == _plain(how.default):
                 in_order = False
                 continue
-            in_order = in_order and not f.kw_only
+            in_order = in_order and getattr(how, "kind", None) != Parameter.KEYWORD_ONLY
             parts.append(_text(value) if in_order else f"{f.name}={_text(value)}")
         return f"{type(self).__name__}({', '.join(parts)})"
 

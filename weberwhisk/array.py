@@ -135,7 +135,7 @@ class Follicle(Value):
 
     identity: str
     side: str
-    whisker: Any
+    whisker: Whisker  # or its profile
     base: Array
     azimuth: float
     elevation: float

@@ -19,11 +19,12 @@ from scipy.special import logsumexp
 
 from ._checks import finite, generator, kind, non_negative_number, one_of, positive_number
 from .array import WhiskerArray
+from .cues.protocol import Cue
 from .observer import Observer
 from .place_grid import Frame, Place, integrate
 from .place_sensor import Evidence, Sensor, one_place
 from .posterior import Status
-from .receptors import Seed
+from .receptors import ReceptorNoise, Seed
 
 Array = NDArray[np.float64]
 Readings = Mapping[str, Any]
@@ -79,12 +80,12 @@ class ArrayObserver:
     """
 
     array: WhiskerArray
-    cue: Any = None
-    noise: Any = None
+    cue: Cue | Mapping[str, Cue] | None = None
+    noise: ReceptorNoise | Mapping[str, ReceptorNoise] | None = None
     angle_sd: float = float(np.radians(1.0))
     missed: float = 0.0
     pole_length: float | None = None
-    region: Any = field(default=None, repr=False)
+    region: ArrayLike | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         kind("array", self.array, "a WhiskerArray", "protract", 'write WhiskerArray("rat"), say')

@@ -30,7 +30,7 @@ MATERIALS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Whisker(Value):
     """A linearly tapered (or cylindrical) whisker, in SI units.
 
@@ -73,30 +73,38 @@ class Whisker(Value):
     2.3562e-07
     """
 
-    length: Any
-    base_radius: Any
-    tip_radius: Any
-    youngs_modulus: Any = YOUNGS_MODULUS
-    curvature: Any = 0.0
-    density: Any = DENSITY
-    hinge_stiffness: float | None = None
+    # Typed as one whisker's; of several they are arrays.
+    length: float
+    base_radius: float
+    tip_radius: float
+    youngs_modulus: float
+    curvature: float
+    density: float
+    hinge_stiffness: float | None
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        length: ArrayLike,
+        base_radius: ArrayLike,
+        tip_radius: ArrayLike,
+        youngs_modulus: ArrayLike = YOUNGS_MODULUS,
+        curvature: ArrayLike = 0.0,
+        density: ArrayLike = DENSITY,
+        hinge_stiffness: float | None = None,
+    ) -> None:
         checked = {
-            "length": positive("length", self.length, "give metres, such as 50e-3"),
-            "base_radius": positive("base_radius", self.base_radius, "give metres, such as 1e-4"),
-            "tip_radius": finite("tip_radius", self.tip_radius, "give metres, such as 5e-6"),
+            "length": positive("length", length, "give metres, such as 50e-3"),
+            "base_radius": positive("base_radius", base_radius, "give metres, such as 1e-4"),
+            "tip_radius": finite("tip_radius", tip_radius, "give metres, such as 5e-6"),
             "youngs_modulus": positive(
-                "youngs_modulus", self.youngs_modulus, "give pascals, such as 3e9"
+                "youngs_modulus", youngs_modulus, "give pascals, such as 3e9"
             ),
-            "curvature": finite("curvature", self.curvature, "give 1/m, 0 for a straight whisker"),
-            "density": positive("density", self.density, "give kg/m³, such as 1260"),
+            "curvature": finite("curvature", curvature, "give 1/m, 0 for a straight whisker"),
+            "density": positive("density", density, "give kg/m³, such as 1260"),
         }
-        if self.hinge_stiffness is not None:
+        if hinge_stiffness is not None:
             hint = "give N m/rad, such as 1e-5, or None for a clamped base"
-            self._set(
-                hinge_stiffness=positive_number("hinge_stiffness", self.hinge_stiffness, hint)
-            )
+            hinge_stiffness = positive_number("hinge_stiffness", hinge_stiffness, hint)
         tip, base = checked["tip_radius"], checked["base_radius"]
         if np.any(tip < 0):
             raise ValueError(
@@ -117,7 +125,8 @@ class Whisker(Value):
                 f"base_radius {np.min(base):g} m; swap them or correct the unit."
             )
         domain.refuse_length(checked["length"], base)
-        self._set(**{n: array if array.ndim else float(array) for n, array in checked.items()})
+        held = {n: array if array.ndim else float(array) for n, array in checked.items()}
+        self._set(**held, hinge_stiffness=hinge_stiffness)
 
     @classmethod
     def from_identity(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from .._deprecated import renamed_attribute, renamed_names
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
+
+if TYPE_CHECKING:
+    from ..places import ArrayObserver
 
 Array = NDArray[np.float64]
 
@@ -156,7 +159,7 @@ class PlaceEncoding(PlaceItself):
     True
     """
 
-    observer: Any
+    observer: ArrayObserver
     start: tuple[float, float]
     direction_deg: float = 0.0
     length: float = 10e-3

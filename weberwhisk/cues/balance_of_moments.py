@@ -76,7 +76,7 @@ class BalanceOfMoments(Cue):
     _: KW_ONLY
     effort: float | None = 1.0
     curve: MuscleCurve = MuscleCurve.NORMALISED
-    gain: Any = None
+    gain: float = None  # type: ignore[assignment]  # the curve's own, then
     separation: float = SEPARATION
     whisking: tuple[float, float] = WHISKING
 

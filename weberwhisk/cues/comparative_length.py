@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -18,7 +18,7 @@ from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, straight
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class ComparativeLength(Cue):
     """Radial distance from which whiskers of an array touch an object, and which do not (§2b).
 
@@ -93,21 +93,33 @@ class ComparativeLength(Cue):
     30.0 to 39.0 mm
     """
 
-    lengths: Any
-    bases: Any
-    _: KW_ONLY
-    sweeps: Any = None
-    spread: float = 0.05
-    base_sd: float = 1e-3
-    angle_sd: float = float(np.radians(3.0))
-    position_sd: float = 1e-3
-    orientation_sd: float = float(np.radians(3.0))
-    reach: float = 1.5
-    poses: int = 5
+    lengths: Array
+    bases: Array
+    sweeps: Array
+    spread: float
+    base_sd: float
+    angle_sd: float
+    position_sd: float
+    orientation_sd: float
+    reach: float
+    poses: int
 
-    def __post_init__(self) -> None:
-        lengths = np.atleast_1d(positive("lengths", self.lengths, "give metres"))
-        bases = finite("bases", self.bases, "give metres, a row for each neighbour")
+    def __init__(
+        self,
+        lengths: ArrayLike,
+        bases: ArrayLike,
+        *,
+        sweeps: ArrayLike | None = None,
+        spread: float = 0.05,
+        base_sd: float = 1e-3,
+        angle_sd: float = float(np.radians(3.0)),
+        position_sd: float = 1e-3,
+        orientation_sd: float = float(np.radians(3.0)),
+        reach: float = 1.5,
+        poses: int = 5,
+    ) -> None:
+        lengths = np.atleast_1d(positive("lengths", lengths, "give metres"))
+        bases = finite("bases", bases, "give metres, a row for each neighbour")
         count = lengths.size + 1
         if not 2 <= count <= 8 or lengths.ndim > 1:  # 2⁸ patterns of touch
             raise ValueError(
@@ -119,7 +131,7 @@ class ComparativeLength(Cue):
                 f"bases must have shape ({count - 1}, 2), got {bases.shape}; "
                 "give x and y for each neighbour."
             )
-        ends = np.tile([-np.pi / 2, np.pi / 2], (count, 1)) if self.sweeps is None else self.sweeps
+        ends = np.tile([-np.pi / 2, np.pi / 2], (count, 1)) if sweeps is None else sweeps
         sweeps = finite("sweeps", ends, "give radians, a row for each whisker")
         if sweeps.shape != (count, 2) or np.any(sweeps[:, 0] >= sweeps[:, 1]):
             raise ValueError(
@@ -131,15 +143,13 @@ class ComparativeLength(Cue):
             lengths=lengths,
             bases=bases,
             sweeps=sweeps,
-            spread=positive_number("spread", self.spread, "give sd over mean, 0.05 say"),
-            base_sd=positive_number("base_sd", self.base_sd, metres),
-            angle_sd=positive_number("angle_sd", self.angle_sd, "give radians"),
-            position_sd=non_negative_number("position_sd", self.position_sd, metres),
-            orientation_sd=non_negative_number(
-                "orientation_sd", self.orientation_sd, "give radians"
-            ),
-            reach=positive_number("reach", self.reach, "give lengths of the longest, 1.5 say"),
-            poses=whole("poses", self.poses, "write 5, say"),
+            spread=positive_number("spread", spread, "give sd over mean, 0.05 say"),
+            base_sd=positive_number("base_sd", base_sd, metres),
+            angle_sd=positive_number("angle_sd", angle_sd, "give radians"),
+            position_sd=non_negative_number("position_sd", position_sd, metres),
+            orientation_sd=non_negative_number("orientation_sd", orientation_sd, "give radians"),
+            reach=positive_number("reach", reach, "give lengths of the longest, 1.5 say"),
+            poses=whole("poses", poses, "write 5, say"),
         )
 
     @cached_property

@@ -66,7 +66,7 @@ class Placer(Protocol):
     def next(self, standard: float | None = None) -> Proposal:
         """The next trial, the same until it is recorded."""
 
-    def check(self, standard: float, comparison: float, choice: Any) -> Any:
+    def check(self, standard: float, comparison: float, choice: Any) -> object:
         """Refuses what `record` would."""
 
     def record(self, standard: float, comparison: float, choice: Any) -> None:

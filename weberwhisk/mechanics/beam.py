@@ -93,7 +93,7 @@ def rows_of(profile: Profile, shape: tuple[int, ...]) -> Rows:
         return np.ascontiguousarray(np.broadcast_to(scaled, (*lead, *shape))).reshape(*lead, -1)
 
     whisker, knots = profile.whisker, (len(profile.arc),)
-    law: Law | None = profile.law.scaled(whisker.length)
+    law: Law | None = profile.law.scaled(np.asarray(whisker.length))
     assert law is not None
     if all(np.all(value == 0) for value in vars(law).values()):
         law = None

@@ -59,21 +59,21 @@ class RodBending:
     moment: Array
     contact: Array
     tangent: Array
-    arc_length: Any
-    magnitude: Any
-    direction: Any
-    outcome: Any
-    model: Any
-    error: Any
+    arc_length: Array
+    magnitude: Array
+    direction: Array
+    outcome: Outcome | NDArray[np.int8]
+    model: Model | NDArray[np.int8]
+    error: Array
     whisker: Whisker
 
     @property
-    def axial_force(self) -> Any:
+    def axial_force(self) -> Array:
         """N, positive in compression."""
         return -self.force[..., 0]
 
     @property
-    def radial_distance(self) -> Any:
+    def radial_distance(self) -> Array:
         """Straight line from base to contact, m."""
         return np.sqrt((self.contact**2).sum(axis=-1))
 

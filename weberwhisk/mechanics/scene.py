@@ -238,4 +238,4 @@ def _spatial(scene: SceneRows) -> Solved:
             side * b.magnitude,
         ]
     )
-    return numbers, b.outcome, b.error
+    return numbers, np.asarray(b.outcome, dtype=np.int8), b.error

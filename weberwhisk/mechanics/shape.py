@@ -8,7 +8,6 @@ it (the medulla). Intrinsic curvature is one of two laws, each with a closed for
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +22,7 @@ _TABLES = ("arc", "radius", "core")
 _PER_METRE = "give 1/m, such as 20, or 0 for none"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Spiral(Value):
     """Intrinsic curvature ``base + rate · s``: straight, circular or an Euler spiral.
 
@@ -36,12 +35,12 @@ class Spiral(Value):
         Change of curvature along the arc, 1/m².
     """
 
-    base: Any = 0.0
-    rate: Any = 0.0
+    base: Array
+    rate: Array
 
-    def __post_init__(self) -> None:
-        base = finite("base", self.base, _PER_METRE)
-        self._set(base=base, rate=finite("rate", self.rate, "give 1/m², or 0"))
+    def __init__(self, base: ArrayLike = 0.0, rate: ArrayLike = 0.0) -> None:
+        given = finite("base", base, _PER_METRE)
+        self._set(base=given, rate=finite("rate", rate, "give 1/m², or 0"))
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
@@ -62,12 +61,12 @@ class Spiral(Value):
         turn = self.turn((x[:, None] + 1) / 2 * arc)
         return w @ np.cos(turn) * arc / 2, w @ np.sin(turn) * arc / 2
 
-    def scaled(self, length: Array, sign: ArrayLike = 1.0) -> Spiral:
+    def scaled(self, length: Array, sign: Array | float = 1.0) -> Spiral:
         """The law with `length` as unit, mirrored where `sign` is −1."""
         return Spiral(self.base * length * sign, self.rate * length**2 * sign)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Parabola(Value):
     """Intrinsic shape y = a·x²: curvature 2a cos³(tangent angle).
 
@@ -77,10 +76,10 @@ class Parabola(Value):
         a, 1/m; its sign as for `Spiral`.
     """
 
-    coefficient: Any
+    coefficient: Array
 
-    def __post_init__(self) -> None:
-        self._set(coefficient=finite("coefficient", self.coefficient, _PER_METRE))
+    def __init__(self, coefficient: ArrayLike) -> None:
+        self._set(coefficient=finite("coefficient", coefficient, _PER_METRE))
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
@@ -99,7 +98,7 @@ class Parabola(Value):
         )
         return x, self.coefficient * x**2
 
-    def scaled(self, length: Array, sign: ArrayLike = 1.0) -> Parabola:
+    def scaled(self, length: Array, sign: Array | float = 1.0) -> Parabola:
         """The law with `length` as unit, mirrored where `sign` is −1."""
         return Parabola(self.coefficient * length * sign)
 

@@ -79,9 +79,13 @@ def contacts(arcs: Array = ARCS, degrees: Array = DEGREES) -> pd.DataFrame:
             "transverse_force": bent.transverse_force / whisker.force_scale,
             "radial_distance": bent.radial_distance / whisker.length,
             "deflection_angle_deg": np.degrees(bent.deflection_angle),
-            "outcome": [Outcome(int(k)).name for k in np.ravel(bent.outcome)],
         }
-        tables.append(pd.DataFrame({key: np.ravel(value) for key, value in columns.items()}))
+        named = [Outcome(int(k)).name for k in np.ravel(bent.outcome)]
+        tables.append(
+            pd.DataFrame({key: np.ravel(value) for key, value in columns.items()}).assign(
+                outcome=named
+            )
+        )
     return pd.concat(tables, ignore_index=True)
 
 

@@ -6,9 +6,8 @@ where they are to be exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -179,7 +178,7 @@ class Gaussian(ReceptorNoise):
         )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Weber(Gaussian):
     """Weber's law: each reading is Gaussian about its signal with sd = k·|signal|.
 
@@ -205,14 +204,13 @@ class Weber(Gaussian):
     25.5
     """
 
-    weber_fraction: Any = 0.1
-    _: KW_ONLY
-    correlation: float = 0.0
+    weber_fraction: Array
+    correlation: float
 
-    def __post_init__(self) -> None:
+    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
         self._set(
-            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
-            correlation=checked_correlation(self.correlation),
+            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
+            correlation=checked_correlation(correlation),
         )
 
     @property
@@ -228,7 +226,7 @@ class Weber(Gaussian):
         return np.ones_like(signals), self.weber_fraction * np.sign(signals)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class GeneralisedWeber(Gaussian):
     """Weber's law between a floor and a ceiling: sd² = floor² + (k·signal)².
 
@@ -257,28 +255,34 @@ class GeneralisedWeber(Gaussian):
     (array([0.5  , 1.044]), array([False,  True]))
     """
 
-    weber_fraction: Any = 0.1
-    _: KW_ONLY
-    floor: Any
-    ceiling: Any = np.inf
-    correlation: float = 0.0
+    weber_fraction: Array
+    floor: Array
+    ceiling: Array
+    correlation: float
 
-    def __post_init__(self) -> None:
-        k = non_negative("weber_fraction", self.weber_fraction, "write 0.1, say")
-        floor = non_negative("floor", self.floor, "write it in the unit of the signal")
+    def __init__(
+        self,
+        weber_fraction: ArrayLike = 0.1,
+        *,
+        floor: ArrayLike,
+        ceiling: ArrayLike | Sequence[float | None] | None = np.inf,
+        correlation: float = 0.0,
+    ) -> None:
+        k = non_negative("weber_fraction", weber_fraction, "write 0.1, say")
+        floor = non_negative("floor", floor, "write it in the unit of the signal")
         if np.any((k == 0) & (floor == 0)):
             raise ValueError(
                 "A signal without noise has no likelihood, got weber_fraction 0 and floor 0; "
                 "write one of them above zero."
             )
-        each = np.asarray(self.ceiling, dtype=object)
-        ceiling = numbers("ceiling", np.where(each == None, np.inf, each), "write None for none")  # noqa: E711
-        positive("ceiling", np.where(ceiling == np.inf, 1.0, ceiling), "write None for no ceiling")
+        each = np.asarray(ceiling, dtype=object)
+        limit = numbers("ceiling", np.where(each == None, np.inf, each), "write None for none")  # noqa: E711
+        positive("ceiling", np.where(limit == np.inf, 1.0, limit), "write None for no ceiling")
         self._set(
             weber_fraction=k,
             floor=floor,
-            ceiling=np.inf if ceiling.ndim == 0 and np.isinf(ceiling) else ceiling,
-            correlation=checked_correlation(self.correlation),
+            ceiling=limit,
+            correlation=checked_correlation(correlation),
         )
 
     @property
@@ -316,7 +320,7 @@ class GeneralisedWeber(Gaussian):
         return slope, slope * self.weber_fraction**2 * self.mean(signals) / self.sd(signals)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Saturating(GeneralisedWeber):
     """Weber's law on a response that levels off: sd² = floor² + (k·response)².
 
@@ -357,15 +361,20 @@ class Saturating(GeneralisedWeber):
     (array([0.099, 5.   , 9.901]), array([False, False,  True]))
     """
 
-    _: KW_ONLY
-    ceiling: Any = field()
-    floor: Any = 0.0
-    sharpness: float = 1.0
+    sharpness: float
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._set(sharpness=number("sharpness", self.sharpness, "write 1 for Naka–Rushton"))
-        positive("sharpness", self.sharpness, "write 1 for Naka–Rushton")
+    def __init__(
+        self,
+        weber_fraction: ArrayLike = 0.1,
+        *,
+        floor: ArrayLike = 0.0,
+        ceiling: ArrayLike | Sequence[float | None],
+        correlation: float = 0.0,
+        sharpness: float = 1.0,
+    ) -> None:
+        super().__init__(weber_fraction, floor=floor, ceiling=ceiling, correlation=correlation)
+        self._set(sharpness=number("sharpness", sharpness, "write 1 for Naka–Rushton"))
+        positive("sharpness", sharpness, "write 1 for Naka–Rushton")
         if np.any(np.isinf(self.ceiling)):
             raise ValueError(
                 "A response that levels off needs a ceiling, got none; write GeneralisedWeber."

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +28,7 @@ class _Constant(Gaussian):
         return np.ones_like(signals), np.zeros_like(signals)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class LogNormal(ReceptorNoise):
     """Weber's law with log-normal readings: mean the signal, sd = k·|signal|.
 
@@ -69,14 +68,13 @@ class LogNormal(ReceptorNoise):
 
     gaussian_on = "log"
 
-    weber_fraction: Any = 0.1
-    _: KW_ONLY
-    correlation: float = 0.0
+    weber_fraction: Array
+    correlation: float
 
-    def __post_init__(self) -> None:
+    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
         self._set(
-            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
-            correlation=checked_correlation(self.correlation),
+            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
+            correlation=checked_correlation(correlation),
         )
 
     @property
@@ -166,7 +164,7 @@ class LogNormal(ReceptorNoise):
             return np.asarray(np.log(np.abs(signals)) - 0.5 * self.sigma**2)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class NearMiss(Gaussian):
     """The near-miss to Weber's law: sd = k·I₀·(|I|/I₀)ᵐ.
 
@@ -199,19 +197,25 @@ class NearMiss(Gaussian):
     array([0.1   , 0.0794])
     """
 
-    weber_fraction: Any = 0.1
-    _: KW_ONLY
-    exponent: float = 0.9
-    reference: Any
-    correlation: float = 0.0
+    weber_fraction: Array
+    exponent: float
+    reference: Array
+    correlation: float
 
-    def __post_init__(self) -> None:
-        positive("exponent", self.exponent, "write 1 for Weber's law")
+    def __init__(
+        self,
+        weber_fraction: ArrayLike = 0.1,
+        *,
+        exponent: float = 0.9,
+        reference: ArrayLike,
+        correlation: float = 0.0,
+    ) -> None:
+        positive("exponent", exponent, "write 1 for Weber's law")
         self._set(
-            weber_fraction=positive("weber_fraction", self.weber_fraction, "write 0.1, say"),
-            exponent=number("exponent", self.exponent, "write 1 for Weber's law"),
-            reference=positive("reference", self.reference, "write it in the signal's unit"),
-            correlation=checked_correlation(self.correlation),
+            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
+            exponent=number("exponent", exponent, "write 1 for Weber's law"),
+            reference=positive("reference", reference, "write it in the signal's unit"),
+            correlation=checked_correlation(correlation),
         )
 
     def weber_fraction_at(self, signals: ArrayLike) -> Array:
@@ -230,7 +234,7 @@ class NearMiss(Gaussian):
         return np.ones_like(signals), slope
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Events(ReceptorNoise):
     """One event out of C, of which the signals are the chances of the first C − 1.
 
@@ -261,12 +265,11 @@ class Events(ReceptorNoise):
 
     is_categorical = True
 
-    reports: Any
-    _: KW_ONLY
-    misreport: float = 0.0
+    reports: Array
+    misreport: float
 
-    def __post_init__(self) -> None:
-        reports = finite("reports", self.reports, "give one row of numbers for each event")
+    def __init__(self, reports: ArrayLike, *, misreport: float = 0.0) -> None:
+        reports = finite("reports", reports, "give one row of numbers for each event")
         if reports.ndim != 2 or len(reports) < 2:
             raise ValueError(
                 f"reports must have a row for each of two events or more, got shape "
@@ -278,7 +281,7 @@ class Events(ReceptorNoise):
                 f"{len(np.unique(reports, axis=0))} different rows of reports; "
                 "leave out events that cannot be distinguished."
             )
-        misreport = number("misreport", self.misreport, "give a probability, 0 to 1")
+        misreport = number("misreport", misreport, "give a probability, 0 to 1")
         non_negative("misreport", misreport, "give a probability, 0 to 1")
         if misreport >= 1:
             raise ValueError(

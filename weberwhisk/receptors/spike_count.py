@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from .._values import Value
 from .protocol import Array, ReceptorNoise, Seed
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Afferents(Value):
     """One class of afferents, its thresholds evenly spread on a logarithmic axis.
 
@@ -50,24 +49,35 @@ class Afferents(Value):
     """
 
     number: int
-    lowest: Any
-    highest: Any
-    peak_rate: float = 150.0
-    exponent: float = 2.0
-    spontaneous_rate: float = 0.5
+    lowest: Array
+    highest: Array
+    peak_rate: float
+    exponent: float
+    spontaneous_rate: float
 
-    def __post_init__(self) -> None:
-        number = whole("number", self.number, "write how many afferents there are")
-        low = positive("lowest", self.lowest, "write a threshold in the signal's unit")
-        high = positive("highest", self.highest, "write a threshold in the signal's unit")
+    def __init__(
+        self,
+        number: int,
+        lowest: ArrayLike,
+        highest: ArrayLike,
+        peak_rate: float = 150.0,
+        exponent: float = 2.0,
+        spontaneous_rate: float = 0.5,
+    ) -> None:
+        number = whole("number", number, "write how many afferents there are")
+        low = positive("lowest", lowest, "write a threshold in the signal's unit")
+        high = positive("highest", highest, "write a threshold in the signal's unit")
         if np.any(high < low):
             raise ValueError(
                 f"highest must not lie below lowest, got {high} below {low}; swap them."
             )
-        positive("peak_rate", self.peak_rate, "write spikes/s")
-        positive("exponent", self.exponent, "write 2, say")
-        non_negative("spontaneous_rate", self.spontaneous_rate, "write spikes/s")
-        self._set(number=number, lowest=low, highest=high)
+        positive("peak_rate", peak_rate, "write spikes/s")
+        positive("exponent", exponent, "write 2, say")
+        non_negative("spontaneous_rate", spontaneous_rate, "write spikes/s")
+        self._set(
+            number=number, lowest=low, highest=high, peak_rate=peak_rate, exponent=exponent,
+            spontaneous_rate=spontaneous_rate,
+        )  # fmt: skip
 
     @property
     def thresholds(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -142,7 +143,7 @@ class Step(_OfSessions):
     ('step[2]', array([0., 0., 0., 1., 1., 1., 1., 1., 1.]))
     """
 
-    at: Any
+    at: Hashable
     prior: rv_frozen | float = NORMAL[0.5]
 
     @property
