@@ -133,16 +133,21 @@ def force_map(signals: Any, r: float) -> float:
 
 def balance(signals: Any, r: float) -> float:
     """The distance at which a straight whisker balances the muscle where this one does."""
-    theta = np.linspace(1e-4, np.radians(60.0), 600)
-    moment, _ = signals(r, theta)
+    low, high = 1e-4, np.radians(60.0)
     gain = BALANCE.gain / WHISKER.moment_scale
-    excess = BALANCE.curve.moment(np.radians(60.0) + theta) - gain * moment
-    over = np.flatnonzero(~(excess > 0))  # balanced, or flicked past
-    if not over.size or not over[0] or np.isnan(excess[over[0]]):
+    for _ in range(2):  # coarse steps, then fine ones within the one that it lies in
+        theta = np.linspace(low, high, 30)
+        moment, _ = signals(r, theta)
+        excess = BALANCE.curve.moment(np.radians(60.0) + theta) - gain * moment
+        over = np.flatnonzero(~(excess > 0))  # balanced, or flicked past
+        if not over.size or not over[0]:
+            return np.nan
+        i = over[0]
+        low, high = theta[i - 1 : i + 1]
+    if np.isnan(excess[i]):
         return np.nan
-    i = over[0]
     share = excess[i - 1] / (excess[i - 1] - excess[i])
-    angle = theta[i - 1] + share * (theta[i] - theta[i - 1])
+    angle = low + share * (high - low)
     return float(BALANCE.radial_distance(WHISKER, np.array([angle]))[0][0])
 
 

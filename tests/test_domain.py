@@ -69,7 +69,7 @@ def test_receptors_of_per_cent_are_flagged():
     slow_but(
         [
             (cues.Compliance(), 20),
-            (cues.ForceMap(), 4),
+            (cues.ForceMap(), 2),
             (cues.ForceMap(), 20),
             (cues.Fused(cues.ForceMap(), cues.Compliance()), 20),
         ],

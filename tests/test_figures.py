@@ -16,10 +16,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import weberwhisk as ww
-from weberwhisk import design, figures, paper
+from weberwhisk import design, figures
 from weberwhisk.commands import figure
 from weberwhisk.many_touches import touches_jnd
-from weberwhisk.mechanics.muscle import MuscleCurve
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 
@@ -208,22 +207,6 @@ def test_png_has_enough_dots(fit: ww.WeberFit) -> None:
     assert figures.figure_of(figures.psychometric(fit, standard=1.0)).dpi >= 150
 
 
-# The paper's figure 4a; figure 4b's numbers are in test_paper.py
-
-
-@pytest.mark.parametrize(
-    ("short", "close"), [(True, 0.2), pytest.param(False, 0.06, marks=pytest.mark.slow)]
-)
-def test_figure_4a(short: bool, close: float) -> None:
-    curve = figure.figure_4a(figure.Asked(short=short)).tables["figure-4a"]
-    tapered = curve[curve["whisker"] == "tapered"]
-    r, apex = tapered["radial_distance_mm"], 50 / 0.95
-    np.testing.assert_allclose(tapered["closed_form_mm"], 0.1 * r * (1 - r / apex), rtol=1e-9)
-    # In full a twentieth: what the bend of the closed form over one sd makes of its slope.
-    np.testing.assert_allclose(tapered["posterior_mm"], tapered["closed_form_mm"], rtol=close)
-    assert (curve["unreliable"] == 0).all()
-
-
 def test_residuals_outside_the_band_are_marked() -> None:
     table = pd.DataFrame({"session": [1, 2, 3], "z": [0.5, 2.5, -3.0]})
     ax = figures.residuals(table)
@@ -298,7 +281,10 @@ def test_real_data_are_reported(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
-    """Every figure of the package, of small tables; those of times are in test_charts.py."""
+    """Every figure of the package, of small tables.
+
+    Those of times are in test_charts.py, the paper's in test_paper_figures.py.
+    """
     tap, force_map = observer(), observer(ww.cues.ForceMap())
     contacts = np.stack([np.linspace(5e-3, 45e-3, 9), np.full(9, 0.1)], axis=-1)
     one = ww.posterior(tap, tap.read(30e-3, seed=1))
@@ -337,7 +323,6 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         {"count": [1, 5, 20], "correct": [0.55, 0.7, 0.9], "correct_error": 0.02,
          "touched": [0.2, 0.6, 0.9], "touching": [0.2, 1.0, 4.0], "receptors": "k = 0.1"}
     )  # fmt: skip
-    rate = pd.DataFrame({"radial_distance": [0.1, 0.9], "rate": [30.0, 0.2]})
     at = np.repeat([10.0, 20.0, 30.0, 40.0], 4)
     slopes = pd.DataFrame(
         {"radial_distance_mm": at,
@@ -373,12 +358,6 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
         ),
         "located": figures.located(ww.locate(table, WHISKER)),
         "pairs": figures.pairs(fit),
-        "paper_1d": figures.paper_1d(rate.assign(whisker="tapered, R = 20")),
-        "paper_2": figures.paper_2(
-            paper.examples(), paper.lines(),
-            paper.contacts(paper.ARCS, paper.DEGREES[::6]),
-        ),
-        "paper_3": paper_3(),
         "place": figures.place(ww.place(all_of_them, touching)),
         "placements": figures.placements(staircase),
         "planned_jnds": figures.planned_jnds(plan),
@@ -399,32 +378,22 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
     }  # fmt: skip
     functions = {
         "cues": "cue_jnds", "outcomes": "cue_outcomes", "best-cue": "best_cue",
-        "weber-2d": "weber_2d", "figure-4b": "jnd_surface",
+        "weber-2d": "weber_2d",
     }  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figure.Asked, "readings", lambda asked, times=1: 3)
-        for name in figure.CHARTS.keys() - {"figure-4a", "information"}:  # drawn above
+        # Drawn above, and by the paper's command.
+        for name in figure.CHARTS.keys() - {"figure-4a", "figure-4b", "information"}:
             make = figure.CHARTS[name]
             made[functions.get(name, name.replace("-", "_"))] = make(figure.Asked(short=True)).chart
     return made
 
 
-def paper_3() -> Figure:
-    step = slice(None, None, 10)
-    line, angle = paper.dashed_line()
-    surface = paper.surface(MuscleCurve.NORMALISED, paper.DISTANCES[step], paper.IMPACTS[step])
-    with pytest.MonkeyPatch.context() as patch:  # where curves end, test_paper_figures.py finds
-        patch.setattr(paper, "curve_end", lambda curve: 0.697)
-        balance = paper.balance_angles()
-    return figures.paper_3(
-        paper.moments(), paper.muscle(), balance, surface, (line[step], angle[step])
-    )
-
-
 def test_every_figure_can_be_read(drawn: dict[str, Any]) -> None:
     """No print under 7 pt at two columns' width, no text over text or cut, no legend over data."""
     no_figures = {"COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "figure_of", "new_figure",
-                  "plan_page", "shown", "styled", "fits_and_growth", "speed_accuracy"}  # fmt: skip
+                  "plan_page", "shown", "styled", "fits_and_growth", "speed_accuracy",
+                  "jnd_surface", "paper_1d", "paper_2", "paper_3"}  # fmt: skip
     assert set(figures.__all__) - no_figures <= set(drawn)
     found = {
         name: faults(one if isinstance(one, Figure) else figures.figure_of(one))

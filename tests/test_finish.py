@@ -195,9 +195,11 @@ def test_nothing_is_of_one_system_alone() -> None:
             elif isinstance(node, ast.Attribute):
                 names = {node.attr} & calls
             elif isinstance(node, ast.Call):
-                text = ast.unparse(node)
-                called = ast.unparse(node.func).rpartition(".")[2]
-                plain = called in ("open", "read_text", "write_text") and "os.open" not in text
+                called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+                text = ""
+                if called in ("open", "read_text", "write_text"):
+                    text = ast.unparse(node)
+                plain = text and "os.open" not in text
                 if plain and not re.search(r"utf-8|encoding=|[\"'][rwax]\+?b", text):
                     names = {text}
             found += [f"{path.relative_to(ROOT)}: {name}" for name in names]

@@ -209,7 +209,11 @@ def test_draws_of_biases_far_from_what_is_believed_are_the_same_posterior_too() 
 @pytest.mark.parametrize(
     ("options", "bias"),
     [
-        (dict(trials_per_level=33, lapse_low=0.02, lapse_high=0.05, seed=12), "shared"),
+        pytest.param(
+            dict(trials_per_level=33, lapse_low=0.02, lapse_high=0.05, seed=12),
+            "shared",
+            marks=pytest.mark.slow,
+        ),
         (
             dict(standards=[1.0, 3.0], bias=[0.5, -0.5], trials_per_level=10, seed=13),
             "per standard",
@@ -259,8 +263,8 @@ def test_emcee_tells_an_open_end_without_draws_there() -> None:
     trials = read_trials(
         pd.DataFrame({"standard": 1.0, "comparison": levels, "n": 2, "n_greater": answers})
     )
-    found = {fit_weber(trials, method="emcee", seed=seed).status for seed in (1, 2)}
-    assert found == {fit_weber(trials).status} == {FitStatus.UPPER_BOUND}
+    found = fit_weber(trials, method="emcee", seed=1).status
+    assert found == fit_weber(trials).status == FitStatus.UPPER_BOUND
 
 
 def test_emcee_is_repeatable() -> None:

@@ -114,11 +114,11 @@ def test_means_and_sds_say_of_k_what_whole_posteriors_do(
         trials, located.assign(radial_distance_mm=1e3 * mean, sd_mm=1e3 * sd), ENCODING
     )
     model, _, _ = build_model(placed, ENCODING, None, None, "weber", None)
-    ks, none = np.geomspace(0.04, 0.3, 31), np.full(31, 1e-9)
-    near = model.log_likelihood(ks, none, none, np.zeros((31, 1)))
+    ks, none = np.geomspace(0.04, 0.3, 16), np.full(16, 1e-9)
+    near = model.log_likelihood(ks, none, none, np.zeros((16, 1)))
     at = trials.frame[["stimulus_1", "stimulus_2"]].to_numpy().T.ravel()
     scatter = estimate_scatter(mean - at, sd)
-    n, exact = len(trials), np.zeros(31)
+    n, exact = len(trials), np.zeros(16)
     for i, answer in enumerate(trials.frame["count"]):
         (r1, p1), (r2, p2) = (
             (r, p * np.exp(-0.5 * ((r - at[j] - scatter.offset) / scatter.sd) ** 2))

@@ -159,4 +159,4 @@ def test_readings_in_another_unit_are_told(cue):
     right = observer.read(contact, seed=1)
     ww.posterior(observer, right)  # without a word
     with pytest.warns(UserWarning, match="did you pass mN"):
-        ww.posterior(observer, 1e3 * right)
+        ww.posterior(observer, 1e3 * right[:1])

@@ -6,13 +6,17 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk import paper
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands import figure
+from weberwhisk.figures import figure_of
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
+from weberwhisk.output import Run
 from weberwhisk.paper import claims
 from weberwhisk.paper.claims import PANELS
 
@@ -137,9 +141,17 @@ def test_every_claim_names_a_test_that_is_there():
 
 
 def test_the_command_draws_every_panel_and_says_what_it_finds(tmp_path, monkeypatch):
-    """In a folder away from the source, with nothing but the package."""
-    monkeypatch.setattr(figure.Asked, "readings", lambda asked, times=1: 3)
+    """In a folder away from the source, with nothing but the package; figures can be read."""
+    charts, write = {}, Run.figure
+
+    def figure(run, name, chart):
+        charts[name] = chart
+        write(run, name, chart)
+
+    monkeypatch.setattr(Run, "figure", figure)
     assert run_app(app, ["paper", "--short", "--out", str(tmp_path / "out")]) == 0
+    assert set(charts) == set(PANELS)
+    assert [fault for chart in charts.values() for fault in faults(figure_of(chart))] == []
     text = (tmp_path / "out" / "paper.md").read_text("utf-8")
     places = [text.index(f"({name}.png)") for name in PANELS]
     assert places == sorted(places)
@@ -151,3 +163,19 @@ def test_the_command_draws_every_panel_and_says_what_it_finds(tmp_path, monkeypa
         assert number in text, number
     assert "True" not in text
     assert "nan" not in text
+    check_4a(pd.read_csv(tmp_path / "out" / "figure-4a.csv"), close=0.2)
+
+
+def check_4a(curve, close):
+    """Posteriors on the closed forms; figure 4b's numbers are in test_paper.py."""
+    tapered = curve[curve["whisker"] == "tapered"]
+    r, apex = tapered["radial_distance_mm"], 50 / 0.95
+    np.testing.assert_allclose(tapered["closed_form_mm"], 0.1 * r * (1 - r / apex), rtol=1e-9)
+    np.testing.assert_allclose(tapered["posterior_mm"], tapered["closed_form_mm"], rtol=close)
+    assert (curve["unreliable"] == 0).all()
+
+
+@pytest.mark.slow
+def test_4a_posteriors_are_within_a_twentieth():
+    """So much the bend of the closed form over one sd makes of its slope."""
+    check_4a(figure.figure_4a(figure.Asked()).tables["figure-4a"], close=0.06)

@@ -42,9 +42,7 @@ def brute_force(observer, reading, floor=0.0):
 
 @pytest.mark.parametrize(
     ("k", "taper"),
-    slow_but(
-        itertools.product([0.005, 0.05, 0.2, 0.5], ["tapered", "cylinder"]), quick=(0, 3, 4, 7)
-    ),
+    slow_but(itertools.product([0.005, 0.05, 0.2, 0.5], ["tapered", "cylinder"]), quick=(0, 3, 7)),
 )
 def test_quadrature_in_one_dimension_is_exact_to_1e_8(k, taper):
     w = W if taper == "tapered" else W.cylinder()
@@ -150,7 +148,7 @@ def test_quadrature_in_two_dimensions_reaches_1e_4(k, fraction, degrees):
         assert max(e.mean_error, e.sd_error) < 1e-4 * sd[i]
 
 
-@pytest.mark.parametrize("k", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("k", [0.02, 0.1, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_emcee_agrees_with_quadrature_within_its_own_error(k):
     observer = ww.Observer(W, Compliance(), Weber(k))
     r = np.random.default_rng(8).uniform(0.1, 0.97, (24, 1)) * W.length
@@ -180,17 +178,16 @@ def test_emcee_agrees_in_two_dimensions():
         assert np.all(np.abs(a.sd - b.sd) < 5 * a.sd_error + 0.01 * b.sd)
 
 
-@pytest.mark.parametrize(
-    ("k", "count"), [(0.5, 6), *(pytest.param(k, 48, marks=pytest.mark.slow) for k in (0.3, 0.5))]
-)
-def test_emcee_never_calls_a_wrong_sd_converged_on_the_heavy_shelf(k, count):
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [0.3, 0.5])
+def test_emcee_never_calls_a_wrong_sd_converged_on_the_heavy_shelf(k):
     """k ≥ 0.3 near the tip: a shelf towards small r, where plain emcee is silently wrong.
 
     The "shelf" of `test_emcee_hard_cases` is that at 0.3; `test_ensemble` has hundreds of such runs
     on a signal that costs nothing.
     """
     observer = ww.Observer(W, Compliance(), Weber(k))
-    readings = observer.read(np.full((count, 1), 0.95 * W.length), seed=3)
+    readings = observer.read(np.full((48, 1), 0.95 * W.length), seed=3)
     exact = ww.posterior(observer, readings)
     p = ww.posterior(observer, readings, "emcee", seed=4)
     wrong = np.abs(p.sd / exact.sd - 1) > 0.1

@@ -328,7 +328,7 @@ def test_folds_are_rung_1_where_the_whisker_is_straight():
     ("curvature", "psi"),
     slow_but(
         [(-15.0, 0.0), (-15.0, -0.3), (6.0, 0.2), (6.0, 0.0), (6.0, -0.3), (-15.0, 0.2)],
-        quick=range(3),
+        quick=range(2),
     ),
 )
 def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):

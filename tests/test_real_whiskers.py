@@ -43,7 +43,7 @@ def planar_signals(w, r, push, friction=0.0):
     ("radius_ratio", "curvature", "friction"),
     slow_but(
         [(5, -25, -0.45), (20, 25, 0), (1, 8, 0), (5, 25, 0.45), (20, -8, 0), (40, 25, -0.45)],
-        quick=range(3),
+        quick=range(2),
     ),
 )
 def test_the_surface_is_the_planar_beam(radius_ratio, curvature, friction):
@@ -70,10 +70,10 @@ def test_friction_and_curvature_that_are_unknown_are_axes_of_the_surface():
     rng = np.random.default_rng(3)
     contact = np.stack(
         [
-            rng.uniform(5e-3, 45e-3, 40),
-            rng.uniform(0.01, 0.08, 40),
-            rng.uniform(-3, 3, 40),
-            rng.uniform(-MU, MU, 40),
+            rng.uniform(5e-3, 45e-3, 15),
+            rng.uniform(0.01, 0.08, 15),
+            rng.uniform(-3, 3, 15),
+            rng.uniform(-MU, MU, 15),
         ],
         axis=-1,
     )
@@ -249,7 +249,7 @@ def test_a_table_that_is_off_by_some_of_a_weber_fraction_says_so():
     slender = Observer(whisker(80, -25.0), ForceMap(), GeneralisedWeber(0.01, floor=1e-9))
     assert 1e-4 < slender.forward.error < 1e-3
     assert 'write model="profile"' in slender.note
-    assert Observer(whisker(20, -25.0), ForceMap()).note == ""
+    assert Observer(whisker(20, 8.0), ForceMap()).note == ""
 
 
 def test_sweeps_refuse_curved_whiskers():

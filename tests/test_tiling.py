@@ -101,8 +101,8 @@ def hunt(name, k, count, seed, fine=450):
 
 @pytest.mark.parametrize(("name", "k"), [("R = 20", 0.1), ("cylinder", 0.03), ("cone", 0.5)])
 def test_no_number_is_off_by_more_than_three_times_its_claim(name, k):
-    off = hunt(name, k, 8, 7)
-    assert len(off) > 5
+    off = hunt(name, k, 5, 7)
+    assert len(off) > 3
     assert off.max() < 1
 
 
@@ -132,7 +132,7 @@ def test_the_ridge_that_was_half_a_per_cent_off_with_a_claim_of_nothing():
 def test_a_tighter_tolerance_is_never_worse(name, k):
     """At 1e-4 some were 2 sd off (a cylinder) and 0.36 sd (a cone), where at 1e-2 they were not."""
     observer = ww.Observer(WHISKERS[name], ForceMap(), Weber(k))
-    reading = observer.read(contacts(observer, 4, 21), seed=22)
+    reading = observer.read(contacts(observer, 3, 21), seed=22)
     tight, wide = (ww.posterior(observer, reading, tolerance=t) for t in (1e-4, 1e-2))
     judged = 0
     for i, y in enumerate(reading):
@@ -142,10 +142,10 @@ def test_a_tighter_tolerance_is_never_worse(name, k):
         judged += 1
         off = [max(abs(p.mean[i] - mean), abs(p.sd[i] - sd)) / sd for p in (tight, wide)]
         assert off[0] < max(off[1], 1e-4) + known
-    assert judged > 2
+    assert judged > 1
 
 
-@pytest.mark.parametrize("k", [0.03, 0.1])
+@pytest.mark.parametrize("k", [0.03, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_fusions_miss_no_mode(k):
     """Force map and vibration of a blunt whisker: r was 6 sd off and converged."""
     map_, vibration = ForceMap(), Vibration(3)
@@ -217,10 +217,11 @@ def beside_bearings(observer, forces, reading, near, sd):
 @pytest.mark.parametrize(
     ("size", "reading", "contact"),
     [
-        (
+        pytest.param(
             (0.024971331059982557, 7.521048388864757e-05),
             [1.8900256653811117e-05, 0.0021533000609796266, 0.7226200724557719, 1.9314817840506318],
             [0.006768254143646576, 0.5528529665730625],
+            marks=pytest.mark.slow,
         ),
         (
             (0.05185297081149176, 8.773142200404407e-05),

@@ -201,13 +201,13 @@ def test_either_side_of_a_curved_whisker_and_hidden_contacts() -> None:
                               ("half", half, truth), ("concave", hollow, behind)):  # fmt: skip
         signals = ww.tracked_signals(table, C2)
         seen = signals["contact"] & true["contact"]
-        signals, true = signals[seen].iloc[::2], true[seen].iloc[::2]
+        signals, true = signals[seen].iloc[::3], true[seen].iloc[::3]
         found[name] = ww.locate(signals, C2)
         assert _covered(found[name], true).mean() > 0.75, name
     same, other = found["as it is"], found["mirrored"]
     np.testing.assert_allclose(other["radial_distance_mm"], same["radial_distance_mm"], rtol=1e-6)
     assert (other["side"] == -same["side"]).all()
-    assert (found["half"]["sd_mm"].median() > 2 * same["sd_mm"].median()) & (len(same) > 6)
+    assert (found["half"]["sd_mm"].median() > 2 * same["sd_mm"].median()) & (len(same) > 4)
     # Receptors come on top, and what tracking alone leaves is told beside it.
     both = ww.locate(signals.iloc[:3], C2, noise=ww.receptors.Weber(0.1))
     np.testing.assert_allclose(both["measurement_sd_mm"], found["concave"]["sd_mm"].iloc[:3])
