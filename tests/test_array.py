@@ -362,6 +362,11 @@ def test_taps_take_their_bearing_from_the_azimuth() -> None:
     assert np.isclose(found.weights @ azimuth, reading[-1], atol=0.02 * o.angle_sd)
     spread = np.sqrt(found.weights @ (azimuth - reading[-1]) ** 2)
     assert np.isclose(spread, o.angle_sd, rtol=0.01)
+    turn = np.array([0.0, 2 * np.pi])  # an azimuth a whole turn on is the same
+    assert np.allclose(ww.place(o, {"C2": reading - turn}).mean, found.mean, atol=1e-6)
+    for call in (found.interval, found.ellipse, found.area):
+        with pytest.raises(ValueError, match="mass must lie between 0 and 1, got 95"):
+            call(95)
 
 
 def test_information_predicts_the_spread_of_posteriors() -> None:

@@ -6,7 +6,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.cues import Compliance, ForceMap, Friction
+from weberwhisk.cues import Compliance, ForceMap, Friction, LateralSlip
 from weberwhisk.jnd import fisher_jnd, is_linear, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
@@ -245,6 +245,14 @@ def test_linear_is_what_the_posterior_bears_out():
     told = curve.table[curve["linear"].to_numpy()]
     assert len(told) >= 5
     assert np.allclose(told["propagation_mm"], told["posterior_mm"], rtol=0.3)
+
+
+def test_linear_is_the_same_of_a_tilt_to_either_side():
+    """Steps about negative values went to the other side."""
+    noise = GeneralisedWeber([0.1, 0.0], floor=[0.0, 0.1])
+    observer = ww.Observer(W, LateralSlip(friction_angle=0.2), noise)
+    for tilt in (0.3, 1.2):
+        assert is_linear(observer, [20e-3, tilt]) == is_linear(observer, [20e-3, -tilt])
 
 
 def test_the_old_name_of_the_number_of_readings_still_works():

@@ -16,6 +16,7 @@ from weberwhisk.whisker import Whisker
 
 W = Whisker(50e-3, 100e-6, 5e-6, 3e9)
 CURLED = Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=-8.0)  # towards the object
+STAR = 5e-3 * np.array([[np.cos(t), np.sin(t)] for t in 0.8 * np.pi * np.arange(5)])
 SQUARE = np.array([[20, -5], [30, -5], [30, -15], [20, -15]]) * 1e-3
 
 
@@ -86,6 +87,20 @@ def test_a_wall_is_met_with_the_tip_then_with_the_flank():
     force = np.arctan2(s.bending.axial_force, s.bending.transverse_force)
     np.testing.assert_allclose((force - s.rotation)[held], 0, atol=1e-8)
     assert np.all(np.diff(s.bending.arc_length[flank]) < 0)
+
+
+def test_a_round_object_beyond_the_flanks_reach_is_met_with_the_tip():
+    """It was not met at all: no point of the arc that was looked at was the tip's."""
+    distance, radius, length = 52e-3, 5e-3, W.length
+    centre = distance * np.array([np.cos(-0.4), np.sin(-0.4)])
+    apart = np.arccos((distance**2 + length**2 - radius**2) / (2 * distance * length))
+    s = sweep(W, cylinder(*centre, radius), np.linspace(0, 0.8, 17))
+    assert s.first_contact == pytest.approx(0.4 - apart, abs=1e-9)
+    held = s.bending.held
+    assert s.tip[held].tolist() == [True, False, False, False]
+    np.testing.assert_allclose(np.hypot(*(s.contact[held] - centre).T), radius, rtol=1e-7)
+    s = sweep(W, cylinder(52e-3, -10e-3, radius), travel=[0.0, 6e-3])
+    assert s.first_contact == pytest.approx(10e-3 - np.sqrt(radius**2 - 2e-3**2), abs=1e-9)
 
 
 def test_a_tilted_wall_is_the_level_one_seen_from_a_turned_frame():
@@ -309,6 +324,7 @@ def test_the_work_of_a_base_that_travels_is_the_energy_that_bends(body, whisker,
     [
         (lambda: contour([[0, 0], [1, 0], [0.5, 0.1], [1, 1]]), "must be convex"),
         (lambda: contour([[0, 0], [1, 0]]), "must be convex, of three points"),
+        (lambda: contour(SQUARE.mean(0) + STAR), "must be convex"),
         (lambda: sweep(W, peg(0.03, 0.0), [0.2, 0.1]), "one row of ascending numbers"),
         (lambda: sweep(W, peg(0.03, 0.0)), "rotations or travels of the base, got none"),
         (lambda: sweep(W, wall(0.0, 0.01, 0.0), [0.0, 0.1]), "base of the whisker must be outside"),

@@ -35,6 +35,12 @@ def test_observers_are_equal_by_value():
     assert made() == made()
     assert len({made(), made(), made(k=0.2), made(low=2e-2)}) == 3
     assert made() != replace(made(), model="elastica")
+    # A histogram tells its family what it is: two of them were one, and had one posterior.
+    ends = [np.linspace(5e-3, 20e-3, 4), np.linspace(20e-3, 45e-3, 4)]
+    tables = [{"radial_distance": stats.rv_histogram((np.ones(3), e))()} for e in ends]
+    near, far = (ww.Observer(W, cues.Compliance(), prior=prior) for prior in tables)
+    assert near != far
+    assert ww.posterior(near, [1.5e-5]).mean < 20e-3 < ww.posterior(far, [1.5e-5]).mean
     assert made() != "an observer"
 
 

@@ -288,3 +288,6 @@ def test_no_rows_have_no_likelihood_and_equal_thresholds_webers_law():
     signals = np.array([1e-7, 1e-6, 1e-5])
     exact = noise.effective_weber_fraction(signals[:, None])[:, 0]
     assert noise.weber_law(signals) == pytest.approx(exact, rel=1e-3)
+    each = SpikeCount(slow=Afferents(75, [1e-8, 1e-7], [1e-5, 1e-4]))
+    two = [[1e-7, 1e-6]]
+    assert each.weber_law(two) == pytest.approx(each.effective_weber_fraction(two), rel=1e-4)

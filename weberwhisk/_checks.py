@@ -75,6 +75,14 @@ def non_negative_number(name: str, value: ArrayLike, hint: str) -> float:
     return number(name, non_negative(name, value, hint), hint)
 
 
+def mass(value: ArrayLike) -> float:
+    """A probability mass: one number from 0 to 1."""
+    one = number("mass", value, "write 0.95, say")
+    if not 0 <= one <= 1:
+        raise ValueError(f"mass must lie between 0 and 1, got {one:g}; write 0.95, say.")
+    return one
+
+
 def whole(name: str, value: object, hint: str, least: int = 1) -> int:
     """`value` as a whole number of `least` or more."""
     array = np.asarray(value)

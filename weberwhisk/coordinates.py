@@ -280,17 +280,16 @@ def to_normal(distribution: Any, value: Array) -> Array:
 
 def family(distribution: Any) -> Any:
     """What frozen SciPy distributions are compared by; any other distribution by itself."""
-    family = getattr(distribution, "dist", None)
-    key = (
-        (type(family), distribution.args, tuple(sorted(distribution.kwds.items())))
-        if family
-        else None
-    )
+    family: Any = getattr(distribution, "dist", None)
     try:
+        # A histogram's table and a user's own limits are told to the family.
+        made = family._updated_ctor_param()
+        own = tuple((k, v) for k, v in made.items() if k not in ("badvalue", "seed"))
+        key = type(family), distribution.args, tuple(sorted(distribution.kwds.items())), own
         hash(key)
-    except TypeError:
-        key = None
-    return distribution if key is None else key
+    except (AttributeError, TypeError):
+        return distribution
+    return key
 
 
 def priors_of(prior: Any, cue: Cue) -> Mapping[str, Any]:

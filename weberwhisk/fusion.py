@@ -65,6 +65,14 @@ class DistancePrior:
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(self.pdf(r)))
 
+    def cdf(self, r: ArrayLike) -> Array:
+        """The probability of a distance up to r."""
+        return np.interp(np.asarray(r, dtype=float), self.r, self.mass)
+
+    def sf(self, r: ArrayLike) -> Array:
+        """The probability of one beyond r."""
+        return 1.0 - self.cdf(r)
+
     def ppf(self, probability: ArrayLike) -> Array:
         """Quantiles, m."""
         return np.interp(np.asarray(probability, dtype=float), self.mass, self.r)
@@ -207,7 +215,13 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
     prior: dict[str, Any] = {n: d for n, d in observer.prior.items() if n in cue.unknowns}
     if observer.bounded > 1 and "deflection_angle" not in cue.unknowns:
         prior["radial_distance"] = DistancePrior(observer)
-    return Observer(observer.whisker, cue, noise, prior, model=observer.model)
+    elif cue.farthest(observer.whisker) > observer.reach[1]:  # as far as all cues work
+        from scipy.stats import uniform
+
+        low, high = observer.reach
+        prior.setdefault("radial_distance", uniform(low, high - low))
+    how: dict[str, Any] = {"model": observer.model, "tolerance": observer.tolerance}
+    return Observer(observer.whisker, cue, noise, prior, **how)
 
 
 @renamed_arguments(draws="n_readings")

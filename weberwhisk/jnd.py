@@ -136,12 +136,15 @@ def is_linear(observer: Observer, contact: ArrayLike) -> NDArray[np.bool_]:
     contact = observer.checked(contact)
     covariance = _propagated(observer, contact, observer.solver)
     known = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
-    unit = _contact_scale(contact)
+    further = np.arange(contact.shape[-1]) >= observer.bounded  # these may be 0 or negative
+    sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    unit = np.fmax(_contact_scale(contact), np.where(further & known[..., None], sd, 0.0))
     scaled = covariance / (unit[..., :, None] * unit[..., None, :])
     size, axes = np.linalg.eigh(np.where(known[..., None, None], scaled, np.eye(unit.shape[-1])))
     step = np.swapaxes(axes * np.sqrt(np.maximum(size, 0.0))[..., None, :], -1, -2)
-    around = contact[..., None, None, :] * (1 + np.stack([step, -step], axis=-2))
-    around = np.maximum(around, 1e-3 * np.abs(contact)[..., None, None, :])
+    step = np.stack([step, -step], axis=-2) * unit[..., None, None, :]
+    least = np.where(further, -np.inf, 1e-3 * np.abs(contact))[..., None, None, :]
+    around = np.maximum(contact[..., None, None, :] + step, least)
     at = np.where(known, np.sqrt(np.maximum(covariance[..., 0, 0], 0.0)), 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = weber_propagation(observer, around).mean(axis=-1) / at[..., None]

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.interpolate import CubicSpline
 
-from ._checks import finite, kind, number, positive_number, whole
+from . import _checks
+from ._checks import finite, kind, positive_number, whole
 from ._values import interval_text, with_units
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .jnd import fisher_jnd
@@ -73,12 +74,9 @@ class Touches:
         ValueError
             For a mass outside 0 to 1.
         """
-        mass = number("mass", mass, "write 0.95, say")
-        if not 0 <= mass <= 1:
-            raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
         step = np.diff(self.r)
         rise = np.append(0.0, np.cumsum((self.density[1:] + self.density[:-1]) / 2 * step))
-        tail = (1 - mass) / 2
+        tail = (1 - _checks.mass(mass)) / 2
         low, high = np.interp([tail, 1 - tail], rise / rise[-1], self.r)
         return float(low), float(high)
 
@@ -273,6 +271,9 @@ class _Grid:
         usual = np.quantile(rate, 0.75, axis=1, keepdims=True)
         rate = ndimage.maximum_filter1d(np.minimum(rate, finest * usual), 3, axis=1)
         rate = np.hypot(rate, 3.0)  # a third of an sd of the range itself, which is summed too
+        if (prior := self.observer.prior.get("deflection_angle")) is not None:
+            sharpest = np.sqrt(2 * np.pi) * prior.pdf(prior.ppf(np.linspace(0.02, 0.98, 49))).max()
+            rate = np.hypot(rate, sharpest * unit)
         shape = np.asarray(chebyshev.chebfit(t, rate.T, terms - 1))  # (terms, rows)
         fine = np.linspace(-1, 1, 201)
         least = chebyshev.chebval(fine, shape).min(axis=1)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import _checks
 from ._values import Shown
 from .array import WhiskerArray
 from .place_sensor import Sensor, one_place
@@ -122,7 +123,7 @@ class Place(Shown):
 
     def interval(self, mass: float = 0.95) -> Array:
         """Equal-tailed intervals of x and of y, (2, 2), m."""
-        tail = (1 - mass) / 2
+        tail = (1 - _checks.mass(mass)) / 2
         out = np.full((2, 2), np.nan)
         for i, values in enumerate(self.places.T):
             order = np.argsort(values)
@@ -137,7 +138,7 @@ class Place(Shown):
         The Gaussian's of the same covariance, which holds the place with probability `mass`.
         """
         values, vectors = np.linalg.eigh(self.covariance)
-        minor, major = np.sqrt(-2 * np.log1p(-mass) * values)
+        minor, major = np.sqrt(-2 * np.log1p(-_checks.mass(mass)) * values)
         return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
 
     def credibility(self, place: ArrayLike) -> float:
@@ -149,7 +150,7 @@ class Place(Shown):
         """Area of the most probable places that hold the object with probability `mass`, m²."""
         order = np.argsort(-self.log_density)
         size = np.exp(np.log(self.weights[order]) - self.log_density[order])
-        kept = np.cumsum(self.weights[order]) - self.weights[order] < mass
+        kept = np.cumsum(self.weights[order]) - self.weights[order] < _checks.mass(mass)
         return float(size[kept].sum())
 
     @cached_property

@@ -212,13 +212,17 @@ class Tap(Evidence):
 
     def _at(self, r: Array, theta: Array) -> Array:
         sd = self.sensor.angle_sd
-        off = (self.reading[-1] - self.sensor.azimuth(theta)) / sd
+        off = self._off(theta) / sd
         log = self.sensor.observer.log_likelihood(self.reading[:-1], r[:, None])
         return np.asarray(log - 0.5 * off**2 - np.log(sd * np.sqrt(2 * np.pi)))
 
     def _likeliest(self, r: float, theta: float) -> tuple[float, float]:
-        off = self.reading[-1] - self.sensor.azimuth(np.array(theta))
-        return theta, abs(float(off)) / self.sensor.angle_sd
+        return theta, abs(float(self._off(np.array(theta)))) / self.sensor.angle_sd
+
+    def _off(self, theta: Array) -> Array:
+        """How far the azimuth read is from that of a touch, rad, to whole turns."""
+        off = self.reading[-1] - self.sensor.azimuth(theta)
+        return np.asarray(off - 2 * np.pi * np.round(off / (2 * np.pi)))
 
 
 class Blurred(Evidence):

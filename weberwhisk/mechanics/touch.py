@@ -78,10 +78,13 @@ def contour(points: ArrayLike, radius: float = 0.0) -> Body:
     corners = _points(points)
     steps = np.diff(np.vstack([corners, corners[:1]]), axis=0)
     turns = steps[:, 0] * np.roll(steps[:, 1], -1) - steps[:, 1] * np.roll(steps[:, 0], -1)
-    if len(corners) < 3 or not (np.all(turns > 0) or np.all(turns < 0)):
+    headings = np.arctan2(steps[:, 1], steps[:, 0])
+    whole = abs(_turn(np.diff(headings, append=headings[:1])).sum())  # of a star it is two turns
+    one_way = np.all(turns > 0) or np.all(turns < 0)
+    if len(corners) < 3 or not one_way or whole > 3 * np.pi:
         raise ValueError(
             f"A contour must be convex, of three points or more in order, got {len(corners)} "
-            "points that turn both ways or not at all; give its convex hull."
+            "points that turn both ways, not at all or more than once; give its convex hull."
         )
     rounding = float(non_negative("radius", radius, "give metres, or 0 for sharp corners"))
     return Body(corners if turns[0] < 0 else corners[::-1], rounding)
@@ -287,6 +290,10 @@ class TouchedBody:
             high = self.edges[i - 1] if k > 1 else np.pi
             low = high - (_turn(high - self.edges[i]) % (2 * np.pi) if k > 1 else 2 * np.pi)
             t = np.linspace(low, high, 4001 if self.radius else 1)
+            if self.radius:  # and where the arc leaves the whisker's reach, to the tip
+                ends = self._crossings(self.corners[i], reach)
+                ends = high - (high - ends) % (2 * np.pi)
+                t = np.append(t, ends[ends >= low])
             arc = self.corners[i][:, None] + self.radius * np.stack([-np.sin(t), np.cos(t)])
             places.append(arc)
             features += [2 * i] * arc.shape[1]
@@ -305,6 +312,19 @@ class TouchedBody:
             places.append(start[:, None] + t * edge[:, None])
             features += [2 * i + 1] * t.size
         return np.concatenate(places, axis=1), np.array(features)
+
+    def _crossings(self, corner: Array, reach: float) -> Array:
+        """Tangents' angles at which the rounding of a corner is as far as the whisker reaches."""
+        size, bearing = float(np.hypot(*corner)), float(np.arctan2(corner[1], corner[0]))
+        if self.translates:
+            share, at = (corner[0] - reach) / self.radius, 0.0
+        else:
+            share = (size**2 + self.radius**2 - reach**2) / (2 * size * self.radius)
+            at = bearing
+        if abs(share) > 1:
+            return np.empty(0)
+        half = np.arcsin(share)
+        return at + np.array([half, np.pi - half])
 
     def _tangent_at(self, place: Array, feature: int) -> float:
         if feature % 2:

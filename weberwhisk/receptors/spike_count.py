@@ -362,7 +362,7 @@ class SpikeCount(ReceptorNoise):
             if part.number == 1:
                 continue
             low, high = np.log(part.lowest), np.log(part.highest)
-            spacing = max(high - low, 1e-4) / (part.number - 1)  # thresholds may all be one
+            spacing = np.maximum(high - low, 1e-4) / (part.number - 1)  # thresholds may all be one
             high = low + spacing * (part.number - 1)
             s_low, s_high = (
                 expit(part.exponent * (log_magnitude - edge))
