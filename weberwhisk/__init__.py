@@ -12,7 +12,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from ._deprecated import renamed_names
-from ._values import Shown
 
 __version__ = "0.1.0"
 
@@ -200,7 +199,6 @@ class _Package(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Package
-Shown._load_figures = staticmethod(lambda: import_module(".figures", __name__))
 
 
 def __getattr__(name: str) -> Any:

@@ -4,7 +4,8 @@ themselves in a line, as HTML in a notebook and as a figure."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from enum import IntEnum
 from html import escape
@@ -111,12 +112,11 @@ class Shown:
     """Base of results that show themselves.
 
     A result says what it found in `_line` and has its numbers in `_table`; `_figure` names the
-    function of `weberwhisk.figures` that draws it. Those stand above all results; the package
-    gives `_load_figures` when it is imported, so that no result imports a figure.
+    function of `weberwhisk.figures` that draws it. Those stand above all results, so that the
+    package is asked for them, and no result imports a figure.
     """
 
     _figure: ClassVar[str]
-    _load_figures: ClassVar[Callable[[], Any]]
 
     def _line(self) -> str:
         """The estimate, its interval and its status."""
@@ -147,7 +147,7 @@ class Shown:
         -------
         matplotlib.figure.Figure
         """
-        figures = Shown._load_figures()
+        figures = sys.modules[__package__].figures
         drawn: Figure = figures.shown(getattr(figures, self._figure), self, ax, options)
         return drawn
 

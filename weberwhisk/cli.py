@@ -14,7 +14,6 @@ import re
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -187,29 +186,13 @@ def _termination_unwinds() -> Iterator[None]:
 def progress(
     description: str, total: float, *, as_json: bool, every: float = 15.0
 ) -> Iterator[Callable[..., None]]:
-    """A progress bar on standard error, or without a terminal a line each so many seconds.
+    """Progress on standard error, as `campaign.shown` tells it; none where JSON is printed."""
+    if as_json:
+        yield lambda done=1.0: None
+        return
+    from .campaign import shown
 
-    Yields a function that takes how much more of `total` has been done, 1 by default.
-    """
-    from rich.console import Console
-    from rich.progress import Progress
-
-    terminal = sys.stderr.isatty()
-    with Progress(
-        console=Console(stderr=True), transient=True, disable=as_json or not terminal
-    ) as bar:
-        task = bar.add_task(description, total=total)
-        began = reported = time.monotonic()
-
-        def advance(done: float = 1.0) -> None:
-            nonlocal reported
-            bar.advance(task, done)
-            now = time.monotonic()
-            if not terminal and not as_json and now - reported >= every:
-                reported = now
-                share = bar.tasks[0].percentage
-                print(f"{description}: {share:.0f} % after {now - began:.0f} s", file=sys.stderr)
-
+    with shown(description, total, every=every) as advance:
         yield advance
 
 

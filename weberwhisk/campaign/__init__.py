@@ -135,12 +135,15 @@ def run(
         log = None if out is None else opened.enter_context(_log(out, job, name, title))
         sweep = _Sweep(job, log)
         if sweep.queue:
-            advance = opened.enter_context(
-                _shown(progress, title, len(sweep.lines), len(job.chunks))
-            )
+            done = len(sweep.lines)
+            if progress is None:
+                bar = shown(title or "Sweep", len(job.chunks), done=done)
+                progress = opened.enter_context(bar)
+            else:
+                progress(done)
             try:
                 executor = opened.enter_context(closing(_executor(sweep, workers, scheduler)))
-                sweep.finish(executor, advance)
+                sweep.finish(executor, progress)
             except WorkerStartupError:
                 raise CampaignError(
                     "workers end as soon as they start, and what they printed says why; a script "
@@ -349,42 +352,33 @@ def _check_chunks(chunks: Iterable[Chunk]) -> list[Chunk]:
     return plain
 
 
-class _Lines:
-    """Progress as plain lines on standard error, few of them: none where it takes seconds."""
-
-    def __init__(self, title: str, done: int, total: int, seconds: float = 15.0) -> None:
-        self._title, self._done, self._total, self._seconds = title, done, total, seconds
-        self._before, self._began = done, time.monotonic()
-        self._next = self._began + seconds
-
-    def advance(self, more: float) -> None:
-        self._done += int(more)
-        now = time.monotonic()
-        if now < self._next or self._done <= self._before:
-            return
-        self._next = now + self._seconds
-        each = (now - self._began) / (self._done - self._before)
-        left = str(timedelta(seconds=round(each * (self._total - self._done))))
-        text = f"{self._title}: {self._done} of {self._total}, about {left} left"
-        print(text, file=sys.stderr, flush=True)
-
-
 @contextmanager
-def _shown(
-    progress: Callable[[float], None] | None, title: str, done: int, total: int
-) -> Iterator[Callable[[float], None]]:
-    """What to tell of chunks that are done."""
-    if progress is not None:
-        progress(done)
-        yield progress
-        return
-    if not sys.stderr.isatty():
-        yield _Lines(title or "Sweep", done, total).advance
-        return
-    from rich.console import Console
-    from rich.progress import Progress
+def shown(
+    title: str, total: float, *, done: float = 0.0, every: float = 15.0
+) -> Iterator[Callable[..., None]]:
+    """Progress on standard error: a bar with the time left, or without a terminal a line each so
+    many seconds. Yields a function that takes how much more of `total` has been done, 1 by default.
+    """
+    now, began = done, time.monotonic()
+    told = began
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        # What was done before is no measure of how fast it goes now.
-        task = bar.add_task(title or "Sweep", total=total, completed=done)
-        yield lambda more: bar.advance(task, more)
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            # What was done before is no measure of how fast it goes now.
+            task = bar.add_task(title, total=total, completed=int(done))
+            yield lambda more=1.0: bar.advance(task, more)
+        return
+
+    def advance(more: float = 1.0) -> None:
+        nonlocal now, told
+        now += more
+        if time.monotonic() - told < every or now <= done:
+            return
+        told = time.monotonic()
+        left = timedelta(seconds=round((told - began) * (total - now) / (now - done)))
+        share = f"{100 * now / total:.0f} % after {told - began:.0f} s"
+        print(f"{title}: {share}, about {left} left", file=sys.stderr, flush=True)
+
+    yield advance

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import refuse_hinge
+from .._checks import angle, positive, refuse_hinge
 from .._values import Value
 from ..whisker import Whisker
-from . import closed_form, hinge, ladder
+from . import closed_form, elastica, hinge, ladder
 from .chebyshev import Array
 from .contact import Outcome, in_pieces
 from .shape import Law, Profile, Spiral
@@ -345,7 +345,9 @@ class ForwardModel(Value):
         if self.model == "closed_form":
             return closed_form.signal_jacobian(self.base, r, theta)
         if isinstance(self.surface, Surface):
-            return ladder.signal_jacobian(_straightened(self.base), r, theta)
+            r = positive("radial_distance", r, "give metres, such as 35e-3")
+            theta = angle("deflection_angle", theta, "give radians, such as 0.35")
+            return elastica.signal_jacobian(_straightened(self.base), r, theta)
         r, theta = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(theta, dtype=float))
         columns = []
         for at, to in ((r, (1.0, 0.0)), (theta, (0.0, 1.0))):
