@@ -104,7 +104,10 @@ def test_what_few_taps_leave_open_widens_the_distances() -> None:
         ({"drop": "moment_rate"}, "needs the columns"),
         ({"rows": 3}, "five taps or more"),
         ({"scale": ("radial_distance_mm", 1e3)}, "is not on a whisker"),
+        ({"scale": ("radial_distance_mm", 1e-3)}, "did you pass metres"),
         ({"scale": ("moment_rate", -1)}, "above zero"),
+        ({"scale": ("moment_rate", 1e6)}, "did you pass uN m/s"),
+        ({"scale": ("moment_rate", 40)}, "give angular_velocity"),
     ],
 )
 def test_refusals(change: dict, sentence: str) -> None:

@@ -13,7 +13,7 @@ import weberwhisk as ww
 from weberwhisk.cli import app
 from weberwhisk.contacts.columns import find_columns, planar, unit_factor
 from weberwhisk.contacts.lattice import Lattice, Readings
-from weberwhisk.contacts.rows import touch_posterior
+from weberwhisk.contacts.sums import _SPANS, touch_posterior
 
 C2 = ww.Whisker.from_identity("C2")
 KNOWN = ww.Whisker.from_identity("C2", youngs_modulus=3e9)
@@ -164,8 +164,6 @@ def _touch_readings(cue: ww.cues.Cue, seed: int, k: float) -> tuple[float, Latti
 @pytest.mark.parametrize(("soft", "k"), [(False, 0.1), (False, 0.3), (True, 0.1)])
 def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool, k: float) -> None:
     """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
-    from weberwhisk.contacts.rows import _SPANS
-
     _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), 4, k)
     clouds = lattice.clouds(readings)
     found = touch_posterior(clouds, readings, 0.95)
@@ -288,7 +286,10 @@ def test_refusals_are_one_sentence(table: dict, options: dict, sentence: str) ->
 @pytest.mark.parametrize(
     ("text", "kind", "factor"),
     [("N m", "moment", 1), ("mN·m", "moment", 1e-3), ("uNm", "moment", 1e-6), ("mN", "force", 1e-3),
-     ("micronewton", "force", 1e-6), ("uN mm", "moment", 1e-9),
+     ("micronewton", "force", 1e-6), ("uN mm", "moment", 1e-9), ("Newton meters", "moment", 1),
+     ("millinewton-meter", "moment", 1e-3), ("µN⋅m", "moment", 1e-6), ("°", "angle", np.pi / 180),
+     ("uN m s^-1", "moment_rate", 1e-6), ("rad per second", "angular_velocity", 1),
+     ("deg s⁻¹", "angular_velocity", np.pi / 180),
      ("degrees", "angle", np.pi / 180), ("N m/s", "moment_rate", 1),
      ("kg", "force", None), ("mN", "moment", None), ("mrad", "angle", None)],
 )  # fmt: skip

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
-from .. import _checks
+from .. import _checks, domain
 from .._values import Shown
 from ..cues import Cue
 from ..cues.protocol import Felt
 from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
-from .columns import read_contacts
+from .columns import likely_prefix, read_contacts
 
 Array = NDArray[np.float64]
 
@@ -174,7 +174,8 @@ def calibrate(
     ------
     ValueError
         For columns that are not there, fewer than five taps or four distances, distances that are
-        not on the whisker, and slopes that are not positive.
+        not on the whisker or seem to be in metres, and slopes that are not positive or, unless
+        they are counts, not of the unit that they should be.
 
     Examples
     --------
@@ -190,7 +191,7 @@ def calibrate(
     _checks.kind("whisker", whisker, "a Whisker", "length", "write Whisker.from_identity('C2')")
     _checks.refuse_hinge(whisker, "calibrate, which finds the hinge itself,")
     draws = _checks.whole("draws", draws, "write 20000, say", least=1000)
-    r, y, by_velocity = _taps(table, whisker, columns, units)
+    r, y, by_velocity = _taps(table, whisker, columns, units, counts)
     places = np.unique(r)
     rng = _checks.generator(seed)
     mode, covariance = _mode(r, y, whisker, hinge)
@@ -245,9 +246,11 @@ def _as_found(x: Array, whisker: Whisker, counts: bool) -> tuple[Whisker, Hinged
     return found, HingedTap(give, float(scale / found.compliance_constant) if counts else 1.0)
 
 
-def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array, Array, bool]:
+def _taps(
+    table: Any, whisker: Whisker, columns: Any, units: Any, counts: bool
+) -> tuple[Array, Array, bool]:
     """Distances, m, and slopes of the taps; whether these were divided by a velocity."""
-    raw, si, _ = read_contacts(table, columns, units)
+    raw, si, found = read_contacts(table, columns, units)
     if "radial_distance_mm" not in raw or "moment_rate" not in si:
         raise ValueError(
             "A calibration needs the columns radial_distance_mm and moment_rate; map the slope "
@@ -268,8 +271,24 @@ def _taps(table: Any, whisker: Whisker, columns: Any, units: Any) -> tuple[Array
             f"A distance of {1e3 * r[off][0]:g} mm is not on a whisker of "
             f"{1e3 * whisker.length:g} mm; radial_distance_mm is in millimetres."
         )
+    if np.median(r) < domain.CONTACTS[0] * whisker.length:
+        raise ValueError(
+            f"Half of the taps are nearer than {1e3 * np.median(r):.2g} mm, on a whisker of "
+            f"{1e3 * whisker.length:g} mm: did you pass metres? radial_distance_mm is in "
+            "millimetres."
+        )
     if np.any(y <= 0):
         raise ValueError(f"Slopes must be above zero, got {y[y <= 0][0]:g}; leave such taps out.")
+    usual = whisker.compliance_constant * _slope(r, max(whisker.apex_distance, 1.01 * r.max()), 0.0)
+    times = float(np.median(y / usual))
+    if not counts and not 0.01 < times < 30:
+        column, factor, _ = found["moment_rate"]
+        unit = likely_prefix(times, factor) + "N m/s"
+        raise ValueError(
+            f"{column!r} is {times:.2g} times what this whisker gives at 1 rad/s: did you pass "
+            f'{unit}? Write units={{"moment_rate": "{unit}"}}, give angular_velocity in rad/s, or '
+            "write counts=True (--counts) for a sensor's own units."
+        )
     return r, y, "angular_velocity" in si
 
 

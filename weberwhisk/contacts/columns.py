@@ -16,7 +16,12 @@ from ..tables import load_table
 Array = NDArray[np.float64]
 
 PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
-_WORDS = {"nano": "n", "micro": "u", "milli": "m", "kilo": "k"}
+#: Units as people write them, and signs for them.
+_WRITTEN = {
+    "[µμ]": "u", "°": "deg", "met(re|er)s?": "m", "newtons?": "N", "deg(ree)?s?": "deg",
+    "rad(ian)?s?": "rad", "sec(ond)?s?": "s", "nano": "n", "micro": "u", "milli": "m", "kilo": "k",
+    r"[\s_·⋅*.-]*s(\^?-1|⁻¹)": "/s", "_?per_?": "/", r"[\s_·⋅×*.-]": "", "Nm/rad": "Nm",
+}  # fmt: skip
 #: Units of each kind of quantity, without prefix, as they are written without blanks.
 _UNITS = {
     "moment": {"nm": 1.0, "nmm": 1e-3},
@@ -43,12 +48,9 @@ NAMES = {**QUANTITIES, **{f"{name}_sd": kind for name, kind in QUANTITIES.items(
 
 def unit_factor(text: str, kind: str) -> float | None:
     """SI units in a unit as people write it; None where it is none of that kind."""
-    plain = text.strip().replace("µ", "u").replace("μ", "u").replace("°", "deg")
-    plain = re.sub(r"newton", "N", plain.replace("metres", "m").replace("metre", "m"))
-    plain = re.sub(r"degrees?", "deg", re.sub(r"radians?", "rad", plain))
-    for word, prefix in _WORDS.items():
-        plain = plain.replace(word, prefix)
-    plain = re.sub(r"[\s_·*.]", "", re.sub(r"_?per_?", "/", plain)).replace("Nm/rad", "Nm")
+    plain = text
+    for written, sign in _WRITTEN.items():
+        plain = re.sub(written, sign, plain, flags=re.IGNORECASE)
     for unit, factor in _UNITS[kind].items():
         if plain.lower() == unit:
             return factor
@@ -145,6 +147,16 @@ def _of(
         if factor is not None:
             return column, factor, True
     return column, 1.0, False
+
+
+def likely_prefix(times: float, factor: float) -> str:
+    """The prefix of a unit with which numbers, now `times` too large, would be as large as usual.
+
+    `factor` is the SI units in the unit in which they were read.
+    """
+    return min(
+        (p for p in PREFIX if p != "k"), key=lambda p: abs(np.log(times * PREFIX[p] / factor))
+    )
 
 
 def values_of(table: pd.DataFrame, column: str) -> Array:

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from ..coordinates import constrain_distance
 from ..cues import UnknownStiffness
@@ -364,68 +363,7 @@ class Lattice:
             left = np.delete(left, np.flatnonzero(near))
         return groups
 
-    # -- sums ----------------------------------------------------------------------------------
-
-    def summarise(self, cloud: Cloud, readings: Readings, mass: float) -> Summary:
-        """Sums over the cells for each of some alike readings."""
-        cells = cloud.cells
-        log = self.evidence(readings, cells.signals)
-        log += cells.log_prior + np.log(cloud.step).sum()
-        top, best = log.max(axis=1, keepdims=True), log.argmax(axis=1)
-        weight = np.exp(log - top)
-        total = weight.sum(axis=1, keepdims=True)
-        weight /= total
-        mean = weight @ cells.contact
-        middle = mean.mean(axis=0)  # off it, squares lose no digits
-        square = weight @ (cells.contact - middle) ** 2 - (mean - middle) ** 2
-        share = np.add.reduceat(weight, cloud.first, axis=1)
-        tails = np.array([(1 - mass) / 2, (1 + mass) / 2])
-        signals = cells.signals[best]
-        if self.soft is not None:
-            rows = range(len(best))
-            log_e = [self.match(readings.take([i]), signals[[i]])[0][0, 0] for i in rows]
-            signals = self.scaled(signals, np.array(log_e))
-        off = np.abs(readings.value - signals) / np.sqrt(self.variance(readings, signals))
-        ends = distances(self.observer, quantiles(share, cloud.layers, tails))
-        return Summary(
-            mean, np.sqrt(np.maximum(square, 0)), ends,
-            off.max(axis=1),
-            (weight.max(axis=1) < 0.8) & cloud.precise,
-        )  # fmt: skip
-
 
 def _whitened(inverse: Array, values: Array) -> Array:
     """Values (..., S) in units in which errors are independent and 1, by the roots' inverses."""
     return np.asarray(np.einsum("...ij,...j->...i", inverse, values))
-
-
-class Summary(NamedTuple):
-    """Of each of n posteriors: mean and sd (n, U), ends of the interval (n, 2).
-
-    And how many sds the best cell's signals are off, and whether the sums are reliable.
-    """
-
-    mean: Array
-    sd: Array
-    ends: Array
-    off: Array
-    precise: NDArray[np.bool_]
-
-
-def quantiles(share: Array, x: Array, probability: Array) -> Array:
-    """Quantiles (n, Q) of masses (n, J) on layers at evenly spaced coordinates x (J,).
-
-    Straight between the layers' edges in the probit of the probability: exact for a Gaussian.
-    """
-    step = x[1] - x[0] if len(x) > 1 else 1e-3
-    edges = np.append(x - step / 2, x[-1] + step / 2)
-    # From values at the middle to integrals over layers.
-    bend = np.diff(np.pad(share, ((0, 0), (1, 1))), 2, axis=1)
-    rise = np.cumsum(np.maximum(share + bend / 24, 0.0), axis=1)
-    rise = np.concatenate([np.zeros((len(rise), 1)), rise / rise[:, -1:]], axis=1)
-    z = ndtri(np.clip(rise, 1e-12, 1 - 1e-12))
-    out = np.empty((len(share), len(probability)))
-    for i, row in enumerate(z):
-        keep = np.flatnonzero(np.diff(row, prepend=-np.inf) > 1e-9)
-        out[i] = np.interp(ndtri(probability), row[keep], edges[keep])
-    return out

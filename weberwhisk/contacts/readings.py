@@ -21,7 +21,7 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import YOUNGS_MODULUS, Whisker
-from .columns import NAMES, PREFIX, Array, sides_of
+from .columns import NAMES, Array, likely_prefix, sides_of
 from .signals import AT_REST, CORRELATION
 
 
@@ -196,9 +196,7 @@ def check_magnitudes(observer: Observer, y: Array, found: Mapping[str, Any]) -> 
         part = {"moment": "moment_y", "axial_force": "force_x"}.get(name, "force_y")
         name = part if part in found else name
         header, factor, _ = found.get(name, (name, 1.0, False))
-        # The prefix with which the table's own numbers would be as large as usual.
-        sizes = {p: abs(np.log(2 * times * f / factor)) for p, f in PREFIX.items() if p != "k"}
-        unit = min(sizes, key=lambda p: sizes[p]) + unit
+        unit = likely_prefix(2 * times, factor) + unit
         raise ValueError(
             f"{header!r} is {'far above' if times > 1 else 'far below'} what this whisker gives, "
             f"{times:.2g} times the usual {name.replace('_', ' ')}: did you pass {unit}? Write "

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
+from scipy.stats import chi2
 
 from .. import _checks
 from ..mechanics import Profile
@@ -317,6 +318,29 @@ def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) 
         rows.append((z[0], *(np.pad(v, room, "edge") for v in values)))
         rows[-1][3][n:] = 0.0
     return Points(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def free_frames(bends: Array, false_alarms: float) -> NDArray[np.bool_]:
+    """Frames whose curvature is that of most: within the χ² of a robust covariance.
+
+    Concentration: mean and covariance of the frames that the last round found free, with the
+    covariance of what is cut off at the χ² put back.
+    """
+    size = bends.shape[1]
+    middle = np.median(bends, axis=0)
+    cut = 0.5
+    spread = np.diag((1.4826 * np.median(np.abs(bends - middle), axis=0)) ** 2 + 1e-18)
+    far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
+    free = far <= np.median(far)
+    for cut in (0.5, 0.5, 0.75, 0.95, 0.99, 0.99, 0.99, 0.99):
+        edge = chi2.ppf(cut, size)
+        # Of a Gaussian cut off there: what is left of its variance.
+        left = chi2.cdf(edge, size + 2) / cut
+        own = bends[free]
+        middle, spread = own.mean(axis=0), np.cov(own.T) / left + 1e-18 * np.eye(size)
+        far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
+        free = far <= (np.quantile(far, 0.5) if cut == 0.5 else edge)
+    return np.asarray(far <= chi2.isf(false_alarms, size))
 
 
 def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from .. import _checks
@@ -24,6 +24,7 @@ from .shapes import (
     Points,
     Shapes,
     contacts_of,
+    free_frames,
     in_plane,
     points_of,
     pole_of,
@@ -38,7 +39,6 @@ CORRELATION = "moment_transverse_corr"
 AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
 #: What is read off a shape, in the order of `Shapes.signals`.
 _SIGNALS = ("moment", "axial_force", "transverse_force", "shape_distance", "deflection_angle")
-Bools = NDArray[np.bool_]
 
 
 def tracked_signals(
@@ -91,7 +91,7 @@ def tracked_signals(
         `shape_distance_mm` and `shape_distance_sd_mm`, from the shape alone; with a pole also
         `pole_distance_mm` and `pole_distance_sd_mm`; `misfit`, χ² over its degrees of freedom;
         `side`, 1 where the push is towards +y of a whisker along +x (to the right in an image,
-        whose y runs down), −1 to the other side. Errors are those of tracking, but for where along
+        whose y runs down), −1 to the other side. Errors are those of tracking, also of where along
         the whisker its first point is, from which distances count; receptors come in with
         ``locate(…, noise=)``. The curvature at rest is
         `rest_curvature_per_m` + `rest_curvature_rate_per_m2` s. ``attrs["notes"]`` says what was
@@ -156,14 +156,15 @@ def tracked_signals(
     own, _, points = shapes.fit(start, points, extra, FREE)
     bends = own[:, 5:8]
     given = None if contact is None else contacts_of(tracking, table, contact)
-    free = _free(bends, false_alarms) if given is None else ~given
+    free = free_frames(bends, false_alarms) if given is None else ~given
     if free.sum() < 10:
         raise ValueError(
             f"The shape at rest takes ten frames without contact, got {int(free.sum())}; give a "
             "longer part of the video, or other contacts."
         )
     noise = _noise(shapes, own[free], points.take(free), extra)
-    extra = extra._replace(base_sd=noise)
+    slips = _slips(own[free], points.take(free))
+    extra = extra._replace(base_sd=max(noise, slips))
     points = points._replace(weight=points.weight / noise)
     rest = np.median(bends[free], axis=0)
     shared = np.cov(bends[free].T) * np.pi / 2 / free.sum()
@@ -172,21 +173,18 @@ def tracked_signals(
              f"{noise * unit:.2g} px."]  # fmt: skip
     if given is None:
         notes[0] += f" Contacts: where the shape differs, {100 * false_alarms:g} % false alarms."
-    middle = np.median(points.base.real) + 1j * np.median(points.base.imag)
-    along = np.real((points.base - middle) * np.exp(-1j * own[:, 0]))
-    scatter = 1.4826 * float(np.median(np.abs(along - np.median(along))))
-    if scatter > 3 * noise:
+    if slips > 2 * noise:
         notes.append(
-            f"The first points scatter by {1e3 * length * scatter:.2g} mm along the whisker, and "
-            "distances with them, which are from there; their sds leave this out."
+            f"The first points, from which distances are, are {1e3 * length * slips:.2g} mm (sd) "
+            "off along the whisker, as its tracked length tells: counted in the errors."
         )
     out = table[["frame"]].copy()
     out["time_s"] = table["frame"] / rate
     out["contact"] = ~free
     out["signals_from"] = FROM_SHAPE
     # The line that is nearest to it along the whisker.
-    for name, value in zip(AT_REST, (rest[0] - rest[2] / 6, rest[1] + rest[2]), strict=True):
-        out[name] = value / length ** (1 + AT_REST.index(name))
+    out[AT_REST[0]] = (rest[0] - rest[2] / 6) / length
+    out[AT_REST[1]] = (rest[1] + rest[2]) / length**2
     out["friction_angle_deg"] = np.degrees(friction_angle)
     if touched.size:
         some, first = points.take(touched), own[touched].copy()
@@ -261,27 +259,21 @@ def _scales(tracking: pd.DataFrame, ppm: float | None, rate: float | None) -> tu
     return float(out["pixels_per_mm"]), float(out["frame_rate"])
 
 
-def _free(bends: Array, false_alarms: float) -> Bools:
-    """Frames whose curvature is that of most: within the χ² of a robust covariance.
+def _slips(own: Array, points: Points) -> float:
+    """Sd of the error of first points along the whisker, lengths; 0 where none is clear.
 
-    Concentration: mean and covariance of the frames that the last round found free, with the
-    covariance of what is cut off at the χ² put back.
+    An error moves the first point outwards by as much as it shortens the whisker, where a follicle
+    that moves and a tip that is lost do one without the other: so it is minus the covariance of
+    the two (within 4 sd), where that is beyond three of its standard errors.
     """
-    size = bends.shape[1]
-    middle = np.median(bends, axis=0)
-    cut = 0.5
-    spread = np.diag((1.4826 * np.median(np.abs(bends - middle), axis=0)) ** 2 + 1e-18)
-    far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
-    free = far <= np.median(far)
-    for cut in (0.5, 0.5, 0.75, 0.95, 0.99, 0.99, 0.99, 0.99):
-        edge = chi2.ppf(cut, size)
-        # Of a Gaussian cut off there: what is left of its variance.
-        left = chi2.cdf(edge, size + 2) / cut
-        own = bends[free]
-        middle, spread = own.mean(axis=0), np.cov(own.T) / left + 1e-18 * np.eye(size)
-        far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
-        free = far <= (np.quantile(far, 0.5) if cut == 0.5 else edge)
-    return np.asarray(far <= chi2.isf(false_alarms, size))
+    base = points.base - np.median(points.base.real) - 1j * np.median(points.base.imag)
+    place = np.real(base * np.exp(-1j * own[:, 0]))
+    both = np.stack([place, np.abs(points.at[:, -1] - points.base)])
+    off = both - np.median(both, axis=1, keepdims=True)
+    most = 4 * 1.4826 * np.median(np.abs(off), axis=1, keepdims=True)
+    (own_place, shared), (_, own_length) = np.cov(np.clip(off, -most, most))
+    error = np.sqrt((own_place * own_length + shared**2) / len(base))
+    return float(np.sqrt(-shared)) if -shared > 3 * error else 0.0
 
 
 def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
