@@ -17,6 +17,8 @@ from weberwhisk.behaviour import (
     CueEncoding,
     Trials,
     checks,
+    compare_noise,
+    methods_paragraph,
     response_probability,
     simulate_moving,
     task_named,
@@ -393,3 +395,24 @@ def test_the_command_takes_a_table_of_distances(tmp_path, capsys, monkeypatch) -
     code, _, err = _run([*args[:4], *maps])
     assert code == 2
     assert "needs the whisker" in err
+
+
+def test_located_trials_are_read_back_compared_and_described(tmp_path) -> None:
+    nominal = ww.simulate_trials(
+        standards=[15e-3, 35e-3], encoding=ENCODING, trials_per_level=2, seed=1
+    )
+    trials, located = simulate_moving(
+        nominal, ENCODING, weber_fraction=0.1, scatter=2e-3, sd=0.3e-3, seed=2
+    )
+    measured = with_distances(trials, located, ENCODING)
+    again = ww.read_trials(measured.to_csv(tmp_path / "measured.csv"))
+    pd.testing.assert_frame_equal(again.frame, measured.frame)
+    fit = ww.fit_weber(again, encoding=ENCODING, priors=KNOWN)
+    assert "Stimuli are where the touches were located" in methods_paragraph(fit)
+    found = compare_noise(
+        trials, observer=ENCODING.observer, distances=located, priors=KNOWN, bias="none"
+    )
+    same = compare_noise(measured, encoding=ENCODING, priors=KNOWN, bias="none")
+    pd.testing.assert_frame_equal(found.table, same.table)
+    with pytest.raises(ValueError, match="column 'stimulus_1_sd', rows 1, 2, 3 and 33 more: -1 is"):
+        ww.read_trials(measured.table().assign(stimulus_1_sd=-1.0))

@@ -784,3 +784,33 @@ def test_power_of_other_sizes_says_nothing_of_the_plan() -> None:
     sizes = pd.DataFrame({"truth": ["tapered"], "trials": [40], "animals": [1]})
     sizes = sizes.assign(power=0.5, lower=0.4, upper=0.6)
     assert replace(plan, power=sizes).power_in_words() == ""
+
+
+def test_a_preregistration_says_what_each_hypothesis_is_fitted_with() -> None:
+    one, other = noises(taper(Whisker.from_identity("C2"))[0].encoding, [0.01, 0.02])
+    known = Priors(lapse_low=0.02, lapse_high=0.02)
+    other = replace(other, priors=known, bias="shared")
+    plan = Plan(Scheme([0.01, 0.02], [-1e-3, 1e-3]), [one, other], Goal(bayes_factor=10))
+    text = " ".join(preregistration(plan).split())
+    assert "lapse low ~ beta(0.7, 20)" in text
+    assert "lapse low ~ fixed at 0.02" in text
+    assert "the sd of all stimuli alike" in text
+    assert 'fit_weber with bias="shared"' in text
+
+
+def test_easy_trials_of_one_stimulus_are_told_by_one_noise() -> None:
+    """As of two they were a factor of √2 too hard: none was easy that is right in 95.5 %."""
+    asked = Hypothesis("x", IdentityEncoding(), task="yes/no", noise="equal-variance")
+    scheme, limits = Scheme([1.0], [-0.17, 0.17], 10), Constraints(easy_share=1.0)
+    Plan(scheme, [asked], Goal(half_width=0.2), constraints=limits)
+    with pytest.raises(ValueError, match="0 % of the trials are easy"):
+        Plan(scheme, [replace(asked, task="2AFC")], Goal(half_width=0.2), constraints=limits)
+    two = replace(asked, priors=Priors(bias=norm(1.5, 0.2)), bias="none")
+    assert two.usual_bias == 0.0
+
+
+def test_stimuli_in_another_unit_than_planned_are_refused() -> None:
+    plan = plan_experiment("C2", trials=2, runs=0)
+    metres = read_trials(plan.trials.assign(choice=1))
+    with pytest.raises(ValueError, match=r"stimuli are 0\.001 times as large"):
+        plan.analyse(metres, unit=1e-3)

@@ -555,3 +555,17 @@ def test_the_one_stimulus_of_every_row_is_the_standard() -> None:
     assert read_trials(stimuli).standards.tolist() == [1.0]
     two = pd.DataFrame({"stimulus_1": [1.0, 4.0], "stimulus_2": [4.0, 1.0], "choice": [1, 0]})
     assert read_trials(two).standards.tolist() == [2.0]  # either may be: the middle of the pair
+
+
+def test_tables_of_pandas_own_types_and_dates() -> None:
+    table = pd.DataFrame(
+        {"stimulus_1": [1, 1, 2, 2], "stimulus_2": [1.2, 0.8, 2.5, 1.6], "choice": [1, 0, None, 0]}
+    )
+    named = table.assign(session=["mon", "mon", "tue", "tue"], trial=[1, 2, 1, 2]).convert_dtypes()
+    trials = read_trials(named)
+    assert (trials.sessions, trials.n_missing) == (["mon", "tue"], 1)
+    dated = table.assign(session=pd.to_datetime(["2024-01-02"] * 2 + ["2024-01-03"] * 2))
+    assert read_trials(dated).sessions == ["2024-01-02", "2024-01-03"]
+    numbered = table.assign(session=pd.array([1, 1, 2, None], dtype="Int64"))
+    with pytest.raises(ValueError, match=r"row 4: empty; name the session"):
+        read_trials(numbered)

@@ -28,6 +28,7 @@ from .criticism import _Rows, check_fit
 from .effects import Drift, Effect, Floor, check_effects
 from .encodings import ConstantNoise, CueEncoding, Encoding, chosen_encoding, encoding_for
 from .fit import fit_weber
+from .located import at_touches
 from .result import WeberFit
 from .trials import Trials, check_trials
 from .verdict import strength
@@ -209,8 +210,12 @@ def compare_noise(
     """
     check_trials(trials)
     check_effects(effects)
-    encoded = chosen_encoding(encoding, None)
-    encoded = encoded or encoding_for(trials.scale, trials.log_unit, "weber")
+    observer, distances = (options.pop(name, None) for name in ("observer", "distances"))
+    if distances is not None:
+        trials, encoded = at_touches(trials, distances, encoding, observer)
+    else:
+        given = chosen_encoding(encoding, observer)
+        encoded = given or encoding_for(trials.scale, trials.log_unit, "weber")
     cells = trials.cells()
     noisiness = encoded.sd_per_weber_fraction(np.concatenate([cells.stimulus_1, cells.stimulus_2]))
     if noisiness.size and np.ptp(noisiness) <= 1e-9 * noisiness.max():

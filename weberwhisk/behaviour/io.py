@@ -18,6 +18,7 @@ from .tasks import TASKS, Task, task_named
 from .trials import (
     LABELS,
     SCALES,
+    SDS,
     Trials,
     in_millimetres,
     notes_of,
@@ -36,7 +37,9 @@ ANSWERS = {
     "correct": "2AFC percent correct",
     "n_correct": "2AFC percent correct",
 }
-NAMES = (*LABELS, "stimulus_1", "stimulus_2", "standard", "comparison", "log_ratio", "n", *ANSWERS)
+NAMES = (
+    *LABELS, "stimulus_1", "stimulus_2", "standard", "comparison", "log_ratio", "n", *ANSWERS, *SDS,
+)  # fmt: skip
 
 
 def read_trials(
@@ -62,7 +65,8 @@ def read_trials(
         `log_ratio` (stimulus 2 over stimulus 1); the answer as `choice` (which was greater,
         farther) or `correct`, or for counts `n` with `n_greater` or `n_correct`; and if there
         `subject`, `session`, `trial`. Stimuli in `stimulus_1_mm`, `standard_mm` and so on are
-        read in metres, unless one is mapped or goes by its plain name.
+        read in metres, unless one is mapped or goes by its plain name. `stimulus_1_sd` and
+        `stimulus_2_sd` are the sds of located places (`with_distances`), in the stimuli's unit.
     task : str, optional
         "2AFC", "2IFC", "2AFC percent correct", "3AFC percent correct", … Read off the answer's
         column where not given.
@@ -145,6 +149,8 @@ def read_trials(
     table = check.table
     metres = 1e3 if lengths else 1.0
     numbers = {c: check.numbers(c) / metres for c in (*stimuli, "standard") if c in table}
+    known = {*SDS} <= {*table}  # located places, as `Trials.table` has them
+    sds = {c: check.numbers(c, least=0.0) / metres for c in SDS if known}
     if scale == "linear":
         check.magnitudes(numbers, whisker)
     labels = {c: check.labels(c) for c in LABELS if c in table}
@@ -166,6 +172,7 @@ def read_trials(
             "stimulus_2": s2,
             "n": n.astype(np.int64),
             "count": count,
+            **sds,
         }
     )
     chosen = named or task_named(ANSWERS[answer])
@@ -245,17 +252,19 @@ class TableCheck:
         if self.problems:
             raise ValueError("\n".join(self.problems))
 
-    def numbers(self, column: str) -> Array:
-        """A column as floats; text, gaps and infinities are problems."""
+    def numbers(self, column: str, least: float = -np.inf) -> Array:
+        """A column as floats; text, gaps, infinities and what is below the least are problems."""
         cells = self.table[column]
         blank = _blank(cells)
-        values = pd.to_numeric(cells, errors="coerce").to_numpy(float)
+        values = _floats(cells)
         text = np.isnan(values) & ~blank
         if text.any():
             self.add(column, text, f"{cells[text].iloc[0]!r} is not a number; write digits alone.")
         lost = blank | np.isinf(values)
         if lost.any():
             self.add(column, lost, "empty, NaN or infinite; give the stimulus or remove the row.")
+        if (low := values < least).any():
+            self.add(column, low, f"{values[low][0]:g} is below {least:g}; correct it.")
         return values
 
     def magnitudes(self, numbers: Mapping[str, Array], whisker: Any) -> None:
@@ -291,13 +300,15 @@ class TableCheck:
     def labels(self, column: str) -> NDArray[Any]:
         """Subjects, sessions or trials: whole numbers where all are, else text without margins."""
         cells = self.table[column]
+        if cells.dtype.kind == "M":  # dates are names, not numbers of nanoseconds
+            cells = cells.astype("string")
         blank = _blank(cells)
         if blank.any() and column != "trial":
             self.add(column, blank, f"empty; name the {column} of every trial.")
-        values = pd.to_numeric(cells, errors="coerce")
-        whole = (values == values.round()) & (values.abs() < 2**53)
+        values = _floats(cells)
+        whole = (values == np.round(values)) & (np.abs(values) < 2**53)
         if column != "subject" and whole.all():
-            return values.to_numpy(np.int64)
+            return values.astype(np.int64)
         names = np.array([_plain(c) for c in cells], dtype=object)
         # A terminal obeys what is not printed, and a figure has no sign for it.
         hidden = np.array([isinstance(c, str) and not c.isprintable() for c in names], dtype=bool)
@@ -327,7 +338,7 @@ class TableCheck:
         return n, count
 
     def _counts(self, answer: str, blank: Flags) -> tuple[Array, Array]:
-        count = pd.to_numeric(self.table[answer], errors="coerce").to_numpy(float)
+        count = _floats(self.table[answer])
         columns = {answer: (count, blank)}
         n = np.full(count.shape, np.nan)
         if "n" in self.table:  # where it is not, that has been said
@@ -352,6 +363,11 @@ class TableCheck:
         return n, count
 
 
+def _floats(cells: pd.Series) -> Array:
+    """Numbers as floats, NaN for all else."""
+    return pd.to_numeric(cells, errors="coerce").to_numpy(float, na_value=np.nan)
+
+
 def _plain(label: Any) -> Any:
     """A label without margins, nor the apostrophe that keeps a spreadsheet from running it."""
     if not isinstance(label, str):
@@ -370,8 +386,8 @@ def _single_answers(
 ) -> tuple[Array, str]:
     if labels is None:
         truths = {True: 1, False: 0, "True": 1, "False": 0, "TRUE": 1, "FALSE": 0}
-        values = pd.to_numeric(cells.map(lambda c: truths.get(c, c)), errors="coerce")
-        kept = values.where(values.isin([0, 1])).to_numpy(float)
+        values = _floats(cells.map(lambda c: truths.get(c, c)))
+        kept = np.where(np.isin(values, [0, 1]), values, np.nan)
         remedy = "write 1 for correct and 0 for wrong"
         if answer == "choice":
             remedy = (
@@ -385,8 +401,8 @@ def _single_answers(
         )
         for label, which in labels.items()
     }
-    values = cells.map(_as_text).map(coded)
-    return values.to_numpy(float), f"choice_labels knows {', '.join(map(repr, coded))}"
+    remedy = f"choice_labels knows {', '.join(map(repr, coded))}"
+    return _floats(cells.map(_as_text).map(coded)), remedy
 
 
 def _as_text(cell: Any) -> str:

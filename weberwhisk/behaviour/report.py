@@ -328,6 +328,10 @@ def _of_one(fit: WeberFit) -> list[str]:
         f"{_counted(fit.standards.size, 'standard')}.",
         _encoded(fit.encoding, _NOISE[fit.noise]),
     ]
+    if fit.model.encodings.has_spread:
+        said.append(
+            "Stimuli are where the touches were located; each trial is integrated over the error."
+        )
     if isinstance(trials.task, SignedChoice) and not fit.effects:
         shared = "shared by all standards" if fit.bias == "shared" else fit.bias
         bias = f"; the bias b is {shared}" if fit.bias != "none" else ""

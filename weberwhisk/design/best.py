@@ -367,7 +367,12 @@ def _sites(
             continue
         easy = [
             easy_share(
-                Scheme([s], [-d, d], 1), encoded, animals.weber_fraction, limits.easy_proportion
+                Scheme([s], [-d, d], 1),
+                encoded,
+                animals.weber_fraction,
+                limits.easy_proportion,
+                hypotheses[0].task,
+                hypotheses[0].noise,
             )
             for d in sizes
         ]

@@ -93,7 +93,7 @@ class Hypothesis:
     @property
     def usual_bias(self) -> float:
         """None, but for a criterion, which is as the prior has it."""
-        if self.asked.bias_name != "criterion":
+        if self.asked.bias_name != "criterion" or self.bias == "none":
             return 0.0
         return float(self.priors.value("bias", 0.0))
 

@@ -246,7 +246,8 @@ class Plan(Shown):
                 "together=False."
             )
         check_metres(self.hypotheses)
-        self.constraints.check(self.scheme, first.encoding, self.animals.weber_fraction)
+        expected = self.animals.weber_fraction
+        self.constraints.check(self.scheme, first.encoding, expected, first.task, first.noise)
         for hypothesis in self.hypotheses:
             hypothesis.model(self.scheme)  # refuses what this one cannot feel
 
@@ -350,6 +351,13 @@ class Plan(Shown):
     def analyse(self, trials: Trials, *, unit: float = 1.0) -> AnalysisResult:
         """The planned analysis, of real data or simulated; see `weberwhisk.design.analyse`."""
         check_answers(trials, self.hypotheses[0].task, self.scheme.animals)
+        planned = np.median(self.scheme.cells().stimulus_2)
+        ratio = float(unit * trials.frame["stimulus_2"].median() / planned)
+        if planned > 0 and not 1 / 8 < ratio < 8:
+            raise ValueError(
+                f"{trials.source}: stimuli are {ratio:.3g} times as large as those planned; check "
+                "their unit: trial lists have mm, in columns called stimulus_1_mm and the like."
+            )
         return analyse(trials, self.hypotheses, together=self.together, unit=unit)
 
     def _line(self) -> str:

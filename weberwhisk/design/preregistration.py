@@ -5,7 +5,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
-from ..behaviour.encodings import described
+from ..behaviour.encodings import ConstantNoise, described
+from .hypotheses import Hypothesis
 from .plan import Plan
 from .scheme import easy_share
 from .trial_lists import ONE_STIMULUS
@@ -33,7 +34,8 @@ def preregistration(plan: Plan) -> str:
 def assumptions(plan: Plan) -> list[str]:
     """What the expected numbers hang on, a sentence each."""
     animals, first = plan.animals, plan.hypotheses[0]
-    easy = easy_share(plan.scheme, first.encoding, animals.weber_fraction)
+    k, task, noise = animals.weber_fraction, first.task, first.noise
+    easy = easy_share(plan.scheme, first.encoding, k, task=task, noise=noise)
     lines = [
         f"Weber fraction of the animals: median {animals.weber_fraction:g}, ln k with an sd of "
         f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
@@ -66,7 +68,7 @@ def _question(plan: Plan) -> str:
         if len(names) > 1
         else "How large is the Weber fraction k of this observer"
     )
-    return f"{asked}? {each}. Each compares two noisy signals, with an sd of k times the signal."
+    return f"{asked}? {each}. Each compares two noisy signals, whose sds go with k."
 
 
 def _design(plan: Plan) -> str:
@@ -117,7 +119,19 @@ def _size(plan: Plan) -> str:
 
 
 def _analysis(plan: Plan) -> str:
-    h = plan.hypotheses[0]
+    words = {h.name: _as_fitted(h, plan.together) for h in plan.hypotheses}
+    same = len({*words.values()}) == 1
+    said = [text if same else f"{name}: {text}" for name, text in words.items()]
+    return " ".join(
+        [
+            *said[: 1 if same else None],
+            "The Weber fraction is reported as the posterior median with its equal-tailed 95 % "
+            "interval.",
+        ]
+    )
+
+
+def _as_fitted(h: Hypothesis, together: bool) -> str:
     # A fit by itself shares one bias between the standards; one that differs would pass for a
     # difference between JND curves, so hypotheses leave it free, and the call says so.
     options = [f'bias="{h.bias}"', *([f'noise="{h.noise}"'] if h.noise != "weber" else [])]
@@ -125,10 +139,11 @@ def _analysis(plan: Plan) -> str:
     fitted = (
         f"All animals are fitted together (weberwhisk.fit_population {call}), which learns how "
         "their Weber fractions, lapses and biases spread"
-        if plan.together
+        if together
         else f"Each animal is fitted by itself by quadrature (weberwhisk.fit_weber {call})"
     )
     noise = "of its own stimulus" if h.noise == "weber" else "of the standard"
+    noise = "of all stimuli alike" if isinstance(h.encoding, ConstantNoise) else noise
     bias = {"none": "no response bias", "shared": "one response bias b",
             "per standard": "a response bias b for each standard"}[h.bias]  # fmt: skip
     chance = "P(second farther) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b)"
@@ -140,12 +155,12 @@ def _analysis(plan: Plan) -> str:
         for name in ("weber_fraction", *h.asked.lapses, "bias")
         if name != "bias" or h.bias != "none"
     )
+    if not any(h.priors.is_fixed(name) for name in h.asked.lapses):
+        rho = h.priors.lapse_correlation
+        priors += f"; normal scores of the two lapse rates correlate by {rho:g}"
     return (
-        f"{fitted}: {chance}, "
-        f"each signal with the sd {noise}, σ = k I, two lapse rates and {bias}. Priors (SciPy): "
-        f"{priors}; normal scores of the two lapse rates correlate by "
-        f"{h.priors.lapse_correlation:g}. The Weber fraction is reported as the posterior median "
-        "with its equal-tailed 95 % interval."
+        f"{fitted}: {chance}, each signal with the sd {noise}, σ in proportion to k, two lapse "
+        f"rates and {bias}. Priors (SciPy): {priors}."
     )
 
 

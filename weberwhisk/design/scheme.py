@@ -13,8 +13,9 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from ..behaviour.encodings import Encoding, checked_encoding
-from ..behaviour.psychometric import decision_variable, difference_sd, in_words, refuse_out_of_reach
+from ..behaviour.encodings import Encoding, checked_encoding, unit_encodings
+from ..behaviour.psychometric import difference_sd, in_words, refuse_out_of_reach
+from ..behaviour.tasks import task_named
 from ..behaviour.trials import Cells
 
 Array = NDArray[np.float64]
@@ -276,7 +277,14 @@ class Constraints:
         return _snapped(distance, self.step)
 
     @renamed_arguments(percept="encoding")
-    def check(self, scheme: Scheme, encoding: Encoding, weber_fraction: float = 0.1) -> None:
+    def check(
+        self,
+        scheme: Scheme,
+        encoding: Encoding,
+        weber_fraction: float = 0.1,
+        task: str = "2AFC",
+        noise: str = "weber",
+    ) -> None:
         """Refuse a scheme that breaks a constraint.
 
         Parameters
@@ -286,6 +294,8 @@ class Constraints:
             How the animal is expected to encode a stimulus; says which it can, and what is easy.
         weber_fraction : float
             Of the expected animal.
+        task, noise : str
+            As of a `Hypothesis`.
 
         Raises
         ------
@@ -318,7 +328,8 @@ class Constraints:
                     f"{said(off[worst])}; write {said(float(self.positions(at[worst])))}."
                 )
             refuse_out_of_reach(encoding, at, name)
-        share = easy_share(scheme, encoding, weber_fraction, self.easy_proportion)
+        easy = self.easy_proportion
+        share = easy_share(scheme, encoding, weber_fraction, easy, task, noise)
         if share < self.easy_share:
             raise ValueError(
                 f"{100 * share:.3g} % of the trials are easy (right in "
@@ -329,11 +340,19 @@ class Constraints:
 
 @renamed_arguments(percept="encoding")
 def easy_share(
-    scheme: Scheme, encoding: Encoding, weber_fraction: float, proportion: float = 0.95
+    scheme: Scheme,
+    encoding: Encoding,
+    weber_fraction: float,
+    proportion: float = 0.95,
+    task: str = "2AFC",
+    noise: str = "weber",
 ) -> float:
-    """Share of trials that an animal of this Weber fraction gets right that often, lapses aside."""
+    """Share of trials that an animal of this Weber fraction gets right that often, lapses and bias
+    or criterion aside."""
     cells = scheme.cells()
-    score = np.abs(decision_variable(encoding, cells.standard, cells.stimulus_2)) / weber_fraction
+    shown = cells.stimulus_1, cells.stimulus_2, cells.standard
+    encoded = unit_encodings(encoding, *shown, noise).encoded(weber_fraction)
+    score = np.ravel(np.abs(task_named(task).decide(encoded)[0]))
     return float(cells.n[score >= ndtri(proportion)].sum() / cells.n.sum())
 
 

@@ -304,7 +304,7 @@ def check_answers(trials: Trials, task: str, animals: int) -> None:
         {asked, task} <= {*alike} for alike in (TWO_STIMULI, ONE_STIMULUS)
     ):
         raise ValueError(
-            f"{trials.source}: what is planned is {task}, got trials of {asked}; write "
+            f"{trials.source}: the plan is of {task}, got trials of {asked}; write "
             f"read_trials(table, task={task!r})."
         )
     if animals > 1 and not trials.subjects:
