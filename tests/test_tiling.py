@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from analysis_scripts import load
+from scipy import stats
 from scipy.special import logit
 from short_forms import slow_but
 
@@ -263,6 +264,45 @@ def test_the_ends_of_an_interval_near_the_fold():
     claim = p.quantile_error(probability, of="deflection_angle")[0] / sd
     assert off.max() < 0.01
     assert np.all(off < 3 * claim + 0.002)  # the table's own steps
+
+
+SHARES, STEPS = [1.0, 5.0, 0.0, 4.0], np.arange(5)
+
+
+@pytest.mark.parametrize(
+    ("prior", "r", "theta"),
+    [
+        # One that leaves no angle at some distances, one that is infinite at an end.
+        ({"deflection_angle": stats.uniform(0.1, 0.2)}, (0, 50e-3), (0.1, 0.3)),
+        ({"deflection_angle": stats.beta(2, 0.5, 0.1, 0.2)}, (0, 50e-3), (0.1, 0.3)),
+        # Sharper than the first boxes: no reading, no contacts, or 13 sd off.
+        ({"radial_distance": stats.norm(31e-3, 1e-4)}, (30.4e-3, 31.6e-3), (0, 0.7)),
+        ({"deflection_angle": stats.norm(0.2, 5e-4)}, (0, 50e-3), (0.197, 0.203)),
+        # Leaps: 0.04 sd off, converged.
+        ({"radial_distance": stats.rv_histogram((SHARES, 0.01 * STEPS))()}, (0, 40e-3), (0, 1.2)),
+        ({"deflection_angle": stats.rv_histogram((SHARES, 0.15 * STEPS))()}, (0, 50e-3), (0, 0.6)),
+    ],
+    ids=["cut off", "infinite", "sharp", "sharp angle", "leaps", "leaping angle"],
+)
+def test_priors_of_all_kinds_are_summed(prior, r, theta):
+    """Beside midpoints of distance and angle."""
+    observer = ww.Observer(W, ForceMap(), Weber(0.2), prior)
+    reading = observer.noise.sample(observer.signals([31e-3, 0.2])[0], 3)
+    middles = [a + (b - a) * (np.arange(800) + 0.5) / 800 for a, b in (r, theta)]
+    contact = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1)
+    log = observer.log_likelihood(reading, contact)
+    for i, name in enumerate(observer.unknowns):
+        if name in prior:
+            log += prior[name].logpdf(contact[..., i])
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    p = ww.posterior(observer, reading)
+    assert p.status is Status.CONVERGED
+    for i, estimate in enumerate(p.estimates.values()):
+        mean = (weight * contact[..., i]).sum()
+        sd = np.sqrt((weight * (contact[..., i] - mean) ** 2).sum())
+        assert estimate.mean == pytest.approx(mean, abs=0.01 * sd)
+        assert estimate.sd == pytest.approx(sd, rel=0.01)
 
 
 def test_one_reading_and_many_have_the_same_posterior():

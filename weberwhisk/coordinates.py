@@ -99,6 +99,9 @@ class ContactCoordinates:
                     x[..., 1] - self._log_gain(out[..., 0], width)
                 )
                 out[..., 1] = low_angle + width * fraction
+                if "deflection_angle" in self.prior:  # whose density may be infinite at an end
+                    ends = np.nextafter(low_angle, np.pi), np.nextafter(low_angle + width, 0.0)
+                    out[..., 1] = np.clip(out[..., 1], *ends)
                 log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
         return out, log_jacobian
 
@@ -173,6 +176,12 @@ class ContactCoordinates:
                 lower, upper = ndtri(np.clip(below, 0, 1)), -ndtri(np.clip(above, 0, 1))
             out[..., i] = np.where(below < above, lower, upper)
         return np.clip(out, -9.0, 9.0)
+
+    @cached_property
+    def leaps(self) -> Mapping[str, Array]:
+        """Where priors of the bounded unknowns leap, by name."""
+        bounded = self.cue.unknowns[: self.bounded]
+        return {name: leaps(self.prior[name]) for name in bounded if name in self.prior}
 
     def angle_range(self, r: Array, contact: Array | None = None) -> tuple[float, Array]:
         """Lowest deflection angle and width of the range open at each distance.
@@ -276,6 +285,34 @@ def to_normal(distribution: Any, value: Array) -> Array:
     """Where on the standard normal a value of a distribution is."""
     below, above = distribution.cdf(value), distribution.sf(value)
     return np.where(below < above, ndtri(below), -ndtri(above))
+
+
+def leaps(distribution: Any) -> Array:
+    """Values inside its support at which a distribution's density leaps, as a histogram's does.
+
+    Examples
+    --------
+    >>> from scipy import stats
+    >>> leaps(stats.rv_histogram(([1, 3, 0, 2], [0.0, 1.0, 2.0, 3.0, 4.0]))()).round(6)
+    array([1., 2., 3.])
+    >>> leaps(stats.norm()).size, leaps(stats.uniform()).size
+    (0, 0)
+    """
+    ends = distribution.ppf(np.linspace(1e-6, 1 - 1e-6, 1025))
+    value = np.unique(np.concatenate([ends, np.linspace(ends[0], ends[-1], 2049)]))
+
+    def step(one: Array, other: Array) -> Array:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.nan_to_num(np.abs(distribution.logpdf(one) - distribution.logpdf(other)))
+
+    low, high = value[:-1], value[1:]
+    for _ in range(50):  # what is steep is less so over half of the way
+        some = step(low, high) > 0.05
+        low, high = low[some], high[some]
+        middle = (low + high) / 2
+        first = step(low, middle) > step(middle, high)
+        low, high = np.where(first, low, middle), np.where(first, middle, high)
+    return (low + high) / 2
 
 
 def family(distribution: Any) -> Any:

@@ -158,7 +158,8 @@ class Panels:
         cuts = np.concatenate([np.linspace(low, 0, 15), np.linspace(0, high, 17)])
         prior = self.observer.prior.get("radial_distance")
         if prior is not None:
-            r = prior.ppf(ndtr(np.linspace(-8, 8, 33)))
+            leaps = self.observer.space.leaps["radial_distance"]
+            r = np.append(prior.ppf(ndtr(np.linspace(-8, 8, 33))), leaps)
             near, far = self.observer.reach
             inside = r[np.isfinite(r) & (r > near) & (r < far)]
             cuts = np.concatenate([cuts, self.observer.coordinates(inside[:, None])[:, 0]])

@@ -148,6 +148,10 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
     blind = np.asarray(observer.noise.uninformative(seen)).reshape(*held.shape, -1)
     mixed = np.logical_and(blind.any(axis=1), ~blind.all(axis=1))
     kink = np.asarray(partly | np.any(mixed, axis=1))
+    for leap in observer.space.leaps.get("deflection_angle", ()):
+        least, largest = (f(contact[..., 1], axis=1) for f in (np.min, np.max))
+        beyond = 0.1 * (largest - least)  # the nodes end before the box does
+        kink |= (least - beyond < leap) & (leap < largest + beyond)
     score = observer.space.prior_scores(contact)
     each = [_lengths(observer, score, *view, held) for view in views]
     # Friction turns the sign of a force, which at one friction angle bends the density at one
@@ -343,6 +347,8 @@ def trunk(observer: Observer) -> Tiles:
     dim, bounded = likelihood_of(observer).dim, observer.bounded
     steps = (0.5, 1.0) if dim == len(observer.unknowns) == 2 else (1.0, 1.5)
     r_edges = np.linspace(-4.0, 4.2, round(8.2 / steps[0]) + 1)
+    if (leaps := observer.space.leaps.get("radial_distance")) is not None:
+        r_edges = np.union1d(r_edges, np.clip(observer.space.unconstrain_one(leaps, 0), -4.0, 4.2))
     axes = [r_edges]
     if bounded > 1:
         # From hardly any of the range of angles to all but nothing of it, at any distance.
@@ -352,11 +358,13 @@ def trunk(observer: Observer) -> Tiles:
         low, width = observer.space.angle_range(r)
         r, width = r[width > 0], width[width > 0]
         least = 1e-15 if low > 0 else 1e-24
-        ends = [
-            observer.coordinates(np.stack([r, low + width * f], axis=-1))[:, 1]
-            for f in (least, 1 - 1e-10)
-        ]
-        start, stop = ends[0].min(), ends[1][np.isfinite(ends[1])].max()
+        with np.errstate(divide="ignore"):  # rounding may leave no range
+            ends = [
+                observer.coordinates(np.stack([r, low + width * f], axis=-1))[:, 1]
+                for f in (least, 1 - 1e-10)
+            ]
+        first, last = (end[np.isfinite(end)] for end in ends)
+        start, stop = first.min(), last.max()
         axes.append(np.linspace(start, stop, int(np.ceil((stop - start) / steps[1])) + 1))
     axes += [np.linspace(-8.0, 8.0, 9 if dim == 2 else 3)] * (dim - bounded)
     corner = [
@@ -365,14 +373,53 @@ def trunk(observer: Observer) -> Tiles:
     ]
     count = len(corner[0])
     boxes = Boxes(corner[0], corner[1], np.arange(count, dtype=float), np.ones(count))
+    boxes = _as_sharp_as_priors(observer, boxes)
     parts = []
-    for i in range(0, count, CHUNK):
+    for i in range(0, len(boxes.low), CHUNK):
         some = among(boxes, slice(i, i + CHUNK))
         some = among(
             some, _weighted(observer.contact(nodes_of(some))[1], some).max(axis=1) > -200.0
         )
-        parts.append(Tiles(some, measured(observer, some)))
+        if len(some.low):
+            parts.append(Tiles(some, measured(observer, some)))
     return Tiles(joined([t.boxes for t in parts]), joined([t.nodes for t in parts]))
+
+
+def _as_sharp_as_priors(
+    observer: Observer, boxes: Boxes, *, longest: float = 9.0, most: int = 40_000
+) -> Boxes:
+    """Boxes cut where a prior of distance or angle has more than so many sd in one.
+
+    Between nodes further apart a prior of 0.1 mm was not seen at all.
+
+    Raises
+    ------
+    ValueError
+        For a prior so sharp that more than `most` boxes are needed.
+    """
+    dim = boxes.low.shape[1]
+    given = [i for i, n in enumerate(observer.unknowns[: observer.bounded]) if n in observer.prior]
+    unit = np.stack(np.meshgrid(*[[0.0, 1.0]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    kept: list[Boxes] = []
+    while given and len(boxes.low):
+        corners = boxes.low[:, None] + (boxes.high - boxes.low)[:, None] * unit
+        score = observer.space.prior_scores(observer.contact(corners)[0])[..., given]
+        least, largest = score.min(axis=1), score.max(axis=1)
+        cut = ((largest - least > longest) & (least < 9.0) & (largest > -9.0)).any(axis=1)
+        cut &= (boxes.high[:, 0] > -3.0) & (boxes.low[:, 0] < 3.0)  # all but 1e-4 of the reach
+        kept.append(among(boxes, ~cut))
+        score = score.reshape(len(score), *[2] * dim, -1)
+        spans = [np.abs(np.diff(score, axis=1 + i)).max(axis=tuple(range(1, dim + 2)))
+                 for i in range(dim)]  # fmt: skip
+        parts = np.where(np.stack(spans, axis=-1) > longest / 2, 2, 1)
+        boxes = _split(among(boxes, cut), parts[cut])
+        if sum(len(b.low) for b in kept) + len(boxes.low) > most:
+            names = " and ".join(observer.unknowns[i] for i in given)
+            raise ValueError(
+                f"The prior of {names} is too sharp for this cue; take what it knows as known, "
+                "with cues.ForceMap(deflection_angle=0.2), say."
+            )
+    return joined([*kept, boxes]) if given else boxes
 
 
 @lru_cache(maxsize=64)
