@@ -39,16 +39,7 @@ def renamed_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], An
 
 
 def renamed_arguments(**renamed: str) -> Callable[[Called], Called]:
-    """A decorator: keyword arguments ``old="new"`` are still taken.
-
-    Examples
-    --------
-    >>> @renamed_arguments(draws="n_readings")
-    ... def read(n_readings=1):
-    ...     return n_readings
-    >>> read(n_readings=3)
-    3
-    """
+    """A decorator: keyword arguments ``old="new"`` are still taken."""
 
     def decorate(function: Called) -> Called:
         @functools.wraps(function)

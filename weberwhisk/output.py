@@ -138,18 +138,8 @@ def locked(path: Path, seconds: float = -1.0) -> Iterator[None]:
 def to_json(value: Any) -> str:
     """Strict JSON of results: arrays, NumPy scalars, paths and outcomes included.
 
-    NaN and infinities, which JSON lacks, become null; members of an enumeration become their
-    names in lower case.
-
-    Raises
-    ------
-    TypeError
-        For anything that has no plain form.
-
-    Examples
-    --------
-    >>> to_json({"moment": np.array([1.5, np.nan])}).split()
-    ['{', '"moment":', '[', '1.5,', 'null', ']', '}']
+    NaN and infinities, which JSON lacks, become null; members of an enumeration become their names
+    in lower case. A TypeError for anything that has no plain form.
     """
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
 
@@ -179,20 +169,10 @@ def sync(path: Path) -> None:
 class Run:
     """One run of a command and the files it makes, as a context manager.
 
-    Parameters
-    ----------
-    out_dir : path or None
-        Folder for the files, made if it is missing. None: nothing is written.
-    command : str
-        Its name, the stem of its record.
-    inputs, seed : mapping and int
-        What was asked, for the record; see `to_json`.
-
-    Raises
-    ------
-    ValueError
-        If `out_dir` is not a folder, cannot be written, or holds a file of another origin under
-        a name that this run makes.
+    `out_dir` is the folder for the files, made if it is missing; without one nothing is written.
+    The `command` is the stem of its record, `inputs` and `seed` what was asked. Refused is what is
+    no folder, cannot be written, or holds a file of another origin under a name that this run
+    makes.
 
     Examples
     --------

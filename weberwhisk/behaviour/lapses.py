@@ -186,15 +186,7 @@ class BiasScales:
         return cls(unit * np.sinh(np.linspace(first, last, count)), unit)
 
     def onto(self, scales: ArrayLike) -> Array:
-        """Share of every node in the value at other scales, (..., S): a cubic spline's.
-
-        Examples
-        --------
-        >>> known = BiasScales.between(0.0, 2.0, unit=0.1)
-        >>> seen = -0.5 * np.log(known.nodes**2 + 0.1**2)  # a bias of none, seen with an sd of 0.1
-        >>> bool(abs(known.onto(0.3) @ seen + 0.5 * np.log(0.3**2 + 0.1**2)) < 1e-3)
-        True
-        """
+        """Share of every node in the value at other scales, (..., S): a cubic spline's."""
         wanted = np.asarray(scales, dtype=float)
         if self.nodes.size == 1:
             return np.ones((*wanted.shape, 1))

@@ -273,9 +273,11 @@ def levels_prior(
     """The belief that the levels shown bracket the thresholds: a log-logistic prior of k.
 
     Its median is the Weber fraction for which the two signals of the easiest pair shown lie 1.5 sds
-    of their difference apart, with a factor of 1.6 either way as one sd: from 0.6 to 3.8 sds in
-    95 %, so that but for lapses and bias 72 to 99.99 % of the answers to that pair are right. With
-    it lapses are believed to be Beta(0.5, 9.5) unless something else is said of them. Over a stated
+    (`easiest`) of their difference apart, with a factor of 1.6 either way as one sd (`spread`, of
+    ln k): from 0.6 to 3.8 sds in 95 %, so that but for lapses and bias 72 to 99.99 % of the answers
+    to that pair are right. Of several animals, an entry of `shown` each, it is the geometric mean;
+    of yes/no tasks the difference is that of one noisy signal from its criterion. With it lapses
+    are believed to be Beta(0.5, 9.5) unless something else is said of them. Over a stated
     population of animals and designs the RMSE of ln k is 0.23 (held out 0.21), and 0.28 (0.23) by
     default; `analyses/lapse_prior.md` has other medians, spreads and lapses.
 
@@ -286,23 +288,6 @@ def levels_prior(
       after another then disagree;
     - with a staircase: its easiest pair is where it began, and k comes out 20 to 60 % too high;
     - where levels may have been chosen badly: k comes out nearer to them than the answers say.
-
-    Parameters
-    ----------
-    shown : iterable of UnitEncodings
-        Of all pairs shown, an entry for each animal; the median is their geometric mean.
-    task : Task
-        The difference is between two noisy signals; of yes/no tasks it is that of one noisy signal
-        from its criterion.
-    easiest : float
-        Sds between the signals of the easiest pair, at the median.
-    spread : float
-        Sd of ln k.
-
-    Raises
-    ------
-    ValueError
-        Where part of the noise does not go with the Weber fraction, or no pair differs.
 
     Examples
     --------

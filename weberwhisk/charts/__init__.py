@@ -166,13 +166,7 @@ def measure_growth(*, full: bool = False) -> pd.DataFrame:
 
 
 def slope(count: Any, value: Any) -> float:
-    """Exponent of growth over the upper half of the sizes, by least squares; NaN of fewer than 2.
-
-    Examples
-    --------
-    >>> round(slope([1, 10, 100, 1000], [5, 5, 50, 500]), 6)
-    1.0
-    """
+    """Exponent of growth over the upper half of the sizes, by least squares; NaN of one size."""
     half = len(count) // 2
     x, y = (np.log(np.asarray(v, dtype=float)[-max(half, 2) :]) for v in (count, value))
     return float(np.polyfit(x, y, 1)[0]) if x.size > 1 else float("nan")

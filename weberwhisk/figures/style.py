@@ -60,13 +60,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def drawable(name: object, longest: int = 24) -> str:
-    """A name as the font can draw it: other characters by their code, no formula, cut if long.
-
-    Examples
-    --------
-    >>> drawable("Maus $1$ 鼠")
-    'Maus \\\\$1\\\\$ \\\\u9f20'
-    """
+    """A name as the font can draw it: other characters by their code, no formula, cut if long."""
     font = get_font(findfont(FontProperties()))
     known = font.get_charmap()
     drawn = (

@@ -41,26 +41,17 @@ FRICTION_COEFFICIENT = 0.48
 class ForwardModel(Value):
     """One whisker, and what its contacts are like beside where they are.
 
-    Parameters
-    ----------
-    whisker : Whisker or Profile
-    model : {"closed_form", "elastica", "profile"}, optional
-        Which model; by default the elastica of a straight whisker without friction, and the
-        planar beam's `PlanarSurface` of any other. The elastica and the closed form of a curved
-        one are those of the same taper, deflected by as much from rest. On a hinge, tables say how
-        much of a deflection bends the whisker, and a model that is named solves for the signals of
-        that.
-    friction : float or array
-        Friction angle, rad, as in `press`; arrays broadcast with the contacts.
-    offset : float or array
-        What is added to the curvature at rest, 1/m.
-    hinge : float or array, optional
-        Stiffness of the hinge, N m/rad; by default the whisker's own.
-    friction_range, offset_range, hinge_range : (float, float), optional
-        Of all that may be asked for; by default what is given.
-    azimuth : float or array, optional
-        Of contacts in space, rad, from the side that the whisker curves to: see `space_surface`.
-        By default contacts are in the plane of curvature, on that side.
+    A `model` that is named solves for every contact; by default it is the elastica of a straight
+    whisker without friction, and the planar beam's `PlanarSurface` of any other. The elastica and
+    the closed form of a curved one are those of the same taper, deflected by as much from rest. On
+    a hinge, tables say how much of a deflection bends the whisker, and a model that is named solves
+    for the signals of that.
+
+    The `friction` angle (rad, as in `press`), the `offset` added to the curvature at rest (1/m) and
+    the stiffness of the `hinge` (N m/rad, by default the whisker's own) are numbers or arrays that
+    broadcast with the contacts; their ranges are of all that may be asked for. With an `azimuth`,
+    rad, from the side that the whisker curves to, contacts are in space (see `space_surface`); by
+    default they are in the plane of curvature, on that side.
 
     Examples
     --------

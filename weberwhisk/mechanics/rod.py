@@ -89,34 +89,13 @@ def bend(
     poisson_ratio: float = POISSON_RATIO,
     tolerance: float = TOLERANCE,
 ) -> RodBending:
-    """Bend any whisker by a force in any direction across it.
+    """Bend any whisker by a force (N) in any direction across it, at an arc length (m).
 
-    Parameters
-    ----------
-    whisker : Whisker or Profile
-    arc_length, force : float or array
-        m; N.
-    direction : float or array
-        Angle of the force about the tangent at the contact, from the normal d₁, rad. 0 pushes to
-        +y as in the plane.
-    friction_angle : float or array
-        As for `profile.bend`.
-    plane : float or array
-        Roll of the plane of intrinsic curvature about the base tangent, rad.
-    poisson_ratio : float
-        ν, between −1 and 0.5.
-    tolerance : float
-
-    Returns
-    -------
-    RodBending
-        Stability is not judged when the force is given: outcome `HELD` means in balance.
-        `FLICKED_PAST` marks loads that wind the rod up past resolving.
-
-    Raises
-    ------
-    ValueError
-        For input that is not finite, and a friction angle of a right angle or more.
+    `direction` is the angle of the force about the tangent at the contact, from the normal d₁, rad:
+    0 pushes to +y as in the plane. `friction_angle` as for `profile.bend`; `plane` is the roll of
+    the plane of intrinsic curvature about the base tangent, rad; `poisson_ratio` lies between −1
+    and 0.5. Stability is not judged when the force is given: `HELD` means in balance,
+    `FLICKED_PAST` marks loads that wind the rod up past resolving.
 
     Examples
     --------
@@ -152,34 +131,14 @@ def press(
     tolerance: float = TOLERANCE,
     round_back: ArrayLike = False,
 ) -> RodBending:
-    """Press any whisker against a point in space.
+    """Press any whisker against a point (..., 3) in space, m, in the base frame.
 
     The point is moved on its sphere about the base, along the great circle from where the resting
     whisker meets that sphere, and the equilibrium followed for as long as it is stable, in all
     directions: a whisker may leave its plane, sideways past the point, where a model of the plane
-    alone would have it held.
-
-    Parameters
-    ----------
-    whisker : Whisker or Profile
-    point : array (..., 3)
-        (x, y, z) in the base frame, m.
-    friction_angle, plane, poisson_ratio, tolerance
-        As for `bend`.
-    round_back : bool or array
-        Whether the point got there by the longer arc of that circle, having been pushed by more
-        than half a turn.
-
-    Returns
-    -------
-    RodBending
-        Outcome `HELD`, or with NaN signals `FLICKED_PAST`, `SLIPPED_OFF_TIP`, `OUT_OF_REACH`, or
-        `STUCK` as in `profile.press`.
-
-    Raises
-    ------
-    ValueError
-        As for `bend`, and for a point without three components or at the base.
+    alone would have it held. `round_back` says that the point got there by the longer arc of that
+    circle, having been pushed by more than half a turn. The other arguments are those of `bend`,
+    the outcomes those of `profile.press`.
 
     Examples
     --------

@@ -38,12 +38,7 @@ _ALONG, _ACROSS = 40, 24  # nodes: more than the surface needs
 
 
 class Surface:
-    """Moment, axial and transverse force of one straight whisker at any contact.
-
-    Parameters
-    ----------
-    whisker : Whisker
-        With numbers, not arrays, for its fields; straight.
+    """Moment, axial and transverse force of one straight whisker (of numbers) at any contact.
 
     Examples
     --------
@@ -213,12 +208,6 @@ def tip_contacts(whisker: Whisker) -> tuple[Array, Array, Array]:
 
     A wall at the angle β from the whisker at first contact is met by the tip until the whisker is
     bent as much there; by the flank from then on.
-
-    Examples
-    --------
-    >>> r, theta, beta = tip_contacts(Whisker(50e-3, 100e-6, 5e-6))
-    >>> print("%.1f mm, %.2f rad" % (1e3 * np.interp(0.5, beta, r), np.interp(0.5, beta, theta)))
-    49.8 mm, 0.05 rad
     """
     r = whisker.length * (1 - np.linspace(0.0, 1.0, NODES)[:-1] ** 2)
     theta = np.nan_to_num(surface_of(whisker).limit(r)) * (1 - INSIDE)

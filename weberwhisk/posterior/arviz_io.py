@@ -175,26 +175,14 @@ class Shortfall(IntFlag):
 
 
 def split(x: ArrayLike) -> Array:
-    """Chains (..., chain, draw) halved, so that drift within one counts as disagreement.
-
-    Examples
-    --------
-    >>> split([[1.0, 2.0, 3.0, 4.0, 5.0]]).tolist()
-    [[1.0, 2.0], [4.0, 5.0]]
-    """
+    """Chains (..., chain, draw) halved, so that drift within one counts as disagreement."""
     x = np.asarray(x, dtype=float)
     half = x.shape[-1] // 2
     return np.concatenate([x[..., :half], x[..., -half:]], axis=-2)
 
 
 def rank_normalise(x: ArrayLike) -> Array:
-    """Normal scores of the ranks over chains and draws together; ties share their mean rank.
-
-    Examples
-    --------
-    >>> rank_normalise([[10.0, 2.0], [3.0, 3.0]]).round(3).tolist()
-    [[1.049, -1.049], [0.0, 0.0]]
-    """
+    """Normal scores of the ranks over chains and draws together; ties share their mean rank."""
     x = np.asarray(x, dtype=float)
     rows = x.reshape(-1, x.shape[-2] * x.shape[-1])
     # Mean ranks are whole or half numbers: a table replaces a quantile function per draw.
@@ -232,14 +220,7 @@ def rhat(x: ArrayLike) -> Array:
 
 
 def windowed_time(rho: Array, *, window: float = 5.0) -> Array:
-    """Integrated time of autocorrelations ``(..., lag)`` with Sokal's automatic window.
-
-    Examples
-    --------
-    >>> lag = np.arange(200)
-    >>> round(float(windowed_time(0.5 ** lag)), 4)     # exactly (1 + 0.5) / (1 - 0.5)
-    2.9999
-    """
+    """Integrated time of autocorrelations (..., lag) with Sokal's automatic window."""
     time = 2.0 * np.cumsum(rho, axis=-1) - 1.0
     enough = np.arange(rho.shape[-1]) >= window * time
     stop = np.where(enough.any(axis=-1), enough.argmax(axis=-1), rho.shape[-1] - 1)

@@ -29,25 +29,12 @@ from .result import checked_density
 class StackedSample:
     """Draws of B posteriors and what they are worth.
 
-    The C columns of `values` and of every statistic are the functions asked for or, without any,
-    the D coordinates. Statistics are of all steps after the burn-in; `values` holds an even
-    selection of them.
-
-    Attributes
-    ----------
-    values : array, shape (B, E, N, C)
-        N draws of each of the E independent ensembles, in order of time.
-    mean, sd, mcse_mean, mcse_sd : array, shape (B, C)
-        Moments and their Monte Carlo standard errors.
-    tau : array, shape (B, C)
-        Integrated autocorrelation time of the ensembles' means, in steps.
-    ess, rhat : array, shape (B, C)
-        Independent draws that would give the mean as well; rank-normalised split R-hat.
-    acceptance : array, shape (B,)
-    steps, burn_in : array of int, shape (B,)
-        Steps made by every walker, and how many of them were left out as burn-in.
-    shortfall : array of int, shape (B,)
-        `Shortfall` flags; 0 is converged.
+    `values` (B, E, N, C) are N draws of each of the E independent ensembles, in order of time, of
+    the C functions asked for or the coordinates. `mean`, `sd` and their Monte Carlo errors, the
+    integrated autocorrelation time `tau` of the ensembles' means in steps, the independent draws
+    `ess` that would give the mean as well, and the rank-normalised split `rhat`, (B, C), are of all
+    steps after the burn-in. So many `steps` were made by every walker, `burn_in` left out, and
+    `shortfall` has `Shortfall` flags, (B,).
     """
 
     values: Array
