@@ -17,12 +17,13 @@ from weberwhisk.cues import (
     SpaceMap,
     UnknownCurvature,
     UnknownHinge,
+    UnknownRoll,
     UnknownStiffness,
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.cues.space_map import IN_SPACE
 from weberwhisk.fusion import prior_draws
-from weberwhisk.jnd import fisher_jnd
+from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.mechanics import rod
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
 
@@ -226,8 +227,15 @@ def test_what_space_does_not_know_is_refused():
         ww.Observer(replace(CURVED, hinge_stiffness=1e-4), SpaceMap())
     with pytest.raises(ValueError, match="signal 'weight' is unknown"):
         SpaceMap(["moment", "weight"])
-    with pytest.raises(ValueError, match="it has to be known"):
+    with pytest.raises(ValueError, match="UnknownRoll has a prior of it"):
         SpaceMap(roll=None)
+    for cue in (ForceMap(), UnknownRoll(SpaceMap(), 0.3), UnknownStiffness(SpaceMap())):
+        with pytest.raises(ValueError, match="Only a SpaceMap tells of the roll"):
+            UnknownRoll(cue, 0.3)
+    with pytest.raises(ValueError, match="give the sd in rad"):
+        UnknownRoll(SpaceMap(), 0.0)
+    with pytest.raises(ValueError, match="without friction whose shape is known"):
+        Friction(UnknownRoll(SpaceMap(), 0.3))
 
 
 def test_directions_are_read_on_a_circle():
@@ -254,3 +262,175 @@ def test_directions_are_read_on_a_circle():
     assert curved.checked_reading([*shape[:3], 3.2, -3.1])[3:] == pytest.approx(
         [3.2, 2 * np.pi - 3.1]
     )
+
+
+def known_and_unknown(spread, **changed):
+    whisker = replace(CURVED, **changed)
+    return [ww.Observer(whisker, cue) for cue in (SpaceMap(), UnknownRoll(SpaceMap(), spread))]
+
+
+def test_a_rolled_whisker_is_one_that_is_not_turned_about_its_base():
+    cue, known = UnknownRoll(SpaceMap(IN_SPACE), 0.3), SpaceMap(IN_SPACE)
+    roll = np.array([0.7, -0.4, 2.0])
+    place = CONTACT * [1, 0.5, 1]
+    found = cue.signals(CURVED, np.column_stack([place, roll]))[0]
+    plain = known.signals(CURVED, place - [0, 0, 1] * roll[:, None])[0]
+    signals = dict(zip(IN_SPACE, plain.T, strict=True))
+    rolled = dict(zip(IN_SPACE, found.T, strict=True))
+    for y, z in (("force_y", "force_z"), ("moment_y", "moment_z")):
+        turned = (signals[y] + 1j * signals[z]) * np.exp(1j * roll)
+        assert rolled[y] + 1j * rolled[z] == pytest.approx(turned, rel=1e-9)
+    for name in ("moment", "axial_force", "transverse_force", "torsion", "torsion_angle"):
+        assert rolled[name] == pytest.approx(signals[name], rel=1e-9)
+    for i, angle in enumerate(roll):
+        same = SpaceMap(IN_SPACE, roll=angle).signals(CURVED, place[i])[0]
+        assert found[i] == pytest.approx(same, rel=1e-9)
+
+
+@pytest.mark.parametrize(("changed", "spread"), [({}, 1e-6), ({"curvature": 0.0}, 0.3)])
+def test_a_roll_that_is_known_or_has_no_effect_leaves_the_rest_as_it_is(changed, spread):
+    """Where the prior leaves nothing open, and where the whisker is straight."""
+    known, unknown = known_and_unknown(spread, **changed)
+    reading = known.read([30e-3, 0.25, 2.0], seed=4)
+    p, q = ww.posterior(known, reading), ww.posterior(unknown, reading)
+    assert p.status == q.status == ww.Status.CONVERGED
+    for name, exact in p.estimates.items():
+        found = q.estimates[name]
+        assert found.mean == pytest.approx(exact.mean, abs=1e-5 * exact.sd)
+        assert found.sd == pytest.approx(exact.sd, rel=1e-5)
+    assert q.log_evidence == pytest.approx(p.log_evidence, abs=1e-5)
+    assert q.estimates["roll"].mean == pytest.approx(0.0, abs=1e-4 * spread)
+    assert q.estimates["roll"].sd == pytest.approx(spread, rel=1e-4)
+    assert ("nothing tells the roll" in unknown.note) == (changed != {})
+
+
+def plain_sum(observer, reading, found, counts):
+    """Means and sds by midpoints in distance, deflection, azimuth and azimuth from the plane."""
+    cue, spread = observer.cue.cue, observer.cue.spread
+    draws = found.draws_of(2000, 1).reshape(-1, 4)
+    columns = [draws[:, 0], draws[:, 1], draws[:, 2] - draws[:, 3], draws[:, 2]]
+    low, high = ([c.mean() + s * 6.2 * c.std() for c in columns] for s in (-1, 1))
+    if columns[2].std() > 0.5:
+        low[2], high[2] = cue.roll - np.pi, cue.roll + np.pi
+    axes = [
+        a + (np.arange(n) + 0.5) / n * (b - a) for a, b, n in zip(low, high, counts, strict=True)
+    ]
+    place = np.stack(np.meshgrid(*axes[:3], indexing="ij"), axis=-1).reshape(-1, 3)
+    place = place[place[:, 1] > 0]
+    felt = cue.from_plane(observer.whisker, place)
+    logs, whole = [], []
+    for azimuth in axes[3]:
+        turned = np.full(len(place), azimuth)
+        signals, outcome = felt(turned)
+        held = outcome == Outcome.HELD
+        log = observer.noise.log_likelihood(reading, np.where(held[:, None], signals, 1.0))
+        roll = (turned - place[:, 2] - cue.roll + np.pi) % (2 * np.pi) - np.pi
+        logs.append(np.where(held, log, -np.inf) - 0.5 * (roll / spread) ** 2)
+        whole.append(np.column_stack([place[:, :2], turned, roll + cue.roll]))
+    weight = np.exp(np.concatenate(logs) - np.max(logs))
+    whole = np.concatenate(whole)
+    mean = weight @ whole / weight.sum()
+    return mean, np.sqrt(weight @ (whole - mean) ** 2 / weight.sum())
+
+
+@pytest.mark.parametrize(
+    ("signals", "roll", "spread", "k", "counts"),
+    [
+        (SPACE[:5], 0.0, 0.3, 0.1, (25, 25, 27, 21)),
+        pytest.param(SPACE, 0.5, 0.3, 0.03, (33, 33, 41, 33), marks=pytest.mark.slow),
+        pytest.param(SPACE[:5], -1.0, 2.0, 0.1, (41, 41, 96, 29), marks=pytest.mark.slow),
+        pytest.param(SPACE[:5], 0.0, 0.3, 0.3, (45, 45, 41, 29), marks=pytest.mark.slow),
+        pytest.param(
+            ("moment", "axial_force", "force_y", "force_z", "torsion"), 0.0, 0.3, 0.1,
+            (41, 41, 61, 33), marks=pytest.mark.slow,
+        ),
+    ],
+)  # fmt: skip
+def test_posteriors_of_an_unknown_roll_are_those_of_a_plain_sum(signals, roll, spread, k, counts):
+    cue = UnknownRoll(SpaceMap(signals, roll=roll), spread)
+    noise = [Weber(k), GeneralisedWeber(0, floor=k)]
+    if "torsion" in signals:  # components change sign
+        noise[1] = GeneralisedWeber(k, floor=[2e-6, 2e-6, 4e-8])
+    observer = ww.Observer(
+        CURVED, cue, Joint(noise, sizes=[2, 3] if "torsion" in signals else [3, len(signals) - 3])
+    )
+    reading = observer.read([30e-3, 0.25, 2.0, roll + 0.2], seed=4)
+    found = ww.posterior(observer, reading)
+    assert found.status == ww.Status.CONVERGED
+    mean, sd = plain_sum(observer, reading, found, counts)
+    for i, estimate in enumerate(found.estimates.values()):
+        off = max(2e-3, 3 * float(estimate.mean_error / estimate.sd))
+        assert estimate.mean == pytest.approx(mean[i], abs=off * sd[i])
+        assert estimate.sd == pytest.approx(sd[i], rel=off)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("spread", "k"), [(0.3, 0.03), (0.3, 0.1), (0.3, 0.3), (10.0, 0.1)])
+def test_intervals_of_an_unknown_roll_hold_the_contact_as_often_as_they_say(spread, k):
+    noise = Joint([Weber(k), GeneralisedWeber(0, floor=k)], sizes=[3, 2])
+    observer = ww.Observer(CURVED, UnknownRoll(SpaceMap(), spread), noise)
+    place = prior_draws(observer, 300, seed=6)
+    found = ww.posterior(observer, noise.sample(observer.signals(place)[0], 7))
+    for i, name in enumerate(observer.unknowns):
+        low, high = found.interval(0.95, of=name).T
+        value = place[:, i]
+        if name == "azimuth":  # in whichever turn
+            value = value + 2 * np.pi * np.round(((low + high) / 2 - value) / (2 * np.pi))
+        inside = np.mean((low <= value) & (value <= high))
+        assert abs(inside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300), name
+
+
+def test_jnds_count_what_is_not_known_of_the_roll():
+    place = np.array([[30e-3, 0.25, 1.5, 0.0]])
+    jnds = []
+    for spread in (1e-6, 0.1, 0.3):
+        known, unknown = known_and_unknown(spread)
+        jnds.append([weber_propagation(unknown, place)[0], fisher_jnd(unknown, place)[0]])
+    assert jnds[0] == pytest.approx(
+        [weber_propagation(known, place[:, :3])[0], fisher_jnd(known, place[:, :3])[0]], rel=1e-6
+    )
+    assert np.all(np.diff(jnds, axis=0) > 0)
+    curve = ww.jnd_curve(unknown, 30e-3, 0.25, n_readings=4, seed=1)
+    assert curve["posterior"][0] == pytest.approx(curve["fisher"][0], rel=0.3)
+
+
+@pytest.mark.parametrize("rolls", [False, True])
+def test_a_posterior_goes_on_beyond_half_a_turn(rolls):
+    """Turned by −1 rad a contact has the same posterior: it ended at the prior's end, at π."""
+
+    def observer(roll):
+        cue = SpaceMap(roll=roll)
+        return ww.Observer(CURVED, UnknownRoll(cue, 0.3) if rolls else cue)
+
+    ahead, behind = observer(0.0), observer(-1.0)
+    reading = ahead.cue.signals(CURVED, np.array([30e-3, 0.25, 3.12, 0.0][: 3 + rolls]))[0]
+    reading[3:] = [3.18, -3.05]
+    turned = reading - np.array([0, 0, 0, 1, 1])
+    p, q = ww.posterior(ahead, reading), ww.posterior(behind, turned)
+    assert p.status == q.status == ww.Status.CONVERGED
+    for name, found in q.estimates.items():
+        shift = 1.0 if name in ("azimuth", "roll") else 0.0
+        assert p.estimates[name].mean == pytest.approx(found.mean + shift, abs=1e-3 * found.sd)
+        assert p.estimates[name].sd == pytest.approx(found.sd, rel=1e-3)
+    assert p.interval(of="azimuth")[1] > np.pi
+
+
+def test_draws_and_laplace_agree_with_the_sums_of_an_unknown_roll():
+    _, unknown = known_and_unknown(0.3)
+    reading = unknown.read([30e-3, 0.25, 2.0, 0.2], seed=4)
+    p, q = (ww.posterior(unknown, reading, m, seed=1) for m in ("quadrature", "laplace"))
+    for name, exact in p.estimates.items():
+        assert q.estimates[name].mean == pytest.approx(exact.mean, abs=0.3 * exact.sd)
+    draws = p.draws_of(2000, 1)[0].reshape(-1, 4)
+    for i, estimate in enumerate(p.estimates.values()):
+        assert draws[:, i].mean() == pytest.approx(estimate.mean, abs=0.05 * estimate.sd)
+        assert draws[:, i].std() == pytest.approx(estimate.sd, rel=0.05)
+
+
+@pytest.mark.slow
+def test_an_unknown_stiffness_is_summed_on_a_curved_whisker_in_space_too():
+    """It met an IndexError: a grid of four unknowns serves it."""
+    observer = ww.Observer(CURVED, UnknownStiffness(SpaceMap(), 0.2))
+    found = ww.posterior(observer, observer.read([30e-3, 0.25, 2.0, 1.1], seed=4))
+    assert found.status == ww.Status.CONVERGED
+    assert abs(found.mean - 30e-3) < 3 * found.sd

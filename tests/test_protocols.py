@@ -215,6 +215,7 @@ def test_every_unknown_has_its_unit():
     conditions = [
         cues.Friction(ForceMap()), cues.UnknownCurvature(ForceMap(), 2.0),
         cues.UnknownHinge(ForceMap(), 0.5), cues.UnknownStiffness(ForceMap()),
+        cues.UnknownRoll(cues.SpaceMap(), 0.3),
     ]  # fmt: skip
     unknowns = {name for cue in (*(make() for make in CUES), *conditions) for name in cue.unknowns}
     assert unknowns - set(UNITS) == {"stiffness"}  # a ratio
@@ -284,6 +285,7 @@ GOOD = {  # what each class needs at least
     cues.Friction: (ForceMap(),),
     cues.UnknownCurvature: (ForceMap(), 5.0),
     cues.UnknownHinge: (ForceMap(), 0.3),
+    cues.UnknownRoll: (cues.SpaceMap(), 0.3),
     cues.Fused: (ForceMap(), Compliance()),
     cues.ComparativeLength: ([40e-3], [[-1e-3, 0.0]]),
     GeneralisedWeber: (0.1,),

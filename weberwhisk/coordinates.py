@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 UNITS = {
     "radial_distance": "m", "side": "m", "deflection_angle": "rad", "bearing": "rad",
     "azimuth": "rad", "friction_angle": "rad", "surface_tilt": "rad", "angular_velocity": "rad/s",
-    "curvature_offset": "1/m", "hinge_stiffness": "N m/rad",
+    "curvature_offset": "1/m", "hinge_stiffness": "N m/rad", "roll": "rad",
 }  # fmt: skip
 
 #: x₁ at the ends of the reach, as far as numbers go: the fraction 1e-32 and its mirror image.

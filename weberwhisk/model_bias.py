@@ -52,8 +52,17 @@ def why(observer: Any) -> str:
 
 
 def note(observer: Any) -> str:
-    """A named whisker's shape at rest that is taken as straight, and what a table is off by."""
-    return "; ".join(filter(None, (_shape_at_rest(observer), _table(observer))))
+    """A named whisker's shape that is taken as straight, an untold roll, and an imprecise table."""
+    return "; ".join(filter(None, (_shape_at_rest(observer), _roll(observer), _table(observer))))
+
+
+def _roll(observer: Any) -> str:
+    straight = observer.forward.is_plain or observer.solver == "elastica"
+    if "roll" not in observer.unknowns or not straight:
+        return ""
+    return (
+        "Of a whisker that is taken as straight nothing tells the roll: it is as its prior has it"
+    )
 
 
 def _table(observer: Any) -> str:

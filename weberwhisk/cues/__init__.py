@@ -8,7 +8,7 @@ from .force_map import ForceMap
 from .fused import Fused
 from .protocol import Cue
 from .space_map import SpaceMap
-from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownStiffness
+from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
 from .vibration import Vibration
 from .vibrissa_length import VibrissaLength
 
@@ -27,6 +27,7 @@ __all__ = [
     "TwoWhiskers",
     "UnknownCurvature",
     "UnknownHinge",
+    "UnknownRoll",
     "UnknownStiffness",
     "Vibration",
     "VibrissaLength",

@@ -51,7 +51,7 @@ class SpaceMap(Cue):
         A curved one's torsion is one more.
     roll : float
         Of the plane of curvature about the base tangent, rad: ω, y and z are then counted from a
-        side that is turned back by as much. It has to be known.
+        side that is turned back by as much. `UnknownRoll` is of one that is not known.
 
     Raises
     ------
@@ -61,9 +61,8 @@ class SpaceMap(Cue):
 
     Notes
     -----
-    Directions are read to whole turns. On a straight whisker a posterior goes on beyond an azimuth
-    of π; on a curved one, or with a prior of your own, it ends where the prior does: for contacts
-    about π write ``prior={"azimuth": scipy.stats.uniform(0, 2 * np.pi)}``.
+    Directions are read to whole turns, and a posterior goes on beyond an azimuth of π. A prior of
+    your own has ends, unless it is uniform over a whole turn.
 
     Components change sign, as a curved whisker's axial force does where it is pushed against its
     curvature: under Weber's law alone they would be known exactly there; give the noise a floor.
@@ -87,7 +86,7 @@ class SpaceMap(Cue):
         self, signals: Sequence[str] = (*SIGNALS, *DIRECTIONS), *, roll: float = 0.0
     ) -> None:
         names = one_or_more("signals", signals, IN_SPACE)
-        hint = "give radians, 0 where the whisker curves towards y: it has to be known"
+        hint = "give radians, 0 where the whisker curves towards y; UnknownRoll has a prior of it"
         roll = number("roll", roll, hint)
         self._set(signal_names=names, roll=roll)
 
@@ -124,29 +123,44 @@ class SpaceMap(Cue):
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], Felt]:
         """The signals as a function of the azimuth (...), the rest of the contact given."""
+
+        def at(plane: Array) -> Callable[[Array], Felt]:
+            whole = np.concatenate([contact, plane[..., None]], axis=-1)
+            return self.from_plane(whisker, whole, model=model)
+
+        if _is_flat(forward_of(whisker), model):
+            return at(np.zeros(contact.shape[:-1]))
+        return lambda azimuth: at(azimuth - self.roll)(azimuth)
+
+    def from_plane(
+        self, whisker: Whisker, contact: Array, *, model: str | None = None
+    ) -> Callable[[Array], Felt]:
+        """The signals as a function of the azimuth (...) of contacts (..., 3).
+
+        The third number of those is the azimuth from the plane of curvature, whatever its roll:
+        a whisker that is rolled by as much as the azimuth is more has the same, turned by it.
+        """
         forward = forward_of(whisker, model)
         self.forward(whisker, np.zeros(3))  # refuses what it does not know
-        r, push = contact[..., 0], contact[..., 1]
-        flat = forward.is_plain or model in ("elastica", "closed_form")
-        sizes = forward.signals(r, push) if flat else None
+        r, push, turn = np.moveaxis(contact, -1, 0)
+        if _is_flat(forward, model):
+            sizes, outcome = forward.signals(r, push)
+            moment, axial, across = np.moveaxis(sizes, -1, 0)
+            zero = np.zeros_like(moment)
+            force, bending, twist = (across, zero), (moment, zero), zero
+        else:
+            six, outcome = replace(forward, azimuth=turn).in_space(r, push)
+            axial, y, z, twist, m_y, m_z = np.moveaxis(six, -1, 0)
+            # Along the push and across it.
+            c, s = np.cos(turn), np.sin(turn)
+            force = c * y + s * z, c * z - s * y
+            bending = c * m_z - s * m_y, -c * m_y - s * m_z
 
         def turned(azimuth: Array) -> Felt:
-            if sizes is not None:
-                (moment, axial, across), outcome = np.moveaxis(sizes[0], -1, 0), sizes[1]
-                zero = np.zeros_like(moment)
-                force, bending, twist = (across, zero), (moment, zero), zero
-            else:
-                bent = replace(forward, azimuth=azimuth - self.roll)
-                six, outcome = bent.in_space(r, push)
-                axial, y, z, twist, m_y, m_z = np.moveaxis(six, -1, 0)
-                # Along the push and across it.
-                c, s = np.cos(azimuth - self.roll), np.sin(azimuth - self.roll)
-                force = c * y + s * z, c * z - s * y
-                bending = c * m_z - s * m_y, -c * m_y - s * m_z
             out = _named(self.signal_names, axial, force, twist, bending, azimuth)
             # A direction that is no number is none of a contact.
             off = (outcome == Outcome.HELD) & ~np.isfinite(azimuth)
-            found = np.where(off, np.int8(Outcome.OUT_OF_REACH), outcome) if off.any() else outcome
+            found = np.where(off, np.int8(Outcome.OUT_OF_REACH), outcome)
             out[found != Outcome.HELD] = np.nan
             return out, found
 
@@ -201,6 +215,11 @@ class SpaceMap(Cue):
         place, outcome = ForceMap().contact(whisker, pair)
         turn = np.where(outcome == Outcome.HELD, np.arctan2(-about[..., 0], about[..., 1]), np.nan)
         return np.concatenate([place, turn[..., None]], axis=-1), outcome
+
+
+def _is_flat(forward: ForwardModel, model: str | None) -> bool:
+    """Whether the whisker bends in the plane of its contact, or is taken to."""
+    return forward.is_plain or model in ("elastica", "closed_form")
 
 
 def _named(

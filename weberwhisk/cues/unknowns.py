@@ -1,13 +1,14 @@
 """Cues with one more unknown, of the whisker or of the contact, that has a prior of its own.
 
 Each wraps a cue and adds its unknown as the last: `UnknownStiffness`, `UnknownCurvature`,
-`UnknownHinge` and `Friction`, whose angle may be known as well. They nest.
+`UnknownHinge` and `Friction`, whose angle may be known as well. They nest; `UnknownRoll` is of
+`SpaceMap` alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -20,6 +21,7 @@ from ..mechanics.space_surface import SIX
 from ..receptors import ReceptorNoise
 from .force_map import SIGNALS
 from .protocol import Array, Cue, Felt, a_cue
+from .space_map import SpaceMap
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -288,6 +290,82 @@ class UnknownHinge(_Wrapped):
         from scipy.stats import lognorm
 
         return lognorm(self.spread, scale=self._median(whisker))
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UnknownRoll(_Wrapped):
+    """A `SpaceMap` of one more unknown, ``"roll"``: of the plane of curvature about the base, rad.
+
+    A whisker rolled by ρ and touched at the azimuth ω bends as one that is not, touched at ω − ρ;
+    its forces and moments are turned by ρ about the base tangent. So what tells of the roll is how
+    a curved whisker bends out of the plane of the contact. A straight one's roll tells of nothing,
+    and is as the prior has it.
+
+    Parameters
+    ----------
+    cue : SpaceMap
+    spread : float
+        Sd of the normal prior, rad, which is cut off half a turn to either side; its middle is the
+        cue's `roll`. Of some turns, any roll is as likely.
+
+    Raises
+    ------
+    ValueError
+        For a cue other than `SpaceMap`, and a spread that is not positive.
+
+    Examples
+    --------
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.cues import SpaceMap
+    >>> cue = UnknownRoll(SpaceMap(), 0.3)
+    >>> cue.unknowns
+    ('radial_distance', 'deflection_angle', 'azimuth', 'roll')
+    >>> w = Whisker(50e-3, 100e-6, 5e-6)
+    >>> signals, _ = cue.signals(w, [[30e-3, 0.2, 1.0, 0.0], [30e-3, 0.2, 1.0, 0.5]])
+    >>> bool((signals[0] == signals[1]).all())
+    True
+    """
+
+    cue: SpaceMap
+    spread: float
+    unknown: ClassVar[str] = "roll"
+
+    def __init__(self, cue: SpaceMap, spread: float) -> None:
+        if not isinstance(cue, SpaceMap):
+            raise ValueError(
+                f"Only a SpaceMap tells of the roll, got {cue!r}; write "
+                "UnknownRoll(SpaceMap(), 0.3), and a known roll as SpaceMap(roll=0.3)."
+            )
+        self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
+
+    @property
+    def all_but_last(self) -> SpaceMap:  # type: ignore[override]
+        """The cue of a straight whisker, whose roll tells of nothing."""
+        return self.cue
+
+    def _under(self, whisker: Any, value: Any = None) -> Any:
+        return whisker
+
+    def _prior(self, whisker: Any) -> Any:
+        from scipy.stats import truncnorm
+
+        ends = np.pi / self.spread
+        return truncnorm(-ends, ends, self.cue.roll, self.spread)
+
+    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
+        """The mechanics of contacts (..., 4), at their azimuths from the plane of curvature."""
+        contact = np.asarray(contact, dtype=float)
+        forward = self.cue.forward(whisker, contact[..., :3])
+        if forward.is_plain:
+            return forward
+        return replace(forward, azimuth=contact[..., 2] - contact[..., 3])
+
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+        """The cue's signals (..., S) of contacts (..., 4), and the outcome."""
+        contact = np.array(contact, dtype=float)
+        azimuth = contact[..., 2].copy()
+        contact[..., 2] -= contact[..., 3]
+        return self.cue.from_plane(whisker, contact[..., :3], model=model)(azimuth)
 
 
 #: Signals that are proportional to EI₀.

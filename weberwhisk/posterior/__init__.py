@@ -111,12 +111,8 @@ def posterior(
     known = np.asarray(given & ~nothing)
     if not known.any():
         solution = _of_nothing(len(observer.unknowns))
-    elif (factors := factors_of(observer)) is None:
-        solution = solve(observer, rows[known], seed, tolerance, progress)
     else:
-        size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
-        first = solve(factors.first, rows[known, :size], seed, tolerance, progress)
-        solution = with_factor(first, observer, factors, rows[known, size:])
+        solution = _solved(solve, observer, rows[known], seed, tolerance, progress)
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
@@ -140,6 +136,18 @@ def posterior(
         solution.draws_of,
         solution.quantile_error_of,
     )
+
+
+def _solved(
+    solve: Any, observer: Observer, rows: Array, seed: Seed, tolerance: float | None, progress: Any
+) -> Solution:
+    """Posteriors of readings (B, R), of each factor by itself where they are products."""
+    factors = factors_of(observer)
+    if factors is None:
+        return solve(observer, rows, seed, tolerance, progress)
+    size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
+    first = _solved(solve, factors.first, rows[:, :size], seed, tolerance, progress)
+    return with_factor(first, observer, factors, rows[:, size:])
 
 
 def _solver(method: str) -> Any:
@@ -222,11 +230,12 @@ class Factors(NamedTuple):
 
     An unknown that shares no signal with the others stands by itself: the azimuth of a contact in
     space is told by the directions of moment and force, which tell of nothing else. The posterior
-    is a product, and two unknowns and one cost less than three.
+    is a product, and two unknowns and one cost less than three. The roll of a straight whisker is
+    told by no signal at all, and is as its prior has it.
     """
 
     first: Observer
-    noise: ReceptorNoise
+    noise: ReceptorNoise | None
     signals: int
 
 
@@ -236,8 +245,9 @@ def factors_of(observer: Observer) -> Factors | None:
     if cue is None or not observer.forward.is_plain:
         return None
     own, size = len(cue.signal_names), len(observer.cue.signal_names)
-    noise, rest = observer.noise.part(size, 0, own), observer.noise.part(size, own, size)
-    if noise is None or rest is None:
+    noise = observer.noise.part(size, 0, own)
+    rest = observer.noise.part(size, own, size) if own < size else None
+    if noise is None or (rest is None and own < size):
         return None  # the noise of some signals of either kind is one
     prior = {name: observer.prior[name] for name in cue.unknowns if name in observer.prior}
     first = Observer(observer.whisker, cue, noise, prior, model=observer.model)
@@ -258,8 +268,10 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
 
     def density(x: Array, index: Index) -> Array:
         value = observer.last_unknown(x[..., 0])
-        signals = np.repeat(value[..., None], factors.signals, axis=-1)
-        log = factors.noise.log_likelihood(own[index, None], signals)
+        log = np.zeros(value.shape)
+        if factors.noise is not None:
+            signals = np.repeat(value[..., None], factors.signals, axis=-1)
+            log = factors.noise.log_likelihood(own[index, None], signals)
         return np.asarray(log - 0.5 * (x[..., 0] ** 2 + np.log(2 * np.pi)))
 
     ends = np.full((len(own), 1), 8.0)
@@ -269,7 +281,8 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
     best = np.take_along_axis(value, found.weights.argmax(axis=1)[:, None], axis=1)
     status = np.where(found.error[:, 0] < 1e-2, Status.CONVERGED, Status.IMPRECISE)
     signals = np.repeat(best, factors.signals, axis=-1)
-    status[is_outside(factors.noise, own, signals)] = Status.IMPROBABLE_READING
+    if factors.noise is not None:
+        status[is_outside(factors.noise, own, signals)] = Status.IMPROBABLE_READING
     value = value + half[:, None]
     mean, sd, error = found.mean[:, 0] + half, found.sd[:, 0], found.error[:, 0]
     last = len(observer.unknowns) - 1

@@ -18,7 +18,8 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
-from .grid import ModeGrid, OwnGrids, highest_points
+from .azimuths import AroundGrid, around, starts
+from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
 from .panels import panels_of
 from .result import (
@@ -109,7 +110,7 @@ def quadrature(
     found: list[_Found] = []
     left = np.arange(len(reading))
     if observer.forward.azimuth is not None:
-        found = _about_modes(observer, reading, wanted, progress)
+        found = _around(observer, reading, wanted, progress)
         left = np.setdiff1d(left, [f.rows[0] for f in found]).astype(np.intp)
     # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
     elif len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
@@ -136,18 +137,19 @@ def quadrature(
     return _solution(observer, reading, found, wanted)
 
 
-def _about_modes(observer: Observer, reading: Array, wanted: float, progress: Any) -> list[_Found]:
-    """What grids about the highest points find, of the readings that they serve."""
-    found = []
-    for start in range(0, len(reading), 64):
-        rows = np.arange(start, min(start + 64, len(reading)))
-        centre, root, alone = highest_points(observer, reading[rows])
-        for row, *about in zip(rows[alone], centre[alone], root[alone], strict=True):
-            grid = ModeGrid(observer, reading[[row]], *about)
+def _around(observer: Observer, reading: Array, wanted: float, progress: Any) -> list[_Found]:
+    """What slices of contacts in space find, of the readings that they serve."""
+    found: list[_Found] = []
+    frame = around(observer)
+    if frame is None:
+        return found
+    for row, start in enumerate(starts(frame, reading)):
+        if np.isfinite(start.height.max()):  # else no contact explains it
+            grid = AroundGrid(frame, start)
             if (grid.error <= wanted).all():
                 found.append(_Found(np.array([row]), grid, grid.moments, grid.error))
-            if progress:
-                progress(int(row) + 1, len(reading))
+        if progress:
+            progress(row + 1, len(reading))
     return found
 
 
