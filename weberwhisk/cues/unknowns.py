@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import number, one_or_more, positive_number, refuse_hinge
+from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..mechanics.space_surface import SIX
 from ..receptors import ReceptorNoise
@@ -333,7 +333,7 @@ class UnknownRoll(_Wrapped):
     def __init__(self, cue: SpaceMap, spread: float) -> None:
         if not isinstance(cue, SpaceMap):
             raise ValueError(
-                f"Only a SpaceMap tells of the roll, got {cue!r}; write "
+                f"Only a SpaceMap tells of the roll, got {shown(cue)}; write "
                 "UnknownRoll(SpaceMap(), 0.3), and a known roll as SpaceMap(roll=0.3)."
             )
         self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
