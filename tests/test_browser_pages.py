@@ -1,21 +1,27 @@
 """The pages of docs/browser in a headless Chromium, with Pyodide beside them and no network.
 
 Needs playwright (extra `browser`), a Chromium, npm and PyPI; skipped where playwright is not
-installed. ``WEBERWHISK_PYODIDE`` may name a folder with Pyodide unpacked.
+installed. ``WEBERWHISK_PYODIDE`` may name a folder with Pyodide unpacked, and ``WEBERWHISK_SITE``
+the documentation as built, whose pages are then looked at too.
 """
 
 from __future__ import annotations
 
 import functools
+import html
 import http.server
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import pytest
 
@@ -33,19 +39,26 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
         pass
 
 
+@contextmanager
+def _served(folder: Path) -> Iterator[str]:
+    """The address of a folder's pages, on a port of this machine."""
+    serve = functools.partial(_Quiet, directory=folder)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), serve) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The pages, built with Pyodide in their folder, on a port of this machine."""
+    """The pages, built with Pyodide in their folder."""
     out = tmp_path_factory.mktemp("browser") / "pages"
     source = os.environ.get("WEBERWHISK_PYODIDE", "registries")
     build = [sys.executable, ROOT / "docs" / "browser" / "build.py"]
     subprocess.run([*build, "--out", out, "--pyodide", source], check=True)
     (out / "bare.html").write_text("a page without our policy")
-    serve = functools.partial(_Quiet, directory=out)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), serve) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
+    with _served(out) as address:
+        yield address
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +173,79 @@ def test_a_plan_has_the_library_s_levels_and_lists(page: Any, site: str) -> None
     assert page.locator("table:has(caption:text-is('Levels')) tbody tr").count() == len(plan.levels)
     # The same lists, byte for byte, from another processor.
     assert plan.fingerprint[:16] in page.locator("details").text_content()
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The script that finds what keeps people from reading a page, from npm."""
+    folder = tmp_path_factory.mktemp("axe")
+    npm = ["npm", "pack", "--silent", "axe-core@4"]
+    subprocess.run(npm, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    with tarfile.open(next(folder.glob("*.tgz"))) as archive:
+        found = archive.extractfile("package/axe.min.js")
+        assert found is not None
+        return found.read().decode()
+
+
+def _faults(page: Any, axe: str) -> list[tuple[str, str]]:
+    page.evaluate(axe)
+    found = page.evaluate("axe.run()")["violations"]
+    serious = [one for one in found if one["impact"] in ("serious", "critical")]
+    return [(one["id"], one["nodes"][0]["html"]) for one in serious]
+
+
+def test_pages_that_run_can_be_read_by_all(chromium: Any, site: str, axe: str) -> None:
+    for scheme in ("light", "dark"):
+        context = chromium.new_context(color_scheme=scheme, bypass_csp=True)
+        for name in ("jnd", "fit", "plan"):
+            page = context.new_page()
+            page.goto(f"{site}{name}.html")
+            assert _faults(page, axe) == [], (scheme, name)
+        context.close()
+
+
+@pytest.fixture(scope="module")
+def documentation() -> Path:
+    if "WEBERWHISK_SITE" not in os.environ:
+        pytest.skip("WEBERWHISK_SITE names no site")
+    return Path(os.environ["WEBERWHISK_SITE"]).resolve()
+
+
+MAIN = ["index", "gallery", "cli", "start/index", "start/fit", "tutorials/figure_4", "theory/cues",
+        "validation/paper", "api/weberwhisk"]  # fmt: skip
+
+
+def test_main_pages_can_be_read_by_all_and_fit_a_phone(
+    chromium: Any, documentation: Path, axe: str
+) -> None:
+    with _served(documentation) as address:
+        for scheme in ("light", "dark"):
+            context = chromium.new_context(color_scheme=scheme)
+            for name in MAIN:
+                page = context.new_page()
+                page.route(lambda url: not url.startswith(address), lambda route: route.abort())
+                page.goto(f"{address}{name}.html")
+                assert _faults(page, axe) == [], (scheme, name)
+                page.set_viewport_size({"width": 390, "height": 844})
+                wide = page.evaluate("document.documentElement.scrollWidth")
+                assert wide <= 390, (scheme, name)
+                page.close()
+            context.close()
+
+
+def test_every_link_within_the_documentation_leads_somewhere(documentation: Path) -> None:
+    pages = {p: p.read_text("utf-8") for p in documentation.rglob("*.html")}
+    named = {page: set(re.findall(r'\b(?:id|name)="(.+?)"', text)) for page, text in pages.items()}
+    broken, seen = [], 0
+    for page, text in pages.items():
+        for found in re.findall(r'<(?:a|img|link|script)\b[^>]*?\b(?:href|src)="([^"]+)"', text):
+            link = urlsplit(html.unescape(found))
+            if link.scheme or link.netloc or "{{" in found:  # another site's, or a template's
+                continue
+            seen += 1
+            target = (page.parent / unquote(link.path)).resolve() if link.path else page
+            place = unquote(link.fragment)
+            if not target.exists() or (place and place not in named.get(target, {place})):
+                broken.append((page.name, found))
+    assert seen > 10_000
+    assert broken == []
