@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -71,6 +72,8 @@ def place(found: Place, ax: Axes | None = None) -> Axes:
         shades = [COLOURS[4], COLOURS[0]]
         ends = [*levels, float(found.log_density.max()) + 1.0]
         ax.tricontourf(x[kept], y[kept], found.log_density[kept], ends, colors=shades, alpha=0.6)
+        for shade, words in zip(shades, ("95 % of the posterior", "50 %"), strict=True):
+            ax.fill([], [], color=shade, alpha=0.6, label=words)
     major, minor, angle = found.ellipse()
     turn = np.linspace(0.0, 2 * np.pi, 90)
     u, v = major * np.cos(turn), minor * np.sin(turn)
@@ -80,7 +83,10 @@ def place(found: Place, ax: Axes | None = None) -> Axes:
     for name, whisker in found.observer.array.whiskers.items():
         touches = name in found.touching
         colour, width = ("black", 1.2) if touches else ("0.7", 0.5)
-        ax.plot(*_from_above(whisker), color=colour, linewidth=width)
+        label = "whiskers that touch" if touches else "others"
+        known = {str(line.get_label()) for line in ax.get_lines()}
+        ax.plot(*_from_above(whisker), color=colour, linewidth=width,
+                label=None if label in known else label)  # fmt: skip
     (left, right), (low, high) = ((a.min(), a.max()) for a in (x[kept], y[kept]))
     room = max(right - left, high - low) * 0.75
     ax.set(
@@ -90,7 +96,7 @@ def place(found: Place, ax: Axes | None = None) -> Axes:
         xlabel="to the right (mm)",
         ylabel="rostral (mm)",
     )
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01))
+    legend_above(ax)
     return ax
 
 
@@ -153,7 +159,7 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
         for whisker in array.whiskers.values():
             ax.plot(*_from_above(whisker), color="0.4", linewidth=0.4)
         ax.set(title=title, aspect="equal", xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-    figure.supxlabel("to the right (mm)")
+    figure.supxlabel("to the right (mm); lines: whiskers")
     figure.supylabel("rostral (mm)")
     return figure
 
@@ -225,7 +231,9 @@ def located(
             first = groups.first()
             ends = [first[f"touch_{name}"] for name in names]
             bars(ax, groups["place"].mean(), ends, 1, label="each touch")
-    ax.set_xlabel("row" if against is None else against.replace("_", " "))
+    ax.set_xlabel(
+        "row" if against is None else re.sub(" (ms?|mm)$", r" (\1)", against.replace("_", " "))
+    )
     legend_above(ax)
     return ax
 

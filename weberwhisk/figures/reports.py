@@ -372,6 +372,7 @@ def paper_3(
     here = np.abs(impact[:, None] - np.asarray(edge[1])).argmin(axis=0), np.arange(place.size)
     c.plot(place, np.where(white[here], edge[1], np.nan), "k--", linewidth=1)
     c.axhline(60, color="white", linewidth=0.8, linestyle=":")
+    c.text(place[0], 62, " 60°", color="white")
     figure.colorbar(shown, ax=c, pad=0.02, label="θ$_b$ (degrees)")
     c.text(0.86, 80, "flicked\npast", ha="center")
     c.text(0.98, 154, "whisking ends", ha="right")
