@@ -104,6 +104,8 @@ def test_six_signals_are_turned_into_the_plane_of_the_push() -> None:
                          "transverse_force": b.transverse_force})  # fmt: skip
     a, c = (ww.locate(t, KNOWN)["radial_distance_mm"] for t in (six, flat))
     np.testing.assert_allclose(a, c, rtol=1e-9)
+    a, c = (ww.locate(t, KNOWN)["radial_distance_mm"] for t in (six.iloc[:, :3], flat.iloc[:, 1:]))
+    np.testing.assert_allclose(a, c, rtol=1e-9)
     # Errors alike in all directions are those in the plane.
     for table, names in ((six, six.columns), (flat, flat.columns)):
         for name in list(names):
@@ -200,6 +202,17 @@ def test_touches_are_named_in_every_row() -> None:
     assert one["touch_sd_mm"].iloc[0] < 0.8 * one["sd_mm"].min()
     assert one["touch_lower_mm"].iloc[0] < 20 < one["touch_upper_mm"].iloc[0]
     assert found["touch_status"].tolist() == ["converged"] * 4 + ["no_touch"] * 2
+    each = ww.locate(table, KNOWN, touch=["a", "b", None, "a", "c", None])
+    lonely = each.iloc[[1, 4]]
+    for name in ("radial_distance_mm", "sd_mm", "lower_mm"):  # a touch of one row is that row
+        assert lonely[f"touch_{name}"].tolist() == lonely[name].tolist()
+    assert any("1 of 3 touches, such as 'a', have rows in" in n for n in each.attrs["notes"])
+    flag = table.assign(touch=table["touch"].eq(1))
+    with pytest.raises(ValueError, match="does not say which"):
+        ww.locate(flag, KNOWN, touch="touch")
+    t = flag["touch"]
+    named = (t & ~t.shift(fill_value=False)).cumsum().where(t)
+    assert ww.locate(flag, KNOWN, touch=named.tolist())["touch_sd_mm"].equals(found["touch_sd_mm"])
 
 
 def test_a_touch_of_a_curved_whisker_has_one_answer_and_rows_of_noise_its_side() -> None:
@@ -269,6 +282,8 @@ def test_an_empty_file_is_asked_for_what_its_rows_are(tmp_path: Path) -> None:
         ({"moment_uNm": [3e-6], "axial_force": [8e-5]}, {}, "far below .* did you pass N m\\?"),
         ({"moment": [3e-6], "axial_force": [8e-5]}, {"cue": ww.cues.SpaceMap()}, "leave cue out"),
         ({"moment": ["a"], "axial_force": [1e-5]}, {}, "holds text"),
+        ({"moment": [True], "axial_force": [1e-5]}, {}, "holds bool"),
+        ({("a", "moment"): [1e-6], ("a", "axial_force"): [1e-5]}, {}, "several levels"),
         ({"moment": [1e-6], "axial_force": [1e-5], "sd_mm": [1]}, {}, "already"),
         ({"moment": [1e-6], "axial_force": [1e-5]}, {"units": {"moment": "mm"}}, "no unit"),
         ({"moment": [1e-6], "axial_force": [1e-5]}, {"columns": {"moment": "M"}}, "no column"),

@@ -111,6 +111,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     tables = {name: ww.read_tracking(write(tmp_path)) for name, write in WRITERS.items()}
     assert tables["whiskers"]["length_px"].round(3).tolist() == [round(50 * 5**0.5, 3)] * 3
     assert tables["whiskers"]["x"][0].shape == (20,)
+    np.testing.assert_allclose(tables["whiskers"]["angle_deg"], np.degrees(np.arctan(2)), rtol=1e-6)
+    np.testing.assert_allclose(tables["whiskers"]["curvature_per_px"], 0.0, atol=1e-8)
     assert tables["whiskers"]["frame"].tolist() == [7, 7, 7]
     assert tables["hdf5"][["frame", "tip_x", "length_px"]].to_numpy().tolist() == [
         [3, 50, 51], [4, 60, 61]]  # fmt: skip
@@ -308,6 +310,29 @@ def test_a_whisker_without_its_first_keypoint_is_left_out(tmp_path: Path) -> Non
     assert found["frame"].tolist() == [0, 2]
     assert [v.tolist() for v in found["x"]] == [[0, 5, 10], [0, 10]]
     assert "2 whiskers have no likely first keypoint" in found.attrs["notes"][1]
+
+
+def test_points_out_of_order_and_from_the_tip_are_told(tmp_path: Path) -> None:
+    """Shuffled, twice, and of two whiskers in one: they run to and fro."""
+    whisker = ww.Whisker.from_identity("C2", curved=True)
+    video, _ = ww.simulate_tracking(whisker, 15e-3, frames=25, spacing_px=40.0, noise_px=0.1)
+    path = tmp_path / "points.csv"
+    points = video[["frame", "x", "y"]].explode(["x", "y"])
+    points.to_csv(path, index=False)
+    found = ww.read_tracking(path)
+    curvature = whisker.curvature / 20e3
+    np.testing.assert_allclose(found["curvature_per_px"][:5], curvature, rtol=0.05)
+    assert found["angle_deg"].abs().max() < 35
+    other = points.assign(y=points["y"] + 90)
+    for wrong in (points.sample(frac=1, random_state=1), pd.concat([points, points]),
+                  pd.concat([points, other])):  # fmt: skip
+        wrong.to_csv(path, index=False)
+        with pytest.raises(ValueError, match="run to and fro"):
+            ww.read_tracking(path)
+    points[::-1].to_csv(path, index=False)
+    assert any("if they run from the tip" in note for note in ww.read_tracking(path).attrs["notes"])
+    right = ww.read_tracking(path, face="left")
+    np.testing.assert_allclose(right["follicle_x"], found["follicle_x"])
 
 
 def test_whiskers_may_have_names(tmp_path: Path) -> None:

@@ -281,6 +281,8 @@ def test_false_alarms_are_as_stated_and_contacts_may_be_given() -> None:
         ("no points", {}, "measurements alone"),
         ("two whiskers", {}, "identity=0"),
         ("two whiskers", {"identity": 7}, "no whisker 7"),
+        ("twice", {"identity": "0"}, "Frame 0 has two rows"),
+        ("one frame", {}, "ten frames without contact, got 1"),
         ("", {"pixels_per_mm": 10}, "no more than it is long"),
         ("", {"pixels_per_mm": 20e3}, "a tenth of it is needed"),
         ("", {"contact": [True] * 40}, "ten frames"),
@@ -296,10 +298,12 @@ def test_what_is_missing_is_asked_for_in_a_sentence(
         video.attrs = {}
     if change == "no points":
         video = video.drop(columns=["x", "y"])
-    if change == "two whiskers":
-        attrs = video.attrs
-        video = pd.concat([video, video.assign(whisker=1)])
-        video.attrs = attrs
+    attrs = video.attrs
+    if change in ("two whiskers", "twice"):
+        video = pd.concat([video, video.assign(whisker=int(change != "twice"))])
+    if change == "one frame":
+        video = video.iloc[:1]
+    video.attrs = attrs
     with pytest.raises(ValueError, match=sentence) as caught:
         ww.tracked_signals(video, C2, **options)
     assert "\n" not in str(caught.value)

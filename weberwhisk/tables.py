@@ -25,8 +25,8 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
         return _numbered(source), "table"
     if not isinstance(source, str | Path):
         raise ValueError(
-            f"source must be a path or a DataFrame, got {_checks.shown(source)}; write "
-            "read_trials('file.csv')."
+            f"source must be a path or a DataFrame, got {_checks.shown(source)}; give a table of "
+            f"{row}s, or its file."
         )
     path = Path(source)
     if not path.is_file():

@@ -162,6 +162,8 @@ def likely_prefix(times: float, factor: float) -> str:
 def values_of(table: pd.DataFrame, column: str) -> Array:
     """A column as numbers, NaN where a cell holds none."""
     series = table[column]
+    if getattr(series.dtype, "kind", "O") in "bcmM":
+        raise ValueError(f"The column {column!r} holds {series.dtype}; write numbers.")
     out = pd.to_numeric(series, errors="coerce").to_numpy(dtype=float)
     text = series.notna().to_numpy() & np.isnan(out)
     blank = series.astype(str).str.strip().str.lower().isin(("", "nan", "na", "none"))
@@ -181,10 +183,13 @@ def planar(si: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     in the plane of the transverse force, whatever its azimuth.
     """
     six = [f"{kind}_{axis}" for kind in ("moment", "force") for axis in "xyz"]
-    if not {"moment_y", "moment_z"} <= set(si):
+    if {"moment_y", "moment_z"} <= set(si):
+        azimuth = np.arctan2(si["moment_z"], si["moment_y"])  # 0 of a row without a moment
+    elif {"force_x", "force_y", "force_z"} <= set(si):
+        azimuth = np.arctan2(si["force_y"], -si["force_z"])
+    else:
         return si
     out = {k: v for k, v in si.items() if k.removesuffix("_sd") not in six}
-    azimuth = np.arctan2(si["moment_z"], si["moment_y"])  # 0 of a row without a moment
     y, z = np.cos(azimuth), np.sin(azimuth)
     # Moment = contact × force: the force across the base, along the push.
     parts: dict[str, list[tuple[str, Any]]] = {
@@ -254,6 +259,8 @@ def read_contacts(
 def _table(table: Any) -> pd.DataFrame:
     if isinstance(table, pd.DataFrame):
         raw = table
+        if raw.columns.nlevels > 1:
+            raise ValueError("The table's columns have several levels; give each column one name.")
     else:
         raw, _ = load_table(table, "contact")
         raw = raw.copy()

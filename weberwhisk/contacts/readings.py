@@ -249,7 +249,9 @@ def from_shape(
     return profile.curved(Spiral(*rest)), cue, out, side
 
 
-def touches_of(raw: pd.DataFrame, touch: str | Sequence[Any]) -> NDArray[np.object_]:
+def touches_of(
+    raw: pd.DataFrame, touch: str | Sequence[Any], notes: list[str]
+) -> NDArray[np.object_]:
     """The touch of each row, None where it is in none."""
     if isinstance(touch, str):
         if touch not in raw.columns:
@@ -268,5 +270,19 @@ def touches_of(raw: pd.DataFrame, touch: str | Sequence[Any]) -> NDArray[np.obje
     out = np.empty(len(values), dtype=object)
     for i, value in enumerate(values):
         empty = value is None or value is False or pd.isna(value) or value == 0
-        out[i] = None if empty or str(value).strip() in ("", "0", "False") else value
+        out[i] = None if empty or str(value).strip().lower() in ("", "0", "false") else value
+    if any(str(value).strip().lower() == "true" for value in out):
+        raise ValueError(
+            "touch is True where there is a touch, and does not say which: all would be one. "
+            "Number them, in order of time by (t & ~t.shift(fill_value=False)).cumsum().where(t)."
+        )
+    first = [i for i in range(len(out)) if i == 0 or out[i] != out[i - 1]]
+    starts = pd.Series([out[i] for i in first], dtype=object).dropna()
+    again = starts[starts.duplicated()].unique()
+    if len(again):
+        notes.append(
+            f"{len(again)} of {starts.nunique()} touches, such as {again[0]!r}, have rows in "
+            "several places of the table: one touch each. If numbers begin anew in each trial or "
+            "whisker, number touches throughout."
+        )
     return out

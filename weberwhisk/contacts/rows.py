@@ -88,8 +88,8 @@ def locate(
     units : mapping, optional
         Units of our names, such as ``{"moment": "µN m"}``.
     touch : str or sequence, optional
-        A column, or a value a row, that numbers the touches; rows where it is empty, 0 or False
-        are in none. Rows of a touch share distance and stiffness.
+        A column, or a value a row, that numbers the touches throughout the table; rows where it
+        is empty, 0 or False are in none. Rows of a touch share distance and stiffness.
     noise : ReceptorNoise, optional
         By default the measurement errors alone where the table has them, else the cue's own noise:
         Weber's law with k = 0.1, and one degree of a measured angle. With both, they add, and
@@ -165,9 +165,12 @@ def locate(
             raise ValueError(f"The table has a column {name!r} already; rename or drop it.")
     notes: list[str] = []
     unsaid = [q for q, (_, _, said) in found.items() if not said]
+    several = [c for c in ("whisker", "identity") if c in raw and raw[c].nunique() > 1]
+    if several:
+        notes.append(f"The column {several[0]!r} names several whiskers: all rows are of one here.")
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
-    named = None if touch is None else touches_of(raw, touch)
+    named = None if touch is None else touches_of(raw, touch, notes)
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
         whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
     else:
@@ -208,7 +211,8 @@ def locate(
             found_rows[MEASURED][rows] = alone.numbers[:, 1]
     words = {"status": np.array([Status(s).name.lower() for s in status], dtype=object)}
     if named is not None:
-        numbers, words["touch_status"] = _of_touches(clouds, status, readings, named)
+        each = np.stack([found_rows[name] for name in RESULTS[:4]], axis=1)
+        numbers, words["touch_status"] = _of_touches(each, clouds, status, readings, named)
         found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
     errors = "its measurement errors" if covariance is not None else ""
     said = " and ".join(filter(None, [errors, f"{observer.noise!r}" if receptors else ""]))
@@ -288,9 +292,13 @@ def _prior_sd(observer: Observer) -> float:
 
 
 def _of_touches(
-    clouds: NDArray[np.object_], status: Array, readings: Readings, named: NDArray[np.object_]
-) -> tuple[Array, NDArray[np.object_]]:
-    """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status."""
+    alone: Array, clouds: NDArray[np.object_], status: Array, readings: Readings,
+    named: NDArray[np.object_],
+) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
+    """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status.
+
+    A touch of one row is that row, whose numbers are `alone`.
+    """
     numbers = np.full((len(named), 4), np.nan)
     words = np.full(len(named), "no_touch", dtype=object)
     touch = pd.Series(named, dtype=object)
@@ -298,10 +306,11 @@ def _of_touches(
     for each in touch.groupby(touch, sort=False).indices.values():
         rows = np.asarray(each)
         used = rows[good[rows]]
-        if not used.size:
-            words[rows] = "not_a_reading"
-            continue
-        found = touch_posterior(clouds[used].tolist(), readings.take(used), 0.95)
-        numbers[rows] = [1e3 * v for v in (found.mean, found.sd, *found.ends)]
-        words[rows] = "converged" if found.agree else "rows_disagree"
+        words[rows] = "converged" if used.size else "not_a_reading"
+        if used.size == 1:
+            numbers[rows] = alone[used]
+        elif used.size:
+            found = touch_posterior(clouds[used].tolist(), readings.take(used), 0.95)
+            numbers[rows] = [1e3 * v for v in (found.mean, found.sd, *found.ends)]
+            words[rows] = "converged" if found.agree else "rows_disagree"
     return numbers, words

@@ -327,8 +327,9 @@ def free_frames(bends: Array, false_alarms: float) -> NDArray[np.bool_]:
     covariance of what is cut off at the χ² put back.
     """
     size = bends.shape[1]
+    if len(bends) < 10:  # no shape at rest follows from so few
+        return np.ones(len(bends), dtype=bool)
     middle = np.median(bends, axis=0)
-    cut = 0.5
     spread = np.diag((1.4826 * np.median(np.abs(bends - middle), axis=0)) ** 2 + 1e-18)
     far = np.einsum("ni,ij,nj->n", bends - middle, np.linalg.inv(spread), bends - middle)
     free = far <= np.median(far)

@@ -223,12 +223,13 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
         )
     by = identified_by(tracking)
     known = sorted(tracking[by].unique().tolist())
-    if identity is None and tracking["frame"].duplicated().any():
+    if identity is None and len(known) > 1 and tracking["frame"].duplicated().any():
         raise ValueError(
             f"Several whiskers were tracked ({by} {_checks.listed(map(str, known), 6)}); say which "
             f"with identity={known[0]!r}, or leave out fur with read_tracking(shortest_px=…)."
         )
     if identity is not None:
+        identity = next((k for k in known if str(k) == str(identity)), identity)
         if identity not in known:
             raise ValueError(
                 f"There is no {by} {identity!r}; there are {_checks.listed(map(str, known), 6)}."
@@ -237,8 +238,8 @@ def _one_whisker(tracking: pd.DataFrame, identity: Any) -> pd.DataFrame:
     twice = tracking.loc[tracking["frame"].duplicated(), "frame"]
     if len(twice):
         raise ValueError(
-            f"Frame {twice.iloc[0]} has two whiskers of {by} {identity!r}; leave out fur with "
-            "read_tracking(shortest_px=…, follicles=…)."
+            f"Frame {twice.iloc[0]} has two rows of one {by}; leave out fur with "
+            "read_tracking(shortest_px=…, follicles=…), or rows that repeat."
         )
     enough = tracking["x"].map(len) >= 6
     if not enough.any():

@@ -90,6 +90,29 @@ def segment(*axes: NDArray[np.float64]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def angle_and_curvature(x: Any, y: Any) -> tuple[float, float]:
+    """Direction of points (n,) at the first, degrees from +x to +y, and mean curvature, 1/px.
+
+    Of the parabola in the length along them that is nearest; NaN for fewer than three.
+    """
+    z = np.asarray(x) + 1j * np.asarray(y)
+    if len(z) < 3:
+        return np.nan, np.nan
+    arc = np.append(0.0, np.cumsum(np.abs(np.diff(z))))
+    bend, start, _ = np.polyfit(arc, z, 2)
+    return float(np.degrees(np.angle(start))), float(
+        np.angle(1 + 2 * bend * arc[-1] / start) / arc[-1]
+    )
+
+
+def _runs_to_and_fro(axes: NDArray[np.float64]) -> bool:
+    """Whether points (D, n), by eighths of them, go twice as far as they reach."""
+    parts = np.array_split(axes, min(8, axes.shape[1]), axis=1)
+    means = np.array([part.mean(axis=1) for part in parts])
+    way = np.linalg.norm(np.diff(means, axis=0), axis=1).sum()
+    return bool(way > 2 * np.linalg.norm(means[:, None] - means, axis=2).max())
+
+
 def hdf5(path: Path, likelihood: float, notes: list[str]) -> pd.DataFrame:
     """WhiskiWrap's `summary`, a table of ndx-whisk anywhere in an NWB file, or poses."""
     import h5py
@@ -239,11 +262,18 @@ def segments(points: pd.DataFrame, path: Path, likelihood: float, notes: list[st
             raise ValueError(
                 f"{path.name}: {name} must be whole numbers from 0; is another column in its place?"
             )
-    rows = []
+    rows, wrong = [], 0
     for key, own in points.groupby(keys, sort=True):
         if len(own) > 1:
+            wrong += _runs_to_and_fro(own[axes].to_numpy(float).T)
             score = {"score": float(own["likelihood"].median())} if sure else {}
             row = {"whisker": 0, **dict(zip(keys, key, strict=True)), **score}
             row |= {"label": row["whisker"]} if len(keys) > 1 else {}
             rows.append({**row, **segment(*own[axes].to_numpy(float).T)})
+    if 2 * wrong > len(rows):
+        raise ValueError(
+            f"{path.name}: the points of a whisker run to and fro; give each whisker's once and in "
+            "order from follicle to tip, and several whiskers as individuals or in a column "
+            "whisker."
+        )
     return pd.DataFrame(rows)

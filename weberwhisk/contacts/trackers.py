@@ -16,7 +16,16 @@ from ..mechanics.shape import bent_shape
 from ..receptors import Seed
 from ..whisker import Whisker
 from .columns import Array
-from .tracker_files import hdf5, measurements, points, poses, segment, segments, whiskers
+from .tracker_files import (
+    angle_and_curvature,
+    hdf5,
+    measurements,
+    points,
+    poses,
+    segment,
+    segments,
+    whiskers,
+)
 
 #: Columns of every table, in order; what a file does not tell is NaN, and label is −1.
 COLUMNS = (
@@ -70,8 +79,9 @@ def read_tracking(
     -------
     DataFrame
         A row a segment: `frame`, `whisker`, `label` (the tracker's identity, −1 for none),
-        follicle and tip, `length_px`, `angle_deg`, `curvature_per_px`, `score`; `x`, `y` (and `z`),
-        arrays of points from the follicle, where the file has them; `length_mm` with
+        follicle and tip, `length_px`, `angle_deg` and `curvature_per_px` as the tracker has them or
+        else of the points (at the follicle, from +x to +y, and the mean), `score`; `x`, `y` (and
+        `z`), arrays of points from the follicle, where the file has them; `length_mm` with
         `pixels_per_mm` and `time_s` with `frame_rate`. ``attrs["notes"]`` says what is still
         needed.
 
@@ -139,6 +149,21 @@ def read_tracking(
             f"The face was taken to be at the {face}, where whiskers' ends move "
             f"{'least' if clear else 'hardly less'}; give face= if it is not."
         )
+    elif "x" in table and table["frame"].nunique() > 20:
+        own = table.groupby(identified_by(table))
+        first, last = (
+            own[[f"{end}_x", f"{end}_y"]].transform(lambda v: (v - v.median()).abs()).median().sum()
+            for end in ("follicle", "tip")
+        )
+        if last < 0.5 * first:
+            notes.append(
+                "Whiskers' last points move less than their first, from which distances are; if "
+                "they run from the tip, write face=."
+            )
+    if "x" in table and "z" not in table:
+        unknown = table["angle_deg"].isna() & table["curvature_per_px"].isna()
+        found = [angle_and_curvature(*v) for v in table.loc[unknown, ["x", "y"]].to_numpy()]
+        table.loc[unknown, ["angle_deg", "curvature_per_px"]] = np.reshape(found, (-1, 2))
     needed = []
     if pixels_per_mm is None:
         needed.append("pixels_per_mm")
