@@ -16,65 +16,80 @@ from ._deprecated import renamed_names
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from . import (
-        along_whisk,
-        array,
-        behaviour,
-        campaign,
-        contacts,
-        cues,
-        design,
-        figures,
-        many_touches,
-        mechanics,
-        places,
-        receptors,
-        sweeping,
-    )
-    from .array import WhiskerArray
-    from .behaviour import (
-        Comparison,
-        PopulationFit,
-        Trials,
-        WeberFit,
-        compare,
-        fit_population,
-        fit_weber,
-        read_trials,
-        simulate_population,
-        simulate_trials,
-    )
-    from .citing import cite
-    from .contacts import calibrate, locate, read_tracking, simulate_tracking, tracked_signals
-    from .design import plan_experiment, power, read_plan, simulate_study
-    from .figures.page import write_plan
-    from .fusion import added_information, fused_jnds, information
-    from .jnd import convert_jnd, criterion_factor
-    from .jnd_curves import JNDCurve, jnd_curve, jnd_sweep
-    from .many_touches import Touches, touches, touches_jnd
-    from .mechanics import (
-        Bending,
-        Choice,
-        FlickPast,
-        Model,
-        Outcome,
-        Parabola,
-        Profile,
-        Spiral,
-        bend,
-        choose_model,
-        flick_past,
-        press,
-        rest_angle,
-        signal_jacobian,
-        sticking,
-        sweep,
-    )
-    from .observer import Observer
-    from .place_maps import array_by_count, array_by_whisker, array_resolution
-    from .places import ArrayObserver, Place, place
-    from .posterior import Posterior, Status, posterior
-    from .whisker import Whisker, identities
+    from . import along_whisk as along_whisk
+    from . import array as array
+    from . import behaviour as behaviour
+    from . import campaign as campaign
+    from . import contacts as contacts
+    from . import cues as cues
+    from . import design as design
+    from . import figures as figures
+    from . import many_touches as many_touches
+    from . import mechanics as mechanics
+    from . import places as places
+    from . import receptors as receptors
+    from . import sweeping as sweeping
+    from .array import WhiskerArray as WhiskerArray
+    from .behaviour import Comparison as Comparison
+    from .behaviour import PopulationFit as PopulationFit
+    from .behaviour import Trials as Trials
+    from .behaviour import WeberFit as WeberFit
+    from .behaviour import compare as compare
+    from .behaviour import fit_population as fit_population
+    from .behaviour import fit_weber as fit_weber
+    from .behaviour import read_trials as read_trials
+    from .behaviour import simulate_population as simulate_population
+    from .behaviour import simulate_trials as simulate_trials
+    from .citing import cite as cite
+    from .contacts import calibrate as calibrate
+    from .contacts import locate as locate
+    from .contacts import read_tracking as read_tracking
+    from .contacts import simulate_tracking as simulate_tracking
+    from .contacts import tracked_signals as tracked_signals
+    from .design import plan_experiment as plan_experiment
+    from .design import power as power
+    from .design import read_plan as read_plan
+    from .design import simulate_study as simulate_study
+    from .figures.page import write_plan as write_plan
+    from .fusion import added_information as added_information
+    from .fusion import fused_jnds as fused_jnds
+    from .fusion import information as information
+    from .jnd import convert_jnd as convert_jnd
+    from .jnd import criterion_factor as criterion_factor
+    from .jnd_curves import JNDCurve as JNDCurve
+    from .jnd_curves import jnd_curve as jnd_curve
+    from .jnd_curves import jnd_sweep as jnd_sweep
+    from .many_touches import Touches as Touches
+    from .many_touches import touches as touches
+    from .many_touches import touches_jnd as touches_jnd
+    from .mechanics import Bending as Bending
+    from .mechanics import Choice as Choice
+    from .mechanics import FlickPast as FlickPast
+    from .mechanics import Model as Model
+    from .mechanics import Outcome as Outcome
+    from .mechanics import Parabola as Parabola
+    from .mechanics import Profile as Profile
+    from .mechanics import Spiral as Spiral
+    from .mechanics import bend as bend
+    from .mechanics import choose_model as choose_model
+    from .mechanics import flick_past as flick_past
+    from .mechanics import press as press
+    from .mechanics import rest_angle as rest_angle
+    from .mechanics import signal_jacobian as signal_jacobian
+    from .mechanics import sticking as sticking
+    from .mechanics import sweep as sweep
+    from .observer import Observer as Observer
+    from .place_maps import array_by_count as array_by_count
+    from .place_maps import array_by_whisker as array_by_whisker
+    from .place_maps import array_resolution as array_resolution
+    from .places import ArrayObserver as ArrayObserver
+    from .places import Place as Place
+    from .places import place as place
+    from .posterior import Posterior as Posterior
+    from .posterior import Status as Status
+    from .posterior import posterior as posterior
+    from .whisker import Whisker as Whisker
+    from .whisker import identities as identities
 
 # Each public name's home, imported when the name is first used: `import weberwhisk` stays light.
 _NAMES = {
@@ -102,82 +117,8 @@ _MODULES = {
     "many_touches", "mechanics", "places", "receptors", "sweeping",
 }  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
-__all__ = [
-    "ArrayObserver",
-    "Bending",
-    "Choice",
-    "Comparison",
-    "FlickPast",
-    "JNDCurve",
-    "Model",
-    "Observer",
-    "Outcome",
-    "Parabola",
-    "Place",
-    "PopulationFit",
-    "Posterior",
-    "Profile",
-    "Spiral",
-    "Status",
-    "Touches",
-    "Trials",
-    "WeberFit",
-    "Whisker",
-    "WhiskerArray",
-    "added_information",
-    "along_whisk",
-    "array",
-    "array_by_count",
-    "array_by_whisker",
-    "array_resolution",
-    "behaviour",
-    "bend",
-    "calibrate",
-    "campaign",
-    "choose_model",
-    "cite",
-    "compare",
-    "contacts",
-    "convert_jnd",
-    "criterion_factor",
-    "cues",
-    "design",
-    "figures",
-    "fit_population",
-    "fit_weber",
-    "flick_past",
-    "fused_jnds",
-    "identities",
-    "information",
-    "jnd_curve",
-    "jnd_sweep",
-    "locate",
-    "many_touches",
-    "mechanics",
-    "place",
-    "places",
-    "plan_experiment",
-    "posterior",
-    "power",
-    "press",
-    "read_plan",
-    "read_tracking",
-    "read_trials",
-    "receptors",
-    "rest_angle",
-    "signal_jacobian",
-    "simulate_population",
-    "simulate_study",
-    "simulate_tracking",
-    "simulate_trials",
-    "sticking",
-    "sweep",
-    "sweeping",
-    "touches",
-    "touches_jnd",
-    "tracked_signals",
-    "write_plan",
-]
+if not TYPE_CHECKING:  # which goes by the imports above
+    __all__ = sorted([*_HOME, *_MODULES])
 
 
 _renamed = renamed_names(
@@ -212,4 +153,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*_HOME, *_MODULES, "__version__"]
