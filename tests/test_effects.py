@@ -449,3 +449,19 @@ def test_a_comparison_bias_needs_standards_that_were_shown() -> None:
     ladder = read_trials(pd.DataFrame({**rows, "choice": [1, 0, 1, 0]}))
     with pytest.raises(ValueError, match="standards that were never shown"):
         ComparisonBias().column(ladder, IdentityEncoding())
+
+
+def test_a_trial_that_is_not_in_the_table_leaves_no_history() -> None:
+    """Of one standard of three the trial before in the table was taken for the one before."""
+    trials = simulate_trials(
+        standards=[1.0, 2.0, 4.0], trials_per_level=20, effects=[(History(), 1.0)], seed=2
+    )
+    some = trials.select(standard=1.0)
+    column = History().column(some, IdentityEncoding())
+    whole = History().column(trials, IdentityEncoding())
+    own = whole[trials.frame["standard"] == 1.0]
+    after = some.frame["trial"].diff() == 1
+    assert column[after].tolist() == own[after].tolist()
+    assert not column[~after].any()
+    with pytest.raises(ValueError, match="needs all trials of a session"):
+        PastContraction().column(some, IdentityEncoding())

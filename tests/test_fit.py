@@ -27,6 +27,7 @@ from weberwhisk.behaviour import (
     fit_weber,
     load_numerosity,
     load_rat_auditory,
+    methods_paragraph,
     read_trials,
     response_probability,
     simulate_trials,
@@ -1032,3 +1033,20 @@ def test_priors_leave_the_criterion_of_same_and_different_its_own() -> None:
     assert {fit.model.priors.words("bias") for fit in fits} == {"lognorm(0.7, scale=1.3)"}
     asked = Hypothesis("x", IdentityEncoding(), task="same-different")
     assert asked.priors.words("bias") == "lognorm(0.7, scale=1.3)"
+
+
+def test_levels_met_once_are_not_answered_all_one_way() -> None:
+    """A staircase meets each level once or twice, and its report asked for easier and harder."""
+    table = pd.DataFrame({"stimulus_1": 20.0, "stimulus_2": [21.5, 17.9, 18.9, 17.1, 25.0]})
+    notes = fit_weber(read_trials(table.assign(choice=[1, 0, 1, 1, 1]))).notes
+    assert not any("all one way" in note for note in notes)
+    notes = fit_weber(read_trials(table.assign(choice=[1, 0, 0, 0, 1]))).notes
+    assert any("all one way" in note for note in notes)
+
+
+def test_a_fit_of_nothing_but_what_was_given() -> None:
+    given = {"weber_fraction": 0.1, "lapse_low": 0.0, "lapse_high": 0.0, "bias": 0.0}
+    fit = fit_weber(simulate_trials(trials_per_level=5, seed=1), priors=given)
+    assert fit.map == {}
+    assert "The Weber fraction was given: 0.1" in fit.report()
+    assert "bias fixed at 0" in methods_paragraph(fit)

@@ -569,3 +569,14 @@ def test_tables_of_pandas_own_types_and_dates() -> None:
     numbered = table.assign(session=pd.array([1, 1, 2, None], dtype="Int64"))
     with pytest.raises(ValueError, match=r"row 4: empty; name the session"):
         read_trials(numbered)
+
+
+def test_a_label_may_stand_for_no_answer() -> None:
+    table = pd.DataFrame({"stimulus_1": [1.0] * 3, "stimulus_2": [1.2, 0.8, 1.1], "choice": "L"})
+    table.loc[1:, "choice"] = ["R", "timeout"]
+    labels = {"L": "second", "R": "first"}
+    with pytest.raises(ValueError, match=r"'timeout' is not an answer; .*'none' is for no"):
+        read_trials(table, choice_labels=labels)
+    trials = read_trials(table, choice_labels=labels | {"timeout": "none"})
+    assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
+    assert (trials.n_trials, trials.n_missing) == (2, 1)

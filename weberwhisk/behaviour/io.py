@@ -71,8 +71,8 @@ def read_trials(
         "2AFC", "2IFC", "2AFC percent correct", "3AFC percent correct", … Read off the answer's
         column where not given.
     choice_labels : mapping, optional
-        The file's labels → which stimulus was reported greater, "first" or "second". Without it,
-        1 is "second" and 0 is "first".
+        The file's labels → which stimulus was reported greater, "first" or "second", or "none"
+        where no answer was given. Without it, 1 is "second" and 0 is "first".
     scale : {"linear", "log"}
         "log": the columns are logarithms of the magnitude, up to an additive constant.
     log_unit : float, optional
@@ -325,7 +325,8 @@ class TableCheck:
     ) -> tuple[Array, Array]:
         """Trials and answers of each row; an answer that was not given is NaN."""
         cells = self.table[answer]
-        blank = _blank(cells)
+        none = [_as_text(label) for label, which in (labels or {}).items() if which == "none"]
+        blank = _blank(cells) | cells.map(_as_text).isin(none).to_numpy()
         if counted:
             n, count = self._counts(answer, blank)
             remedy = "write whole numbers"
@@ -395,13 +396,12 @@ def _single_answers(
                 "choice_labels={label: 'first' or 'second'}"
             )
         return kept, remedy
+    codes = {"first": 0.0, "second": 1.0, "none": np.nan}
     coded = {
-        _as_text(label): float(
-            _checks.one_of("choice_labels value", which, ("first", "second")) == "second"
-        )
+        _as_text(label): codes[_checks.one_of("choice_labels value", which, codes)]
         for label, which in labels.items()
     }
-    remedy = f"choice_labels knows {', '.join(map(repr, coded))}"
+    remedy = f"choice_labels knows {', '.join(map(repr, coded))}; 'none' is for no answer"
     return _floats(cells.map(_as_text).map(coded)), remedy
 
 

@@ -115,6 +115,8 @@ def map_point(model: WeberModel, scores: Array) -> dict[str, float]:
     Most probable in the normal scores of the priors (for the Weber fraction that is in ln k): the
     lapses' density itself has no top, it grows without end towards 0.
     """
+    if not model.names:
+        return {}
     centre, information = find_mode(model, scores)
     scale = 1 / np.sqrt(np.diag(information))
 

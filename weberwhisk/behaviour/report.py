@@ -48,7 +48,11 @@ def _data(fit: WeberFit) -> str:
 
 
 def _answer(fit: WeberFit) -> str:
-    lines = [f"What the data say. {_sentence(fit.status.message)}"]
+    given = "weber_fraction" not in fit.parameters and fit.status.ok
+    said = (
+        f"the Weber fraction was given: {fit.weber_fraction:.3g}" if given else fit.status.message
+    )
+    lines = [f"What the data say. {_sentence(said)}"]
     if "weber_fraction" in fit.parameters:
         low, high = fit.interval()
         unit = f" {fit.unit}" if fit.unit else ""
@@ -347,7 +351,7 @@ def _of_one(fit: WeberFit) -> list[str]:
     if len(lapses) == 2 and not any(believed.is_fixed(name) for name in lapses):
         rho = believed.lapse_correlation
         correlated = f"; the normal scores of the two lapse rates correlate by {rho:g}"
-    priors = [f"{name} ~ {words}" for name, words in fit.summary()["prior"].items()]
+    priors = [f"{name} ~ {believed.words(name)}" for name in fit.parameters]
     given = {n: n for n in fit.model.lead if not n.startswith("lapse_") or n in lapses}
     given |= {"bias": trials.task.bias_name or ""} if fit.bias != "none" else {}
     priors += [f"{name} {believed.words(n)}" for n, name in given.items() if believed.is_fixed(n)]

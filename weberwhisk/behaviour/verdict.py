@@ -115,18 +115,10 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
             "lapses that are known, for example "
             "priors={'lapse_low': 0.02, 'lapse_high': 0.02}, or add easier and harder pairs."
         )
-    share = cells.count / np.maximum(cells.n, 1)
-    if (
-        cells.n.size > 1
-        and not model.encodings.has_spread  # measured, every level was met once
-        and not _one_sided(model)
-        and np.all(
-            np.where(
-                model.encodings.mean_2 == model.encodings.mean_1, True, (share == 0) | (share == 1)
-            )
-        )
-        and np.any(gap > 0)
-    ):
+    d = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
+    none, some = (d[gap > 0][left[gap > 0] > 0] for left in (cells.n - cells.count, cells.count))
+    apart = none.max(initial=-np.inf) < some.min(initial=np.inf)
+    if apart and none.size + some.size > 1 and not _one_sided(model):
         notes.append("Every level is answered all one way: only harder comparisons can tell more.")
     return tuple(notes)
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 AS_OPTIONS = (
     (r"columns=\{'(\w+)': '<its name>'\}", r"--column \1='<its name>'"),
     (r"columns key", "--column"),
+    (r"; 'none' is for no answer", "; write --label LABEL=none for no answer"),
     (r"choice_labels=\{label: 'first' or 'second'\}",
      "--label LABEL=first and --label LABEL=second"),
     (r"choice_labels value", "the stimulus of --label"),
@@ -63,8 +64,8 @@ def fit(
     ] = None,
     label: Annotated[
         opt.Texts,
-        "Which stimulus an answer calls greater, such as L=first; may be repeated.",
-        {"metavar": "LABEL=first|second"},
+        "Which stimulus an answer calls greater, such as L=first, or none; may be repeated.",
+        {"metavar": "LABEL=first|second|none"},
     ] = None,
     task: Annotated[
         opt.Text, "2AFC, 2IFC, yes/no, go/no-go, same-different, '3AFC percent correct' and so on."

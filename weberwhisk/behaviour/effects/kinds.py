@@ -89,6 +89,13 @@ def in_order(frame: pd.DataFrame) -> bool:
     return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
 
 
+def after_gap(frame: pd.DataFrame) -> NDArray[np.bool_]:
+    """Where the number of a trial leaps within a session: the one before it is not in the table."""
+    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
+        return np.zeros(len(frame), dtype=bool)
+    return (frame["trial"].groupby(session_block(frame)).diff() > 1).to_numpy(bool)
+
+
 Array = NDArray[np.float64]
 
 
@@ -334,6 +341,11 @@ class PastContraction(Contraction):
         needs_order(trials, "PastContraction")
         needs_rows(trials, "PastContraction")
         frame = trials.frame
+        if after_gap(frame).any():
+            raise ValueError(
+                f"{trials.source}: PastContraction needs all trials of a session, got numbers of "
+                "trials that leap; give those without an answer too, and all standards."
+            )
         first, second = (
             encoding.direction * encoding.mean(frame[c].to_numpy(float))
             for c in ("stimulus_1", "stimulus_2")
@@ -383,7 +395,7 @@ class History(Effect):
     """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a
-    missing answer, has none.
+    missing answer or after a trial that is not in the table, has none.
     """
 
     prior: rv_frozen | float = NORMAL[0.5]
@@ -395,7 +407,7 @@ class History(Effect):
         frame = trials.frame
         before = frame["count"].shift(1).to_numpy(float)
         answer = np.where(np.isnan(before), 0.0, 2 * np.nan_to_num(before) - 1)
-        answer[np.diff(session_block(frame), prepend=-1) != 0] = 0.0
+        answer[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
         return answer
 
     def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
