@@ -20,6 +20,7 @@ from weberwhisk.cues import (
     AngleSideAngle,
     Compliance,
     ForceMap,
+    Friction,
     Fused,
     LateralSlip,
     UnknownStiffness,
@@ -263,6 +264,17 @@ def test_what_cues_add_is_less_than_what_they_tell_alone():
     assert np.all(table["added_bits"][:2] < (table["alone_bits"] + error)[:2])
     assert table["alone_bits"][2] > table["alone_bits"][:2].max() - error.max()
     assert np.all(table["added_bits"][:2] > -error[:2])
+
+
+def test_the_prior_of_distance_is_the_mean_of_what_is_held():
+    """Of what is held at the most friction it was up to 8 % off."""
+    observer = ww.Observer(W, Friction(ForceMap()))
+    r, share = np.linspace(2e-3, 45e-3, 5), (np.arange(50) + 0.5) / 50
+    friction = observer.prior["friction_angle"].ppf(share)
+    contact = np.stack(np.broadcast_arrays(r[:, None], 1.0, friction), axis=-1)
+    held = observer.space.angle_range(contact[..., 0], contact)[1].mean(axis=1)
+    ratio = observer.distance_prior(r) / held
+    assert ratio == pytest.approx(ratio[0], rel=2e-3)
 
 
 def test_the_cues_of_a_fusion_alone_have_its_reach():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import norm, rv_histogram
 from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
@@ -75,6 +75,26 @@ def test_a_prior_of_the_angle_sharper_than_the_signals_is_summed():
     expected, found = touches(known, readings), touches(nearly, readings)
     assert found.mean == pytest.approx(expected.mean, abs=0.02 * expected.sd)
     assert found.sd == pytest.approx(expected.sd, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [norm(30e-3, 3e-5), rv_histogram(([1.0, 0.0, 4.0], 0.01 * np.arange(1, 5)))()],
+    ids=["sharp", "leaps"],
+)
+def test_priors_of_the_distance_need_not_be_as_smooth_as_the_rows(prior):
+    """No sum at all, and 1 sd off with a quarter of the sd, converged."""
+    observer = Observer(W, cues.Compliance(), Weber(0.1), {"radial_distance": prior})
+    readings = observer.read([[31e-3]] * 3, seed=1)
+    r = prior.ppf((np.arange(20_000) + 0.5) / 20_000)
+    signals = observer.signals(r[:, None])[0]
+    log = sum(observer.noise.log_likelihood(reading, signals) for reading in readings)
+    weight = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    found, mean = touches(observer, readings), weight @ r
+    sd = np.sqrt(weight @ (r - mean) ** 2)
+    assert found.status is Status.CONVERGED
+    assert found.mean == pytest.approx(mean, abs=3e-3 * sd)
+    assert found.sd == pytest.approx(sd, rel=3e-3)
 
 
 def test_touches_that_do_not_agree_say_so():

@@ -17,6 +17,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.interpolate import CubicSpline
+from scipy.special import ndtr
 
 from . import _checks
 from ._checks import finite, kind, positive_number, whole
@@ -137,6 +138,9 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     log = each.sum(axis=0) + grid.log_prior[rows]
     kept = log > log.max() - 32.0
     first, last = np.argmax(kept), len(kept) - np.argmax(kept[::-1])
+    prior = observer.prior.get("radial_distance")
+    if prior is not None:  # which rows may be too far apart to tell
+        first, last = max(first - 3, 0), min(last + 3, len(rows))
     rows, log, each = rows[first:last], log[first:last], each[:, first:last]
     top, far = log.argmax(), bool(log.max() == -np.inf)
     if not far:
@@ -149,11 +153,21 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         lost = status if far else Status.IMPRECISE
         nan = np.full(2, np.nan)
         return Touches(observer, len(y), np.nan, np.nan, lost, nan, nan)
-    log = np.maximum(log, log.max() - 60.0)  # none there to speak of
     fine = np.linspace(x[rows[0]], x[rows[-1]], 16 * len(rows))
+    if prior is not None:
+        log = each.sum(axis=0) + grid.log_held[rows]
+        sharp = prior.ppf(ndtr(np.linspace(-8.0, 8.0, 513)))
+        sharp = observer.space.unconstrain_one(
+            np.append(sharp, observer.space.leaps["radial_distance"]), 0
+        )
+        fine = np.union1d(fine, np.clip(sharp, fine[0], fine[-1]))
+    log = np.maximum(log, log.max() - 60.0)  # none there to speak of
     log = CubicSpline(x[rows], log)(fine)
     r, log_slope = _distances(observer, fine)
-    weight = np.exp(log - log.max())
+    if prior is not None:
+        log += prior.logpdf(r)
+    step = np.gradient(fine)
+    weight = np.exp(log - log.max()) * step
     mass = weight.sum()
     mean = float(weight @ r / mass)
     sd = float(np.sqrt(weight @ (r - mean) ** 2 / mass))
@@ -161,7 +175,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     wide = sd * len(y) ** 0.5 > 0.1 * (observer.reach[1] - observer.reach[0])
     if wide and not far and is_unidentified(observer, contact).all():
         status = Status.UNIDENTIFIED
-    density = weight / np.exp(log_slope) / mass / (fine[1] - fine[0])
+    density = weight / np.exp(log_slope) / mass / step
     return Touches(observer, len(y), mean, sd, status, r, density)
 
 
@@ -204,18 +218,28 @@ class _Grid:
         theta = low + width[:, None] * fraction
         self.r, self.theta = r, theta
         weight = np.broadcast_to(log_across + log_step, theta.shape).copy()
-        if "deflection_angle" in observer.prior:
-            weight += observer.prior["deflection_angle"].logpdf(theta)
+        if (prior := observer.prior.get("deflection_angle")) is not None:
+            weight += prior.logpdf(theta)
+            if observer.space.leaps["deflection_angle"].size:  # which the rule does not see
+                middle = (theta[:, 1:] + theta[:, :-1]) / 2
+                ends = np.column_stack([0 * r + low, middle, low + width])
+                with np.errstate(divide="ignore"):
+                    weight = np.log(np.diff(prior.cdf(ends), axis=1))
         place = np.stack([np.broadcast_to(r[:, None], theta.shape), theta], axis=-1)
         signals, outcome = observer.signals(place[..., : observer.bounded])
         held = outcome == Outcome.HELD
         weight[~held] = -np.inf
-        self.weight = weight - np.logaddexp.reduce(weight, axis=1, keepdims=True)
-        self.weight[~held] = -np.inf
+        whole = np.logaddexp.reduce(weight, axis=1, keepdims=True)
+        self.weight = weight - np.where(np.isfinite(whole), whole, 0.0)
         signals = np.where(held[..., None], signals, 1.0)
         self.signals = signals.reshape(-1, signals.shape[-1])
         with np.errstate(divide="ignore"):
-            self.log_prior = np.log(observer.distance_prior(r)) + log_rate
+            self.log_held = np.log(observer.angles_held(r)) + log_rate
+            self.log_prior = self.log_held
+            if (prior := observer.prior.get("radial_distance")) is not None:
+                ends, _ = _distances(observer, (self.x[1:] + self.x[:-1]) / 2)
+                share = np.diff(prior.cdf(ends), prepend=0.0, append=1.0)
+                self.log_prior = self.log_held + np.log(share / np.gradient(r))
         low_y, high_y = observer.noise.interval(signals, self.WINDOW)
         high_y = np.where(held[..., None], high_y, -np.inf)
         low_y = np.where(held[..., None], low_y, np.inf)[:, ::-1]

@@ -296,16 +296,34 @@ class Observer:
         low, high = self.reach
         inside = (r > low) & (r < high)
         place = np.where(inside, r, (low + high) / 2)
-        density = np.ones(r.shape)
+        density = self.angles_held(place)
         if "radial_distance" in self.prior:
-            density = self.prior["radial_distance"].pdf(place)
+            density = density * self.prior["radial_distance"].pdf(place)
+        return np.where(inside, density, 0.0)
+
+    def angles_held(self, r: Array) -> Array:
+        """The prior of all that is held at distances (...) inside the reach, up to a factor.
+
+        The mean over further unknowns, where what is held depends on them: a friction, say.
+        """
+        contact = r[..., None, None]
+        if self.space.reach_varies:
+            names = self.unknowns[self.bounded :]
+            count = 9 if len(names) == 1 else 4
+            middle = [self.prior[name].ppf((np.arange(count) + 0.5) / count) for name in names]
+            further = np.stack(np.meshgrid(*middle), axis=-1).reshape(-1, len(names))
+            contact = np.ones((*r.shape, len(further), len(self.unknowns)))
+            contact[..., 0], contact[..., self.bounded :] = r[..., None], further
         if self.bounded > 1:
-            least, width = self.angle_range(place)
+            least, held = self.space.angle_range(contact[..., 0], contact)
             if "deflection_angle" in self.prior:
                 angle = self.prior["deflection_angle"]
-                width = angle.cdf(least + width) - angle.cdf(least)
-            density = density * width
-        return np.where(inside, density, 0.0)
+                held = angle.cdf(least + held) - angle.cdf(least)
+        elif self.space.reach_varies:
+            held = (self.signals(contact)[1] == Outcome.HELD).astype(float)
+        else:
+            return np.ones(r.shape)
+        return np.asarray(held.mean(axis=-1))
 
     # -- densities -----------------------------------------------------------------------------
 
