@@ -345,6 +345,8 @@ def test_readings_of_no_one_place_are_improbable() -> None:
     assert ww.place(o, near).status is Status.CONVERGED
     mixed = ww.place(o, {"C2": near["C2"], "D2": far["D2"]})
     assert mixed.status is Status.IMPROBABLE_READING
+    none = ww.place(observer("C2", angle_sd=0.0), {"C2": [0.0, 0.0]})
+    assert none.status is Status.IMPROBABLE_READING
 
 
 def test_taps_take_their_bearing_from_the_azimuth() -> None:
@@ -364,6 +366,8 @@ def test_taps_take_their_bearing_from_the_azimuth() -> None:
     assert np.isclose(spread, o.angle_sd, rtol=0.01)
     turn = np.array([0.0, 2 * np.pi])  # an azimuth a whole turn on is the same
     assert np.allclose(ww.place(o, {"C2": reading - turn}).mean, found.mean, atol=1e-6)
+    with pytest.warns(UserWarning, match="did you pass degrees"):
+        ww.place(o, {"C2": reading * [1.0, 180 / np.pi]})
     for call in (found.interval, found.ellipse, found.area):
         with pytest.raises(ValueError, match="mass must lie between 0 and 1, got 95"):
             call(95)
@@ -417,6 +421,7 @@ def test_regions_of_95_per_cent_cover_95_per_cent() -> None:
         (lambda: ww.place(observer("C2"), {"C2": [1e-7, np.nan]}), "must be finite"),
         (lambda: ww.place(observer("C2", cue=cues.Compliance()), {"C2": [1.0]}), "is a tap"),
         (lambda: observer("C2").read([1e-3]), "A place is x and y"),
+        (lambda: ww.place(observer("C2"), {"C2": [[1e-7, 1e-6]] * 2}), "one reading of one place"),
     ],
 )
 def test_places_refuse_what_is_no_reading(make, sentence: str) -> None:

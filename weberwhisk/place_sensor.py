@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import ndtr
 
-from ._checks import finite
+from ._checks import angle, finite
 from .array import Follicle
 from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from .mechanics.contact import Outcome
@@ -92,14 +92,23 @@ class Sensor:
     def checked(self, name: str, reading: ArrayLike) -> Array:
         """A reading as finite numbers: signals, and of a tap the azimuth."""
         if not self.taps:
-            return self.observer.checked_reading(reading)
+            y = self.observer.checked_reading(reading)
+            if y.ndim != 1:
+                raise ValueError(
+                    f"{name} has one reading of one place, got shape {y.shape}; "
+                    "call place() for each."
+                )
+            return y
         y = finite(f"the reading of {name}", reading, "give SI units")
         if y.ndim != 1 or len(y) < 2:
             raise ValueError(
                 f"The reading of {name} is a tap: signals, and last the azimuth at which it "
                 f"touched in rad, got shape {y.shape}; write [*signals, azimuth]."
             )
-        return np.append(self.observer.checked_reading(y[:-1]), y[-1])
+        return np.append(
+            self.observer.checked_reading(y[:-1]),
+            angle(f"the azimuth of {name}", y[-1], "give radians"),
+        )
 
     def evidence(self, reading: Array) -> Evidence:
         """What a reading says of places."""

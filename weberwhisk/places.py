@@ -305,7 +305,9 @@ def place(
     frame, some = Frame.of_box(box), np.empty((0, 2))
     if touched:
         drawn = [evidence.draws(rng, 800) for evidence in touched]
-        frame, some = Frame.of_draws(drawn), np.concatenate([d[: 800 // len(drawn)] for d in drawn])
+        some = np.concatenate([d[: 800 // len(drawn)] for d in drawn])
+        if drawn := [places for places in drawn if len(places) > 2]:  # else no contact explains it
+            frame = Frame.of_draws(drawn)
 
     def log_density(at: Array) -> Array:
         inside = np.all((at >= box[:, 0]) & (at <= box[:, 1]), axis=-1)
