@@ -6,7 +6,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.cues import Compliance, ForceMap, Friction, LateralSlip
+from weberwhisk.cues import Compliance, ForceMap, Friction, LateralSlip, UnknownCurvature
 from weberwhisk.jnd import fisher_jnd, is_linear, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
@@ -245,6 +245,13 @@ def test_linear_is_what_the_posterior_bears_out():
     told = curve.table[curve["linear"].to_numpy()]
     assert len(told) >= 5
     assert np.allclose(told["propagation_mm"], told["posterior_mm"], rtol=0.3)
+
+
+def test_next_to_a_curvature_of_nothing_is_as_without_any():
+    """Differences were as small as the offset, and so made of rounding: 2.5 % off."""
+    observer = ww.Observer(W, UnknownCurvature(ForceMap(), 1.0))
+    jnd = fisher_jnd(observer, [[30e-3, 0.2, -1e-9], [30e-3, 0.2, 0.0]])
+    assert jnd[0] == pytest.approx(jnd[1], rel=1e-6)
 
 
 def test_linear_is_the_same_of_a_tilt_to_either_side():

@@ -248,6 +248,17 @@ def test_flat_prior_is_scipys_uniform():
     assert (p.mean, p.sd) == pytest.approx((30e-3, 2e-5), rel=0.01)
 
 
+@pytest.mark.parametrize("method", ["emcee", "laplace"])
+def test_methods_that_climb_know_of_a_prior_that_is_sharp(method):
+    """They did not get to the top, and called the reading improbable or the top not Gaussian."""
+    prior = {"deflection_angle": stats.norm(0.2, 5e-4)}
+    observer = ww.Observer(W, ForceMap(), Weber(0.1), prior)
+    reading = observer.read([30e-3, 0.2], seed=2)
+    exact, found = (ww.posterior(observer, reading, m, seed=1) for m in ("quadrature", method))
+    assert found.status is Status.CONVERGED
+    assert found.mean == pytest.approx(exact.mean, abs=0.15 * exact.sd)
+
+
 @pytest.mark.parametrize("method", ["quadrature", "emcee", "laplace"])
 def test_one_reading_gives_scalars_and_many_give_arrays(method):
     observer = ww.Observer(W, ForceMap(), Weber(0.05))

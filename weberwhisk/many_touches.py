@@ -137,7 +137,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     best = np.maximum(best, each.max(axis=1))
     log = each.sum(axis=0) + grid.log_prior[rows]
     kept = log > log.max() - 32.0
-    first, last = np.argmax(kept), len(kept) - np.argmax(kept[::-1])
+    first, last = int(np.argmax(kept)), len(kept) - int(np.argmax(kept[::-1]))
     prior = observer.prior.get("radial_distance")
     if prior is not None:  # which rows may be too far apart to tell
         first, last = max(first - 3, 0), min(last + 3, len(rows))

@@ -444,8 +444,8 @@ class Observer:
                 f"A reading of {self.cue!r} under {self.noise!r} has {count} numbers "
                 f"({of}), got shape {array.shape}; put them along the last axis."
             )
-        turned = [i for i, name in enumerate(self.cue.signal_names) if "_direction" in name]
-        if turned and "azimuth" in self.prior and self.noise.reads_signals:
+        turned = np.flatnonzero(self.cue.circular)
+        if turned.size and self.noise.reads_signals:
             off = array[..., turned] - self.prior["azimuth"].median()
             # Noise may carry a direction beyond an end of the usual range, which goes all around.
             room = 1.5 * np.pi if "azimuth" in self._filled.priors else np.pi

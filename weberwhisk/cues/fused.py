@@ -65,6 +65,11 @@ class Fused(Cue):
         """Those of all cues; one that several have, with the cue's number behind it."""
         return _distinct([c.signal_names for c in self.cues])
 
+    @property
+    def circular(self) -> tuple[bool, ...]:
+        """Those of all cues."""
+        return tuple(turns for cue in self.cues for turns in cue.circular)
+
     @cached_property
     def unknowns(self) -> tuple[str, ...]:
         """All that any cue does not know; those that the whisker bounds come first."""

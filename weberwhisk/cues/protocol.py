@@ -33,6 +33,8 @@ from ..whisker import Whisker
 Array = NDArray[np.float64]
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Felt = tuple[Array, NDArray[np.int8]]
+#: Unknowns that may be of either sign, rad and 1/m.
+SIGNED = ("azimuth", "friction_angle", "surface_tilt", "curvature_offset")
 
 
 class Cue(Value):
@@ -62,6 +64,11 @@ class Cue(Value):
     def is_scale(self) -> bool:
         """Whether every signal is proportional to the last unknown."""
         return False
+
+    @property
+    def circular(self) -> tuple[bool, ...]:
+        """Which signals are angles that a whole turn leaves as they are."""
+        return (False,) * len(self.signal_names)
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
         """Signals (..., S) of a contact (..., U), NaN where it is not held, and its `Outcome`.
@@ -101,7 +108,10 @@ class Cue(Value):
         columns = []
         for i in range(contact.shape[-1]):
             step = np.zeros_like(contact)
-            step[..., i] = 6e-6 * np.where(contact[..., i] == 0, 1.0, np.abs(contact[..., i]))
+            size = np.abs(contact[..., i])
+            if self.unknowns[i] in SIGNED:  # and next to 0 as well as at it
+                size = np.maximum(size, 1.0)
+            step[..., i] = 6e-6 * np.where(size == 0, 1.0, size)
             above, below = (
                 self.signals(whisker, contact + s, model=model)[0] for s in (step, -step)
             )

@@ -97,6 +97,11 @@ class SpaceMap(Cue):
         apart = sizes and self.signal_names == (*sizes, *DIRECTIONS)
         return ForceMap(sizes) if apart else None
 
+    @property
+    def circular(self) -> tuple[bool, ...]:
+        """The two directions."""
+        return tuple(name in DIRECTIONS for name in self.signal_names)
+
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
         """The mechanics of contacts (..., 3): those of a curved whisker, at their azimuths."""
         forward = forward_of(whisker)

@@ -72,6 +72,11 @@ class _Wrapped(Cue):
         return self.cue.signal_names
 
     @property
+    def circular(self) -> tuple[bool, ...]:
+        """As the cue has them."""
+        return self.cue.circular
+
+    @property
     def unknowns(self) -> tuple[str, ...]:
         """Those of the cue, and the condition where it is not known."""
         if self.known is not None:
