@@ -211,7 +211,7 @@ def documentation() -> Path:
     return Path(os.environ["WEBERWHISK_SITE"]).resolve()
 
 
-MAIN = ["index", "gallery", "cli", "start/index", "start/fit", "tutorials/figure_4", "theory/cues",
+MAIN = ["index", "gallery", "cli", "start/index", "start/fit", "tutorials/figure_4", "theory/jnd",
         "validation/paper", "api/weberwhisk"]  # fmt: skip
 
 

@@ -8,3 +8,9 @@ for (const summary of document.querySelectorAll("details > summary")) {
     summary.setAttribute("aria-label", `Pages under ${link.innerText.trim()}`);
   }
 }
+// What scrolls sideways can be scrolled by keys.
+addEventListener("load", () => {
+  for (const equation of document.querySelectorAll("div.math")) {
+    if (equation.scrollWidth > equation.clientWidth) equation.tabIndex = 0;
+  }
+});

@@ -231,9 +231,8 @@ def located(
             first = groups.first()
             ends = [first[f"touch_{name}"] for name in names]
             bars(ax, groups["place"].mean(), ends, 1, label="each touch")
-    ax.set_xlabel(
-        "row" if against is None else re.sub(" (ms?|mm)$", r" (\1)", against.replace("_", " "))
-    )
+    named = "row" if against is None else against.replace("_", " ")
+    ax.set_xlabel(re.sub(" (m?s|mm?)$", r" (\1)", named))
     legend_above(ax)
     return ax
 

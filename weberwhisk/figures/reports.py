@@ -338,7 +338,7 @@ def paper_3(
     held = angles[angles["outcome"] == "BALANCED"]
     first = held[held["curve"] == held["curve"].iloc[0]]
     for i, (share, rows) in enumerate(moments.groupby("radial_distance")):
-        a.plot(rows["angle_deg"], rows["moment"], color=COLOURS[i], label=f"r = {share:g} L")
+        a.plot(rows["angle_deg"], rows["moment"], **look(i, label=f"r = {share:g} L"))
         begin = float(rows["angle_deg"].iloc[0])
         at = begin + first["balance_angle_deg"][
             np.isclose(first["radial_distance"], share)  # type: ignore[arg-type]
