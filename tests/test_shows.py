@@ -16,12 +16,14 @@ from typing import Any
 import matplotlib
 import nbformat
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from nbclient import NotebookClient
 
 import weberwhisk as ww
-from weberwhisk._values import Shown
+from weberwhisk._values import Shown, with_units
+from weberwhisk.coordinates import UNITS
 from weberwhisk.design import Goal, Plan, Scheme, taper
 
 matplotlib.use("agg")
@@ -142,6 +144,9 @@ def test_a_curve_has_units_in_its_names_and_the_contact_in_its_index(made: dict[
     assert list(curves.lines()) == ["5.73°", "11.46°"]
     tilted = ww.jnd_curve(ww.Observer(W, ww.cues.LateralSlip()), [20e-3], n_readings=2, seed=1)
     assert "surface_tilt_deg" in tilted.table
+    all_named = with_units(pd.DataFrame({name: [1.0] for name in UNITS}), units=UNITS)
+    assert not set(all_named) & set(UNITS)
+    assert {"angular_velocity_deg_per_s", "hinge_stiffness_Nm_per_rad"} <= set(all_named)
 
 
 def test_help_documents_the_function_also_after_its_package_was_imported() -> None:
