@@ -275,7 +275,7 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
     if model.effects:
         raise ValueError(
             f"Weber's law is tested without effects, got {', '.join(e.name for e in model.effects)}"
-            "; fit without them, or compare fits with and without NearMiss() or Floor()."
+            "; fit without them, or compare fits with and without Floor()."
         )
     if fit.standards.size < 2:
         raise ValueError(

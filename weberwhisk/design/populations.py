@@ -104,11 +104,13 @@ def steps_of(model: WeberModel) -> Steps:
 
 def bias_scales(model: WeberModel, step: float = 0.5, far: float = 1e-6) -> BiasScales:
     """Scales of the biases at which likelihoods are tabulated: so far apart, in asinh, and up to
-    where the prior leaves so little."""
+    where the prior leaves so little; closer where a bias is believed to lie off zero, as a scale
+    then moves it by more than it widens it."""
     if not model.free_bias:
         return AS_BELIEVED
     last = float(PRIORS.bias_scale.isf(far))
-    return BiasScales.between(0.0, last, narrowest_bias(model), step)
+    mean, sd = model.priors.moments("bias")
+    return BiasScales.between(0.0, last, narrowest_bias(model), step / np.hypot(1.0, mean / sd))
 
 
 def _cropped(found: Likelihood, own: NDArray[np.float32]) -> tuple[tuple[slice, ...], Indices]:
