@@ -157,3 +157,18 @@ def test_a_fit_by_sampling_has_no_evidence_but_a_prediction() -> None:
     assert np.isnan(found.table.loc["sampled", "log_evidence"])
     assert np.ptp(found.table["elpd"]) < 1e-9
     assert "nothing to compare by evidence" in found.report()
+
+
+def test_the_same_answers_to_other_stimuli_are_other_trials() -> None:
+    trials = simulate_trials(trials_per_level=3, seed=1)
+    frame = trials.frame
+    other = frame.assign(stimulus_2=frame["stimulus_2"].sample(frac=1, random_state=1).to_numpy())
+    known = {"lapse_low": 0.0, "lapse_high": 0.0}
+    fits = [
+        fit_weber(replace(trials, frame=f), bias="none", priors=known)
+        for f in (frame, other, frame.assign(stimulus_1=1e3, stimulus_2=1e3 * frame["stimulus_2"]))
+    ]
+    with pytest.raises(ValueError, match="was fitted to other trials"):
+        compare({"one": fits[0], "other": fits[1]})
+    elpd = compare({"one": fits[0], "in another unit": fits[2]}).table["elpd"]
+    assert elpd.iloc[0] == pytest.approx(elpd.iloc[1])

@@ -253,3 +253,13 @@ def test_a_session_goes_on_with_more_trials(
         command = ["next", "--standard", "1", "--most", str(most), "--log", str(tmp_path / "log")]
         assert run_app(app, command) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["trials"] == 3
+
+
+def test_a_line_that_is_no_trial_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "rat.jsonl"
+    with Session(placer(), file):
+        pass
+    with file.open("a") as lines:
+        lines.write("5\n")
+    with pytest.raises(ValueError, match="has a trial that cannot be read"):
+        Session(placer(), file).__enter__()

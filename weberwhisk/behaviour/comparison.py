@@ -30,7 +30,7 @@ from .encodings import ConstantNoise, CueEncoding, Encoding, chosen_encoding, en
 from .fit import fit_weber
 from .located import at_touches
 from .result import WeberFit
-from .trials import Trials, check_trials
+from .trials import SDS, Trials, check_trials
 from .verdict import strength
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
         same = other.n.shape == first.n.shape and all(
             np.array_equal(getattr(first, a), getattr(other, a)) for a in ("n", "count")
         )
-        if not same:
+        if not (same and _same_stimuli(first.frame, other.frame)):
             raise ValueError(
                 f"{name!r} was fitted to other trials than {next(iter(fits))!r}; fit both to the "
                 "same ones."
@@ -153,6 +153,15 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     order = ["log_evidence", "elpd"] if np.isfinite(evidence).all() else ["elpd"]
     table = pd.DataFrame(out).set_index("model").sort_values(order, ascending=False)
     return Comparison(table, dict(fits))
+
+
+def _same_stimuli(one: pd.DataFrame, other: pd.DataFrame) -> bool:
+    """Whether the stimuli are the same but for their unit, or were measured, or are logarithms."""
+    shown = [frame[["stimulus_1", "stimulus_2"]].to_numpy(float) for frame in (one, other)]
+    if any(SDS[0] in f for f in (one, other)) or any((s <= 0).any() for s in shown):
+        return True
+    a, b = (s / s.max(initial=0.0) for s in shown)
+    return bool(np.allclose(a, b))
 
 
 def _by_answer(fit: WeberFit, cell: NDArray[np.intp]) -> tuple[Array, Array]:

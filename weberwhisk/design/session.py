@@ -234,7 +234,7 @@ class Session:
     def _again(self, place: int, row: dict[str, Any]) -> None:
         try:
             self.placer.record(row["standard"], row["comparison"], row["choice"])
-        except (KeyError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             assert self._log is not None
             raise ValueError(
                 f"{str(self._log.path)!r} has a trial that cannot be read (line {place + 2}: "
