@@ -112,7 +112,14 @@ def posterior(
     if not known.any():
         solution = _of_nothing(len(observer.unknowns))
     else:
-        solution = _solved(solve, observer, rows[known], seed, tolerance, progress)
+        inner, told, apart = observer, rows[known], []
+        while (factors := factors_of(inner)) is not None:
+            size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
+            apart.append((inner, factors, told[:, size:]))
+            inner, told = factors.first, told[:, :size]
+        solution = solve(inner, told, seed, tolerance, progress)
+        for whole, factors, own in reversed(apart):
+            solution = with_factor(solution, whole, factors, own)
     _hint_at_units(observer, rows[known], solution)
     if not known.all():
         solution = solution.among(known)
@@ -136,18 +143,6 @@ def posterior(
         solution.draws_of,
         solution.quantile_error_of,
     )
-
-
-def _solved(
-    solve: Any, observer: Observer, rows: Array, seed: Seed, tolerance: float | None, progress: Any
-) -> Solution:
-    """Posteriors of readings (B, R), of each factor by itself where they are products."""
-    factors = factors_of(observer)
-    if factors is None:
-        return solve(observer, rows, seed, tolerance, progress)
-    size = factors.first.noise.reading_size(len(factors.first.cue.signal_names))
-    first = _solved(solve, factors.first, rows[:, :size], seed, tolerance, progress)
-    return with_factor(first, observer, factors, rows[:, size:])
 
 
 def _solver(method: str) -> Any:
