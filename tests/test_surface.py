@@ -50,3 +50,10 @@ def test_any_shape_in_pieces_or_whole():
     row, held = ForwardModel(w).tabled(r[40], theta)
     assert np.allclose(signals[40], row, rtol=1e-13, atol=0, equal_nan=True)
     assert np.array_equal(outcome[40], held)
+
+
+def test_a_friction_that_is_given_is_that_of_the_table():
+    """By itself it was left out."""
+    found, _ = ForwardModel(ww.Whisker(50e-3, 100e-6, 5e-6), friction=0.3).signals([30e-3], [0.2])
+    bent = ww.press(ww.Whisker(50e-3, 100e-6, 5e-6), 30e-3, 0.2, 0.3)
+    assert found[0] == pytest.approx([bent.moment, bent.axial_force, bent.transverse_force], 1e-5)

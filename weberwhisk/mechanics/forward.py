@@ -72,6 +72,12 @@ class ForwardModel(Value):
     hinge_range: tuple[float, float] = (0.0, 0.0)
     azimuth: Any = None
 
+    def __post_init__(self) -> None:
+        for name in ("friction", "offset"):
+            given, ends = getattr(self, name), f"{name}_range"
+            if not any(getattr(self, ends)) and np.any(given):
+                self._set(**{ends: (float(np.min(given)), float(np.max(given)))})
+
     # -- what it is like -----------------------------------------------------------------------
 
     @cached_property

@@ -39,7 +39,7 @@ def largest(
     if ends[1] > ends[0]:
         typical = np.full(r.shape, np.sqrt(ends[0] * ends[1]))
         middle = _angle(forward, peaks(r, typical), r, top, typical)
-    return top, peak, last, np.where(middle > np.pi, last / middle * np.pi, last)
+    return top, peak, last, np.where(middle > np.pi, last / np.maximum(middle, np.pi) * np.pi, last)
 
 
 def bent(

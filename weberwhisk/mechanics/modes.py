@@ -20,7 +20,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh, null_space
 
-from .._checks import finite, non_negative
+from .._checks import finite, non_negative, whole
 from ..whisker import Whisker
 from .chebyshev import Array
 from .shape import Profile
@@ -133,18 +133,8 @@ def modes(
     >>> modes(w, 3).normalised_frequency.round(3)
     array([ 7.894, 19.448, 36.51 ])
     """
-    profile = Profile.of(whisker)
-    sizes = (
-        profile.radius.shape[1:],
-        np.shape(profile.whisker.density),
-        np.shape(profile.whisker.youngs_modulus),
-    )
-    if any(sizes):
-        raise ValueError(
-            f"modes() takes one whisker at a time, got an array of shape {max(sizes, key=len)}; "
-            "call it for each."
-        )
-    if not 1 <= count <= 12:
+    profile = one_profile(whisker, "modes")
+    if not 1 <= (count := whole("count", count, "write count=5", least=0)) <= 12:
         raise ValueError(f"count must be 1 to 12, got {count}; write count=5.")
     zeta = non_negative("damping_ratio", damping_ratio, "give a share of critical, such as 0.1")
     if np.any(zeta >= 1) or zeta.shape not in ((), (count,)):
@@ -159,6 +149,19 @@ def modes(
     error = np.abs(coarse / omega - 1) + 1e-12
     vectors = vectors * np.sign(basis(np.ones(1), size, 0).T @ vectors)  # up at the tip
     return Modes(omega, np.broadcast_to(zeta, (count,)).astype(float), error, vectors.T, profile)
+
+
+def one_profile(whisker: Whisker | Profile, name: str) -> Profile:
+    """The profile of one whisker; several are refused by what is called `name`."""
+    profile = Profile.of(whisker)
+    fields = (profile.radius[0], profile.whisker.density, profile.whisker.youngs_modulus)
+    shape = np.broadcast_shapes(*map(np.shape, fields))
+    if shape:
+        raise ValueError(
+            f"{name}() takes one whisker at a time, got an array of shape {shape}; "
+            "call it for each."
+        )
+    return profile
 
 
 def ritz(profile: Profile, size: int, count: int, held: float | None = None) -> tuple[Array, Array]:

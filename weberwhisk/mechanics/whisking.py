@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from .._checks import finite, number, positive
+from .._checks import number, positive
 from .._deprecated import renamed_attribute
 from ..whisker import Whisker
 from .chebyshev import Array
-from .modes import BASIS, basis, gauss, ritz
+from .modes import BASIS, basis, gauss, one_profile, ritz
 from .shape import Profile
 
 
@@ -166,9 +166,9 @@ def quasi_static(whisker: Whisker | Profile, radial_distance: float) -> QuasiSta
     >>> print(f"{found.first_frequency:.0f} Hz; 1 % at {found.limit(0.01):.0f} Hz")
     84 Hz; 1 % at 10 Hz
     """
-    profile = Profile.of(whisker)
+    profile = one_profile(whisker, "quasi_static")
     length = float(profile.whisker.length)
-    r = float(finite("radial_distance", radial_distance, "give metres, such as 30e-3"))
+    r = number("radial_distance", radial_distance, "give metres, such as 30e-3")
     if not 0 < r < length * (1 + 1e-9):
         raise ValueError(
             f"radial_distance must be on the whisker of {length:g} m, got {r:g}; give metres."
