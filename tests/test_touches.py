@@ -38,18 +38,42 @@ def test_ten_equal_touches_divide_the_sd_by_root_ten(cue):
 
 
 @pytest.mark.parametrize(
-    ("k", "distance", "angles", "between"),
+    ("k", "distance", "shares", "seed", "between"),
     [
-        (0.1, 30e-3, [0.1, 0.2, 0.3], (18e-3, 44e-3)),
-        # Where the axial force turns with the angle: ten touches were 4 sd off, and converged.
-        (0.03, 5.185e-3, np.tile([1.27, 0.555, 0.42, 1.12, 0.2], 2), (3.8e-3, 5.9e-3)),
+        (0.1, 30e-3, [0.11, 0.23, 0.34], 9, (18e-3, 44e-3)),
+        # Where the axial force turns with the angle nodes at even steps of its coordinate missed
+        # bumps: these were 3.4, 1.2 and 0.9 sd off, and converged.
+        (
+            0.03,
+            4.775e-3,
+            [0.506, 0.518, 0.275, 0.144, 0.04, 0.398, 0.385, 0.043, 0.249, 0.777],
+            29,
+            (3.2e-3, 5.68e-3),
+        ),
+        (
+            0.03,
+            6.888e-3,
+            [0.223, 0.896, 0.606, 0.447, 0.503, 0.467, 0.113, 0.287, 0.063, 0.899],
+            81,
+            (5.11e-3, 8.32e-3),
+        ),
+        (
+            0.03,
+            6.575e-3,
+            [0.695, 0.713, 0.852, 0.88, 0.097, 0.553, 0.531, 0.553, 0.48, 0.394],
+            222,
+            (5.73e-3, 7.38e-3),
+        ),
     ],
 )
-def test_the_product_is_that_of_a_fine_sum(k, distance, angles, between):
+def test_the_product_is_that_of_a_fine_sum(k, distance, shares, seed, between):
     """Of several deflections, beside a sum over distance and each deflection."""
     observer = Observer(W, cues.ForceMap(), Weber(k))
-    readings = observer.read(np.column_stack([np.full(len(angles), distance), angles]), seed=9)
-    r = np.linspace(*between, 400)
+    limit = observer.angle_range(np.array([distance]))[1]
+    readings = observer.read(
+        np.column_stack([np.full(len(shares), distance), limit * shares]), seed
+    )
+    r = np.linspace(*between, 200)
     share = (np.arange(2000) + 0.5) / 2000
     theta = observer.angle_range(r)[1][:, None] * share
     place = np.stack([np.broadcast_to(r[:, None], theta.shape), theta], axis=-1)
