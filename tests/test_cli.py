@@ -699,6 +699,7 @@ def test_fit_takes_columns_labels_subjects_and_sessions(
     )
 
 
+@pytest.mark.once
 def test_fit_takes_effects_comparisons_and_what_is_known_of_lapses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -62,6 +62,7 @@ def test_evidence_and_loo_of_one_parameter_by_brute_force() -> None:
         assert table.loc["weber", "bad_k"] == 0
 
 
+@pytest.mark.once
 def test_counts_and_single_trials_compare_alike() -> None:
     trials = simulate_trials(weber_fraction=0.15, standards=[1.0, 3.0], trials_per_level=20, seed=3)
     from weberwhisk.behaviour import Trials
@@ -95,6 +96,7 @@ def test_the_noise_that_made_the_data_is_found(made_by: str, best: str) -> None:
     assert found.report().startswith(best)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("drift", "best"), [(0.0, "stationary"), (-1.6, "drifting")])
 def test_a_drift_is_found_where_there_is_one(drift: float, best: str) -> None:
     trials = simulate_trials(

@@ -25,6 +25,7 @@ from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 ROOT = Path(__file__).parent.parent
 
 
+@pytest.mark.once
 def test_a_population_has_its_report() -> None:
     fit = ww.fit_population(ww.simulate_population(3, trials_per_level=10, seed=1)[0])
     lines = fit.report().splitlines()
@@ -179,6 +180,7 @@ def test_the_version_is_written_once_and_workflows_cover_what_is_supported() -> 
     assert ".ci/lowest" in workflow
 
 
+@pytest.mark.once
 def test_nothing_is_of_one_system_alone() -> None:
     """No module or call that Windows lacks, and no text read or written in a locale's encoding."""
     modules = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"}

@@ -71,6 +71,7 @@ def test_a_whisker_is_described() -> None:
     assert "receptors LogNormal. " in text
 
 
+@pytest.mark.once
 def test_a_population_is_described() -> None:
     found = ww.fit_population(_read("animals_six.csv"))
     text = methods_paragraph(found)
