@@ -240,7 +240,7 @@ class ForceMap(Cue):
             far = np.abs(miss).max(axis=-1)
             since[left] = np.where(far < 0.99 * least[left], 0, since[left] + 1)
             least[left] = np.fmin(far, least[left])
-            going = (far >= 1e-13) & np.isfinite(after).all(axis=-1) & (since[left] < 10)
+            going = ~near & np.isfinite(after).all(axis=-1) & (since[left] < 10)
             left = left[going]
             if not left.size:
                 break

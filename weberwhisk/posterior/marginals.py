@@ -122,15 +122,14 @@ class Marginal:
         some = np.flatnonzero((share > 0) & (share < 1) & (self.mass > slight))
         share = np.where(share > 0, np.minimum(share, 1.0), 0.0) * self.mass
         share[some] = 0.0
-        out = summed(share, self.row, self.count)
-        v = value[self.row]
-        error = np.zeros(self.count)
-        if some.size:
-            part, whole, missed = self._parts_below(some, v[some])
-            out += summed(part, self.row[some], self.count)
-            error += np.abs(summed(whole - self.mass[some], self.row[some], self.count))
-            error += np.sqrt(summed(missed**2, self.row[some], self.count))
-        return out, error
+        out = _totals(self.row, share, self.count)
+        if not some.size:
+            return out, np.zeros(self.count)
+        row = self.row[some]
+        part, whole, missed = self._parts_below(some, value[row])
+        error = np.abs(_totals(row, whole - self.mass[some], self.count))
+        error += np.sqrt(_totals(row, missed**2, self.count))
+        return out + _totals(row, part, self.count), error
 
     def _prepare(self, pairs: Index) -> None:
         """Work out ln of the density on pairs that have been without."""
@@ -175,11 +174,16 @@ class Marginal:
         above = value[:, None, None] - self._edges[np.searchsorted(self._tiles, tile)]
         one, other = above[..., :-1], above[..., 1:]
         crossed = (one > 0) != (other > 0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            place = _ACROSS[:-1] + (_ACROSS[1] - _ACROSS[0]) * one / (one - other)
-        place = np.where(crossed, place, 1.0).reshape(len(tile), -1)
-        place = np.sort(np.partition(place, 3, axis=1)[:, :4], axis=1)
-        ends = np.pad(place, ((0, 0), (1, 1)), constant_values=((0, 0), (-1.0, 1.0)))
+        which, edge, step = np.nonzero(crossed)
+        one, other = one[which, edge, step], other[which, edge, step]
+        # As many as four of a tile, in order.
+        ends = np.ones((len(tile), 6))
+        ends[:, 0] = -1.0
+        order = np.arange(len(which)) - np.searchsorted(which, which)
+        kept = order < 4
+        place = _ACROSS[step] + (_ACROSS[1] - _ACROSS[0]) * one / (one - other)
+        ends[which[kept], order[kept] + 1] = place[kept]
+        ends.sort(axis=1)
         whose, part = np.nonzero(np.diff(ends, axis=1) > 1e-9)
         return whose, ends[whose, part], ends[whose, part + 1]
 
@@ -213,6 +217,11 @@ class Marginal:
         tail = np.abs(lines @ _TO_LEGENDRE[-2:].T).sum(axis=1)
         missed = 0.01 * half * tail**2 / np.maximum(lines.max(axis=1, initial=0.0), 1e-300)
         return out, self._whole[pairs], np.bincount(whose, missed, len(pairs)).astype(np.float64)
+
+
+def _totals(row: Index, parts: Array, count: int) -> Array:
+    """Sums (B,) of parts (n,) that belong to readings (n,)."""
+    return np.bincount(row, parts, count).astype(np.float64)
 
 
 def _below(powers: Array, t: Array) -> Array:
