@@ -99,9 +99,10 @@ def brute_force(observer, reading, points=400_000):
     for n in (coarse, coarse, fine):
         axes = [a + (np.arange(n) + 0.5) / n * (b - a) for a, b in box]
         table = np.empty((n,) * dim)
-        for i, r in enumerate(axes[0]):  # slice by slice: three dimensions are many
-            contact = np.stack(np.meshgrid(r, *axes[1:], indexing="ij"), axis=-1)[0]
-            table[i] = observer.log_likelihood(reading, contact)
+        slab = max(1, 16_000 // n ** (dim - 1))  # three dimensions are many
+        for i in range(0, n, slab):
+            some = np.meshgrid(axes[0][i : i + slab], *axes[1:], indexing="ij")
+            table[i : i + slab] = observer.log_likelihood(reading, np.stack(some, axis=-1))
         for k, name in enumerate(observer.unknowns):
             if name in observer.prior:
                 shape = [-1 if j == k else 1 for j in range(dim)]

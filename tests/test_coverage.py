@@ -96,9 +96,9 @@ def test_the_last_of_three_unknowns_has_the_moments_of_a_grid():
     from weberwhisk.posterior.grid import integrate, prior_box
 
     observer = ww.Observer(W, CUES["soft map"])
-    readings = observer.read(prior_draws(observer, 2, seed=4), seed=5)
+    readings = observer.read(prior_draws(observer, 1, seed=4), seed=5)
     p = ww.posterior(observer, readings)
-    boxes = (np.tile(side, (2, 1)) for side in prior_box(observer))
+    boxes = (side[None] for side in prior_box(observer))
     whole = integrate(
         lambda x, index: observer.log_density(x, readings[index, None]),
         *boxes,

@@ -79,7 +79,7 @@ def test_more_poses_change_little():
     """What five nodes in each direction are worth, in sds of the posterior."""
     many = ComparativeLength(ROW.lengths, ROW.bases, sweeps=ROW.sweeps, poses=11)
     few, exact = (ww.Observer(W, cue) for cue in (ROW, many))
-    for touches in ROW.reports[[0, 2, 3, 6, 7]]:
+    for touches in ROW.reports[[0, 3, 7]]:
         mean, sd = moments_by_midpoints(exact, touches, 600)
         p = ww.posterior(few, touches)
         assert p.mean == pytest.approx(mean, abs=0.01 * sd)

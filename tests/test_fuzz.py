@@ -128,7 +128,7 @@ SUFFIXES = st.sampled_from([".csv", ".csv", ".csv", ".tsv", ".txt", ".csv.gz", "
 FILES = st.one_of(tables(), tables(), tables(), st.binary(max_size=200))
 
 
-@settings(max_examples=4 * settings.default.max_examples)
+@settings(max_examples=2 * settings.default.max_examples)
 @given(FILES, SUFFIXES, st.sampled_from([None, "2AFC", "yes/no", "3AFC percent correct"]),
        st.sampled_from(["linear", "log"]))  # fmt: skip
 def test_any_file_is_read_or_refused(content: bytes, suffix: str, task: str, scale: str) -> None:

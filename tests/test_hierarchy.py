@@ -135,7 +135,7 @@ def test_a_table_integrates_to_the_evidence_of_one_animal() -> None:
     )
     prior = np.where(low[..., 0] + high[..., 0] < 1, prior, -np.inf)
     gap = (c.stimulus_2 - c.stimulus_1) / np.hypot(c.stimulus_1, c.stimulus_2)
-    log_k, bias = np.linspace(np.log(0.02), np.log(0.5), 61), np.linspace(-1.6, 1.6, 33)
+    log_k, bias = np.linspace(np.log(0.02), np.log(0.5), 41), np.linspace(-1.6, 1.6, 25)
     total = []
     for x in log_k:
         for b in bias:

@@ -276,8 +276,8 @@ def fit_population(
     Examples
     --------
     >>> from weberwhisk.behaviour import simulate_population
-    >>> trials, truth = simulate_population(5, weber_fraction=0.1, seed=1)
-    >>> fit = fit_population(trials)
+    >>> trials, truth = simulate_population(4, weber_fraction=0.1, seed=1)
+    >>> fit = fit_population(trials, bias="none")
     >>> low, high = fit.interval(0.95)
     >>> low < 0.1 < high
     True

@@ -288,7 +288,8 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     Examples
     --------
     >>> from weberwhisk import fit_population, simulate_population
-    >>> ax = shrinkage(fit_population(simulate_population(3, trials_per_level=10, seed=1)[0]))
+    >>> trials, _ = simulate_population(2, trials_per_level=6, seed=1)
+    >>> ax = shrinkage(fit_population(trials, bias="none"))
     >>> ax.get_xlabel()
     'Weber fraction'
     """
@@ -332,7 +333,8 @@ def population(
     Examples
     --------
     >>> from weberwhisk import fit_population, simulate_population
-    >>> axes = population(fit_population(simulate_population(3, trials_per_level=10, seed=1)[0]))
+    >>> trials, _ = simulate_population(2, trials_per_level=6, seed=1)
+    >>> axes = population(fit_population(trials, bias="none"))
     >>> axes[0].get_ylabel(), axes[-1].get_xlabel()
     ('Second reported greater', 'Weber fraction')
     """
