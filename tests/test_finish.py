@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
+from weberwhisk.behaviour import methods_paragraph
 from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import in_words, rig_trials
@@ -206,3 +207,15 @@ def test_nothing_is_of_one_system_alone() -> None:
                     names = {text}
             found += [f"{path.relative_to(ROOT)}: {name}" for name in names]
     assert found == []
+
+
+def test_located_contacts_have_a_methods_paragraph() -> None:
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6)
+    bent = ww.press(whisker, [20e-3, 20e-3, 30e-3], 0.3)
+    signals = {"moment_uNm": bent.moment * 1e6, "axial_force_uN": bent.axial_force * 1e6}
+    table = pd.DataFrame(signals | {"touch": [1, 1, 2]})
+    text = methods_paragraph(ww.locate(table, whisker, touch="touch"))
+    for said in ("3 rows of a table (3 converged)", "2 touches were located", "Weber(), k = 0.1.",
+                 "radial_distance flat from 0 to 50 mm", "stiffness lognorm(", "ForceMap(",
+                 f"weberwhisk {ww.__version__} (NumPy {np.__version__}"):  # fmt: skip
+        assert said in text

@@ -329,6 +329,12 @@ def family(distribution: Any) -> Any:
     return key
 
 
+def in_words(prior: Any) -> str:
+    """A frozen distribution as one would write it."""
+    given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]
+    return f"{prior.dist.name}({', '.join(given)})"
+
+
 def priors_of(prior: Any, cue: Cue) -> Mapping[str, Any]:
     """The priors given, refused where they are not distributions of the cue's unknowns."""
     if prior is None:

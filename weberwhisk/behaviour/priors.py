@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from .. import _checks
+from ..coordinates import in_words
 from .encodings import UnitEncodings
 from .tasks import SameDifferent, Task, YesNo
 from .trials import Cells
@@ -221,12 +222,6 @@ class PopulationPriors:
                     f"the prior of {name} must not reach below zero, got support from {low:g}; "
                     "give for example scipy.stats.halfnorm(scale=0.5)."
                 )
-
-
-def in_words(prior: Any) -> str:
-    """A frozen distribution as one would write it."""
-    given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]
-    return f"{prior.dist.name}({', '.join(given)})"
 
 
 @lru_cache(maxsize=256)

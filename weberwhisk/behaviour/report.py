@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from .._values import interval_text
+from ..contacts.rows import methods_of
+from ..coordinates import in_words
 from ..posterior.arviz_io import ArvizData
 from ..posterior.arviz_io import to_arviz as convert
 from ..receptors import Weber
@@ -18,7 +20,6 @@ from . import criticism
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .likelihood import Draws
-from .priors import in_words
 from .tasks import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
@@ -299,12 +300,13 @@ _NOISE = {
 }
 
 
-def methods_paragraph(fit: WeberFit | PopulationFit) -> str:
-    """What was done to the choices, as a methods section says it; every number is the fit's.
+def methods_paragraph(fit: WeberFit | PopulationFit | pd.DataFrame) -> str:
+    """What was done to choices or contacts, as a methods section says it; numbers are the result's.
 
     Parameters
     ----------
-    fit : WeberFit or PopulationFit
+    fit : WeberFit, PopulationFit or DataFrame
+        A table as of `locate`.
 
     Returns
     -------
@@ -318,9 +320,12 @@ def methods_paragraph(fit: WeberFit | PopulationFit) -> str:
     >>> "lapse_low ~ beta(0.7, 20)" in text
     True
     """
-    said = _of_one(cast("WeberFit", fit)) if hasattr(fit, "posterior") else _of_many(fit)
+    if isinstance(fit, pd.DataFrame):
+        said = methods_of(fit)
+    else:
+        said = _of_one(cast("WeberFit", fit)) if hasattr(fit, "posterior") else _of_many(fit)
     made = f"weberwhisk {__version__} (NumPy {np.__version__}, SciPy {version('scipy')})"
-    return " ".join([*said, f"Fits were made with {made}."])
+    return " ".join([*said, f"This was done with {made}."])
 
 
 def _of_one(fit: WeberFit) -> list[str]:

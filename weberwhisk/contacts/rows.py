@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks, domain
+from ..coordinates import in_words
 from ..cues import Cue
 from ..mechanics import Profile
 from ..observer import Observer
@@ -110,7 +111,7 @@ def locate(
         whisker from the first touch), `status` and `message`; with `touch` also
         `touch_radial_distance_mm` and so on, the same in all rows of a touch. Rows that tell of no
         contact stay, empty, and their status says why.
-        ``attrs["notes"]`` says what was taken for granted: cue, units, signs, noise.
+        ``attrs["notes"]`` says what was taken for granted: cue, units, signs, noise, priors.
 
     Raises
     ------
@@ -215,13 +216,38 @@ def locate(
         numbers, words["touch_status"] = _of_touches(each, clouds, status, readings, named)
         found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
     errors = "its measurement errors" if covariance is not None else ""
-    said = " and ".join(filter(None, [errors, f"{observer.noise!r}" if receptors else ""]))
-    notes.append(f"Cue: {cue!r}. Noise of the table's numbers: {said}.")
+    ks = dict.fromkeys(observer.noise.weber_fractions(y.shape[1]).tolist())
+    law = f"{observer.noise!r}, k = {', '.join(f'{k:g}' for k in ks)}" if receptors else ""
+    said = " and ".join(filter(None, [errors, law]))
+    notes.append(f"Cue: {cue!r}. Noise of the table's numbers: {said}. {_priors(observer)}")
     words["message"] = np.array([Status(s).message for s in status], dtype=object)
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
+
+
+def _priors(observer: Observer) -> str:
+    """The priors of what is unknown of a contact, in a sentence."""
+    low, high = (1e3 * end for end in observer.reach)
+    flat = {"radial_distance": f"flat from {low:.3g} to {high:.3g} mm",
+            "deflection_angle": "flat up to where the whisker is lost"}  # fmt: skip
+    said = [
+        f"{name} {in_words(observer.prior[name]) if name in observer.prior else flat[name]}"
+        for name in observer.unknowns
+    ]
+    return f"Priors: {', '.join(said)}."
+
+
+def methods_of(located: pd.DataFrame) -> list[str]:
+    """What was done to the contacts of a table of `locate`, sentence by sentence."""
+    status = located["status"].value_counts()
+    counts = ", ".join(f"{n} {str(name).replace('_', ' ')}" for name, n in status.items())
+    said = [f"Radial distances were inferred of the {len(located)} rows of a table ({counts})."]
+    if "touch_status" in located:
+        touches = located[TOUCH_RESULTS[0]].nunique()
+        said.append(f"Rows of a touch share its distance; {touches} touches were located.")
+    return [*said, *located.attrs["notes"], "Posteriors are by quadrature."]
 
 
 def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
