@@ -1,5 +1,7 @@
 """Following a contact along a sweep (§2g), against the sweeps of the planar beam (model 2)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,13 +9,16 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome, sweeping
-from weberwhisk.mechanics import elastica
+from weberwhisk.cues import ForceMap, Friction, UnknownCurvature
+from weberwhisk.mechanics import elastica, profile
 from weberwhisk.mechanics import surface as slip
+from weberwhisk.mechanics.forward import ForwardModel
 from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber
 from weberwhisk.sweeping import SweepFilter, follow
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+FORWARD = ForwardModel(W)
 PUSH = np.radians(np.arange(1.0, 31.0))
 BODIES = {
     "peg": peg(30e-3, 0.0),
@@ -154,20 +159,28 @@ def test_a_deep_wall_holds_the_whisker_at_its_limit():
     assert np.isnan(track.radial_distance).all()
 
 
-@pytest.mark.parametrize("depth", slow_but([5e-3, 30e-3], [0]))
-def test_the_rate_of_slip_on_a_wall_is_that_of_its_sweep(depth):
-    body = wall(0.0, -depth, 0.0)
-    first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
+@pytest.mark.parametrize(
+    ("depth", "curvature", "friction"),
+    slow_but([(5e-3, 0, 0), (9e-3, 8, -0.3), (30e-3, 0, 0), (4e-3, 20, 0)], [0, 1]),
+)
+def test_the_rate_of_slip_on_a_wall_is_that_of_its_sweep(depth, curvature, friction):
+    whisker, body = replace(W, curvature=curvature), wall(0.0, -depth, 0.0)
+    first = sweep(whisker, body, np.radians([-1.0, 80.0]), friction).first_contact
+    if curvature:  # the flank touches first, where the circle's tangent is the wall's
+        assert first == pytest.approx(np.arccos(1 - curvature * depth), abs=1e-7)
     at = np.radians(np.arange(6.0, 30.0, 6.0))
     step = np.array([-1e-4, 0.0, 1e-4])
-    full = sweep(W, body, np.r_[first - 0.01, first + (at[:, None] + step).ravel()])
+    angles = np.r_[first - 0.01, first + (at[:, None] + step).ravel()]
+    full = sweep(whisker, body, angles, friction)
     assert not full.tip[1:].any()
     r, theta = (
         np.reshape(x[1:], (-1, 3))
         for x in (full.bending.radial_distance, full.bending.deflection_angle)
     )
     rate = (r[:, 2] - r[:, 0]) / 2e-4
-    assert slip.rate_on_wall(W, r[:, 1], theta[:, 1]) == pytest.approx(rate, rel=2e-3)
+    forward = Friction(ForceMap("moment"), friction).forward(whisker, np.zeros(2))
+    found = slip.rate_on_wall(forward, r[:, 1], theta[:, 1])
+    assert found == pytest.approx(rate, rel=2e-3)
 
 
 def test_the_flank_takes_over_from_the_tip():
@@ -176,7 +189,7 @@ def test_the_flank_takes_over_from_the_tip():
     first = sweep(W, body, np.radians([-1.0, 80.0])).first_contact
     full = sweep(W, body, first + np.r_[-0.01, np.linspace(1e-3, 0.06, 60)])
     last = full.bending.held & full.tip
-    r, theta, beta = slip.tip_contacts(W)
+    r, theta, beta = slip.tip_contacts(FORWARD)
     place = np.interp(full.bending.deflection_angle[last], theta, r)
     assert place == pytest.approx(full.bending.radial_distance[last], rel=1e-3)
     release = np.interp(np.arcsin(depth / W.length), beta, theta)
@@ -200,18 +213,26 @@ def test_on_a_peg_the_filter_is_the_product_of_the_likelihoods():
     assert track.angle_sd[-1] < 1e-12
 
 
-def test_the_filter_is_calibrated_on_objects_of_its_own_making():
+@pytest.mark.parametrize(
+    ("curvature", "friction"), slow_but([(0.0, 0.0), (15.0, -0.3), (-15.0, 0.0)], [0])
+)
+def test_the_filter_is_calibrated_on_objects_of_its_own_making(curvature, friction):
     """Truths drawn from its prior of objects: E[((r − mean)/sd)²] = 1 at every step."""
     push = np.radians(np.arange(2.0, 14.0, 2.0))
-    made = SweepFilter(W, Weber(0.1), particles=1500)
+    whisker = replace(W, curvature=curvature)
+    prior = stats.uniform(2e-3, 44e-3) if curvature < 0 else None  # tips that go further out
+    cue = Friction(ForceMap("moment"), friction)
+    made = SweepFilter(whisker, Weber(0.1), particles=1500, cue=cue, prior=prior)
     rng = np.random.default_rng(5)
     states, moments, places = made.start(rng), [], []
     states = rng.permutation(states)[:400]
     for step in np.diff(push, prepend=0.0):
         states = made.move(states, step, rng)
-        inside = np.clip(states[:, 0], 1e-4, W.length)
-        bent = elastica.press(W, inside, np.maximum(states[:, 1], 1e-9))
-        good = bent.held & (states[:, 1] > 0) & (states[:, 0] > 0) & (states[:, 0] < W.length)
+        inside = np.clip(np.nan_to_num(states[:, 0]), 1e-4, made.observer.reach[1] * (1 - 1e-12))
+        pushed = states[:, 1] - profile.rest_angle(whisker, inside)
+        at = profile.rest_angle(whisker, inside) + np.maximum(np.nan_to_num(pushed), 1e-9)
+        bent = profile.press(whisker, inside, at, friction)
+        good = bent.held & (pushed > 0) & (states[:, 0] == inside)
         moments.append(np.where(good, bent.moment, np.nan))
         places.append(states[:, 0])
     moments, places = np.array(moments).T, np.array(places).T
@@ -244,6 +265,58 @@ def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
     assert filtered < followed
 
 
+@pytest.mark.parametrize(("curvature", "friction"), [(8.0, -0.3), (-20.0, 0.0)])
+def test_curved_and_rubbing_whiskers_are_followed(curvature, friction):
+    """On their convex and their concave side, by the moments of the planar beam."""
+    whisker = replace(W, curvature=curvature)
+    body = cylinder(25e-3, 0.5 * curvature * 25e-3**2 - 8e-3, 6e-3)
+    first = sweep(whisker, body, np.radians([-40.0, 80.0]), friction).first_contact
+    push = PUSH[:24:3]
+    bent = sweep(whisker, body, np.r_[first - 0.01, first + PUSH[:24]], friction).bending
+    r, moment = bent.radial_distance[1:], bent.moment[1:]
+    cue = Friction(ForceMap("moment"), friction)
+    off = follow(whisker, PUSH[:24], moment, cue=cue).radial_distance - r
+    assert np.all(np.abs(off) < 0.06e-3)
+    assert np.all(np.abs(off)[8:] < 1e-6)
+    prior = stats.uniform(2e-3, 44e-3)
+    made = SweepFilter(whisker, Weber(0.1), cue=cue, prior=prior, particles=1000)
+    track = made(push, Weber(0.1).sample(moment[::3, None], 10)[:, 0], seed=1)
+    assert np.all(np.abs(track.radial_distance - r[::3]) < 4 * track.distance_sd)
+    straight = follow(W, PUSH[:24], moment).radial_distance - r
+    assert np.nanmax(np.abs(straight)) > 2e-5
+
+
+def test_a_curvature_that_goes_to_nothing_changes_nothing(sweeps):
+    """Neither the update nor the filter, which then run on the table of the planar beam."""
+    push, moment = PUSH[::3], sweeps["cylinder"][2][::3]
+    hardly = replace(W, curvature=1e-9)
+    one, other = (follow(w, push, moment).radial_distance for w in (W, hardly))
+    assert other == pytest.approx(one, rel=1e-6)
+    one, other = (SweepFilter(w, particles=1000)(push, moment, seed=1) for w in (W, hardly))
+    assert other.radial_distance == pytest.approx(one.radial_distance, rel=1e-6)
+    assert other.distance_sd == pytest.approx(one.distance_sd, rel=1e-6)
+
+
+def test_an_unknown_friction_is_carried_along():
+    """On a peg the product of the likelihoods, summed over friction, by the planar beam itself."""
+    whisker, push = replace(W, curvature=8.0), PUSH[3:22:6]
+    cue = Friction(ForceMap("moment"), coefficient=0.4)
+    largest, (x, mass) = np.arctan(0.4), np.polynomial.legendre.leggauss(5)
+    r = np.linspace(20e-3, 40e-3, 120)
+    at = profile.rest_angle(whisker, r)[:, None, None] + push
+    bent = profile.press(whisker, r[:, None, None], at, largest * x[:, None], tolerance=1e-6)
+    truth = profile.press(whisker, 30e-3, profile.rest_angle(whisker, 30e-3) + push, 0.2).moment
+    reading = Weber(0.1).sample(truth[:, None], seed=3)[:, 0]
+    log = stats.norm.logpdf(reading, bent.moment, 0.1 * bent.moment)
+    weight = np.exp(np.where(bent.held, log, -np.inf).sum(axis=2)) @ mass
+    mean = r @ weight / weight.sum()
+    sd = np.sqrt((r - mean) ** 2 @ weight / weight.sum())
+    made = SweepFilter(whisker, slip_rate=0.0, slip_change=0.0, particles=40_000, cue=cue)
+    track = made(push, reading, seed=4)
+    assert track.radial_distance[-1] == pytest.approx(mean, abs=0.2 * sd)
+    assert track.distance_sd[-1] == pytest.approx(sd, rel=0.15)
+
+
 def test_results_repeat_with_the_seed():
     readings = elastica.press(W, 30e-3, PUSH[:4]).moment
     made = SweepFilter(W, particles=500)
@@ -262,6 +335,11 @@ def test_results_repeat_with_the_seed():
         (lambda: follow(W, [0.1], [1e-6], start=(0.0, 0.1)), "start must be above zero"),
         (lambda: SweepFilter(W, particles=5), "100 particles or more"),
         (lambda: SweepFilter(W, slip_rate=-1), "slip_rate must not be negative"),
+        (lambda: SweepFilter(replace(W, curvature=-8.0)), "further out than it reaches at rest"),
+        (lambda: SweepFilter(W, cue=UnknownCurvature(ForceMap("moment"), 1.0)), "curvature unknow"),
+        (lambda: SweepFilter(W, cue=ForceMap()), "followed by its moment, got"),
+        (lambda: follow(W, [0.1], [1e-6], cue=Friction(ForceMap("moment"))), "else being known"),
+        (lambda: follow("C2", [0.1], [1e-6]), "whisker must be a Whisker"),
     ],
 )
 def test_misuse_is_refused_in_one_sentence(call, words):

@@ -23,7 +23,6 @@ from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.posterior.summed import LastSummed
 from weberwhisk.posterior.tiling import likelihood_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
-from weberwhisk.sweeping import SweepFilter, follow
 from weberwhisk.whisker import identities, rest_shape
 
 MU = np.arctan(0.48)
@@ -250,13 +249,6 @@ def test_a_table_that_is_off_by_some_of_a_weber_fraction_says_so():
     assert 1e-4 < slender.forward.error < 1e-3
     assert 'write model="profile"' in slender.note
     assert Observer(whisker(20, 8.0), ForceMap()).note == ""
-
-
-def test_sweeps_refuse_curved_whiskers():
-    """The filter took them for straight, without a word."""
-    for refused in (SweepFilter, lambda w: follow(w, [0.1, 0.2], [1e-6, 2e-6])):
-        with pytest.raises(ValueError, match="reading by reading"):
-            refused(whisker(20, 8.0))
 
 
 def test_compliance_of_a_curved_whisker():

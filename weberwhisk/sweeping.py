@@ -10,6 +10,10 @@ the whisker's tangent at the contact,
 With dM = ∂M/∂r dr + ∂M/∂θ_d dθ_d that gives the changes of r and θ_d from those of M and ρ: no map
 is looked up, and each contact builds on the one before. Where the tip is what touches, (slip) does
 not hold; nor does the algorithm.
+
+(slip) is geometry alone, and holds for a whisker that is curved at rest, and one that rubs: what it
+is like is in the moment and in β, both of which the tables of `mechanics.forward` tell. A curved
+whisker's θ_d starts at the angle at which it touches at rest.
 """
 
 from __future__ import annotations
@@ -22,20 +26,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import finite, non_negative, positive
+from ._checks import finite, kind, non_negative, positive, refuse_hinge
 from .cues import ForceMap
-from .cues.protocol import readings, straight
-from .mechanics import elastica
+from .cues.protocol import Cue, readings
 from .mechanics.contact import Outcome
-from .mechanics.surface import rate_on_wall, slid, surface_of, tip_contacts
+from .mechanics.forward import ForwardModel
+from .mechanics.shape import Profile
+from .mechanics.surface import Walls, rate_on_wall, slid
 from .observer import Observer
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
-#: Share of objects that the tip meets first, as a wall's; where in question with more than this
-#: probability, and beyond this share of the largest θ_d, they are `AT_LIMIT`.
+#: Share of objects that are walls; where in question with more than this probability, and beyond
+#: this share of the largest θ_d, they are `AT_LIMIT`.
 TIP_SHARE, MOST_AT_LIMIT, NEAR_LIMIT = 0.2, 0.25, 0.95
 
 
@@ -80,6 +85,7 @@ def follow(
     moment: ArrayLike,
     *,
     start: tuple[float, float] | None = None,
+    cue: Cue | None = None,
 ) -> Track:
     """The iterative update of §2g: contact after contact, from exact moments.
 
@@ -88,15 +94,16 @@ def follow(
 
     Parameters
     ----------
-    whisker : Whisker
-        Straight.
+    whisker : Whisker or Profile
     push_angle : array (n,)
         Ascending from above 0, rad.
     moment : array (n,)
         At the base, N m.
     start : (float, float), optional
         r (m) and θ_d (rad) at push angle 0, where another cue tells them: of a wall, say, that the
-        tip touches first. By default the whisker is straight then, and r unknown.
+        tip touches first. By default the whisker is at rest then, and r unknown.
+    cue : Cue, optional
+        ``Friction(ForceMap("moment"), angle)`` for contacts that rub at a known angle.
 
     Returns
     -------
@@ -105,8 +112,8 @@ def follow(
     Raises
     ------
     ValueError
-        For push angles that do not ascend from above 0, moments that are not as many, and a start
-        that is not a contact.
+        For push angles that do not ascend from above 0, moments that are not as many, a start that
+        is not a contact, a whisker on a hinge, and a cue of anything but the moment.
 
     Notes
     -----
@@ -122,7 +129,8 @@ def follow(
     >>> (follow(w, push, moments).radial_distance * 1e3).round(3)
     array([30., 30., 30., 30.])
     """
-    straight(whisker, "ww.touches or posterior with cues.ForceMap(), reading by reading")
+    cue = _of_moment(whisker, cue, known=True)
+    forward = cue.forward(whisker, np.zeros(2))
     push, moments = _checked(push_angle, moment)
     r, theta, before = 0.0, 0.0, 0.0
     if start is not None:
@@ -132,8 +140,8 @@ def follow(
     outcome = np.full(push.size, Outcome.OUT_OF_REACH, dtype=np.int8)
     for k, angle in enumerate(push):
         known = start is not None or k > 0
-        place = partial(_next if known else _first, whisker, r, theta, float(angle) - before)
-        solved = _at_moment(whisker, place, float(moments[k]), r if known else None)
+        place = partial(_next if known else _first, forward, r, theta, float(angle) - before)
+        solved = _at_moment(forward, place, float(moments[k]), r if known else None)
         if solved is None:
             break
         (r, theta), before = solved, float(angle)
@@ -153,31 +161,53 @@ def follow(
     )
 
 
-def _first(whisker: Whisker, r: float, theta: float, push: float, place: Array) -> Array:
+def _of_moment(whisker: Any, cue: Cue | None, known: bool = False) -> Cue:
+    """The cue, if it is one of the moment at an unknown angle, with nothing else where `known`."""
+    if not isinstance(whisker, Profile):
+        kind("whisker", whisker, "a Whisker", "taper", "write Whisker(50e-3, 100e-6, 5e-6), say")
+    refuse_hinge(whisker, "A sweep")
+    cue = ForceMap("moment") if cue is None else cue
+    own = ("radial_distance", "deflection_angle")
+    if (
+        not isinstance(cue, Cue)
+        or cue.signal_names != ("moment",)
+        or cue.unknowns[:2] != own
+        or (known and len(cue.unknowns) > 2)
+    ):
+        raise ValueError(
+            f"A sweep is followed by its moment{', all else being known' * known}, got {cue!r}; "
+            'write ForceMap("moment"), or Friction(ForceMap("moment"), -0.3).'
+        )
+    return cue
+
+
+def _first(forward: ForwardModel, r: float, theta: float, push: float, place: Array) -> Array:
     """θ_d at all distances after the first push: no slip yet."""
-    return np.full_like(place, push)
+    return forward.rest(place) + push
 
 
-def _next(whisker: Whisker, r: float, theta: float, push: float, place: Array) -> Array:
+def _next(forward: ForwardModel, r: float, theta: float, push: float, place: Array) -> Array:
     """θ_d at the distances `place` that a push from (r, θ_d) may have led to."""
     start = np.full_like(place, r), np.full_like(place, theta)
-    return slid(whisker, *start, place - r, push)[1]
+    return slid(forward, *start, place - r, push)[1]
 
 
 def _at_moment(
-    whisker: Whisker,
+    forward: ForwardModel,
     place: Callable[[Array], Array],
     reading: float,
     near: float | None,
 ) -> tuple[float, float] | None:
     """The contact, among those at radial distances (n,), that has this moment: the nearest."""
-    length = float(whisker.length)
+    length = forward.reach
     low, high = (1e-3 * length, length) if near is None else (near / 1.5, min(near * 1.5, length))
     for _ in range(12):
         r = np.linspace(low, high, 65)
         theta = place(r)
-        bent = elastica.press(whisker, r, np.maximum(theta, 0.0))
-        miss = np.where(bent.held & (theta >= 0), bent.moment, np.nan) - reading
+        push = theta - forward.rest(r)
+        signals, outcome = forward.signals(r, np.maximum(push, 0.0))
+        held = (outcome == Outcome.HELD) & (push >= 0)
+        miss = np.where(held, signals[:, 0], np.nan) - reading
         crossed = np.flatnonzero(np.sign(miss[1:]) * np.sign(miss[:-1]) <= 0)
         if not crossed.size:
             return None
@@ -202,11 +232,12 @@ class SweepFilter:
     with systematic resampling; the likelihood of each moment is that of an `Observer`. A share of
     the objects is met by the tip: walls at any distance from the base, whose contacts stay at the
     tip at first and then run inwards as `mechanics.surface` says, but for a rate that wanders too.
+    A whisker that is pushed on its convex side meets near walls with its flank.
 
     Parameters
     ----------
-    whisker : Whisker
-        One straight whisker.
+    whisker : Whisker or Profile
+        One of them. Positive curvature is contact on the convex side, negative on the concave.
     noise : ReceptorNoise
         Of the moment, independent from one reading to the next.
     slip_rate : float
@@ -214,13 +245,20 @@ class SweepFilter:
     slip_change : float
         Sd by which dr/dρ wanders over one rad, in the same unit.
     prior : frozen SciPy distribution, optional
-        Of the radial distance of first contact, m; by default flat up to the tip.
+        Of the radial distance of first contact, m, where it is the flank that touches; by default
+        flat up to the tip, with a share of walls.
     particles : int
+    cue : Cue, optional
+        Of the moment: ``Friction(ForceMap("moment"), -0.3)`` for contacts that rub (negative while
+        the whisker is pressed harder), or `Friction`, `UnknownCurvature` or `UnknownStiffness` with
+        an unknown, which stays the same throughout a sweep.
 
     Raises
     ------
     ValueError
-        For what `Observer` refuses, negative rates, fewer than 100 particles.
+        For what `Observer` refuses, negative rates, fewer than 100 particles, a whisker on a hinge.
+        Where the tip may meet an object and then go further out than it reaches at rest, as on the
+        concave side, or where it goes depends on what is not known: no table has such contacts.
 
     Examples
     --------
@@ -242,24 +280,26 @@ class SweepFilter:
         slip_change: float = 1.0,
         prior: Any = None,
         particles: int = 4000,
+        cue: Cue | None = None,
     ) -> None:
-        straight(whisker, "ww.touches or posterior with cues.ForceMap(), reading by reading")
         priors = {} if prior is None else {"radial_distance": prior}
-        self.observer = Observer(
-            whisker, ForceMap("moment"), Weber(0.1) if noise is None else noise, priors
-        )
+        cue = _of_moment(whisker, cue)
+        self.observer = Observer(whisker, cue, Weber(0.1) if noise is None else noise, priors)
         hint = "give whisker lengths per rad, 0 for a peg"
         self.slip_rate = float(non_negative("slip_rate", slip_rate, hint))
         self.slip_change = float(non_negative("slip_change", slip_change, hint))
-        self._tip = tip_contacts(self.observer.whisker)
         self.particles = int(particles)
         if self.particles < 100:
             raise ValueError(f"A filter needs 100 particles or more, got {particles}; write 4000.")
+        self._tip: Any = None
+        if self.slip_rate > 0 and "radial_distance" not in self.observer.prior:
+            self._tip = Walls.of(self.observer.forward)
 
     def start(self, seed: Seed = None) -> Array:
-        """States (particles, 4) at first contact, from the prior.
+        """States (particles, 4 and more) at first contact, from the prior.
 
-        r, θ_d = 0, dr/dρ and, of walls, the θ_d from which the flank touches, else 0. A wall's
+        r, θ_d at rest, dr/dρ and, of walls, how far the tip is turned before the flank touches,
+        −∞ where the flank touches first, else 0; then whatever else the cue does not know. A wall's
         dr/dρ is what it differs by from that of a straight one.
         """
         rng = np.random.default_rng(seed)
@@ -270,40 +310,55 @@ class SweepFilter:
             prior = self.observer.prior["radial_distance"]
             ends = prior.cdf([low, high])
             r = prior.ppf(ends[0] + u * (ends[1] - ends[0]))
-        length = float(self.observer.whisker.length)
-        rate = self.slip_rate * length * rng.standard_normal(u.size)
+        rate = self.slip_rate * self.observer.forward.length * rng.standard_normal(u.size)
         release = np.zeros(u.size)
-        if self.slip_rate > 0 and "radial_distance" not in self.observer.prior:
+        if self._tip is not None:
             # What the tip meets first, at any distance from the base.
-            tip = np.flatnonzero(rng.permutation(u.size) < TIP_SHARE * u.size)
-            r[tip] = length
-            angle = np.arcsin(rng.random(tip.size))
-            release[tip] = np.interp(angle, self._tip[2], self._tip[1], right=np.inf)
-        return np.stack([r, np.zeros_like(r), rate, release], axis=-1)
+            wall = np.flatnonzero(rng.permutation(u.size) < TIP_SHARE * u.size)
+            r[wall], release[wall] = self._tip.met(np.arcsin(rng.random(wall.size)))
+        names = self.observer.unknowns[2:]
+        others = [self.observer.prior[name].ppf(rng.random(u.size)) for name in names]
+        state = np.stack([r, 0 * r, rate, release, *others], axis=-1)
+        state[:, 1] = self._forward(state).rest(r)
+        return state
+
+    def _contact(self, state: Array) -> Array:
+        """What the observer calls a contact, (n, U), its angle from where it touches at rest."""
+        contact = np.concatenate([state[:, :2], state[:, 4:]], axis=1)
+        contact[:, 1] -= self._forward(state).rest(state[:, 0])
+        return contact
+
+    def _forward(self, state: Array) -> ForwardModel:
+        """The mechanics of the states."""
+        observer = self.observer
+        others = np.concatenate([state[:, :2], state[:, 4:]], axis=1)
+        return observer.cue.forward(observer.whisker, others)
 
     def move(self, state: Array, push: float, seed: Seed = None) -> Array:
         """States after a push dρ: what the filter believes of objects."""
         rng = np.random.default_rng(seed)
-        whisker = self.observer.whisker
-        r, theta, rate, release = state.T
-        # While the tip touches there is no slip.
-        running = np.clip(theta + push - release, 0.0, push)
-        theta = theta + (push - running)
-        r = np.where(running < push, np.interp(theta, self._tip[1], self._tip[0]), r)
-        flat = np.flatnonzero((release > 0) & (running > 0))
+        r, theta, rate, release = state[:, :4].T
+        running = np.full_like(r, push)
+        if self._tip is not None:
+            # While the tip touches there is no slip.
+            turned = theta - self._tip.theta[0] + push - release
+            running = np.where(release > 0, np.clip(turned, 0.0, push), push)
+            theta = theta + (push - running)
+            r = np.where(running < push, np.interp(theta, self._tip.theta, self._tip.r), r)
         slip = rate * running
-        slip[flat] += self._slip_on_wall(r[flat], theta[flat], running[flat])
-        r, theta = slid(whisker, r, theta, slip, running)
-        wander = self.slip_change * np.sqrt(push) * whisker.length
+        flat = np.flatnonzero((release != 0) & (running > 0))
+        slip[flat] += self._slip_on_wall(state[flat], r[flat], theta[flat], running[flat])
+        r, theta = slid(self._forward(state), r, theta, slip, running)
+        wander = self.slip_change * np.sqrt(push) * self.observer.forward.length
         rate = rate + wander * rng.standard_normal(len(state))
-        return np.stack([r, theta, rate, release], axis=-1)
+        return np.column_stack([r, theta, rate, release, state[:, 4:]])
 
-    def _slip_on_wall(self, r: Array, theta: Array, push: Array) -> Array:
+    def _slip_on_wall(self, state: Array, r: Array, theta: Array, push: Array) -> Array:
         """dr (n,) along walls, by the midpoint rule."""
-        whisker = self.observer.whisker
-        start = rate_on_wall(whisker, r, theta)
-        middle = slid(whisker, r, theta, start * push / 2, push / 2)
-        return rate_on_wall(whisker, *middle) * push
+        forward = self._forward(state)
+        start = rate_on_wall(forward, r, theta)
+        middle = slid(forward, r, theta, start * push / 2, push / 2)
+        return rate_on_wall(forward, *middle) * push
 
     def __call__(self, push_angle: ArrayLike, moment: ArrayLike, seed: Seed = None) -> Track:
         """Follow the contact of one sweep.
@@ -354,16 +409,15 @@ class SweepFilter:
 
     def _at_limit(self, state: Array) -> NDArray[np.bool_]:
         """States of walls at which the tip still touches, or that are about to flick past."""
-        r, theta, _, release = state.T
-        limit = surface_of(self.observer.whisker).limit(r)
-        return (release > 0) & ~(theta < NEAR_LIMIT * limit)
+        limit = self._forward(state).limit(state[:, 0])
+        return (state[:, 3] != 0) & ~(self._contact(state)[:, 1] < NEAR_LIMIT * limit)
 
     def _weigh(self, state: Array, reading: float) -> tuple[Array, NDArray[np.int8]]:
         """ln p(moment | state), −∞ where not held, and the outcome of every state."""
-        contact = state[:, :2]
+        contact, whisker = self._contact(state), self.observer.whisker
         inside = (contact[:, 0] > 0) & (contact[:, 1] > 0)
-        safe = np.where(inside[:, None], contact, self.observer.whisker.length)
-        signals, outcome = self.observer.signals(safe)
+        safe = np.where(inside[:, None], contact, self.observer.reach[1])
+        signals, outcome = self.observer.cue.signals(whisker, safe)
         outcome = np.where(inside, outcome, Outcome.OUT_OF_REACH).astype(np.int8)
         held = outcome == Outcome.HELD
         value = self.observer.noise.log_likelihood([reading], np.where(held[:, None], signals, 1.0))

@@ -271,6 +271,7 @@ class TouchedBody:
             return None
         turned = self.pose(first)[0]
         # A point may belong to an edge and to its corner: which one touches, the tangents say.
+        glancing = None  # a curved flank on an edge, whose point of touch lies between two of ours
         for at in np.flatnonzero(needed <= first + 1e-10):
             feature, arc = int(features[at]), float(np.interp(out[at], along[:top], s[:top]))
             tangent = float(self.rows.law.turn(np.array([arc]))[0]) if self.rows.law else 0.0
@@ -280,7 +281,9 @@ class TouchedBody:
                 return first, Touch(feature, True), np.array([tilt, 0.0])
             if flat or (feature % 2 == 0 and (self.radius == 0 or abs(tilt) < 0.02)):
                 return first, Touch(feature, False), np.array([arc, 0.0])
-        return None
+            if abs(tilt) < 0.02 and glancing is None:
+                glancing = first, Touch(feature, False), np.array([arc, 0.0])
+        return glancing
 
     def _outline(self, reach: float) -> tuple[Array, Array]:
         """Points of the object's outline, (2, m), and their features, within reach as well."""
