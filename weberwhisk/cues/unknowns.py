@@ -304,7 +304,9 @@ class UnknownRoll(_Wrapped):
     A whisker rolled by ρ and touched at the azimuth ω bends as one that is not, touched at ω − ρ;
     its forces and moments are turned by ρ about the base tangent. So what tells of the roll is how
     a curved whisker bends out of the plane of the contact. A straight one's roll tells of nothing,
-    and is as the prior has it.
+    and is as the prior has it. JNDs at contacts in the plane of curvature do not depend on it, to
+    first order: for curves of other contacts give the azimuth a prior such as
+    ``scipy.stats.uniform(1.5 - np.pi, 2 * np.pi)``, of middle 1.5.
 
     Parameters
     ----------

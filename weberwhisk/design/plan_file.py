@@ -25,11 +25,11 @@ from ..behaviour.encodings import (
     PooledEncoding,
 )
 from ..behaviour.priors import Priors
-from ..cues import Compliance, ForceMap, Friction
+from ..cues import Compliance, ForceMap, Friction, SpaceMap, UnknownRoll
 from ..model_bias import Chosen
 from ..observer import Observer
 from ..places import ArrayObserver
-from ..receptors import GeneralisedWeber, Weber
+from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .plan import Plan
@@ -43,11 +43,14 @@ NOUNS: dict[type, str] = {
     Compliance: "tap_angle angular_velocity velocity_spread",
     ForceMap: "signals=signal_names:texts deflection_angle:number|null",
     Friction: "cue:Compliance|ForceMap angle:number|null coefficient",
+    SpaceMap: "signals=signal_names:texts roll",
+    UnknownRoll: "cue:SpaceMap spread",
     WhiskerArray: "species:text sides:text curved:flag identities:texts protraction",
     Weber: "weber_fraction:numbers correlation:numbers",
     GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
-    Observer: "whisker:Whisker cue:Compliance|ForceMap|Friction noise:Weber|GeneralisedWeber "
-    "model:text|null",
+    Joint: "noises:list sizes:numbers",
+    Observer: "whisker:Whisker cue:Compliance|ForceMap|Friction|SpaceMap|UnknownRoll "
+    "noise:Weber|GeneralisedWeber|Joint model:text|null",
     ArrayObserver: "array:WhiskerArray cue:Compliance|ForceMap|Friction|null "
     "noise:Weber|GeneralisedWeber|null angle_sd missed",
     CueEncoding: "observer:Observer deflection_angle:number|null unit",

@@ -262,7 +262,8 @@ class _Bumps:
     def move(self, i: Index, mean: Array, u: Array, weight: Array) -> None:
         """Have points be about the means (b, 2) of slices (b,), as wide as those are."""
         off = u - mean[:, None]
-        covariance = np.einsum("bn,bni,bnj->bij", weight, off, off)
+        # All may be on one node: the next grid is a tenth as wide, then.
+        covariance = np.einsum("bn,bni,bnj->bij", weight, off, off) + 0.01 * np.eye(2)
         moved = np.einsum("bij,bj->bi", self.root[i], mean)
         self.roll[i] += np.einsum("bi,bi->b", self.slope[i], moved)
         self.centre[i] += moved
