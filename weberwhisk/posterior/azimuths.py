@@ -48,9 +48,10 @@ class Around:
         self.scale = min(self.spread, 1.0)
         self.ends = None if _goes_around(observer) else from_normal(observer.prior["azimuth"])
         around = {"azimuth": self.map.priors(observer.whisker)["azimuth"]}
-        self.own = {n: observer.prior[n] for n in observer.prior if n in observer.unknowns[:2]}
+        self.unknowns, self.bounded = observer.unknowns, 2
+        self.prior = {n: observer.prior[n] for n in observer.prior if n in observer.unknowns[:2]}
         plane = self.map.__class__(self.map.signal_names)  # not rolled
-        self.space = ContactCoordinates(observer.whisker, plane, around | self.own)
+        self.space = ContactCoordinates(observer.whisker, plane, around | self.prior)
         self.dim = 4 if self.rolls else 3
         #: Curvature of ln prior in q, about.
         roll = [(self.scale / self.spread) ** 2] if self.rolls else []
@@ -67,8 +68,8 @@ class Around:
         z = ndtri(np.clip(turn, 1e-15, 1 - 1e-15))
         contact, log = self.space.constrain(np.concatenate([x, z[..., None]], axis=-1))
         for i, name in enumerate(self.observer.unknowns[:2]):
-            if name in self.own:
-                log = log + self.own[name].logpdf(contact[..., i])
+            if name in self.prior:
+                log = log + self.prior[name].logpdf(contact[..., i])
         contact[..., 2] = plane
         flat = self.ends is None
         return contact, log - (np.log(FULL) if flat else 0.5 * (t**2 + np.log(FULL)))
