@@ -95,7 +95,7 @@ def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() ->
     assert 0.18 < floor < rmse(default, k) < 1.2 * floor
 
 
-@pytest.mark.parametrize("part", script.DESIGNS)
+@pytest.mark.parametrize("part", slow_but(script.DESIGNS, (1,)))
 def test_over_animals_and_designs_the_defaults_lose_least(part: str) -> None:
     """Of lapses less than the default before; and half as wide a prior of k loses less where the
     animals were laid out, and far more once they are moved, with their levels, to k about 0.5."""
@@ -123,7 +123,7 @@ def test_over_animals_and_designs_the_defaults_lose_least(part: str) -> None:
     assert rms[two + ", moved"] > 1.2 * rms[three + ", moved"]
 
 
-@pytest.mark.parametrize("kind", beside.KINDS)
+@pytest.mark.parametrize("kind", slow_but(beside.KINDS, (1,)))
 def test_no_further_than_psignifit_over_animals_whose_thresholds_are_bracketed(
     kind: str, psignifit: pd.DataFrame
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import io
-import os
 import pydoc
 import re
 import subprocess
@@ -237,20 +236,26 @@ def test_no_public_result_is_of_any_type() -> None:
     assert {name for name in vague if "prior" not in name.lower()} == set()
 
 
-@pytest.mark.once  # the same types on every Python
+#: What `strict` means to a module.
+STRICT = (
+    "disallow_any_generics", "disallow_subclassing_any", "disallow_untyped_calls",
+    "disallow_untyped_defs", "disallow_untyped_decorators", "check_untyped_defs",
+    "warn_unused_ignores", "warn_return_any", "strict_equality", "extra_checks",
+)  # fmt: skip
+
+
+@pytest.mark.slow  # a second after `mypy`, whose cache it shares, as in .ci/run; else twenty
 def test_a_strict_type_checker_resolves_every_type(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
+    script = tmp_path / "script_of_a_user.py"
     shown = [f"reveal_type({expression})" for expression in REVEALED.replace("\n", " ").split(" ")]
     script.write_text(SCRIPT + "\n".join(shown), encoding="utf-8")
-    # An installed package's own lines are not the user's to check, nor is whether SciPy has stubs.
-    (tmp_path / "mypy.ini").write_text(
-        "[mypy]\nstrict = True\nfollow_imports = silent\n"
-        "[mypy-IPython.*,dask.*,distributed.*,prompt_toolkit.*,tornado.*]\n"  # in no answer
-        "follow_imports = skip\n"
-    )
+    flags = "".join(f"{flag} = true\n" for flag in STRICT)
+    own = f'\n[[tool.mypy.overrides]]\nmodule = "{script.stem}"\n{flags}'
+    config = tmp_path / "pyproject.toml"
+    config.write_text((ROOT / "pyproject.toml").read_text("utf-8") + own, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", str(script)],
-        capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "MYPYPATH": str(ROOT)},
+        [sys.executable, "-m", "mypy", "--config-file", str(config), str(script)],
+        capture_output=True, text=True, cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     revealed = [line for line in done.stdout.splitlines() if "Revealed type" in line]
