@@ -246,6 +246,7 @@ def test_it_says_where_it_does_not_work():
     ("make", "words"),
     [
         (lambda: BalanceOfMoments(3.0), "impact_angle must be in the range of whisking"),
+        (lambda: BalanceOfMoments(1.8, whisking=(0.5, 3.6)), "go up between 0 and π"),
         (lambda: BalanceOfMoments(effort=0.0), "effort must be above zero"),
         (lambda: BalanceOfMoments(gain=-1.0), "gain must be above zero"),
         (lambda: FELT.radial_distance(W, 0.1), "The effort of this cue is felt, got none"),

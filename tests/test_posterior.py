@@ -302,6 +302,7 @@ def test_seeds_repeat():
         (lambda o: ww.posterior(o, [1.0], "mcmc"), "method 'mcmc' is unknown"),
         (lambda o: ww.posterior(o, "loud"), "reading must be a number"),
         (lambda o: ww.posterior(o, [1.0], tolerance=0), "tolerance must be above zero, got 0"),
+        (lambda o: ww.posterior(o, [1.0], tolerance="low"), "tolerance must be a number"),
         (lambda o: ww.posterior(o, [1e-4]).interval(1.5), "probability lies between 0 and 1"),
         (
             lambda o: ww.posterior(ww.Observer(W, ForceMap()), [1.0, 2.0, 3.0]),

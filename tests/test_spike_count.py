@@ -263,6 +263,7 @@ def test_the_figure_of_all_models_is_made(tmp_path):
         (lambda: Afferents(2, 2, 1), "highest must not lie below lowest, got 1.0 below 2.0"),
         (lambda: Afferents(2, 0, 1), "lowest must be above zero, got 0"),
         (lambda: Afferents(2, 1, 2, peak_rate=0), "peak_rate must be above zero"),
+        (lambda: Afferents(2, 1, 2, peak_rate=[80.0, 90.0]), "peak_rate must be one number"),
         (lambda: Afferents(2, 1, 2, exponent=0), "exponent must be above zero"),
         (lambda: Afferents(2, 1, 2, spontaneous_rate=-1), "spontaneous_rate must not be negative"),
         (lambda: SpikeCount(Afferents(1, 1, 1)).log_likelihood([1.5], [1.0]), "whole .* got 1.5"),

@@ -84,11 +84,12 @@ class MuscleCurve(Enum):
 
 
 def whisking_range(whisking: Any) -> tuple[float, float]:
-    """The range of follicle angles, refused where it is not two angles that go up."""
+    """The range of follicle angles, refused where it is not two angles that go up below π."""
     ends = finite("whisking", whisking, "give (low, high) in radians")
-    if ends.shape != (2,) or not ends[0] < ends[1]:
+    # Beyond the muscle of equation (2.2) pulls the other way.
+    if ends.shape != (2,) or not 0 <= ends[0] < ends[1] < np.pi:
         raise ValueError(
-            f"whisking must be two angles that go up, got {ends.tolist()}; "
+            f"whisking must be two angles that go up between 0 and π, got {ends.tolist()}; "
             "give (low, high) in radians."
         )
     return float(ends[0]), float(ends[1])

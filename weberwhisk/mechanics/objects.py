@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite
+from .._checks import finite, number
 from .._values import member
 from ..whisker import Whisker
 from .chebyshev import Array
@@ -136,7 +136,8 @@ def sweep(
     # In radians, or in lengths.
     size = float(profile.whisker.length) if moves else 1.0
     angles = angles / size
-    contact = TouchedBody(profile, body, float(friction_angle), moves)
+    tilt = number("friction_angle", friction_angle, "give radians, 0 for no friction")
+    contact = TouchedBody(profile, body, tilt, moves)
     path = np.linspace(min(angles[0], 0.0), max(angles[-1], 0.0), 257) if moves else np.zeros(1)
     if np.any(body.depth(0.0, -size * path) >= 0):
         raise ValueError(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._checks import kind, one_of
+from .._checks import kind, one_of, positive_number
 from .._values import member
 from ..coordinates import family
 from ..observer import Observer
@@ -93,8 +93,8 @@ def posterior(
     29.47 ± 1.31 mm, converged
     """
     one_of("method", method, ("quadrature", "emcee", "laplace"))
-    if tolerance is not None and not tolerance > 0:
-        raise ValueError(f"tolerance must be above zero, got {tolerance!r}; write 1e-3, say.")
+    if tolerance is not None:
+        tolerance = positive_number("tolerance", tolerance, "write 1e-3, say")
     kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
     y = observer.checked_reading(reading, missing=True)
     single = y.ndim == 1

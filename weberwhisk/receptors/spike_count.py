@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, gammaln
 
-from .._checks import non_negative, number, positive, shown, whole
+from .._checks import non_negative_number, positive, positive_number, shown, whole
 from .._values import Value
 from .protocol import Array, ReceptorNoise, Seed
 
@@ -71,12 +71,11 @@ class Afferents(Value):
             raise ValueError(
                 f"highest must not lie below lowest, got {high} below {low}; swap them."
             )
-        positive("peak_rate", peak_rate, "write spikes/s")
-        positive("exponent", exponent, "write 2, say")
-        non_negative("spontaneous_rate", spontaneous_rate, "write spikes/s")
+        rest = non_negative_number("spontaneous_rate", spontaneous_rate, "write spikes/s")
         self._set(
-            number=number, lowest=low, highest=high, peak_rate=peak_rate, exponent=exponent,
-            spontaneous_rate=spontaneous_rate,
+            number=number, lowest=low, highest=high, spontaneous_rate=rest,
+            peak_rate=positive_number("peak_rate", peak_rate, "write spikes/s"),
+            exponent=positive_number("exponent", exponent, "write 2, say"),
         )  # fmt: skip
 
     @property
@@ -169,10 +168,9 @@ class SpikeCount(ReceptorNoise):
                 )
         for name in ("window", "rise_time"):
             hint = "write seconds, such as 0.05"
-            positive(name, getattr(self, name), hint)
-            self._set(**{name: number(name, getattr(self, name), hint)})
-        non_negative("gain_sd", self.gain_sd, "write 0 for Poisson counts")
-        self._set(gain_sd=number("gain_sd", self.gain_sd, "write 0 for Poisson counts"))
+            self._set(**{name: positive_number(name, getattr(self, name), hint)})
+        hint = "write 0 for Poisson counts"
+        self._set(gain_sd=non_negative_number("gain_sd", self.gain_sd, hint))
 
     # From here on both classes are alike: thresholds in the signal's unit, times to count in.
 
