@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
 Felt = tuple[Array, NDArray[np.int8]]
 #: Unknowns that may be of either sign, rad and 1/m.
-SIGNED = ("azimuth", "friction_angle", "surface_tilt", "curvature_offset")
+SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset")
 
 
 class Cue(Value):
