@@ -156,7 +156,7 @@ def test_errors_of_moment_and_forces_are_those_of_monte_carlo_over_the_fit() -> 
     first[:, 5] = C2.curvature * C2.length
     start = first[:, 5:8] + [0.3, 0.0, 0.0]
     p, _, points = _bent(shapes, first, start, points, Extra(base_sd=0.3 / unit))
-    own, signals = shapes.covariance(p, points, Extra(base_sd=0.3 / unit), BENT)
+    own, signals, _ = shapes.covariance(p, points, Extra(base_sd=0.3 / unit), BENT)
     held = shapes.held(p)
     clear = np.flatnonzero((held > 0.2) & (held < 0.9))[:12]
     rng, ratio = np.random.default_rng(1), []
@@ -257,10 +257,20 @@ def test_a_table_of_signals_is_the_same_from_a_file(tmp_path: Path) -> None:
     signals.to_csv(tmp_path / "signals.csv", index=False)
     found, again = ww.locate(signals, C2), ww.locate(tmp_path / "signals.csv", C2)
     np.testing.assert_allclose(found["radial_distance_mm"], again["radial_distance_mm"], rtol=1e-6)
+    # What all rows of a touch have in common is not averaged away.
+    one, wide = (
+        ww.locate(signals.assign(distance_common_sd_mm=sd), C2, touch=[1] * 10)["touch_sd_mm"].iloc[
+            0
+        ]
+        for sd in (0.0, 1.0)
+    )
+    used = found["status"].eq("converged").sum()
+    assert wide == pytest.approx(np.sqrt(one**2 + 1 - 1 / used))
 
 
 def test_false_alarms_are_as_stated_and_contacts_may_be_given() -> None:
     from weberwhisk.contacts.shapes import free_frames
+    from weberwhisk.contacts.signals import _median
 
     rng = np.random.default_rng(5)
     root = np.array([[1, 0, 0], [-0.9, 0.4, 0], [0.5, -0.6, 0.2]])
@@ -269,6 +279,11 @@ def test_false_alarms_are_as_stated_and_contacts_may_be_given() -> None:
     taken = ~free_frames(bends, 0.01)
     assert taken[:6000].all()
     assert taken[6000:].mean() == pytest.approx(0.01, abs=0.003)
+    # Medians one by one are some hundred sds off along what hardly varies.
+    thin = rng.standard_normal((400, 3)) * [1, 1, 1e-3]
+    thin = thin @ np.array([[1, 0, 1], [0, 1, -1], [0, 0, 1]])
+    off = _median(thin) @ np.linalg.inv(np.cov(thin.T)) @ _median(thin)
+    assert off * 400 / (np.pi / 2) < 16
     video, truth = _scene(4, [15e-3], frames=40)
     signals = ww.tracked_signals(video.assign(held=truth["contact"]), C2, contact="held")
     assert (signals["contact"] == truth["contact"]).all()

@@ -270,12 +270,12 @@ def locate(
             with opt.options_named(
                 ["pixels_per_mm", "frame_rate", "identity", "pole", "shortest_px", "face"]
             ):
-                video = ww.read_tracking(contacts, shortest_px=shortest_px, face=face)
-                pole = numbers("--pole-px", pole_px) if pole_px else None
-                signals = ww.tracked_signals(
-                    video, whisker, pixels_per_mm=pixels_per_mm, frame_rate=frame_rate,
-                    identity=label, pole=pole,
+                video = ww.read_tracking(
+                    contacts, shortest_px=shortest_px, face=face, pixels_per_mm=pixels_per_mm,
+                    frame_rate=frame_rate,
                 )  # fmt: skip
+                pole = numbers("--pole-px", pole_px) if pole_px else None
+                signals = ww.tracked_signals(video, whisker, identity=label, pole=pole)
             heard = (*video.attrs["notes"], *signals.attrs["notes"])
             table_or_path = signals
         with opt.options_named(["columns", "units", "touch", "noise"]):

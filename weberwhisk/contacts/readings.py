@@ -22,7 +22,7 @@ from ..observer import Observer
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import YOUNGS_MODULUS, Whisker
 from .columns import NAMES, Array, likely_prefix, sides_of
-from .signals import AT_REST, CORRELATION
+from .signals import AT_REST, COMMON, CORRELATION
 
 
 def is_curved(whisker: Any) -> bool:
@@ -219,7 +219,7 @@ def from_shape(
     """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
     profile = Profile.of(whisker)
     common = [*AT_REST, "friction_angle_deg"]
-    missing = [n for n in (*common, "contact", CORRELATION) if n not in raw]
+    missing = [n for n in (*common, "contact", CORRELATION, COMMON) if n not in raw]
     missing += [n for n in ("moment", "transverse_force") if n not in si]
     if missing:
         raise ValueError(

@@ -19,7 +19,7 @@ from ..posterior import Status
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
 from .calibration import Calibration, averaged
-from .columns import IN_PLANE, Array, one_side, planar, read_contacts
+from .columns import IN_PLANE, Array, one_side, planar, read_contacts, values_of
 from .lattice import Lattice, Readings
 from .readings import (
     check_magnitudes,
@@ -29,7 +29,7 @@ from .readings import (
     touches_of,
     turn_round,
 )
-from .signals import FROM_SHAPE
+from .signals import COMMON, FROM_SHAPE
 from .sums import summarise, touch_posterior
 
 #: What `locate` adds to a table.
@@ -90,7 +90,9 @@ def locate(
         Units of our names, such as ``{"moment": "µN m"}``.
     touch : str or sequence, optional
         A column, or a value a row, that numbers the touches throughout the table; rows where it
-        is empty, 0 or False are in none. Rows of a touch share distance and stiffness.
+        is empty, 0 or False are in none. Rows of a touch share distance, stiffness and how far up
+        to the fold angles go, which is unknown where a row's may be any: a touch of two or three
+        rows may be less certain than they are.
     noise : ReceptorNoise, optional
         By default the measurement errors alone where the table has them, else the cue's own noise:
         Weber's law with k = 0.1, and one degree of a measured angle. With both, they add, and
@@ -172,8 +174,10 @@ def locate(
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
     named = None if touch is None else touches_of(raw, touch, notes)
+    common = np.zeros(len(raw))
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
         whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
+        common = values_of(raw, COMMON)
     else:
         si = planar(si, notes)
         if notes[-1:] == [IN_PLANE] and is_curved(whisker):
@@ -213,7 +217,7 @@ def locate(
     words = {"status": np.array([Status(s).name.lower() for s in status], dtype=object)}
     if named is not None:
         each = np.stack([found_rows[name] for name in RESULTS[:4]], axis=1)
-        numbers, words["touch_status"] = _of_touches(each, clouds, status, readings, named)
+        numbers, words["touch_status"] = _of_touches(each, clouds, status, readings, named, common)
         found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
     errors = "its measurement errors" if covariance is not None else ""
     ks = dict.fromkeys(observer.noise.weber_fractions(y.shape[1]).tolist())
@@ -319,11 +323,12 @@ def _prior_sd(observer: Observer) -> float:
 
 def _of_touches(
     alone: Array, clouds: NDArray[np.object_], status: Array, readings: Readings,
-    named: NDArray[np.object_],
+    named: NDArray[np.object_], common: Array,
 ) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
     """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status.
 
-    A touch of one row is that row, whose numbers are `alone`.
+    A touch of one row is that row, whose numbers are `alone`. Of several rows, an error that all
+    have in common, mm (n,), is not averaged away.
     """
     numbers = np.full((len(named), 4), np.nan)
     words = np.full(len(named), "no_touch", dtype=object)
@@ -337,6 +342,10 @@ def _of_touches(
             numbers[rows] = alone[used]
         elif used.size:
             found = touch_posterior(clouds[used].tolist(), readings.take(used), 0.95)
-            numbers[rows] = [1e3 * v for v in (found.mean, found.sd, *found.ends)]
+            own = 1e3 * np.array([found.mean, found.sd, *found.ends])
+            more = (common[used] ** 2).mean() * (1 - 1 / used.size)
+            wider = np.sqrt(1 + more / own[1] ** 2)
+            own[1:] = [own[1] * wider, *np.maximum(own[0] + (own[2:] - own[0]) * wider, 0.0)]
+            numbers[rows] = own
             words[rows] = "converged" if found.agree else "rows_disagree"
     return numbers, words

@@ -235,8 +235,9 @@ class Shapes:
 
     def covariance(
         self, p: Array, points: Points, extra: Extra, free: Any, shared: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Covariances of the fitted numbers (n, P, P), and of the signals (n, 5, 5).
+    ) -> tuple[Array, Array, Array]:
+        """Covariances of the fitted numbers (n, P, P), of the signals (n, 5, 5), and its part of
+        the shape at rest.
 
         By the slopes of the residuals at the fit; `shared` (3, 3) is that of the shape at rest,
         whose error all frames have in common.
@@ -252,13 +253,14 @@ class Shapes:
             gain[:, :, i] = (self.signals(aside) - here) / self.change
         to_free = gain[:, :, list(free)]
         out = to_free @ own @ np.swapaxes(to_free, 1, 2)
+        common = np.zeros_like(out)
         if shared is not None:
             rest = [5, 6, 7]
             _, by_rest = self._slopes(p, points, extra, rest)
             follow = -own @ np.swapaxes(slopes, 1, 2) @ by_rest
             total = gain[:, :, rest] + to_free @ follow
-            out = out + total @ shared @ np.swapaxes(total, 1, 2)
-        return np.asarray(own), np.asarray(out)
+            common = total @ shared @ np.swapaxes(total, 1, 2)
+        return np.asarray(own), np.asarray(out + common), np.asarray(common)
 
 
 class Extra(NamedTuple):

@@ -35,6 +35,8 @@ from .trackers import identified_by
 FROM_SHAPE = "shape"
 #: Their column of the correlation of the errors of moment and transverse force.
 CORRELATION = "moment_transverse_corr"
+#: Of the part of the distance's sd that all frames have in common, by the shape at rest.
+COMMON = "distance_common_sd_mm"
 #: And of the curvature at rest, at the base and its rate along the whisker.
 AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
 #: What is read off a shape, in the order of `Shapes.signals`.
@@ -87,7 +89,8 @@ def tracked_signals(
     DataFrame
         A row a row of the whisker, with its index: `frame`, `time_s`, `contact`, and for contacts
         `moment_uNm`, `axial_force_uN`, `transverse_force_uN` and `deflection_angle_deg` with
-        `moment_sd_uNm` and so on, the correlation `moment_transverse_corr`;
+        `moment_sd_uNm` and so on, the correlation `moment_transverse_corr`, and
+        `distance_common_sd_mm`, by the error of the shape at rest, the same in all frames;
         `shape_distance_mm` and `shape_distance_sd_mm`, from the shape alone; with a pole also
         `pole_distance_mm` and `pole_distance_sd_mm`; `misfit`, χ² over its degrees of freedom;
         `side`, 1 where the push is towards +y of a whisker along +x (to the right in an image,
@@ -166,7 +169,7 @@ def tracked_signals(
     slips = _slips(own[free], points.take(free))
     extra = extra._replace(base_sd=max(noise, slips))
     points = points._replace(weight=points.weight / noise)
-    rest = np.median(bends[free], axis=0)
+    rest = _median(bends[free])
     shared = np.cov(bends[free].T) * np.pi / 2 / free.sum()
     touched = np.flatnonzero(~free)
     notes = [f"{free.sum()} of {len(table)} frames are free; the points' noise is "
@@ -207,7 +210,7 @@ def tracked_signals(
     else:
         names = (*_SIGNALS, *([] if where is None else ["pole_distance"]))
         columns = {name: (np.zeros(0), np.zeros(0)) for name in names}
-        columns |= {"corr": np.zeros(0), "misfit": np.zeros(0)}
+        columns |= {"corr": np.zeros(0), "common": np.zeros(0), "misfit": np.zeros(0)}
     rows = _in_units(columns, profile.whisker).set_axis(touched)
     rows = rows.reindex(np.arange(len(out))).set_axis(out.index)
     out = pd.concat([out, rows], axis=1).set_axis(index[table.index])
@@ -277,13 +280,22 @@ def _slips(own: Array, points: Points) -> float:
     return float(np.sqrt(-shared)) if -shared > 3 * error else 0.0
 
 
+def _median(bends: Array) -> Array:
+    """The median of curvatures (n, 3), in coordinates in which they do not correlate.
+
+    One by one their medians are off along directions in which they hardly vary at all.
+    """
+    root = np.linalg.cholesky(np.cov(bends.T))
+    return np.asarray(root @ np.median(np.linalg.solve(root, bends.T), axis=1))
+
+
 def _noise(shapes: Shapes, own: Array, points: Points, extra: Extra) -> float:
     """Sd of a point, lengths: from what is left of the fits, and from how curvature varies."""
     left = (shapes._residuals(own, points, extra)[0][:, : points.at.shape[1]] ** 2).sum(axis=1)
     degrees = (points.weight > 0).sum(axis=1) - len(FREE)
     points_sd = float(np.sqrt(np.median(left / chi2.median(degrees))))
-    covariance, _ = shapes.covariance(own, points, extra, FREE)
-    bends = own[:, 5:8] - np.median(own[:, 5:8], axis=0)
+    covariance = shapes.covariance(own, points, extra, FREE)[0]
+    bends = own[:, 5:8] - _median(own[:, 5:8])
     far = np.einsum("ni,nij,nj->n", bends, np.linalg.inv(covariance[:, 2:, 2:]), bends)
     return max(points_sd, float(np.sqrt(np.median(far) / chi2.median(3))))
 
@@ -311,10 +323,11 @@ def _columns(shapes: Shapes, fit: Fit, extra: Extra, shared: Array) -> dict[str,
     """Signals in units of the whisker and their sds, by name."""
     p, cost, points = fit
     free = (*BENT, 4) if extra.friction_sd > 1e-8 else BENT
-    _, covariance = shapes.covariance(p, points, extra, free, shared)
+    _, covariance, common = shapes.covariance(p, points, extra, free, shared)
     values = shapes.signals(p)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     out: dict[str, Any] = {n: (values[:, i], sd[:, i]) for i, n in enumerate(_SIGNALS)}
+    out["common"] = np.sqrt(common[:, 3, 3])
     out["corr"] = covariance[:, 0, 2] / (sd[:, 0] * sd[:, 2])
     degrees = (points.weight > 0).sum(axis=1) + 2 * (extra.pole is not None) - len(free)
     out["misfit"] = cost / np.maximum(degrees, 1)
@@ -331,7 +344,7 @@ def _check(shapes: Shapes, fit: Fit, shared: Array, columns: dict[str, Any]) -> 
     start[:, 8], start[:, 9] = columns["moment"][0], -columns["moment"][0] / held
     extra = Extra(p[0, 4])
     found, _, near = shapes.fit(start, near, extra, NEAR_BASE)
-    covariance, _ = shapes.covariance(found, near, extra, NEAR_BASE)
+    covariance = shapes.covariance(found, near, extra, NEAR_BASE)[0]
     error = covariance[:, 2, 2]
     clear = columns["moment"][0] ** 2 > 25 * error
     if clear.sum() < 5:
@@ -379,5 +392,6 @@ def _in_units(columns: dict[str, Any], whisker: Whisker) -> pd.DataFrame:
     for name, (unit, factor) in units.items():
         if name in columns:
             out[f"{name}_{unit}"], out[f"{name}_sd_{unit}"] = (factor * v for v in columns[name])
-    out |= {CORRELATION: columns["corr"], "misfit": columns["misfit"]}
+    out |= {CORRELATION: columns["corr"], COMMON: length[1] * columns["common"]}
+    out["misfit"] = columns["misfit"]
     return pd.DataFrame(out | {"side": np.sign(columns["moment"][0])})
