@@ -219,7 +219,7 @@ def from_shape(
     """Whisker, cue, signals and sides of a table of `tracked_signals`, for `locate`."""
     profile = Profile.of(whisker)
     common = [*AT_REST, "friction_angle_deg"]
-    missing = [n for n in (*common, "contact", CORRELATION, COMMON) if n not in raw]
+    missing = [n for n in (*common, "contact", "misfit", CORRELATION, COMMON) if n not in raw]
     missing += [n for n in ("moment", "transverse_force") if n not in si]
     if missing:
         raise ValueError(

@@ -174,10 +174,10 @@ def locate(
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
     named = None if touch is None else touches_of(raw, touch, notes)
-    common = np.zeros(len(raw))
+    common, misfit = np.zeros(len(raw)), np.zeros(len(raw))
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
         whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
-        common = values_of(raw, COMMON)
+        common, misfit = values_of(raw, COMMON), values_of(raw, "misfit")
     else:
         si = planar(si, notes)
         if notes[-1:] == [IN_PLANE] and is_curved(whisker):
@@ -214,6 +214,8 @@ def locate(
             lattice = Lattice(observer, with_receptors=False)
             alone = _rows(lattice, readings.take(rows), None, keep=False)
             found_rows[MEASURED][rows] = alone.numbers[:, 1]
+    # A bent whisker more than three times as far off its points as their noise tells of no contact.
+    status[(misfit > 10) & (status != Status.NO_CONTACT)] = Status.IMPROBABLE_READING
     words = {"status": np.array([Status(s).name.lower() for s in status], dtype=object)}
     if named is not None:
         each = np.stack([found_rows[name] for name in RESULTS[:4]], axis=1)

@@ -346,6 +346,15 @@ def free_frames(bends: Array, false_alarms: float) -> NDArray[np.bool_]:
     return np.asarray(far <= chi2.isf(false_alarms, size))
 
 
+def median_shape(bends: Array) -> Array:
+    """The median of curvatures (n, 3), in coordinates in which they do not correlate.
+
+    One by one their medians are off along directions in which they hardly vary at all.
+    """
+    root = np.linalg.cholesky(np.cov(bends.T))
+    return np.asarray(root @ np.median(np.linalg.solve(root, bends.T), axis=1))
+
+
 def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> NDArray[np.bool_]:
     """Which rows are in contact, as a column or a list says."""
     if isinstance(contact, str):
