@@ -251,6 +251,24 @@ def test_a_table_that_is_off_by_some_of_a_weber_fraction_says_so():
     assert Observer(whisker(20, 8.0), ForceMap()).note == ""
 
 
+@pytest.mark.parametrize("curvature", [-20.0, -38.0])
+def test_a_tip_that_is_pushed_out_of_reach_on_the_concave_side_says_so(curvature):
+    """Straightened, it goes further out than it is at rest: contacts that no observer has."""
+    w = whisker(20, curvature)
+    forward = ww.mechanics.forward.ForwardModel(w)
+    force = np.linspace(0, 3e-3, 200)[1:] * w.force_scale
+    bent = profile.bend(w, w.length * (1 - 1e-9), force)
+    far = np.argmax(np.where(bent.held, bent.radial_distance, 0.0))
+    place = bent.radial_distance[far], bent.deflection_angle[far]
+    assert bent.outcome[far] == ww.Outcome.HELD
+    assert place[0] > 1.005 * forward.reach
+    assert profile.press(w, *place).outcome == ww.Outcome.OUT_OF_REACH
+    assert forward.signals(np.array(place[:1]), np.array([0.1]))[1] == ww.Outcome.OUT_OF_REACH
+    noise = GeneralisedWeber(0.03, floor=[1e-10, 1e-9])
+    found = posterior(Observer(w, ForceMap(), noise), [bent.moment[far], bent.axial_force[far]])
+    assert found.outcome == ww.Outcome.OUT_OF_REACH
+
+
 def test_compliance_of_a_curved_whisker():
     """The lightest tap gives the slope of the moment; a heavier one what the planar beam says."""
     w = whisker(20, 12.0)
