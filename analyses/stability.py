@@ -150,7 +150,8 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
     if "unknown" in title or "emcee" in title:
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("outside"):
-        ax.set(xscale="log", xlabel="outside by (ln)", ylabel="kind of case")
+        ax.set(xscale="log", xlabel="outside by (ln)", ylabel="")
+        ax.set_yticks(range(len(stability_outside.KINDS)), stability_outside.KINDS)
     elif not title.startswith("fit"):
         ax.set_xticks([0, 1])
     else:

@@ -14,11 +14,12 @@ from weberwhisk import Observer, Status, Whisker, cues, domain, receptors
 
 Array = np.ndarray
 Case = dict[str, Array]
-#: A case is off by a factor of exp(beyond); 0 and 1 for length, 2 for taper, 3 for the contact,
-#: 4 and 5 for the Weber fraction: below the domain, and above.
+#: What is outside, in the order of a case's `kind`.
+KINDS = ("shorter", "longer", "taper", "contact", "k below", "k above")
+#: A case is off by a factor of exp(beyond).
 AXES = {
     "beyond": Axis(1e-6, 2.0, log=True),
-    "kind": Axis(0.0, 5.999),
+    "kind": Axis(0.0, len(KINDS) - 1e-3),
     "distance": Axis(0.05, 0.95),
     "push": Axis(0.05, 0.9),
 }
