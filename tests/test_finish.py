@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import json
 import re
 import runpy
@@ -39,13 +40,23 @@ def test_a_population_has_its_report() -> None:
 
 def test_cite_agrees_with_the_citation_file() -> None:
     given = (ROOT / "CITATION.cff").read_text("utf-8")
-    assert f"version: {ww.__version__}\n" in given
     for words in ("10.1098/rstb.2011.0166", "2011", "Hartmann"):
         assert words in given
         assert words in ww.cite()
         assert words in ww.cite(bibtex=True)
     assert ww.cite(bibtex=True).count("{") == ww.cite(bibtex=True).count("}")
-    assert f"## {ww.__version__}" in (ROOT / "CHANGELOG.md").read_text("utf-8")
+    assert ww.__version__ in ww.cite()
+
+
+def test_the_version_is_that_of_the_tag_and_a_release_has_one_number() -> None:
+    assert ww.__version__ == importlib.metadata.version("weberwhisk")
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"][
+        "version"
+    ]
+    assert settings["source"] == "vcs"
+    released = re.findall(r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert settings["fallback-version"] == released[0]
+    assert f"version: {released[0]}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")

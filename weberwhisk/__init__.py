@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from ._deprecated import renamed_names
 
-__version__ = "0.1.0"
-
 if TYPE_CHECKING:
+    __version__: str
     from . import along_whisk as along_whisk
     from . import array as array
     from . import behaviour as behaviour
@@ -142,9 +141,21 @@ class _Package(ModuleType):
 sys.modules[__name__].__class__ = _Package
 
 
+def _version() -> str:
+    """As installed: its tag's, or of a commit between two; "unknown" if it was not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(__name__)
+    except PackageNotFoundError:
+        return "unknown"
+
+
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f".{name}", __name__)
+    if name == "__version__":
+        return _version()
     if name not in _HOME:
         return _renamed(name)
     value = getattr(import_module(f".{_HOME[name]}", __name__), name)

@@ -23,8 +23,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from . import __version__
-
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -106,6 +104,8 @@ def new_app(group: type[TyperGroup] | None = None) -> typer.Typer:
     ) -> None:
         """Bayesian inference and psychophysics of touch through rat whiskers."""
         if version:
+            from . import __version__
+
             typer.echo(f"weberwhisk {__version__}")
             raise typer.Exit()
         if context.invoked_subcommand is None:
