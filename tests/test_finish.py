@@ -50,9 +50,8 @@ def test_cite_agrees_with_the_citation_file() -> None:
 
 def test_the_version_is_that_of_the_tag_and_a_release_has_one_number() -> None:
     assert ww.__version__ == importlib.metadata.version("weberwhisk")
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"][
-        "version"
-    ]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    settings = project["tool"]["hatch"]["version"]
     assert settings["source"] == "vcs"
     released = re.findall(r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
     assert settings["fallback-version"] == released[0]
