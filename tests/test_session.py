@@ -263,3 +263,11 @@ def test_a_line_that_is_no_trial_is_refused_in_a_sentence(tmp_path: Path) -> Non
         lines.write("5\n")
     with pytest.raises(ValueError, match="has a trial that cannot be read"):
         Session(placer(), file).__enter__()
+
+
+def test_scored_answers_are_placed_without_a_word_of_bias(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("1\n"))
+    assert run_app(app, ["next", "--standard", "10", "--task", "2AFC percent correct"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
-from ..behaviour import CueEncoding, IdentityEncoding
+from ..behaviour import CueEncoding, IdentityEncoding, task_named
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
 from ..behaviour.trials import STIMULI, data_package, describe_table
@@ -280,7 +280,9 @@ def next_trials(
     easy_share: Annotated[float, "Share of easy trials."] = 0.1,
     width_percent: Annotated[Number, "Stop when the 95 % interval of k is within ± this."] = None,
     most: Annotated[int | None, "Stop after so many trials."] = None,
-    bias: Annotated[str, "per-standard, shared or none."] = "per-standard",
+    bias: Annotated[str, "per-standard, shared or none; none where answers are scored."] = (
+        "per-standard"
+    ),
     task: Annotated[str, "As for simulate."] = "2AFC",
     log: Annotated[
         Path | None, "Keeps every trial; goes on where it was.", {"metavar": "FILE"}
@@ -333,7 +335,8 @@ def _placer(
 ) -> BayesianPlacer | Staircase:
     """What the options ask for."""
     _checks.one_of("--goal", goal, ("weber-fraction", "taper", *RULES))
-    how: dict[str, Any] = {"bias": bias, "task": task}
+    usual = bias == "per standard" and not task_named(task).has_bias
+    how: dict[str, Any] = {"bias": "none" if usual else bias, "task": task}
     encoded = encoding or IdentityEncoding()
     hypotheses = [Hypothesis("Weber", encoded, **how)]
     scheme = lattice(encoded, standards, limits)

@@ -278,7 +278,10 @@ def _fit_together(
     out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     with Run(out, "fit", inputs, seed) as run:
-        found = ww.fit_population(trials, seed=seed, **options)
+        try:
+            found = ww.fit_population(trials, seed=seed, **options)
+        except ValueError as error:
+            raise ValueError(_as_options(str(error))) from None
         run.table("subjects", found.subjects)
         if found.sessions is not None:
             run.table("sessions", found.sessions)
