@@ -47,6 +47,19 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("slow" if slow else "quick")
 
 
+@pytest.fixture
+def hunt_seed(request: pytest.FixtureRequest) -> int:
+    """The seed of a hunt: WEBERWHISK_HUNT_SEED, else a new one with `pytest -m slow`.
+
+    Otherwise always the same: what a new seed finds does not keep finished work from landing.
+    """
+    given = os.environ.get("WEBERWHISK_HUNT_SEED")
+    if given is not None:
+        return int(given)
+    fresh = "slow" in request.config.getoption("markexpr")
+    return int(np.random.SeedSequence().generate_state(1)[0]) if fresh else 20110166
+
+
 #: Files that CI runs on each Python: those of ArviZ, of what reads and writes, and of what a user
 #: calls. The rest is arithmetic, which is run on one: doctests of every public name and these call
 #: what another Python, NumPy or pandas may take away.

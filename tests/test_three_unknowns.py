@@ -177,10 +177,15 @@ def test_a_corner_that_has_gone_astray_loses_nothing():
     assert p.sd == pytest.approx(sd, abs=3 * p.sd_error + known * sd)
 
 
-def test_the_last_unknown_apart_is_as_all_at_once():
-    """Distances, angles and last unknowns, of cues and noise drawn at random; the seed is new."""
-    seed = np.random.SeedSequence().entropy
-    rng = np.random.default_rng(seed)
+def test_contacts_near_the_end_of_the_reach_are_kept_whatever_the_side():
+    """0.1 sd off, 8e-4 claimed: where some sides reach no further whole contacts were left out."""
+    cue, noise = AngleSideAngle(side_sd=0.000311112), GeneralisedWeber(0.0, floor=0.00412656)
+    assert assert_as_all_at_once(ww.Observer(W, cue, noise), np.array([[0.45292783, 0.55857305]]))
+
+
+def test_the_last_unknown_apart_is_as_all_at_once(hunt_seed):
+    """Distances, angles and last unknowns, of cues and noise drawn at random."""
+    rng = np.random.default_rng(hunt_seed)
     judged = 0
     for _ in range(12):
         if judged:
@@ -204,7 +209,7 @@ def test_the_last_unknown_apart_is_as_all_at_once():
         reading = observer.noise.sample(signals, rng)
         if isinstance(observer.noise, LogNormal) and np.any(reading * signals <= 0):
             continue
-        judged += assert_as_all_at_once(observer, reading, f"seed {seed}")
+        judged += assert_as_all_at_once(observer, reading, f"seed {hunt_seed}")
     assert judged
 
 

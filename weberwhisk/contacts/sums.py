@@ -89,7 +89,6 @@ class LocatedTouch(NamedTuple):
 def touch_posterior(clouds: Sequence[Cloud], readings: Readings, mass: float) -> LocatedTouch:
     """The posterior of n rows (n, S), each with the cells from which it may come.
 
-
     p(r, E | rows) ∝ p(r) p(E) ∏ᵢ ∫ p(yᵢ | r, θᵢ, E) p(θᵢ | r) dθᵢ. The product of the rows' own
     posteriors of r would count prior and unknown stiffness once a row, and be far too sure. How far
     the angles go is unknown as well, and shared: with angles flat up to the fold, touches of small

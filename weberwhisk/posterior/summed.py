@@ -58,7 +58,9 @@ class LastSummed:
         self.dim = len(observer.unknowns) - 1
         #: Most boxes, beyond which a plain grid is quicker.
         self.most = 24_000 // 4 ** (self.dim - 1)
-        x = observer.space.spread(1 / (1 + np.exp(-np.linspace(-6, 5, 17))), others=5)[:, :-1]
+        # As far as the reach: there contacts are lost first.
+        fractions = 1 / (1 + np.exp(-np.append(np.linspace(-6, 5, 17), 30.0)))
+        x = observer.space.spread(fractions, others=5)[:, :-1]
         x = np.unique(x, axis=0)
         #: Whether the angle at a node moves with the last unknown.
         self.turns = observer.space.angle_range_varies
