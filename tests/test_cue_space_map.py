@@ -247,6 +247,8 @@ def test_what_space_does_not_know_is_refused():
         UnknownRoll(SpaceMap(), 0.0)
     with pytest.raises(ValueError, match="without friction whose shape is known"):
         Friction(UnknownRoll(SpaceMap(), 0.3))
+    with pytest.raises(ValueError, match="sums over five take too long"):
+        UnknownStiffness(UnknownRoll(SpaceMap(), 0.3))
 
 
 def test_directions_are_read_on_a_circle():

@@ -400,7 +400,7 @@ class UnknownStiffness(_Wrapped):
     ------
     ValueError
         For a spread that is not positive, a signal that the cue has not, a cue whose stiffness is
-        unknown already or that feels no force.
+        unknown already or that feels no force, and an `UnknownRoll`.
 
     Examples
     --------
@@ -426,6 +426,11 @@ class UnknownStiffness(_Wrapped):
     ) -> None:
         spread = positive_number("spread", spread, "give the sd of ln EI₀, such as 0.42")
         names = a_cue(cue).signal_names
+        if isinstance(cue, UnknownRoll):
+            raise ValueError(
+                f"{cue!r} has four unknowns, and sums over five take too long; give the "
+                "stiffness, or the roll as UnknownStiffness(SpaceMap(roll=0.3))."
+            )
         if signals is None:
             # The signals of a fusion are numbered where a name comes twice.
             signals = [name for name in names if name.rstrip("_0123456789") in FORCES]
