@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import Distribution
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -218,6 +219,9 @@ def test_the_pages_are_whole_and_may_send_nothing(tmp_path: Path) -> None:
         assert set(called) <= set(_module("pages").CALLS)
     with zipfile.ZipFile(tmp_path / "pages" / "weberwhisk.zip") as archive:
         names = set(archive.namelist())
+        archive.extractall(tmp_path)
+    (told,) = Distribution.discover(name="weberwhisk", path=[str(tmp_path)])
+    assert told.version == ww.__version__
     assert {"pages.py", "weberwhisk/__init__.py", "weberwhisk/data/whisker_morphology.csv"} <= names
 
 

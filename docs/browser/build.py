@@ -20,6 +20,7 @@ import sys
 import tarfile
 import tempfile
 import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -71,6 +72,8 @@ def build(out: Path, pyodide: str | None = None) -> None:
         for path in sorted((ROOT / "weberwhisk").rglob("*")):
             if path.is_file() and path.suffix != ".pyc":
                 archive.write(path, path.relative_to(ROOT))
+        told = f"Metadata-Version: 2.1\nName: weberwhisk\nVersion: {version('weberwhisk')}\n"
+        archive.writestr("weberwhisk.dist-info/METADATA", told)  # for reports
     template = (HERE / "page.html").read_text("utf-8")
     for name, title in PAGES.items():
         links = " ".join(
