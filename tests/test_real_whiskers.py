@@ -115,27 +115,30 @@ def contacts(w, friction, ends, x):
 def brute(w, cue, noise, reading, friction=0.0):
     """Mean and sd of r by a fine sum over distance and deflection, by the planar beam itself.
 
-    Twice: over all contacts, then over where the mass is at each distance. A light push leaves a
+    Over all contacts, then twice over where the mass is at each distance. A light push leaves a
     ridge along which the moment is known, and of the same nodes at all distances 110 by 110 missed
     its ends: they were up to 0.3 sd off.
     """
     columns = [("moment", "axial_force", "transverse_force").index(n) for n in cue.signal_names]
     r, rate, signals, area = coarse(w, friction)
-    x = np.linspace(-14, 9, 400)
-    log = noise.log_likelihood(reading, signals[..., columns]) + area
-    some = log > log.max(axis=1, keepdims=True) - 28
-    low = x[some.argmax(axis=1)]
-    high = x[::-1][some[:, ::-1].argmax(axis=1)]
-    # With what its neighbours have.
-    low, high = minimum_filter1d(low, 3) - 0.3, maximum_filter1d(high, 3) + 0.3
-    of_r = np.exp(log - log.max()).sum(axis=1)
-    mass = np.flatnonzero(of_r > 1e-9 * of_r.max())
+    x = np.broadcast_to(np.linspace(-14, 9, 400), area.shape)
     reach = r[-1]
-    ends = r[max(mass[0] - 2, 0)] / reach, r[min(mass[-1] + 2, len(r) - 1)] / reach
-    fine = reach * (ends[1] - (ends[1] - ends[0]) * (1 - np.linspace(0, 1, 161)) ** 1.5)
-    low, high = np.interp(fine, r, low), np.interp(fine, r, high)
-    x = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 160)
-    r, rate, signals, area = contacts(w, friction, ends, x)
+    for _ in range(2):
+        log = noise.log_likelihood(reading, signals[..., columns]) + area
+        some = log > log.max(axis=1, keepdims=True) - 28
+        row = np.arange(len(r))
+        low = x[row, some.argmax(axis=1)]
+        high = x[row, x.shape[1] - 1 - some[:, ::-1].argmax(axis=1)]
+        gap = 3 * (x[:, 1] - x[:, 0])
+        # With what its neighbours have.
+        low, high = minimum_filter1d(low - gap, 3), maximum_filter1d(high + gap, 3)
+        of_r = np.exp(log - log.max()).sum(axis=1)
+        mass = np.flatnonzero(of_r > 1e-9 * of_r.max())
+        ends = r[max(mass[0] - 2, 0)] / reach, r[min(mass[-1] + 2, len(r) - 1)] / reach
+        fine = reach * (ends[1] - (ends[1] - ends[0]) * (1 - np.linspace(0, 1, 161)) ** 1.5)
+        low, high = np.interp(fine, r, low), np.interp(fine, r, high)
+        x = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 160)
+        r, rate, signals, area = contacts(w, friction, ends, x)
     log = noise.log_likelihood(reading, signals[..., columns]) + area
     density = np.exp(log - log.max()).sum(axis=1) * rate
     whole = simpson(density)
