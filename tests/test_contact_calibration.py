@@ -98,6 +98,30 @@ def test_what_few_taps_leave_open_widens_the_distances() -> None:
         ww.locate(table, found, noise=ww.receptors.Weber(0.1))
 
 
+def test_a_touch_shares_one_calibration() -> None:
+    """By hand, on a plain grid of distances: the mean over draws of the product of the rows."""
+    found = ww.calibrate(_taps(each=2, seed=5), NOMINAL)
+    observer = ww.Observer(TRUE, HingedTap(HINGE), ww.receptors.Weber(K))
+    at = np.repeat([0.05, 0.08], 12)
+    slopes = observer.read(at[:, None], seed=6)[:, 0]
+    table = pd.DataFrame({"moment_rate": slopes, "touch": np.repeat([1, 2], 12)})
+    located = ww.locate(table, found, touch="touch").iloc[[0, 12]]
+    r, moments = np.linspace(0.03, 0.1, 4001), []
+    for whisker, cue, noise in found.samples:
+        own = ww.Observer(whisker, cue, noise)
+        log = own.noise.log_likelihood(slopes[:, None, None], own.signals(r[:, None])[0])
+        weight = np.exp([part - part.max() for part in log.reshape(2, 12, -1).sum(axis=1)])
+        weight /= weight.sum(axis=1, keepdims=True)
+        moments.append([weight @ r, weight @ r**2])
+    mean, square = np.mean(moments, axis=0)
+    sd = np.sqrt(square - mean**2)
+    assert np.abs(located["touch_radial_distance_mm"] / 1e3 - mean).max() < 0.05 * sd.min()
+    np.testing.assert_allclose(located["touch_sd_mm"], 1e3 * sd, rtol=0.03)
+    # Twelve rows would be a third as uncertain as one, had they not the calibration in common.
+    exact = ww.locate(table, found.whisker, cue=found.cue, noise=found.noise, touch="touch")
+    assert (located["touch_sd_mm"] > 1.3 * exact["touch_sd_mm"].iloc[[0, 12]]).all()
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

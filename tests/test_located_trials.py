@@ -208,6 +208,61 @@ def test_an_observer_takes_the_contacts_of_each_trial() -> None:
     assert again.weber_fraction == fit.weber_fraction
 
 
+@pytest.mark.parametrize(
+    ("seeds", "each"), [([2], 4), pytest.param(range(1, 13), 8, marks=pytest.mark.slow)]
+)
+def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
+    seeds: list[int], each: int, tmp_path
+) -> None:
+    """Each touch a whisk of a tracked session, each trial two: the animal's k, as it moved."""
+    whisker, per = ww.Whisker.from_identity("C2", curved=True), 6
+    observer = ww.Observer(whisker, ww.cues.ForceMap(["moment", "transverse_force"]))
+    encoding, k = CueEncoding(observer, 0.2), 0.05
+    off, covered, beside = [], 0, []
+    for seed in seeds:
+        nominal = ww.simulate_trials(
+            standards=16e-3, encoding=encoding, trials_per_level=each, seed=seed
+        )
+        trials, truth = simulate_moving(
+            nominal, encoding, weber_fraction=k, scatter=2.5e-3, sd=0.0, seed=100 + seed
+        )
+        truth = truth.sort_values(["trial", "interval"]).drop(columns=["radial_distance_mm"])
+        video, _ = ww.simulate_tracking(
+            whisker, 1e-3 * truth["true_mm"].to_numpy(), frames=per * len(truth), spacing_px=15.0,
+            frame_rate=20.0 * per, whisking_hz=20.0, deflection=0.25, missing=0.0, seed=200 + seed,
+        )  # fmt: skip
+        video[["frame", "x", "y"]].explode(["x", "y"]).to_csv(tmp_path / "video.csv")
+        video = ww.read_tracking(
+            tmp_path / "video.csv", pixels_per_mm=20, frame_rate=20.0 * per
+        )
+        signals = ww.tracked_signals(video, whisker)
+        whisk = signals["frame"].to_numpy() // per
+        for name in ("session", "trial", "interval"):
+            signals[name] = truth[name].to_numpy()[whisk]
+        located = ww.locate(signals, whisker, touch=(whisk + 1).tolist())
+        touches = located.dropna(subset="touch_sd_mm").groupby(whisk).first()
+        gap = touches["touch_radial_distance_mm"] - truth["true_mm"].to_numpy()[touches.index]
+        assert len(touches) > 0.97 * len(truth)
+        assert gap.abs().median() < 0.1
+        fit = ww.fit_weber(trials, observer=observer, distances=located, priors=KNOWN)
+        still = ww.fit_weber(trials, encoding=encoding, priors=KNOWN)
+        off.append(np.log(np.array([fit.weber_fraction, still.weber_fraction]) / k))
+        low, high = fit.interval(0.95)
+        covered += low < k < high
+        beside.append(still.interval(0.95)[0] > k)
+    assert covered >= 0.75 * len(off)
+    error = np.sqrt(np.mean(np.square(off), axis=0))
+    assert error[0] < 0.5 * error[1]
+    assert np.mean(beside) > 0.8  # nominal places leave the truth out
+    # The signals themselves, and trials that have their places already, are the same fit.
+    for given in (
+        ww.fit_weber(trials, observer=observer, distances=signals, priors=KNOWN),
+        ww.fit_weber(with_distances(trials, located, fit.encoding), encoding=fit.encoding,
+                     priors=KNOWN),
+    ):  # fmt: skip
+        assert given.weber_fraction == pytest.approx(fit.weber_fraction, rel=1e-9)
+
+
 def test_an_angle_that_the_cue_does_not_know_is_as_located(tmp_path) -> None:
     observer = ww.Observer(WHISKER, ww.cues.ForceMap())
     trials, located = session(4)

@@ -21,6 +21,7 @@ from scipy.optimize import minimize_scalar
 from .. import _checks
 from ..contacts.columns import read_contacts
 from ..contacts.rows import locate
+from ..contacts.signals import FROM_SHAPE
 from ..observer import Observer
 from ..tables import load_table
 from .cue_encoding import CueEncoding, PooledEncoding
@@ -350,7 +351,11 @@ def _located(distances: Any, keys: list[str], yes_no: bool, observer: Observer) 
     rows = raw[touch].apply(_as_text).itertuples(index=False)
     some = raw[touch].notna().all(axis=1)
     named = [str(tuple(row)) if known else None for row, known in zip(rows, some, strict=True)]
-    cue = observer.cue if {*observer.cue.signal_names} <= {*quantities} else None
+    # Errors of tracked shapes correlate, as those of moment and transverse force say.
+    own = FROM_SHAPE not in set(raw.get("signals_from", ())) and (
+        {*observer.cue.signal_names} <= {*quantities}
+    )
+    cue = observer.cue if own else None
     return locate(raw, observer.whisker, cue=cue, touch=named)
 
 

@@ -376,19 +376,20 @@ def averaged(
         if progress:
             progress(len(every) * len(every[0]) // len(passes), len(every[0]))
     *every, out = every
-    # A draw that has a row beyond the whisker says nothing of it.
-    found, ends = ["radial_distance_mm", "sd_mm"], ["lower_mm", "upper_mm"]
-    mean, sd = (np.array([e[name] for e in every]) for name in found)
-    known = np.isfinite(mean).sum(axis=0) > len(every) / 2
-    middle = np.nanmean(mean[:, known], axis=0)
-    total = np.sqrt(np.nanmean(sd[:, known] ** 2, axis=0) + np.nanvar(mean[:, known], axis=0))
-    r, own = out.loc[known, found].to_numpy().T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = (out.loc[known, ends].to_numpy().T - r) * (total / own)
-    off = np.where(own > 0, off, np.outer([-1.96, 1.96], total))
     reach = 1e3 * calibration.whisker.length
-    out.loc[known, ends] = np.clip(middle + off, 0.0, reach).T
-    out.loc[known, found] = np.stack([middle, total], axis=1)
+    for of in ("", "touch_") if "touch_status" in out else ("",):
+        found, ends = [f"{of}radial_distance_mm", f"{of}sd_mm"], [f"{of}lower_mm", f"{of}upper_mm"]
+        mean, sd = (np.array([e[name] for e in every]) for name in found)
+        # A draw that has a row beyond the whisker says nothing of it.
+        known = np.isfinite(mean).sum(axis=0) > len(every) / 2
+        middle = np.nanmean(mean[:, known], axis=0)
+        total = np.sqrt(np.nanmean(sd[:, known] ** 2, axis=0) + np.nanvar(mean[:, known], axis=0))
+        r, own = out.loc[known, found].to_numpy().T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = (out.loc[known, ends].to_numpy().T - r) * (total / own)
+        off = np.where(own > 0, off, np.outer([-1.96, 1.96], total))
+        out.loc[known, ends] = np.clip(middle + off, 0.0, reach).T
+        out.loc[known, found] = np.stack([middle, total], axis=1)
     notes = (*out.attrs["notes"], f"Means over {len(every)} draws of the calibration.")
     out.attrs = out.attrs | {"notes": notes}
     return out

@@ -77,9 +77,8 @@ def locate(
         used. Files as in `read_trials`.
     whisker : Whisker, Profile or Calibration
         A calibration by taps brings cue and noise along, and its uncertainty into the distances:
-        means over draws of its posterior, the sds of which are added to those of the rows, and the
-        intervals widened as much.
-        A table of `tracked_signals` brings its own
+        means over draws of its posterior, the sds of which are added to those of the rows and
+        touches, and the intervals widened as much. A table of `tracked_signals` brings its own
         curvature at rest, and its moment and forces are of the same stiffness, which is then taken
         as known.
     cue : Cue, optional
@@ -140,12 +139,11 @@ def locate(
     1                29.3  converged
     """
     if isinstance(whisker, Calibration):
-        if cue is not None or noise is not None or touch is not None:
+        if cue is not None or noise is not None:
             raise ValueError(
-                "A calibration has its own cue and noise and locates row by row; leave cue, noise "
-                "and touch out, or write locate(table, c.whisker, cue=c.cue, noise=c.noise)."
+                "A calibration has its own cue and noise; leave both out, or write "
+                "locate(table, c.whisker, cue=c.cue, noise=c.noise)."
             )
-
         raw, si, _ = read_contacts(table, columns, units)
         if ("angular_velocity" in si) != whisker.by_velocity:
             having, lacking = ("taps", "contacts") if whisker.by_velocity else ("contacts", "taps")
@@ -156,8 +154,9 @@ def locate(
 
         def located_by(whisker: Whisker, cue: Cue, noise: ReceptorNoise) -> pd.DataFrame:
             return locate(
-                raw, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior
-            )
+                raw, whisker, cue=cue, noise=noise, columns=columns, units=units, prior=prior,
+                touch=touch,
+            )  # fmt: skip
 
         return averaged(whisker, located_by, progress)
     _checks.kind("whisker", whisker, "a Whisker", "stiffness", "write Whisker.from_identity('C2')")
