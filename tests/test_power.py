@@ -26,13 +26,12 @@ from weberwhisk.design import (
     experiments,
     lattice,
     noises,
-    populations,
     taper,
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.experiments import Fitted, compare, fit, reaches, simulate, sized, wilson
-from weberwhisk.design.power_analysis import _probit, smallest
+from weberwhisk.design.experiments import Fitted, bias_scales, compare, fit, simulate
+from weberwhisk.design.power_analysis import _probit, reaches, sized, smallest, wilson
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)
@@ -455,7 +454,7 @@ def test_the_report_says_where_intervals_of_k_miss():
     ("wrong", "words"),
     [
         (lambda: ww.power(design((0.3,), 5), [TAPERED], goal=Goal(bayes_factor=10)),
-         "needs a second hypothesis"),
+         "A Bayes factor compares two hypotheses"),
         (lambda: ww.power(design((0.3,), 5), [TAPERED], truths=["tappered"]), "did you mean"),
         (lambda: ww.power(design((0.3,), 5), [TAPERED], trials=[0]), "got 0"),
         (lambda: ww.power(design((0.3,), 5), [TAPERED], runs=0), "got 0"),
@@ -571,10 +570,26 @@ def test_a_share_of_none_or_all_has_an_interval_to_the_end() -> None:
 
 
 def test_a_weber_fraction_that_is_given_is_covered() -> None:
-    (fixed,) = with_priors([TAPERED], weber_fraction=0.1)
+    fixed = with_priors([TAPERED, CYLINDRICAL], weber_fraction=0.1)
     scheme = Scheme.spaced(TAPERED.encoding, [15e-3, 45e-3], trials=5)
-    found = ww.power(scheme, [fixed], runs=8, expected=SubjectPopulation(0.1, spread=0.0))
+    expected = SubjectPopulation(0.1, spread=0.0)
+    found = ww.power(scheme, fixed, runs=8, expected=expected, truths=["tapered"])
     assert found.table["coverage"].tolist() == [1.0]
+
+
+def test_no_goal_is_the_interval_of_a_weber_fraction_that_is_given() -> None:
+    """It has none, and every experiment counted as reaching it, a session as finished at once."""
+    fixed = with_priors([TAPERED, CYLINDRICAL], weber_fraction=0.1)
+    scheme, goal = design((0.3, 0.6), 4), Goal(half_width=0.2)
+    for refused in (
+        lambda: ww.power(scheme, fixed[:1], runs=8),
+        lambda: smallest(scheme, fixed, goal=goal, runs=8),
+        lambda: ww.design.best_scheme(fixed, goal=goal),
+        lambda: ww.plan_experiment("C2", hypotheses=fixed, goal=goal, trials=10, runs=0),
+        lambda: ww.design.BayesianPlacer(fixed, scheme, width=0.2),
+    ):
+        with pytest.raises(ValueError, match=r"'tapered' is given its Weber fraction, 0\.1, which"):
+            refused()
 
 
 def test_sizes_may_be_an_array():
@@ -591,5 +606,5 @@ def test_criteria_believed_off_zero_are_tabulated_closely_enough(monkeypatch):
     scheme = Scheme([20e-3, 35e-3], [-4e-3, -1e-3, 1e-3, 4e-3], 25, 3)
     counts, _ = simulate(asked, scheme, SubjectPopulation(0.12), 1, np.random.default_rng(3))
     found = fit(asked, scheme, counts).log_evidence
-    monkeypatch.setattr(experiments, "bias_scales", partial(populations.bias_scales, step=0.2))
+    monkeypatch.setattr(experiments, "bias_scales", partial(bias_scales, step=0.2))
     assert found == pytest.approx(fit(asked, scheme, counts).log_evidence, abs=0.05)

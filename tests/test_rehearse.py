@@ -27,7 +27,7 @@ from weberwhisk.design import (
     analyse,
     taper,
 )
-from weberwhisk.design.experiments import wilson
+from weberwhisk.design.power_analysis import wilson
 from weberwhisk.design.simulated_study import NEITHER
 from weberwhisk.figures import rehearsed
 

@@ -75,12 +75,20 @@ def non_negative_number(name: str, value: ArrayLike, hint: str) -> float:
     return number(name, non_negative(name, value, hint), hint)
 
 
+def between(
+    name: str, value: ArrayLike, hint: str, low: float = 0.0, high: float = 1.0, ends: str = "()"
+) -> float:
+    """`value` as one number from `low` to `high`; a round bracket leaves that end out."""
+    one = number(name, value, hint)
+    left_out = [end for end, bracket in zip((low, high), ends, strict=True) if bracket in "()"]
+    if not low <= one <= high or one in left_out:
+        raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {one:g}; {hint}.")
+    return one
+
+
 def mass(value: ArrayLike) -> float:
     """A probability mass: one number from 0 to 1."""
-    one = number("mass", value, "write 0.95, say")
-    if not 0 <= one <= 1:
-        raise ValueError(f"mass must lie between 0 and 1, got {one:g}; write 0.95, say.")
-    return one
+    return between("mass", value, "write 0.95, say", ends="[]")
 
 
 def whole(name: str, value: object, hint: str, least: int = 1) -> int:

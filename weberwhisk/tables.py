@@ -59,6 +59,22 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
     return _numbered(raw), path.name
 
 
+def as_number(text: object) -> str:
+    """What to write instead of a cell that is no number, where a comma stands for the point too.
+
+    Examples
+    --------
+    >>> as_number("0,5")
+    'write 0.5, or give pandas.read_csv(file, sep=";", decimal=",")'
+    """
+    point = str(text).strip().replace(",", ".", 1)
+    try:
+        float(point)
+    except ValueError:
+        return "write digits alone, with a point for decimals"
+    return f'write {point}, or give pandas.read_csv(file, sep=";", decimal=",")'
+
+
 def _numbered(raw: pd.DataFrame) -> pd.DataFrame:
     if not raw.columns.is_unique:
         twice = raw.columns[raw.columns.duplicated()][0]

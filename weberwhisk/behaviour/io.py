@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..tables import load_table
+from ..tables import as_number, load_table
 from .tasks import TASKS, Task, task_named
 from .trials import (
     LABELS,
@@ -259,7 +259,8 @@ class TableCheck:
         values = _floats(cells)
         text = np.isnan(values) & ~blank
         if text.any():
-            self.add(column, text, f"{cells[text].iloc[0]!r} is not a number; write digits alone.")
+            first = cells[text].iloc[0]
+            self.add(column, text, f"{first!r} is not a number; {as_number(first)}.")
         lost = blank | np.isinf(values)
         if lost.any():
             self.add(column, lost, "empty, NaN or infinite; give the stimulus or remove the row.")

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..tables import load_table
+from ..tables import as_number, load_table
 
 Array = NDArray[np.float64]
 
@@ -170,8 +170,8 @@ def values_of(table: pd.DataFrame, column: str) -> Array:
     text &= ~blank.to_numpy()
     if text.sum() * 2 > len(out):
         raise ValueError(
-            f"The column {column!r} holds text such as {series[text].iloc[0]!r}; write numbers, "
-            "with a point for decimals."
+            f"The column {column!r} holds text such as {series[text].iloc[0]!r}; "
+            f"{as_number(series[text].iloc[0])}."
         )
     return out
 

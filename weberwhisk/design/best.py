@@ -27,9 +27,8 @@ from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate
-from .hypotheses import Goal, Hypothesis, SubjectPopulation
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .information import Precision
-from .power_analysis import asked
 from .scheme import Constraints, Scheme, easy_share
 
 Array = NDArray[np.float64]
@@ -97,7 +96,7 @@ def best_scheme(
     >>> near < 15e-3 and far > 35e-3
     True
     """
-    given, aim = asked(hypotheses, goal)
+    given, aim = check_goal(hypotheses, goal)
     limits, likely = constraints or Constraints(), expected or SubjectPopulation()
     for name, number in (("standards", standards), ("pairs", pairs), ("trials", trials)):
         _checks.whole(name, number, "write 3")

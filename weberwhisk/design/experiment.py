@@ -19,10 +19,9 @@ from ..observer import Observer
 from ..receptors import Weber
 from ..whisker import Whisker
 from .best import best_scheme
-from .experiments import sized
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
 from .plan import Plan
-from .power_analysis import power, smallest
+from .power_analysis import power, sized, smallest
 from .scheme import Constraints, Scheme
 
 #: Comparisons of every standard, in sds: the widest are easy.

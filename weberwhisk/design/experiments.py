@@ -1,8 +1,12 @@
 """Simulated experiments, fitted and compared: thousands a second.
 
-Each is drawn, weighed under every hypothesis with the priors of the fit (`tables`), and left with
-two results: the Bayes factor of the truth, and the interval of the Weber fraction. One animal is
-fitted by itself; several share a population, as `fit_population` has it (`populations`).
+Each is drawn, weighed under every hypothesis with the priors of the fit, and left with two results:
+the Bayes factor of the truth, and the interval of the Weber fraction. One animal is fitted by
+itself. Several share a population, as `fit_population` has it: ln k of the animals is normal about
+the population's median, the normal scores of their lapses are normal with one mean and spread for
+both ends, and biases are those of their prior times one factor. All animals of all experiments
+share their nodes, so that a population is a set of weights of these nodes, tabulated once, and
+integrals are matrix products.
 """
 
 from __future__ import annotations
@@ -15,24 +19,35 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 from scipy.stats import beta as beta_distribution
 
-from .. import _checks
 from ..behaviour.integrate import likelihood, marginal
-from ..behaviour.lapses import score_prior
-from ..behaviour.priors import Priors
+from ..behaviour.integrate.batch import (
+    Likelihood,
+    batch_steps,
+    carried_on,
+    log_sum,
+    narrowest_bias,
+)
+from ..behaviour.integrate.blocks import NOTHING
+from ..behaviour.integrate.windows import Steps
+from ..behaviour.lapses import AS_BELIEVED, BiasScales, score_prior, with_tail
+from ..behaviour.likelihood import WeberModel
+from ..behaviour.priors import PopulationPriors, Priors
 from ..threads import one_blas_thread
-from .hypotheses import Goal, Hypothesis, SubjectPopulation
+from .hypotheses import Hypothesis, SubjectPopulation
 from .plan_file import decode
-from .populations import bias_scales, populations, steps_of
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
+Weights = NDArray[np.float32]
 
-BY = ["truth", "trials", "animals", "lapse"]  # what experiments are counted by
-QUANTILES = (0.025, 0.5, 0.975)
 MOST_BYTES = 100e6  # of the tables of a population's batch, a quarter of what a worker then takes
+LEAST = 1e-30  # of a likelihood
+FLOOR = -60.0  # nats under the best, where nothing is left
+CUT = 14.0  # nats under the best, where populations are left out
+PRIORS = PopulationPriors()  # made once: that costs a hundred times what is asked of it
 
 
 @dataclass(frozen=True)
@@ -203,8 +218,8 @@ def _integrated(x: Array, log_density: Array, finer: int = 8) -> tuple[Array, Ar
     evidence = np.log(density.sum(axis=1) * step) + top[:, 0]
     mass = np.cumsum(0.5 * step * (density[:, 1:] + density[:, :-1]), axis=1)
     mass /= mass[:, -1:]
-    out = np.empty((len(mass), len(QUANTILES)))
-    for i, q in enumerate(QUANTILES):
+    out = np.empty((len(mass), 3))
+    for i, q in enumerate((0.025, 0.5, 0.975)):
         at = np.argmax(mass >= q, axis=1)
         after, before = (
             np.take_along_axis(np.pad(mass, ((0, 0), (1, 0))), at[:, None] + j, 1)[:, 0]
@@ -214,45 +229,189 @@ def _integrated(x: Array, log_density: Array, finer: int = 8) -> tuple[Array, Ar
     return evidence, out
 
 
-def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
-    """Wilson's interval of a proportion (1927, J. Am. Stat. Assoc. 22:209), of any share."""
-    z = float(ndtri(0.5 + mass / 2))
-    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
-    low = 0.0 if share <= 0 else float(max(middle - reach, 0.0))  # not 1e-17
-    return low, 1.0 if share >= 1 else float(min(middle + reach, 1.0))
+# -- several animals of one population, each one's own parameters integrated out ------------------
 
 
-def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
-    """The scheme with so many animals, or trials of the comparison shown most."""
-    if vary == "animals":
-        return scheme.with_animals(size)
-    most = max(map(max, scheme.trials))
-    _checks.whole("trials", size, "write 20")
-    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
-    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
+def populations(
+    model: WeberModel, found: Likelihood, animals: int, finer: int = 3
+) -> tuple[Array, Array, Array]:
+    """Medians mu of ln k (U,), even; their log posterior density (D, U), and the log evidence (D,).
+
+    `found` is of D·A animals, those of an experiment together; there are `finer` nodes between
+    those of k.
+    """
+    log_k = np.log(model.value("weber_fraction", found.scores))
+    weights, log_prior = _lapses(model, found, animals)
+    x = np.linspace(log_k[0], log_k[-1], finer * (log_k.size - 1) + 1)
+    mu, *fractions = _fractions(model, x, animals)
+    out = np.empty((found.values.shape[-1] // animals, mu.size))
+    for i in range(len(out)):
+        own = found.values[..., i * animals : (i + 1) * animals]
+        # All data sets share their nodes, of which the animals of one hold a tenth to a third.
+        held = np.nonzero((own[0] > 0.5 * NOTHING).any(axis=-1))
+        k, *lapses = (slice(int(at.min()), int(at.max()) + 1) for at in held)
+        own = own[:, k, *lapses].reshape(len(own), k.stop - k.start, -1, animals)
+        own = np.ascontiguousarray(np.moveaxis(own, -1, 1))  # (S, A, K, L)
+        few = weights[tuple(lapses)].reshape(own.shape[-1], -1)
+        shares, log_weight = _bias_scales(found.scales, own, few[:, log_prior.argmax()])
+        by_scale = (shares @ own.reshape(len(own), -1)).reshape(-1, *own.shape[1:])
+        given = [_of_one(v, k, log_k, x, few, log_prior, *fractions) for v in by_scale]
+        out[i] = log_sum(log_weight[:, None] + np.array(given), 0)
+    return mu, out, log_sum(out, 1) + np.log(mu[1] - mu[0])
 
 
-def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
-    """What `Power.table` holds, of single runs."""
-    met = reaches(runs, goal)
-    rows = []
-    for key, own in runs.groupby(BY, sort=False):
-        share = float(met[own.index].mean())
-        lower, upper = wilson(share, len(own))
-        row = dict(zip(BY, key, strict=True)) | {
-            "runs": len(own), "power": share, "lower": lower, "upper": upper,
-        }  # fmt: skip
-        for name in ("half_width", "log_bayes_factor"):
-            low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
-            row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
-        off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
-        rows.append(row | {"bias": off, "coverage": own["covers"].mean()})
-    return pd.DataFrame(rows)
+def steps_of(model: WeberModel) -> Steps:
+    """Steps of the tables, between which likelihoods are linear in lapses; those of biases also
+    serve priors narrower than a single fit's."""
+    return batch_steps(model, lapse=0.6, bias=0.95)
 
 
-def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
-    """Which experiments reach the goal, or what share of their animals, fitted apart."""
-    if goal.bayes_factor is not None:
-        return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
-    return runs["reached"] if "reached" in runs else runs["half_width"] < goal.half_width
+def bias_scales(model: WeberModel, step: float = 0.5, far: float = 1e-6) -> BiasScales:
+    """Scales of the biases at which likelihoods are tabulated: so far apart, in asinh, and up to
+    where the prior leaves so little; closer where a bias is believed to lie off zero, as a scale
+    then moves it by more than it widens it."""
+    if not model.free_bias:
+        return AS_BELIEVED
+    last = float(PRIORS.bias_scale.isf(far))
+    mean, sd = model.priors.moments("bias")
+    return BiasScales.between(0.0, last, narrowest_bias(model), step / np.hypot(1.0, mean / sd))
+
+
+def _bias_scales(
+    scales: BiasScales, values: Weights, usual: Weights, count: int = 7
+) -> tuple[Weights, Array]:
+    """Likely scales Z of the biases of one experiment, with the usual lapses (L,): the shares
+    (Z, S) of the tabulated ones in each, and the log of its prior probability (Z,)."""
+    if scales.nodes.size == 1:
+        return np.ones((1, 1), dtype=np.float32), np.zeros(1)
+    top = values.max(axis=(0, 2, 3), keepdims=True)
+    # Every animal's k is its own.
+    log_likelihood = np.log(np.exp(values - top).sum(axis=2) @ usual + LEAST)  # (S, A)
+
+    def log_density(at: Array) -> Array:
+        """Prior density of asinh(scale / unit)."""
+        scale = scales.unit * np.sinh(at)
+        return np.asarray(PRIORS.bias_scale.logpdf(scale) + np.log(scales.unit * np.cosh(at)))
+
+    last = float(np.arcsinh(scales.nodes[-1] / scales.unit))
+    at = np.linspace(0.0, last, 128)
+    total = scales.onto(scales.unit * np.sinh(at)) @ log_likelihood.sum(axis=1) + log_density(at)
+    likely = at[total > total.max() - CUT]
+    nodes = np.linspace(max(likely[0] - 2 * at[1], 0.0), min(likely[-1] + 2 * at[1], last), count)
+    log_weight = log_density(nodes) + np.log(nodes[1] - nodes[0])
+    log_weight[[0, -1]] -= np.log(2.0)  # of a scale of zero that is exact: all is even about it
+    return scales.onto(scales.unit * np.sinh(nodes)).astype(np.float32), log_weight
+
+
+def _of_one(
+    values: Weights, k: slice, log_k: Array, x: Array, lapses: Weights, lapse_prior: Array,
+    kernel: Array, prior: Array,
+) -> Array:  # fmt: skip
+    """Log posterior density of the median in one experiment, (U,), whose animals hold nodes `k`.
+
+    `values` (A, K, L) are log-likelihoods; the rest as of `_lapses` and `_fractions`.
+    """
+    animals = len(values)
+    top = values.max(axis=(1, 2), keepdims=True)
+    like = np.maximum(np.exp(values - top) @ lapses, LEAST)  # (A, K, J)
+    # What lapses there are, whatever k: then the rest for these populations alone.
+    log_likelihood = np.log(like.sum(axis=1)).sum(axis=0) + lapse_prior
+    kept = np.flatnonzero(log_likelihood > log_likelihood.max() - CUT)
+    best = int(np.flatnonzero(kept == log_likelihood.argmax())[0])
+    some = like[..., kept].astype(float)
+    log_like = np.full((animals, log_k.size, kept.size), -np.inf)
+    np.log(some, out=log_like[:, k], where=some > 1e3 * LEAST)
+    rows = carried_on(np.swapaxes(log_like, 1, 2).reshape(-1, log_k.size))
+    high = rows.max(axis=1, keepdims=True)
+    fine = np.exp(CubicSpline(log_k, np.maximum(rows - high, FLOOR), axis=1)(x))
+    fine = fine.reshape(animals, kept.size, x.size)  # (A, J, X)
+    first = np.log(fine[:, best] @ kernel + 1e-300).sum(axis=0) + prior.ravel()
+    likely = np.flatnonzero(first > first.max() - 1.5 * CUT)
+    total = np.log(fine @ kernel[:, likely] + 1e-300).sum(axis=0) + prior.ravel()[likely]
+    total += (high.reshape(animals, -1).sum(axis=0) + lapse_prior[kept])[:, None]
+    joint = np.full(prior.size, -np.inf)
+    joint[likely] = log_sum(total, 0)
+    mass = np.exp(joint.reshape(prior.shape) - joint.max()).sum(axis=1)
+    return np.asarray(np.log(np.maximum(mass, np.exp(FLOOR))) + joint.max() + float(top.sum()))
+
+
+def _lapses(
+    model: WeberModel,
+    found: Likelihood,
+    animals: int,
+    means: tuple[float, float] = (-3.5, 3.5),
+    spreads: tuple[float, float] = (0.15, 2.0),
+    count: int = 6,
+) -> tuple[Weights, Array]:
+    """Every population of lapses, as weights (Lo, Hi, J) of nodes between which likelihoods are
+    linear, and its log prior (J,).
+
+    `means`, in scores, and `spreads` are where populations are looked for, with so many
+    Gauss–Legendre nodes of the logarithm of the spread.
+    """
+    names, axes = model.lead[-2:], (found.low, found.high)
+    free = [axis.size > 1 for axis in axes]
+    if not any(free):
+        return np.ones((1, 1, 1), dtype=np.float32), np.zeros(1)
+    parts = [_between(model, name, axis) for name, axis in zip(names, axes, strict=True)]
+    step = min(0.75 / np.sqrt(animals), 0.35)
+    mean = np.arange(means[0], means[1] + step, step)
+    log_spread, weight = _legendre(float(np.log(spreads[0])), float(np.log(spreads[1])), count)
+    prior = PRIORS.lapse_mean.logpdf(mean)[:, None] + np.log(step)
+    prior = prior + PRIORS.lapse_spread.logpdf(np.exp(log_spread)) + log_spread + np.log(weight)
+    rho = model.priors.lapse_correlation if all(free) else 0.0
+    columns = []
+    for spread in np.exp(log_spread):
+        u, v = (
+            (score[:, None] - mean) / spread if is_free else np.zeros((1, mean.size))
+            for (score, _, _), is_free in zip(parts, free, strict=True)
+        )
+        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
+        density = np.exp(-0.5 * square / (1 - rho**2)) / np.sqrt(1 - rho**2)
+        scale = (spread * np.sqrt(2 * np.pi)) ** sum(free)
+        density *= parts[0][1][:, None, None] * parts[1][1][:, None] / scale
+        columns.append(
+            np.einsum("li,hj,lhm->ijm", parts[0][2], parts[1][2], density, optimize=True)
+        )
+    weights = np.stack(columns, axis=-1).reshape(found.low.size, found.high.size, -1)
+    lo, hi = (model.at(n, a) for n, a in zip(names, axes, strict=True))
+    lost = np.add(*model.lapses(lo[:, None], hi[None]))
+    weights[np.broadcast_to(lost >= 1, (lo.size, hi.size))] = 0.0
+    return weights.astype(np.float32), prior.ravel()
+
+
+def _between(
+    model: WeberModel, name: str, axis: Array, finer: int = 4
+) -> tuple[Array, Array, Array]:
+    """Fine scores (F,), their width, and what each takes of every node, (F, N)."""
+    if axis.size == 1:
+        return np.zeros(1), np.ones(1), np.ones((1, 1))
+    transform = model.transforms[model.lead.index(name)]
+    step = (axis[1] - axis[0]) / finer
+    fine = np.arange(with_tail(model, name, axis)[0], axis[-1] + 0.5 * step, step)
+    # Below the first node, where there is none, the likelihood is that of none.
+    share = np.stack([np.interp(fine, axis, one) for one in np.eye(axis.size)], axis=1)
+    return transform.score(fine), transform.slope(fine) * step, share
+
+
+def _fractions(
+    model: WeberModel, x: Array, animals: int, beyond: float = 1.0, spreads: int = 10
+) -> tuple[Array, Array, Array]:
+    """Every population of ln k: medians (U,) up to `beyond` past all animals', and for these and so
+    many spreads the weights (X, U·T) of the nodes of ln k, and the log prior (U, T)."""
+    h = x[1] - x[0]
+    # Nodes of k are 2.8 of the least sd apart, so 2 h is 1.9 of an animal's.
+    mu = np.arange(x[0] - beyond, x[-1] + beyond, 2.0 * h / np.sqrt(animals))
+    tau, weight = _legendre(0.0, float(PRIORS.spread.ppf(1 - 1e-4)), spreads)
+    # A cell's probability, which also holds where the spread is smaller than the cell.
+    edges = (x[:, None, None] - mu[:, None]) / tau
+    kernel = ndtr(edges + 0.5 * h / tau) - ndtr(edges - 0.5 * h / tau)  # (X, U, T)
+    prior = model.priors.log_density("weber_fraction", np.exp(mu)) + mu
+    log_prior = prior[:, None] + np.log(weight) + PRIORS.spread.logpdf(tau)
+    return mu, kernel.reshape(x.size, -1), log_prior
+
+
+def _legendre(low: float, high: float, count: int) -> tuple[Array, Array]:
+    """Gauss–Legendre nodes between two ends, and their weights."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return low + 0.5 * (node + 1) * (high - low), 0.5 * (high - low) * weight

@@ -305,12 +305,10 @@ class SubjectPopulation:
     lapses_vary: bool = True
 
     def __post_init__(self) -> None:
-        _checks.positive("weber_fraction", self.weber_fraction, "write for example 0.1")
-        for name in ("weber_fraction", "spread", "lapse", "bias_spread"):
-            _checks.number(name, getattr(self, name), "write for example 0.03")
-            _checks.non_negative(name, getattr(self, name), "write for example 0.03")
-        if self.lapse >= 0.5:
-            raise ValueError(f"lapse must be below 0.5, got {self.lapse:g}; write 0.03, say.")
+        _checks.positive_number("weber_fraction", self.weber_fraction, "write for example 0.1")
+        for name in ("spread", "bias_spread"):
+            _checks.non_negative_number(name, getattr(self, name), "write for example 0.03")
+        _checks.between("lapse", self.lapse, "write for example 0.03", high=0.5, ends="[)")
 
     def draw(self, number: int, seed: np.random.SeedSequence | int) -> pd.DataFrame:
         """So many of them, a row each: the truth that `simulate_responses` takes."""
@@ -356,22 +354,47 @@ class Goal:
                 "A goal is a Bayes factor or the width of an interval, got "
                 f"{'both' if self.bayes_factor else 'neither'}; write Goal(bayes_factor=10), say."
             )
-        for name in ("bayes_factor", "half_width", "share"):
-            if getattr(self, name) is not None or name == "share":
-                _checks.number(name, getattr(self, name), "write one such as 0.2")
-        if self.bayes_factor is not None and not self.bayes_factor > 1:
+        _checks.between("share", self.share, "write 0.8, say")
+        if self.half_width is not None:
+            _checks.between("half_width", self.half_width, "write 0.2")
+        elif not _checks.number("bayes_factor", self.bayes_factor or 0.0, "write 10, say") > 1:
             raise ValueError(
                 f"bayes_factor must be above 1, got {self.bayes_factor:g}; write 10, say."
             )
-        if self.half_width is not None and not 0 < self.half_width < 1:
-            raise ValueError(
-                f"half_width must lie between 0 and 1, got {self.half_width:g}; write 0.2."
-            )
-        if not 0 < self.share < 1:
-            raise ValueError(f"share must lie between 0 and 1, got {self.share:g}; write 0.8, say.")
 
     def __str__(self) -> str:
         often = f"in {100 * self.share:.3g} % of experiments"
         if self.bayes_factor is not None:
             return f"a Bayes factor above {self.bayes_factor:g} for the true hypothesis {often}"
         return f"a 95 % interval of k narrower than ±{100 * (self.half_width or 0):.3g} % {often}"
+
+
+def check_goal(
+    hypotheses: Sequence[Hypothesis], goal: Goal | None
+) -> tuple[tuple[Hypothesis, ...], Goal]:
+    """Hypotheses, and a goal that they can reach: by default a Bayes factor above 10, of one ±20 %.
+
+    An interval of a Weber fraction that is given has no width, and no trials to wait for.
+    """
+    given = check_distinct(hypotheses)
+    aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
+    _checks.kind("goal", aim, "a Goal", "share", "write Goal(half_width=0.2), say")
+    if aim.bayes_factor is None:
+        refuse_given_k(given, f"the goal is {aim}")
+    elif len(given) < 2:
+        raise ValueError(
+            f"A Bayes factor compares two hypotheses, got {given[0].name!r} alone; give another, "
+            "or Goal(half_width=0.2)."
+        )
+    return given, aim
+
+
+def refuse_given_k(hypotheses: Sequence[Hypothesis], what: str) -> None:
+    """Refuses to wait for the interval of a Weber fraction that is given."""
+    for h in hypotheses:
+        if h.priors.is_fixed("weber_fraction"):
+            raise ValueError(
+                f"{what}, and {h.name!r} is given its Weber fraction, {h.weber_fraction:g}, which "
+                "no trials make surer; leave weber_fraction out of its priors, or ask for a Bayes "
+                "factor."
+            )

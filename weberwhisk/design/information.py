@@ -252,6 +252,4 @@ class Precision:
             # The bias integrated out: the Schur complement of its information.
             mixed, bias = own[:, :3, 3], own[:, 3, 3] + self._prior[3, 3]
             total += own[:, :3, :3] - mixed[:, :, None] * mixed[:, None, :] / bias[:, None, None]
-        if not self._free[0]:
-            return np.zeros(len(total))
         return np.asarray(1.96 * np.sqrt(np.linalg.inv(total)[:, 0, 0]))

@@ -23,7 +23,7 @@ from ..behaviour.fit import fit_weber
 from ..behaviour.result import WeberFit
 from ..behaviour.trials import Trials
 from .belief import Belief, GrowingBelief, Pair, entropy
-from .hypotheses import Hypothesis, check_distinct, options_of
+from .hypotheses import Hypothesis, check_distinct, options_of, refuse_given_k
 from .scheme import Scheme
 from .trial_lists import check_answers
 
@@ -242,12 +242,10 @@ class BayesianPlacer(TrialLog):
             raise ValueError(
                 "one hypothesis cannot be told from others; give two, such as taper(whisker)."
             )
-        if not 0 <= _checks.number("easy_share", easy_share, "write 0.1, say") < 1:
-            raise ValueError(
-                f"easy_share must lie between 0 and 1, got {easy_share:g}; write 0.1, say."
-            )
+        _checks.between("easy_share", easy_share, "write 0.1, say", ends="[)")
         if width is not None:
-            _checks.positive("width", width, "write 0.2 for an interval of ±20 %")
+            _checks.positive_number("width", width, "write 0.2 for an interval of ±20 %")
+            refuse_given_k(self.hypotheses, f"trials end at an interval of k of width={width:g}")
         if most is not None:
             _checks.positive("most", most, "write 400, say")
         self.easy_share, self.width, self.most = easy_share, width, most
@@ -276,8 +274,7 @@ class BayesianPlacer(TrialLog):
 
     def interval(self, mass: float = 0.95) -> tuple[float, float]:
         """Central interval of k, under the most probable hypothesis."""
-        if not 0 < mass < 1:
-            raise ValueError(f"mass must lie between 0 and 1, got {mass:g}; write 0.95, say.")
+        _checks.between("mass", mass, "write 0.95, say")
         low, high = self.best.quantile(np.array([0.5 - mass / 2, 0.5 + mass / 2]))
         return float(low), float(high)
 

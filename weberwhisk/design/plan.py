@@ -30,6 +30,7 @@ from .hypotheses import (
     Hypothesis,
     SubjectPopulation,
     check_distinct,
+    check_goal,
     check_metres,
     options_of,
 )
@@ -233,11 +234,7 @@ class Plan(Shown):
             object.__setattr__(self, name, whole)
         first = self.hypotheses[0]
         check_task(first.task)
-        if self.goal.bayes_factor is not None and len(self.hypotheses) < 2:
-            raise ValueError(
-                f"A Bayes factor compares two hypotheses, got {first.name!r} alone; give another, "
-                "or Goal(half_width=0.2)."
-            )
+        check_goal(self.hypotheses, self.goal)
         if self.together and self.scheme.animals < 2:
             raise ValueError("One animal cannot be fitted together with others; give two or more.")
         if self.together and any(h.priors.is_fixed("weber_fraction") for h in self.hypotheses):

@@ -12,16 +12,18 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
+from scipy.stats import norm
 
 from .. import _checks, campaign
 from .._values import Shown, interval_text
-from .experiments import BY, experiments, sized, summary, wilson
-from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_distinct
+from .experiments import experiments
+from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .plan_file import encode
 from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
+BY = ["truth", "trials", "animals", "lapse"]  # what experiments are counted by
 MOST = {"trials": 1000, "animals": 200}
 
 
@@ -120,8 +122,8 @@ def power(
 
     Every experiment is integrated exactly under every hypothesis, lapses and biases with the priors
     of its fit; see `weberwhisk.design.experiments`. Several animals share a population, of their k,
-    of their lapses and of how widely their biases spread, as in `fit_population`
-    (`weberwhisk.design.populations`). `coverage` says how often intervals of k hold the truth, and
+    of their lapses and of how widely their biases spread, as in `fit_population`.
+    `coverage` says how often intervals of k hold the truth, and
     the report where that is too seldom: then the animals are not as the priors have them.
 
     Parameters
@@ -174,11 +176,11 @@ def power(
     >>> few < many
     True
     """
-    given, aim = asked(hypotheses, goal)
+    given, aim = check_goal(hypotheses, goal)
     _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
     likely = SubjectPopulation() if expected is None else expected
     _checks.kind("expected", likely, "animals", "bias_spread", "leave it out, say")
-    sizes = []
+    sizes: list[list[Any]] = []
     for name, given_sizes, own in (
         ("trials", trials, max(map(max, scheme.trials))),
         ("animals", animals, scheme.animals),
@@ -186,7 +188,7 @@ def power(
     ):
         some = [own] if given_sizes is None else _checks.several(name, given_sizes, "write [20]")
         sizes.append([_checks.number(name, size, "write 20, say") for size in some])
-    named = [h.name for h in given]
+    named: list[Any] = [h.name for h in given]
     if truths is not None:
         named = _checks.several("truths", truths, f"write {named}, say")
     for name in named:
@@ -255,26 +257,23 @@ def smallest(
     True
     """
     _checks.one_of("vary", vary, MOST)
-    given, aim = asked(hypotheses, goal)
+    given, aim = check_goal(hypotheses, goal)
     end = MOST[vary] if most is None else _checks.whole("most", most, "write 100, say")
     visited: dict[int, Power] = {}
 
-    def visit(size: int, runs: int, *seeds: int) -> Power:
-        root = np.random.SeedSequence([seed, size, *seeds])
-        own = sized(scheme, vary, size)
-        return power(own, given, goal=aim, runs=runs, seed=root, **(options | shown(own)))
-
-    def shown(own: Scheme) -> dict[str, Any]:
-        most = max(map(max, own.trials))
-        return {"title": f"power, {own.animals} × {most} trials"} if "title" not in options else {}
+    def visit(own: Scheme, runs: int, *seeds: int) -> Power:
+        title = f"power, {own.animals} × {max(map(max, own.trials))} trials"
+        root = np.random.SeedSequence([seed, *seeds])
+        return power(own, given, goal=aim, runs=runs, seed=root, **({"title": title} | options))
 
     def reached(size: int) -> bool:
         if size not in visited:
+            own = sized(scheme, vary, size)
             # Where the goal is far, few runs of several animals settle a size: others cost minutes.
-            few = runs if sized(scheme, vary, size).animals == 1 else min(96, runs)
-            found = visit(size, few)
+            few = runs if own.animals == 1 else min(96, runs)
+            found = visit(own, few, size)
             if few < runs and not _clear(found):
-                found = _joined([found, visit(size, runs - few, 1)])
+                found = _joined([found, visit(own, runs - few, size, 1)])
             visited[size] = found
         return bool(visited[size].table["power"].min() >= aim.share)
 
@@ -293,9 +292,7 @@ def smallest(
     path = _joined(list(visited.values()))
     size, error = _crossing(path, vary, aim.share, low, high)
     scheme = sized(scheme, vary, int(np.ceil(size)))
-    fresh = np.random.SeedSequence([seed, 0])
-    found = power(scheme, given, goal=aim, runs=2 * runs, seed=fresh, **options)
-    return Smallest(scheme, vary, size, error, found, path)
+    return Smallest(scheme, vary, size, error, visit(scheme, 2 * runs, 0), path)
 
 
 def _clear(found: Power, sure: float = 0.99) -> bool:
@@ -303,19 +300,6 @@ def _clear(found: Power, sure: float = 0.99) -> bool:
     shares = zip(found.table["power"], found.table["runs"], strict=True)
     low, high = np.array([wilson(share, n, sure) for share, n in shares]).T
     return bool(low.min() > found.goal.share or high.min() < found.goal.share)
-
-
-def asked(hypotheses: Sequence[Hypothesis], goal: Goal | None) -> tuple[Any, Goal]:
-    given = check_distinct(hypotheses)
-    if goal is not None:
-        _checks.kind("goal", goal, "a Goal", "share", "write Goal(half_width=0.2), say")
-    aim = goal or (Goal(bayes_factor=10.0) if len(given) > 1 else Goal(half_width=0.2))
-    if aim.bayes_factor is not None and len(given) < 2:
-        raise ValueError(
-            f"{aim} needs a second hypothesis, got {given[0].name!r} alone; write "
-            "Goal(half_width=0.2), or give another."
-        )
-    return given, aim
 
 
 def _chunks(
@@ -349,13 +333,11 @@ def _crossing(path: Power, vary: str, share: float, low: int, high: int) -> tupl
     found = []
     for _, own in path.table.groupby("truth"):
         n, x = own["runs"].to_numpy(float), np.log(own[vary].to_numpy(float))
-        hits = own["power"].to_numpy(float) * n
         # Half a run either way: power that never or always reached it has a finite probit.
-        hits, n = hits + 0.5, n + 1.0
-        found.append(_probit(x - np.log(high), hits, n, float(ndtri(share)), np.log(high)))
+        hits = own["power"].to_numpy(float) * n + 0.5
+        found.append(_probit(x - np.log(high), hits, n + 1.0, float(ndtri(share)), np.log(high)))
     size, error = max(found)
-    inside = float(np.clip(size, max(low, 1), high))
-    return inside, error
+    return float(np.clip(size, max(low, 1), high)), error
 
 
 def _probit(x: Array, hits: Array, n: Array, wanted: float, shift: float) -> tuple[float, float]:
@@ -371,14 +353,12 @@ def _probit(x: Array, hits: Array, n: Array, wanted: float, shift: float) -> tup
     if b <= 0:  # power that does not rise within its noise
         return float(np.exp(x.min() + shift)), float("inf")
     score = a + b * x
-    density = np.exp(-0.5 * score**2) / np.sqrt(2 * np.pi)
-    weight = n * density**2 / np.exp(log_ndtr(score) + log_ndtr(-score))
+    weight = n * norm.pdf(score) ** 2 / np.exp(log_ndtr(score) + log_ndtr(-score))
     information = np.array([[weight.sum(), weight @ x], [weight @ x, weight @ x**2]])
     at = (wanted - a) / b
     slope = np.array([-1.0, -at]) / b
-    error = float(np.sqrt(slope @ np.linalg.solve(information, slope)))
     size = float(np.exp(at + shift))
-    return size, size * error
+    return size, size * float(np.sqrt(slope @ np.linalg.solve(information, slope)))
 
 
 def _worst(found: Power) -> pd.Series:
@@ -395,3 +375,47 @@ def _out_of_reach(found: Power, vary: str, most: int) -> str:
         f"{row['truth']} is true, {100 * (found.goal.share - row['power']):.3g} % short; set the "
         "standards farther apart, take more of them or of animals, or ask for less."
     )
+
+
+def wilson(share: float, n: int, mass: float = 0.95) -> tuple[float, float]:
+    """Wilson's interval of a proportion (1927, J. Am. Stat. Assoc. 22:209), of any share."""
+    z = float(ndtri(0.5 + mass / 2))
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    reach = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
+    low = 0.0 if share <= 0 else float(max(middle - reach, 0.0))  # not 1e-17
+    return low, 1.0 if share >= 1 else float(min(middle + reach, 1.0))
+
+
+def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
+    """The scheme with so many animals, or trials of the comparison shown most."""
+    if vary == "animals":
+        return scheme.with_animals(size)
+    most = max(map(max, scheme.trials))
+    _checks.whole("trials", size, "write 20")
+    counts = [[max(1, round(n * size / most)) for n in row] for row in scheme.trials]
+    return Scheme(scheme.standards, scheme.offsets, counts, scheme.animals)
+
+
+def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
+    """What `Power.table` holds, of single runs."""
+    met = reaches(runs, goal)
+    rows = []
+    for key, own in runs.groupby(BY, sort=False):
+        share = float(met[own.index].mean())
+        lower, upper = wilson(share, len(own))
+        row = dict(zip(BY, key, strict=True)) | {
+            "runs": len(own), "power": share, "lower": lower, "upper": upper,
+        }  # fmt: skip
+        for name in ("half_width", "log_bayes_factor"):
+            low, middle, high = own[name].quantile([0.05, 0.5, 0.95], interpolation="nearest")
+            row |= {name: middle, f"{name}_5": low, f"{name}_95": high}
+        off = float((own["estimate"] / own["weber_fraction"]).median() - 1)
+        rows.append(row | {"bias": off, "coverage": own["covers"].mean()})
+    return pd.DataFrame(rows)
+
+
+def reaches(runs: pd.DataFrame, goal: Goal) -> pd.Series:
+    """Which experiments reach the goal, or what share of their animals, fitted apart."""
+    if goal.bayes_factor is not None:
+        return runs["log_bayes_factor"] > np.log(goal.bayes_factor)
+    return runs["reached"] if "reached" in runs else runs["half_width"] < goal.half_width

@@ -21,9 +21,9 @@ from .. import _checks, campaign
 from .._values import Shown, interval_text
 from ..behaviour.population import simulate_responses
 from ..behaviour.verdict import FitStatus
-from .experiments import wilson
 from .plan import Plan
 from .plan_file import plan_json, plan_of
+from .power_analysis import wilson
 
 NEITHER = "undecided"
 
