@@ -545,7 +545,7 @@ def test_what_cannot_be_planned_is_refused(options: dict[str, Any], sentence: st
         (lambda: Goal(half_width=20), "half_width must lie between 0 and 1, got 20"),
         (lambda: Goal(10, share=1), "share must lie between 0 and 1, got 1"),
         (lambda: SubjectPopulation(0), "weber_fraction must be above zero"),
-        (lambda: SubjectPopulation(lapse=0.5), "lapse must be below 0.5"),
+        (lambda: SubjectPopulation(lapse=0.5), "lapse must lie between 0 and 0.5"),
         (lambda: SubjectPopulation(spread=-1), "spread must not be negative"),
     ],
 )
