@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from .design import power as power
     from .design import read_plan as read_plan
     from .design import simulate_study as simulate_study
-    from .figures.page import write_plan as write_plan
+    from .figures.designs import write_plan as write_plan
     from .fusion import added_information as added_information
     from .fusion import fused_jnds as fused_jnds
     from .fusion import information as information
@@ -108,7 +108,7 @@ _NAMES = {
     "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
-    "figures.page": "write_plan",
+    "figures.designs": "write_plan",
     "citing": "cite",
 }
 _MODULES = {

@@ -19,7 +19,7 @@ from ..cli import numbers
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.preregistration import assumptions, offsets_in_words
-from ..figures.page import fill
+from ..figures.designs import fill
 from ..output import Run, atomic_write, to_json
 from ..tables import load_table
 from . import options as opt

@@ -6,12 +6,19 @@ line style, so that a figure also reads in grey.
 """
 
 from .._deprecated import renamed_names
-from .along_a_whisk import along_push, jnd_limits, lateral_sweep, reversal, touches, whisking_speed
-from .contacts import bending, jnd_lines, jnd_surface, posterior_histogram, posteriors
+from .contacts import (
+    bending,
+    calibrated,
+    jnd_lines,
+    jnd_surface,
+    located,
+    posterior_histogram,
+    posteriors,
+)
 from .designs import (
-    adaptive,
     information_map,
     placements,
+    plan_page,
     planned_jnds,
     planned_power,
     planned_psychometrics,
@@ -19,6 +26,7 @@ from .designs import (
     rehearsed,
 )
 from .fits import (
+    adaptive,
     comparison,
     pairs,
     population,
@@ -27,11 +35,21 @@ from .fits import (
     residuals,
     shrinkage,
 )
-from .page import plan_page
-from .places import array_counts, array_map, calibrated, located, place, whisker_array
 from .reports import fits_and_growth, paper_1d, paper_2, paper_3, speed_accuracy
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
 from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, ridge, weber_2d
+from .whisks import (
+    along_push,
+    array_counts,
+    array_map,
+    jnd_limits,
+    lateral_sweep,
+    place,
+    reversal,
+    touches,
+    whisker_array,
+    whisking_speed,
+)
 
 __all__ = [
     "COLOURS",

@@ -1,9 +1,10 @@
-"""Signals of bent whiskers, posteriors of contacts, and just noticeable differences."""
+"""Signals of bent whiskers, contacts found from them, and just noticeable differences."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,15 +15,17 @@ from ..jnd_curves import JNDCurve
 from .style import (
     COLOURS,
     DOUBLE,
-    MARKERS,
     SINGLE,
+    SMALL,
     axes_or_new,
     bars,
     drawable,
+    errors,
     figure_of,
     legend_above,
     legend_over,
     look,
+    mark,
     open_figure,
     styled,
 )
@@ -87,18 +90,17 @@ def bending(
                 continue
             ends = dict.fromkeys(f"{1e3 * f(place[i][held]):.4g}" for f in (np.min, np.max))
             text = f"{symbol} = {' to '.join(ends)} mm"
-            dot = {"marker": MARKERS[i % len(MARKERS)]} if held.sum() == 1 else {}
-            ax.plot(x[i] / unit, y[i] / scale, **look(i, **dot), label=text)
+            line = mark(i, markersize=4) if held.sum() == 1 else look(i)
+            ax.plot(x[i] / unit, y[i] / scale, **line, label=text)
             if points is not None:
                 at = [_rows(points, which)[i] for which in (against, attribute)]
-                marks = {"marker": MARKERS[i % len(MARKERS)], "markerfacecolor": "white"}
-                ax.plot(at[0] / unit, at[1] / scale, **look(i, **marks) | {"linestyle": "none"})
-        ax.set_xlabel(label)
-        ax.set_ylabel(title)
+                marks = mark(i, markersize=4, markerfacecolor="white")
+                ax.plot(at[0] / unit, at[1] / scale, **marks)
+        ax.set(xlabel=label, ylabel=title)
     legend_over(figure_of(axes), axes[:1], 5)
     if not axes[0].lines:
-        axes[1].text(
-            0.5, 0.5, "no contact is held", transform=axes[1].transAxes, ha="center", va="center"
+        axes[1].annotate(
+            "no contact is held", (0.5, 0.5), xycoords="axes fraction", ha="center", va="center"
         )
     return np.array(axes, dtype=object)
 
@@ -139,8 +141,7 @@ def posteriors(
     for i, (which, name) in enumerate(((reliable, "mean, 95 %"), (~reliable, "see its status"))):
         if which.any():
             bars(ax, np.flatnonzero(which), [v[which] for v in ends], i, label=name)
-    ax.set_xlabel("Reading")
-    ax.set_ylabel(label)
+    ax.set(xlabel="Reading", ylabel=label)
     legend_above(ax)
     return ax
 
@@ -185,8 +186,7 @@ def posterior_histogram(
     one_of("of", of, result.observer.unknowns)
     ax = axes_or_new(ax)
     label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
-    ax.set_xlabel(label)
-    ax.set_ylabel("Probability density")
+    ax.set(xlabel=label, ylabel="Probability density")
     if not np.isfinite(result.estimates[of].mean).all():
         why = result.status.message
         ax.text(0.5, 0.5, f"no posterior: {why}", transform=ax.transAxes, ha="center", wrap=True)
@@ -197,11 +197,8 @@ def posterior_histogram(
     mean = float(result.estimates[of].mean / unit)
     low, high = np.asarray(result.interval(0.95, of=of)) / unit
     ax.axvline(mean, color=COLOURS[0], label=f"mean {mean:.3g}")
-    for end in (low, high):
-        ax.axvline(
-            end, color=COLOURS[1], linestyle="--",
-            label=f"95 %: {low:.3g} to {high:.3g}" if end == low else None,
-        )  # fmt: skip
+    ax.axvline(low, color=COLOURS[1], linestyle="--", label=f"95 %: {low:.3g} to {high:.3g}")
+    ax.axvline(high, color=COLOURS[1], linestyle="--")
     legend_above(ax)
     return ax
 
@@ -267,17 +264,16 @@ def jnd_lines(
                 rows[name].to_numpy(float)[points] / y_unit
                 for name in ("posterior_mm", "posterior_error_mm")
             )
-            ends = found, found - 1.96 * error, found + 1.96 * error
-            bars(ax, x[points], ends, i, markersize=2.5, label=f"{prefix}posterior, 95 %")
+            label = f"{prefix}posterior, 95 %"
+            errors(ax, x[points], found, error, i, markersize=2.5, label=label)
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
-    if length is None:
-        ax.set_xlabel("Radial distance r (mm)")
-        ax.set_ylabel(f"JND of radial distance (mm), {_criterion(named)}")
-    else:
-        ax.set_xlabel("Radial distance r/L")
-        unit = "L" if weber_fraction is None else "(kL)"
-        ax.set_ylabel(f"JND/{unit}, {_criterion(named)}")
+    criterion = " / ".join(dict.fromkeys(str(c) for t in named.values() for c in t["criterion"]))
+    what = "JND of radial distance (mm)"
+    if length is not None:
+        what = "JND/L" if weber_fraction is None else "JND/(kL)"
+    ax.set_xlabel("Radial distance r (mm)" if length is None else "Radial distance r/L")
+    ax.set_ylabel(f"{what}, {criterion}")
     legend_above(ax)
     return ax
 
@@ -288,10 +284,6 @@ def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     if "deflection_angle_deg" not in rows or rows["deflection_angle_deg"].nunique() < 2:
         return {"": rows}
     return {f"{angle:.4g}°": part for angle, part in rows.groupby("deflection_angle_deg")}
-
-
-def _criterion(tables: Mapping[str, pd.DataFrame]) -> str:
-    return " / ".join(dict.fromkeys(str(c) for t in tables.values() for c in t["criterion"]))
 
 
 @styled
@@ -329,18 +321,31 @@ def jnd_surface(
     Axes
     """
     ax = axes_or_new(ax, SINGLE + 0.6, 3.0)
+    fill_surface(ax, table, length, weber_fraction)
+    legend_above(ax)
+    if points is not None:
+        for row in points.reset_index().to_dict("records"):
+            at = row["radial_distance_mm"] / (1e3 * length), row["deflection_angle_deg"]
+            ax.plot(*at, "o", color="white", markeredgecolor="black")
+            words = f"{row['posterior_mm'] / (1e3 * length * weber_fraction):.2f}"
+            box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0}
+            offset: Any = {"xytext": (4, 4), "textcoords": "offset points"}
+            ax.annotate(words, at, **offset, fontsize=SMALL, bbox=box)
+    return ax
+
+
+def fill_surface(ax: Axes, table: pd.DataFrame, length: float, weber_fraction: float) -> None:
+    """The colours, lines and labels of `jnd_surface`, without its legend."""
     names = ["radial_distance_mm", "deflection_angle_deg", "jnd_mm"]
     rows = table.sort_values(names[:2])
     count = rows["radial_distance_mm"].nunique()
     r, y, jnd = (rows[name].to_numpy(float).reshape(count, -1) for name in names)
-    length_mm = 1e3 * length
-    x, z = r / length_mm, jnd / (length_mm * weber_fraction)
+    x, z = r / (1e3 * length), jnd / (1e3 * length * weber_fraction)
     top = np.ceil(np.nanmax(z[:, 0]) * 5) / 5
     filled = ax.contourf(x, y, z, np.linspace(0, top, 65), cmap="cividis", extend="neither")
     filled.set_rasterized(True)
     lines = ax.contour(x, y, z, np.arange(0.2, top, 0.2), colors="white", linewidths=0.8)
-    # Where each line is crossed half-way up: the labels stand clear of the edge.
-    ax.clabel(lines, fmt="%.1f", fontsize=7)
+    ax.clabel(lines, fmt="%.1f", fontsize=SMALL)
     for name, level, style, colour, label in (
         ("contact_angle_deg", 90.0, "--", "white", "contact angle of 90°"),
         ("signed_jnd_mm", 0.0, "-", COLOURS[1], "false zero of the linear JND"),
@@ -349,27 +354,59 @@ def jnd_surface(
             w = rows[name].to_numpy(float).reshape(count, -1)
             if np.nanmin(w) < level < np.nanmax(w):  # a cylinder may reach neither
                 ax.contour(x, y, w, [level], colors=colour, linestyles=style, linewidths=1.2)
-                shown = "0.6" if colour == "white" else colour
-                ax.plot([], [], linestyle=style, color=shown, linewidth=1.2, label=label)
+                colour = "0.6" if colour == "white" else colour
+                ax.plot([], [], linestyle=style, color=colour, linewidth=1.2, label=label)
     ax.plot(x[:, -1], y[:, -1], color="black", linewidth=1.2)
     ax.text(0.97, 0.95, "flicked past", transform=ax.transAxes, ha="right", va="top")
+    ticks = np.arange(0, top + 0.01, 0.2)
+    figure_of(ax).colorbar(filled, ax=ax, ticks=ticks, label="JND/(kL), d'=1")
+    ax.set(xlabel="Radial distance r/L", ylabel=_UNKNOWNS["deflection_angle"][0], xlim=(0, 1))
+    ax.set_ylim(bottom=0)
+
+
+@styled
+def located(
+    table: pd.DataFrame, ax: Axes | None = None, *, against: str | None = None, by: str = ""
+) -> Axes:
+    """Distance with its 95 % interval, over rows or the column `against`; `by` names touches.
+
+    With the same column for both, over touches: one posterior each.
+    """
+    ax = axes_or_new(ax, DOUBLE)
+    names = ("radial_distance_mm", "lower_mm", "upper_mm")
+    x = np.arange(len(table)) if against in (None, by) else table[against].to_numpy(dtype=float)
+    rows = table.assign(place=x).sort_values("place", kind="stable")
+    touches = rows[rows["touch_status"] == "converged"].groupby(by, sort=False) if by else None
+    if touches is not None and against == by:
+        first = touches.first()
+        at = np.arange(len(first))
+        bars(ax, at, [first[f"touch_{n}"] for n in names], 0, label="each touch, 95 % interval")
+        ax.set_xticks(at[:: 1 + len(at) // 20], first.index[:: 1 + len(at) // 20])
+    else:
+        middle, low, high = (rows[name].astype(float) for name in names)
+        band: Any = {"color": COLOURS[4], "alpha": 0.4, "label": "95 % interval, each row"}
+        ax.fill_between(rows["place"], low, high, **band)
+        ax.plot(rows["place"], middle, ".", color=COLOURS[0], markersize=2, label="mean, each row")
+        if touches is not None and len(touches):
+            first = touches.first()
+            ends = [first[f"touch_{name}"] for name in names]
+            bars(ax, touches["place"].mean(), ends, 1, label="each touch")
+    named = "row" if against is None else against.replace("_", " ")
+    ax.set(xlabel=re.sub(" (m?s|mm?)$", r" (\1)", named), ylabel="radial distance (mm)")
     legend_above(ax)
-    bar = figure_of(ax).colorbar(filled, ax=ax, ticks=np.arange(0, top + 0.01, 0.2))
-    bar.set_label("JND/(kL), d'=1")
-    if points is not None:
-        for row in points.reset_index().to_dict("records"):
-            at = row["radial_distance_mm"] / length_mm, row["deflection_angle_deg"]
-            ax.plot(*at, "o", color="white", markeredgecolor="black")
-            ax.annotate(
-                f"{row['posterior_mm'] / (length_mm * weber_fraction):.2f}",
-                at,
-                xytext=(4, 4),
-                textcoords="offset points",
-                fontsize=7,
-                bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0},
-            )
-    ax.set_xlim(0, 1)
-    ax.set_ylim(0, None)
-    ax.set_xlabel("Radial distance r/L")
-    ax.set_ylabel("Deflection angle θ$_d$ (degrees)")
+    return ax
+
+
+@styled
+def calibrated(found: Any, ax: Axes | None = None) -> Axes:
+    """Slopes of taps over what a `Calibration` fits, against distance, with its Weber noise."""
+    ax = axes_or_new(ax, DOUBLE)
+    taps = found.residuals
+    k = found.noise.weber_fraction
+    ax.axhspan(1 - 1.96 * k, 1 + 1.96 * k, color=COLOURS[4], alpha=0.4, label="95 % of taps")
+    ax.axhline(1.0, color=COLOURS[0], linewidth=0.8)
+    slope = taps["slope"] / taps["fitted"]
+    ax.plot(taps["radial_distance_mm"], slope, ".", color=COLOURS[0], markersize=3, label="taps")
+    ax.set(xlabel="radial distance (mm)", ylabel="slope, measured over fitted")
+    legend_above(ax)
     return ax

@@ -1,8 +1,15 @@
-"""Designs of experiments: information, power, plans, rehearsals, trials placed one by one."""
+"""Designs of experiments: information, power, rehearsals, and a plan on paper and as a folder."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import base64
+import io
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,12 +17,15 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from .fits import binomial_interval
+from .. import _checks
+from ..design.plan_file import plan_json
+from ..design.preregistration import assumptions, offsets_in_words, preregistration
+from ..design.trial_lists import bpod_table, psychopy_tables
+from ..output import Run, atomic_write, csv_text
 from .style import (
     COLOURS,
     DOUBLE,
     LINES,
-    MARKERS,
     SINGLE,
     axes_or_new,
     bars,
@@ -24,6 +34,8 @@ from .style import (
     legend_above,
     legend_over,
     look,
+    mark,
+    new_figure,
     open_figure,
     styled,
 )
@@ -70,13 +82,11 @@ def information_map(
     mesh = ax.pcolormesh(standard, offset, shown, shading="nearest", cmap="cividis", vmin=0.0)
     figure_of(ax).colorbar(mesh, ax=ax, label=f"About {ABOUT[about]} (millibit)")
     best = np.unravel_index(np.nanargmax(bits), bits.shape)
-    ring: dict[str, Any] = {"linestyle": "none", "marker": "o", "markerfacecolor": "none"}
-    ring["markersize"] = 7
-    ax.plot(standard[best], offset[best], **ring, color="w")
-    ax.plot([], [], **ring, color="black", label="the most")
+    ring: Any = {"markerfacecolor": "none", "markersize": 7}
+    ax.plot(standard[best], offset[best], "o", **ring, color="w")
+    ax.plot([], [], "o", **ring, color="black", label="the most")
     ax.axhline(0.0, color="w", linewidth=0.5)
-    ax.set_xlabel("Standard (mm)")
-    ax.set_ylabel("Offset (mm)")
+    ax.set(xlabel="Standard (mm)", ylabel="Offset (mm)")
     legend_above(ax)
     return ax
 
@@ -103,19 +113,14 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
     others = [name for name in ("truth", "lapse", "trials", "animals")
               if name != by and (name == "truth" or table[name].nunique() > 1)]  # fmt: skip
     for i, (key, own) in enumerate(table.groupby(others, sort=False)):
-        own = own.sort_values(by)
-        words = [drawable(key[0])] + [
-            f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True)
-        ]
-        ends = own["power"], own["lower"], own["upper"]
-        bars(ax, own[by], ends, i, linestyle=LINES[i % 4], label=", ".join(words))
+        more = (f"{n} {v:g}" for n, v in zip(others[1:], key[1:], strict=True))
+        _shares(ax, own.sort_values(by), own[by].sort_values(), i, [drawable(key[0]), *more])
     ax.axhline(power.goal.share, color="0.6", linewidth=0.8, linestyle=":", label="goal")
     ax.set_xscale("log")
     sizes = np.unique(table[by])
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.minorticks_off()
-    ax.set_ylim(0.0, 1.0)
-    ax.set_xlabel("Animals" if by == "animals" else "Trials of each comparison")
+    ax.set(xlabel="Animals" if by == "animals" else "Trials of each comparison", ylim=(0, 1))
     ax.set_ylabel("Assurance" if power.assurance else "Power")
     legend_above(ax)
     return ax
@@ -140,19 +145,16 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
 
     Examples
     --------
-    >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Plan, Scheme, taper
-    >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, -1e-3, 1e-3, 2e-3])
-    >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
+    >>> from weberwhisk import plan_experiment
+    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
     >>> planned_psychometrics(plan).shape
     (2,)
     """
     standards = plan.scheme.standards
     if axes is None:
         width = SINGLE if len(standards) == 1 else DOUBLE
-        axes = list(
-            open_figure(width, 2.0).subplots(1, len(standards), sharey=True, squeeze=False)[0]
-        )
+        figure = open_figure(width, 2.0)
+        axes = list(figure.subplots(1, len(standards), sharey=True, squeeze=False)[0])
     for ax, standard in zip(axes, standards, strict=True):
         mm = 1e3 * standard
         levels = plan.levels[np.isclose(plan.levels["standard_mm"], mm)]
@@ -164,13 +166,11 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
             own = own[np.isclose(own["standard_mm"], mm)]
             ax.plot(own["comparison_mm"], own["median"], **look(i), label=drawable(hypothesis.name))
         ax.axvline(mm, color="0.8", linewidth=0.8, zorder=0)
-        ax.set_ylim(-0.03, 1.03)
+        ax.set(title=f"standard {mm:.3g} mm", ylim=(-0.03, 1.03))
         ax.xaxis.set_major_locator(MaxNLocator(4))
-        ax.set_title(f"standard {mm:.3g} mm")
-    figure = figure_of(axes)
-    figure.supxlabel("Comparison (mm)")
+    figure_of(axes).supxlabel("Comparison (mm)")
     axes[0].set_ylabel("Reported farther")
-    legend_over(figure, axes[:1], 9)
+    legend_over(figure_of(axes), axes[:1], 9)
     return np.array(axes, dtype=object)
 
 
@@ -183,27 +183,22 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
 
     Examples
     --------
-    >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Plan, Scheme, taper
-    >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, -1e-3, 1e-3, 2e-3])
-    >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
+    >>> from weberwhisk import plan_experiment
+    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
     >>> planned_jnds(plan).get_xlabel()
     'Radial distance (mm)'
     """
     ax = axes_or_new(ax)
     for i, hypothesis in enumerate(plan.hypotheses):
         own = plan.jnds.query("hypothesis == @hypothesis.name")
-        at = own["stimulus_mm"]
-        ax.fill_between(
-            at, own["lower_mm"], own["upper_mm"], color=COLOURS[i], alpha=0.2, linewidth=0
-        )
+        at, low, high = (own[f"{name}_mm"] for name in ("stimulus", "lower", "upper"))
+        ax.fill_between(at, low, high, color=COLOURS[i], alpha=0.2)
         ax.plot(at, own["jnd_mm"], **look(i), label=f"{drawable(hypothesis.name)}, 95 %")
     points = plan.jnds_by_standard
     known = (points[name] for name in ("jnd_mm", "lower_mm", "upper_mm"))
     bars(ax, points["standard_mm"], known, 0, color=COLOURS[6], label="each standard alone, 95 %")
     ax.set_ylim(bottom=0)
-    ax.set_xlabel("Radial distance (mm)")
-    ax.set_ylabel(f"JND (mm), {points['criterion'].iloc[0]}")
+    ax.set(xlabel="Radial distance (mm)", ylabel=f"JND (mm), {points['criterion'].iloc[0]}")
     legend_above(ax)
     return ax
 
@@ -235,18 +230,21 @@ def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
     planned = plan.scheme.animals if by_animals else plan.scheme.n_trials
     for i, hypothesis in enumerate(plan.hypotheses):
         own = plan.power.query("truth == @hypothesis.name").sort_values(["animals", "trials"])
-        at = own["animals" if by_animals else "trials"].to_numpy(float) * unit
-        found = (own[name] for name in ("power", "lower", "upper"))
-        label = f"{drawable(hypothesis.name)} is true"
-        bars(ax, at, found, i, linestyle=LINES[i % 4], label=label)
+        at = own["animals" if by_animals else "trials"] * unit
+        _shares(ax, own, at, i, [f"{drawable(hypothesis.name)} is true"])
     ax.axhline(plan.goal.share, color="0.6", linewidth=0.8, zorder=0, label="goal")
     ax.axvline(planned, color="0.6", linewidth=0.8, zorder=0, linestyle=":", label="planned")
-    ax.set_ylim(0, 1.02)
-    ax.set_xlim(left=0)
+    ax.set(ylabel="Share that reaches the goal", ylim=(0, 1.02))
     ax.set_xlabel("Animals" if by_animals else "Trials of an animal")
-    ax.set_ylabel("Share that reaches the goal")
+    ax.set_xlim(left=0)
     legend_above(ax)
     return ax
+
+
+def _shares(ax: Axes, rows: pd.DataFrame, at: Any, i: int, words: Sequence[str]) -> None:
+    """Shares of experiments that reach the goal, over their sizes, with Monte Carlo intervals."""
+    ends = (rows[name] for name in ("power", "lower", "upper"))
+    bars(ax, at, ends, i, linestyle=LINES[i % len(LINES)], label=", ".join(words))
 
 
 @styled
@@ -258,10 +256,8 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
 
     Examples
     --------
-    >>> from weberwhisk import Whisker
-    >>> from weberwhisk.design import Goal, Plan, Scheme, simulate_study, taper
-    >>> scheme = Scheme([15e-3, 40e-3], [-2e-3, -1e-3, 1e-3, 2e-3])
-    >>> plan = Plan(scheme, taper(Whisker(50e-3, 100e-6, 5e-6)), Goal(bayes_factor=10))
+    >>> from weberwhisk import plan_experiment, simulate_study
+    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
     >>> rehearsed(simulate_study(plan, 2, seed=1)).get_ylabel()
     'Share of experiments'
     """
@@ -274,70 +270,16 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
         values = np.sort(own[column].to_numpy(float)) / unit
         below = np.arange(1, values.size + 1) / values.size
         ax.step(values, below, where="post", **look(i), label=drawable(truth))
-    limits = [np.log10(goal.bayes_factor)] if goal.bayes_factor else [100 * (goal.half_width or 0)]
-    for limit, name in zip(
-        limits + [-v for v in limits if compared], ("goal", "the wrong way"), strict=False
-    ):
-        line = ":" if name != "goal" else "-"
-        ax.axvline(limit, color="0.6", linewidth=0.8, zorder=0, linestyle=line, label=name)
-    ax.set_ylim(0, 1)
-    ax.set_xlabel(
-        "log$_{10}$ Bayes factor for the truth"
-        if compared
-        else "Half-width of the interval of k (%)"
-    )
-    ax.set_ylabel("Share of experiments")
+    edge: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0}
+    limit = np.log10(goal.bayes_factor) if goal.bayes_factor else 100 * (goal.half_width or 0)
+    ax.axvline(limit, **edge, label="goal")
+    what = "Half-width of the interval of k (%)"
+    if compared:
+        what = "log$_{10}$ Bayes factor for the truth"
+        ax.axvline(-limit, **edge, linestyle=":", label="the wrong way")
+    ax.set(xlabel=what, ylabel="Share of experiments", ylim=(0, 1))
     legend_above(ax)
     return ax
-
-
-@styled
-def adaptive(
-    tables: Mapping[str, pd.DataFrame], axes: Sequence[Axes] | None = None
-) -> NDArray[np.object_]:
-    """What simulated experiments know after so many trials, a line a method; returns the axes.
-
-    Parameters
-    ----------
-    tables : mapping
-        ``estimation``: rows with ``method``, ``weber_fraction`` (the truth), ``n``, ``low`` and
-        ``high``; ``discrimination``: with ``method``, ``truth``, ``n`` and ``log_bayes_factor``.
-    axes : sequence of Axes, optional
-        One for each Weber fraction, and one for the Bayes factors.
-    """
-    first, second = tables["estimation"], tables["discrimination"]
-    ks = sorted(first["weber_fraction"].unique())
-    if axes is None:
-        figure = open_figure(DOUBLE, 2.9)
-        axes = list(figure.subplots(1, len(ks) + 1))
-    methods = list(dict.fromkeys(first["method"]))
-    half = (first["high"] - first["low"]) / (first["high"] + first["low"])
-    for ax, k in zip(axes, ks, strict=False):
-        for i, method in enumerate(methods):
-            own = first[(first["weber_fraction"] == k) & (first["method"] == method)]
-            width = half[own.index].groupby(own["n"]).median()
-            marks = {"marker": MARKERS[i % len(MARKERS)], "markersize": 3}
-            ax.plot(width.index, 100 * width, **look(i, **marks), label=method)
-        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0, label="goal")
-        ax.text(0.95, 0.93, f"k = {k:g}", ha="right", transform=ax.transAxes)
-        ax.set(xlabel="Trials", ylim=(0, 100))
-    axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
-    legend_above(axes[0])
-    ax = axes[len(ks)]
-    for truth in sorted(second["truth"].unique()):
-        for method in dict.fromkeys(second["method"]):
-            own = second[(second["truth"] == truth) & (second["method"] == method)]
-            found = (own["log_bayes_factor"] > np.log(10)).groupby(own["n"])
-            share, count = found.mean(), found.sum().to_numpy(float)
-            low, high = binomial_interval(count, found.size().to_numpy(float))
-            style = {"linestyle": LINES[truth % len(LINES)], "elinewidth": 0.8}
-            label = f"{method}, {('tapered', 'cylinder')[truth]}"
-            ends = 100 * share, 100 * low, 100 * high
-            bars(ax, share.index, ends, methods.index(method), **style, label=label)
-    ax.axhline(80, color="0.7", linewidth=0.8, zorder=0, label="goal")
-    ax.set(xlabel="Trials", ylabel="Runs with Bayes factor > 10 (%)", ylim=(0, 102))
-    legend_above(ax)
-    return np.array(list(axes), dtype=object)
 
 
 @styled
@@ -353,14 +295,153 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax, SINGLE, 2.8)
     rows = placer.trials().frame
     offset = rows["stimulus_2"] - rows["stimulus_1"]
-    answers = ((1.0, "counted answer", "o"), (0.0, "the other", "s"))
-    for i, (answer, label, marker) in enumerate(answers):
+    for i, (answer, label) in enumerate(((1.0, "counted answer"), (0.0, "the other"))):
         own = rows["count"] == answer
-        ax.plot(
-            rows["trial"][own], offset[own], marker, color=COLOURS[i], markersize=2.5, label=label
-        )
+        ax.plot(rows["trial"][own], offset[own], **mark(i, markersize=2.5), label=label)
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Trial", ylabel="Comparison − standard")
     legend_above(ax)
     return ax
+
+
+# -- a plan on one page of paper, and as a folder ------------------------------------------------
+
+
+def plan_page(plan: Plan) -> str:
+    """The plan on one A4 page: numbers, expected curves, assumptions, preregistration.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    str
+        HTML of one file; figures are inside it, as SVG.
+
+    Examples
+    --------
+    >>> from weberwhisk import plan_experiment
+    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
+    >>> plan_page(plan).startswith("<!DOCTYPE html>")
+    True
+    """
+    title, *paragraphs = preregistration(plan).strip().split("\n\n")
+    wide = 100 if len(plan.scheme.standards) > 1 else 50
+    halves = [_image(_half(planned_jnds, plan), "Expected JND curves")]
+    if plan.power is not None:
+        halves.append(_image(_half(planned_power, plan), "Power"))
+    psychometrics = figure_of(planned_psychometrics(plan))
+    heads = (" ".join(p.split()).partition(". ") for p in paragraphs)
+    page = resources.files("weberwhisk").joinpath("data/plan.html").read_text("utf-8")
+    return Template(page).substitute(
+        title=escape(title),
+        numbers=_each("<tr><th>{}</th><td>{}</td></tr>", _numbers(plan)),
+        assumptions=_each("<li>{}</li>", ((line,) for line in assumptions(plan))),
+        psychometrics=_image(psychometrics, "Expected psychometric functions", wide),
+        halves="".join(f'<div class="half">{half}</div>' for half in halves),
+        preregistration=_each("<p><b>{}.</b> {}</p>", ((h, rest) for h, _, rest in heads)),
+    )
+
+
+def _each(form: str, rows: Iterable[tuple[str, ...]]) -> str:
+    """Every row of texts in a form of HTML."""
+    return "".join(form.format(*map(escape, row)) for row in rows)
+
+
+def _numbers(plan: Plan) -> list[tuple[str, str]]:
+    scheme = plan.scheme
+    return [
+        ("Goal", str(plan.goal)),
+        ("Hypotheses", ", ".join(h.name for h in plan.hypotheses)),
+        ("Animals", f"{scheme.animals}"),
+        ("Trials", f"{scheme.n_trials} an animal, {scheme.total_trials} in all"),
+        ("Sessions", f"{plan.sessions} an animal, of at most {plan.trials_per_session} trials"),
+        ("Standards", ", ".join(f"{s * 1e3:.4g}" for s in scheme.standards) + " mm"),
+        *((f"Offsets at {s * 1e3:.4g} mm", f"{offsets_in_words(row)} mm")
+          for s, row in zip(scheme.standards, scheme.offsets, strict=True)),
+    ]  # fmt: skip
+
+
+@styled
+def _half(draw: Callable[[Plan, Axes], Any], plan: Plan) -> Any:
+    figure = new_figure(DOUBLE / 2, 2.0)
+    draw(plan, figure.subplots())
+    return figure
+
+
+def _image(figure: Any, alt: str, percent: int = 100) -> str:
+    content = io.BytesIO()
+    figure.savefig(content, format="svg", metadata={"Date": None})
+    text = base64.b64encode(content.getvalue()).decode("ascii")
+    source = f"data:image/svg+xml;base64,{text}"
+    return f'<img alt="{escape(alt)}" style="width: {percent}%" src="{source}">'
+
+
+def write_plan(
+    plan: Plan, out: str | os.PathLike[str], *, inputs: Mapping[str, Any] | None = None
+) -> Path:
+    """Write everything that an experiment needs into one folder; all of it or nothing.
+
+    - ``plan.json``: the plan, for `read_plan` and `weberwhisk rehearse`;
+    - ``plan.html``: one page to print; ``preregistration.txt``: its text;
+    - ``trials.csv``: all trial lists, which `weberwhisk fit` reads with the answers added;
+    - ``psychopy_<animal>_<session>.csv``: a conditions file for every session;
+    - ``bpod.csv``: all trials as numbers alone;
+    - ``planned_levels.csv``, ``planned_jnds.csv``, ``planned_power.csv`` and figures of them.
+
+    Parameters
+    ----------
+    plan : Plan
+    out : path
+        Folder, made if it is missing.
+    inputs : mapping, optional
+        What was asked, for the record ``design.run.json``.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ValueError
+        As `weberwhisk.output.Run`: where the folder cannot be written or holds files of others.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from weberwhisk import plan_experiment
+    >>> plan = plan_experiment("C2", standards=[10e-3, 30e-3], trials=10, runs=0)
+    >>> with TemporaryDirectory() as folder:
+    ...     sorted(path.name for path in write_plan(plan, folder).glob("p*.csv"))
+    ['planned_jnds.csv', 'planned_levels.csv', 'psychopy_s1_001.csv']
+    """
+    _checks.kind("plan", plan, "a Plan", "scheme", "write plan_experiment(...), say")
+    with Run(out, "design", dict(inputs or {}), plan.seed) as run:
+        fill(run, plan)
+    assert run.out_dir is not None
+    return run.out_dir
+
+
+def fill(run: Run, plan: Plan) -> None:
+    """The files of a plan, into a run that is open; nothing where it has no folder."""
+    if run.out_dir is None:
+        return
+    for name, text in (
+        ("plan.json", plan_json(plan)),
+        ("plan.html", plan_page(plan)),
+        ("preregistration.txt", preregistration(plan)),
+        ("trials.csv", csv_text(plan.trials)),
+        ("bpod.csv", csv_text(bpod_table(plan.trials))),
+        *((f"{name}.csv", csv_text(table)) for name, table in psychopy_tables(plan.trials)),
+    ):
+        atomic_write(run.path(name), text)
+    run.table("planned_levels", plan.levels)
+    run.table("planned_jnds", plan.jnds)
+    run.figure("planned_psychometric", planned_psychometrics(plan))
+    run.figure("planned_jnd", planned_jnds(plan))
+    if plan.power is not None:
+        run.table("planned_power", plan.power)
+        run.figure("planned_power", planned_power(plan))

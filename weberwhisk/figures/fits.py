@@ -1,20 +1,20 @@
-"""Choices, the psychometric functions fitted to them, and fits looked at closely."""
+"""Choices, the psychometric functions fitted to them, and what is known trial by trial."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from .style import (
     COLOURS,
     DOUBLE,
-    MARKERS,
+    LINES,
     SINGLE,
     Array,
     axes_or_new,
@@ -23,7 +23,9 @@ from .style import (
     figure_of,
     legend_above,
     legend_over,
+    log_numbers,
     look,
+    mark,
     open_figure,
     styled,
 )
@@ -75,8 +77,7 @@ def psychometric(
         )
     s = float(known[0]) if standard is None else standard
     _choices(fit, ax, s)
-    ax.set_xlabel(_stimulus_label(fit, unit))
-    ax.set_ylabel(_answer_label(fit))
+    ax.set(xlabel=_stimulus_label(fit, unit), ylabel=_answer_label(fit))
     legend_above(ax)
     return ax
 
@@ -168,13 +169,11 @@ def _choices(fit: WeberFit, ax: Axes, standard: float) -> None:
         edges = np.clip(edges, lowest + 1e-6 * margin, highest - 1e-6 * margin)
         curve = fit.psychometric(np.linspace(edges[0], edges[1], 121), standard)
         at = curve["comparison"] - origin
-        ax.fill_between(
-            at, curve["lower"], curve["upper"], color=COLOURS[4], alpha=0.35, linewidth=0,
-            label="fit, 95 %" if fit.parameters else None,
-        )  # fmt: skip
         # A fit to which every parameter was given has a curve and no band.
-        name = None if fit.parameters else "given parameters"
-        ax.plot(at, curve["median"], color=COLOURS[0], label=name)
+        band, line = ("fit, 95 %", None) if fit.parameters else (None, "given parameters")
+        ends = curve["lower"], curve["upper"]
+        ax.fill_between(at, *ends, color=COLOURS[4], alpha=0.35, label=band)
+        ax.plot(at, curve["median"], color=COLOURS[0], label=line)
     bars(ax, x, (share, low, high), 0, color=COLOURS[6], label="choices, 95 %", markersize=4)
     ax.axvline(standard - origin, color="0.7", linewidth=0.8, zorder=0, label="standard")
     ax.set_ylim(-0.03, 1.03)
@@ -216,16 +215,12 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
     x = table[column].to_numpy()
     ax.axhspan(-1.96, 1.96, color="0.92", zorder=0, label="95 %, if the model is right")
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=0)
-    for which, marker, colour, name in (
-        (~outside, "o", COLOURS[0], "inside"),
-        (outside, "D", COLOURS[1], "outside"),
-    ):
+    for i, (which, name) in enumerate(((~outside, "inside"), (outside, "outside"))):
         if which.any():
-            ax.plot(x[which], z[which], marker, color=colour, label=name, markersize=3.5)
+            ax.plot(x[which], z[which], **mark(i, markersize=3.5), label=name)
     if np.issubdtype(x.dtype, np.integer):
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_xlabel(drawable(column.replace("_", " ")))
-    ax.set_ylabel("Residual (standard errors)")
+    ax.set(xlabel=drawable(column.replace("_", " ")), ylabel="Residual (standard errors)")
     legend_above(ax)
     return ax
 
@@ -298,26 +293,21 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     rows = table[table["weber_fraction"].notna()].sort_values("alone").reset_index(drop=True)
     ax = axes_or_new(ax, SINGLE if len(rows) < 30 else DOUBLE / 2, min(1.2 + 0.16 * len(rows), 9.0))
     y = np.arange(len(rows), dtype=float)
-    for names, shift, i, label in (
-        (("alone", "alone_lower", "alone_upper"), -0.17, 1, "alone"),
-        (("weber_fraction", "lower", "upper"), 0.17, 0, "with the others"),
+    for names, shift, i, face, label in (
+        (("alone", "alone_lower", "alone_upper"), -0.17, 1, "white", "alone"),
+        (("weber_fraction", "lower", "upper"), 0.17, 0, COLOURS[0], "with the others"),
     ):
         middle, low, high = (rows[c].to_numpy(float) for c in names)
-        ax.errorbar(
-            middle, y + shift, xerr=[(middle - low).tolist(), (high - middle).tolist()],
-            fmt="so"[i], color=COLOURS[i], markersize=3, elinewidth=0.9,
-            markerfacecolor="white" if i else COLOURS[0], label=f"{label}, 95 %",
-        )  # fmt: skip
+        ends = [(middle - low).tolist(), (high - middle).tolist()]
+        style = mark(i, elinewidth=0.9, markerfacecolor=face, label=f"{label}, 95 %")
+        ax.errorbar(middle, y + shift, xerr=ends, **style)
     ax.axvspan(*fit.interval(0.95), color="0.9", zorder=0, label="population median, 95 %")
     labels = [str(s) for s in rows["subject"]]
     if "session" in rows:
         labels = [f"{s}, {n}" for s, n in zip(rows["subject"], rows["session"], strict=True)]
     ax.set_yticks(y, [drawable(label) for label in labels])
-    ax.set_xscale("log")
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_xlabel("Weber fraction")
+    ax.set(xscale="log", xlabel="Weber fraction")
+    log_numbers(ax.xaxis)
     legend_above(ax)
     return ax
 
@@ -356,8 +346,7 @@ def population(
                 number = animals.index(animal)
                 name = f"{drawable(animal)}, alone" if len(animals) <= 12 else "animals, alone"
                 _animal(one, axes[-1], float(standard), number, name)
-        axes[-1].set_title(f"standard {standard:.3g}")
-        axes[-1].set_ylim(-0.03, 1.03)
+        axes[-1].set(title=f"standard {standard:.3g}", ylim=(-0.03, 1.03))
         axes[-1].xaxis.set_major_locator(MaxNLocator(4))
         axes[-1].set_xlabel(_stimulus_label(one, unit))
     axes[0].set_ylabel(_answer_label(one))
@@ -371,8 +360,7 @@ def _animal(fit: WeberFit, ax: Axes, standard: float, i: int, name: str) -> None
     x, cells = _shown_at(fit, standard)
     origin = standard if _relative(fit) else 0.0
     curve = fit.psychometric(np.linspace(x.min(), x.max(), 81) + origin, standard)
-    dot = {"marker": MARKERS[i % len(MARKERS)], "markersize": 3, "linestyle": "none"}
-    ax.plot(x, cells.count / cells.n, **look(i) | dot)
+    ax.plot(x, cells.count / cells.n, **mark(i))
     ax.plot(curve["comparison"] - origin, curve["median"], **look(i, linewidth=1.0), label=name)
 
 
@@ -395,13 +383,57 @@ def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
     y = np.arange(len(table), dtype=float)
     evidence = table["log_bayes_factor"].to_numpy(float)
     ax.plot(evidence, y + 0.12, "o", color=COLOURS[0], label="log evidence")
-    ax.errorbar(
-        table["elpd_difference"], y - 0.12, xerr=table["difference_se"], fmt="s",
-        color=COLOURS[1], markersize=3, elinewidth=0.9, label="a trial left out, ± 1 SE",
-    )  # fmt: skip
+    style = mark(1, elinewidth=0.9, label="a trial left out, ± 1 SE")
+    ax.errorbar(table["elpd_difference"], y - 0.12, xerr=table["difference_se"], **style)
     ax.axvline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.set_yticks(y, [drawable(name, 40) for name in table.index])
-    ax.set_ylim(-0.6, len(table) - 0.4)
-    ax.set_xlabel("Nats below the best")
+    ax.set(xlabel="Nats below the best", ylim=(-0.6, len(table) - 0.4))
     legend_above(ax)
     return ax
+
+
+@styled
+def adaptive(
+    tables: Mapping[str, pd.DataFrame], axes: Sequence[Axes] | None = None
+) -> NDArray[np.object_]:
+    """What simulated experiments know after so many trials, a line a method; returns the axes.
+
+    Parameters
+    ----------
+    tables : mapping
+        ``estimation``: rows with ``method``, ``weber_fraction`` (the truth), ``n``, ``low`` and
+        ``high``; ``discrimination``: with ``method``, ``truth``, ``n`` and ``log_bayes_factor``.
+    axes : sequence of Axes, optional
+        One for each Weber fraction, and one for the Bayes factors.
+    """
+    first, second = tables["estimation"], tables["discrimination"]
+    ks = sorted(first["weber_fraction"].unique())
+    if axes is None:
+        axes = list(open_figure(DOUBLE, 2.9).subplots(1, len(ks) + 1))
+    methods = list(dict.fromkeys(first["method"]))
+    half = (first["high"] - first["low"]) / (first["high"] + first["low"])
+    for ax, k in zip(axes, ks, strict=False):
+        for i, method in enumerate(methods):
+            own = first[(first["weber_fraction"] == k) & (first["method"] == method)]
+            width = half[own.index].groupby(own["n"]).median()
+            ax.plot(width.index, 100 * width, **mark(i) | look(i), label=method)
+        ax.axhline(40, color="0.7", linewidth=0.8, zorder=0, label="goal")
+        ax.text(0.95, 0.93, f"k = {k:g}", ha="right", transform=ax.transAxes)
+        ax.set(xlabel="Trials", ylim=(0, 100))
+    axes[0].set_ylabel("Half width of the 95 % interval of k (%)")
+    legend_above(axes[0])
+    ax = axes[len(ks)]
+    for truth in sorted(second["truth"].unique()):
+        for method in dict.fromkeys(second["method"]):
+            own = second[(second["truth"] == truth) & (second["method"] == method)]
+            found = (own["log_bayes_factor"] > np.log(10)).groupby(own["n"])
+            share, count = found.mean(), found.sum().to_numpy(float)
+            low, high = binomial_interval(count, found.size().to_numpy(float))
+            style = {"linestyle": LINES[truth % len(LINES)], "elinewidth": 0.8}
+            label = f"{method}, {('tapered', 'cylinder')[truth]}"
+            ends = 100 * share, 100 * low, 100 * high
+            bars(ax, share.index, ends, methods.index(method), **style, label=label)
+    ax.axhline(80, color="0.7", linewidth=0.8, zorder=0, label="goal")
+    ax.set(xlabel="Trials", ylabel="Runs with Bayes factor > 10 (%)", ylim=(0, 102))
+    legend_above(ax)
+    return np.array(list(axes), dtype=object)

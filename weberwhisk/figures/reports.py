@@ -24,7 +24,9 @@ from .style import (
     axes_or_new,
     legend_above,
     legend_over,
+    log_numbers,
     look,
+    mark,
     new_figure,
     styled,
 )
@@ -52,17 +54,17 @@ def speed_accuracy(
         table[table["part"] == part] for part in ("beams", "posteriors", "jnds")
     )
     axes = _row(rows[0], beams, set(outside))
+    in_jnds = (lambda e: e / weber_fraction, lambda jnds: jnds * weber_fraction)
     for ax, (_, part) in zip(axes, beams.groupby("scene", sort=False), strict=True):
         _limits(ax, _closed_form(part), ROUNDING, "rounding")
         ax.axhline(allowed * weber_fraction, color="0.6", linewidth=0.7, linestyle="--")
         ax.set_ylim(1e-17, TOP)
-        right = ax.secondary_yaxis("right", functions=_scaling(weber_fraction))
+        right = ax.secondary_yaxis("right", functions=in_jnds)
         right.yaxis.set_major_locator(LogLocator(numticks=6))
         right.yaxis.set_minor_formatter(NullFormatter())
-        if ax is axes[-1]:
-            right.set_ylabel(f"error of r (JND, k = {weber_fraction:g})")
-        else:
+        if ax is not axes[-1]:
             right.set_yticklabels([])
+    right.set_ylabel(f"error of r (JND, k = {weber_fraction:g})")
     axes[0].set_ylabel("relative error of the moment")
     rows[0].supxlabel("CPU time of one contact (s)", fontsize=8)
     methods = posteriors[~posteriors["method"].isin(("closed form", "referee"))]
@@ -113,15 +115,15 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
             place = {"xytext": (4, 2)} if i < 2 else {"xytext": (-4, -3), "ha": "right"}
             _beside(left, f"{row['knob']:.0f}", row, **place)
     left.margins(x=0.12)
-    left.set(xscale="log", yscale="log")
-    left.set(ylabel="relative RMSE of the Weber fraction", xlabel="CPU time of a fit (s)")
-    right.axhline(0, color="0.4", linewidth=0.7, linestyle=":")
-    right.set(xscale="log", xlabel="CPU time of a fit (s)")
-    right.set_ylabel("coverage − 95 (points)")
-    for axis in (left.xaxis, left.yaxis, right.xaxis):
-        _log_ticks(axis)
+    left.set(xscale="log", yscale="log", ylabel="relative RMSE of the Weber fraction")
     left.set_title("small numbers: trials of a data set; bars: standard errors")
+    right.axhline(0, color="0.4", linewidth=0.7, linestyle=":")
+    right.set(xscale="log", ylabel="coverage − 95 (points)")
     right.set_title("95 % intervals; bars: one standard error")
+    for ax in (left, right):
+        ax.set_xlabel("CPU time of a fit (s)")
+        log_numbers(ax.xaxis)
+    log_numbers(left.yaxis)
     _legend(rows[0], [left])
     axes = rows[1].subplots(1, 2)
     for ax, column, unit in zip(
@@ -136,19 +138,6 @@ def fits_and_growth(table: pd.DataFrame, *, foot: str = "", outside: Iterable[st
     if foot:
         rows[1].supxlabel(fill(foot, FOOT), fontsize=SMALL)
     return figure
-
-
-def _log_ticks(axis: Any) -> None:
-    """Plain numbers that do not run together, however few or many decades there are."""
-    low, high = axis.get_view_interval()
-    decades = np.log10(high / low)
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 1.5 else (1.0,)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _scaling(k: float) -> tuple[Any, Any]:
-    return (lambda error: error / k), (lambda jnds: jnds * k)
 
 
 def _style(i: int, hollow: bool) -> dict[str, Any]:
@@ -171,9 +160,8 @@ def _row(figure: Any, table: pd.DataFrame, outside: set[str]) -> list[Axes]:
         here = table[table["scene"] == scene]
         for i, method in enumerate(methods):
             _line(ax, here[here["method"] == method], _style(i, method in outside), method)
-        ax.set_title(scene, fontsize=7)
-        ax.set_xscale("log")
-        ax.set_yscale("log")
+        ax.set_title(scene, fontsize=SMALL)
+        ax.set(xscale="log", yscale="log")
     _legend(figure, axes)
     return axes
 
@@ -259,10 +247,7 @@ def _examples(ax: Axes, table: pd.DataFrame) -> None:
         for k, (_, line) in enumerate(bent.groupby("contact_angle_deg")):
             ax.plot(line["x"], line["y"], **look(i, linewidth=0.7))
             label = f"s = {share:g} L" if k == 0 else None
-            contact = line.iloc[-2]
-            ax.plot(
-                contact["x"], contact["y"], MARKERS[i], color=COLOURS[i], markersize=3, label=label
-            )
+            ax.plot(*line.iloc[-2][["x", "y"]], **mark(i, label=label))
     ax.set(xlabel="x/L", ylabel="y/L", aspect="equal", xlim=(0, 1.03), ylim=(-0.03, 1.15))
     ax.legend(loc="upper right", handletextpad=0.2, borderpad=0)
 
@@ -278,10 +263,8 @@ def _lines(ax: Axes, table: pd.DataFrame, numbered: tuple[float, ...]) -> None:
             # A line whose moment has fallen ends clear of the others.
             fallen = last["moment"] < 0.8 * line["moment"].max()
             place: dict[str, Any] = {"xytext": (3, -1) if fallen else (-3, 2)}
-            ax.annotate(
-                f"{share:g}", end, **place, textcoords="offset points", fontsize=7,
-                ha="left" if fallen else "right",
-            )  # fmt: skip
+            place |= {"ha": "left" if fallen else "right", "textcoords": "offset points"}
+            ax.annotate(f"{share:g}", end, **place, fontsize=SMALL)
     ax.plot([], [], "o-", color="0.4", markersize=2.5, label="number: s/L\nend: α = 90°")
     ax.set(xlabel="Contact force F$_c$L²/EI", ylabel="Moment M$_z$L/EI")
     ax.legend(loc="lower right")
@@ -310,10 +293,8 @@ def _map(ax: Axes, table: pd.DataFrame, column: str, label: str, colours: str) -
 def _curve(ax: Axes, table: pd.DataFrame) -> None:
     for i, share in enumerate((0.3, 0.6, 0.9)):
         line = table[np.isclose(table["arc_length"], share)].iloc[3 * i :: 9]
-        ax.plot(
-            line["moment"], line["axial_force"], MARKERS[i], color=COLOURS[i],
-            markerfacecolor="none", label=f"s = {share:g} L",
-        )  # fmt: skip
+        style = mark(i, markersize=4, markerfacecolor="none", label=f"s = {share:g} L")
+        ax.plot(line["moment"], line["axial_force"], **style)
     moment = np.linspace(0, 9, 100)
     ax.plot(moment, moment**2 / 2, "-", color="0.4", linewidth=0.9, label=PARABOLA)
     ax.set(xlabel="M$_z$L/EI", ylabel="F$_x$L²/EI", xlim=(0, 9), ylim=(0, 40))
@@ -340,23 +321,17 @@ def paper_3(
     for i, (share, rows) in enumerate(moments.groupby("radial_distance")):
         a.plot(rows["angle_deg"], rows["moment"], **look(i, label=f"r = {share:g} L"))
         begin = float(rows["angle_deg"].iloc[0])
-        at = begin + first["balance_angle_deg"][
-            np.isclose(first["radial_distance"], share)  # type: ignore[arg-type]
-        ].to_numpy(float)
-        a.plot(
-            at, np.interp(at, muscle["angle_deg"], muscle["moment"]), MARKERS[i],
-            color=COLOURS[i], markerfacecolor="white",
-        )  # fmt: skip
+        balanced = np.isclose(first["radial_distance"], share)  # type: ignore[arg-type]
+        at = begin + first["balance_angle_deg"][balanced].to_numpy(float)
+        balance = np.interp(at, muscle["angle_deg"], muscle["moment"])
+        a.plot(at, balance, **mark(i, markersize=4, markerfacecolor="white"))
     a.set(xlabel="Follicle angle θ (degrees)", ylabel="Moment (of the muscle's peak)")
     a.set(xlim=(30, 150), ylim=(0, 1.2), xticks=range(30, 151, 30))
     a.plot([], [], "o", color="0.4", markerfacecolor="white", label="balance")
     a.legend(loc="lower right", borderpad=0, handlelength=1.6)
     for i, (name, rows) in enumerate(held.groupby("curve", sort=False)):
-        end = rows["radial_distance"].iloc[-1]
-        b.plot(
-            rows["radial_distance"], rows["balance_angle_deg"], **look(i),
-            label=f"(2.2) {name}:\nends at {end:.3f} L",
-        )  # fmt: skip
+        label = f"(2.2) {name}:\nends at {rows['radial_distance'].iloc[-1]:.3f} L"
+        b.plot(rows["radial_distance"], rows["balance_angle_deg"], **look(i), label=label)
     b.set(xlabel="Radial distance r/L", ylabel="Angle of balance θ$_b$ (degrees)")
     b.set(xlim=(0.3, 0.8), ylim=(0, 27), yticks=range(0, 26, 5))
     b.legend(loc="upper left")
@@ -365,10 +340,7 @@ def paper_3(
     )
     place, impact = values.columns.to_numpy(float), values.index.to_numpy(float)
     white = np.isnan(values.to_numpy())
-    shown = c.pcolormesh(
-        place, impact, np.ma.masked_invalid(values.to_numpy()), cmap="viridis", vmin=0,
-        rasterized=True,
-    )  # fmt: skip
+    shown = c.pcolormesh(place, impact, values, cmap="viridis", vmin=0, rasterized=True)
     here = np.abs(impact[:, None] - np.asarray(edge[1])).argmin(axis=0), np.arange(place.size)
     c.plot(place, np.where(white[here], edge[1], np.nan), "k--", linewidth=1)
     c.axhline(60, color="white", linewidth=0.8, linestyle=":")

@@ -12,8 +12,10 @@ from typing import Any, ParamSpec, TypeVar
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -137,14 +139,33 @@ def look(i: int, **more: Any) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)], **more}
 
 
+def mark(i: int, **more: Any) -> dict[str, Any]:
+    """Colour and marker of the i-th kind, small and without a line."""
+    style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+    return {**style, "markersize": 3, "linestyle": "none", **more}
+
+
 def bars(ax: Axes, x: Any, ends: Iterable[Any], i: int, **more: Any) -> None:
     """Marks of the i-th kind, with bars: `ends` are their heights, lower and upper ends."""
     middle, low, high = (np.asarray(v, dtype=float) for v in ends)
     # Lists: some versions of Matplotlib take a lone row of an array for a number.
     length = [np.maximum(middle - low, 0).tolist(), np.maximum(high - middle, 0).tolist()]
-    style: dict[str, Any] = {"fmt": MARKERS[i % len(MARKERS)], "color": COLOURS[i % len(COLOURS)]}
-    style |= {"capsize": 2, "elinewidth": 1, "markersize": 3}
-    ax.errorbar(x, middle, length, **(style | more))
+    ax.errorbar(x, middle, length, **mark(i, capsize=2, elinewidth=1) | more)
+
+
+def errors(ax: Axes, x: Any, y: Any, error: Any, i: int, **more: Any) -> None:
+    """As `bars`, of 1.96 standard errors."""
+    bars(ax, x, (y, y - 1.96 * error, y + 1.96 * error), i, **more)
+
+
+def log_numbers(*axes: Axis) -> None:
+    """Plain numbers on logarithmic axes that do not run together, few or many decades."""
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        few = np.log10(high / low) < 2.5
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
 
 
 def axes_or_new(ax: Axes | None, width: float = SINGLE, height: float = 2.8) -> Axes:
@@ -160,13 +181,10 @@ def figure_of(axes: Any) -> Figure:
     return figure
 
 
-def legend_above(ax: Axes) -> None:
+def legend_above(ax: Axes, columns: int = 2) -> None:
     """A legend that cannot cover data, over the axes; none where nothing has a name."""
-    handles, labels = ax.get_legend_handles_labels()
-    if handles:
-        ax.legend(
-            handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=2,
-        )  # fmt: skip
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=columns)
 
 
 def legend_over(figure: Any, axes: Iterable[Axes], columns: int) -> None:

@@ -11,17 +11,17 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from ..mechanics.contact import Outcome
-from .contacts import jnd_surface
+from .contacts import fill_surface
 from .style import (
     COLOURS,
     DOUBLE,
     LINES,
-    MARKERS,
     SINGLE,
     SMALL,
-    figure_of,
+    errors,
     legend_above,
     legend_over,
+    mark,
     new_figure,
     styled,
 )
@@ -37,6 +37,8 @@ _GROUPS = (
     ("vibration and taps (§2d, e)", "de"),
     ("force map, balance (§2f, h)", "fgh"),
 )
+#: The first words of the outcome that is no failure.
+_WORKS = Outcome.HELD.message.partition(":")[0]
 _MARKS = (
     "Lines: Fisher information. Marks: mean sd of posteriors, with 95 % Monte Carlo errors below; "
     "open: the closed form is outside."
@@ -80,13 +82,12 @@ def cue_jnds(table: pd.DataFrame) -> Figure:
 
 def _cue_lines(top: Axes, below: Axes, rows: pd.DataFrame, i: int) -> dict[str, Any]:
     """One cue's JNDs, and its posteriors over its closed form; returns its look."""
-    look: dict[str, Any] = {"color": COLOURS[i], "marker": MARKERS[i], "markersize": 3}
     # One event has no limit of small noise, and its information at a point says little.
     events = rows["closed_form_mm"].isna().all()
     expected = rows["posterior_mm" if events else "fisher_mm"]
     top.plot(rows["place"], expected, LINES[i], color=COLOURS[i])
-    every = _every(rows)
-    top.plot(rows["place"], rows["posterior_mm"], linestyle="none", markevery=every, **look)
+    every = max(len(rows) // 12, 1)  # so that marks stand apart
+    top.plot(rows["place"], rows["posterior_mm"], **mark(i, markevery=every))
     ratio = rows["posterior_mm"] / rows["closed_form_mm"]
     error = 1.96 * rows["posterior_error_mm"] / rows["closed_form_mm"]
     kept = np.arange(len(rows)) % every == 0
@@ -94,21 +95,16 @@ def _cue_lines(top: Axes, below: Axes, rows: pd.DataFrame, i: int) -> dict[str, 
     for shown, face in ((off & kept, "none"), (~off & kept, COLOURS[i])):
         below.errorbar(
             rows["place"][shown], ratio[shown], error[shown],
-            linestyle="none", linewidth=0.7, markerfacecolor=face, **look,
+            **mark(i, linewidth=0.7, markerfacecolor=face),
         )  # fmt: skip
-    return look | {"linestyle": LINES[i], "markevery": every}
-
-
-def _every(rows: pd.DataFrame) -> int:
-    """Marks of so many places are drawn that they stand apart."""
-    return max(len(rows) // 12, 1)
+    return mark(i, linestyle=LINES[i], markevery=every)
 
 
 def _where_it_works(
     ax: Axes, rows: pd.DataFrame, name: str, height: float, look: Mapping[str, Any]
 ) -> None:
     """A cue's name over a line where it works, and under it the names of what fails elsewhere."""
-    works = rows["outcome"].str.split(":").str[0].eq(_works()).to_numpy()
+    works = rows["outcome"].str.split(":").str[0].eq(_WORKS).to_numpy()
     place = rows["place"].to_numpy()
     ax.plot(np.where(works, place, np.nan), np.full(place.size, height), **look)
     ax.text(0.0, height + 0.12, name, fontsize=SMALL, color=look["color"], va="bottom")
@@ -122,11 +118,6 @@ def _where_it_works(
         )
 
 
-def _works() -> str:
-    """The first words of the outcome that is no failure."""
-    return Outcome.HELD.message.partition(":")[0]
-
-
 def _outcome_looks() -> dict[str, dict[str, Any]]:
     """A colour and hatch for every outcome there is, whichever a chart happens to show."""
     names = [outcome.message.split(":")[0] for outcome in Outcome]
@@ -135,7 +126,6 @@ def _outcome_looks() -> dict[str, dict[str, Any]]:
             "facecolor": COLOURS[i % len(COLOURS)],
             "alpha": 0.45 if i else 0.9,
             "hatch": (None, "//", "..")[i // len(COLOURS)],
-            "linewidth": 0,
         }
         for i, name in enumerate(names)
     }
@@ -168,7 +158,7 @@ def cue_outcomes(table: pd.DataFrame) -> Figure:
         ax.set(title=cue, xlim=(place[0], place[-1]), ylim=(0, 1))
     for name, look in looks.items():
         if (table["outcome"] == name).any():
-            label = "distance found" if name == _works() else name
+            label = "distance found" if name == _WORKS else name
             axes[0].fill_between([], [], label=label, **look)
     legend_over(figure, axes[:1], 5)
     figure.supxlabel("Radial distance r/L")
@@ -209,18 +199,16 @@ def best_cue(table: pd.DataFrame, names: Sequence[str]) -> Figure:
     for i, (outcome, rows) in enumerate(ends.groupby("beyond", sort=False)):
         half = (place[1] - place[0]) / 2
         low, high = rows["place"].min() - half, min(rows["place"].max() + half, 1.0)
-        edge = np.interp(np.linspace(low, high, 50), place, limit)
-        ax.fill_between(
-            np.linspace(low, high, 50), edge, top,
-            facecolor="none", edgecolor="0.75", hatch=("//", "..")[i % 2], linewidth=0,
-        )  # fmt: skip
+        x = np.linspace(low, high, 50)
+        shade: Any = {"facecolor": "none", "edgecolor": "0.75", "hatch": ("//", "..")[i % 2]}
+        ax.fill_between(x, np.interp(x, place, limit), top, **shade)
         side = "right" if low > 0.8 else "center"
-        x = high if side == "right" else (low + high) / 2
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 1}
-        ax.text(x, top * (0.93 - 0.1 * i), str(outcome), ha=side, va="center", bbox=box)
+        at = high if side == "right" else (low + high) / 2
+        box = {"facecolor": "white", "pad": 1}
+        ax.text(at, top * (0.93 - 0.1 * i), str(outcome), ha=side, va="center", bbox=box)
     ax.set(xlabel="Radial distance r/L", ylabel="Deflection angle θ$_d$ (degrees)")
     ax.set(xlim=(0, 1), ylim=(0, top))
-    figure.legend(loc="outside upper center", ncols=2)
+    legend_over(figure, [ax], 2)
     return figure
 
 
@@ -249,15 +237,9 @@ def ridge(table: pd.DataFrame, contact: tuple[float, float]) -> Figure:
         x, y = rows["radial_distance_mm"], rows["deflection_angle_deg"]
         label = f"{name}: {rows['status'].iloc[0]}"
         ax.plot(x, y, ".", markersize=1.5, alpha=0.5, color=COLOURS[i], label=label)
-        look: dict[str, Any] = {
-            "bins": 40,
-            "density": True,
-            "histtype": "step",
-            "color": COLOURS[i],
-            "linewidth": 1,
-        }
-        above.hist(x, **look)
-        beside.hist(y, orientation="horizontal", **look)
+        outline: Any = {"histtype": "step", "color": COLOURS[i], "linewidth": 1}
+        above.hist(x, 40, density=True, **outline)
+        beside.hist(y, 40, density=True, orientation="horizontal", **outline)
     ax.plot(contact[0] * 1e3, np.degrees(contact[1]), "k+", markersize=10, label="contact")
     ax.set(xlabel="Radial distance (mm)", ylabel="Deflection angle θ$_d$ (degrees)")
     ax.legend()
@@ -318,27 +300,18 @@ def weber_2d(
     figure = new_figure(DOUBLE, 5.6)
     *axes, last = figure.subplots(2, 2).ravel()
     for ax, (title, table) in zip(axes, surfaces.items(), strict=True):
-        jnd_surface(table, ax, length=length, weber_fraction=weber_fraction)
-        legend = ax.get_legend()
-        if legend:
-            figure.legend(
-                legend.legend_handles, [t.get_text() for t in legend.get_texts()],
-                loc="outside upper center", ncols=3,
-            ) if not figure.legends else None  # fmt: skip
-            legend.remove()
+        fill_surface(ax, table, length, weber_fraction)
         ax.set_title(title)
+    legend_over(figure, axes, 3)
     scale = 1e3 * weber_fraction * length
     angle = linear["deflection_angle_deg"]
     last.semilogy(angle, linear["linear_jnd_mm"] / scale, color=COLOURS[0], label="linear")
-    last.errorbar(
-        false_zero["deflection_angle_deg"],
-        false_zero["posterior_mm"] / scale,
-        1.96 * false_zero["posterior_error_mm"] / scale,
-        fmt="o", color=COLOURS[1], label="posterior, 95 %",
-    )  # fmt: skip
+    found, error = (false_zero[f"posterior{name}_mm"] / scale for name in ("", "_error"))
+    dots: Any = {"marker": "o", "markersize": 4, "capsize": 0, "label": "posterior, 95 %"}
+    errors(last, false_zero["deflection_angle_deg"], found, error, 1, **dots)
     last.set(
         xlabel="Deflection angle θ$_d$ (degrees)", ylabel="JND/(kL), d'=1", ylim=(1e-4, 1),
         title="axial force noise alone, at 0.7 L: its false zero",
     )  # fmt: skip
     last.legend()
-    return figure_of(last)
+    return figure
