@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
 
 import weberwhisk as ww
 from weberwhisk.behaviour import methods_paragraph
@@ -76,7 +77,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, pd.Se
     return folder, plan, pd.Series(np.where((second - first) * encoding.direction > 0, 2, 1))
 
 
-@pytest.mark.parametrize("rig", ["psychopy", "bpod", "own"])
+@pytest.mark.parametrize("rig", ["psychopy", "bpod", "bpod's own", "own"])
 def test_a_plan_is_analysed_on_a_rigs_own_table(
     planned: tuple[Path, Plan, pd.Series],
     rig: str,
@@ -88,14 +89,22 @@ def test_a_plan_is_analysed_on_a_rigs_own_table(
         parts = [table for _, table in psychopy_tables(plan.trials)]
         table = pd.concat(parts, ignore_index=True)
         table["key_resp.keys"] = answer.map({1: "left", 2: "right"})
-        welcome = pd.DataFrame({"participant": ["s1"]})
+        table["key_resp_go.keys"] = None
+        welcome = pd.DataFrame({"participant": ["s1"], "key_resp_go.keys": "space"})
         table = pd.concat([welcome, table], ignore_index=True)
     elif rig == "bpod":
         table = bpod_table(plan.trials).assign(response=answer)
+    elif rig == "bpod's own":  # lists are made before, and longer than the session
+        fields = bpod_table(plan.trials).assign(response=answer)
+        session = {name: np.append(fields[name].to_numpy(float), 0) for name in fields}
+        session |= {"nTrials": len(fields), "Info": {"BpodVersion": 2}}
+        savemat(tmp_path / "data.mat", {"SessionData": session})
     else:
         table = plan.trials.drop(columns=["block", "level", "greater"]).assign(choice=answer - 1)
-    table.to_csv(tmp_path / "data.csv", index=False)
-    command = ["analyse", str(folder / "plan.json"), str(tmp_path / "data.csv")]
+    data = tmp_path / ("data.mat" if rig == "bpod's own" else "data.csv")
+    if data.suffix == ".csv":
+        table.to_csv(data, index=False)
+    command = ["analyse", str(folder / "plan.json"), str(data)]
     assert run_app(app, [*command, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     direct = plan.analyse(ww.read_trials(plan.trials.assign(choice=answer - 1)))

@@ -7,6 +7,7 @@ import gzip
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from . import _checks
@@ -16,10 +17,11 @@ def load_table(source: str | Path | pd.DataFrame, row: str = "trial") -> tuple[p
     """The table as it stands, and its name for messages; its index counts rows from 1.
 
     By the suffix: Parquet (.parquet), Excel (.xlsx, .xls: its first sheet), NWB (.nwb: its
-    `trials`), and everything else as text, plain or compressed, separated by commas, tabs or
-    semicolons, whichever its header has most of; text gives text in every cell. Rows without any
-    entry are left out and counted, so the index is that of the file: the first row below the header
-    is 1. `row` is what one row is, for messages.
+    `trials`), Bpod's session (.mat: the numbers of each trial in its `SessionData`), and everything
+    else as text, plain or compressed, separated by commas, tabs or semicolons, whichever its header
+    has most of; text gives text in every cell. Rows without any entry are left out and counted, so
+    the index is that of the file: the first row below the header is 1. `row` is what one row is,
+    for messages.
     """
     if isinstance(source, pd.DataFrame):
         return _numbered(source), "table"
@@ -90,6 +92,8 @@ def _read(path: Path) -> pd.DataFrame:
         return pd.read_excel(path)
     if path.suffix == ".nwb":
         return _nwb_trials(path)
+    if path.suffix == ".mat":
+        return _bpod_trials(path)
     separator, blank = _layout(path)
     return pd.read_csv(
         path, sep=separator, dtype=str, skipinitialspace=True, skip_blank_lines=False,
@@ -123,6 +127,24 @@ def _nwb_trials(path: Path) -> pd.DataFrame:
                 raise ValueError("the NWB file has no trials")
             table = trials.to_dataframe().reset_index(drop=True)
     return table.drop(columns=[c for c in table if table[c].map(_holds_many).any()])
+
+
+def _bpod_trials(path: Path) -> pd.DataFrame:
+    """The fields of Bpod's `SessionData` that hold a number a trial, of the trials that ran."""
+    from scipy.io import loadmat
+
+    found = loadmat(path, simplify_cells=True)
+    if "SessionData" not in found or "nTrials" not in found["SessionData"]:
+        raise ValueError("it has no SessionData of Bpod")
+    count = int(found["SessionData"].pop("nTrials"))
+    fields = {name: np.atleast_1d(v) for name, v in found["SessionData"].items()}
+    return pd.DataFrame(
+        {
+            name: v[:count]  # lists made before the session may be longer than it was
+            for name, v in fields.items()
+            if v.ndim == 1 and v.size >= count and v.dtype.kind in "fiub"
+        }
+    )
 
 
 def _holds_many(value: Any) -> bool:

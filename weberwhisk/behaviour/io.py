@@ -58,7 +58,8 @@ def read_trials(
     ----------
     source : path or DataFrame
         CSV, tab- or semicolon-separated text, compressed or not; Parquet and Excel (extra
-        `tables`), the `trials` of an NWB file (extra `nwb`), by the suffix of the name.
+        `tables`), the `trials` of an NWB file (extra `nwb`), Bpod's `SessionData` (.mat), by the
+        suffix of the name.
     columns : mapping, optional
         Our names → the file's, for those that differ. Ours: the stimuli as `stimulus_1` and
         `stimulus_2` (with `standard` if it is known), or `standard` and `comparison`, or

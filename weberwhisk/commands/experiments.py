@@ -257,10 +257,11 @@ def analyse(
     out: Path | None = None,
     as_json: bool = False,
 ) -> None:
-    """The preregistered analysis of a plan, on PsychoPy's output or a table for Bpod.
+    """The preregistered analysis of a plan, on PsychoPy's or Bpod's own output.
 
-    The tables have the columns of the trial lists, and an answer: PsychoPy's <keyboard>.keys (left
-    or right), `response` (1 left, 2 right) or `choice` (1 where the second was judged farther).
+    The tables, or Bpod's SessionData (.mat), have the columns of the trial lists, and an answer:
+    PsychoPy's <keyboard>.keys (left or right), `response` (1 left, 2 right) or `choice` (1 where
+    the second was judged farther).
     """
     for path in (file, *data):
         if not path.is_file():
@@ -296,7 +297,14 @@ def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
 
 def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     """The trials of one table, their answers as `choice`: 1, 0 or NaN for none."""
-    keys = [str(name) for name in table if str(name).endswith(".keys")]
+    places = np.arange(1, len(table) + 1)
+    for name in ("stimulus_1_mm", "stimulus_1"):
+        if name in table:
+            shown = table[name].notna().to_numpy()
+            table, places = table[shown], places[shown]
+            break
+    # Other routines, such as instructions, may have keyboards of their own.
+    keys = [str(n) for n in table if str(n).endswith(".keys") and table[n].notna().any()]
     found = [*keys, *(name for name in ("response",) if name in table)]
     found = ["choice"] if "choice" in table else found
     if len(found) != 1:
@@ -304,12 +312,6 @@ def _with_choice(table: pd.DataFrame, file: Path) -> pd.DataFrame:
             f"{str(file)!r}: there is no one column of answers, got {', '.join(found) or 'none'}; "
             "call it choice (1 where the second was judged farther), response or <keyboard>.keys."
         )
-    places = np.arange(1, len(table) + 1)
-    for name in ("stimulus_1_mm", "stimulus_1"):
-        if name in table:
-            shown = table[name].notna().to_numpy()
-            table, places = table[shown], places[shown]
-            break
     given = table[found[0]].map(lambda v: str(v).strip().lower().removesuffix(".0"))
     # PsychoPy's keyboard writes sides, a table for Bpod 1 or 2 for them (`trial_lists`).
     codes = {"left": 0.0, "right": 1.0}

@@ -55,7 +55,9 @@ AS_OPTIONS = (
 @opt.command
 def fit(
     file: Annotated[
-        Path, "Table of trials: CSV or TSV (also .gz), Excel, Parquet or NWB.", {"metavar": "FILE"}
+        Path,
+        "Table of trials: CSV or TSV (also .gz), Excel, Parquet, NWB or Bpod's .mat.",
+        {"metavar": "FILE"},
     ],
     column: Annotated[
         opt.Texts,

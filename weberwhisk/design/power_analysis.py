@@ -50,7 +50,7 @@ class Power(Shown):
         last = self.table.sort_values(["animals", "trials"]).groupby("truth", sort=False).last()
         return f"{'assurance' if self.assurance else 'power'} " + "; ".join(
             f"{interval_text(row['power'], row['lower'], row['upper'])} where {truth} is true, "
-            f"{row['animals']} × {row['trials']} trials a comparison"
+            f"{row['animals']:g} × {row['trials']:g} trials a comparison"
             for truth, row in last.iterrows()
         )
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from .._checks import one_of, shown
@@ -141,6 +143,7 @@ def posteriors(
     for i, (which, name) in enumerate(((reliable, "mean, 95 %"), (~reliable, "see its status"))):
         if which.any():
             bars(ax, np.flatnonzero(which), [v[which] for v in ends], i, label=name)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Reading", ylabel=label)
     legend_above(ax)
     return ax
@@ -188,8 +191,9 @@ def posterior_histogram(
     label, unit = _UNKNOWNS.get(of, (drawable(of.replace("_", " ")), 1.0))
     ax.set(xlabel=label, ylabel="Probability density")
     if not np.isfinite(result.estimates[of].mean).all():
-        why = result.status.message
-        ax.text(0.5, 0.5, f"no posterior: {why}", transform=ax.transAxes, ha="center", wrap=True)
+        why = fill(f"no posterior: {result.status.message}.", 36)
+        ax.text(0.5, 0.5, why, transform=ax.transAxes, ha="center", va="center")
+        ax.set(xticks=[], yticks=[])
         return ax
     column = result.observer.unknowns.index(of)
     values = result.draws_of(-(-draws // 4), 0)[0, :, :, column].ravel() / unit
@@ -390,7 +394,7 @@ def located(
         if touches is not None and len(touches):
             first = touches.first()
             ends = [first[f"touch_{name}"] for name in names]
-            bars(ax, touches["place"].mean(), ends, 1, label="each touch")
+            bars(ax, touches["place"].mean(), ends, 1, label="each touch, 95 % interval")
     named = "row" if against is None else against.replace("_", " ")
     ax.set(xlabel=re.sub(" (m?s|mm?)$", r" (\1)", named), ylabel="radial distance (mm)")
     legend_above(ax)
@@ -404,7 +408,7 @@ def calibrated(found: Any, ax: Axes | None = None) -> Axes:
     taps = found.residuals
     k = found.noise.weber_fraction
     ax.axhspan(1 - 1.96 * k, 1 + 1.96 * k, color=COLOURS[4], alpha=0.4, label="95 % of taps")
-    ax.axhline(1.0, color=COLOURS[0], linewidth=0.8)
+    ax.axhline(1.0, color=COLOURS[0], linewidth=0.8, label="fit")
     slope = taps["slope"] / taps["fitted"]
     ax.plot(taps["radial_distance_mm"], slope, ".", color=COLOURS[0], markersize=3, label="taps")
     ax.set(xlabel="radial distance (mm)", ylabel="slope, measured over fitted")

@@ -276,10 +276,10 @@ def _map(ax: Axes, table: pd.DataFrame, column: str, label: str, colours: str) -
     moment, axial, values = (table[name].to_numpy(float).reshape(shape) for name in columns)
     shown = ax.pcolormesh(moment, axial, values, shading="gouraud", cmap=colours, rasterized=True)
     levels = 6 if column == "radial_distance" else 8
-    ax.contour(moment, axial, values, levels, colors="white", linewidths=0.5)
+    lines = ax.contour(moment, axial, values, levels, colors="white", linewidths=0.5)
     limit = np.linspace(0, 9, 200)
     ax.plot(limit, limit**2 / 2, "--", color="0.4", linewidth=0.9, label=PARABOLA)
-    ax.figure.colorbar(shown, ax=ax, pad=0.02, label=label)
+    ax.figure.colorbar(shown, ax=ax, pad=0.02, label=label).add_lines(lines)
     # Roots spread the small signals of contacts near the tip.
     ax.set_xscale("function", functions=(np.sqrt, np.square))
     ax.set_yscale("function", functions=(lambda v: np.abs(v) ** 0.25, lambda v: v**4))

@@ -108,14 +108,15 @@ def _where_it_works(
     place = rows["place"].to_numpy()
     ax.plot(np.where(works, place, np.nan), np.full(place.size, height), **look)
     ax.text(0.0, height + 0.12, name, fontsize=SMALL, color=look["color"], va="bottom")
-    for line, (outcome, lost) in enumerate(rows[~works].groupby("outcome", sort=False)):
+    said: dict[str, list[str]] = {"left": [], "right": []}
+    for outcome, lost in rows[~works].groupby("outcome", sort=False):
         ends = lost["place"].min(), lost["place"].max()
         ax.plot(ends, (height, height), ":", color="0.5", linewidth=1)
-        x, side = (ends[1], "right") if ends[1] > 0.7 else (ends[0], "left")
-        words = str(outcome).split(":")[0]
-        ax.text(
-            x, height - 0.16 - 0.28 * line, words, fontsize=SMALL, color="0.3", va="top", ha=side
-        )
+        said["right" if ends[1] > 0.7 else "left"].append(str(outcome).split(":")[0])
+    for side, words in ((s, w) for s, w in said.items() if w):
+        ha = side if len(words) < 2 else "left"  # two are as wide as the panel
+        x = 1.0 if ha == "right" else 0.0
+        ax.text(x, height - 0.16, ", ".join(words), fontsize=SMALL, color="0.3", va="top", ha=ha)
 
 
 def _outcome_looks() -> dict[str, dict[str, Any]]:
@@ -265,7 +266,7 @@ def cue_information(table: pd.DataFrame) -> Figure:
     for i, (shift, column) in enumerate(((0.2, "alone"), (-0.2, "added"))):
         rows = table if column == "alone" else table.iloc[:-1]
         error = rows[f"{column}_error_bits"]
-        heights = places[: len(rows)] + shift
+        heights = places[: len(rows)] + shift * (places[: len(rows)] > 0)  # the last has one bar
         label = f"{column}, ± 1 SE" if i == 0 else "added to the other two, ± 1 SE"
         ax.barh(heights, rows[f"{column}_bits"], 0.38, xerr=error, label=label, color=COLOURS[i])
     ax.set_yticks(places, table["cue"])

@@ -51,7 +51,7 @@ def along_push(table: pd.DataFrame) -> Figure:
     for i, (name, rows) in enumerate(table.groupby("object", sort=False)):
         line = look(i, label=str(name))
         if i >= len(LINES):
-            line = mark(i, markevery=10) | line
+            line = mark(i, markevery=max(len(rows) // 8, 1)) | line
         left.plot(rows["push_deg"], rows["jnd_mm"], **line)
         right.plot(rows["push_deg"], rows["radial_distance_mm"].where(~rows["tip"]), **line)
     left.set(yscale="log", xlabel=PUSH, ylabel=JND)
@@ -127,8 +127,8 @@ def jnd_limits(table: pd.DataFrame, length: float, ax: Axes | None = None) -> Ax
     top = 1.15 * float(table["threshold_mm"].max())
     saturated = table["all_mm"].isna() & table["weber_mm"].notna()
     for where, name, hatch in (
-        (saturated, "receptors saturated", "//"),
-        (table["stopped"], "torque stops the push", "\\\\"),
+        (saturated, "receptors saturated", "////"),
+        (table["stopped"], "torque stops the push", "\\\\\\\\"),
     ):
         if where.any():
             shade: Any = {"facecolor": "none", "edgecolor": "0.6", "hatch": hatch}
@@ -205,9 +205,10 @@ def whisker_array(array: WhiskerArray, ax: Axes | None = None) -> Axes:
         for i, whisker in enumerate(mine):
             label = f"row {whisker.identity[0]}" if i == 0 else None
             ax.plot(*_from_above(whisker), color=colour, linestyle=line, linewidth=0.9, label=label)
-    ax.plot(*(1e3 * np.array([w.base[:2] for w in array.whiskers.values()])).T, "k.", markersize=2)
+    bases = 1e3 * np.array([w.base[:2] for w in array.whiskers.values()])
+    ax.plot(*bases.T, "k.", markersize=2, label="bases")
     ax.set(aspect="equal", xlabel="to the right (mm)", ylabel="rostral (mm)")
-    legend_above(ax, columns=5)
+    legend_above(ax, columns=6)
     return ax
 
 

@@ -240,6 +240,8 @@ class Posterior(Shown):
         if self.reading.ndim > 1:
             good = int(np.sum(np.asarray(self.status) == Status.CONVERGED))
             return f"{len(self.reading)} readings by {self.method}, {good} of them converged{note}"
+        if not np.isfinite(self.mean):
+            return f"none; {self.status.message}{note}"
         low, high = 1e3 * self.interval()
         parts = [f"r = {interval_text(float(1e3 * self.mean), low, high, ' mm')}"]
         if "deflection_angle" in self.estimates:
