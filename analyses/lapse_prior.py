@@ -55,13 +55,6 @@ class Design:
         """The largest drive."""
         return float(np.abs(self.drive).max())
 
-    @property
-    def spread(self) -> Array:
-        """Sd of the drive over the trials shown, (1,) or (N,): none where all are of one level."""
-        n = np.atleast_2d(np.broadcast_to(self.per_level, np.shape(self.per_level + self.drive)))
-        mean = (n @ self.drive) / n.sum(axis=1)
-        return np.sqrt(np.maximum((n @ self.drive**2) / n.sum(axis=1) - mean**2, 0))
-
 
 def around(name: str, *offsets: Array, per_level: int, both_orders: bool = False) -> Design:
     """Comparisons (1 + offset) around one standard, or more where their offsets differ."""
@@ -302,6 +295,7 @@ def row(part: str, sets: int, sd: int, at: int, name: str = "median") -> list[st
 
 TOO_HARD = "9 levels to ±0.3, 13 each, k 0.5"
 CELL_ABOVE, CELL_LAPSES = "k 0.2, 117 trials to ±0.30", "k 0.1, 297 trials to ±0.30, lapses 0.1"
+BESIDE = {CELL_ABOVE: 178, CELL_LAPSES: 78}  # data sets that psignifit has answered
 #: Priors of k: median, sd of ln k, and whether the median is the sds at which the easiest pair lies
 #: with a prior that is "normal" or "logistic" in ln k.
 FRACTIONS: dict[str, tuple[float, float, str]] = {
@@ -319,14 +313,14 @@ LAPSES_BY_LEVELS = "Beta(0.5, 9.5), 0.7"
 #: Lapses believed with each of these.
 WITH_LEVELS = [SHIPPED, LAPSES_BY_LEVELS]
 WITH_LEVELS += [f"Beta({given}), 0.7" for given in ("0.5, 14", "0.7, 13", "1, 20")]
-#: Mixtures of the wide prior with one about the levels: the weight of that one, whether it lies
-#: about the easiest pair or the spread of the trials, how many sds that is at its median, and its
-#: sd of ln k; and the place of the lapses in `WITH_LEVELS`.
-Mixture = tuple[float, str, float, float]
+#: Mixtures of the wide prior with the log-logistic one about the easiest pair: the weight of that
+#: one, how many sds the pair is at its median, and its sd of ln k; and the place of the lapses in
+#: `WITH_LEVELS`. The last two are tuned, to show how far that goes.
+Mixture = tuple[float, float, float]
 MIXTURES: tuple[tuple[Mixture, int], ...] = (
-    *(((weight, "easiest", 1.5, 0.46), 1) for weight in (0.3, 0.5, 0.7, 0.9)),
-    *(((weight, "spread", 0.7, 0.2), 0) for weight in (0.05, 0.1)),
-    ((0.3, "spread", 0.7, 0.4), 0),
+    *(((weight, 1.5, 0.46), at) for at in (0, 1) for weight in (0.5, 0.67, 0.8)),
+    ((0.3, 1.2, 0.46), 0),
+    ((0.1, 1.2, 0.25), 0),
 )
 ABOUT = (None, 0.03, 0.5)  # median k of the population: as laid out, and moved with its levels
 
@@ -334,14 +328,11 @@ ABOUT = (None, 0.03, 0.5)  # median k of the population: as laid out, and moved 
 def prior_of(name: str | Mixture, design: Design, moved: float = 0.0) -> Any:
     """Of ln k, for animals and levels moved together by so much of the logarithm."""
     if isinstance(name, tuple):
-        weight, about, sds, sd = name
+        weight, sds, sd = name
+        share = weight * (np.ptp(np.abs(design.drive)) > 0)  # one level brackets nothing
         wide = prior_of(SHIPPED_FRACTION, design, moved)
-        size = np.atleast_1d(getattr(design, about))
-        share = np.where(size > 0, weight, 0.0)
-        near = norm(np.log(np.where(size > 0, size, 1.0) / sds), sd)
-        return SimpleNamespace(
-            pdf=lambda x: (1 - share) * wide.pdf(x)[:, None] + share * near.pdf(x[:, None])
-        )
+        near = logistic(np.log(design.easiest / sds), sd * np.sqrt(3) / np.pi)
+        return SimpleNamespace(pdf=lambda x: (1 - share) * wide.pdf(x) + share * near.pdf(x))
     middle, sd, at_levels = FRACTIONS[name]
     if not at_levels:
         return norm(np.log(middle) - moved, sd)
@@ -372,8 +363,8 @@ def likelihoods(sets: int) -> dict[str, list[Any]]:
     data = {part: [population(part, i, sets) for i in range(8)] for part in DESIGNS}
     out = {part: [(d, density(d, c, table), truth[0]) for d, c, truth in own]
            for part, own in data.items()}  # fmt: skip
-    for name in (CELL_ABOVE, CELL_LAPSES):
-        design, count, k = cell(name, min(sets, 78))
+    for name, answered in BESIDE.items():
+        design, count, k = cell(name, min(sets, answered))
         out[name] = [(design, density(design, count, table), k + np.zeros(len(count)))]
     return out
 
@@ -503,27 +494,35 @@ def psignifit_squares(name: str, sets: int) -> Array:
 
 
 def mixture_rows(sets: int, elsewhere_sets: int) -> list[str]:
-    """Mixtures: what they gain, and RMSE of ln k elsewhere over that of the default."""
+    """Mixtures: what they gain, and RMSE of ln k elsewhere over that of the default, with coverage;
+    between them that of both parts where a share of the data is from elsewhere."""
     data, others = likelihoods(sets), elsewhere(elsewhere_sets)
     theirs = psignifit_squares(CELL_ABOVE, len(data[CELL_ABOVE][0][2]))
-    heads = ["weight, about", "lapses", *DESIGNS, "the cell: RMSE of k (above psignifit)"]
-    heads += [design.name for design, *_ in others]
+    shares = {"0": 0.0, "a fifth": 0.2, "a third": 1 / 3}
+    heads = ["weight, easiest pair at", "lapses"]
+    heads += [f"{part}: {words}" for part in DESIGNS for words in shares]
+    heads += ["the cell: RMSE of k (above psignifit)", *(design.name for design, *_ in others)]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     rows: list[tuple[str | Mixture, int]] = [(SHIPPED_FRACTION, 0), *MIXTURES]
-    before = [rms(outcome([case], *rows[0])[0]) for case in others]
+    before: list[float] = []
     for name, at in rows:
         words = "default"
         if isinstance(name, tuple):
-            weight, about, sds, sd = name
-            words = f"{weight:g}, {about} at {sds:g} sds, a factor of {np.exp(sd):.1f}"
+            words = f"{name[0]:g}, {name[1]:g} sds, a factor of {np.exp(name[2]):.1f}"
+        found = [outcome([case], name, at) for case in others]
+        loss = [rms(error) for error, _ in found]
+        before = before or loss
         values = [words, WITH_LEVELS[at]]
-        values += [f"{rms(outcome(data[part], name, at)[0]):.3f}" for part in DESIGNS]
+        for part in DESIGNS:
+            own = rms(outcome(data[part], name, at)[0])
+            values += [f"{np.hypot(np.sqrt(1 - s) * own, np.sqrt(s) * rms(np.array(loss))):.3f}"
+                       for s in shares.values()]  # fmt: skip
         squares = np.expm1(outcome(data[CELL_ABOVE], name, at)[0]) ** 2
         more = squares - theirs
         by = more.mean() / more.std() * np.sqrt(more.size)
         values.append(f"{100 * np.sqrt(squares.mean()):.1f} % ({by:+.1f} se)")
-        values += [f"{rms(outcome([case], name, at)[0]) / old:.2f}"
-                   for case, old in zip(others, before, strict=True)]  # fmt: skip
+        values += [f"{new / old:.2f}, {100 * inside.mean():.0f} %"
+                   for new, old, (_, inside) in zip(loss, before, found, strict=True)]  # fmt: skip
         lines.append("| " + " | ".join(values) + " |")
     return lines
 
@@ -611,14 +610,14 @@ them.
 {fractions}
 
 The cell is k = 0.2, 117 trials to ±0.30, in the data sets of `psignifit_side_by_side.md`, where
-psignifit has 14.6 %; of the populations it is the RMSE of ln k. Those about 0.03 and 0.5 are the
+psignifit has 17.8 %; of the populations it is the RMSE of ln k. Those about 0.03 and 0.5 are the
 same animals, levels moved with them.
 
 *Fixed, a factor of 3.* Half as wide errs less over the population because that was laid out
 around 0.1 (medians of k 0.15 and 0.13): with the same animals about 0.5 its RMSE is 0.45 and 0.52
 where a factor of 3 has 0.31 and 0.27, and k comes out 15 % low; about 0.03 it is behind as well.
 No Weber fraction of whisker force is known that would speak for 0.1, so the factor stays 3. It
-leaves the cell at 19 %; no point estimate brings it to 15.
+leaves the cell at 23 %; no point estimate brings it to 18.
 
 ## The belief that the levels bracket the thresholds
 
@@ -656,24 +655,28 @@ default also serves all other data, and there the same table reads:
 ## Both: a mixture
 
 The experimenter probably chose levels that bracket the thresholds, or did not: the wide prior mixed
-with one about the levels, normal in ln k, so that the answers may say which. The last columns are
-the RMSE of ln k over that of the default, on the data of the table above.
+with the log-logistic one about the levels (none of it where there is one level alone), so that the
+answers may say which. RMSE of ln k where none, a fifth or a third of the data are of the table
+above, each of its rows as often, and in the last columns over that of the default, with coverage.
 
 {mixtures}
 
-The first four mix in the belief with the least loss over the training animals. The last three are
-of those that cost the least elsewhere, of some 600 tried: shapes, widths and weights, about the
-easiest pair or the sd of the differences over all trials, which leaves one level alone. They are
-tuned to the cell, whose trials spread over 0.7 sds; the training animals prefer more weight at
-the levels. Even so none comes within one standard error of psignifit there for less than
-8 % where the levels are too hard:
+To become the default a mixture had to lose less than it over both parts, be within one standard
+error of psignifit in every cell, and elsewhere lose no more than 5 % and cover 93 % (or what the
+default does). None does. With the default's lapses a weight of 0.5 meets all but the last two rows:
+where levels are too hard, or far too easy and lapses frequent, 117 trials do not correct it, and it
+loses 15 and 23 % and holds k less often. It gains 6 and 4 % where levels bracket, but where a fifth
+of the data do not, 2 % over the training animals and nothing over those held out. The last two are
+the best of 1250 looked at (five weights, medians and widths, two shapes, five beliefs about lapses,
+one of them other for each part), tuned to the first 78 data sets of the cell: within one standard
+error there, none loses less elsewhere than 7 %, and on the further 100 they do not keep it, as
 
 - levels that are too hard look like a poor animal's (they end at 0.4 sd, the cell's at 0.9), and a
   prior sharp enough to gain in the one pulls k to the levels in the other;
 - levels that are far too easy tell little of k but by the errors there: k about the levels explains
   them as well as lapses do;
 - without a mixture, fewer lapses (Beta(1, 30), Beta(0.5, 20)), a bias with an sd of 0.7 or the mode
-  as the estimate bring the cell no lower than 16.5 %; each costs a tenth or more elsewhere.
+  as the estimate bring the cell no lower than 19.4 %; each costs a tenth or more elsewhere.
 
 So the one cell stays where the default is above psignifit, by more than noise
 (`psignifit_side_by_side.md`), and who has such levels gets rid of it by one word.
