@@ -231,6 +231,9 @@ def test_an_impossible_reading_is_called_improbable():
     map_observer = ww.Observer(W, ForceMap(), Weber(0.02))
     signals = map_observer.signals([20e-3, 0.2])[0]
     assert ww.posterior(map_observer, signals * [2.0, 0.5]).status == Status.IMPROBABLE_READING
+    # A moment of none, or against the force, was told of the tolerance.
+    wrong = ww.posterior(ww.Observer(W, ForceMap()), signals * [[0.0, 1.0], [-1.0, 1.0]])
+    assert wrong.status.tolist() == 2 * [Status.IMPROBABLE_READING]
 
 
 def test_flat_prior_is_scipys_uniform():

@@ -22,6 +22,7 @@ from .azimuths import AroundGrid, around, starts
 from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
 from .panels import panels_of
+from .peaks import find_mode
 from .result import (
     Array,
     Estimate,
@@ -29,6 +30,7 @@ from .result import (
     Solution,
     Status,
     among,
+    is_improbable,
     is_outside,
     is_unidentified,
     joined,
@@ -323,8 +325,15 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
     ridge[some] = is_unidentified(observer, contact[some])
     status[ridge & ((status != Status.IMPRECISE) | precise)] = Status.UNIDENTIFIED
     right = np.isin(status, (Status.CONVERGED, Status.UNIDENTIFIED)) & known
-    status[right & is_outside(observer.noise, reading, signals)] = Status.IMPROBABLE_READING
+    outside = is_outside(observer.noise, reading, signals)
+    status[right & outside] = Status.IMPROBABLE_READING
     status[~known & (status != Status.IMPROBABLE_READING)] = Status.IMPRECISE
+    # Where no contact explains a reading the mass may be on one node, which has no width.
+    vague = np.flatnonzero((status == Status.IMPRECISE) & outside)
+    if vague.size:
+        at = observer.contact(find_mode(observer, reading[vague]).x)[0]
+        vague = vague[is_improbable(observer, reading[vague], at)]
+        status[vague] = Status.IMPROBABLE_READING
     own_grid = np.zeros(count, dtype=bool)
     for part in found:
         own_grid[part.rows] = isinstance(part.tiled, OwnGrids)
