@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from . import receptors as receptors
     from . import sweeping as sweeping
     from .array import WhiskerArray as WhiskerArray
+    from .array_observer import array_by_count as array_by_count
+    from .array_observer import array_by_whisker as array_by_whisker
+    from .array_observer import array_resolution as array_resolution
     from .behaviour import Comparison as Comparison
     from .behaviour import PopulationFit as PopulationFit
     from .behaviour import Trials as Trials
@@ -78,9 +81,6 @@ if TYPE_CHECKING:
     from .mechanics import sticking as sticking
     from .mechanics import sweep as sweep
     from .observer import Observer as Observer
-    from .place_maps import array_by_count as array_by_count
-    from .place_maps import array_by_whisker as array_by_whisker
-    from .place_maps import array_resolution as array_resolution
     from .places import ArrayObserver as ArrayObserver
     from .places import Place as Place
     from .places import place as place
@@ -94,7 +94,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "whisker": "Whisker identities",
     "array": "WhiskerArray",
-    "place_maps": "array_by_count array_by_whisker array_resolution",
+    "array_observer": "array_by_count array_by_whisker array_resolution",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
     "observer": "Observer",

@@ -1,4 +1,4 @@
-"""One whisker of an array with its observer: what it tells of the place of a vertical pole."""
+"""What one whisker of an array, and what all of them, tell of the place of a vertical pole."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, RectBivariateSpline
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from ._checks import angle, finite
 from .array import Follicle
@@ -329,6 +329,65 @@ class Blurred(Evidence):
         precise = 1 / variance + self.sensor.angle_sd**-2.0
         phi = float((mean / variance + theta / self.sensor.angle_sd**2) / precise)
         return phi, abs(phi - theta) / self.sensor.angle_sd
+
+
+@dataclass(frozen=True, eq=False)
+class JointEvidence:
+    """What readings of some whiskers, and no touch of others, say of a place together.
+
+    With `pole_length`, of a short pole whose middle is at a height between `heights`.
+    """
+
+    touched: list[Evidence]
+    apart: list[Sensor]
+    missed: float
+    pole_length: float | None
+    heights: tuple[float, float]
+
+    def __call__(self, place: Array) -> Array:
+        """ln p(readings | pole at (n, 2)), (n,); −∞ where one of them cannot be."""
+        out = np.full(len(place), len(self.touched) * np.log1p(-self.missed))
+        for evidence in self.touched:  # where these cannot be, nothing else need be asked
+            live = np.flatnonzero(out > -np.inf)
+            out[live] += evidence(place[live])
+        if self.pole_length is not None:
+            live = np.flatnonzero(out > -np.inf)
+            _, log = self.spans(place[live])
+            low, high = self.heights
+            out[live] += logsumexp(log, axis=1) - np.log(high - low)
+            return out
+        for sensor in self.apart:
+            live = np.flatnonzero(out > -np.inf)
+            noticed = (1 - self.missed) * sensor.touch_probability(place[live])
+            with np.errstate(divide="ignore"):
+                out[live] += np.log1p(-noticed)
+        return out
+
+    def spans(self, place: Array) -> tuple[Array, Array]:
+        """Ends (n, k + 1) of spans of z, and ln of the mass (n, k) that readings leave in each.
+
+        Given x and y, whether a whisker meets a short pole is a matter of z alone.
+        """
+        if self.pole_length is None:
+            return np.empty((0, 0)), np.empty((0, 0))
+        half, n = self.pole_length / 2, len(place)
+        low, high = (np.full(n, end) for end in self.heights)
+        for evidence in self.touched:
+            z = evidence.sensor.height(place)
+            low, high = np.maximum(low, z - half), np.minimum(high, z + half)
+        high = np.maximum(low, high)
+        noticed = [
+            ((1 - self.missed) * s.touch_probability(place), s.height(place)) for s in self.apart
+        ]
+        noticed = [(p, z) for p, z in noticed if p.any()]
+        ends = [low, high, *(z + d for _, z in noticed for d in (-half, half))]
+        edges = np.sort(np.clip(ends, low, high), axis=0).T
+        with np.errstate(divide="ignore"):
+            log = np.log(np.diff(edges))
+            for p, z in noticed:
+                level = np.abs((edges[:, 1:] + edges[:, :-1]) / 2 - z[:, None]) < half
+                log += np.where(level, np.log1p(-p)[:, None], 0.0)
+        return edges, log
 
 
 def _moments(log: Array, phi: Array, weight: Array) -> tuple[Array, Array, Array]:

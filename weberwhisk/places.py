@@ -1,266 +1,31 @@
 """Where an object is, from all whiskers that touch it and all that do not.
 
-Each whisker that touches says by its cue how far away the object is and by how much it is deflected
-(`weberwhisk.observer`), which is a place of the head's own coordinates; each that does not excludes
-the places at which it would touch. Given the place, receptors of different whiskers are
-independent: likelihoods multiply.
+The posterior of a place is summed on an adaptive grid: cells cut in four until their sums agree.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
-from ._checks import finite, generator, kind, non_negative_number, one_of, positive_number
-from .array import WhiskerArray
-from .cues.protocol import Cue
-from .observer import Observer
-from .place_grid import Frame, Place, integrate
-from .place_sensor import Evidence, Sensor, one_place
+from . import _checks
+from ._values import Shown
+from .array_observer import ArrayObserver, Readings
+from .place_sensor import JointEvidence, one_place
 from .posterior import Status
-from .receptors import ReceptorNoise, Seed
+from .receptors import Seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["ArrayObserver", "Place", "place"]
 
 Array = NDArray[np.float64]
-Readings = Mapping[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class ArrayObserver:
-    """An ideal observer of the place of one vertical pole, through all whiskers of an array.
-
-    Parameters
-    ----------
-    array : WhiskerArray
-        Where the whiskers are now; they have swept there from rest, `WhiskerArray.protract`.
-    cue : Cue, or mapping of whisker to Cue
-        One that knows the distance and the deflection, `ForceMap`, or the distance alone: such a
-        whisker *taps*, and its reading is the cue's signals and last the azimuth (rad) that it had
-        when it first touched. By default ``ForceMap()``.
-    noise : ReceptorNoise, or mapping of whisker to ReceptorNoise
-        By default the cue's own.
-    angle_sd : float
-        Sd of what is known of each whisker's azimuth, rad, one whisker's error being independent of
-        the next one's: by default 1°, the finest that rats tell (Knutsen, Pietr & Ahissar 2006,
-        J Neurosci 26:8451). 0 where it is known, but for taps.
-    missed : float
-        Probability that a touch is not noticed.
-    pole_length : float, optional
-        Of a short pole, m, whose height is to be told by which whiskers touch it and which do not:
-        one touches where its plane of whisking meets the pole. By default it is as high as all.
-    region : ((float, float), (float, float)), optional
-        x and y, m, between which the place is; its prior is flat. By default all places that any
-        whisker can touch lie inside. The height's prior is flat over all heights of these.
-
-    Raises
-    ------
-    ValueError
-        For a whisker without a cue, a cue of more unknowns or with a prior of its own, and numbers
-        out of range.
-
-    Notes
-    -----
-    A whisker is bent in its plane of whisking, which holds its base tangent and the horizontal
-    across it, and there the pole is a point. Left out: slip along the pole and out of that plane,
-    which grows with elevation (`Place.note` names whiskers above 30° that touch), friction,
-    several contacts of one whisker, and poles that lean. The height of a long pole is told by
-    none; `information`, and `array_resolution` and its kin with it, refuse short ones.
-
-    Examples
-    --------
-    >>> array = WhiskerArray("rat", "right").protract(np.radians(40))
-    >>> observer = ArrayObserver(array)
-    >>> observer.touching([20e-3, 5e-3])
-    ('C3', 'D3', 'E3')
-    """
-
-    array: WhiskerArray
-    cue: Cue | Mapping[str, Cue] | None = None
-    noise: ReceptorNoise | Mapping[str, ReceptorNoise] | None = None
-    angle_sd: float = float(np.radians(1.0))
-    missed: float = 0.0
-    pole_length: float | None = None
-    region: ArrayLike | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        kind("array", self.array, "a WhiskerArray", "protract", 'write WhiskerArray("rat"), say')
-        non_negative_number("angle_sd", self.angle_sd, "give radians, such as 0.02")
-        if not non_negative_number("missed", self.missed, "write 0.02, say") < 1:
-            raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
-        if self.pole_length is not None:
-            positive_number("pole_length", self.pole_length, "give metres, such as 5e-3")
-        if self.region is not None:
-            box = finite("region", self.region, "give metres")
-            if box.shape != (2, 2) or np.any(box[:, 0] >= box[:, 1]):
-                raise ValueError(
-                    f"region must be two ends of x and two of y, got {box.tolist()}; "
-                    "write ((0.0, 40e-3), (-20e-3, 20e-3)), say."
-                )
-
-    @cached_property
-    def sensors(self) -> dict[str, Sensor]:
-        """Whiskers with their observers, by name."""
-        from .cues import ForceMap
-
-        out = {}
-        for name, follicle in self.array.whiskers.items():
-            cue = _own(self.cue, name, "cue") or ForceMap()
-            observer = Observer(follicle.whisker, cue, _own(self.noise, name, "noise"))
-            if len(observer.unknowns) > observer.bounded:
-                raise ValueError(
-                    f"The place is of distance and deflection alone, got "
-                    f"{', '.join(observer.unknowns)} unknown; take a cue that knows the rest."
-                )
-            out[name] = Sensor(follicle, observer, self.angle_sd)
-            if out[name].taps and self.angle_sd == 0:
-                raise ValueError(
-                    f"{name} taps, whose bearing is as uncertain as its azimuth, got angle_sd 0; "
-                    "write np.radians(1.0), say."
-                )
-        return out
-
-    @cached_property
-    def box(self) -> Array:
-        """Ends of x and of y (2, 2) between which the place is, m."""
-        if self.region is not None:
-            return np.asarray(self.region, dtype=float)
-        rim = []
-        for sensor in self.sensors.values():
-            turned = np.linspace(-0.3, sensor.follicle.swept_in_plane + 0.3, 32)
-            rim.append(sensor.follicle.place(sensor.observer.reach[1], turned))
-            rim.append(sensor.follicle.base[None, :2])
-        ends = np.concatenate(rim)
-        return np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1)
-
-    @cached_property
-    def heights(self) -> tuple[float, float]:
-        """Least and largest z of a short pole's middle, m."""
-        ends = []
-        for sensor in self.sensors.values():
-            rise = sensor.observer.reach[1] * np.sin(sensor.follicle.elevation)
-            ends += [sensor.follicle.base[2], sensor.follicle.base[2] + rise]
-        half = (self.pole_length or 0.0) / 2
-        return float(min(ends)) - half, float(max(ends)) + half
-
-    def _one(self, place: ArrayLike) -> tuple[Array, dict[str, Sensor]]:
-        """x and y of a pole, and the whiskers that are at its height."""
-        at = one_place(place, 2 if self.pole_length is None else 3)
-        if self.pole_length is None:
-            return at, self.sensors
-        level = {n: abs(float(s.height(at[:2])) - at[2]) for n, s in self.sensors.items()}
-        half = self.pole_length / 2
-        return at[:2], {n: s for n, s in self.sensors.items() if level[n] < half}
-
-    def touching(self, place: ArrayLike) -> tuple[str, ...]:
-        """Names of the whiskers that touch a pole at (2,), m, more likely than not.
-
-        A place (3,), with the z of its middle, of a pole whose length is given.
-        """
-        at, level = self._one(place)
-        return tuple(n for n, s in level.items() if s.touch_probability(at) > 0.5)
-
-    def read(self, place: ArrayLike, seed: Seed = None) -> dict[str, Array | None]:
-        """Noisy readings of a pole at (2,) or (3,), m, by whisker; None where it does not touch.
-
-        Examples
-        --------
-        >>> array = WhiskerArray("rat", "right", identities=["C1", "C2"]).protract(0.7)
-        >>> readings = ArrayObserver(array).read([15e-3, -2e-3], seed=1)
-        >>> [name for name, reading in readings.items() if reading is not None]
-        ['C2']
-        """
-        (at, level), rng = self._one(place), generator(seed)
-        return {
-            name: reading if rng.random() >= self.missed and name in level else None
-            for name, reading in ((n, s.read(at, rng)) for n, s in self.sensors.items())
-        }
-
-    def log_likelihood(self, readings: Readings) -> Callable[[Array], Array]:
-        """ln p(readings | pole at (n, 2)) as a function of places, (n,).
-
-        −∞ where a reading, or the absence of one, cannot be.
-        """
-        y = self.checked(readings)
-        touched = [self.sensors[name].evidence(r) for name, r in y.items() if r is not None]
-        return self._log_likelihood(touched, [self.sensors[n] for n, r in y.items() if r is None])
-
-    def _log_likelihood(
-        self, touched: list[Evidence], apart: list[Sensor]
-    ) -> Callable[[Array], Array]:
-        def log_likelihood(place: Array) -> Array:
-            out = np.full(len(place), len(touched) * np.log1p(-self.missed))
-            for evidence in touched:  # where these cannot be, nothing else need be asked
-                live = np.flatnonzero(out > -np.inf)
-                out[live] += evidence(place[live])
-            if self.pole_length is not None:
-                live = np.flatnonzero(out > -np.inf)
-                _, log = self._spans(touched, apart, place[live])
-                low, high = self.heights
-                out[live] += logsumexp(log, axis=1) - np.log(high - low)
-                return out
-            for sensor in apart:
-                live = np.flatnonzero(out > -np.inf)
-                noticed = (1 - self.missed) * sensor.touch_probability(place[live])
-                with np.errstate(divide="ignore"):
-                    out[live] += np.log1p(-noticed)
-            return out
-
-        return log_likelihood
-
-    def _spans(
-        self, touched: list[Evidence], apart: list[Sensor], place: Array
-    ) -> tuple[Array, Array]:
-        """Ends (n, k + 1) of spans of z, and ln of the mass (n, k) that readings leave in each.
-
-        Given x and y, whether a whisker meets a short pole is a matter of z alone.
-        """
-        if self.pole_length is None:
-            return np.empty((0, 0)), np.empty((0, 0))
-        half, n = self.pole_length / 2, len(place)
-        low, high = (np.full(n, end) for end in self.heights)
-        for evidence in touched:
-            z = evidence.sensor.height(place)
-            low, high = np.maximum(low, z - half), np.minimum(high, z + half)
-        high = np.maximum(low, high)
-        noticed = [((1 - self.missed) * s.touch_probability(place), s.height(place)) for s in apart]
-        noticed = [(p, z) for p, z in noticed if p.any()]
-        ends = [low, high, *(z + d for _, z in noticed for d in (-half, half))]
-        edges = np.sort(np.clip(ends, low, high), axis=0).T
-        with np.errstate(divide="ignore"):
-            log = np.log(np.diff(edges))
-            for p, z in noticed:
-                level = np.abs((edges[:, 1:] + edges[:, :-1]) / 2 - z[:, None]) < half
-                log += np.where(level, np.log1p(-p)[:, None], 0.0)
-        return edges, log
-
-    def information(self, place: ArrayLike) -> Array:
-        """Fisher information about places (n, 2) by whisker, (n, whiskers, 2, 2), 1/m²."""
-        if self.pole_length is not None:
-            raise ValueError(
-                "Fisher information is of poles as high as all whiskers, got a pole_length of "
-                f"{self.pole_length:g} m; leave it out."
-            )
-        at = np.atleast_2d(finite("place", place, "give metres"))
-        return np.stack([s.information(at) for s in self.sensors.values()], axis=1)
-
-    def checked(self, readings: Readings) -> dict[str, Array | None]:
-        """Readings by name, each of the numbers that its cue has."""
-        if not isinstance(readings, Mapping) or not readings:
-            raise ValueError(
-                "Readings are a mapping of whisker to reading, None where it does not touch, got "
-                f"{type(readings).__name__}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
-            )
-        return {
-            one_of("whisker", name, self.sensors): None
-            if reading is None
-            else self.sensors[name].checked(name, reading)
-            for name, reading in readings.items()
-        }
 
 
 def place(
@@ -290,21 +55,17 @@ def place(
 
     Examples
     --------
-    >>> array = WhiskerArray("rat", "right").protract(np.radians(40))
-    >>> observer = ArrayObserver(array)
+    >>> from weberwhisk import WhiskerArray
+    >>> observer = ArrayObserver(WhiskerArray("rat", "right").protract(np.radians(40)))
     >>> found = place(observer, observer.read([20e-3, 5e-3], seed=1))
     >>> len(found.touching), found.status.name, bool(found.credibility([20e-3, 5e-3]) < 0.95)
     (3, 'CONVERGED', True)
     """
-    kind("observer", observer, "an ArrayObserver", "sensors", "write ArrayObserver(array)")
-    y = observer.checked(readings)
-    box, rng = observer.box, generator(seed)
-    touched = [observer.sensors[name].evidence(r) for name, r in y.items() if r is not None]
-    apart = [observer.sensors[name] for name, r in y.items() if r is None]
-    log_likelihood = observer._log_likelihood(touched, apart)
+    _checks.kind("observer", observer, "an ArrayObserver", "sensors", "write ArrayObserver(array)")
+    evidence, box, rng = observer.log_likelihood(readings), observer.box, _checks.generator(seed)
     frame, some = Frame.of_box(box), np.empty((0, 2))
-    if touched:
-        drawn = [evidence.draws(rng, 800) for evidence in touched]
+    if evidence.touched:
+        drawn = [one.draws(rng, 800) for one in evidence.touched]
         some = np.concatenate([d[: 800 // len(drawn)] for d in drawn])
         if drawn := [places for places in drawn if len(places) > 2]:  # else no contact explains it
             frame = Frame.of_draws(drawn)
@@ -312,29 +73,379 @@ def place(
     def log_density(at: Array) -> Array:
         inside = np.all((at >= box[:, 0]) & (at <= box[:, 1]), axis=-1)
         out = np.full(len(at), -np.inf)
-        out[inside] = log_likelihood(at[inside])
+        out[inside] = evidence(at[inside])
         return out
 
     found = integrate(log_density, frame, tolerance, some)
-    if touched and not np.isfinite(found["_log_evidence"]):  # the readings contradict each other
+    if evidence.touched and not np.isfinite(found["_log_evidence"]):  # they contradict each other
         found = integrate(log_density, Frame.of_box(box), tolerance, some)
     status = Status.CONVERGED if found["error"] <= tolerance else Status.IMPRECISE
     if not np.isfinite(found["_log_evidence"]):
         status = Status.IMPROBABLE_READING
-    elif not touched:
+    elif not evidence.touched:
         status = Status.NO_CONTACT
     else:
         best = found["places"][np.argmax(found["log_density"])]
-        if any(evidence.is_improbable(best) for evidence in touched):
+        if any(one.is_improbable(best) for one in evidence.touched):
             status = Status.IMPROBABLE_READING
-    spans = partial(observer._spans, touched, apart)
-    return Place(observer, y, status, **found, _log_likelihood=log_likelihood, _spans=spans)
+    return Place(observer, observer.checked(readings), status, **found, _evidence=evidence)
 
 
-def _own(value: Any, name: str, what: str) -> Any:
-    """The cue or noise of a whisker: its own, or that of all."""
-    if not isinstance(value, Mapping):
-        return value
-    if name not in value:
-        raise ValueError(f"{name} has no {what}; leave it out of the array, or give it one.")
-    return value[name]
+@dataclass(frozen=True, eq=False, repr=False)
+class Place(Shown):
+    """The posterior of an object's place; `place` makes it.
+
+    Attributes
+    ----------
+    observer : ArrayObserver
+    readings : mapping of whisker to array or None
+    status : Status
+        `NO_CONTACT` where no whisker touches: what is left is the region not excluded.
+        `IMPROBABLE_READING` where no one place explains all readings within 5 sd.
+    mean : array, shape (2,)
+        x and y, m.
+    covariance : array, shape (2, 2)
+        m².
+    error : float
+        Estimated error of means and sds, in sds.
+    places, weights, log_density : array, shape (n, 2), (n,), (n,)
+        Nodes, m, the mass that they stand for, and ln of the density, 1/m².
+    """
+
+    observer: ArrayObserver
+    readings: Mapping[str, NDArray[np.float64] | None]
+    status: Status
+    mean: Array
+    covariance: Array
+    error: float
+    places: Array
+    weights: Array
+    log_density: Array
+    _log_evidence: float
+    _evidence: JointEvidence
+    _figure = "place"
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """Names of the whiskers that touch."""
+        return tuple(name for name, reading in self.readings.items() if reading is not None)
+
+    @property
+    def sd(self) -> Array:
+        """Sd of x and of y, m."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def interval(self, mass: float = 0.95) -> Array:
+        """Equal-tailed intervals of x and of y, (2, 2), m."""
+        tail = (1 - _checks.mass(mass)) / 2
+        out = np.full((2, 2), np.nan)
+        for i, values in enumerate(self.places.T):
+            order = np.argsort(values)
+            rise = np.cumsum(self.weights[order]) - self.weights[order] / 2
+            if len(rise):
+                out[i] = np.interp([tail, 1 - tail], rise, values[order])
+        return out
+
+    def ellipse(self, mass: float = 0.95) -> tuple[float, float, float]:
+        """Half axes (m) of the error ellipse, and the angle (rad) of the longer from the x axis.
+
+        The Gaussian's of the same covariance, which holds the place with probability `mass`.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        minor, major = np.sqrt(-2 * np.log1p(-_checks.mass(mass)) * values)
+        return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
+
+    def credibility(self, place: ArrayLike) -> float:
+        """The mass of all places more probable than a place (2,): below 0.95 inside its region."""
+        log = self._evidence(one_place(place)[None])[0] - self._log_evidence
+        return float(self.weights[self.log_density > log].sum())
+
+    def area(self, mass: float = 0.95) -> float:
+        """Area of the most probable places that hold the object with probability `mass`, m²."""
+        order = np.argsort(-self.log_density)
+        size = np.exp(np.log(self.weights[order]) - self.log_density[order])
+        kept = np.cumsum(self.weights[order]) - self.weights[order] < _checks.mass(mass)
+        return float(size[kept].sum())
+
+    @cached_property
+    def height(self) -> tuple[float, float, Array]:
+        """Mean and sd of the z of the pole's middle, and its 95 % interval (2,), m.
+
+        NaN for a pole whose length is not given: it is as high as all whiskers.
+        """
+        edges, log = self._evidence.spans(self.places)
+        if not edges.size:
+            return np.nan, np.nan, np.full(2, np.nan)
+        top = log.max(axis=1, keepdims=True)
+        share = np.exp(log - top)
+        mass = (self.weights[:, None] * share / share.sum(axis=1, keepdims=True)).ravel()
+        middle, width = ((edges[:, 1:] + edges[:, :-1]) / 2).ravel(), np.diff(edges).ravel()
+        mean = float(mass @ middle)
+        sd = float(np.sqrt(mass @ ((middle - mean) ** 2 + width**2 / 12)))
+        # Each span's mass is spread evenly over it.
+        ends = np.concatenate([middle - width / 2, middle + width / 2])
+        slope = np.concatenate([mass / np.maximum(width, 1e-12), -mass / np.maximum(width, 1e-12)])
+        order = np.argsort(ends)
+        rise = np.cumsum(np.cumsum(slope[order])[:-1] * np.diff(ends[order]))
+        interval = np.interp([0.025, 0.975], np.r_[0.0, rise], ends[order])
+        return mean, sd, interval
+
+    @property
+    def bits(self) -> float:
+        """What the readings told of the place, beside the flat prior over the region, bits."""
+        area = float(np.prod(np.diff(self.observer.box, axis=1)))
+        return float(self.weights @ self.log_density + np.log(area)) / np.log(2)
+
+    @property
+    def note(self) -> str:
+        """What to know of this result beside its numbers; empty if nothing."""
+        out = []
+        if self.status is Status.NO_CONTACT:
+            share = self.area(1.0) / float(np.prod(np.diff(self.observer.box, axis=1)))
+            out.append(f"no whisker touches: {100 * share:.0f} % of the region is left")
+        steep = [
+            name
+            for name in self.touching
+            if abs(self.observer.sensors[name].follicle.elevation) > np.radians(30.0)
+        ]
+        if steep:
+            out.append(
+                f"{', '.join(steep)} more than 30° out of the horizontal: slip along the pole, "
+                "which is left out, may matter"
+            )
+        return "; ".join(out)
+
+    def summary(self) -> pd.DataFrame:
+        """A row each for x, y, z: mean, sd, 95 % interval in mm, how many touch, the status."""
+        import pandas as pd
+
+        mean, sd, interval = self.height
+        rows = np.column_stack([self.mean, self.sd, self.interval()])
+        if not np.isnan(mean):
+            rows = np.vstack([rows, [mean, sd, *interval]])
+        table = 1e3 * pd.DataFrame(rows, columns=["mean_mm", "sd_mm", "low_95_mm", "high_95_mm"])
+        table.insert(0, "coordinate", list("xyz")[: len(rows)])
+        return table.assign(touching=len(self.touching), status=self.status.message)
+
+    def _line(self) -> str:
+        (x, y), (dx, dy) = 1e3 * self.mean, 1e3 * self.sd
+        where = f"x = {x:.3g} ± {dx:.2g} mm, y = {y:.3g} ± {dy:.2g} mm"
+        z, dz = (1e3 * v for v in self.height[:2])
+        where += "" if np.isnan(z) else f", z = {z:.3g} ± {dz:.2g} mm"
+        said = f"{where}, {len(self.touching)} of {len(self.readings)} whiskers touch"
+        return "; ".join(filter(None, (said, self.status.message, self.note)))
+
+
+# -- the grid --------------------------------------------------------------------------------------
+
+#: Gauss and Legendre's rule of each side of a cell.
+_X, _W = np.polynomial.legendre.leggauss(4)
+_X, _W = (_X + 1) / 2, _W / 2
+_POINTS = np.stack(np.meshgrid(_X, _X, indexing="ij"), axis=-1).reshape(-1, 2)
+_WEIGHTS = np.outer(_W, _W).ravel()
+_QUARTERS = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
+
+
+class Frame(NamedTuple):
+    """Places as middle + matrix @ u, in which the density is about round and of unit width.
+
+    The grid starts from u between `low` and `high`, and grows unless these hold the `whole`.
+    """
+
+    middle: Array
+    matrix: Array
+    low: Array
+    high: Array
+    whole: bool = False
+
+    @classmethod
+    def of_box(cls, box: Array) -> Frame:
+        """The frame of a box, ends of x and of y."""
+        half = np.diff(box, axis=1)[:, 0] / 2
+        return cls(box.mean(axis=1), np.diag(half), np.full(2, -1.0), np.full(2, 1.0), whole=True)
+
+    @classmethod
+    def of_draws(cls, drawn: list[Array], reach: float = 8.0) -> Frame:
+        """The frame of a product of densities, each by draws (n, 2) taken as Gaussian."""
+        total, pull = np.zeros((2, 2)), np.zeros(2)
+        for places in drawn:
+            inverse = np.linalg.inv(np.cov(places.T) + 1e-12 * np.eye(2))
+            total += inverse
+            pull += inverse @ places.mean(axis=0)
+        covariance = np.linalg.inv(total)
+        matrix = np.linalg.cholesky(covariance)
+        return cls(covariance @ pull, matrix, np.full(2, -reach), np.full(2, reach))
+
+
+class _Cells(NamedTuple):
+    """Cells: low corner and sides (n, 2), ln density at nodes (n, N); and how far each quarter's
+    share of the sums of six monomials was off, (n, 6), over the density of which ln is `top`, (n,).
+    """
+
+    low: Array
+    side: Array
+    log: Array
+    apart: Array
+    top: Array
+
+    def points(self) -> Array:
+        return np.asarray(self.low[:, None] + self.side[:, None] * _POINTS)
+
+    def mass(self, top: float) -> Array:
+        """What each node stands for (n, N), over the density of which ln is `top`."""
+        return np.asarray(np.exp(self.log - top) * _WEIGHTS * self.side.prod(axis=1)[:, None])
+
+    def of(self, which: NDArray[np.bool_]) -> _Cells:
+        return _Cells(*(column[which] for column in self))
+
+
+def integrate(
+    log_density: Callable[[Array], Array],
+    frame: Frame,
+    tolerance: float,
+    known: Array,
+    *,
+    depth: float = 26.0,
+    most: int = 40_000,
+) -> dict[str, Any]:
+    """Sum a density over places, given as ln of it at (n, 2): what `Place` has of sums.
+
+    Cells of 4 × 4 nodes are cut in four where they have mass, and again where a cell and its
+    quarters differ, until twice the root of the summed squares of all differences is below the
+    tolerance.
+    Smooth cells are then far better than that; errors of cells that an edge runs through have
+    random signs. `depth` is the ln of the density below the highest that is nothing, `most` the
+    number of cells at which it ends, with an error above the tolerance.
+    """
+
+    def made(low: Array, side: Array) -> _Cells:
+        u = low[:, None] + side[:, None] * _POINTS
+        log = log_density((frame.middle + u @ frame.matrix.T).reshape(-1, 2))
+        unknown = np.full((len(low), 6), np.inf)
+        return _Cells(low, side, log.reshape(u.shape[:2]), unknown, np.zeros(len(low)))
+
+    cells = made(*_lattice(frame.low, frame.high))
+    for _ in range(0 if frame.whole else 12):  # wider where the density runs over a side
+        share, _ = _mass(cells)
+        low, high = frame.low.copy(), frame.high.copy()
+        for axis in range(2):
+            first = cells.low[:, axis] <= frame.low[axis] * (1 - 1e-9) + 1e-12
+            last = cells.low[:, axis] + cells.side[:, axis] >= frame.high[axis] - 1e-9
+            width = (high - low)[axis]
+            low[axis] -= 0.4 * width * (share[first].sum() > 1e-6)
+            high[axis] += 0.4 * width * (share[last].sum() > 1e-6)
+        if np.all(low == frame.low) and np.all(high == frame.high):
+            break
+        frame = frame._replace(low=low, high=high)
+        cells = made(*_lattice(low, high))
+    error, seen = np.inf, log_density(known) if len(known) else np.empty(0)
+    place = np.linalg.solve(frame.matrix, (known - frame.middle).T).T[seen > -np.inf]
+    seen = seen[seen > -np.inf]
+    for _ in range(16):
+        share, top = _mass(cells)
+        if not np.isfinite(top):
+            break
+        new = np.isinf(cells.apart[:, 0])
+        best = cells.log.max(axis=1)
+        slack = best - np.where(np.isfinite(cells.log), cells.log, np.inf).min(axis=1)
+        slack = np.nan_to_num(slack, nan=0.0, neginf=0.0)
+        # What lies between nodes may be as far above them as they are apart.
+        cut = new & (best + slack > top - depth)
+        for at, log in zip(place[seen > top - 14.0], seen[seen > top - 14.0], strict=True):
+            holds = np.all((cells.low <= at) & (at < cells.low + cells.side), axis=1)
+            cut |= holds & (best < log - 1.0)
+        error, size = _errors(cells, top, ~new)
+        # One comparison may agree by chance: errors were 7 times what was claimed where cells with
+        # mass and an edge were let be.
+        cut |= (size > 0.1 * share) & (share > 3e-5)
+        order = np.argsort(size)
+        over = np.sqrt(np.cumsum(size[order] ** 2)) > tolerance / 4
+        if error > tolerance:
+            cut[order[over & (size[order] > 0)]] = True
+        if not cut.any() or len(cells.low) > most:
+            break
+        cells = _cut(cells, cut, made, top)
+    return _sums(cells, frame, float(error))
+
+
+def _lattice(low: Array, high: Array, count: int = 16) -> tuple[Array, Array]:
+    """Low corners and sides (n, 2) of count × count cells."""
+    place = np.stack(np.meshgrid(*[np.arange(count)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    side = np.broadcast_to((high - low) / count, place.shape)
+    return low + place * side, side.copy()
+
+
+def _mass(cells: _Cells) -> tuple[Array, float]:
+    """The share of each cell, and the highest ln of the density."""
+    top = float(cells.log.max())
+    if not np.isfinite(top):
+        return np.zeros(len(cells.log)), top
+    mass = cells.mass(top).sum(axis=1)
+    return mass / mass.sum(), top
+
+
+def _monomials(cells: _Cells, top: float) -> Array:
+    """Integrals (n, 6) of 1, u, v, u², uv, v² over cells, over the highest density."""
+    u, v = np.moveaxis(cells.points(), -1, 0)
+    mass = cells.mass(top)
+    return np.stack([(mass * m).sum(axis=1) for m in (1.0 + 0 * u, u, v, u * u, u * v, v * v)], 1)
+
+
+def _cut(
+    cells: _Cells, cut: NDArray[np.bool_], made: Callable[[Array, Array], _Cells], top: float
+) -> _Cells:
+    """The same with some cells in four."""
+    old = cells.of(cut)
+    side = np.repeat(old.side / 2, 4, axis=0)
+    low = np.repeat(old.low, 4, axis=0) + side * 2 * np.tile(_QUARTERS, (len(old.low), 1))
+    quarters = made(low, side)
+    sums = _monomials(quarters, top).reshape(-1, 4, 6).sum(axis=1)
+    apart = (sums - _monomials(old, top)) / 2
+    quarters = quarters._replace(
+        apart=np.repeat(apart, 4, axis=0), top=np.full(len(quarters.log), top)
+    )
+    return _Cells(*(np.concatenate(pair) for pair in zip(cells.of(~cut), quarters, strict=True)))
+
+
+def _moments(cells: _Cells, top: float) -> tuple[float, Array, Array]:
+    total, u, v, uu, uv, vv = _monomials(cells, top).sum(axis=0)
+    mean = np.array([u, v]) / total
+    covariance = np.array([[uu, uv], [uv, vv]]) / total - np.outer(mean, mean)
+    return total, mean, covariance
+
+
+def _errors(cells: _Cells, top: float, known: NDArray[np.bool_]) -> tuple[float, Array]:
+    """The estimated error in sds, and how much of it each cell has (n,)."""
+    total, mean, covariance = _moments(cells, top)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    apart = np.where(known[:, None], cells.apart, 0.0) * np.exp(cells.top - top)[:, None] / total
+    one, size = apart[:, 0], np.abs(apart[:, 0])
+    for m, s, (first, second) in zip(mean, sd, ((1, 3), (2, 5)), strict=True):
+        off = (apart[:, first] - m * one) / s
+        spread = (apart[:, second] - 2 * m * apart[:, first] + m * m * one) / s**2 - one
+        size = np.maximum(size, np.maximum(np.abs(off), np.abs(spread) / 2))
+    return 2 * float(np.sqrt(np.sum(size**2))), size
+
+
+def _sums(cells: _Cells, frame: Frame, error: float) -> dict[str, Any]:
+    top = float(cells.log.max())
+    if not np.isfinite(top):
+        none = np.empty(0)
+        return {
+            "mean": np.full(2, np.nan), "covariance": np.full((2, 2), np.nan), "error": np.inf,
+            "places": np.empty((0, 2)), "weights": none, "log_density": none,
+            "_log_evidence": -np.inf,
+        }  # fmt: skip
+    total, mean, covariance = _moments(cells, top)
+    evidence = top + np.log(total * abs(np.linalg.det(frame.matrix)))
+    weight = cells.mass(top) / total
+    kept = weight > 0
+    return {
+        "mean": frame.middle + frame.matrix @ mean,
+        "covariance": frame.matrix @ covariance @ frame.matrix.T,
+        "error": error,
+        "places": (frame.middle + cells.points() @ frame.matrix.T)[kept],
+        "weights": weight[kept],
+        "log_density": cells.log[kept] - evidence,
+        "_log_evidence": evidence,
+    }
