@@ -22,7 +22,7 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.hierarchy import _zoomed, integrate_population
-from weberwhisk.behaviour.lapses import BiasScales
+from weberwhisk.behaviour.lapses import AS_BELIEVED, BiasScales
 from weberwhisk.behaviour.population import joined
 from weberwhisk.behaviour.tabulated import Members, tabulate
 from weberwhisk.posterior.ensemble import sample_stacked
@@ -61,9 +61,9 @@ def work_of(trials: Trials, sessions: bool, priors: object = KNOWN) -> Members:
         own = trials.select(subject=subject)
         for part in [own.select(session=s) for s in own.sessions] if sessions else [own]:
             fit = fit_weber(part, priors=priors)
-            parts.append(tabulate(fit.model.merged(), fit.posterior.draws(), np.ones(1)))
+            parts.append(tabulate(fit.model.merged(), fit.posterior.draws(), AS_BELIEVED))
             animal.append(i)
-    return Members(tuple(parts), np.array(animal), sessions, Priors().lapse_correlation)
+    return Members(tuple(parts), np.array(animal), sessions)
 
 
 # -- the integrals --------------------------------------------------------------------------------
@@ -348,8 +348,8 @@ def test_scales_of_biases_that_were_not_tabulated_are_missed() -> None:
     weber = Priors().weber_fraction
     errors = []
     for scales in (BiasScales.between(0.0, 5.0, 0.1), BiasScales.between(1.5, 3.0, 0.1)):
-        tables = [tabulate(f.model.merged(), f.posterior.draws(), scales.nodes) for f in fits]
-        members = Members(tuple(tables), np.arange(3), False, 0.7, scales)
+        tables = [tabulate(f.model.merged(), f.posterior.draws(), scales) for f in fits]
+        members = Members(tuple(tables), np.arange(3), False, scales)
         found = integrate_population(
             members, PopulationPriors(), lambda x: weber.logpdf(np.exp(x)) + x
         )

@@ -179,8 +179,7 @@ class _Grid:
         log_weber_fraction: Callable[[Array], Array],
     ) -> None:
         self.members, self.priors, self.log_weber_fraction = members, priors, log_weber_fraction
-        tables = members.tables
-        no_lapses = all(t.low.size == t.high.size == 1 for t in tables)
+        no_lapses = all(t.lapses.possible.size == 1 for t in members.tables)
         scales, self.unit = members.scales.nodes, members.scales.unit
         self.fixed = [
             False, False, not members.sessions, scales.size == 1, no_lapses, no_lapses,

@@ -333,10 +333,9 @@ def fit_population(
     draws, models = [f.posterior.draws() for f in chosen], [f.model.merged() for f in chosen]
     scales = likely_scales(models, draws, prior.bias_scale)
     members = Members(
-        tuple(tabulate(m, d, scales.nodes) for m, d in zip(models, draws, strict=True)),
+        tuple(tabulate(m, d, scales) for m, d in zip(models, draws, strict=True)),
         pd.factorize(kept["subject"])[0],
         sessions,
-        believed.lapse_correlation,
         scales,
     )
     weber = believed.weber_fraction

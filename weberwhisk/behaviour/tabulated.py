@@ -12,11 +12,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtr, ndtri
-from scipy.stats import norm
+from scipy.special import ndtr
+from scipy.stats import lognorm, norm
 
-from .lapses import AS_BELIEVED, BiasScales, scaled_prior
+from .integrate.batch import batch_steps, likelihood
+from .integrate.blocks import NOTHING
+from .lapses import AS_BELIEVED, BiasScales, with_tail
 from .likelihood import Draws, WeberModel
+from .priors import REACH
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,6 @@ class Members:
     tables: tuple[Table, ...]
     animal: NDArray[np.intp]
     sessions: bool
-    lapse_correlation: float
     scales: BiasScales = AS_BELIEVED
 
     @cached_property
@@ -103,11 +105,8 @@ class Members:
 
         For J populations of lapses, and each scale of the biases (B,).
         """
-        onto, rho = self.scales.onto(bias_scale), self.lapse_correlation
-        out = [
-            table.given_lapses(table.lapse_weights(mean, spread, rho), self.x, onto)
-            for table in self.tables
-        ]
+        onto = self.scales.onto(bias_scale)
+        out = [table.given_lapses(mean, spread, self.x, onto) for table in self.tables]
         return np.array(out).transpose(1, 3, 0, 2)
 
     def by_animal(self, log_like: Array, within: Array | None) -> tuple[Array, Array]:
@@ -137,8 +136,8 @@ def _log_product(log_like: Array, kernel: Array) -> Array:
 def _moments(table: Table) -> tuple[Array, Array]:
     """Mean and log sd of ln k in the likelihood of a member alone, with the prior's lapses, for
     every scale of its biases, (S,)."""
-    weights = table.lapse_weights(np.zeros(1), np.ones(1), 0.0)
-    log_like = table.given_lapses(weights, table.log_k, np.eye(len(table.top)))[..., 0]
+    usual = np.zeros(1), np.ones(1)
+    log_like = table.given_lapses(*usual, table.log_k, np.eye(len(table.top)))[..., 0]
     mass = np.exp(log_like - log_like.max(axis=1, keepdims=True))
     mass /= mass.sum(axis=1, keepdims=True)
     mean = mass @ table.log_k
@@ -152,50 +151,75 @@ LEAST = 1e-35  # of a likelihood, over the highest
 
 
 @dataclass(frozen=True)
+class LapseNodes:
+    """Nodes of both lapses for populations, finer than those on which likelihoods are known.
+
+    Of each lapse `scores` (F,) of its prior, `widths` (F,) in scores, and `shares` (F, N): of every
+    known node in the likelihood there, a cubic spline's; below the first it is that of no lapse.
+    `possible` (F, F) are those that leave the curve rising.
+    """
+
+    scores: tuple[Array, ...]
+    widths: tuple[Array, ...]
+    shares: tuple[Array, ...]
+    possible: NDArray[np.bool_]
+    correlation: float
+
+    @classmethod
+    def between(
+        cls, model: WeberModel, low: Array, high: Array, finer: int = 2, lowest: float = -REACH
+    ) -> LapseNodes:
+        """So many nodes for each of these coordinates (N,), carried on below to a score."""
+        parts = []
+        for name, axis in zip(model.lead[-2:], (low, high), strict=True):
+            score, width, share = np.zeros(1), np.ones(1), np.ones((1, 1))
+            if axis.size > 1:
+                transform = model.transforms[model.lead.index(name)]
+                step = (axis[1] - axis[0]) / finer
+                first = with_tail(model, name, axis, lowest)[0]
+                fine = np.arange(first, axis[-1] + 0.5 * step, step)
+                score, width = transform.score(fine), transform.slope(fine) * step
+                share = CubicSpline(axis, np.eye(axis.size))(np.maximum(fine, axis[0]))
+            parts.append((score, width, share, model.value(name, score)))
+        scores, widths, shares, (lo, hi) = zip(*parts, strict=True)
+        possible = np.add(*model.lapses(lo[:, None], hi[None])) < 1
+        return cls(scores, widths, shares, possible, model.priors.lapse_correlation)
+
+    def weights(self, mean: Array, spread: Array) -> Array:
+        """Probability of the known nodes in J populations, (Lo, Hi, J): the scores of an animal are
+        normal with that mean, spread and correlation."""
+        free = [score.size > 1 for score in self.scores]
+        rho = self.correlation if all(free) else 0.0
+        u, v = ((s[:, None] - mean * f) / spread for s, f in zip(self.scores, free, strict=True))
+        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
+        density = np.exp(-0.5 * square / (1 - rho**2)) * self.possible[..., None]
+        density /= np.sqrt(1 - rho**2) * (spread * np.sqrt(2 * np.pi)) ** sum(free)
+        parts = (s * w[:, None] for s, w in zip(self.shares, self.widths, strict=True))
+        return np.asarray(np.einsum("li,hj,lhm->ijm", *parts, density, optimize=True))
+
+
+@dataclass(frozen=True)
 class Table:
     """Likelihood of the answers of one member.
 
-    `log_k` (K,) are nodes of ln k; `low` (Lo,) and `high` (Hi,) nodes of the lapses' normal scores,
-    a single zero where the task has no such lapse. For S scales of the biases, `top` (S, K) is the
-    highest log-likelihood over the lapses, and `relative` (S, K, Lo·Hi) the likelihood over it.
-    Below the first lapse nodes the lapses are none, and the likelihood is that of the first.
+    `log_k` (K,) are nodes of ln k; `lapses` those of both lapses, of which there are Lo and Hi. For
+    S scales of the biases, `top` (S, K) is the highest log-likelihood over the lapses, and
+    `relative` (S, K, Lo·Hi) the likelihood over it.
     """
 
     log_k: Array
-    low: Array
-    high: Array
+    lapses: LapseNodes
     top: Array
     relative: NDArray[np.float32]
 
-    def lapse_weights(self, mean: Array, spread: Array, correlation: float) -> Array:
-        """Probability of the lapse nodes for a population, (Lo·Hi, J) for J means and spreads.
-
-        The scores of an animal are normal with that mean, spread and correlation.
-        """
-        free = [axis.size > 1 for axis in (self.low, self.high)]
-        rho = correlation if all(free) else 0.0
-        low, first_low = _with_tail(self.low)
-        high, first_high = _with_tail(self.high)
-        scale = 1 / spread
-        u, v = (
-            (axis[:, None] - mean) * scale if is_free else np.zeros((1, mean.size))
-            for axis, is_free in zip((low, high), free, strict=True)
-        )
-        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
-        density = np.exp(-0.5 * square / (1 - rho**2))  # (Lo', Hi', J)
-        for axis, is_free in zip((low, high), free, strict=True):
-            density *= (axis[1] - axis[0]) * scale / np.sqrt(2 * np.pi) if is_free else 1.0
-        density /= np.sqrt(1 - rho**2)
-        density = np.add.reduceat(density, np.r_[0, first_low + 1 : low.size], axis=0)
-        density = np.add.reduceat(density, np.r_[0, first_high + 1 : high.size], axis=1)
-        return density.reshape(-1, mean.size)
-
-    def given_lapses(self, weights: Array, log_k: Array, onto: Array) -> Array:
-        """Log-likelihood of ln k alone, (B, X, J): lapses weighted, interpolated onto other nodes.
+    def given_lapses(self, mean: Array, spread: Array, log_k: Array, onto: Array) -> Array:
+        """Log-likelihood of ln k alone, (B, X, J): in J populations of lapses, interpolated onto
+        other nodes.
 
         `onto` (B, S) are the shares of the tabulated scales in B others.
         """
-        like = (self.relative @ weights.astype(np.float32)).astype(float)
+        weights = self.lapses.weights(mean, spread).reshape(-1, mean.size).astype(np.float32)
+        like = (self.relative @ weights).astype(float)
         value = np.log(np.maximum(like, LEAST)) + self.top[..., None]
         curve = CubicSpline(self.log_k, np.tensordot(onto, value, 1), axis=1)
         first, last = self.log_k[[0, -1]]
@@ -208,103 +232,31 @@ class Table:
         return inside
 
 
-def _with_tail(axis: Array, reach: float = 9.0) -> tuple[Array, int]:
-    """The axis carried on below, and where its first node has come to stand."""
-    if axis.size == 1:
-        return axis, 0
-    step = axis[1] - axis[0]
-    more = int(reach / step)
-    return axis[0] + step * np.arange(-more, axis.size), more
+def tabulate(
+    model: WeberModel, draws: Draws, scales: BiasScales, cut: float = 20.0, vague: float = 0.6
+) -> Table:
+    """The table of a model without effects, of all that lies no more than `cut` nats under its
+    best, with biases as wide as the widest scale has them and any k.
 
-
-def tabulate(model: WeberModel, draws: Draws, scales: Array, values: int = 400_000) -> Table:
-    """The table of a model without effects, on nodes laid around draws from its posterior.
-
-    Its biases have their prior times each of the scales (S,). So many values are computed at once.
+    Others of the population draw an animal to where its own prior has nothing: k is believed to lie
+    about its draws, `vague` being the sd of its logarithm.
     """
-    log_k = np.log(draws.weber_fraction)
-    if model.free[0]:
-        step = _node_step(log_k)
-        log_k = np.arange(log_k.min() - 8 * step, log_k.max() + 9 * step, step)
-    else:  # known: a population of it says nothing, but costs nothing either
-        log_k = log_k[0] + np.linspace(-1e-3, 1e-3, 5)
-    low, high = (_lapse_axis(model, n, getattr(draws, n)) for n in ("lapse_low", "lapse_high"))
-    lapses = model.value("lapse_low", low), model.value("lapse_high", high)
-    lo, hi = (a.ravel() for a in np.meshgrid(*lapses, indexing="ij"))
-    k = np.exp(log_k)
-    bias, finer, prior = _bias_nodes(model, k, draws, scales)
-    rows = max(1, values // (lo.size * len(finer) * max(model.cells.n.size, model.n_groups)))
-    parts = []
-    for i in (slice(j, j + rows) for j in range(0, k.size, rows)):
-        cells = model.cell_log_likelihood(
-            k[i, None, None], lo[:, None], hi[:, None], bias[i, None]
-        )  # (k, Lo·Hi, B, C)
-        curve = np.moveaxis(cells @ model.membership, -1, 1) @ finer.T  # (k, G, Lo·Hi, F)
-        top = curve.max(axis=-1, keepdims=True)
-        by_group = np.log(np.maximum(np.exp(curve - top) @ prior[i], LEAST)) + top
-        parts.append(by_group.sum(axis=1))
-    found = np.moveaxis(np.concatenate(parts), -1, 0)  # (S, K, Lo·Hi)
-    found[..., sum(model.lapses(lo, hi)) >= 1] = -np.inf
-    best = found.max(axis=-1)
-    return Table(log_k, low, high, best, np.exp(found - best[..., None]).astype(np.float32))
-
-
-def _bias_nodes(
-    model: WeberModel, k: Array, draws: Draws, scales: Array, finer: int = 4
-) -> tuple[Array, Array, Array]:
-    """Nodes of every bias for each k, (K, B, G); and nodes between them, as narrow a prior needs:
-    their shares of the former (F, B), and their prior probabilities (K, G, F, S).
-
-    Nodes go to 8 sds with the prior and 4 with the widest scale, but not beyond 32: answers that
-    say nothing of a bias say it of all.
-    """
-    if not model.free_bias:
-        bias = np.full((k.size, 1, model.n_groups), model.fixed_bias())
-        return bias, np.ones((1, 1)), np.ones((k.size, model.n_groups, 1, scales.size))
-    encoded = model.decide(k)
-    at = [np.quantile(v, [0.5, 0.002, 0.998]) for v in (draws.lapse_low, draws.lapse_high)]
-    modes = [model.bias_mode(encoded, lo, hi) for lo, hi in zip(*at, strict=True)]
-    (centre, spread), *others = modes
-    # The nodes must also serve other lapses than the likeliest, and wider biases than believed.
-    far = max(float(np.max(np.abs(c - centre) / spread)) for c, _ in others) + 8
-    if scales[-1] > 1:
-        c, wide = _widened(model, scales[-1]).bias_mode(encoded, at[0][0], at[1][0])
-        reach = float(np.max((np.abs(c - centre) + 4 * wide) / spread))
-        far = max(far, min(reach, 32.0))
-    offsets = np.arange(-np.ceil(far), np.ceil(far) + 1)
-    fine = np.linspace(offsets[0], offsets[-1], finer * (offsets.size - 1) + 1)
-    between = centre[..., None] + spread[..., None] * fine  # (K, G, F)
-    prior = scaled_prior(
-        model.priors, between, np.broadcast_to((spread / finer)[..., None], between.shape), scales
+    priors = model.priors
+    middle = float(np.median(draws.weber_fraction))
+    wide = replace(priors, weber_fraction=lognorm(vague, scale=middle))
+    if model.free_bias:
+        mean, sd = (max(scales.nodes[-1], 1.0) * moment for moment in priors.moments("bias"))
+        wide = replace(wide, bias=norm(mean, sd))
+    unbound = replace(model, priors=wide)
+    steps = batch_steps(unbound, k=0.9, lapse=0.8, bias=0.6)
+    found = likelihood(unbound, model.cells.count[None], steps, scales, cut, priors)
+    values = found.values[..., 0].reshape(scales.nodes.size, found.scores.size, -1)
+    some = values.max(axis=(0, 2)) > 0.5 * NOTHING
+    values = values[:, some].astype(float)
+    top = values.max(axis=-1)
+    return Table(
+        np.log(unbound.value("weber_fraction", found.scores[some])),
+        LapseNodes.between(model, found.low, found.high),
+        top,
+        np.exp(values - top[..., None]).astype(np.float32),
     )
-    bias = centre[:, None, :] + spread[:, None, :] * offsets[:, None]
-    return bias, CubicSpline(offsets, np.eye(offsets.size))(fine), np.exp(prior)
-
-
-def _widened(model: WeberModel, scale: float) -> WeberModel:
-    """The same observer, with a normal prior of the bias so many times as wide."""
-    mean, sd = model.priors.moments("bias")
-    return replace(model, priors=replace(model.priors, bias=norm(scale * mean, scale * sd)))
-
-
-def _lapse_axis(
-    model: WeberModel, name: str, values: Array, widest: float = 0.3, none_lost: float = 0.02
-) -> Array:
-    """Scores from where the lapse is none, so few trials being lost, to where the answers exclude
-    it, no farther apart than the widest step."""
-    if name not in model.lapse_names or model.priors.is_fixed(name):
-        return np.zeros(1)
-    scores = ndtri(np.clip(model.priors.of(name).cdf(values), 1e-12, 1 - 1e-12))
-    step = min(_node_step(scores, below=False), widest)
-    last = scores.max() + 8 * step
-    scan = np.arange(-6.0, last, 0.05)
-    none = scan[model.value(name, scan) * max(model.cells.n.sum(), 1) < none_lost]
-    first = min(none[-1] if none.size else scan[0], last - 4 * step)
-    return np.arange(first, last + step, step)
-
-
-def _node_step(values: Array, below: bool = True) -> float:
-    """Three fifths of a standard deviation, judged by the steeper side of what may be a shelf."""
-    q = np.quantile(values, [0.001, 0.16, 0.84, 0.999])
-    sides = [q[3] - q[2], q[1] - q[0]][: 2 if below else 1]
-    return float(max(min(sides) / 3.5, 1e-4))

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lapses import BiasScales, lapse_weights, score_prior
+from ..lapses import BiasScales, lapse_weights, scaled_prior, score_prior
 from ..likelihood import WeberModel
+from ..priors import Priors
 from .blocks import NOTHING, ChoiceNodes
 from .windows import Steps, Windows, everything, kept, least_bias_sds, least_sds, outer_signals
 
@@ -31,12 +32,13 @@ def zoomed(
     finer: float = 2.0,
     nodes: float = 12.0,
     slack: float = 2.5,
+    by_node: bool = False,
 ) -> Windows:
     """Windows of every data set (R, C), of all that is no more than `cut` nats under its best node.
 
     `steps` are those of the last pass here, each `finer` than the one before; the first, over all
     of the prior, has about `nodes` an axis. The best of a pass may lie `slack` nats under the best
-    there is.
+    there is; what is the best is told `by_node` where any k may come to matter.
     """
     windows = everything(model, len(counts))
     spans = [e[1].max() - e[0].min() for e in windows.ends]
@@ -48,7 +50,7 @@ def zoomed(
     # Nothing to zoom into where all is known, or within a few steps.
     zooms = int(np.ceil(np.log(max(coarsest / nodes, 1.0)) / np.log(finer)))
     for power in finer ** (-2.0 * np.arange(zooms, -1, -1)):
-        windows = _pass(model, counts, windows, steps.at(power), power * cut + slack)
+        windows = _pass(model, counts, windows, steps.at(power), power * cut + slack, by_node)
     return windows
 
 
@@ -59,7 +61,9 @@ def narrowest_bias(model: WeberModel) -> float:
     return float(least_bias_sds(model, d, weight, np.linspace(-2.0, 2.0, 9)).min())
 
 
-def _pass(model: WeberModel, counts: Array, windows: Windows, steps: Steps, cut: float) -> Windows:
+def _pass(
+    model: WeberModel, counts: Array, windows: Windows, steps: Steps, cut: float, by_node: bool
+) -> Windows:
     """Smaller windows, by the highest log posterior with each outer node and one other."""
     at = ChoiceNodes(model, windows, steps, counts)
     count, size = len(counts), len(at.d)
@@ -83,7 +87,7 @@ def _pass(model: WeberModel, counts: Array, windows: Windows, steps: Steps, cut:
         (np.broadcast_to(a, (size, a.size)), p) for a, p in zip(at.lapses, (low, high), strict=True)
     ]
     profiles += [_gathered(known, at.bias_step[:, g], count) for g, known in enumerate(biases)]
-    return kept(windows, at.outer, profiles, cut, 0.15)
+    return kept(windows, at.outer, profiles, cut, 0.15, by_node)
 
 
 def _put(
@@ -175,14 +179,22 @@ class Likelihood:
 
 
 def likelihood(
-    model: WeberModel, counts: Array, steps: Steps, scales: BiasScales, cut: float
+    model: WeberModel,
+    counts: Array,
+    steps: Steps,
+    scales: BiasScales,
+    cut: float,
+    priors: Priors | None = None,
 ) -> Likelihood:
     """The same before the lapses are integrated, wherever it is above the best less `cut`, and for
-    biases that are as wide as the prior has them, narrower and wider."""
-    at = ChoiceNodes(model, zoomed(model, counts, _zoom_steps(steps), cut), steps, counts)
+    biases that are as wide as a prior has them, narrower and wider: that of `priors`, where the
+    model's says no more than where to look for them and for k."""
+    believed = priors or model.priors
+    windows = zoomed(model, counts, _zoom_steps(steps), cut, by_node=priors is not None)
+    at = ChoiceNodes(model, windows, steps, counts)
     shape = scales.nodes.size, *(a.size for a in (*at.outer, *at.lapses)), len(counts)
     values = np.full(shape, NOTHING, dtype=np.float32)
-    for block in at.blocks(scales=scales.nodes):
+    for block in at.blocks(biases=lambda b, width: scaled_prior(believed, b, width, scales.nodes)):
         for i, m in enumerate(block.outer):
             values[:, m, block.low, block.high][..., block.rows] = block.log_like[:, i]
     return Likelihood(scales, at.outer[0], *at.lapses, values)

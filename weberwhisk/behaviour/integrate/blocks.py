@@ -8,7 +8,7 @@ as they are independent given the rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
-from ..lapses import scaled_prior, score_prior
+from ..lapses import score_prior
 from ..likelihood import WeberModel
 from ..priors import TINY
 from .windows import Steps, Windows, bias_at, least_bias_sds, outer_signals
@@ -25,6 +25,8 @@ from .windows import Steps, Windows, bias_at, least_bias_sds, outer_signals
 Array = NDArray[np.float64]
 Values = NDArray[Any]
 Indices = NDArray[np.intp]
+#: Log prior mass (P, B, S) of biases (P, B) of these widths (P, B), by S priors.
+Biases = Callable[[Array, Array], Array]
 
 NOTHING = -1e5  # log of what cannot be
 
@@ -44,7 +46,7 @@ class Block:
     """Some data sets, `rows`, at some outer nodes, with about the same windows.
 
     `low` and `high` are nodes of the lapses, `log_like` (P, Lo, Hi, r) log-likelihoods with the
-    biases integrated, at their highest, or (S, P, Lo, Hi, r) integrated for S scales.
+    biases integrated, at their highest, or (S, P, Lo, Hi, r) integrated for S priors.
     """
 
     outer: Indices
@@ -134,10 +136,10 @@ class ChoiceNodes:
         return total / max(widths.shape[2], 1)
 
     def blocks(
-        self, *, highest: bool = False, scales: Array | None = None, together: int = 96
+        self, *, highest: bool = False, biases: Biases | None = None, together: int = 96
     ) -> Iterator[Block]:
-        """All blocks: with biases integrated, at their highest, or integrated for each scale; up to
-        so many data sets meet the same nodes."""
+        """All blocks: with biases integrated, at their highest, or integrated for each of other
+        priors of them; up to so many data sets meet the same nodes."""
         for outer in self._outer_chunks():
             inside = np.isfinite(self.first[0, outer]).any(axis=0)
             rows = np.flatnonzero(inside)
@@ -163,7 +165,7 @@ class ChoiceNodes:
             ]
             for some in (slice(j, j + together) for j in range(0, rows.size, together)):
                 yield self._block(outer, rows[some], nodes, tables, all_of,
-                                  [_slice(s[:, some]) for s in spans], highest, scales)  # fmt: skip
+                                  [_slice(s[:, some]) for s in spans], highest, biases)  # fmt: skip
 
     def _outer_chunks(self, values: int = 20_000) -> Iterator[Indices]:
         """One outer node at a time, or with one data set as many as fill a cell's table of so many
@@ -240,7 +242,7 @@ class ChoiceNodes:
         whole: list[slice],
         spans: list[slice],
         highest: bool,
-        scales: Array | None,
+        biases: Biases | None,
     ) -> Block:
         joint: Any = 0.0
         groups = []
@@ -253,11 +255,10 @@ class ChoiceNodes:
             part = table[:, :, cut[2 + g], cut[0], cut[1]]
             values = part.reshape(len(part), -1).T @ self.answers[g][:, rows]
             values = values.reshape(*part.shape[1:], rows.size)
-            if scales is not None:
-                values -= part[-1][..., None]  # the prior of the bias is another for each scale
-                joint = joint + self._by_scale(
-                    values, nodes[g][:, own], self.bias_step[outer, g], scales
-                )
+            if biases is not None:
+                values -= part[-1][..., None]  # the prior of the bias is another
+                step = self.bias_step[outer, g]
+                joint = joint + self._by_prior(values, nodes[g][:, own], step, biases)
                 continue
             top = values.max(axis=1)
             if not highest:
@@ -272,8 +273,8 @@ class ChoiceNodes:
             groups.append(Group(nodes[g][:, own], values, top))
         return Block(outer, rows, spans[0], spans[1], joint, groups)
 
-    def _by_scale(self, log_like: Values, bias: Array, step: Array, scales: Array) -> Values:
-        """Biases (P, B) integrated, for each scale of their prior, (S, P, Lo, Hi, r)."""
+    def _by_prior(self, log_like: Values, bias: Array, step: Array, biases: Biases) -> Values:
+        """Biases (P, B) integrated, for each prior of them, (S, P, Lo, Hi, r)."""
         if not self.model.free_bias:
             return np.asarray(log_like.max(axis=1)[None])
         if bias.shape[1] > 1:
@@ -281,8 +282,7 @@ class ChoiceNodes:
         half = 0.5 * step[:, None]
         width = bias_at(self.model, bias + half) - bias_at(self.model, bias - half)
         width = np.maximum(width, 1e-9)  # past the prior's reach biases stand still
-        weights = scaled_prior(self.model.priors, bias_at(self.model, bias), width, scales)
-        weights = np.exp(weights)  # (P, F, S)
+        weights = np.exp(biases(bias_at(self.model, bias), width))  # (P, F, S)
         top = log_like.max(axis=1)
         log_like = log_like - top[:, None]
         like = np.exp(log_like, out=log_like).reshape(*bias.shape, -1)

@@ -121,12 +121,14 @@ def kept(
     profiles: list[tuple[Array, NDArray[np.floating]]],
     cut: float,
     beyond: float,
+    by_node: bool = False,
 ) -> Windows:
     """Windows around the outer nodes that matter, within those before.
 
     `profiles` are, for each inner axis, its nodes (M, N) and the highest log density (M, N, R) with
-    each of them and of the outer ones. A node `cut` nats under the best counts as empty; `beyond`
-    of a gap is added where linear interpolation puts the end of a window.
+    each of them and of the outer ones. A node `cut` nats under the best counts as empty, the best
+    `by_node` being that with the same outer node; `beyond` of a gap is added where linear
+    interpolation puts the end of a window.
     """
     shape = [a.size for a in axes]
     top = profiles[0][1].max(axis=1)  # (M, R)
@@ -142,8 +144,9 @@ def kept(
         ends[e, 0] = np.maximum(found[0][0], before.ends[e, 0].min())
         ends[e, 1] = np.minimum(found[1][0], before.ends[e, 1].max())
     low, high = (np.full((len(profiles), *top.shape), s) for s in (np.inf, -np.inf))
+    least = top - cut if by_node else np.broadcast_to(least, top.shape)
     for i, (nodes, values) in enumerate(profiles):
-        sides = _ends(nodes, values, np.broadcast_to(least, top.shape), beyond)
+        sides = _ends(nodes, values, least, beyond)
         finite = np.isfinite(before.low[i]), np.isfinite(before.high[i])
         first, last = before.low[i][finite[0]].min(), before.high[i][finite[1]].max()
         low[i] = np.where(above, np.maximum(sides[0], first), np.inf)
