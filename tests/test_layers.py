@@ -77,7 +77,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_curves": ("jnd", "campaign"),
     "along_whisk": ("jnd", "sweeping"),
     "surveys": ("fusion", "jnd_curves", "array"),
-    "paper": ("surveys",),
+    "paper": ("surveys", "along_whisk", "place_maps"),
     "output": ("citing",),
     "tables": (),
     "contacts": ("posterior", "tables"),

@@ -391,6 +391,15 @@ def test_the_compliance_of_a_taper_is_larger_its_inverse_smaller():
     assert compliance_jnd(W, L * (1 - 1e-9)) == pytest.approx(0.1 * L / 20, rel=1e-6)
 
 
+def test_taper_takes_the_moment_towards_nothing_and_the_axial_force_to_a_third():
+    """By the closed forms with u = r/A, which is 0 of a cylinder: M as 1 − u, Fx as 1 − 2u/3."""
+    r = np.linspace(0.05, 0.98, 20) * CONE.length
+    taper, cylinder = (ww.press(w, r, 1e-5) for w in (CONE, CONE.cylinder()))
+    u = r / CONE.length
+    np.testing.assert_allclose(taper.moment / cylinder.moment, 1 - u, rtol=1e-3)
+    np.testing.assert_allclose(taper.axial_force / cylinder.axial_force, 1 - 2 * u / 3, rtol=1e-3)
+
+
 def test_a_scattered_map_must_be_interpolated_on_logarithmic_axes():
     """§2f: ∂r/∂M by a cubic through scattered (M, Fx): right on logarithms, lost without."""
     share = np.linspace(0.1, 0.97, 40)[:, None]

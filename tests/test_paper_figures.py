@@ -138,6 +138,8 @@ def test_every_claim_names_a_test_that_is_there():
     said = " ".join(claim.where for claim in claims.CLAIMS)
     for equation in ("2.1", "2.2", "2.3", *(f"3.{i}" for i in range(1, 9))):
         assert f"({equation})" in said
+    for section in (*(f"§2{letter}" for letter in "abcdefgh"), "§3b", "§3c", "§4"):
+        assert section in said
 
 
 def test_the_command_draws_every_panel_and_says_what_it_finds(tmp_path, monkeypatch):

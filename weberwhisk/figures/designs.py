@@ -165,7 +165,7 @@ def planned_psychometrics(plan: Plan, axes: Sequence[Axes] | None = None) -> NDA
             own = plan.curves.query("hypothesis == @hypothesis.name")
             own = own[np.isclose(own["standard_mm"], mm)]
             ax.plot(own["comparison_mm"], own["median"], **look(i), label=drawable(hypothesis.name))
-        ax.axvline(mm, color="0.8", linewidth=0.8, zorder=0)
+        ax.axvline(mm, color="0.8", linewidth=0.8, zorder=0, label="standard")
         ax.set(title=f"standard {mm:.3g} mm", ylim=(-0.03, 1.03))
         ax.xaxis.set_major_locator(MaxNLocator(4))
     figure_of(axes).supxlabel("Comparison (mm)")

@@ -385,7 +385,7 @@ def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
     ax.plot(evidence, y + 0.12, "o", color=COLOURS[0], label="log evidence")
     style = mark(1, elinewidth=0.9, label="a trial left out, ± 1 SE")
     ax.errorbar(table["elpd_difference"], y - 0.12, xerr=table["difference_se"], **style)
-    ax.axvline(0, color="0.7", linewidth=0.8, zorder=0)
+    ax.axvline(0, color="0.7", linewidth=0.8, zorder=0, label="the best")
     ax.set_yticks(y, [drawable(name, 40) for name in table.index])
     ax.set(xlabel="Nats below the best", ylim=(-0.6, len(table) - 0.4))
     legend_above(ax)

@@ -70,7 +70,7 @@ def cue_jnds(table: pd.DataFrame) -> Figure:
         works.set_title(title)
         works.set(ylim=(-3.6, 0.7), yticks=[])
         below.axhline(1.0, color="black", linewidth=0.8)
-    below.set(ylim=(0.3, 1.7), xlim=(-0.02, 1.0))
+    below.set(ylim=(0.2, 1.7), xlim=(-0.02, 1.0))
     top.set(yscale="log", ylim=(0.05, 60))
     axes[0, 0].set_ylabel("where it works")
     axes[1, 0].set_ylabel("JND (mm), d'=1")
