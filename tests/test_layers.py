@@ -77,7 +77,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "jnd_curves": ("jnd", "campaign"),
     "along_whisk": ("jnd", "sweeping"),
     "surveys": ("fusion", "jnd_curves", "array"),
-    "paper": ("surveys", "along_whisk", "place_maps"),
+    "paper": ("surveys", "along_whisk", "array_observer"),
     "output": ("citing",),
     "tables": (),
     "contacts": ("posterior", "tables"),

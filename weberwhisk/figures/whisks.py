@@ -281,23 +281,29 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
     figure = new_figure(DOUBLE, 5.6)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
 
-    def drawn(ax: Axes, values: Any, label: str = "", **how: Any) -> Any:
+    def drawn(ax: Axes, values: Any, label: str = "", beyond: str = "neither", **how: Any) -> Any:
         over = np.asarray(values, dtype=float).reshape(len(x), len(y)).T
         mesh = ax.pcolormesh(x, y, over, shading="nearest", rasterized=True, **how)
-        return figure.colorbar(mesh, ax=ax, label=label, shrink=0.85) if label else None
+        if not label:
+            return None
+        return figure.colorbar(mesh, ax=ax, label=label, shrink=0.85, extend=beyond)
 
     error, best = table["error_mm"], table["best"]
     # Colours end where a hundredth of the places lies beyond.
     norm = LogNorm(*np.nanquantile(error, [0.01, 0.99]))
-    bar = drawn(axes[0, 0], error, "error of place (mm)", norm=norm, cmap="viridis_r")
+    bar = drawn(axes[0, 0], error, "error of place (mm)", "both", norm=norm, cmap="viridis_r")
     log_numbers(bar.ax.yaxis)
     gain = table["best_error_mm"] / error
-    drawn(axes[0, 1], gain, "best whisker's error / all whiskers'", cmap="cividis", vmin=1, vmax=6)
+    words = "best whisker's error / all whiskers'"
+    drawn(axes[0, 1], gain, words, "max", cmap="cividis", vmin=1, vmax=6)
     touching = np.where(table["touching"] > 0, table["touching"], np.nan)
     drawn(axes[1, 1], touching, "whiskers that touch", cmap="cividis")
     rows = [np.nan if name == "" else "ABCDE".index(name[0]) for name in best]
     colours = ListedColormap(COLOURS[:5])
     drawn(axes[1, 0], rows, cmap=colours, vmin=-0.5, vmax=4.5, alpha=0.55)
+    for row in sorted({int(row) for row in rows if row == row}):
+        axes[1, 0].fill_between([], [], color=COLOURS[row], alpha=0.55, label="ABCDE"[row])
+    axes[1, 0].legend(loc="lower left", title="row", handlelength=1.0)
     written = np.empty((0, 2))
     room = 0.11 * np.ptp(x), 0.06 * np.ptp(y)  # of a name
     own = [mine for _, mine in table[best != ""].groupby("best")]
@@ -338,7 +344,7 @@ def array_counts(table: pd.DataFrame) -> Figure:
         last = rows.iloc[-1]
         left.plot([0, last["count"]], [0.5, last["correct"]], color="0.6", linewidth=0.8, zorder=0)
     left.text(
-        0.98, 0.04, "grey: in proportion, as rats' (Krupa et al. 2001)", fontsize=SMALL,
+        0.98, 0.04, "bars: 95 %; grey: in proportion, as rats' (Krupa et al. 2001)", fontsize=SMALL,
         color="0.4", ha="right", transform=left.transAxes,
     )  # fmt: skip
     share = rows["touching"] / rows["count"]

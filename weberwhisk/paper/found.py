@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .. import paper
 from ..along_whisk import limits
 from ..array import WhiskerArray
+from ..array_observer import ArrayObserver, array_by_count, array_resolution
 from ..cues import (
     AngleSideAngle,
     ComparativeLength,
@@ -31,8 +32,6 @@ from ..mechanics import (
 )
 from ..mechanics.muscle import MuscleCurve, moment_balance
 from ..observer import Observer
-from ..place_maps import array_by_count, array_resolution
-from ..places import ArrayObserver
 from ..posterior import posterior
 from ..receptors import Weber
 from ..surveys import NONE, WHISKER, K
