@@ -25,7 +25,7 @@ from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.planar_surface import PlanarSurface
 from weberwhisk.posterior.summed import LastSummed
-from weberwhisk.posterior.tiling import likelihood_of
+from weberwhisk.posterior.tiling import likelihood_of, tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.whisker import identities, rest_shape
 
@@ -181,6 +181,23 @@ def compare(radius_ratio, curvature, friction, k, seed, count):
         claim = max(2e-3 * sd, 3 * found.estimates["radial_distance"].mean_error[i])
         assert abs(found.mean[i] - mean) < claim
         assert abs(found.sd[i] - sd) < claim
+
+
+@pytest.mark.parametrize("k", slow_but([0.16, 0.22], quick=range(1)))
+def test_heavy_contacts_whose_force_turns_its_sign_take_few_tiles(k):
+    """Above k = 1/7 no moment is too heavy for a reading: 100 000 tiles followed where the
+    transverse force of the heavy ones turns its sign, on straight whiskers as on curved ones.
+    """
+    w = whisker(9.6, -13.8)
+    noise = GeneralisedWeber(k, floor=[0.0, 0.01 * w.force_scale])
+    observer = Observer(w, Friction(ForceMap(("moment", "transverse_force")), -0.28), noise)
+    reading = observer.read([[0.0125, 0.14], [0.03, 0.3]], seed=3)
+    assert len(tiles_of(observer, 5.5, reading).boxes.low) < 1000
+    found = posterior(observer, reading)
+    assert found.method == "quadrature"
+    fine = posterior(observer, reading, tolerance=1e-3)
+    assert fine.mean == pytest.approx(found.mean, abs=3e-4 * found.sd.min())
+    assert fine.sd == pytest.approx(found.sd, rel=3e-4)
 
 
 @pytest.mark.slow

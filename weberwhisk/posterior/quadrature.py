@@ -275,14 +275,17 @@ def _by_own(
     for row in rows[hidden]:  # where hardly any contacts are
         out += _by_own(observer, reading, np.array([row]), length, wanted, deep=True)
     rows, moments = rows[~far & ~hidden], among(moments, ~far & ~hidden)
-    start = length
-    error = np.full(moments.mean.shape, np.inf)
+    start, error = length, np.full(moments.mean.shape, np.inf)
     while rows.size and length > start / 1.5**3.5:
-        length /= 1.5
         try:
-            fine, beside = tiled(length)
+            fine, beside = tiled(length / 1.5)
         except TooManyTiles:
+            if len(rows) > 1 and length == start:
+                for half in np.array_split(rows, 2):
+                    out += _by_own(observer, reading, half, start, wanted, deep=deep)
+                return out
             break
+        length /= 1.5
         error = np.maximum(2 * _difference(moments, beside), min(5e-5, wanted / 2))
         good = np.asarray((error <= wanted).all(axis=1))
         out.append(_of(good, rows, coarse, moments, error[good]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from .result import Array, Index, joined
-from .tiling import NEGLIGIBLE, ORDER, Tiles, near_the_cut
+from .tiling import ORDER, Tiles, near_the_cut, negligible
 
 #: Tiles that are looked for together.
 GROUP = 16
@@ -70,9 +70,7 @@ class TiledObserver:
         self, observer: Observer, tiles: Tiles, longest: float, *, everywhere: bool = False
     ) -> None:
         self.observer, self.tiles, self.everywhere = observer, tiles, everywhere
-        #: What is so far below the best, in ln, is nothing: 13 at 5.5 sd, which leaves 1e-4 of an
-        #: sd at most, 15 at 4.4, which leaves 1e-5.
-        self.negligible = min(23.0 - longest / 0.55, NEGLIGIBLE)
+        self.negligible = negligible(longest)
         nodes = tiles.nodes
         self.count, self.dim = len(nodes.low), tiles.boxes.low.shape[1]
         self.log_weight = nodes.log_weight
