@@ -38,7 +38,7 @@ from scipy.optimize import root
 import weberwhisk as ww
 from weberwhisk import charts, figures
 from weberwhisk.behaviour import Trials
-from weberwhisk.charts import beams, posteriors
+from weberwhisk.charts import beams
 from weberwhisk.charts.beams import timed
 from weberwhisk.mechanics import closed_form
 from weberwhisk.output import Run
@@ -208,20 +208,20 @@ def other_engines(
             yield "nested (dynesty)", live, lambda rows, n=live: nested(observer, rows, n)
 
 
-def other_posteriors(full: bool, scenes: Iterable[str] = posteriors.OBSERVERS) -> pd.DataFrame:
+def other_posteriors(full: bool, scenes: Iterable[str] = charts.OBSERVERS) -> pd.DataFrame:
     """Rows of emcee's loops, NUTS and nested sampling: few readings, as each takes seconds."""
     table = []
     for scene in scenes:
-        observer = posteriors.OBSERVERS[scene]
-        rows = posteriors.readings(observer, 256)[: 3 if full else 1]
-        exact, _ = posteriors.exact_sds(observer, rows, full=full)
+        observer = charts.OBSERVERS[scene]
+        rows = charts.readings(observer, 256)[: 3 if full else 1]
+        exact, _ = charts.exact_sds(observer, rows, full=full)
         for method, knob, run in other_engines(observer, full):
             start = time.process_time()
             sd = run(rows)
             seconds = time.process_time() - start
             good = np.ones(len(rows), dtype=bool)
             table.append(
-                posteriors.posterior_row(scene, method, knob, sd, good, exact, seconds / len(rows))
+                charts.posterior_row(scene, method, knob, sd, good, exact, seconds / len(rows))
             )
     return pd.DataFrame(table)
 
@@ -272,12 +272,12 @@ def measure(*, full: bool, sets: int) -> dict[str, pd.DataFrame]:
     return {
         "beams": pd.concat([beams.measure(full=full), other_beams(full)], ignore_index=True),
         "posteriors": pd.concat(
-            [posteriors.measure(full=full), other_posteriors(full)], ignore_index=True
+            [charts.measure_posteriors(full=full), other_posteriors(full)], ignore_index=True
         ),
         "fits": pd.concat(
             [charts.measure_fits(full=full, sets=sets), other_fits(full, sets)], ignore_index=True
         ),
-        "jnds": posteriors.measure_jnds(full=full),
+        "jnds": charts.measure_jnds(full=full),
         "growth": charts.measure_growth(full=full),
     }
 

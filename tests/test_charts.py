@@ -16,7 +16,7 @@ from figure_checks import faults
 
 import weberwhisk as ww
 from weberwhisk import charts, cli, figures
-from weberwhisk.charts import beams, posteriors
+from weberwhisk.charts import beams
 from weberwhisk.cli import run_app
 
 
@@ -51,9 +51,9 @@ def test_every_rung_and_solver_is_as_good_as_its_knob(beam_table: pd.DataFrame) 
 
 
 def test_the_referee_of_posteriors_is_right_and_so_is_quadrature() -> None:
-    for scene, observer in posteriors.OBSERVERS.items():
-        rows = posteriors.readings(observer, 16)[:2]
-        exact = posteriors.summed(
+    for scene, observer in charts.OBSERVERS.items():
+        rows = charts.readings(observer, 16)[:2]
+        exact = charts.summed(
             observer, rows, 400 if len(observer.unknowns) > 1 else 4000, zoom=True
         )
         p = ww.posterior(observer, rows, tolerance=1e-4 if len(observer.unknowns) > 1 else None)
@@ -98,14 +98,14 @@ def test_every_tool_fits_the_same_data_sets(monkeypatch: pytest.MonkeyPatch) -> 
 def test_cubature_and_the_papers_interpolation_are_as_good_as_their_knobs(
     beam_table: pd.DataFrame,
 ) -> None:
-    observer = posteriors.OBSERVERS["one unknown: r"]
-    rows = posteriors.readings(observer, 4)[:2]
-    exact = posteriors.summed(observer, rows, 4000, zoom=True)
-    np.testing.assert_allclose(posteriors.by_cubature(observer, rows, 1e-6), exact, rtol=1e-5)
-    two = posteriors.OBSERVERS["two: r, θ_d"]
-    rows = posteriors.readings(two, 4)[:1]
-    exact = posteriors.summed(two, rows, 400, zoom=True)
-    np.testing.assert_allclose(posteriors.by_cubature(two, rows, 1e-2), exact, rtol=1e-2)
+    observer = charts.OBSERVERS["one unknown: r"]
+    rows = charts.readings(observer, 4)[:2]
+    exact = charts.summed(observer, rows, 4000, zoom=True)
+    np.testing.assert_allclose(charts.by_cubature(observer, rows, 1e-6), exact, rtol=1e-5)
+    two = charts.OBSERVERS["two: r, θ_d"]
+    rows = charts.readings(two, 4)[:1]
+    exact = charts.summed(two, rows, 400, zoom=True)
+    np.testing.assert_allclose(charts.by_cubature(two, rows, 1e-2), exact, rtol=1e-2)
     cubic = beam_table[beam_table["method"].str.startswith("cubic")]
     error = cubic.pivot_table(index=["scene", "knob"], columns="method", values="error")
     linear, logarithmic = (error[name] for name in sorted(error.columns))
@@ -115,7 +115,7 @@ def test_cubature_and_the_papers_interpolation_are_as_good_as_their_knobs(
 
 @pytest.mark.slow
 def test_jnd_curves_are_judged_by_their_own_truth() -> None:
-    table = posteriors.measure_jnds()
+    table = charts.measure_jnds()
     assert set(table["part"]) == {"jnds"}
     for _, rows in table.groupby("scene"):
         error = rows.groupby("method")["error"].min()
@@ -228,9 +228,9 @@ def test_the_chain_of_links_converges_as_their_length_squared() -> None:
 
 def test_plain_emcee_is_right() -> None:
     script = load("speed_accuracy")
-    observer = posteriors.OBSERVERS["one unknown: r"]
-    rows = posteriors.readings(observer, 4)[:1]
-    exact = posteriors.summed(observer, rows, 2000, zoom=True)
+    observer = charts.OBSERVERS["one unknown: r"]
+    rows = charts.readings(observer, 4)[:1]
+    exact = charts.summed(observer, rows, 2000, zoom=True)
     for move in ("stretch", "DE"):
         sd = script.emcee_loop(observer, rows, 300, move, True)
         np.testing.assert_allclose(sd, exact, rtol=0.15)
