@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from weberwhisk import Whisker, figures
+from weberwhisk import Whisker, WhiskerArray, figures
 from weberwhisk import surveys as all_cues
 from weberwhisk.commands import figure
 
@@ -108,9 +108,8 @@ def test_neighbours_are_those_of_the_identity(monkeypatch):
     assert np.sign(array.bases[:, 1]).tolist() == [1, -1]
     assert np.all((np.abs(array.bases[:, 1]) > 0.5e-3) & (np.abs(array.bases[:, 1]) < 3e-3))
     # C2's base by hand, from Belli et al. 2018: azimuth -8.4°, elevation 2.51°, 6.743 mm out.
-    np.testing.assert_allclose(
-        all_cues._base("C", 2) * 1e3, 6.7432 * np.array([0.98832, -0.14594, 0.04379]), rtol=1e-3
-    )
+    base = 1e3 * WhiskerArray("rat", "right").whiskers["C2"].base
+    np.testing.assert_allclose(base, 6.7432 * np.array([0.98832, -0.14594, 0.04379]), rtol=1e-3)
     asked = []
     monkeypatch.setattr(all_cues, "curves", lambda *a, **how: asked.append(how) or 1 / 0)
     with pytest.raises(ZeroDivisionError):

@@ -393,7 +393,7 @@ def test_every_figure_can_be_read(drawn: dict[str, Any]) -> None:
     """No print under 7 pt at two columns' width, no text over text or cut, no legend over data."""
     no_figures = {"COLOURS", "DOUBLE", "LINES", "MARKERS", "SINGLE", "figure_of", "new_figure",
                   "plan_page", "shown", "styled", "fits_and_growth", "speed_accuracy",
-                  "jnd_surface", "paper_1d", "paper_2", "paper_3"}  # fmt: skip
+                  "paper_1d", "paper_2", "paper_3"}  # fmt: skip
     assert set(figures.__all__) - no_figures <= set(drawn)
     found = {
         name: faults(one if isinstance(one, Figure) else figures.figure_of(one))

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 import weberwhisk as ww
+from weberwhisk import surveys
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 
@@ -29,3 +30,19 @@ def test_several_whiskers_are_refused():
     several = ww.Whisker([50e-3, 40e-3], 100e-6, 5e-6)
     with pytest.raises(ValueError, match="A sweep has one whisker"):
         ww.jnd_sweep(several, 0.1, 10e-3, seed=1)
+
+
+def test_the_surface_by_posteriors_ends_at_the_fold_and_falls_to_the_base():
+    table = surveys.posterior_surface(4, 20)
+    r, angle = table["radial_distance_mm"] * 1e-3, np.radians(table["deflection_angle_deg"])
+    places = np.repeat(np.linspace(0.05, 0.97, 4), 4)
+    assert list(r / surveys.WHISKER.length) == pytest.approx(places)
+    share = angle / ww.flick_past(surveys.WHISKER, r).deflection_angle
+    assert list(share) == pytest.approx(np.tile(np.linspace(0.005, 0.98, 4), 4))
+    bent = ww.press(surveys.WHISKER, r, angle)
+    np.testing.assert_allclose(np.radians(table["contact_angle_deg"]), bent.contact_angle)
+    # To first order the JND is largest at the base; posteriors know that nothing is nearer.
+    light = table[1::4]  # a third of the way to the fold
+    assert light["propagation_mm"].is_monotonic_decreasing
+    assert light["posterior_mm"].iloc[0] < 0.6 * light["posterior_mm"].iloc[1]
+    assert (table["jnd_mm"] == table["posterior_mm"]).all()

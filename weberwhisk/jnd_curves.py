@@ -288,7 +288,8 @@ def jnd_sweep(
 
     With angles that is figure 4b's surface, by full posteriors: 30 distances × 30 angles × 100
     readings take some 8 s of one core. Its columns ``propagation_mm`` and ``linear`` say what the
-    paper's linear surface is there, and where that is not to be believed.
+    paper's linear surface is there, and where that is not to be believed. ``weberwhisk figure
+    jnd-surface`` draws it, up to where the whisker flicks past.
 
     Parameters
     ----------

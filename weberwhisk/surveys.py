@@ -7,13 +7,12 @@ the whole family between the paper's two limits.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from ._values import with_units
-from .array import published
+from .array import WhiskerArray
 from .cues import (
     AngleSideAngle,
     BalanceOfMoments,
@@ -36,12 +35,9 @@ from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.ladder import flick_past, press
 from .observer import Observer
-from .posterior import posterior
+from .posterior import Status, posterior
 from .receptors import Weber
-from .whisker import Whisker, identities
-
-if TYPE_CHECKING:
-    import pandas as pd
+from .whisker import Whisker
 
 Array = NDArray[np.float64]
 
@@ -69,19 +65,13 @@ def neighbours(whisker: Whisker = WHISKER, identity: str | None = None) -> Compa
         bases = [[0.0, 3e-3], [0.0, 6e-3]]
         return ComparativeLength([0.8 * whisker.length, 0.6 * whisker.length], bases)
     row, column = identity[0], int(identity[1:])
-    others = [int(name[1:]) for name in identities() if name[0] == row and name != identity]
+    array = WhiskerArray("rat", "right").whiskers
+    others = [int(name[1:]) for name in array if name[0] == row and name != identity]
     near = sorted(others, key=lambda c: (abs(c - column), -c))[:2]
-    own = _base(row, column)
-    gaps = [np.copysign(np.linalg.norm(_base(row, c) - own), c - column) for c in near]
-    lengths = [Whisker.from_identity(f"{row}{c}").length for c in near]
-    return ComparativeLength(lengths, [[0.0, gap] for gap in gaps])
-
-
-def _base(row: str, column: int) -> Array:
-    """A base's place, m, by the published equations."""
-    at = published(f"{row}{column}")
-    a, e = np.radians([at.theta, at.phi])
-    return 1e-3 * at.radius * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    found = [array[f"{row}{c}"] for c in near]
+    gaps = [np.linalg.norm(one.base - array[identity].base) for one in found]
+    signed = [[0.0, np.copysign(gap, c - column)] for gap, c in zip(gaps, near, strict=True)]
+    return ComparativeLength([one.whisker.length for one in found], signed)
 
 
 #: One line a cue, in the order of the paper's sections.
@@ -118,8 +108,6 @@ def curves(
     Up to the tip for all of them: where a method does not work there its ``outcome`` says why.
     With `identity` the neighbours of `neighbours` are the real ones.
     """
-    import pandas as pd
-
     tables = []
     for name, cue in (CUES | {ARRAY: neighbours(whisker, identity)}).items():
         r = np.linspace(0.03, 0.97, points) * whisker.length
@@ -135,17 +123,12 @@ def curves(
 FAILING: dict[str, Cue] = {
     **{
         name: CUES[name]
-        for name in (
-            "whisker length (a)",
-            ARRAY,
-            "angle-side-angle (c)",
-            "contact and detachment (c)",
-            "moment and axial force (f)",
-            "balance of moments (h)",
-        )
+        for name in ("whisker length (a)", ARRAY, "angle-side-angle (c)",
+                     "contact and detachment (c)", "moment and axial force (f)",
+                     "balance of moments (h)")
     },
     "vibration, 6 damped modes (d)": Vibration(6, damping_ratio=0.2),
-}
+}  # fmt: skip
 
 
 def outcomes(
@@ -161,8 +144,6 @@ def outcomes(
     A row for each cue, distance (to a fifth beyond the tip) and `Outcome`: its ``share`` of the
     readings, or 1 where there is no reading.
     """
-    import pandas as pd
-
     rng, tables = np.random.default_rng(seed), []
     r = np.linspace(0.03, 1.2, points) * whisker.length
     for name, cue in (FAILING | {ARRAY: neighbours(whisker, identity)}).items():
@@ -189,8 +170,6 @@ def best(points: int, *, whisker: Whisker = WHISKER) -> pd.DataFrame:
     The name of the least is ``best``; ``limit_deg`` is the largest deflection at that distance,
     ``beyond`` what becomes of a contact beyond it, and ``share`` the deflection over the limit.
     """
-    import pandas as pd
-
     r = np.linspace(0.03, 0.99, points) * whisker.length
     share = np.linspace(0.02, 0.99, points)
     limit = np.asarray(flick_past(whisker, r).deflection_angle)
@@ -223,10 +202,6 @@ RIDGE = (0.5, 0.3)
 
 def ridge(draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED) -> pd.DataFrame:
     """Draws from the posterior of one reading of M and Fx, tapered and cylindrical; its status."""
-    import pandas as pd
-
-    from .posterior import Status
-
     tables = []
     for name, shape in (("tapered", whisker), ("cylinder", whisker.cylinder())):
         observer = Observer(shape, ForceMap(), Weber(0.03))
@@ -279,16 +254,14 @@ def surface(
     """
     import pandas as pd
 
-    r = np.linspace(0.02, 0.99, points) * whisker.length
-    limit = np.asarray(flick_past(whisker, r).deflection_angle)
     # Close to the limit the slopes vary fast: angles stand denser there.
     share = np.sin(0.5 * np.pi * np.linspace(0.002, 0.998, points))
-    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * share), axis=-1)
+    contact, angle = _up_to_the_fold(whisker, np.linspace(0.02, 0.99, points), share)
     columns = {
         "radial_distance": contact[..., 0],
         "deflection_angle": contact[..., 1],
         "jnd": weber_propagation(observer(k_moment, k_force, whisker=whisker), contact),
-        "contact_angle": press(whisker, contact[..., 0], contact[..., 1]).contact_angle,
+        "contact_angle": angle,
     }
     if min(k_moment, k_force) < 1e-6 * max(k_moment, k_force):
         slopes = elastica.signal_jacobian(whisker, contact[..., 0], contact[..., 1])[..., 1]
@@ -298,6 +271,29 @@ def surface(
     return with_units(table, [name for name in columns if name not in angles], angles)
 
 
+def posterior_surface(
+    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
+) -> pd.DataFrame:
+    """Figure 4b's surface by full posteriors, with noise in both signals alike.
+
+    As `surface`, with the columns of a `JNDCurve`'s table; 30 × 30 contacts of 100 readings take
+    some 10 s of one core.
+    """
+    places, shares = np.linspace(0.05, 0.97, points), np.linspace(0.005, 0.98, points)
+    contact, angle = _up_to_the_fold(whisker, places, shares)
+    noisy, (r, theta) = observer(K, K, whisker=whisker), np.moveaxis(contact, -1, 0)
+    table = jnd_curve(noisy, r, theta, n_readings=draws, seed=seed).table.reset_index()
+    return table.assign(jnd_mm=table["posterior_mm"], contact_angle_deg=np.degrees(angle).ravel())
+
+
+def _up_to_the_fold(whisker: Whisker, places: Array, shares: Array) -> tuple[Array, Array]:
+    """Contacts (P, S, 2) at places over L and shares of the largest deflection; their angles."""
+    r = places * whisker.length
+    limit = np.asarray(flick_past(whisker, r).deflection_angle)
+    contact = np.stack(np.broadcast_arrays(r[:, None], limit[:, None] * shares), axis=-1)
+    return contact, press(whisker, contact[..., 0], contact[..., 1]).contact_angle
+
+
 def false_zero(
     draws: int, degrees: Array | None = None, *, whisker: Whisker = WHISKER, seed: int = SEED
 ) -> pd.DataFrame:
@@ -305,36 +301,33 @@ def false_zero(
 
     A noise of 0.003 in the moment, which still has posteriors.
     """
-    limit = np.degrees(float(flick_past(whisker, PLACE * whisker.length).deflection_angle))
     share = np.array([0.08, 0.2, 0.33, 0.45, 0.57, 0.7, 0.77, 0.81, 0.85, 0.875, 0.915, 0.955])
-    theta = np.radians(limit * share if degrees is None else degrees)
-    place = PLACE * whisker.length
+    theta = share * _last_angle(whisker) if degrees is None else np.radians(degrees)
     noisy = observer(0.003, K, whisker=whisker)
-    curve = jnd_curve(noisy, place, theta, n_readings=draws, seed=seed)
-    contact = np.stack([np.full(theta.size, place), theta], axis=-1)
-    linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
+    curve = jnd_curve(noisy, PLACE * whisker.length, theta, n_readings=draws, seed=seed)
     kept = ["fisher_mm", "posterior_mm", "posterior_error_mm", "unreliable"]
-    table = curve.table.reset_index("deflection_angle_deg").reset_index(drop=True)
-    table.insert(1, "linear_jnd_mm", 1e3 * linear)
-    return table[["deflection_angle_deg", "linear_jnd_mm", *kept]]
+    return _linear(whisker, theta).join(curve.table.reset_index()[kept])
 
 
 def linear_between(*, whisker: Whisker = WHISKER) -> pd.DataFrame:
     """The linear JND of `false_zero` at deflections in between, up to flick-past."""
-    import pandas as pd
+    return _linear(whisker, np.linspace(0.04, 0.99, 400) * _last_angle(whisker))
 
-    place = PLACE * whisker.length
-    limit = float(flick_past(whisker, place).deflection_angle)
-    theta = np.linspace(0.04, 0.99, 400) * limit
-    contact = np.stack([np.full(theta.size, place), theta], axis=-1)
+
+def _last_angle(whisker: Whisker) -> float:
+    """Deflection at which it flicks past where the false zero is shown, rad."""
+    return float(flick_past(whisker, PLACE * whisker.length).deflection_angle)
+
+
+def _linear(whisker: Whisker, theta: Array) -> pd.DataFrame:
+    """The linear JND there, with noise in the axial force alone."""
+    contact = np.stack([np.full(theta.size, PLACE * whisker.length), theta], axis=-1)
     linear = weber_propagation(observer(NONE, K, whisker=whisker), contact)
     return pd.DataFrame({"deflection_angle_deg": np.degrees(theta), "linear_jnd_mm": 1e3 * linear})
 
 
 def gain() -> pd.DataFrame:
     """JNDs as the noise of k_F = 2k_M becomes one gain: at small angle and at 10 degrees."""
-    import pandas as pd
-
     r = 0.5 * WHISKER.length
     contact = np.array([[r, 1e-4], [r, np.radians(10.0)]])
     rows = []

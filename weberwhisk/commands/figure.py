@@ -128,6 +128,14 @@ def figure_4b(asked: Asked) -> Made:
     return _made("figure-4b", table, drawn)
 
 
+def jnd_surface(asked: Asked) -> Made:
+    """figure 4b's surface by full posteriors, with noise in both signals (10 s)"""
+    points, draws = 10 if asked.short else 30, min(asked.readings(), 100)
+    table = surveys.posterior_surface(points, draws, whisker=asked.whisker, seed=asked.seed)
+    drawn = ww.figures.jnd_surface(table, length=asked.whisker.length, weber_fraction=surveys.K)
+    return _made("jnd-surface", table, drawn)
+
+
 def along_push(asked: Asked) -> Made:
     """JND of distance against push, for pegs, cylinders and a wall: it depends on slip (§3c)"""
     push = np.radians(np.arange(2.0, 31.0, 7.0 if asked.short else 0.5))
@@ -229,9 +237,9 @@ def _level_array(asked: Asked, protraction: float) -> ww.WhiskerArray:
 CHARTS: dict[str, Callable[[Asked], Made]] = {
     make.__name__.replace("_", "-"): make
     for make in (
-        cues, outcomes, best_cue, ridge, information, figure_4a, figure_4b, weber_2d, along_push,
-        lateral_sweep, touches, jnd_limits, reversal, whisking_speed, array_resolution,
-        array_counts,
+        cues, outcomes, best_cue, ridge, information, figure_4a, figure_4b, jnd_surface, weber_2d,
+        along_push, lateral_sweep, touches, jnd_limits, reversal, whisking_speed,
+        array_resolution, array_counts,
     )
 }  # fmt: skip
 
