@@ -232,9 +232,7 @@ def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
             frame_rate=20.0 * per, whisking_hz=20.0, deflection=0.25, missing=0.0, seed=200 + seed,
         )  # fmt: skip
         video[["frame", "x", "y"]].explode(["x", "y"]).to_csv(tmp_path / "video.csv")
-        video = ww.read_tracking(
-            tmp_path / "video.csv", pixels_per_mm=20, frame_rate=20.0 * per
-        )
+        video = ww.read_tracking(tmp_path / "video.csv", pixels_per_mm=20, frame_rate=20.0 * per)
         signals = ww.tracked_signals(video, whisker)
         whisk = signals["frame"].to_numpy() // per
         for name in ("session", "trial", "interval"):
