@@ -64,6 +64,39 @@ def test_measurement_errors_alone_are_the_likelihood() -> None:
     assert (both["sd_mm"] > found["sd_mm"]).all()
 
 
+def test_ridges_of_precise_readings_and_an_unknown_stiffness_are_whole() -> None:
+    """A midpoint sum of r and θ, the stiffness by its own Gaussian: parts of ridges were missed."""
+    r, theta = np.array([3.02e-3, 3.26e-3, 9.8e-3, 3.5e-3]), np.radians([19.9, 23.1, 22.1, 6.1])
+    b = ww.press(KNOWN, r, theta)
+    y = np.stack([b.moment, b.transverse_force], axis=1)
+    sd = y * [[0.025, 0.004], [0.011, 0.005], [0.07, 0.011], [0.025, 0.015]]
+    y = y * 1.1 + sd * [[0.5, -0.3], [-1.0, 0.2], [1.0, -1.0], [0.3, 1.2]]
+    table = pd.DataFrame(y, columns=["moment", "transverse_force"])
+    table[["moment_sd", "transverse_force_sd"]] = sd
+    found = ww.locate(table, C2)
+    observer = ww.Observer(C2, ww.cues.ForceMap(["moment", "transverse_force"]))
+    prior = ww.Observer(C2, SOFT).prior["stiffness"]
+    low, high = observer.reach
+    u = (np.arange(700) + 0.5) / 700
+    near = low + (high - low) * u**2  # r at even steps of its root
+    limit = np.asarray(ww.flick_past(C2, near).deflection_angle)
+    contact = np.stack(np.broadcast_arrays(near[:, None], limit[:, None] * u**2), axis=-1)
+    signals = observer.signals(contact)[0]
+    weight = u[:, None] * u * observer.distance_prior(near)[:, None]
+    for i in range(len(r)):
+        inverse = sd[i] ** -2
+        precision = (signals**2 * inverse).sum(axis=-1)
+        middle = (signals * y[i] * inverse).sum(axis=-1) / precision
+        off = ((y[i] - middle[..., None] * signals) ** 2 * inverse).sum(axis=-1)
+        density = np.exp(-0.5 * off) / np.sqrt(precision) * prior.pdf(middle) * weight
+        mass = np.nan_to_num(density).sum(axis=1)
+        mass /= mass.sum()
+        mean = 1e3 * mass @ near
+        spread = np.sqrt(mass @ (1e3 * near - mean) ** 2)
+        assert abs(found.loc[i, "radial_distance_mm"] - mean) < 0.02 * spread, i
+        assert found.loc[i, "sd_mm"] == pytest.approx(spread, rel=0.02), i
+
+
 def test_own_names_units_signs_and_index() -> None:
     b = ww.press(KNOWN, [10e-3, 20e-3, 25e-3], [0.2, 0.3, 0.2])
     plain = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})
@@ -167,8 +200,7 @@ def _touch_readings(cue: ww.cues.Cue, seed: int, k: float) -> tuple[float, Latti
 def test_a_touch_is_the_product_over_a_shared_distance_and_stiffness(soft: bool, k: float) -> None:
     """Brute force on a plain grid of r, θ and E, with the angles' span as the touch has it."""
     _, lattice, readings = _touch_readings(SOFT if soft else ww.cues.ForceMap(), 4, k)
-    clouds = lattice.clouds(readings)
-    found = touch_posterior(clouds, readings, 0.95)
+    found = touch_posterior([(lattice, readings)], (-np.inf, np.inf), 0.95)
     observer = lattice.observer
     r = np.linspace(max(0.02 * C2.length, found.mean - 8 * found.sd),
                     min(0.9995 * C2.length, found.mean + 8 * found.sd), 121)  # fmt: skip

@@ -85,11 +85,15 @@ def _touches(
     theta = rng.uniform(0.1, 0.7, true.shape) * ww.flick_past(whisker, true).deflection_angle
     contact = np.stack([true, theta], axis=-1)
     y = Readings(lattice.observer.read(contact, rng))
-    found = []
-    for i, cloud in enumerate(lattice.clouds(y)):
-        log = lattice.evidence(y.take([i]), cloud.cells.signals)[0] + cloud.cells.log_prior
-        mass = np.add.reduceat(np.exp(log - log.max()), cloud.first)
-        found.append((distances(lattice.observer, cloud.layers), mass / mass.sum()))
+    found = [(np.zeros(0), np.zeros(0))] * len(true)
+    for cells in lattice.search(y, np.full(len(true), 23.0)):
+        ends = np.append(cells.first, len(cells.owner))
+        for i, row in enumerate(cells.rows):
+            own = slice(ends[i], ends[i + 1])
+            mass = np.bincount(cells.layer[own] - cells.layer[own].min(), np.exp(
+                cells.log[own] - cells.log[own].max()))  # fmt: skip
+            x = (cells.layer[own].min() + 0.5 + np.arange(len(mass))) * cells.step[0]
+            found[row] = (distances(lattice.observer, x), mass / mass.sum())
     return found
 
 

@@ -1,20 +1,24 @@
-"""Posteriors of many measured contacts: sums over a lattice in the observer's own coordinates.
+"""Posteriors of many measured contacts: sums over lattices in the observer's own coordinates.
 
 Rows of a table of contacts may each have a measurement error, and those of one touch share distance
 and stiffness while the deflection angle moves. So what is wanted is the evidence of each row over
 both, the angle summed out; and intervals of every row at the cost of its mean.
 
-Rows whose readings are alike share a set of cells. It starts from all contacts at a coarse spacing;
-cells that could explain the reading, were it as uncertain as the signals vary across a cell, are
-split along the coordinates in which signals change by more than 1.9 sd. The coordinates have
-no edges, so that sums over a lattice (the trapezoidal rule) converge as they do for a Gaussian.
-A stiffness that scales signals is integrated at each cell by Gauss and Hermite's rule.
+A row's cells start from all contacts at a coarse spacing; cells that could explain the reading,
+were it as uncertain as the signals vary across a cell, are split along the coordinates in which
+signals change by more than 1.9 sd. The coordinates have no edges, so that sums over a lattice (the
+trapezoidal rule) converge as they do for a Gaussian. A stiffness that scales signals is integrated
+at each cell by Gauss and Hermite's rule.
+
+Cells are the same for all rows: each is found once, when a row first asks for it, and pairs of a
+row and a cell are weighed many rows at a time. Arrays of pairs have one signal after the other in
+memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -31,74 +35,67 @@ Index = NDArray[np.intp]
 
 
 class Readings(NamedTuple):
-    """Readings (n, S), and the covariances (n, S, S) of their measurement errors where known."""
+    """Readings (n, S), and the covariances (n, S, S) of their measurement errors where known.
+
+    By `to_white`, in units in which these are independent and 1, where there is no other noise.
+    """
 
     value: Array
     covariance: Array | None = None
+    to_white: Array | None = None
 
     def take(self, rows: Any) -> Readings:
         """Some of them."""
-        covariance = None if self.covariance is None else self.covariance[rows]
-        return Readings(self.value[rows], covariance)
+        value, *errors = (None if part is None else _taken(part, rows) for part in self)
+        return Readings(np.asarray(value), *errors)
 
 
-class LatticeCells(NamedTuple):
-    """Cells of a lattice: what it takes to hold them against readings.
+def _taken(values: Array, rows: Any) -> Array:
+    return np.asarray(values.T[..., rows].T)
 
-    Places in lattice steps (N, U), contacts (N, U), signals (N, S), ln of the prior density in x
-    (N,), and by how much signals change across each cell (U, N, S).
+
+class Cells(NamedTuple):
+    """Cells from which some rows may come, of one spacing: (P,) in all, row after row.
+
+    Rows (n,), where the cells of each begin, steps (U,) in x, whether each row's are as fine as
+    they should be; of each cell its row's number among the n, its place along the distance, its
+    contact (P, U), signals (P, S), ln of the prior density in x, and of the row's density.
     """
 
-    place: Index
+    rows: Index
+    first: Index
+    step: Array
+    precise: NDArray[np.bool_]
+    owner: Index
+    layer: Index
     contact: Array
     signals: Array
     log_prior: Array
-    change: Array
-
-    def take(self, some: Any) -> LatticeCells:
-        """Some of them."""
-        change = self.change[:, some] if len(self.change) else self.change
-        return LatticeCells(
-            self.place[some], self.contact[some], self.signals[some], self.log_prior[some], change
-        )
+    log: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """The cells from which alike readings may come, by distance; their steps (U,) in x.
+@dataclass(eq=False)
+class _Level:
+    """Cells of one spacing, found so far, a column each: place, contact, signals, prior, change.
 
-    `precise` says whether the lattice is as fine as it should be.
+    By `children`, the first of the cells into which each is split along some axes.
     """
 
-    cells: LatticeCells
     step: Array
-    precise: bool
-    lattice: Lattice
+    data: Array
+    count: int
+    depth: int = 0
+    children: dict[tuple[bool, ...], tuple[_Level, Index]] = field(default_factory=dict)
 
-    @cached_property
-    def first(self) -> Index:
-        """Where cells of another distance begin."""
-        place = self.cells.place[:, 0]
-        return np.flatnonzero(np.diff(place, prepend=place[0] - 1))
-
-    @cached_property
-    def layers(self) -> Array:
-        """Coordinates x of the distances."""
-        return np.asarray(self.cells.place[self.first, 0] * self.step[0])
-
-    @cached_property
-    def share(self) -> Array:
-        """How far up to the fold the angle of each cell goes, 0 where its prior is given."""
-        observer, contact = self.lattice.observer, self.cells.contact
-        if observer.bounded < 2 or "deflection_angle" in observer.prior:
-            return np.zeros(len(contact))
-        low, width = observer.angle_range(contact[:, 0])
-        return np.asarray((contact[:, 1] - low) / width)
-
-    @cached_property
-    def log_prior(self) -> Array:
-        """ln of the prior density of each distance in x."""
-        return log_prior_of_distance(self.lattice.observer, self.layers)
+    def add(self, columns: Array) -> int:
+        """Keep more cells; the number of the first."""
+        first, self.count = self.count, self.count + columns.shape[1]
+        if self.count > self.data.shape[1]:
+            more = np.empty((len(self.data), 2 * self.count))
+            more[:, :first] = self.data[:, :first]
+            self.data = more
+        self.data[:, first : self.count] = columns
+        return first
 
 
 def distances(observer: Observer, x: Array) -> Array:
@@ -115,7 +112,7 @@ def log_prior_of_distance(observer: Observer, x: Array) -> Array:
 
 
 class Lattice:
-    """The lattice of an observer, whose cue may be an `UnknownStiffness`.
+    """The lattices of an observer, whose cue may be an `UnknownStiffness`.
 
     Without receptors readings have their measurement errors alone; cells for touches resolve
     distance and angle at each stiffness.
@@ -135,55 +132,84 @@ class Lattice:
             prior = {name: p for name, p in observer.prior.items() if name != "stiffness"}
             observer = replace(observer, cue=observer.cue.cue, prior=prior)
         self.observer = observer
-        self.unknowns = len(observer.unknowns)
+        self.unknowns, self.size = len(observer.unknowns), len(observer.cue.signal_names)
         # The tails of strong Weber noise are wide: with k = 0.3 errors were 0.04 sd by plain nodes.
-        strong = max(observer.noise.weber_fractions(len(observer.cue.signal_names))) > 0.15
+        strong = max(observer.noise.weber_fractions(self.size)) > 0.15
         nodes, weights = np.polynomial.hermite_e.hermegauss(11 if strong else 7)
         wider = 1.4 if strong else 1.15
         self._nodes, self._log_weights = wider * nodes, np.log(wider * weights) + nodes**2 / 2
 
     # -- likelihood ----------------------------------------------------------------------------
 
-    def variance(self, readings: Readings, signals: Array) -> Array:
-        """Variances (..., S) of readings (..., S) of signals (..., S)."""
-        out = np.zeros(np.broadcast_shapes(readings.value.shape, signals.shape))
-        if self.with_receptors:
-            out += self.observer.noise.sd(signals) ** 2
-        if readings.covariance is not None:
-            out += np.diagonal(readings.covariance, axis1=-2, axis2=-1)
-        return out
-
     def log_likelihood(self, readings: Readings, signals: Array) -> Array:
-        """ln p (n, ...) of readings (n, S) at signals (n or 1, ..., S)."""
-        own = (len(readings.value), *(1,) * (signals.ndim - 2))
-        y = readings.value.reshape(*own, -1)
+        """ln p (P, ...) of readings (P, S) at signals (P, ..., S)."""
+        y = readings.value
+        y = y.reshape(len(y), *(1,) * (signals.ndim - 2), self.size)
         if readings.covariance is None:
             return self.observer.noise.log_likelihood(y, signals)
-        root = np.linalg.cholesky(self.covariance(readings, signals))
-        z = _whitened(np.linalg.inv(root), y - self.observer.noise.mean(signals))
-        log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-        return -0.5 * (z**2).sum(axis=-1) - log_sd - 0.5 * y.shape[-1] * np.log(2 * np.pi)
+        z, log_sd = self._whitened(readings, signals, y - self.observer.noise.mean(signals))
+        out = -0.5 * self.size * np.log(2 * np.pi) - log_sd
+        for each in z:
+            out = out - 0.5 * each * each
+        return out
 
     def covariance(self, readings: Readings, signals: Array) -> Array:
-        """Covariances (n, ..., S, S) of readings (n, S) at signals (n or 1, ..., S)."""
-        assert readings.covariance is not None
-        own, size = (len(readings.value), *(1,) * (signals.ndim - 2)), signals.shape[-1]
-        total = readings.covariance.reshape(*own, size, size)
-        return total + self.observer.noise.covariance(signals) if self.with_receptors else total
+        """Covariances (P, ..., S, S) of readings (P, S) at signals (P, ..., S)."""
+        if readings.covariance is None:  # laws that are no Gaussian's have no correlations
+            sd = np.maximum(self.observer.noise.sd(signals), 1e-300)
+            return sd[..., None] ** 2 * np.eye(self.size)
+        size = self.size
+        own = readings.covariance.reshape(-1, *(1,) * (signals.ndim - 2), size, size)
+        return own + self.observer.noise.covariance(signals) if self.with_receptors else own
+
+    def _whitened(self, readings: Readings, signals: Array, *values: Array) -> tuple[Any, Array]:
+        """Values (P, ..., S) in units in which errors are independent and 1; ln √|covariance|.
+
+        A list of the S (P, ...) for each. By Cholesky's root, an element after the other.
+        """
+        size = self.size
+        if readings.to_white is not None:
+            white = readings.to_white.reshape(-1, *(1,) * (signals.ndim - 2), size, size)
+            white_values: Any = [
+                [sum(white[..., i, j] * value[..., j] for j in range(i + 1)) for i in range(size)]
+                for value in values
+            ]
+            return (white_values if len(values) > 1 else white_values[0]), np.zeros(())
+        c = self.covariance(readings, signals)
+        out: list[list[Array]] = [[] for _ in values]
+        root: list[list[Array]] = []
+        log_sd: Any = 0.0
+        for i in range(size):
+            row: list[Array] = []
+            for j in range(i + 1):
+                part = c[..., i, j]
+                for k in range(j):
+                    part = part - row[k] * (root[j][k] if j < i else row[k])
+                row.append(np.sqrt(part) if i == j else part / root[j][j])
+            root.append(row)
+            log_sd = log_sd + np.log(row[i])
+            for done, value in zip(out, values, strict=True):
+                left = value[..., i]
+                for j in range(i):
+                    left = left - row[j] * done[j]
+                done.append(left / row[i])
+        return (out if len(values) > 1 else out[0]), log_sd
 
     def match(self, readings: Readings, signals: Array) -> tuple[Array, Array]:
-        """ln of the stiffness (n, N) that brings signals (N, S) nearest to readings, and its sd."""
+        """ln of the stiffness (P,) that brings signals (P, S) nearest to readings, and its sd."""
         assert self.soft is not None
-        y = readings.value[:, self.soft]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            known = y**2 / self.variance(readings, readings.value)[:, self.soft]
-            ratio = y[:, None] / signals[:, self.soft]
-            usable = (ratio > 0) & np.isfinite(ratio) & np.isfinite(known[:, None])
-            weight = np.where(usable, known[:, None], 0.0)
-            pull = np.where(usable, weight * np.log(np.where(usable, ratio, 1.0)), 0.0)
-        precision = self.log_sd**-2
-        total = weight.sum(axis=-1) + precision
-        return (pull.sum(axis=-1) + precision * self.log_median) / total, total**-0.5
+        variance = np.diagonal(self.covariance(readings, readings.value), axis1=-2, axis2=-1)
+        total: Any = self.log_sd**-2
+        pull: Any = self.log_median * total
+        for i in np.flatnonzero(self.soft):
+            y, s = readings.value[:, i], signals[:, i]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = y / s
+                usable = (ratio > 0) & np.isfinite(ratio)
+                weight = np.where(usable, y**2 / variance[:, i], 0.0)
+                pull = pull + weight * np.log(np.where(usable, ratio, 1.0))
+            total = total + weight
+        return pull / total, total**-0.5
 
     def scaled(self, signals: Array, log_stiffness: Array) -> Array:
         """Signals (..., S) at another stiffness (...)."""
@@ -191,22 +217,19 @@ class Lattice:
         scale = np.exp(log_stiffness)[..., None]
         return signals * (scale if self.soft.all() else np.where(self.soft, scale, 1.0))
 
-    def evidence(self, readings: Readings, signals: Array) -> Array:
-        """ln p (n, N) of readings at cells' signals (N, S), the stiffness integrated."""
+    def evidence(self, readings: Readings, row: Index, signals: Array) -> Array:
+        """ln p (P,) of the readings of rows (P,) at signals (P, S), the stiffness integrated."""
         if self.soft is None:
-            if readings.covariance is None:
-                return np.asarray(self.observer.noise.log_likelihoods(readings.value, signals))
-            return self.log_likelihood(readings, signals[None])
-        out = np.empty((len(readings.value), len(signals)))
-        some = 1 + 4096 // len(signals)  # at a time: their arrays stay in the cache
-        for rows in (slice(i, i + some) for i in range(0, len(out), some)):
-            own = readings.take(rows)
-            middle, sd = self.match(own, signals)
-            log_e = middle[..., None] + sd[..., None] * self._nodes
-            log = self.log_likelihood(own, self.scaled(signals[None, :, None], log_e))
-            log += self.log_prior_of_stiffness(log_e) + self._log_weights
-            top = np.maximum(log.max(axis=-1), -1e300)
-            out[rows] = top + np.log(np.exp(log - top[..., None]).sum(axis=-1)) + np.log(sd)
+            return self.log_likelihood(readings.take(row), signals)
+        out = np.empty(len(row))
+        for some in (slice(i, i + 4096) for i in range(0, len(out), 4096)):  # the cache's size
+            own = readings.take(row[some])
+            middle, sd = self.match(own, signals[some])
+            log_e = middle + sd * self._nodes[:, None]
+            log = self.log_likelihood(own, self.scaled(signals[some, None], log_e.T)).T
+            log = log + self.log_prior_of_stiffness(log_e) + self._log_weights[:, None]
+            top = np.maximum(log.max(axis=0), -1e300)
+            out[some] = top + np.log(np.exp(log - top).sum(axis=0)) + np.log(sd)
         return out
 
     def log_prior_of_stiffness(self, log_stiffness: Array) -> Array:
@@ -219,40 +242,23 @@ class Lattice:
     # -- cells ---------------------------------------------------------------------------------
 
     @cached_property
-    def _start(self) -> tuple[LatticeCells, Array]:
-        """The coarse lattice over all contacts, and its steps (U,)."""
+    def _start(self) -> _Level:
+        """The coarse lattice over all contacts."""
         ends = self.observer.space.spread(np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7]))
         step = np.full(self.unknowns, 0.5)
         axes = [
             np.arange(np.floor(a / h), np.ceil(b / h) + 1)
             for a, b, h in zip(ends.min(axis=0), ends.max(axis=0), step, strict=True)
         ]
-        grid = np.meshgrid(*axes, indexing="ij")
-        place = np.stack([a.ravel() for a in grid], axis=-1).astype(np.intp)
-        return self._cells([(place, step, True)])[0], step
-
-    def _cells(self, wanted: Sequence[tuple[Index, Array, bool]]) -> list[LatticeCells]:
-        """Cells held at places (N, U) in steps (U,), with their changes or without, in one go."""
-        axes = np.eye(self.unknowns)
-        x = [
-            place * step + aside
-            for place, step, changes in wanted
-            for aside in (0.0 * step, *(1e-3 * step * axes if changes else ()))
-        ]
-        ends = np.cumsum([len(part) for part in x])[:-1]
-        found = self._at(np.concatenate(x))
-        parts = zip(*(np.split(values, ends) for values in found), strict=True)
-        out = []
-        for place, _, changes in wanted:
-            contact, signals, log_prior = next(parts)
-            change = np.zeros((self.unknowns if changes else 0, *signals.shape))
-            for d in range(len(change)):
-                _, moved, still = next(parts)
-                both = np.isfinite(still) & np.isfinite(log_prior)
-                change[d] = np.where(both[:, None], (moved - signals) / 1e-3, 0.0)
-            cells = LatticeCells(place, contact, signals, log_prior, change)
-            out.append(cells.take(np.isfinite(log_prior)))
-        return out
+        place = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
+        contact, signals, log_prior = self._at((place + 0.5) * step)
+        change = np.zeros((self.unknowns, self.size, len(place)))
+        for d in range(self.unknowns):
+            _, moved, still = self._at((place + 0.5 + 1e-3 * np.eye(self.unknowns)[d]) * step)
+            both = np.isfinite(still) & np.isfinite(log_prior)
+            change[d] = np.where(both[:, None], (moved - signals) / 1e-3, 0.0).T
+        data = _columns(place, contact, signals, log_prior, change)[:, np.isfinite(log_prior)]
+        return _Level(step, data, data.shape[1])
 
     def _at(self, x: Array) -> tuple[Array, Array, Array]:
         """Contacts, signals (0 where not held) and ln of the prior in x, −inf where not held."""
@@ -261,109 +267,194 @@ class Lattice:
         held = (outcome == Outcome.HELD) & np.isfinite(log_prior)
         return contact, np.where(held[:, None], signals, 0.0), np.where(held, log_prior, -np.inf)
 
-    def clouds(
-        self, readings: Readings, most: int = 60_000, drop: float = 23.0, widest: float = 1.9
-    ) -> list[Cloud]:
-        """For each of n readings, the cells from which it, and those within 1 sd of it, may come.
+    def _children(
+        self, level: _Level, wide: tuple[bool, ...], cells: Index
+    ) -> tuple[_Level, Index]:
+        """Cells (P,) of a level split along the wide axes: their level, and the first of each's."""
+        unknowns, size, shape = self.unknowns, self.size, tuple(1 + w for w in wide)
+        parts = int(np.prod(shape))
+        child, first = level.children.get(wide) or (
+            _Level(level.step / shape, np.empty((len(level.data), 0)), 0, level.depth + 1),
+            np.zeros(0, dtype=np.intp),
+        )
+        first = np.append(first, np.full(level.count - len(first), -1))
+        new = np.unique(cells[first[cells] < 0])
+        if new.size:
+            halves = np.indices(shape).reshape(unknowns, -1)
+            place = level.data[:unknowns, new, None] * np.array(shape)[:, None, None]
+            place = (place + halves[:, None]).reshape(unknowns, -1).T
+            contact, signals, log_prior = self._at((place + 0.5) * child.step)
+            # From a half to the other; where one is not held, half of what it was.
+            before = level.data[-unknowns * size :, new].reshape(unknowns, size, -1)
+            change = np.repeat(before / np.array(shape)[:, None, None], parts, axis=2)
+            grid, held = (v.reshape(*v.shape[:-1], -1, *shape)
+                          for v in (signals.T, np.isfinite(log_prior)))  # fmt: skip
+            for d in np.flatnonzero(wide):
+                axis = d - unknowns
+                rise = np.diff(grid, axis=axis)
+                both = np.broadcast_to(held.all(axis=axis, keepdims=True), held.shape)
+                rise = np.broadcast_to(rise, grid.shape).reshape(size, -1)
+                change[d] = np.where(both.reshape(-1), rise, change[d])
+            columns = _columns(place, contact, signals, log_prior, change)
+            first[new] = child.add(columns) + parts * np.arange(len(new))
+        level.children[wide] = child, first
+        return child, first[cells]
 
-        Left out are those whose ln of the density is `drop` below the best: 5 sd beyond readings
-        1 sd from the middle. `widest` is by how many sds signals may change from a cell to the next
-        where the density is highest. Signals of some hundred cells cost what the calls cost, so
-        that readings are taken together.
+    def search(
+        self, readings: Readings, drop: Array, within: tuple[float, float] | None = None,
+        most: int = 60_000, widest: float = 1.9,
+    ) -> Iterator[Cells]:  # fmt: skip
+        """For each of n readings, the cells from which it may come, rows of one spacing together.
+
+        Left out are those whose ln of the density is `drop` (n,) below the best, and distances that
+        are not `within` coordinates. `widest` is by how many sds signals may change from a cell to
+        the next where the density is highest.
         """
-        every = [self._start] * len(readings.value)
-        precise = np.zeros(len(every), dtype=bool)
-        left = list(range(len(every)))
-        for _ in range(14):
-            wanted = {}
-            for i in left:
-                cells, step = every[i]
-                log, lengths = self._tempered(readings.take([i]), cells, step)
-                kept, wide = log > log.max() - 1.2 * drop, lengths > widest
-                precise[i] = not wide.any()
-                if precise[i] or kept.sum() * 2 ** int(wide.sum()) > most:
+        if sum(level.count for level in self._levels()) > 1_500_000:  # what memory holds
+            self._start.children.clear()
+        start, n = self._start, len(readings.value)
+        if readings.covariance is not None and not self.with_receptors:
+            root = np.linalg.cholesky(readings.covariance)
+            readings = readings._replace(to_white=np.linalg.inv(root))
+        todo = [(start, np.repeat(np.arange(n), start.count), np.tile(np.arange(start.count), n),
+                 np.zeros(n, dtype=bool))]  # fmt: skip
+        while todo:
+            level, row, cell, last = todo.pop()
+            if within is not None:
+                x = (level.data[0, cell] + 0.5) * level.step[0]
+                room = 3 * level.step[0]  # for splines
+                near = (x > within[0] - room) & (x < within[1] + room)
+                row, cell = row[near], cell[near]
+                if not row.size:
                     continue
-                step = np.where(wide, step / 2, step)
-                halves = np.array(np.meshgrid(*[[0, 1] if w else [0] for w in wide], indexing="ij"))
-                place = np.where(wide, 2, 1) * cells.place[kept, None]
-                place = (place + halves.reshape(self.unknowns, -1).T).reshape(-1, self.unknowns)
-                # Half the step changes signals half as much: where that will do, it is the last.
-                precise[i] = (np.where(wide, lengths / 2, lengths) <= widest).all()
-                wanted[i] = place, step, not precise[i]
-            if not wanted:
-                break
-            for i, cells in zip(wanted, self._cells([*wanted.values()]), strict=True):
-                every[i] = cells, wanted[i][1]
-            left = [i for i in wanted if not precise[i]]
-        out = []
-        for i, (cells, step) in enumerate(every):
-            log = self.evidence(readings.take([i]), cells.signals)[0] + cells.log_prior
-            at = np.flatnonzero(log > log.max() - drop)
-            at = at[np.lexsort(cells.place[at].T[::-1])]
-            out.append(Cloud(cells.take(at), step, bool(precise[i]), self))
-        return out
+            if last.any():
+                yield self._found(readings, level, row, cell, drop, last)
+                continue
+            first = np.flatnonzero(np.diff(row, prepend=-1))
+            rows = row[first]
+            counts = np.diff(first, append=len(row))
+            depth, lengths = self._tempered(readings, level, row, cell, first, counts)
+            kept = depth > -1.2 * drop[row]
+            wide = lengths > widest
+            many = np.add.reduceat(kept, first) * 2 ** wide.sum(axis=0)
+            stop = ~wide.any(axis=0) | (many > most) | (level.depth >= 14)
+            if stop.any():
+                some = kept & np.repeat(stop, counts)
+                precise = np.zeros(n, dtype=bool)
+                precise[rows] = ~wide.any(axis=0)
+                yield self._found(readings, level, row[some], cell[some], drop, precise)
+            # Half the step changes signals half as much: where that will do, it is the last.
+            done = (np.where(wide, lengths / 2, lengths) <= widest).all(axis=0)
+            kinds = np.vstack([wide, done])
+            for kind in np.unique(kinds[:, ~stop], axis=1).T:
+                own = ~stop & (kinds == kind[:, None]).all(axis=0)
+                some = kept & np.repeat(own, counts)
+                pattern = tuple(bool(w) for w in kind[:-1])
+                child, split = self._children(level, pattern, cell[some])
+                parts = 2 ** sum(pattern)
+                last = np.zeros(n, dtype=bool)
+                last[rows[own]] = kind[-1]
+                todo.append((child, np.repeat(row[some], parts),
+                             (split[:, None] + np.arange(parts)).ravel(), last))  # fmt: skip
 
-    def _tempered(self, reading: Readings, cells: LatticeCells, step: Array) -> tuple[Array, Array]:
-        """ln of the density of cells (N,), as blurred as they are wide; their lengths (U,) in sd.
+    def _levels(self) -> Iterator[_Level]:
+        left = [self._start]
+        while left:
+            yield left[-1]
+            left += [child for child, _ in left.pop().children.values()]
+
+    def _found(
+        self, readings: Readings, level: _Level, row: Index, cell: Index, drop: Array,
+        precise: NDArray[np.bool_],
+    ) -> Cells:  # fmt: skip
+        """Cells (P,) of rows (P,) with their densities, but those that are `drop` below."""
+        u, s = self.unknowns, self.size
+        data = level.data[: 2 * u + s + 1, cell]
+        log = self.evidence(readings, row, data[2 * u : -1].T) + data[-1]
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        top = np.maximum.reduceat(log, first)
+        keep = log > np.repeat(top, np.diff(first, append=len(row))) - drop[row]
+        row, data, log = row[keep], data[:, keep], log[keep]
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        rows = row[first]
+        owner = np.repeat(np.arange(len(rows)), np.diff(first, append=len(row)))
+        return Cells(
+            rows, first, level.step, precise[rows], owner, data[0].astype(np.intp),
+            data[u : 2 * u].T, data[2 * u : -1].T, data[-1], log,
+        )  # fmt: skip
+
+    def _tempered(
+        self, readings: Readings, level: _Level, row: Index, cell: Index, first: Index,
+        counts: Index,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """ln of the density of cells (P,), as blurred as they are wide, below each row's best; and
+        their lengths (U, n) in sd.
 
         The lengths are the largest near the top, across the direction in which stiffness moves
         signals: along it there is nothing to resolve but the prior, whose width is 1, about.
         """
-        signals, change, log = cells.signals, cells.change, cells.log_prior
+        u, s = self.unknowns, self.size
+        data = level.data[2 * u :, cell]
+        signals, log = data[:s].T, data[s]
+        change = [data[s + 1 + d * s : s + 1 + (d + 1) * s].T for d in range(u)]
+        own = readings.take(row)
         if self.soft is not None:
-            log_e = self.match(reading, signals)[0][0]
-            log = log - 0.5 * ((log_e - self.log_median) / self.log_sd) ** 2
-            signals, change = self.scaled(signals, log_e), self.scaled(change, log_e)
-        off = reading.value - self.observer.noise.mean(signals)
-        log_sd: Any
-        if reading.covariance is None:
-            sd = np.maximum(np.sqrt(self.variance(reading, signals)), 1e-300)
-            off, change, scale = off / sd, change / sd, signals / sd
-            log_sd = np.log(sd).sum(axis=1)
-        else:  # errors of a row may go together: in units in which they do not
-            root = np.linalg.cholesky(self.covariance(reading, signals))
-            inverse = np.linalg.inv(root)
-            off, change, scale = (_whitened(inverse, v) for v in (off, change, signals))
-            log_sd = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+            log_e = self.match(own, signals)[0]
+            signals = self.scaled(signals, log_e)
+            change = [self.scaled(each, log_e) for each in change]
+        off = own.value - self.observer.noise.mean(signals)
+        (off, along, *steps), log_sd = self._whitened(own, signals, off, signals, *change)
         # Across half a cell each way, and a little more for curvature.
-        spread = np.sqrt(1 + 0.36 * np.abs(change).sum(axis=0) ** 2)
-        log = log - (0.5 * (off / spread) ** 2 + np.log(spread)).sum(axis=1) - log_sd
-        near = log > log.max() - 2.0
-        steps = change[:, near]
-        if self.soft is not None and not self.for_touches:
-            along = np.where(self.soft, scale[near], 0.0)
-            size = (along**2).sum(axis=1) + self.log_sd**-2
-            steps = steps - ((steps * along).sum(axis=2) / size)[..., None] * along
-        return log, np.sqrt((steps**2).sum(axis=2)).max(axis=1) + 5.0 * step
+        product: Any = 1.0
+        for i in range(s):
+            spread = 1 + 0.36 * sum(np.abs(step[i]) for step in steps) ** 2
+            log = log - 0.5 * off[i] ** 2 / spread
+            product = product * spread
+        log = log - 0.5 * np.log(product) - log_sd
+        if self.soft is not None:  # by how much the nearest stiffness changes, too
+            along = [v * soft for v, soft in zip(along, self.soft, strict=True)]
+            size = sum(v**2 for v in along) + self.log_sd**-2
+            turns = [sum(a * b for a, b in zip(step, along, strict=True)) / size for step in steps]
+            spread = self.log_sd**2 + 0.36 * sum(np.abs(turn) for turn in turns) ** 2
+            log = log - 0.5 * (log_e - self.log_median) ** 2 / spread
+        depth = log - np.repeat(np.maximum.reduceat(log, first), counts)
+        near = np.flatnonzero(depth > -2.0)
+        lengths = np.zeros((u, len(row)))
+        for d, step in enumerate(steps):
+            square = sum(v[near] ** 2 for v in step)
+            if self.soft is not None and not self.for_touches:
+                square -= turns[d][near] ** 2 * size[near]
+            lengths[d, near] = np.sqrt(np.maximum(square, 0.0))
+        longest = np.maximum.reduceat(lengths, first, axis=1)
+        return depth, longest + 5.0 * level.step[:, None]
 
-    def alike(self, readings: Readings) -> list[Index]:
-        """Rows in groups: every signal within one sd of that of the first of its group.
+    def alike(self, readings: Readings, most: int = 64) -> list[Index]:
+        """Rows in groups of `most`: every signal within one sd of that of the first of its group.
 
         Where they have measurement errors of their own, in units in which the first one's are
         independent and 1, and these must be alike too.
         """
-        value, covariance = readings
-        if covariance is None:
-            variance = np.maximum(self.variance(readings, value), 1e-300)
-            own = variance[..., None] * np.eye(value.shape[1])
-        else:
-            own = self.covariance(readings, value)
+        value, own = readings.value, self.covariance(readings, readings.value)
         inverse = np.linalg.inv(np.linalg.cholesky(own))
-        far = 1.01 * np.sqrt(value.shape[1] * own[:, -1, -1])
+        far = 1.01 * np.sqrt(self.size * own[:, -1, -1])
         left, groups = np.lexsort(value.T), []
         while left.size:
             first = left[0]
             end = np.searchsorted(value[left, -1], value[first, -1] + far[first], side="right")
             some = left[:end]
-            near = (np.abs(_whitened(inverse[first], value[some] - value[first])) <= 1).all(axis=1)
-            if covariance is not None:
-                errors = inverse[first] @ covariance[some] @ inverse[first].T
+            z = (value[some] - value[first]) @ inverse[first].T
+            near = (np.abs(z) <= 1).all(axis=1)
+            if readings.covariance is not None:
+                errors = inverse[first] @ readings.covariance[some] @ inverse[first].T
                 near &= (np.abs(errors - errors[0]) < 0.25).all(axis=(1, 2))
+            near[np.flatnonzero(near)[most:]] = False
             groups.append(some[near])
             left = np.delete(left, np.flatnonzero(near))
         return groups
 
 
-def _whitened(inverse: Array, values: Array) -> Array:
-    """Values (..., S) in units in which errors are independent and 1, by the roots' inverses."""
-    return np.asarray(np.einsum("...ij,...j->...i", inverse, values))
+def _columns(*parts: Array) -> Array:
+    """Place, contact, signals, ln of the prior (N, …) and change (U, S, N), a row each."""
+    *values, change = parts
+    return np.concatenate([*(v.T.reshape(-1, len(v)) for v in values),
+                           change.reshape(-1, change.shape[-1])])  # fmt: skip

@@ -45,11 +45,11 @@ MEASURED = "measurement_sd_mm"
 
 
 class _Located(NamedTuple):
-    """Numbers of n rows: (n, 6) in the order of `RESULTS`, status, and the cells of each row."""
+    """Numbers of n rows: (n, 6) in the order of `RESULTS`, status, and the ends of densities."""
 
     numbers: Array
     status: NDArray[np.int64]
-    clouds: NDArray[np.object_]
+    between: Array
 
 
 def locate(
@@ -192,13 +192,14 @@ def locate(
     both = (MEASURED,) if covariance is not None and receptors else ()
     found_rows = {name: np.full(len(raw), np.nan) for name in (*RESULTS[:6], *both)}
     status = np.zeros(len(raw), dtype=int)
-    clouds = np.full(len(raw), None, dtype=object)
+    between = np.full((len(raw), 2), np.nan)
+    lattices = np.full(len(raw), None, dtype=object)
     for rows, own in _by_side(side, whisker):
         observer = Observer(own, cue, noise, prior or {})  # type: ignore[arg-type]
         if observer.noise.is_categorical or not observer.noise.reads_signals:
             raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
         check_magnitudes(observer, y[rows], found)
-        lattice = Lattice(observer, with_receptors=receptors, for_touches=named is not None)
+        lattice = Lattice(observer, with_receptors=receptors)
 
         def tell(now: int, _: int, before: int = done) -> None:
             if progress:
@@ -208,7 +209,8 @@ def locate(
         done += len(rows)
         for name, column in zip(RESULTS, located.numbers.T, strict=False):
             found_rows[name][rows] = column
-        status[rows], clouds[rows] = located.status, located.clouds
+        status[rows], between[rows] = located.status, located.between
+        lattices[rows] = Lattice(observer, with_receptors=receptors, for_touches=True)
         if both:
             lattice = Lattice(observer, with_receptors=False)
             alone = _rows(lattice, readings.take(rows), None, keep=False)
@@ -218,7 +220,9 @@ def locate(
     words = {"status": np.array([Status(s).name.lower() for s in status], dtype=object)}
     if named is not None:
         each = np.stack([found_rows[name] for name in RESULTS[:4]], axis=1)
-        numbers, words["touch_status"] = _of_touches(each, clouds, status, readings, named, common)
+        numbers, words["touch_status"] = _of_touches(
+            each, lattices, between, status, readings, named, common
+        )
         found_rows |= dict(zip(TOUCH_RESULTS, numbers.T, strict=False))
     errors = "its measurement errors" if covariance is not None else ""
     ks = dict.fromkeys(observer.noise.weber_fractions(y.shape[1]).tolist())
@@ -275,7 +279,7 @@ def _rows(
     n = len(readings.value)
     numbers = np.full((n, 6), np.nan)
     status = np.full(n, int(Status.NOT_A_READING))
-    clouds = np.full(n, None, dtype=object)
+    between = np.full((n, 2), np.nan)
     finite = np.isfinite(readings.value).all(axis=1)
     if readings.covariance is not None:
         finite &= np.isfinite(readings.covariance).all(axis=(1, 2))
@@ -287,32 +291,29 @@ def _rows(
     prior_sd = _prior_sd(lattice.observer)
     done = n - len(rows)
     groups = lattice.alike(some)
-    batches = (groups[i : i + 16] for i in range(0, len(groups), 16))
-    for group, cloud in (
-        pair
-        for batch in batches
-        for pair in zip(batch, lattice.clouds(some.take([g[0] for g in batch])), strict=True)
-    ):
-        found = summarise(cloud, some.take(group), 0.95)
-        at = rows[group]
-        numbers[at, 0], numbers[at, 1] = found.mean[:, 0], found.sd[:, 0]
-        numbers[at, 2:4] = found.ends
-        if lattice.observer.bounded > 1:
-            numbers[at, 4], numbers[at, 5] = found.mean[:, 1], found.sd[:, 1]
-        own = np.full(len(at), int(Status.CONVERGED))
-        far = found.mean[:, 0] < domain.CONTACTS[0] * lattice.observer.reach[1]
-        own[far | outside] = Status.OUTSIDE_DOMAIN
-        own[found.sd[:, 0] > 0.9 * prior_sd] = Status.UNIDENTIFIED
-        own[found.off > 5] = Status.IMPROBABLE_READING
-        own[~found.precise] = Status.IMPRECISE
-        status[at] = own
-        if keep:
-            clouds[at] = cloud
-        done += len(at)
-        if progress:
-            progress(done, n)
+    for batch in (groups[i : i + 64] for i in range(0, len(groups), 64)):
+        first = some.take([g[0] for g in batch])
+        # Cells that others share, or a touch, are sought farther: 5 sd beyond readings 1 sd off.
+        drop = np.array([23.0 if keep or len(g) > 1 else 16.0 for g in batch])
+        for cells in lattice.search(first, drop):
+            at = rows[np.concatenate([batch[i] for i in cells.rows])]
+            found = summarise(lattice, cells, batch, some, 0.95)
+            numbers[at, 0], numbers[at, 1] = found.mean[:, 0], found.sd[:, 0]
+            numbers[at, 2:4], between[at] = found.ends, found.between
+            if lattice.observer.bounded > 1:
+                numbers[at, 4], numbers[at, 5] = found.mean[:, 1], found.sd[:, 1]
+            own = np.full(len(at), int(Status.CONVERGED))
+            far = found.mean[:, 0] < domain.CONTACTS[0] * lattice.observer.reach[1]
+            own[far | outside] = Status.OUTSIDE_DOMAIN
+            own[found.sd[:, 0] > 0.9 * prior_sd] = Status.UNIDENTIFIED
+            own[found.off > 5] = Status.IMPROBABLE_READING
+            own[~found.precise] = Status.IMPRECISE
+            status[at] = own
+            done += len(at)
+            if progress:
+                progress(done, n)
     numbers *= [1e3, 1e3, 1e3, 1e3, 180 / np.pi, 180 / np.pi]
-    return _Located(numbers, status, clouds)
+    return _Located(numbers, status, between)
 
 
 def _prior_sd(observer: Observer) -> float:
@@ -323,7 +324,7 @@ def _prior_sd(observer: Observer) -> float:
 
 
 def _of_touches(
-    alone: Array, clouds: NDArray[np.object_], status: Array, readings: Readings,
+    alone: Array, lattices: NDArray[np.object_], between: Array, status: Array, readings: Readings,
     named: NDArray[np.object_], common: Array,
 ) -> tuple[Array, NDArray[np.object_]]:  # fmt: skip
     """Numbers (n, 4) of the touch of each row in the order of `TOUCH_RESULTS`, and its status.
@@ -342,7 +343,16 @@ def _of_touches(
         if used.size == 1:
             numbers[rows] = alone[used]
         elif used.size:
-            found = touch_posterior(clouds[used].tolist(), readings.take(used), 0.95)
+            if len({lattice.observer.reach for lattice in lattices[used]}) > 1:
+                raise ValueError(
+                    "A touch has rows from both sides of a curved whisker, which reach differently "
+                    "far at the cue's angle; give the rows of each side a touch of their own."
+                )
+            low, high = between[used, 0].max(), between[used, 1].min()
+            sides = [(one, used[lattices[used] == one]) for one in dict.fromkeys(lattices[used])]
+            found = touch_posterior(
+                [(lattice, readings.take(own)) for lattice, own in sides], (low, high), 0.95
+            )
             own = 1e3 * np.array([found.mean, found.sd, *found.ends])
             more = (common[used] ** 2).mean() * (1 - 1 / used.size)
             wider = np.sqrt(1 + more / own[1] ** 2)

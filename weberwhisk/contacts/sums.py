@@ -8,15 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
+from scipy.sparse import csr_matrix
 from scipy.special import ndtri
 
-from .lattice import Array, Cloud, Readings, distances, log_prior_of_distance
+from .lattice import Array, Cells, Index, Lattice, Readings, distances, log_prior_of_distance
 
 
 class Summary(NamedTuple):
     """Of each of n posteriors: mean and sd (n, U), ends of the interval (n, 2).
 
-    And how many sds the best cell's signals are off, and whether the sums are reliable.
+    And how many sds the best cell's signals are off, whether the sums are reliable, and between
+    which coordinates of the distance (n, 2) there is any density.
     """
 
     mean: Array
@@ -24,53 +26,72 @@ class Summary(NamedTuple):
     ends: Array
     off: Array
     precise: NDArray[np.bool_]
+    between: Array
 
 
-def summarise(cloud: Cloud, readings: Readings, mass: float) -> Summary:
-    """Sums over the cells for each of some alike readings."""
-    lattice, cells = cloud.lattice, cloud.cells
-    log = lattice.evidence(readings, cells.signals)
-    log += cells.log_prior + np.log(cloud.step).sum()
-    top, best = log.max(axis=1, keepdims=True), log.argmax(axis=1)
-    weight = np.exp(log - top)
-    total = weight.sum(axis=1, keepdims=True)
-    weight /= total
-    mean = weight @ cells.contact
-    middle = mean.mean(axis=0)  # off it, squares lose no digits
-    square = weight @ (cells.contact - middle) ** 2 - (mean - middle) ** 2
-    share = np.add.reduceat(weight, cloud.first, axis=1)
+def summarise(
+    lattice: Lattice, found: Cells, groups: Sequence[Index], readings: Readings, mass: float
+) -> Summary:
+    """Sums over the cells of each row, for all rows of its group, group after group."""
+    sizes = np.array([len(groups[i]) for i in found.rows])
+    ends = np.append(found.first[1:], len(found.owner))
+    rows, cell, log = np.concatenate([groups[i] for i in found.rows]), slice(None), found.log
+    counts = np.repeat(ends - found.first, sizes)
+    if len(rows) > len(sizes):
+        begin = np.repeat(found.first, sizes)
+        first = np.cumsum(counts) - counts
+        cell = np.arange(counts.sum()) + np.repeat(begin - first, counts)
+        owner = np.repeat(np.arange(len(rows)), counts)
+        log = lattice.evidence(readings, rows[owner], found.signals[cell]) + found.log_prior[cell]
+    else:
+        first, owner = found.first, found.owner
+    log = log + np.log(found.step).sum()
+
+    def total(values: Array) -> Array:
+        return np.add.reduceat(values, first, axis=0)
+
+    top = np.maximum.reduceat(log, first)
+    weight = np.exp(log - top[owner])
+    weight /= total(weight)[owner]
+    contact, layer = found.contact[cell], found.layer[cell]
+    mean = np.stack([total(weight * c) for c in contact.T], axis=1)
+    square = [total(weight * (c - m[owner]) ** 2) for c, m in zip(contact.T, mean.T, strict=True)]
+    low = np.minimum.reduceat(layer, first)
+    layers = int((layer - low[owner]).max()) + 1
+    share = np.bincount(owner * layers + layer - low[owner], weight, len(rows) * layers)
     tails = np.array([(1 - mass) / 2, (1 + mass) / 2])
-    signals = cells.signals[best]
+    places = low[:, None] + 0.5 + quantiles(np.asarray(share.reshape(-1, layers)), tails)
+    best = np.flatnonzero(log == top[owner])
+    best = best[np.unique(owner[best], return_index=True)[1]]
+    own, signals = readings.take(rows), found.signals[cell][best]
     if lattice.soft is not None:
-        rows = range(len(best))
-        log_e = [lattice.match(readings.take([i]), signals[[i]])[0][0, 0] for i in rows]
-        signals = lattice.scaled(signals, np.array(log_e))
-    off = np.abs(readings.value - signals) / np.sqrt(lattice.variance(readings, signals))
-    ends = distances(lattice.observer, quantiles(share, cloud.layers, tails))
+        signals = lattice.scaled(signals, lattice.match(own, signals)[0])
+    sd = np.sqrt(np.diagonal(lattice.covariance(own, signals), axis1=1, axis2=2))
+    high = np.maximum.reduceat(layer, first)
+    r = distances(lattice.observer, places * found.step[0])
     return Summary(
-        mean, np.sqrt(np.maximum(square, 0)), ends,
-        off.max(axis=1),
-        (weight.max(axis=1) < 0.8) & cloud.precise,
+        mean, np.sqrt(np.stack(square, axis=1)), r,
+        (np.abs(own.value - signals) / sd).max(axis=1),
+        (np.maximum.reduceat(weight, first) < 0.8) & np.repeat(found.precise, sizes),
+        (np.stack([low, high], axis=1) + 0.5) * found.step[0],
     )  # fmt: skip
 
 
-def quantiles(share: Array, x: Array, probability: Array) -> Array:
-    """Quantiles (n, Q) of masses (n, J) on layers at evenly spaced coordinates x (J,).
+def quantiles(share: Array, probability: Array) -> Array:
+    """Quantiles (n, Q) of masses (n, J) on evenly spaced layers, in steps from the first.
 
     Straight between the layers' edges in the probit of the probability: exact for a Gaussian.
     """
-    step = x[1] - x[0] if len(x) > 1 else 1e-3
-    edges = np.append(x - step / 2, x[-1] + step / 2)
+    edges = np.arange(share.shape[1] + 1) - 0.5
     # From values at the middle to integrals over layers.
     bend = np.diff(np.pad(share, ((0, 0), (1, 1))), 2, axis=1)
     rise = np.cumsum(np.maximum(share + bend / 24, 0.0), axis=1)
     rise = np.concatenate([np.zeros((len(rise), 1)), rise / rise[:, -1:]], axis=1)
-    z = ndtri(np.clip(rise, 1e-12, 1 - 1e-12))
-    out = np.empty((len(share), len(probability)))
-    for i, row in enumerate(z):
-        keep = np.flatnonzero(np.diff(row, prepend=-np.inf) > 1e-9)
-        out[i] = np.interp(ndtri(probability), row[keep], edges[keep])
-    return out
+    z, wanted = ndtri(np.clip(rise, 1e-12, 1 - 1e-12)), ndtri(probability)
+    new = np.diff(z, prepend=-np.inf, axis=1) > 1e-9
+    return np.stack(
+        [np.interp(wanted, row[keep], edges[keep]) for row, keep in zip(z, new, strict=True)]
+    )
 
 
 #: How far up to the fold the angles of a touch may go: shares have the density exp(−(share/span)⁴).
@@ -86,8 +107,10 @@ class LocatedTouch(NamedTuple):
     agree: bool
 
 
-def touch_posterior(clouds: Sequence[Cloud], readings: Readings, mass: float) -> LocatedTouch:
-    """The posterior of n rows (n, S), each with the cells from which it may come.
+def touch_posterior(
+    sides: Sequence[tuple[Lattice, Readings]], between: tuple[float, float], mass: float
+) -> LocatedTouch:
+    """The posterior of rows (n, S) of one or both sides, `between` coordinates none excludes.
 
     p(r, E | rows) ∝ p(r) p(E) ∏ᵢ ∫ p(yᵢ | r, θᵢ, E) p(θᵢ | r) dθᵢ. The product of the rows' own
     posteriors of r would count prior and unknown stiffness once a row, and be far too sure. How far
@@ -97,35 +120,44 @@ def touch_posterior(clouds: Sequence[Cloud], readings: Readings, mass: float) ->
     The logarithm of each row's integral is smooth where their product is sharp: it is had once on
     coarse nodes, and the sum over rows is interpolated where the product is.
     """
-    lattice = clouds[0].lattice
-    if len({cloud.lattice.observer.reach for cloud in clouds}) > 1:
-        raise ValueError(
-            "A touch has rows from both sides of a curved whisker, which reach differently far at "
-            "the cue's angle; give the rows of each side a touch of their own."
-        )
     nothing = LocatedTouch(np.nan, np.nan, np.full(2, np.nan), False)
-    low, high = (f([cloud.layers[i] for cloud in clouds]) for f, i in ((max, 0), (min, -1)))
-    if not low < high or min(len(cloud.layers) for cloud in clouds) < 4:
+    low, high = between
+    every = [
+        (one, readings, found) for one, readings in sides
+        for found in one.search(readings, np.full(len(readings.value), 23.0), between)
+    ]  # fmt: skip
+    if sum(len(f.rows) for _, _, f in every) < sum(len(own.value) for _, own in sides):
         return nothing
-    finest = min(cloud.step[0] for cloud in clouds)
-    x = np.linspace(low, high, 8 + int((high - low) / finest))
+    for _, _, found in every:  # where every row has density
+        least, most = (f.reduceat(found.layer, found.first) for f in (np.minimum, np.maximum))
+        low = max(low, float(least.max() + 0.5) * found.step[0])
+        high = min(high, float(most.min() + 0.5) * found.step[0])
+    if not low < high:
+        return nothing
+    lattice, size = sides[0][0], sides[0][0].size
+    x = np.linspace(low, high, 8 + int((high - low) / min(f.step[0] for _, _, f in every)))
     # A row's stiffness at a distance is known to some 2 k: with twice these steps, 0.15 sd off.
-    widest = 1.2 * max(lattice.observer.noise.weber_fractions(readings.value.shape[1]))
+    widest = 1.2 * max(lattice.observer.noise.weber_fractions(size))
     log_e = np.zeros(1)
     if lattice.soft is not None:
         steps = int(np.ceil(8 * lattice.log_sd / np.clip(widest, 0.02, 0.14)))
         log_e = lattice.log_median + lattice.log_sd * np.linspace(-4, 4, steps + 1)
     # ln of the rows' product for each span of the angles, (J, E, spans).
-    every = [_row(c, readings.take([i]), x, log_e) for i, c in enumerate(clouds)]
-    total = np.sum(every, axis=0)
+    total = np.zeros((len(x), len(log_e), len(_SPANS)))
+    for one, readings, found in every:
+        for i in range(len(found.rows)):
+            row = _row(one, found, i, readings, x, log_e)
+            if row is None:
+                return nothing
+            total += row
     ends = [(low, high), (log_e[0], log_e[-1])]
-    for fine in ((101, 51), (401, 101)):
+    for fine in ((61, 31), (161, 41)):
         axes = [np.linspace(*end, n) for end, n in zip(ends, fine, strict=True)]
         x_fine, e_fine = axes[0], axes[1] if len(log_e) > 1 else log_e
-        found = make_interp_spline(x, total, 3)(x_fine)
+        density = make_interp_spline(x, total, 3)(x_fine)
         if len(log_e) > 1:
-            found = make_interp_spline(log_e, found, 3, axis=1)(e_fine)
-        density = found + log_prior_of_distance(lattice.observer, x_fine)[:, None, None]
+            density = make_interp_spline(log_e, density, 3, axis=1)(e_fine)
+        density += log_prior_of_distance(lattice.observer, x_fine)[:, None, None]
         if lattice.soft is not None:
             density += lattice.log_prior_of_stiffness(e_fine)[:, None]
         if not np.isfinite(density).any():
@@ -140,28 +172,50 @@ def touch_posterior(clouds: Sequence[Cloud], readings: Readings, mass: float) ->
     weight /= weight.sum()
     r = distances(lattice.observer, x_fine)
     mean, tails = weight @ r, np.array([(1 - mass) / 2, (1 + mass) / 2])
-    interval = distances(lattice.observer, quantiles(weight[None], x_fine, tails)[0])
+    place = quantiles(weight[None], tails)[0]
+    interval = distances(lattice.observer, x_fine[0] + place * (x_fine[1] - x_fine[0]))
     return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), interval, True)
 
 
-def _row(cloud: Cloud, row: Readings, x: Array, log_e: Array) -> Array:
-    """ln ∫ p(y | r, θ, E) p(θ | r, span) dθ of a row, (J, E, spans)."""
-    lattice, cells, own, many = cloud.lattice, cloud.cells, cloud.layers, len(log_e)
+def _row(
+    lattice: Lattice, found: Cells, i: int, readings: Readings, x: Array, log_e: Array
+) -> Array | None:
+    """ln ∫ p(y | r, θ, E) p(θ | r, span) dθ of the ith of the rows found, (J, E, spans)."""
+    own = slice(found.first[i], found.first[i + 1] if i + 1 < len(found.first) else None)
+    row, signals, contact = readings.take([found.rows[i]]), found.signals[own], found.contact[own]
+    layer = found.layer[own] - found.layer[own].min()
+    many, layers = len(log_e), int(layer.max()) + 1
+    if layers < 4:
+        return None
+    # Cells by layer, the logarithm at each stiffness, −∞ where that is beyond 8 sds of the best.
     if many == 1:
-        cell, at_e = np.arange(len(cells.contact)), np.zeros(1, dtype=np.intp)
-        log = lattice.evidence(row, cells.signals)[0]
+        log = (found.log[own] - found.log_prior[own])[:, None]
     else:
-        middle, sd = lattice.match(row, cells.signals)
-        cell, at_e = np.nonzero(np.abs(log_e - middle[0][:, None]) < 8 * sd[0][:, None])
-        scaled = lattice.scaled(cells.signals[cell], log_e[at_e])
-        log = lattice.log_likelihood(row, scaled[None])[0]
-    log = log + cells.log_prior[cell]
+        middle, sd = lattice.match(row, signals)
+        cell, at_e = np.nonzero(np.abs(log_e - middle[:, None]) < 8 * sd[:, None])
+        log = np.full((len(layer), many), -np.inf)
+        log[cell, at_e] = lattice.log_likelihood(
+            row, lattice.scaled(signals[cell], log_e[at_e])[None]
+        )[0]
+    log += found.log_prior[own][:, None]
     top = log.max()
-    layer = np.repeat(np.arange(len(own)), np.diff(cloud.first, append=len(cells.contact)))
-    at, weight = layer[cell] * many + at_e, np.exp(log - top)
+    share = np.zeros(len(layer))  # how far up to the fold the angles go, 0 where a prior says
+    observer = lattice.observer
+    if observer.bounded > 1 and "deflection_angle" not in observer.prior:
+        least, width = observer.angle_range(contact[:, 0])
+        share = (contact[:, 1] - least) / width
     norms = np.exp(-(((np.arange(2000) + 0.5) / 2000 / _SPANS[:, None]) ** 4)).mean(axis=1)
-    within = np.exp(-((cloud.share / _SPANS[:, None]) ** 4)) / norms[:, None]
-    mass = [np.bincount(at, weight * one[cell], len(own) * many) for one in within]
-    log = np.log(np.maximum(mass, 1e-26)).reshape(len(_SPANS), len(own), many) + top
-    log -= np.maximum(cloud.log_prior, -100.0)[:, None]
-    return np.asarray(make_interp_spline(own, np.moveaxis(log, 0, -1), 3)(x))
+    within = np.exp(-((share / _SPANS[:, None]) ** 4)) / norms[:, None]
+    spans, cells = len(_SPANS), np.arange(len(layer))
+    table = csr_matrix(
+        (
+            within.ravel(),
+            (np.add.outer(np.arange(spans) * layers, layer).ravel(), np.tile(cells, spans)),
+        ),
+        (spans * layers, len(cells)),
+    )
+    mass = (table @ np.exp(log - top)).reshape(spans, layers, many)
+    own_x = (found.layer[own].min() + 0.5 + np.arange(layers)) * found.step[0]
+    log = np.log(np.maximum(mass, 1e-26)) + top
+    log -= np.maximum(log_prior_of_distance(observer, own_x), -100.0)[:, None]
+    return np.asarray(make_interp_spline(own_x, np.moveaxis(log, 0, -1), 3)(x))
