@@ -25,7 +25,7 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.comparison import ConstantNoise
 from weberwhisk.behaviour.effects import Overdispersion
-from weberwhisk.behaviour.fit import SampledPosterior
+from weberwhisk.behaviour.posteriors import SampledPosterior
 
 TAPERED = Whisker(50e-3, 100e-6, 5e-6)
 CYLINDER = Whisker(50e-3, 100e-6, 100e-6)

@@ -136,7 +136,7 @@ CASES: dict[str, tuple[Effect, float]] = {
 
 
 def model_of(trials: Trials, effect: Effect) -> WeberModel:
-    from weberwhisk.behaviour.fit import build_model
+    from weberwhisk.behaviour.likelihood import build_model
 
     return build_model(trials, None, None, "shared", "weber", None, [effect])[0]
 

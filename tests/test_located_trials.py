@@ -24,7 +24,7 @@ from weberwhisk.behaviour import (
     task_named,
     with_distances,
 )
-from weberwhisk.behaviour.fit import build_model
+from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
 from weberwhisk.contacts.lattice import Lattice, Readings, distances
 

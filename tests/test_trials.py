@@ -212,8 +212,10 @@ def one_sentence(message: str) -> bool:
         ('a,b\n1,"2\n3,4\n', ["not readable as a table"]),
         ("subject,log_ratio,choice\nr1,1,1\n,1,1\n", ["'subject'", "row 2", "name the subject"]),
         (GOOD + "\n\n1,x,1\n", ["'stimulus_2'", "row 5", "'x' is not a number"]),
-        ("stimulus_1;stimulus_2;choice\n0,5;2;1\n",
-         ["'0,5' is not a number; write 0.5, or give pandas.read_csv", 'decimal=","']),
+        (
+            "stimulus_1;stimulus_2;choice\n0,5;2;1\n",
+            ["'0,5' is not a number; write 0.5, or give pandas.read_csv", 'decimal=","'],
+        ),
     ],
 )
 def test_each_problem_is_one_sentence(tmp_path: Path, text: str, parts: list[str]) -> None:

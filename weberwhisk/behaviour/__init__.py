@@ -16,7 +16,7 @@ from .comparison import (
 from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
-from .fit import fit_weber
+from .fit import WeberFit, fit_weber
 from .io import read_trials
 from .located import with_distances
 from .population import simulate_moving, simulate_population
@@ -24,7 +24,6 @@ from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
 from .psychometric import response_probability, threshold
 from .report import methods_paragraph
-from .result import WeberFit
 from .simulate import load_numerosity, load_rat_auditory, simulate_trials
 from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials

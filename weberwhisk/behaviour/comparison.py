@@ -27,9 +27,8 @@ from ..whisker import Whisker
 from .criticism import _Rows, check_fit
 from .effects import Drift, Effect, Floor, check_effects
 from .encodings import ConstantNoise, CueEncoding, Encoding, chosen_encoding, encoding_for
-from .fit import fit_weber
+from .fit import WeberFit, fit_weber
 from .located import at_touches
-from .result import WeberFit
 from .trials import SDS, Trials, check_trials
 from .verdict import strength
 

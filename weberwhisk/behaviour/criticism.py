@@ -22,7 +22,7 @@ from .likelihood import Draws, WeberModel, gather
 from .trials import STIMULI
 
 if TYPE_CHECKING:
-    from .result import WeberFit
+    from .fit import WeberFit
 
 
 Array = NDArray[np.float64]

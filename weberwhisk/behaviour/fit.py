@@ -1,46 +1,351 @@
-"""A Weber fraction from a table of choices, by quadrature or by emcee."""
+"""A Weber fraction from a table of choices: the fit, and all that is read off its posterior."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_arguments
+from .._deprecated import renamed_arguments, renamed_attribute
+from .._values import Shown, interval_text
+from ..posterior.arviz_io import ArvizData
 from ..threads import one_blas_thread
-from .effects import Effect, check_effects
-from .encodings import (
-    NOISES,
-    Encoding,
-    UnitEncodings,
-    chosen_encoding,
-    encoding_for,
-    refuse_unencoded,
-    unit_encodings,
-)
+from . import criticism, report
+from . import psychometric as curve
+from .criticism import predicted, prior_draws
+from .effects import Effect
+from .encodings import NOISES, Encoding, refuse_outside
 from .integrate import refined
-from .likelihood import WeberModel, gather
-from .located import at_touches, over_places
-from .posteriors import (
-    QuadraturePosterior,
-    SampledPosterior,
-    WeberPosterior,
-    find_mode,
-    log_posterior,
-    split,
-)
-from .priors import priors_for
-from .result import WeberFit
-from .trials import Cells, Trials, check_trials
-from .verdict import verdict
+from .likelihood import Draws, WeberModel, build_model
+from .located import at_touches
+from .posteriors import QuadraturePosterior, WeberPosterior, sample
+from .trials import Trials
+from .verdict import FitStatus, WeberLawTest, lapse_sensitivity, verdict, weber_law_test
 
 Array = NDArray[np.float64]
 
-BIASES = ("none", "shared", "per standard")
 METHODS = ("quadrature", "emcee")
+
+
+@dataclass(frozen=True, repr=False)
+class WeberFit(Shown):
+    """The fit of one observer; everything in it comes from one posterior.
+
+    `weber_fraction` is the posterior median. `status` says what the data could tell and travels
+    with the numbers; `notes` holds further sentences; `report()` puts all of it in plain words.
+
+    Examples
+    --------
+    >>> from weberwhisk import fit_weber, simulate_trials
+    >>> fit = fit_weber(simulate_trials(weber_fraction=0.1, seed=1))
+    >>> fit.parameters
+    ('weber_fraction', 'lapse_low', 'lapse_high', 'bias')
+    >>> low, high = fit.interval(0.95)
+    >>> low < fit.weber_fraction < high
+    True
+    >>> fit.threshold(standard=2.0, proportion=0.75).columns.tolist()[:5]
+    ['standard', 'criterion', 'comparison', 'lower', 'upper']
+    """
+
+    _figure: ClassVar[str] = "psychometrics"
+    trials: Trials = field(repr=False)
+    model: WeberModel = field(repr=False)
+    encoding: Encoding = field(repr=False)
+    noise: str
+    bias: str
+    method: str
+    posterior: WeberPosterior = field(repr=False)
+    status: FitStatus
+    notes: tuple[str, ...] = ()
+
+    percept = renamed_attribute("WeberFit", "percept", "encoding")
+
+    @property
+    def weber_fraction(self) -> float:
+        """Posterior median of the Weber fraction (see `unit`)."""
+        return float(self.posterior.quantile("weber_fraction", 0.5))
+
+    @property
+    def unit(self) -> str:
+        """What the Weber fraction is counted in: empty for a pure ratio."""
+        if self.trials.scale == "log" and self.trials.log_unit is None:
+            return "per unit of the stimulus column"
+        return ""
+
+    @property
+    def log_evidence(self) -> float | None:
+        """Natural log of the probability of the sequence of answers; None by emcee."""
+        return self.posterior.log_evidence
+
+    @property
+    def standards(self) -> Array:
+        """Standards with an answer, rising; those of the table where none has one."""
+        answered = np.unique(self.model.cells.standard)
+        return answered if answered.size else self.trials.standards
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the inferred parameters."""
+        return self.model.names
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(effect.name for effect in self.model.effects)
+
+    def interval(
+        self,
+        mass: float = 0.95,
+        parameter: str = "weber_fraction",
+        *,
+        kind: str = "equal-tailed",
+    ) -> tuple[float, float]:
+        """Posterior interval of a parameter.
+
+        Parameters
+        ----------
+        mass : float
+            Its posterior probability.
+        parameter : str
+            One of `parameters`; a Weber fraction that was given is both ends.
+        kind : {"equal-tailed", "hdi"}
+            As much left out on either side, or the shortest (highest density).
+        """
+        if parameter != "weber_fraction":
+            _checks.one_of("parameter", parameter, self.parameters)
+        _checks.one_of("kind", kind, ("equal-tailed", "hdi"))
+        below = np.array(tails(mass)[:1])
+        if kind == "hdi":
+            below = np.linspace(0, 1, 2001) * 2 * below
+        low, high = (self.posterior.quantile(parameter, p) for p in (below, below + mass))
+        at = int(np.argmin(high - low))
+        return float(low[at]), float(high[at])
+
+    @cached_property
+    def map(self) -> dict[str, float]:
+        """The most probable values (MAP), in the normal scores of the priors (ln k, say)."""
+        return self.posterior.mode()
+
+    def summary(self, mass: float = 0.95) -> pd.DataFrame:
+        """One row a parameter: mean, sd, median, MAP, intervals, prior.
+
+        `lower` and `upper` leave out as much on either side; `hdi_lower` and `hdi_upper` bound the
+        shortest interval.
+        """
+        rows = []
+        for name in self.parameters:
+            low, high = self.interval(mass, name)
+            shortest = self.interval(mass, name, kind="hdi")
+            rows.append(
+                {
+                    "mean": self.posterior.mean(name),
+                    "sd": self.posterior.sd(name),
+                    "median": float(self.posterior.quantile(name, 0.5)),
+                    "lower": low,
+                    "upper": high,
+                    "hdi_lower": shortest[0],
+                    "hdi_upper": shortest[1],
+                    "map": self.map[name],
+                    "mass": mass,
+                    "prior": self.model.priors.words(name),
+                }
+            )
+        return pd.DataFrame(rows, index=pd.Index(self.parameters, name="parameter"))
+
+    def threshold(
+        self,
+        standard: ArrayLike | None = None,
+        proportion: float = 0.75,
+        *,
+        mass: float = 0.95,
+        with_bias: bool | None = None,
+        upward: bool = True,
+    ) -> pd.DataFrame:
+        """Comparisons at which the observer answers with that proportion, lapses removed.
+
+        Parameters
+        ----------
+        standard : array_like, optional
+            One or several; those that have answers by default.
+        proportion : float
+            Of "second greater" (below ½: the downward threshold), of correct answers, and so on.
+        mass : float
+            Of the interval, taken from the posterior of the threshold itself.
+        with_bias : bool, optional
+            Leave the response bias in: the point as it lies on the curve. Without it the threshold
+            is the observer's sensitivity, and the 50 % point is the standard. By default a bias is
+            taken out, and the criterion of yes/no and same–different tasks left in.
+        upward : bool
+            The side, for percent-correct and same–different tasks.
+
+        Returns
+        -------
+        DataFrame
+            `standard`, `criterion`, `comparison` (median), `lower`, `upper`, `difference`
+            (comparison − standard), and `unreachable`: the posterior probability that no comparison
+            reaches the proportion, where an end may be infinite.
+        """
+        model, ends_at = self.model, tails(mass)
+        biased = model.task.bias_name == "criterion" if with_bias is None else with_bias
+        biased = biased and bool(model.group_names)
+        at, even = np.array([ends_at[0], 0.5, ends_at[1]]), (np.arange(200) + 0.5) / 200
+        given = self.standards if standard is None else standard
+        rows = []
+        for s in map(float, _checks.finite("standard", given, "give one or several").ravel()):
+            k = self.posterior.quantile("weber_fraction", [*at, *even])
+            bias: ArrayLike = 0.0
+            effects: list[tuple[Effect, Array]] = []
+            if by_draws := biased or model.effects:  # else a monotone function of k alone
+                d = self.posterior.draws()
+                bias = d.bias[:, self._group(s)] if biased else 0.0
+                k, effects = d.weber_fraction, self._moved(d)
+            points = curve.threshold(
+                model.task, self.encoding, s, proportion, weber_fraction=k, bias=bias,
+                effects=effects, noise=self.noise, upward=upward,
+            )  # fmt: skip
+            ends = _quantiles(points, at) if by_draws else np.sort(points[: at.size])
+            seen = points if by_draws else points[at.size :]
+            edge = self.encoding.domain[0]
+            rows.append(
+                {
+                    "standard": s,
+                    "criterion": curve.criterion(model.task, proportion),
+                    "comparison": ends[1],
+                    "lower": ends[0],
+                    "upper": ends[2],
+                    "difference": ends[1] - s,
+                    "mass": mass,
+                    "unreachable": float(np.mean(np.isinf(seen) | (seen == edge))),
+                }
+            )
+        return pd.DataFrame(rows)
+
+    def _moved(self, draws: Draws) -> list[tuple[Effect, Array]]:
+        """The effects with their draws."""
+        return [(e, draws.effects[:, i]) for i, e in enumerate(self.model.effects)]
+
+    def psychometric(
+        self, comparisons: ArrayLike, standard: float | None = None, *, mass: float = 0.95
+    ) -> pd.DataFrame:
+        """The psychometric function with its posterior band, lapses and bias included.
+
+        Parameters
+        ----------
+        comparisons : array_like, shape (N,)
+            Stimulus 2.
+        standard : float, optional
+            Stimulus 1; may be left out where the table has one standard.
+
+        Returns
+        -------
+        DataFrame
+            `comparison`, `median`, `lower`, `upper`: proportions.
+        """
+        levels = np.atleast_1d(_checks.finite("comparisons", comparisons, "give one or several"))
+        refuse_outside(self.encoding, levels)
+        if standard is None:
+            if self.standards.size != 1:
+                raise ValueError(
+                    f"the table has {self.standards.size} standards; name one, for example "
+                    f"standard={self.standards[0]:g}."
+                )
+            standard = float(self.standards[0])
+        standard = _checks.number("standard", standard, "name one standard")
+        d = self.posterior.draws().thinned(1000)
+        p = curve.response_probability(
+            self.model.task, self.encoding, standard, levels, weber_fraction=d.weber_fraction,
+            lapse_low=d.lapse_low, lapse_high=d.lapse_high, effects=self._moved(d),
+            bias=d.bias[:, self._group(standard)] if self.model.group_names else 0.0,
+            noise=self.noise,
+        )  # fmt: skip
+        low, median, high = np.quantile(p, [tails(mass)[0], 0.5, tails(mass)[1]], axis=0)
+        return pd.DataFrame({"comparison": levels, "median": median, "lower": low, "upper": high})
+
+    def _group(self, standard: float) -> int:
+        """The column of the bias that a standard has."""
+        if self.bias != "per standard":
+            return 0
+        at = np.flatnonzero(np.isclose(self.standards, standard, rtol=1e-9, atol=0))
+        if not at.size:
+            known = ", ".join(f"{s:g}" for s in self.standards)
+            raise ValueError(
+                f"standard {standard:g} has no answers in the table, so it has no bias; "
+                f"choose one of {known}."
+            )
+        return int(at[0])
+
+    def residuals(self) -> pd.DataFrame:
+        """One row a pair of stimuli: observed, expected, and `z` in standard errors."""
+        return criticism.residuals(self.model, self.posterior.draws())
+
+    @cached_property
+    def misfit(self) -> float:
+        """Posterior-predictive p of the squared residuals: small where the data are missed."""
+        return criticism.misfit(self.model, self.posterior.draws())
+
+    def prior_predictive(self, seed: int = 0) -> pd.DataFrame:
+        """The data beside what the priors alone expect of these trials: a check on the priors."""
+        rng = _checks.generator(seed)
+        return predicted(self.model, prior_draws(self.model, 2000, rng), rng)
+
+    def posterior_predictive(self, seed: int = 0) -> pd.DataFrame:
+        """The data beside what the fitted observer would answer to these trials."""
+        draws = self.posterior.draws().thinned(2000)
+        return predicted(self.model, draws, _checks.generator(seed))
+
+    @cached_property
+    def lapse_sensitivity(self) -> pd.DataFrame:
+        """The Weber fraction under other beliefs about lapses, a row a prior."""
+        return lapse_sensitivity(self.model, self.posterior)
+
+    def _line(self) -> str:
+        k = f"k = {self.weber_fraction:.3g}, given"
+        if "weber_fraction" in self.parameters:
+            k = f"k = {interval_text(self.weber_fraction, *self.interval())}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{k}{unit}; {self.trials.n_trials} trials, {self.method}; {self.status.name}"
+
+    def report(self) -> str:
+        """What the data say, what they cannot say, and what to collect next."""
+        return report.report(self)
+
+    def weber_law_test(self) -> WeberLawTest:
+        """One Weber fraction for all standards, against one for each: a Bayes factor."""
+        return weber_law_test(self)
+
+    def to_dict(self) -> dict[str, object]:
+        """Everything a reader needs to use or repeat the fit, ready for JSON."""
+        return report.as_dict(self)
+
+    def to_json(self) -> str:
+        """`to_dict()` as JSON; an unreachable threshold is null."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    def to_arviz(self) -> ArvizData:
+        """ArviZ data (0.23 or 1.x): posterior, prior, posterior-predictive, likelihood, data."""
+        return report.to_arviz(self)
+
+
+def tails(mass: float) -> tuple[float, float]:
+    """Probabilities below the ends of an equal-tailed interval."""
+    value = _checks.number("mass", mass, "write for example 0.95")
+    if not 0 < value < 1:
+        raise ValueError(f"mass must lie between 0 and 1, got {value:g}; write for example 0.95.")
+    return 0.5 - value / 2, 0.5 + value / 2
+
+
+def _quantiles(sample: Array, at: Array) -> Array:
+    """Quantiles of draws, some of which may be infinite: between two infinities lies no number."""
+    if np.isfinite(sample).all():
+        return np.asarray(np.quantile(sample, at, method="median_unbiased"), dtype=float)
+    return np.sort(sample)[np.round(at * (sample.size - 1)).astype(np.intp)]
 
 
 @renamed_arguments(percept="encoding")
@@ -132,146 +437,3 @@ def fit_weber(
     return WeberFit(
         trials, model, encoded, noise, chosen, used, posterior, status, (*trials.notes, *notes)
     )
-
-
-def build_model(
-    trials: Trials,
-    encoding: Encoding | None,
-    observer: Any,
-    bias: str | None,
-    noise: str,
-    priors: Any,
-    effects: Sequence[Effect] = (),
-) -> tuple[WeberModel, Encoding, str]:
-    """The model of a fit, its encoding, and the bias chosen."""
-    check_trials(trials)
-    check_effects(effects)
-    if len(trials.subjects) > 1:
-        raise ValueError(
-            f"{trials.source}: there are {len(trials.subjects)} subjects "
-            f"({_checks.listed(trials.subjects)}) and one observer is fitted at a time; choose "
-            "one with "
-            f"trials.select(subject={trials.subjects[0]!r})."
-        )
-    encoded = encoding_of(trials, encoding, observer, noise)
-    task = trials.task
-    by_itself = "shared" if task.has_bias else "none"
-    chosen = by_itself if bias is None else bias
-    _checks.one_of("bias", chosen, BIASES)
-    if chosen != "none" and not task.has_bias:
-        raise ValueError(
-            f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
-        )
-    cells, columns, _ = gather(trials, tuple(effects), encoded)
-    both = pairs_shown(cells, encoded, noise)
-    if cells.sd_1 is not None:
-        both = over_places(task, encoded, cells, both, noise)
-    if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
-        raise ValueError(
-            "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
-            "of angles is a constant; give receptors whose noise grows, receptors.Weber(0.1), say."
-        )
-    bound = tuple(effect.bound(both, cells.n) for effect in effects)
-    by_name = {effect.name: effect.prior for effect in bound}
-    if len(by_name) < len(bound):
-        raise ValueError(
-            f"effects must differ, got {', '.join(e.name for e in bound)}; name each once."
-        )
-    names: tuple[str, ...] = ()
-    group = np.zeros(cells.n.size, dtype=np.intp)
-    label = task.bias_name or "bias"
-    if chosen == "shared":
-        names = (label,)
-    elif chosen == "per standard":
-        levels, group = np.unique(cells.standard, return_inverse=True)
-        names = names_by_standard(label, levels)
-    unit_known = trials.scale == "linear" or trials.log_unit is not None
-    believed = priors_for(priors, cells, unit_known, task, by_name, [both])
-    model = WeberModel(task, both, cells, believed, group, names, bound, columns)
-    return model, encoded, chosen
-
-
-def names_by_standard(label: str, standards: Array) -> tuple[str, ...]:
-    """A name for the bias of each standard, in full where six digits would name two alike."""
-    short = tuple(f"{label}[{s:g}]" for s in standards)
-    if len(set(short)) == len(short):
-        return short
-    return tuple(f"{label}[{float(s)!r}]" for s in standards)
-
-
-def encoding_of(trials: Trials, encoding: Encoding | None, observer: Any, noise: str) -> Encoding:
-    """The encoding of a fit: the one given, or that of a whisker, or what the table calls for."""
-    given = chosen_encoding(encoding, observer)
-    return encoding_for(trials.scale, trials.log_unit, noise) if given is None else given
-
-
-def pairs_shown(cells: Cells, encoding: Encoding, noise: str) -> UnitEncodings:
-    """Both encoded stimuli of every cell, refused where one gives no signal."""
-    stimuli = cells.stimulus_1, cells.stimulus_2, cells.standard
-    refuse_unencoded(encoding, np.concatenate(stimuli))
-    return unit_encodings(encoding, *stimuli, noise)
-
-
-def sample(
-    model: WeberModel,
-    *,
-    seed: int | np.random.SeedSequence | np.random.Generator,
-    ensembles: int = 4,
-    precision: float = 0.03,
-) -> SampledPosterior:
-    """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
-
-    R-hat compares so many independent ensembles; `precision` is the Monte Carlo error requested, in
-    posterior sds. `trouble` says so where the run has not converged.
-    """
-    from ..posterior.arviz_io import Shortfall
-    from ..posterior.ensemble import sample_stacked
-
-    rng = np.random.default_rng(seed)
-    free = np.flatnonzero(model.free)
-    dim = free.size + (model.n_groups if model.free_bias else 0)
-    if dim == 0:
-        raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
-    transforms = [model.transforms[i] for i in free]
-    ends = np.array([s.ends for s in transforms]).reshape(-1, 2).T
-
-    def with_scores(theta: Array) -> Array:
-        """Scores in place of the coordinates."""
-        out = theta.copy()
-        for i, transform in enumerate(transforms):
-            out[..., i] = transform.score(theta[..., i])
-        return out
-
-    def log_density(theta: Array) -> Array:
-        t = theta[..., : free.size]
-        inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
-        out = log_posterior(model, with_scores(theta))
-        for i, transform in enumerate(transforms):
-            out = out + np.log(transform.slope(t[..., i]))
-        return np.where(inside, out, -np.inf)
-
-    centre, information = find_mode(model, np.zeros(len(model.lead)))
-    root = np.linalg.cholesky(np.linalg.inv(information))
-    walkers = max(64, 4 * dim)
-    centre[: free.size] = [s.coordinate(z) for s, z in zip(transforms, centre, strict=False)]
-    # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
-    for _ in range(60):
-        if np.isfinite(log_density(centre)):
-            break
-        centre[: free.size] *= 0.9
-    per_score = np.ones(dim)
-    at = centre[: free.size]
-    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(transforms, at, strict=True)]
-    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
-    # A start outside the support is pulled towards the mode until it is inside.
-    for _ in range(60):
-        lost = ~np.isfinite(log_density(start))
-        if not lost.any():
-            break
-        start[lost] = centre + 0.5 * (start[lost] - centre)
-    run = sample_stacked(log_density, start, seed=rng, precision=precision)
-    flat = run.values[0].reshape(-1, dim)
-    error = float(np.max(run.mcse_mean[0, :dim] / run.sd[0, :dim]))
-    trouble = "" if run.converged[0] else f"emcee: {Shortfall(int(run.shortfall[0])).message}"
-    draws = model.draws_at(*split(model, with_scores(flat)))
-    return SampledPosterior(model, draws, ensembles, error, trouble)

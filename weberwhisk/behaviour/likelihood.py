@@ -1,25 +1,36 @@
-"""The likelihood of one observer's choices: Weber fraction, effects, lapses, biases by group."""
+"""The model of one observer's choices: Weber fraction, effects, lapses, biases by group."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
-from .effects import Effect, Overdispersion
-from .encodings import Encoding, Signals, UnitEncodings
+from .. import _checks
+from .effects import Effect, Overdispersion, check_effects
+from .encodings import (
+    Encoding,
+    Signals,
+    UnitEncodings,
+    chosen_encoding,
+    encoding_for,
+    refuse_unencoded,
+    unit_encodings,
+)
 from .lapses import PLAIN, LapseTransform, lapse_transform
-from .located import binned
-from .priors import TINY, Priors
+from .located import binned, over_places
+from .priors import TINY, Priors, priors_for
 from .tasks import Task
-from .trials import Cells, Trials
+from .trials import Cells, Trials, check_trials
 
 Array = NDArray[np.float64]
 
+BIASES = ("none", "shared", "per standard")
 RHO_TINY = 1e-7  # below this a beta-binomial is a binomial, and log-gammas lose their digits
 
 
@@ -260,41 +271,6 @@ class WeberModel:
             return np.zeros(np.shape(bias))
         return self.priors.log_density("bias", bias)
 
-    def bias_mode(
-        self,
-        encoded: tuple[Array, Array | float],
-        low: Array,
-        high: Array,
-    ) -> tuple[Array, Array]:
-        """Where each bias lies given the rest: centre and sd, (..., G), by Fisher scoring.
-
-        Only the place of quadrature nodes depends on these, never the answer. `encoded` is what the
-        task decides by, (..., C), the lapses (...).
-        """
-        d, weight = encoded
-        shape = (*np.broadcast_shapes(d.shape[:-1], low.shape, high.shape), self.n_groups)
-        if not self.free_bias:
-            return np.full(shape, self.fixed_bias()), np.ones(shape)
-        mean, sd = self.priors.moments("bias")
-        low, high = (a[..., None] for a in self.lapses(low, high))
-        n, x = self.cells.n, self.cells.count
-        bias = np.full(shape, mean)
-        precision = np.ones(shape)
-        for _ in range(25):
-            up, down = self.task.chance(d, weight * bias[..., self.group])
-            more, _ = self.task.chance(d, weight * (bias[..., self.group] + 1e-4))
-            p = np.maximum(low * down + (1 - high) * up, TINY)
-            q = np.maximum((1 - low) * down + high * up, TINY)
-            slope = (1 - low - high) * (more - up) / 1e-4
-            gain = slope / (p * q)
-            score = (gain * (x - n * p)) @ self.membership - (bias - mean) / sd**2
-            precision = (gain * slope * n) @ self.membership + 1 / sd**2
-            step = np.clip(score / precision, -sd, sd)
-            bias = bias + step
-            if np.max(np.abs(step) * np.sqrt(precision), initial=0.0) < 0.1:
-                break
-        return bias, 1 / np.sqrt(precision)
-
     def plain(self) -> WeberModel:
         """The same observer without effects."""
         return replace(self, effects=(), columns=np.zeros((0, 0))) if self.effects else self
@@ -358,3 +334,81 @@ def gather(
     named = [e.column(trials, encoding) for e in effects]
     zeros = np.zeros(len(trials.frame))
     return trials.gathered(*(zeros if c is None else c for c in named))
+
+
+def build_model(
+    trials: Trials,
+    encoding: Encoding | None,
+    observer: Any,
+    bias: str | None,
+    noise: str,
+    priors: Any,
+    effects: Sequence[Effect] = (),
+) -> tuple[WeberModel, Encoding, str]:
+    """The model of a fit, its encoding, and the bias chosen."""
+    check_trials(trials)
+    check_effects(effects)
+    if len(trials.subjects) > 1:
+        raise ValueError(
+            f"{trials.source}: there are {len(trials.subjects)} subjects "
+            f"({_checks.listed(trials.subjects)}) and one observer is fitted at a time; choose "
+            "one with "
+            f"trials.select(subject={trials.subjects[0]!r})."
+        )
+    encoded = encoding_of(trials, encoding, observer, noise)
+    task = trials.task
+    by_itself = "shared" if task.has_bias else "none"
+    chosen = by_itself if bias is None else bias
+    _checks.one_of("bias", chosen, BIASES)
+    if chosen != "none" and not task.has_bias:
+        raise ValueError(
+            f"{task.name} has no response bias to fit, got bias={bias!r}; leave it out."
+        )
+    cells, columns, _ = gather(trials, tuple(effects), encoded)
+    both = pairs_shown(cells, encoded, noise)
+    if cells.sd_1 is not None:
+        both = over_places(task, encoded, cells, both, noise)
+    if cells.n.size and not (both.sd_1.any() or both.sd_2.any()):
+        raise ValueError(
+            "no noise of these signals goes with a Weber fraction, so there is none to fit: that "
+            "of angles is a constant; give receptors whose noise grows, receptors.Weber(0.1), say."
+        )
+    bound = tuple(effect.bound(both, cells.n) for effect in effects)
+    by_name = {effect.name: effect.prior for effect in bound}
+    if len(by_name) < len(bound):
+        raise ValueError(
+            f"effects must differ, got {', '.join(e.name for e in bound)}; name each once."
+        )
+    names: tuple[str, ...] = ()
+    group = np.zeros(cells.n.size, dtype=np.intp)
+    label = task.bias_name or "bias"
+    if chosen == "shared":
+        names = (label,)
+    elif chosen == "per standard":
+        levels, group = np.unique(cells.standard, return_inverse=True)
+        names = names_by_standard(label, levels)
+    unit_known = trials.scale == "linear" or trials.log_unit is not None
+    believed = priors_for(priors, cells, unit_known, task, by_name, [both])
+    model = WeberModel(task, both, cells, believed, group, names, bound, columns)
+    return model, encoded, chosen
+
+
+def names_by_standard(label: str, standards: Array) -> tuple[str, ...]:
+    """A name for the bias of each standard, in full where six digits would name two alike."""
+    short = tuple(f"{label}[{s:g}]" for s in standards)
+    if len(set(short)) == len(short):
+        return short
+    return tuple(f"{label}[{float(s)!r}]" for s in standards)
+
+
+def encoding_of(trials: Trials, encoding: Encoding | None, observer: Any, noise: str) -> Encoding:
+    """The encoding of a fit: the one given, or that of a whisker, or what the table calls for."""
+    given = chosen_encoding(encoding, observer)
+    return encoding_for(trials.scale, trials.log_unit, noise) if given is None else given
+
+
+def pairs_shown(cells: Cells, encoding: Encoding, noise: str) -> UnitEncodings:
+    """Both encoded stimuli of every cell, refused where one gives no signal."""
+    stimuli = cells.stimulus_1, cells.stimulus_2, cells.standard
+    refuse_unencoded(encoding, np.concatenate(stimuli))
+    return unit_encodings(encoding, *stimuli, noise)

@@ -19,11 +19,11 @@ from .._values import Shown, interval_text
 from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report
-from .fit import encoding_of, fit_weber, pairs_shown
+from .fit import WeberFit, fit_weber, tails
 from .hierarchy import NAMES, Population, integrate_population
 from .lapses import likely_scales
+from .likelihood import encoding_of, pairs_shown
 from .priors import PopulationPriors, Priors, priors_for
-from .result import WeberFit, tails
 from .tabulated import Members, tabulate
 from .trials import Trials, check_trials
 from .verdict import FitStatus

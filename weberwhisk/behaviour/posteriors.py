@@ -394,3 +394,68 @@ class SampledPosterior:
 
 
 WeberPosterior: TypeAlias = QuadraturePosterior | SampledPosterior
+
+
+def sample(
+    model: WeberModel,
+    *,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+    ensembles: int = 4,
+    precision: float = 0.03,
+) -> SampledPosterior:
+    """Sample the posterior with emcee, in the coordinates of `stretch` (biases as they are).
+
+    R-hat compares so many independent ensembles; `precision` is the Monte Carlo error requested, in
+    posterior sds. `trouble` says so where the run has not converged.
+    """
+    from ..posterior.arviz_io import Shortfall
+    from ..posterior.ensemble import sample_stacked
+
+    rng = np.random.default_rng(seed)
+    free = np.flatnonzero(model.free)
+    dim = free.size + (model.n_groups if model.free_bias else 0)
+    if dim == 0:
+        raise ValueError("every parameter is fixed; leave at least one of them a distribution.")
+    transforms = [model.transforms[i] for i in free]
+    ends = np.array([s.ends for s in transforms]).reshape(-1, 2).T
+
+    def with_scores(theta: Array) -> Array:
+        """Scores in place of the coordinates."""
+        out = theta.copy()
+        for i, transform in enumerate(transforms):
+            out[..., i] = transform.score(theta[..., i])
+        return out
+
+    def log_density(theta: Array) -> Array:
+        t = theta[..., : free.size]
+        inside = ((t > ends[0]) & (t < ends[1])).all(axis=-1)
+        out = log_posterior(model, with_scores(theta))
+        for i, transform in enumerate(transforms):
+            out = out + np.log(transform.slope(t[..., i]))
+        return np.where(inside, out, -np.inf)
+
+    centre, information = find_mode(model, np.zeros(len(model.lead)))
+    root = np.linalg.cholesky(np.linalg.inv(information))
+    walkers = max(64, 4 * dim)
+    centre[: free.size] = [s.coordinate(z) for s, z in zip(transforms, centre, strict=False)]
+    # Of answers at chance lapses take all: the mode lies where they leave no rise, at the edge.
+    for _ in range(60):
+        if np.isfinite(log_density(centre)):
+            break
+        centre[: free.size] *= 0.9
+    per_score = np.ones(dim)
+    at = centre[: free.size]
+    per_score[: free.size] = [1 / s.slope(t) for s, t in zip(transforms, at, strict=True)]
+    start = centre + rng.standard_normal((1, ensembles, walkers, dim)) @ root.T * per_score
+    # A start outside the support is pulled towards the mode until it is inside.
+    for _ in range(60):
+        lost = ~np.isfinite(log_density(start))
+        if not lost.any():
+            break
+        start[lost] = centre + 0.5 * (start[lost] - centre)
+    run = sample_stacked(log_density, start, seed=rng, precision=precision)
+    flat = run.values[0].reshape(-1, dim)
+    error = float(np.max(run.mcse_mean[0, :dim] / run.sd[0, :dim]))
+    trouble = "" if run.converged[0] else f"emcee: {Shortfall(int(run.shortfall[0])).message}"
+    draws = model.draws_at(*split(model, with_scores(flat)))
+    return SampledPosterior(model, draws, ensembles, error, trouble)

@@ -24,8 +24,8 @@ from .tasks import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
 if TYPE_CHECKING:
+    from .fit import WeberFit
     from .population_fit import PopulationFit
-    from .result import WeberFit
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from .likelihood import WeberModel
 from .posteriors import QuadraturePosterior, WeberPosterior
 
 if TYPE_CHECKING:
-    from .result import WeberFit
+    from .fit import WeberFit
 
 
 class FitStatus(Enum):

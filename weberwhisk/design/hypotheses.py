@@ -20,12 +20,11 @@ from ..behaviour.encodings import (
     checked_encoding,
     unit_encodings,
 )
-from ..behaviour.fit import BIASES, fit_weber, names_by_standard
-from ..behaviour.likelihood import WeberModel
+from ..behaviour.fit import WeberFit, fit_weber
+from ..behaviour.likelihood import BIASES, WeberModel, names_by_standard
 from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors, of_task
 from ..behaviour.psychometric import refuse_out_of_reach
-from ..behaviour.result import WeberFit
 from ..behaviour.tasks import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
 from ..whisker import Whisker

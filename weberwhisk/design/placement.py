@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..behaviour.encodings import LogEncoding
-from ..behaviour.fit import fit_weber
-from ..behaviour.result import WeberFit
+from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.trials import Trials
 from .belief import Belief, GrowingBelief, Pair, entropy
 from .hypotheses import Hypothesis, check_distinct, options_of, refuse_given_k

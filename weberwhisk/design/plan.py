@@ -19,9 +19,9 @@ from scipy.stats import binom
 
 from .. import _checks
 from .._values import Shown
+from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
-from ..behaviour.result import WeberFit
 from ..behaviour.trials import STIMULI, Trials
 from ..jnd import criterion_factor
 from ..output import csv_text
