@@ -26,7 +26,7 @@ from command import options
 
 import weberwhisk as ww
 from weberwhisk.fusion import prior_draws
-from weberwhisk.mechanics.space_surface import SIX, space_surface
+from weberwhisk.mechanics.curved_surface import SIX, space_surface
 
 NAMES = ("FX", "FT", "FD", "MX", "MB", "MD")
 WHISKERS = {

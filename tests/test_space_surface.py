@@ -6,8 +6,7 @@ from analysis_scripts import load
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk.mechanics.planar_surface import PlanarSurface
-from weberwhisk.mechanics.space_surface import pressed, space_surface
+from weberwhisk.mechanics.curved_surface import PlanarSurface, pressed, space_surface
 from weberwhisk.mechanics.surface import Surface
 
 BEND = 8.0

@@ -52,7 +52,7 @@ class Observer:
         The model of the mechanics. By default the cheapest that biases the distance by less than
         `tolerance` JNDs, anywhere in the reach: the straight elastica, which leaves nothing out on
         a straight whisker without friction, or else the planar beam, solved once and tabled
-        (`mechanics.planar_surface`), which then costs as little. `model` is then the one chosen,
+        (`mechanics.curved_surface`), which then costs as little. `model` is then the one chosen,
         and `why` says why. One that is named solves its equations for every contact anew.
     tolerance : float
         Largest bias of the distance in JNDs that a model may bring, where one is chosen.

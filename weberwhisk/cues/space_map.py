@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from .._checks import number, numbers, one_or_more, refuse_hinge
 from ..mechanics.contact import Outcome
+from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of
-from ..mechanics.space_surface import SIX
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 from .force_map import SIGNALS, ForceMap

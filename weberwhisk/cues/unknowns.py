@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
+from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
-from ..mechanics.space_surface import SIX
 from ..receptors import ReceptorNoise
 from .force_map import SIGNALS
 from .protocol import Array, Cue, Felt, a_cue

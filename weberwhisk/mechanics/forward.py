@@ -12,9 +12,9 @@ hinge it is what carries the hinge that has been turned; see `mechanics.hinge`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,12 +25,9 @@ from ..whisker import Whisker
 from . import closed_form, elastica, hinge, ladder
 from .chebyshev import Array
 from .contact import Outcome, in_pieces
+from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
 from .shape import Law, Profile, Spiral
 from .surface import Surface, surface_of
-
-if TYPE_CHECKING:
-    from .planar_surface import PlanarSurface
-    from .space_surface import SpaceSurface
 
 NAMES = ("moment", "axial_force", "transverse_force")
 #: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.
@@ -132,11 +129,13 @@ class ForwardModel(Value):
     def surface(self) -> Surface | PlanarSurface | SpaceSurface:
         """The table that serves it, made once."""
         if self.azimuth is not None:
-            from .space_surface import space_surface
-
             return space_surface(self.whisker)
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
+        return self._planar
+
+    @property
+    def _planar(self) -> PlanarSurface:
         return planar_surface(self.clamped.whisker, self.friction_range, self.offset_range)
 
     @property
@@ -207,9 +206,7 @@ class ForwardModel(Value):
         shape, (flat, psi, kappa, _) = self._rows(r)
         if self.is_plain:
             return np.zeros(shape)
-        whisker = self.clamped.whisker
-        surface = planar_surface(whisker, self.friction_range, self.offset_range)
-        return surface.rest(flat, psi, kappa).reshape(shape)
+        return self._planar.rest(flat, psi, kappa).reshape(shape)
 
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
@@ -282,8 +279,6 @@ class ForwardModel(Value):
             )
         flat = [a.reshape(-1) for a in (r, push, azimuth)]
         if self.model == "rod":
-            from .space_surface import pressed
-
             signals, outcome = pressed(self.whisker, *flat)
         else:
             signals, outcome = in_pieces(self.surface, *flat, axis=0)
@@ -379,16 +374,6 @@ def forward_of(whisker: Any, model: str | None = None) -> ForwardModel:
     if isinstance(whisker, ForwardModel):
         return whisker if model is None else replace(whisker, model=model)
     return ForwardModel(whisker, model)
-
-
-@lru_cache(maxsize=64)
-def planar_surface(
-    whisker: Whisker | Profile, friction: tuple[float, float], offset: tuple[float, float]
-) -> PlanarSurface:
-    """The surface of a whisker, kept for its next contacts."""
-    from .planar_surface import PlanarSurface
-
-    return PlanarSurface(whisker, friction, offset)
 
 
 def _straightened(whisker: Whisker) -> Whisker:

@@ -1,0 +1,438 @@
+"""The base signals of a curved or rubbing whisker as tables over contacts, for posteriors.
+
+What `surface` is to the straight elastica, this is to the planar beam and to the rod: the equations
+are solved once, at Chebyshev nodes, and interpolated from then on. A contact is given by its radial
+distance and its push, the angle by which the whisker has been turned since it first touched there.
+
+At a distance the branch of equilibria runs from rest to the fold, at the push P. It is followed on
+the whisker continued beyond its tip to the apex (`branches`), and tabled over the distance and
+c = √(1 − push/P), in which it is smooth up to the fold: the signals, over the small-angle lateral
+force of the straight taper, and the arc of the contact, which is lost at the tip where that arc
+comes to the length. What else a contact depends on is one more Chebyshev axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache, reduce
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize.elementwise import find_root
+
+from ..whisker import Whisker
+from . import profile as planar
+from . import rod
+from .branches import Branches, NotFound, SpaceBranches, circle, extended, reach_of, taper_of
+from .chebyshev import Array, basis, fit, nodes, place_of, product, unfold
+from .contact import Outcome
+from .continuation import zero_load
+from .shape import Profile, Spiral
+
+#: Axial force positive in compression, forces along y and z; torsion, moments about y and z.
+SIX = ("axial_force", "force_y", "force_z", "torsion", "moment_y", "moment_z")
+#: Nodes along each axis of what is uncertain.
+UNCERTAIN = 7
+
+
+class _Places(NamedTuple):
+    """Distinct places (m,): which is each contact's; and what is tabled at them."""
+
+    which: Any
+    distance: Array  # in lengths, 1 where it is not known
+    known: NDArray[np.bool_]
+    far: NDArray[np.bool_]
+    room: Array
+    last: Array
+    rest: Array
+    poly: Array
+    by_r: Array
+
+
+class CurvedSurface:
+    """Signals of one whisker at any contact: what `PlanarSurface` and `SpaceSurface` share."""
+
+    def __init__(self, whisker: Whisker | Profile) -> None:
+        self.whisker, self.profile = whisker, Profile.of(whisker)
+        base = self.profile.whisker
+        self.length, self.stiffness = float(base.length), float(base.stiffness)
+        self.taper = taper_of(self.profile)
+
+    # -- what differs --------------------------------------------------------------------------
+
+    def _given(self, shares: list[Array]) -> Sequence[Array]:
+        """What is given beside the distance, where it has these shares (n,) of its axes."""
+        raise NotImplementedError
+
+    def _shares(self, given: Sequence[Array]) -> list[Array]:
+        """The shares of what is given; beyond its range, those of its end."""
+        raise NotImplementedError
+
+    def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
+        """Reaches (m,) where that is given, and branches at shares `along` of each."""
+        raise NotImplementedError
+
+    def _parity(self, given: Sequence[Array]) -> Any:
+        """What signals are tabled over besides, (n, S)."""
+        return 1.0
+
+    def _exact(self, r: Array, push: Array, given: Sequence[Array]) -> Array:
+        """Signals (n, S), contact by contact."""
+        raise NotImplementedError
+
+    # -- building ------------------------------------------------------------------------------
+
+    def _made(self, *sizes: tuple[int, ...]) -> None:
+        """Make tables of so many nodes, on each axis of what is given, along and across.
+
+        More where the error over the lateral force is above a thousandth of a Weber fraction of
+        0.01.
+        """
+        with np.errstate(all="ignore"):
+            for *axes, along, across in sizes:
+                self._build(axes, along, across)
+                self.error = self._certified()
+                if self.error < 1e-5:
+                    break
+        if not self.error < 1e-3:
+            raise NotFound
+
+    def _build(self, axes: list[int], along: int, across: int) -> None:
+        self._axes, self._along, self._across = axes, along, across
+        shares = [a.ravel() for a in np.meshgrid(*map(nodes, axes), indexing="ij")]
+        given = self._given(shares)
+        reach, branches = self._branches(self._at(nodes(along)), given)
+        end = branches.folds()
+        values = branches.tabled(end, across)
+        wide = tuple(np.repeat(a, along) for a in given)
+        values[..., :-1] /= self._parity(wide)
+        slips = (values[..., -1] * branches.r > 1).any(axis=0)
+        values = fit(values).transpose(1, 2, 0)
+        self._moments = branches.moments
+
+        def table(values: Array) -> Array:
+            """Rows (along · k, m) of coefficients of values (m · along, …)."""
+            out = values.reshape(*axes, -1, *values.shape[1:])
+            for axis in range(len(axes) + 1):
+                out = np.moveaxis(fit(np.moveaxis(out, axis, 0)), 0, axis)
+            return np.ascontiguousarray(out.reshape(reach.size, -1).T)
+
+        self._reach = table(reach)[0]
+        self._curves = table(np.stack([end[:, -1], branches.rest], axis=-1))
+        self._signals, self._arcs = table(values[:, :-1]), table(values[:, -1])
+        # No contact nearer than this share of the reach comes to the tip.
+        share = np.tile(self._at(nodes(along)), reach.size)
+        self._safe = 0.98 * float(np.min(share[slips], initial=1.0)) - 0.5 / along**2
+
+    def _certified(self, count: int = 60) -> float:
+        """The largest error of contacts all over, beside solving for each, over lateral force."""
+        rng = np.random.default_rng(20261122)
+        given = self._given([rng.random(count) for _ in self._axes])
+        reach = self._reach @ self._polynomials(given) * np.ones(count)
+        r = reach * self.length * rng.uniform(0.01, 0.999, count)
+        push = self.limit(r, *given) * rng.uniform(0.001, 0.998, count)
+        off = np.abs(self(r, push, *given)[0] - self._exact(r, push, given))
+        room = 1 - self.taper * r / (reach * self.length)
+        off /= (3 * push * room * self.stiffness / r**2)[:, None]
+        off[:, self._moments] /= r[:, None]
+        return float(np.max(np.where(np.isnan(off), np.inf, off)))
+
+    # -- evaluation ----------------------------------------------------------------------------
+
+    def _coordinate(self, share: Array) -> Array:
+        """The coordinate along, 0 to 1, of shares of the reach: closer towards base and apex."""
+        bend = np.array(max(self.taper, 1e-3))
+        return (1 - np.sqrt(1 - unfold(bend * share))) / (1 - np.sqrt(1 - unfold(bend)))
+
+    def _at(self, x: Array) -> Array:
+        """The shares at coordinates."""
+        bend = np.array(max(self.taper, 1e-3))
+        return place_of(1 - (1 - x * (1 - np.sqrt(1 - unfold(bend)))) ** 2) / bend
+
+    def _polynomials(self, given: Sequence[Array]) -> Array:
+        """Those (m, n or 1) of what is given."""
+        parts = [basis(k, share) for k, share in zip(self._axes, self._shares(given), strict=True)]
+        return reduce(lambda a, b: (a[:, None] * b).reshape(len(a) * len(b), -1), parts)
+
+    def _contracted(self, rows: Array, poly: Array, by_r: Array) -> Array:
+        """A table (k, n) at places (n,)."""
+        along = len(by_r)
+        if poly.shape[1] == 1:
+            whole = np.ascontiguousarray((rows @ poly).reshape(along, -1).T)
+            return product(whole, by_r)
+        out = np.empty((len(rows) // along, by_r.shape[1]))
+        for i in range(0, by_r.shape[1], 512):
+            part = slice(i, i + 512)
+            terms = product(rows, poly[:, part]).reshape(along, len(out), -1)
+            np.einsum("xkn,xn->kn", terms, by_r[:, part], out=out[:, part])
+        return out
+
+    def _placed(self, r: Array, given: Sequence[Array]) -> _Places:
+        r, which = np.asarray(r, dtype=float) / self.length, cast(Any, slice(None))
+        if any(a.size > 1 for a in given):
+            # Grids have many pushes at one distance and azimuth, where most of the work is.
+            (r, *given), which = _distinct(r, *given)
+        poly = self._polynomials(given)
+        reach = self._reach @ poly
+        known = (r > 0) & (r <= reach * (1 + 1e-12))
+        share = np.clip(r / reach, 0.0, 1.0)
+        room = 1 - self.taper * share
+        by_r = basis(self._along, self._coordinate(share))
+        last, rest = self._contracted(self._curves, poly, by_r)
+        far = known & (share > self._safe)
+        r = np.where(known, r, 1.0)
+        return _Places(which, r, known, far, room, last * room, rest, poly, by_r)
+
+    def _arcs_at(self, place: _Places) -> Array:
+        """Arcs of the far places as polynomials of c, (across, n)."""
+        poly = place.poly if place.poly.shape[1] == 1 else place.poly[:, place.far]
+        arcs = self._contracted(self._arcs, poly, place.by_r[:, place.far])
+        return np.asarray(arcs * place.distance[place.far])
+
+    def limit(self, r: Array, *given: Any) -> Array:
+        """Largest push at distances and what is given (n,), rad; NaN out of reach."""
+        place = self._placed(r, tuple(map(np.atleast_1d, given)))
+        out = np.where(place.known, place.last, np.nan)
+        if place.far.any():
+            arcs, c = self._arcs_at(place), np.linspace(1.0, 0.0, 25)
+            beyond = basis(self._across, c).T @ arcs > 1
+            beyond[0] = False
+            slips = np.flatnonzero(beyond.any(axis=0))
+            first = beyond[:, slips].argmax(axis=0)
+
+            def excess(c: Array, at: Array) -> Array:
+                terms = arcs[:, at.astype(np.intp)]
+                return np.asarray((basis(self._across, c) * terms).sum(axis=0) - 1)
+
+            found = find_root(excess, (c[first], c[first - 1]), args=(slips.astype(float),))
+            end = np.where(found.success, found.x, c[first - 1])
+            out[np.flatnonzero(place.far)[slips]] *= 1 - end**2
+        return out[place.which]
+
+    def rest(self, r: Array, *given: Any) -> Array:
+        """Deflection angle at each distance (n,) at which the whisker at rest just touches, rad."""
+        place = self._placed(r, tuple(map(np.atleast_1d, given)))
+        return np.where(place.known, place.rest, np.nan)[place.which]
+
+    def __call__(self, r: Array, push: Array, *given: Any) -> tuple[Array, NDArray[np.int8]]:
+        """Signals (n, S), NaN where not held, and outcomes (n,) at distances and pushes (n,)."""
+        given = tuple(map(np.atleast_1d, given))
+        place = self._placed(r, given)
+        which, size = place.which, len(self._moments)
+        terms = self._contracted(self._signals, place.poly, place.by_r)
+        terms = terms.reshape(size, self._across, -1)
+        last = place.last[which]
+        r, known = place.distance, place.known[which]
+        with np.errstate(all="ignore"):
+            powers = basis(self._across, np.sqrt(np.maximum(1 - push / last, 0.0)))
+            lateral = (3 * self.stiffness / self.length**2) * place.room / r**2
+            if isinstance(which, slice):
+                out = np.einsum("kcn,cn->nk", terms, powers) * lateral[:, None]
+            else:
+                rows = np.ascontiguousarray((terms * lateral).transpose(2, 1, 0))
+                out = np.matmul(powers.T[:, None], rows[which])[:, 0]
+            out *= push[:, None] * self._parity(given)
+            out[:, self._moments] *= (r * self.length)[which][:, None]
+        slips = np.zeros(push.size, dtype=bool)
+        if place.far.any():
+            far = np.flatnonzero(place.far[which])
+            at = (np.cumsum(place.far) - 1)[which][far]
+            slips[far] = (powers[:, far] * self._arcs_at(place)[:, at]).sum(axis=0) > 1 + 1e-9
+        held = known & (push >= 0) & (push <= last) & ~slips
+        out[~held] = np.nan
+        lost = np.where(slips, Outcome.SLIPPED_OFF_TIP, Outcome.FLICKED_PAST)
+        lost = np.where(push < 0, Outcome.NO_TOUCH, lost)
+        lost = np.where(known, lost, Outcome.OUT_OF_REACH)
+        return out, np.where(held, Outcome.HELD, lost).astype(np.int8)
+
+
+def _distinct(*given: Array) -> tuple[list[Array], NDArray[np.intp]]:
+    """The distinct combinations (m,) of values (n,), and which each is."""
+    values, codes = zip(*(np.unique(a, return_inverse=True) for a in given), strict=True)
+    shape = tuple(v.size for v in values)
+    kinds, which = np.unique(
+        np.ravel_multi_index(np.broadcast_arrays(*codes), shape), return_inverse=True
+    )
+    return [v[i] for v, i in zip(values, np.unravel_index(kinds, shape), strict=True)], which
+
+
+class PlanarSurface(CurvedSurface):
+    """Moment, axial and transverse force of one curved or rubbing whisker at any contact.
+
+    Contacts push the whisker towards positive angles: positive curvature is contact on the convex
+    side, negative on the concave. What may be given besides is friction (rad) and an offset of the
+    curvature (1/m).
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+        One whisker.
+    friction : (float, float)
+        Friction angles that it is made for, rad; twice the same where it is known.
+    offset : (float, float)
+        As much, 1/m, may the curvature differ from the whisker's along its whole length.
+
+    Attributes
+    ----------
+    error : float
+        Largest error of 60 contacts beside the planar beam's own, over the lateral force.
+
+    Raises
+    ------
+    ValueError
+        For a whisker that turns by more than 2 rad, and one whose folds are not found.
+    """
+
+    def __init__(
+        self,
+        whisker: Whisker | Profile,
+        friction: tuple[float, float] = (0.0, 0.0),
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        super().__init__(whisker)
+        self._ends = (friction, offset)
+        law = extended(self.profile, np.array(offset)).law
+        assert law is not None
+        turn = np.max(np.abs([law.turn(np.full(2, x)) for x in (0.25, 0.5, 0.75, 1.0)]))
+        if turn > 2.0:  # tables are made for whiskers that do not wind
+            raise ValueError(
+                f"Observers take whiskers that turn by up to 2 rad from base to tip, "
+                f"got {turn:.3g}; give a smaller curvature."
+            )
+        axes = [UNCERTAIN if high > low else 1 for low, high in self._ends]
+        try:
+            self._made((*axes, 24, 14), (*axes, 32, 16))
+        except NotFound:
+            low, high = offset
+            remedy = (
+                'curvature or friction, or model="profile", which solves each contact by itself'
+            )
+            if high > low:
+                remedy = f"spread to the curvature, whose 7 sd are {low:.3g} to {high:.3g} 1/m more"
+            raise ValueError(
+                f"No table serves {whisker}, whose folds were not found; give less {remedy}."
+            ) from None
+
+    def _given(self, shares: list[Array]) -> Sequence[Array]:
+        pairs = zip(self._ends, shares, strict=True)
+        return tuple(low + (high - low) * share for (low, high), share in pairs)
+
+    def _shares(self, given: Sequence[Array]) -> list[Array]:
+        return [
+            np.clip((value - low) / (high - low), 0.0, 1.0) if high > low else np.zeros(1)
+            for (low, high), value in zip(self._ends, given or np.zeros((2, 1)), strict=True)
+        ]
+
+    def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
+        friction, offset = (np.repeat(a, along.size) for a in given)
+        rows = extended(self.profile, offset)
+        reach = reach_of(rows)
+        r = reach * np.tile(along, len(given[0]))
+        return reach[:: along.size], Branches.of(rows, self.taper, r, friction)
+
+    def _exact(self, r: Array, push: Array, given: Sequence[Array]) -> Array:
+        friction, offset = given
+        whisker: Whisker | Profile = self.whisker
+        if np.any(offset):
+            law = self.profile.law
+            assert isinstance(law, Spiral)
+            whisker = self.profile.curved(Spiral(law.base + offset, law.rate + 0 * offset))
+        bent = planar.press(whisker, r, self.rest(r, *given) + push, friction)
+        return np.stack([bent.moment, bent.axial_force, bent.transverse_force], axis=-1)
+
+    def reach(self, offset: float = 0.0) -> float:
+        """Distance of the tip at rest, m."""
+        poly = self._polynomials((np.array([self._ends[0][0]]), np.atleast_1d(offset)))
+        return self.length * float((self._reach @ poly)[0])
+
+
+class SpaceSurface(CurvedSurface):
+    """The six signals (`SIX`) of one curved whisker at any contact, without friction.
+
+    A point at the distance r is pushed from where the whisker at rest touches, along the great
+    circle about the base that leaves there by the azimuth ω, which is given: 0 pushes towards the
+    side that the whisker curves to, in its plane, π against it. On a straight whisker the push and
+    ω are the deflection angle and the azimuth. Signals even in ω are polynomials of cos ω, odd ones
+    sin ω times such.
+
+    Parameters
+    ----------
+    whisker : Whisker or Profile
+        One whisker.
+
+    Attributes
+    ----------
+    error : float
+        Largest error of 60 contacts beside the rod's own, over the lateral force.
+
+    Raises
+    ------
+    ValueError
+        For a whisker whose folds are not found.
+    """
+
+    def __init__(self, whisker: Whisker | Profile) -> None:
+        super().__init__(whisker)
+        try:
+            self._made((9, 18, 12), (14, 28, 16))
+        except NotFound:
+            raise ValueError(
+                f"No table in space serves {whisker}, whose folds were not found; give less "
+                'curvature, or model="rod", which solves each contact by itself.'
+            ) from None
+
+    def _given(self, shares: list[Array]) -> Sequence[Array]:
+        return (np.arccos(2 * shares[0] - 1),)
+
+    def _shares(self, given: Sequence[Array]) -> list[Array]:
+        return [(1 + np.cos(given[0])) / 2]
+
+    def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
+        reach = reach_of(extended(self.profile, np.zeros(len(given[0]))))
+        r, azimuth = (reach[:, None] * along).ravel(), np.repeat(given[0], along.size)
+        return reach, SpaceBranches.around(self.profile, self.taper, r, azimuth)
+
+    def _parity(self, given: Sequence[Array]) -> Any:
+        odd = np.array([False, False, True, True, True, False])
+        return np.where(odd, np.sin(given[0])[:, None], 1.0)
+
+    def _exact(self, r: Array, push: Array, given: Sequence[Array]) -> Array:
+        return pressed(self.whisker, r, push, *given)[0]
+
+    def reach(self) -> float:
+        """Distance of the tip at rest, m."""
+        return self.length * float(self._reach[0])
+
+
+@lru_cache(maxsize=64)
+def planar_surface(
+    whisker: Whisker | Profile, friction: tuple[float, float], offset: tuple[float, float]
+) -> PlanarSurface:
+    """The surface of a whisker, kept for its next contacts."""
+    return PlanarSurface(whisker, friction, offset)
+
+
+@lru_cache(maxsize=16)
+def space_surface(whisker: Whisker | Profile) -> SpaceSurface:
+    """The surface of a whisker, kept for its next contacts."""
+    return SpaceSurface(whisker)
+
+
+def pressed(
+    whisker: Whisker | Profile, r: Array, push: Array, azimuth: Array
+) -> tuple[Array, NDArray[np.int8]]:
+    """`SIX` signals (n, 6) and outcomes (n,) of contacts, by the rod's own equations."""
+    profile = Profile.of(whisker)
+    rows = extended(profile, np.zeros_like(r))
+    length = float(profile.whisker.length)
+    known = (r > 0) & np.isfinite(push) & np.isfinite(azimuth)
+    rest, aside = circle(zero_load(rows, np.where(known, r / length, 0.5))[1], azimuth)
+    place = r * (rest * np.cos(push) + aside * np.sin(push))
+    known &= np.isfinite(place).all(axis=0)
+    place[:, ~known] = [[0.5 * length], [0.0], [0.0]]
+    bent = rod.press(whisker, place.T, round_back=push > np.pi)
+    signals = np.concatenate([bent.force * [-1, 1, 1], bent.moment], axis=-1)
+    signals[~known | (push < 0)] = np.nan
+    outcome = np.where(push < 0, Outcome.NO_TOUCH, bent.outcome)
+    return signals, np.where(known, outcome, Outcome.OUT_OF_REACH).astype(np.int8)
