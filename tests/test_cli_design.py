@@ -80,11 +80,11 @@ def test_a_rehearsal_is_written_and_its_stream_cleared(folder: Path, tmp_path: P
 def test_a_rehearsal_broken_off_goes_on(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from weberwhisk.design import simulated_study
+    from weberwhisk.design import experiment
 
     calls: list[int] = []
     resumed: list[int] = []
-    whole = simulated_study.one_experiment
+    whole = experiment.one_experiment
 
     def breaks(chunk: dict[str, object], seed: object) -> pd.DataFrame:
         calls.append(1)
@@ -95,7 +95,7 @@ def test_a_rehearsal_broken_off_goes_on(
     breaks.__module__, breaks.__qualname__ = whole.__module__, whole.__qualname__
     out = tmp_path / "rehearsal"
     command = [*REHEARSE, str(folder / "plan.json"), "--out", str(out)]
-    monkeypatch.setattr(simulated_study, "one_experiment", breaks)
+    monkeypatch.setattr(experiment, "one_experiment", breaks)
     assert run_app(cli.app, command) == 130
     (stream,) = out.iterdir()
     # A header and two experiments, or one: quick ones go together, and are kept together.

@@ -22,7 +22,7 @@ from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import in_words, rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
-from weberwhisk.design.preregistration import preregistration
+from weberwhisk.design.plan_file import preregistration
 from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 
 ROOT = Path(__file__).parent.parent

@@ -43,8 +43,7 @@ from weberwhisk.design import (
     trial_lists,
     with_priors,
 )
-from weberwhisk.design.plan_file import decode, encode, plan_of
-from weberwhisk.design.preregistration import preregistration
+from weberwhisk.design.plan_file import decode, encode, plan_of, preregistration
 from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
 from weberwhisk.output import csv_text
 

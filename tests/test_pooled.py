@@ -14,8 +14,7 @@ from weberwhisk.behaviour import (
     task_named,
 )
 from weberwhisk.design import Goal, Hypothesis, Plan, Scheme, hypotheses
-from weberwhisk.design.plan_file import decode, encode
-from weberwhisk.design.preregistration import preregistration
+from weberwhisk.design.plan_file import decode, encode, preregistration
 from weberwhisk.jnd import weber_propagation
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)

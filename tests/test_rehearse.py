@@ -27,8 +27,8 @@ from weberwhisk.design import (
     analyse,
     taper,
 )
+from weberwhisk.design.experiment import NEITHER
 from weberwhisk.design.power_analysis import wilson
-from weberwhisk.design.simulated_study import NEITHER
 from weberwhisk.figures import rehearsed
 
 C2 = Whisker.from_identity("C2")

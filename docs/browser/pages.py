@@ -22,7 +22,7 @@ import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.behaviour import CueEncoding, methods_paragraph
 from weberwhisk.design import Goal, SubjectPopulation
-from weberwhisk.design.preregistration import preregistration
+from weberwhisk.design.plan_file import preregistration
 from weberwhisk.tables import load_table
 
 Fields = dict[str, str]

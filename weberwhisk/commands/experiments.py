@@ -18,7 +18,7 @@ from ..citing import versions_in_words
 from ..cli import numbers
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
-from ..design.preregistration import assumptions, offsets_in_words
+from ..design.plan_file import assumptions, offsets_in_words
 from ..figures.designs import fill
 from ..output import Run, atomic_write, to_json
 from ..tables import load_table

@@ -6,16 +6,15 @@ runs, a placer chooses each trial from what the ones before have told.
 
 from .._deprecated import renamed_names
 from .best import Best, best_scheme
-from .experiment import lattice, plan_experiment
+from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .information import information
 from .placement import BayesianPlacer, Placer, Proposal, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, Smallest, power, smallest
-from .scheme import LEVELS, Constraints, Scheme
+from .scheme import LEVELS, Constraints, Scheme, lattice
 from .session import Session, Staircase
-from .simulated_study import SimulatedStudy, simulate_study
 from .trial_lists import trial_lists
 
 __all__ = [

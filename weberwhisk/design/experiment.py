@@ -1,18 +1,28 @@
-"""From a question to a plan: sensible defaults for whatever an experimenter has not decided."""
+"""From a question to a plan, with defaults for whatever is not decided; and the plan simulated.
+
+In a simulated study every hypothesis in turn is the truth. Animals are drawn from what the plan
+expects of them, answer the very lists that the real ones will see, and their answers go through
+`Plan.analyse`, as the real ones will. What is counted is how often the conclusion is the right one.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .. import _checks
-from .._deprecated import renamed_arguments
-from ..behaviour.encodings import CueEncoding, Encoding, checked_encoding, gives_signal
-from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
+from .. import _checks, campaign
+from .._values import Shown, interval_text
+from ..behaviour.encodings import CueEncoding
+from ..behaviour.population import simulate_responses
+from ..behaviour.verdict import FitStatus
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..observer import Observer
@@ -21,11 +31,13 @@ from ..whisker import Whisker
 from .best import best_scheme
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
 from .plan import Plan
-from .power_analysis import power, sized, smallest
+from .plan_file import plan_json, plan_of
+from .power_analysis import power, sized, smallest, wilson
 from .scheme import Constraints, Scheme
 
 #: Comparisons of every standard, in sds: the widest are easy.
 WIDE = (-3.5, -1.5, -0.75, 0.75, 1.5, 3.5)
+NEITHER = "undecided"
 
 
 def plan_experiment(
@@ -119,13 +131,16 @@ def plan_experiment(
     10.0
     """
     shape = Whisker.from_identity(whisker) if isinstance(whisker, str) else whisker
-    for name, value in (("goal", goal), ("expected", expected), ("constraints", constraints)):
-        kind = {"goal": Goal, "expected": SubjectPopulation, "constraints": Constraints}[name]
-        if value is not None and not isinstance(value, kind):
+    aim, likely = goal or Goal(bayes_factor=10.0), expected or SubjectPopulation()
+    limits = constraints or Constraints(step=10e-6)
+    for name, value, kind in (
+        ("goal", aim, Goal), ("expected", likely, SubjectPopulation),
+        ("constraints", limits, Constraints),
+    ):  # fmt: skip
+        if not isinstance(value, kind):
             raise ValueError(
                 f"{name} must be {kind.__name__}, got {_checks.shown(value)}; leave it out, say."
             )
-    aim = goal or Goal(bayes_factor=10.0)
     if scheme is not None and (trials, standards) != (None, None):
         raise ValueError("A scheme has its standards and trials; leave standards and trials out.")
     if scheme is not None and animals not in (1, scheme.animals):
@@ -133,23 +148,18 @@ def plan_experiment(
             f"A scheme has its animals, got {scheme.animals} and animals={animals}; write "
             f"scheme.with_animals({animals})."
         )
-    limits, likely = constraints or Constraints(step=10e-6), expected or SubjectPopulation()
     given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
-    wanted = _what_to_find(find, trials, scheme)
+    wanted = _what_to_find(find, trials is not None or scheme is not None)
+    own: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
     if best:
         if scheme is not None or standards is not None:
             raise ValueError("best=True chooses the standards; leave scheme and standards out.")
-        options: dict[str, Any] = {
-            "goal": aim, "constraints": limits, "expected": likely, "animals": animals,
-            "seed": seed,
-        }  # fmt: skip
-        chosen = best_scheme(given, **options)
+        chosen = best_scheme(given, **own, expected=likely, animals=animals)
         if trials is None and aim.half_width is not None:
             # Few trials want others than as many as the goal needs: intervals go as 1/√n.
-            needed = chosen.scheme.n_trials * (chosen.value / aim.half_width) ** 2
-            chosen = best_scheme(
-                given, **options, trials=max(round(needed), chosen.scheme.n_trials // 2)
-            )
+            few = chosen.scheme.n_trials
+            needed = max(round(few * (chosen.value / aim.half_width) ** 2), few // 2)
+            chosen = best_scheme(given, **own, expected=likely, animals=animals, trials=needed)
         scheme = chosen.scheme if trials is None else chosen.scheme.with_trials(trials)
     if scheme is None:
         encoding = given[0].encoding
@@ -158,31 +168,36 @@ def plan_experiment(
             encoding, at, weber_fraction=likely.weber_fraction, levels=levels,
             trials=20 if trials is None else trials, animals=animals, step=limits.step,
         )  # fmt: skip
-    own: dict[str, Any] = {
-        "hypotheses": given, "goal": aim, "animals": likely, "constraints": limits,
-        "trials_per_session": trials_per_session, "longest_run": longest_run, "title": title,
-        "seed": seed,
+    own |= {
+        "hypotheses": given, "animals": likely, "trials_per_session": trials_per_session,
+        "longest_run": longest_run, "title": title,
     }  # fmt: skip
-    Plan(
-        scheme, **own, together=bool(together)
-    )  # refuses what cannot be shown before anything is computed
-    options = {
+    # Refuses what cannot be shown before anything is computed.
+    Plan(scheme, **own, together=bool(together))
+    options: dict[str, Any] = {
         "goal": aim, "expected": likely, "runs": runs, "workers": workers, "scheduler": scheduler,
-        "progress": progress, "together": together is not False,
+        "progress": progress, "together": together is not False, "seed": seed,
     }  # fmt: skip
-    found: pd.DataFrame | None = None
+    table: pd.DataFrame | None = None
     if wanted != "nothing":
-        scheme, found = _smallest(scheme, given, wanted, seed, options)
+        found = smallest(scheme, given, vary=wanted, **options)
+        size = int(getattr(found.power.table.iloc[0], wanted))
+        # Even numbers of trials let every pair come in both orders equally often.
+        scheme = sized(scheme, wanted, size + (size % 2 if wanted == "trials" else 0))
+        ways = [found.path.table[found.path.table[wanted] != size], found.power.table]
+        table = pd.concat(ways, ignore_index=True).sort_values(["truth", wanted])
     elif runs:
-        found = _curve(scheme, given, seed, options)
+        most = max(map(max, scheme.trials))
+        sizes = sorted({max(most // 2, 1), most, 2 * most})
+        table = power(scheme, given, trials=sizes, **options).table
     if together is None:
         known = any(h.priors.is_fixed("weber_fraction") for h in given)
         together = scheme.animals > 1 and not known
-    return Plan(scheme, **own, together=together, power=found)
+    return Plan(scheme, **own, together=together, power=table)
 
 
-def _what_to_find(find: str | None, trials: int | None, scheme: Scheme | None) -> str:
-    decided = trials is not None or scheme is not None
+def _what_to_find(find: str | None, decided: bool) -> str:
+    """What is made small, where the trials are decided or not."""
     if find is None:
         return "nothing" if decided else "trials"
     _checks.one_of("find", find, ("trials", "animals", "nothing"))
@@ -194,31 +209,6 @@ def _what_to_find(find: str | None, trials: int | None, scheme: Scheme | None) -
     if find == "nothing" and not decided:
         raise ValueError("Trials are given or found, got neither; write trials=20, or leave find.")
     return find
-
-
-def _smallest(
-    scheme: Scheme,
-    hypotheses: Sequence[Hypothesis],
-    vary: str,
-    seed: int,
-    options: dict[str, Any],
-) -> tuple[Scheme, pd.DataFrame]:
-    """The smallest scheme that reaches the goal, and the power of all sizes on the way."""
-    found = smallest(scheme, hypotheses, vary=vary, seed=seed, **options)
-    size = getattr(found.power.table.iloc[0], vary)
-    # Even numbers of trials let every pair come in both orders equally often.
-    final = sized(scheme, vary, int(size) + (int(size) % 2 if vary == "trials" else 0))
-    ways = [found.path.table[found.path.table[vary] != size], found.power.table]
-    return final, pd.concat(ways, ignore_index=True).sort_values(["truth", vary])
-
-
-def _curve(
-    scheme: Scheme, hypotheses: Sequence[Hypothesis], seed: int, options: dict[str, Any]
-) -> pd.DataFrame:
-    """The power of a scheme that is decided, and of half and twice as many trials."""
-    most = max(map(max, scheme.trials))
-    sizes = sorted({max(most // 2, 1), most, 2 * most})
-    return power(scheme, hypotheses, trials=sizes, seed=seed, **options).table
 
 
 def _hypotheses(
@@ -251,66 +241,197 @@ def _hypotheses(
     return [Hypothesis("expected observer", CueEncoding(observer, deflection_angle))]
 
 
-@renamed_arguments(percept="encoding")
-def lattice(
-    encoding: Encoding,
-    standards: ArrayLike,
-    constraints: Constraints | None = None,
-    *,
-    each_side: int = 16,
-    smallest: float = 0.01,
-    largest: float = 1.2,
-) -> Scheme:
-    """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
+@dataclass(frozen=True, repr=False)
+class SimulatedStudy(Shown):
+    """Outcomes of an experiment that was simulated.
 
     Parameters
     ----------
-    encoding : Encoding
-        Says how large an offset is: offsets are multiples of the sd of the difference between two
-        encodings that an animal with k = 1 would have (`difference_sd`).
-    standards : array_like
-    constraints : Constraints, optional
-        What falls outside the range is left out, the rest put on the nearest step.
-    each_side : int
-        Comparisons on either side, at most.
-    smallest, largest : float
-        Offsets, in those sds: about twice the least and the greatest k that may be met.
+    plan : Plan
+    table : DataFrame
+        One row an experiment:
+
+        - `truth`, the hypothesis that was simulated, and the number of the `run`;
+        - `conclusion`, the hypothesis favoured or "undecided" (empty where there is one alone), and
+          `log_bayes_factor`, natural, of the truth against the best other;
+        - `weber_fraction` and `half_width`, estimate and relative half-width of its 95 % interval,
+          of several animals fitted apart the medians; `covered`, the share of these intervals that
+          hold the true k; `determined`, the share of fits whose status is that;
+        - `right`: the share of conclusions that are right, which is 1 or 0 for a hypothesis
+          favoured, and `covered` where the goal is an interval; `reached`, how far the goal was:
+          the same for a hypothesis, for an interval the share of animals where it is narrow enough.
+    """
+
+    _figure: ClassVar[str] = "rehearsed"
+    plan: Plan
+    table: pd.DataFrame
+
+    def summary(self) -> pd.DataFrame:
+        """How often, by truth, with the Monte Carlo error.
+
+        Returns
+        -------
+        DataFrame
+            Index `truth`; `runs`; `reached`, the share in which the goal was, with its standard
+            error `error` and Wilson's 95 % interval `lower` to `upper`; shares of conclusions
+            `right`, `wrong` and `undecided`; `covered`; median `half_width`; `bias`, the median
+            estimate over the true median, less 1.
+        """
+        rows = {}
+        for truth, own in self.table.groupby("truth", sort=False):
+            mean = own[["reached", "right", "covered"]].mean()
+            undecided = own["conclusion"] == NEITHER
+            lower, upper = wilson(float(mean["reached"]), len(own))
+            rows[truth] = {
+                "runs": len(own),
+                "reached": float(mean["reached"]),
+                "error": float(own["reached"].std(ddof=0) / np.sqrt(len(own))),
+                "lower": lower,
+                "upper": upper,
+                "right": float(mean["right"]),
+                "wrong": float((1 - own["right"] - undecided).mean()),
+                "undecided": float(undecided.mean()),
+                "covered": float(mean["covered"]),
+                "half_width": float(own["half_width"].median()),
+                "bias": float(
+                    own["weber_fraction"].median() / self.plan.animals.weber_fraction - 1
+                ),
+            }
+        return pd.DataFrame(rows.values(), pd.Index(rows, name="truth"))
+
+    def _line(self) -> str:
+        rows = self.summary()[["reached", "lower", "upper", "runs"]].iterrows()
+        return "goal reached by " + "; ".join(
+            f"{truth} {interval_text(*row.iloc[:3])} of {row['runs']:g} runs" for truth, row in rows
+        )
+
+    def report(self) -> str:
+        """What came out, in plain words."""
+        plan, seen = self.plan, self.summary()
+        lines = [
+            f"{plan.title}: {plan.scheme.animals} animal{'s' * (plan.scheme.animals > 1)} × "
+            f"{plan.scheme.n_trials} trials, simulated {int(seen['runs'].iloc[0])} times under "
+            f"{'each hypothesis' if len(seen) > 1 else 'the hypothesis'} and analysed as planned.",
+            f"The goal is {plan.goal}.",
+        ]
+        for truth, row in seen.iterrows():
+            lines.append(
+                f"When the animals are {truth}: the goal is reached in {100 * row['reached']:.3g} "
+                f"± {100 * row['error']:.2g} % of {int(row['runs'])} runs (95 % interval "
+                f"{100 * row['lower']:.3g} to {100 * row['upper']:.3g} %), "
+                f"{_met(row, plan.goal.share)}; the conclusion is right in "
+                f"{100 * row['right']:.3g} %, wrong in {100 * row['wrong']:.3g} % and open in "
+                f"{100 * row['undecided']:.3g} %. The 95 % interval of k is ±"
+                f"{100 * row['half_width']:.2g} % in the median and holds the truth in "
+                f"{100 * row['covered']:.3g} %; the median estimate is {100 * row['bias']:+.2g} % "
+                "off."
+            )
+        return "\n".join(lines) + "\n"
+
+
+def _met(row: pd.Series, share: float) -> str:
+    wanted = f"the {100 * share:.3g} % asked for"
+    if row["lower"] > share:
+        return f"more than {wanted}"
+    if row["upper"] < share:
+        return f"less than {wanted}"
+    return f"not to be told from {wanted} by so many runs"
+
+
+def simulate_study(
+    plan: Plan,
+    runs: int = 100,
+    *,
+    seed: int | np.random.SeedSequence = 1,
+    workers: int = 1,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SimulatedStudy:
+    """Simulate a planned experiment, fit it as the real data will be fitted, and judge it.
+
+    Parameters
+    ----------
+    plan : Plan
+    runs : int
+        Experiments under each hypothesis.
+    seed : int or SeedSequence
+        Of animals and answers; the trial lists are the plan's own.
+    workers, scheduler, out, progress
+        See `weberwhisk.campaign.run`: the answer is the same whoever does it, and with `out` a run
+        that was broken off goes on where it was.
+
+    Returns
+    -------
+    SimulatedStudy
 
     Raises
     ------
     ValueError
-        Where a standard is left without comparisons on both sides.
+        For no runs, and a plan that cannot be written as JSON.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> lattice(IdentityEncoding(), 1.0, each_side=3, largest=0.5).comparisons
-    ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
+    >>> from weberwhisk import Whisker
+    >>> from weberwhisk.design import Goal, Scheme, taper
+    >>> tapered, cylindrical = taper(Whisker(50e-3, 100e-6, 5e-6))
+    >>> scheme = Scheme.spaced(tapered.encoding, [15e-3, 45e-3], levels=[-2, -1, 1, 2], trials=25)
+    >>> plan = Plan(scheme, [tapered, cylindrical], Goal(bayes_factor=10))
+    >>> simulate_study(plan, 2, seed=1).table["truth"].tolist()
+    ['tapered', 'cylindrical', 'tapered', 'cylindrical']
     """
-    checked_encoding(encoding)
-    low, high = encoding.domain
-    # A range of distances begins at 0; other stimuli, such as logarithms, need not.
-    limits = constraints or Constraints(farthest=high)
-    nearest = limits.nearest if constraints else -np.inf
-    given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
-    at = np.unique(limits.positions(given))
-    refuse_out_of_reach(encoding, at, "standard")
-    ratios = np.geomspace(smallest, largest, each_side)
-    rows = []
-    for s in at:
-        steps = ratios * float(difference_sd(encoding, s))
-        levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
-        levels = np.array([float(f"{v:.6g}") for v in levels])
-        inside = (levels >= nearest) & (levels <= limits.farthest)
-        levels = levels[inside & (levels > low) & (levels < high)]
-        levels = np.unique(
-            levels[gives_signal(encoding, levels) & (np.abs(levels - s) > 1e-9 * abs(s))]
-        )
-        if not (np.any(levels < s) and np.any(levels > s)):
-            raise ValueError(
-                f"standard {s:g} is left without comparisons on both sides, between "
-                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
-                "or widen the range."
-            )
-        rows.append([float(f"{level - s:.12g}") for level in levels])
-    return Scheme(at, rows)
+    _checks.whole("runs", runs, "write 100")
+    text = json.dumps(json.loads(plan_json(plan)))
+    chunks = [
+        {"plan": text, "truth": hypothesis.name, "run": run}
+        for run in range(1, int(runs) + 1)
+        for hypothesis in plan.hypotheses
+    ]
+    table = campaign.run(
+        one_experiment, chunks, seed=seed, workers=workers, scheduler=scheduler, out=out,
+        title="Simulated study", progress=progress,
+    )  # fmt: skip
+    return SimulatedStudy(plan, table)
+
+
+def one_experiment(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
+    """One experiment, from animals to conclusion: a row of `SimulatedStudy.table`."""
+    plan = _plan(chunk["plan"])
+    truth = next(h for h in plan.hypotheses if h.name == chunk["truth"])
+    of_animals, of_answers = seed.spawn(2)
+    animals = plan.animals.draw(plan.scheme.animals, of_animals)
+    animals["bias"] += truth.usual_bias
+    answers = simulate_responses(
+        plan.trials, animals, encoding=truth.encoding, noise=truth.noise, task=truth.task,
+        seed=of_answers,
+    )  # fmt: skip
+    found = plan.analyse(answers)
+    rows = found.of(truth.name)
+    half_width = (rows["upper"] - rows["lower"]) / (2 * rows["weber_fraction"])
+    true_k: Any = plan.animals.weber_fraction
+    if not plan.together:
+        true_k = rows["subject"].map(animals.set_index("subject")["weber_fraction"])
+    covered = (rows["lower"] <= true_k) & (true_k <= rows["upper"])
+    conclusion, right = "", float(covered.mean())
+    reached = float((half_width <= (plan.goal.half_width or 0.0)).mean())
+    if plan.goal.bayes_factor is not None:
+        conclusion = found.favoured(plan.goal.bayes_factor) or NEITHER
+        right = reached = float(conclusion == truth.name)
+    row = {
+        "truth": truth.name,
+        "run": chunk["run"],
+        "conclusion": conclusion,
+        "log_bayes_factor": found.log_bayes_factor(truth.name),
+        "weber_fraction": float(rows["weber_fraction"].median()),
+        "half_width": float(half_width.median()),
+        "covered": float(covered.mean()),
+        "determined": float((rows["status"] == FitStatus.DETERMINED.name).mean()),
+        "right": right,
+        "reached": reached,
+    }
+    return pd.DataFrame([row])
+
+
+@lru_cache(maxsize=4)
+def _plan(text: str) -> Plan:
+    return plan_of(text)

@@ -1,9 +1,15 @@
-"""A plan as JSON, and back: every number to its last bit, and a fingerprint of what came out."""
+"""A plan on file: as JSON and back, every number to its last bit; and in words.
+
+The words are what it takes for granted, and a text to paste into a preregistration.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
+import textwrap
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -23,6 +29,7 @@ from ..behaviour.encodings import (
     LogEncoding,
     PlaceEncoding,
     PooledEncoding,
+    described,
 )
 from ..behaviour.priors import Priors
 from ..cues import Compliance, ForceMap, Friction, SpaceMap, UnknownRoll
@@ -33,7 +40,8 @@ from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
 from .hypotheses import Goal, Hypothesis, SubjectPopulation
 from .plan import Plan
-from .scheme import Constraints, Scheme
+from .scheme import Constraints, Scheme, easy_share
+from .trial_lists import ONE_STIMULUS
 
 # What each is made of: the names of its arguments, `argument=attribute` where these differ, and
 # after a colon what they may be where that is not one finite number.
@@ -126,19 +134,17 @@ def decode(value: Any) -> Any:
         return [decode(item) for item in value]
     if not isinstance(value, dict):
         return value
-    parts = {name: decode(item) for name, item in value.items() if name != KIND}
+    parts = {str(OLD.get(name, name)): decode(v) for name, v in value.items() if name != KIND}
     if KIND not in value:
         return parts
-    parts = {OLD.get(name, name): item for name, item in parts.items()}
     name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
     for late in ("hinge_stiffness",) * (name == "Whisker") + ("model",) * (name == "Observer"):
         parts.setdefault(late, None)  # of plans that were written before there was one
     noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:
         return _frozen(value[KIND], parts)
-    kinds = {name: kind for name, _, kind in _parts(noun)}
     try:
-        return noun(**checked(noun.__name__, parts, kinds))
+        return noun(**checked(noun.__name__, parts, {n: kind for n, _, kind in _parts(noun)}))
     except (TypeError, OverflowError) as error:
         raise ValueError(f"{noun.__name__} cannot be made of these ({error})") from None
 
@@ -153,14 +159,14 @@ def checked(what: str, parts: dict[Any, Any], kinds: dict[Any, str]) -> dict[Any
             wanted = kind.replace("|", " or ")
             raise ValueError(f"{name} of {what} must be {wanted}, got {_checks.shown(parts[name])}")
     return {
-        name: _read(parts[name]) if kind.startswith("limit") else parts[name]
+        name: _floats(parts[name]) if kind.startswith("limit") else parts[name]
         for name, kind in kinds.items()
     }
 
 
-def _read(value: Any) -> Any:
+def _floats(value: Any) -> Any:
     if isinstance(value, list):
-        return [_read(item) for item in value]
+        return [_floats(item) for item in value]
     return float(value) if isinstance(value, str) else value
 
 
@@ -173,22 +179,17 @@ def _is(value: Any, kind: str, most: float = 1e30) -> bool:
             return isinstance(value, bool)
         case "text":
             return isinstance(value, str)
-        case "texts":
-            return _is(value, "text") or _all_are(value, "text")
         case "number" | "limit":
             if isinstance(value, str | bool):
                 return kind == "limit" and value in ("inf", "-inf", "nan")
             return isinstance(value, int | float) and abs(value) < most
-        case "numbers" | "limits":
-            return _is(value, kind[:-1]) or _all_are(value, kind)
+        case "texts" | "numbers" | "limits":
+            many = isinstance(value, list)
+            return all(_is(item, kind) for item in value) if many else _is(value, kind[:-1])
         case "distribution":
             return isinstance(value, rv_frozen)
         case _:
             return type(value).__name__ == kind
-
-
-def _all_are(value: Any, kind: str) -> bool:
-    return isinstance(value, list) and all(_is(item, kind) for item in value)
 
 
 def _frozen(name: Any, parts: dict[str, Any]) -> Any:
@@ -206,23 +207,18 @@ def _frozen(name: Any, parts: dict[str, Any]) -> Any:
             found = made.ppf([0.02, 0.5, 0.98])
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} cannot be made of {args} and {kwds} ({error})") from None
-    if not (np.isfinite(found).all() and (np.diff(found) > 0).all()):
+    if not (np.isfinite(found).all() and np.all(np.diff(found) > 0)):
         raise ValueError(f"{name} has no quantiles with {args} and {kwds}")
     return made
 
 
 def _parts(noun: type) -> list[tuple[str, str, str]]:
     """Arguments of a noun, the attributes that hold them, and their kinds."""
-    found = []
-    for part in NOUNS[noun].split():
-        names, _, kind = part.partition(":")
-        name, _, attribute = names.partition("=")
-        found.append((name, attribute or name, kind or "number"))
-    return found
+    found = re.findall(r"(\w+)(?:=(\w+))?(?::(\S+))?", NOUNS[noun])
+    return [(name, attribute or name, kind or "number") for name, attribute, kind in found]
 
 
-FORMAT = "weberwhisk plan"
-VERSION = 1  # of the format
+FORMAT, VERSION = "weberwhisk plan", 1
 #: What a file has, what the plan in it is made of, and what its table of power needs.
 FILE = {
     "format": "text", "version": "number", "made_with": "dict", "trials_sha256": "text",
@@ -284,14 +280,14 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     True
     """
     if not isinstance(path, str | os.PathLike):
-        raise ValueError(f"path must name a file, got {_checks.shown(path)}; write plan.json, say.")
+        raise ValueError(f"path must name a file, got {_checks.shown(path)}; write plan.json.")
     return plan_of(Path(path).read_bytes(), os.fspath(path))
 
 
 def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
     """A plan from the text of its JSON; see `read_plan`."""
     try:
-        record = json.loads(content, parse_constant=_not_json)
+        record = json.loads(content)
     except (ValueError, RecursionError) as error:  # also bytes that are no text
         raise ValueError(
             f"{source} is no whole plan: its JSON cannot be read ({error}); {AGAIN}."
@@ -300,12 +296,15 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
         raise ValueError(
             f"{source} is not a plan; name the plan.json that `weberwhisk design` wrote."
         )
-    version = record.get("version")
+    version, versions = record.get("version"), record.get("made_with")
+    made_with = "unknown"
+    if isinstance(versions, dict):
+        made_with = ", ".join(f"{name} {value}" for name, value in versions.items())
     if version != VERSION:
         raise ValueError(
             f"{source} has version {version!r} of the plan's format, and this weberwhisk "
             f"({__version__}) reads version {VERSION}; {AGAIN}, or use the version that made it "
-            f"({_made_with(record)})."
+            f"({made_with})."
         )
     try:
         checked("the file", record, FILE)
@@ -329,13 +328,9 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
         raise ValueError(
             f"{source} gives other trial lists than when it was made (SHA-256 "
             f"{now[:8]}…, not {str(fingerprint)[:8]}…): it was changed since, or made "
-            f"with other versions ({_made_with(record)}); {AGAIN}."
+            f"with other versions ({made_with}); {AGAIN}."
         )
     return plan
-
-
-def _not_json(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 def _table(columns: Any) -> pd.DataFrame | None:
@@ -344,16 +339,142 @@ def _table(columns: Any) -> pd.DataFrame | None:
     checked("power", columns, dict.fromkeys([*COLUMNS, *columns], "list"))
     if len({len(column) for column in columns.values()}) != 1:
         raise ValueError("columns of power must be equally long")
-    return pd.DataFrame({name: _column(name, column) for name, column in columns.items()})
+    found = {}
+    for name, values in columns.items():
+        cells, kind = dict(enumerate(values)), "text" if name == "truth" else "limit"
+        found[name] = list(checked(name, cells, dict.fromkeys(cells, kind)).values())
+    return pd.DataFrame(found)
 
 
-def _column(name: str, values: list[Any]) -> list[Any]:
-    kinds = dict.fromkeys(range(len(values)), "text" if name == "truth" else "limit")
-    return list(checked(name, dict(enumerate(values)), kinds).values())
+# -- in words -------------------------------------------------------------------------------------
 
 
-def _made_with(record: dict[str, Any]) -> str:
-    versions = record.get("made_with")
-    if not isinstance(versions, dict):
-        return "unknown"
-    return ", ".join(f"{name} {value}" for name, value in versions.items())
+def assumptions(plan: Plan) -> list[str]:
+    """What the expected numbers hang on, a sentence each."""
+    animals, first = plan.animals, plan.hypotheses[0]
+    k = animals.weber_fraction
+    easy = easy_share(plan.scheme, first.encoding, k, task=first.task, noise=first.noise)
+    return [
+        f"Weber fraction of the animals: median {k:g}, ln k with an sd of "
+        f"{animals.spread:g} between animals. None has been measured for whisker force or moment.",
+        f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
+        f"{animals.bias_spread:g} between animals, in sds of the difference of the two signals.",
+        f"Distance is encoded through {described(first.encoding)}.",
+        "Noise is independent from trial to trial, k is the same in all sessions, and the two "
+        "stimuli are encoded alike.",
+        f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
+    ]
+
+
+def offsets_in_words(offsets: Sequence[float]) -> str:
+    """Offsets in millimetres, those that come with either sign once."""
+    millimetres = [float(f"{1e3 * o:.4g}") for o in offsets]
+    if sorted(millimetres) == sorted(-o for o in millimetres):
+        return ", ".join(f"±{o:.4g}" for o in sorted(millimetres) if o > 0)
+    return ", ".join(f"{o:+.4g}" for o in millimetres)
+
+
+def preregistration(plan: Plan) -> str:
+    """The plan as a preregistration asks for it: question, design, size, analysis, inference.
+
+    Every number is the plan's. What only the experimenter knows stands in square brackets.
+    """
+    scheme, goal, given, animals = plan.scheme, plan.goal, plan.hypotheses, plan.animals
+    task, number = given[0].task, plan.scheme.animals
+    encoded = "; ".join(
+        f"({i}) {h.name}: distance is encoded through {described(h.encoding)}"
+        for i, h in enumerate(given, 1)
+    )
+    levels = "; ".join(
+        f"{1e3 * s:.5g} mm against {', '.join(f'{1e3 * c:.5g}' for c in row)} mm"
+        for s, row in zip(scheme.standards, scheme.comparisons, strict=True)
+    )
+    counts = sorted({n for row in scheme.trials for n in row})
+    times = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
+    asked = "Which of these observers makes the choices"
+    if len(given) == 1:
+        asked = "How large is the Weber fraction k of this observer"
+    question, unit, order = (
+        "which of two radial distances is the farther",
+        "pair",
+        "The standard is the first (left) stimulus in half of the trials of every pair, so that "
+        "either answer is right equally often; within a session the right answer repeats as often "
+        f"as it changes, and not more than {plan.longest_run} times running. ",
+    )
+    if task in ONE_STIMULUS:
+        question = "whether a radial distance is farther than the standard held in mind"
+        unit, order = "level", ""
+    size = f"The aim is {goal}. " + ("" if plan.power is None else f"{plan.power_in_words()} ")
+    fitted = {h.name: _as_fitted(h, plan.together) for h in given}
+    analysis = " ".join(f"{name}: {text}" for name, text in fitted.items())
+    if len({*fitted.values()}) == 1:
+        analysis = fitted[given[0].name]
+    over = "" if plan.together or number == 1 else ", multiplied over animals"
+    inference = (
+        f"Hypotheses are compared by their exact evidence{over}. One is accepted if it is more "
+        f"than {goal.bayes_factor or 0:g} times as probable as every other (Bayes factor); "
+        "otherwise the experiment is reported as undecided."
+    )
+    if goal.half_width is not None:
+        inference = (
+            "The result is the interval of k; it is called precise if its half-width is below "
+            f"{100 * goal.half_width:g} % of the estimate."
+        )
+    parts = {
+        "Question and hypotheses": f"{asked}? {encoded}. Each compares two noisy signals, whose "
+        "sds go with k.",
+        "Design": f"Task: {task}, {question}. Method of constant stimuli. Standards and "
+        f"comparisons: {levels}. Every pair is shown {times} times to each animal: {number} "
+        f"animal{'s' * (number > 1)}, {scheme.n_trials} trials each, in {plan.sessions} "
+        f"session{'s' * (plan.sessions > 1)} of at most {plan.trials_per_session}.",
+        "Order of trials": f"Trials are randomised within blocks that hold every {unit} equally "
+        f"often (within one). {order}Lists are drawn beforehand from seed {plan.seed}, a "
+        "different one for each animal and session.",
+        "Sample size": f"{size}It assumes animals with a median Weber fraction of "
+        f"{animals.weber_fraction:g} (sd of ln k {animals.spread:g}) and lapses of "
+        f"{100 * animals.lapse:g} % a side. Each animal is run to the end of its lists, and no "
+        "data are looked at to decide when to stop.",
+        "Analysis": f"{analysis} The Weber fraction is reported as the posterior median with its "
+        "equal-tailed 95 % interval.",
+        "Inference": inference,
+        "Exclusion": "No trials are left out but those without an answer. An animal whose fit has "
+        "the status REVERSED or ONE_SIDED is reported and left out of the conclusion. [Criteria of "
+        "training and health.]",
+        "Files": f"weberwhisk {__version__}; plan.json makes these lists again (SHA-256 "
+        f"{plan.fingerprint[:16]}…), and `weberwhisk rehearse plan.json` simulates the whole.",
+    }
+    text = "\n\n".join(textwrap.fill(f"{title}. {words}", 92) for title, words in parts.items())
+    return f"{plan.title}\n\n{text}\n"
+
+
+def _as_fitted(h: Hypothesis, together: bool) -> str:
+    # A fit by itself shares one bias between the standards; one that differs would pass for a
+    # difference between JND curves, so hypotheses leave it free, and the call says so.
+    options = [f'bias="{h.bias}"', *([f'noise="{h.noise}"'] if h.noise != "weber" else [])]
+    call = f"with {', '.join(options)}; on the command line --bias '{h.bias}'"
+    fitted = (
+        f"All animals are fitted together (weberwhisk.fit_population {call}), which learns how "
+        "their Weber fractions, lapses and biases spread"
+        if together
+        else f"Each animal is fitted by itself by quadrature (weberwhisk.fit_weber {call})"
+    )
+    noise = "of its own stimulus" if h.noise == "weber" else "of the standard"
+    noise = "of all stimuli alike" if isinstance(h.encoding, ConstantNoise) else noise
+    bias = {"none": "no response bias", "shared": "one response bias b",
+            "per standard": "a response bias b for each standard"}[h.bias]  # fmt: skip
+    chance = "P(second farther) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1)/√(σ1² + σ2²) + b)"
+    if h.task in ONE_STIMULUS:  # b is the criterion c there, and I1 the standard's signal
+        chance = f"P({h.asked.answer}) = λ_lo + (1 − λ_lo − λ_hi) Φ((I2 − I1 − c σ1)/σ2)"
+        bias = bias.replace("response bias", "criterion").replace(" b", " c")
+    priors = ", ".join(
+        f"{name.replace('_', ' ')} ~ {h.priors.words(name)}"
+        for name in ("weber_fraction", *h.asked.lapses, "bias")
+        if name != "bias" or h.bias != "none"
+    )
+    if not any(h.priors.is_fixed(name) for name in h.asked.lapses):
+        rho = h.priors.lapse_correlation
+        priors += f"; normal scores of the two lapse rates correlate by {rho:g}"
+    return (
+        f"{fitted}: {chance}, each signal with the sd {noise}, σ in proportion to k, two lapse "
+        f"rates and {bias}. Priors (SciPy): {priors}."
+    )

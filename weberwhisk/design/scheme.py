@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypedDict
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from ..behaviour.encodings import Encoding, checked_encoding, unit_encodings
+from ..behaviour.encodings import Encoding, checked_encoding, gives_signal, unit_encodings
 from ..behaviour.psychometric import difference_sd, in_words, refuse_out_of_reach
 from ..behaviour.tasks import task_named
 from ..behaviour.trials import Cells
@@ -154,14 +155,13 @@ class Scheme:
         z = np.ravel(_checks.finite("levels", levels, "write for example [-2, -1, 1, 2]"))
         rows = [_snapped(s + u * z, step) - s for s, u in zip(at, sd, strict=True)]
         rows = [np.unique([float(f"{o:.12g}") for o in row]) for row in rows]
-        for s, row in zip(at, rows, strict=True):
+        for s, one, row in zip(at, sd, rows, strict=True):
             if row.size < np.size(z):
-                one = weber_fraction * float(difference_sd(encoding, s))
+                said = partial(in_words, encoding)
                 raise ValueError(
-                    f"steps of {in_words(encoding, step)} are too coarse at standard "
-                    f"{in_words(encoding, s)}: {np.size(z)} levels fall on {row.size}, as one "
-                    f"sd is {in_words(encoding, one)}; take finer steps, fewer levels or another "
-                    "standard."
+                    f"steps of {said(step)} are too coarse at standard {said(s)}: {np.size(z)} "
+                    f"levels fall on {row.size}, as one sd is {said(one)}; take finer steps, fewer "
+                    "levels or another standard."
                 )
         return cls(at, rows, trials, animals)
 
@@ -249,10 +249,8 @@ class Constraints:
     easy_proportion: float = 0.95
 
     def __post_init__(self) -> None:
-        for name in ("nearest", "step", "easy_share", "easy_proportion"):
-            _checks.number(name, getattr(self, name), "give 0, say")
-        _checks.non_negative("nearest", self.nearest, "give m, such as 5e-3")
-        _checks.non_negative("step", self.step, "give m, such as 0.1e-3, or 0")
+        _checks.non_negative_number("nearest", self.nearest, "give m, such as 5e-3")
+        _checks.non_negative_number("step", self.step, "give m, such as 0.1e-3, or 0")
         if not isinstance(self.farthest, float | int | np.number):
             raise ValueError(
                 f"farthest must be a number, got {_checks.shown(self.farthest)}; give m, or inf."
@@ -262,15 +260,8 @@ class Constraints:
                 f"farthest must lie beyond nearest, got {self.farthest:g} and {self.nearest:g}, "
                 f"{self.nearest - self.farthest:g} short; exchange them, say."
             )
-        if not 0 <= self.easy_share <= 1:
-            raise ValueError(
-                f"easy_share must lie between 0 and 1, got {self.easy_share:g}; write 0.2, say."
-            )
-        if not 0.5 < self.easy_proportion < 1:
-            raise ValueError(
-                "easy_proportion must lie between 0.5 and 1, got "
-                f"{self.easy_proportion:g}; write 0.95, say."
-            )
+        _checks.between("easy_share", self.easy_share, "write 0.2, say", ends="[]")
+        _checks.between("easy_proportion", self.easy_proportion, "write 0.95, say", low=0.5)
 
     def positions(self, distance: ArrayLike) -> Array:
         """Distances moved to the nearest position that the pole has."""
@@ -304,22 +295,19 @@ class Constraints:
         """
         cells = scheme.cells()
 
-        def said(value: float) -> str:
-            return in_words(encoding, value)
-
+        said = partial(in_words, encoding)
         ends = f"{said(self.nearest)} to {said(self.farthest)}"
         for name, at in (("standard", cells.standard), ("comparison", cells.stimulus_2)):
             low, high = float(at.min()), float(at.max())
-            if low < self.nearest:
-                raise ValueError(
-                    f"{name} {said(low)} is nearer than the animal's range of {ends}, by "
-                    f"{said(self.nearest - low)}; move it out or widen the range."
-                )
-            if high > self.farthest:
-                raise ValueError(
-                    f"{name} {said(high)} is farther than the animal's range of {ends}, by "
-                    f"{said(high - self.farthest)}; move it in or widen the range."
-                )
+            for value, beyond, side, way in (
+                (low, self.nearest - low, "nearer", "out"),
+                (high, high - self.farthest, "farther", "in"),
+            ):
+                if beyond > 0:
+                    raise ValueError(
+                        f"{name} {said(value)} is {side} than the animal's range of {ends}, by "
+                        f"{said(beyond)}; move it {way} or widen the range."
+                    )
             off = np.abs(at - self.positions(at))
             if self.step and off.max() > 1e-6 * self.step:
                 worst = int(np.argmax(off))
@@ -328,14 +316,78 @@ class Constraints:
                     f"{said(off[worst])}; write {said(float(self.positions(at[worst])))}."
                 )
             refuse_out_of_reach(encoding, at, name)
-        easy = self.easy_proportion
-        share = easy_share(scheme, encoding, weber_fraction, easy, task, noise)
+        share = easy_share(scheme, encoding, weber_fraction, self.easy_proportion, task, noise)
         if share < self.easy_share:
             raise ValueError(
                 f"{100 * share:.3g} % of the trials are easy (right in "
                 f"{100 * self.easy_proportion:g} %), {100 * (self.easy_share - share):.3g} % fewer "
                 f"than easy_share={self.easy_share:g} asks for; add wider offsets or lower it."
             )
+
+
+@renamed_arguments(percept="encoding")
+def lattice(
+    encoding: Encoding,
+    standards: ArrayLike,
+    constraints: Constraints | None = None,
+    *,
+    each_side: int = 16,
+    smallest: float = 0.01,
+    largest: float = 1.2,
+) -> Scheme:
+    """Trials to choose from: comparisons in equal ratios of offset on either side of each standard.
+
+    Parameters
+    ----------
+    encoding : Encoding
+        Says how large an offset is: offsets are multiples of the sd of the difference between two
+        encodings that an animal with k = 1 would have (`difference_sd`).
+    standards : array_like
+    constraints : Constraints, optional
+        What falls outside the range is left out, the rest put on the nearest step.
+    each_side : int
+        Comparisons on either side, at most.
+    smallest, largest : float
+        Offsets, in those sds: about twice the least and the greatest k that may be met.
+
+    Raises
+    ------
+    ValueError
+        Where a standard is left without comparisons on both sides.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> lattice(IdentityEncoding(), 1.0, each_side=3, largest=0.5).comparisons
+    ((0.292893, 0.9, 0.985858, 1.01414, 1.1, 1.70711),)
+    """
+    checked_encoding(encoding)
+    low, high = encoding.domain
+    # A range of distances begins at 0; other stimuli, such as logarithms, need not.
+    limits = constraints or Constraints(farthest=high)
+    nearest = limits.nearest if constraints else -np.inf
+    given = np.atleast_1d(_checks.finite("standards", standards, "give one or several"))
+    at = np.unique(limits.positions(given))
+    refuse_out_of_reach(encoding, at, "standard")
+    ratios = np.geomspace(smallest, largest, each_side)
+    rows = []
+    for s in at:
+        steps = ratios * float(difference_sd(encoding, s))
+        levels = limits.positions(np.concatenate([s - steps[::-1], s + steps]))
+        levels = np.array([float(f"{v:.6g}") for v in levels])
+        inside = (levels >= nearest) & (levels <= limits.farthest)
+        levels = levels[inside & (levels > low) & (levels < high)]
+        levels = np.unique(
+            levels[gives_signal(encoding, levels) & (np.abs(levels - s) > 1e-9 * abs(s))]
+        )
+        if not (np.any(levels < s) and np.any(levels > s)):
+            raise ValueError(
+                f"standard {s:g} is left without comparisons on both sides, between "
+                f"{max(low, nearest):g} and {min(high, limits.farthest):g}; choose another, "
+                "or widen the range."
+            )
+        rows.append([float(f"{level - s:.12g}") for level in levels])
+    return Scheme(at, rows)
 
 
 @renamed_arguments(percept="encoding")

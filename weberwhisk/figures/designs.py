@@ -18,8 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..design.plan_file import plan_json
-from ..design.preregistration import assumptions, offsets_in_words, preregistration
+from ..design.plan_file import assumptions, offsets_in_words, plan_json, preregistration
 from ..design.trial_lists import bpod_table, psychopy_tables
 from ..output import Run, atomic_write, csv_text
 from .style import (
@@ -44,8 +43,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ..design import Plan, TrialLog
+    from ..design.experiment import SimulatedStudy
     from ..design.power_analysis import Power
-    from ..design.simulated_study import SimulatedStudy
 
 #: What the columns of `information_map` are about.
 ABOUT = {"weber_fraction": "k", "jnd": "the JND", "hypothesis": "the hypothesis"}
