@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import simpson
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -13,6 +14,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Observer, Whisker, cues, posterior
+from weberwhisk.behaviour import methods_paragraph
 from weberwhisk.cues import (
     BalanceOfMoments,
     Compliance,
@@ -502,6 +504,28 @@ def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
     assert Observer(numbers, ForceMap()).note == ""
     assert Observer(plain.cylinder(), ForceMap(("moment", "transverse_force"))).note == ""
     assert Observer(plain, Compliance(), Weber(0.5)).note == ""  # JNDs are larger than that
+
+
+def test_whatever_takes_a_named_whisker_as_straight_says_so():
+    """Of contacts, touches, places and JNDs, where once the posterior alone did."""
+    plain = Whisker.from_identity("C2")
+    said = "C2 is taken as straight; its shape at rest moves r by up to"
+    observer = Observer(plain, ForceMap())
+    readings = observer.read([[20e-3, 0.2]] * 2, seed=1)
+    assert said in repr(ww.touches(observer, readings))
+    assert said in repr(ww.jnd_curve(Observer(plain, Compliance()), 20e-3, n_readings=2, seed=1))
+    array = ww.ArrayObserver(ww.WhiskerArray("rat", "right").protract(0.5).only(["C2"]))
+    place = array.array.whiskers["C2"].place(20e-3, 0.1)
+    assert said in ww.place(array, array.read(place, seed=1)).note
+    table = pd.DataFrame(readings, columns=["moment", "axial_force"])
+    located = ww.locate(table, plain)
+    assert any(note.startswith(said) for note in located.attrs["notes"])
+    text = methods_paragraph(located)
+    assert said in text
+    assert "write" not in text  # nor what to write for another model
+    assert "Whisker: 33.6 mm long, radius 69.5 to 1.75 µm, straight." in text
+    curved = Whisker.from_identity("C2", curved=True)
+    assert not any("straight" in note for note in ww.locate(table, curved).attrs["notes"])
 
 
 def test_mice_have_whiskers_and_robots_shafts():

@@ -95,9 +95,12 @@ class JNDCurve(Shown):
             f"{p['posterior']:.3g} mm (at {p['radial_distance']:.3g} mm)" for p in at
         )
         bad = int((held["unreliable"] > 0).sum())
+        note = self.observer.note
         return (
             f"JND {ends}, {self['criterion'].iloc[0]}, by posteriors; {len(held)} of "
-            f"{len(self)} contacts held" + (f", {bad} with posteriors to check" if bad else "")
+            f"{len(self)} contacts held"
+            + (f", {bad} with posteriors to check" if bad else "")
+            + (f"; {note}" if note else "")
         )
 
     def lines(self) -> dict[str, pd.DataFrame]:

@@ -65,7 +65,8 @@ class Touches:
     def __repr__(self) -> str:
         low, high = self.interval()
         r = interval_text(1e3 * self.mean, 1e3 * low, 1e3 * high, " mm")
-        return f"<Touches: r = {r}, of {self.count}; {self.status.message}>"
+        said = f"r = {r}, of {self.count}", self.status.message, self.observer.note
+        return f"<Touches: {'; '.join(filter(None, said))}>"
 
     def interval(self, mass: float = 0.95) -> tuple[float, float]:
         """The equal-tailed interval that holds the distance with probability `mass`, m.

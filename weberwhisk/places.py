@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -213,6 +214,8 @@ class Place(Shown):
                 f"{', '.join(steep)} more than 30° out of the horizontal: slip along the pole, "
                 "which is left out, may matter"
             )
+        notes = (self.observer.sensors[name].observer.note for name in self.touching)
+        out += list(islice(filter(None, notes), 1))  # all are straight, or none
         return "; ".join(out)
 
     def summary(self) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -228,12 +229,25 @@ def locate(
     ks = dict.fromkeys(observer.noise.weber_fractions(y.shape[1]).tolist())
     law = f"{observer.noise!r}, k = {', '.join(f'{k:g}' for k in ks)}" if receptors else ""
     said = " and ".join(filter(None, [errors, law]))
-    notes.append(f"Cue: {cue!r}. Noise of the table's numbers: {said}. {_priors(observer)}")
+    notes.append(
+        f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
+        f"{_priors(observer)}"
+    )
+    if observer.note:
+        notes.append(f"{observer.note}.")
     words["message"] = np.array([Status(s).message for s in status], dtype=object)
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
     return out
+
+
+def _whisker_in_words(whisker: Any) -> str:
+    plain = getattr(whisker, "whisker", whisker)
+    return (
+        f"Whisker: {1e3 * plain.length:.3g} mm long, radius {1e6 * plain.base_radius:.3g} to "
+        f"{1e6 * plain.tip_radius:.3g} µm, {'curved' if is_curved(whisker) else 'straight'}."
+    )
 
 
 def _priors(observer: Observer) -> str:
@@ -256,7 +270,10 @@ def methods_of(located: pd.DataFrame) -> list[str]:
     if "touch_status" in located:
         touches = located[TOUCH_RESULTS[0]].nunique()
         said.append(f"Rows of a touch share its distance; {touches} touches were located.")
-    return [*said, *located.attrs["notes"], "Posteriors are by quadrature."]
+    # A note may end in what to write for another model.
+    advice = re.compile(r"(; if it was measured,|:) write [^;]*$")
+    notes = (advice.sub(".", note) for note in located.attrs["notes"])
+    return [*said, *notes, "Posteriors are by quadrature."]
 
 
 def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
