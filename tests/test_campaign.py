@@ -19,8 +19,7 @@ import pandas as pd
 import pytest
 
 from weberwhisk.campaign import CampaignError, batch_size, read, run
-from weberwhisk.campaign.executor import Job
-from weberwhisk.campaign.log import Log, decode, encode
+from weberwhisk.campaign.log import Job, Log, decode, encode
 
 HERE = Path(__file__).parent
 CHUNKS = [{"i": i, "rows": i % 4} for i in range(23)]

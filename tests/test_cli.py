@@ -19,8 +19,8 @@ import typer
 import weberwhisk as ww
 from weberwhisk import _checks, cli
 from weberwhisk.cli import new_app, progress, run_app
+from weberwhisk.commands import SCENES
 from weberwhisk.commands.figure import CHARTS
-from weberwhisk.commands.options import SCENES
 from weberwhisk.output import Run
 
 WHISKER = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
@@ -466,7 +466,7 @@ WAITING = """
 import signal, sys, typer
 from pathlib import Path
 from weberwhisk.cli import new_app, run_app
-from weberwhisk.commands.options import SCENES
+from weberwhisk.commands import SCENES
 from weberwhisk.output import Run
 
 app = new_app()

@@ -174,7 +174,7 @@ def test_any_rehearsal_is_done_or_refused(
 
 
 def _one_process(workers: int) -> object:
-    from weberwhisk.campaign.executor import Workers
+    from weberwhisk.campaign import Workers
 
     return Workers()
 

@@ -20,7 +20,7 @@ from test_campaign import CHUNKS, logged, same
 
 import weberwhisk as ww
 from weberwhisk import campaign
-from weberwhisk.campaign import CampaignError, executor, run
+from weberwhisk.campaign import CampaignError, Cluster, run
 from weberwhisk.cli import app, run_app
 from weberwhisk.design import Scheme, smallest, taper
 
@@ -97,7 +97,7 @@ def test_exceptions_and_killers_on_the_cluster(cluster: str, tmp_path: Path) -> 
 
 def test_no_cluster_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr(campaign, "Cluster", lambda address: executor.Cluster(address, connect=0.3))
+    monkeypatch.setattr(campaign, "Cluster", lambda address: Cluster(address, connect=0.3))
     with pytest.raises(
         ValueError, match=r"no scheduler could be reached at 'tcp://127\.0\.0\.1:9'"
     ):

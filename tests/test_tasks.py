@@ -20,7 +20,7 @@ from weberwhisk.behaviour import (
     threshold,
 )
 from weberwhisk.behaviour.encodings import refuse_unencoded, unit_encodings
-from weberwhisk.commands.options import SCENES
+from weberwhisk.commands import SCENES
 
 TWO = task_named("2AFC")
 MAGNITUDE = IdentityEncoding()

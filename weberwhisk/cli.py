@@ -186,11 +186,11 @@ def _termination_unwinds() -> Iterator[None]:
 def progress(
     description: str, total: float, *, as_json: bool, every: float = 15.0
 ) -> Iterator[Callable[..., None]]:
-    """Progress on standard error, as `campaign.shown` tells it; none where JSON is printed."""
+    """Progress on standard error, as `output.shown` tells it; none where JSON is printed."""
     if as_json:
         yield lambda done=1.0: None
         return
-    from .campaign import shown
+    from .output import shown
 
     with shown(description, total, every=every) as advance:
         yield advance

@@ -31,9 +31,10 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -379,3 +380,35 @@ def _interrupts_wait() -> Iterator[None]:
 def now() -> str:
     """The time, for a record."""
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@contextmanager
+def shown(
+    title: str, total: float, *, done: float = 0.0, every: float = 15.0
+) -> Iterator[Callable[..., None]]:
+    """Progress on standard error: a bar with the time left, or without a terminal a line each so
+    many seconds. Yields a function that takes how much more of `total` has been done, 1 by default.
+    """
+    now, began = done, time.monotonic()
+    told = began
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            # What was done before is no measure of how fast it goes now.
+            task = bar.add_task(title, total=total, completed=int(done))
+            yield lambda more=1.0: bar.advance(task, more)
+        return
+
+    def advance(more: float = 1.0) -> None:
+        nonlocal now, told
+        now += more
+        if time.monotonic() - told < every or now <= done:
+            return
+        told = time.monotonic()
+        left = timedelta(seconds=round((told - began) * (total - now) / (now - done)))
+        share = f"{100 * now / total:.0f} % after {told - began:.0f} s"
+        print(f"{title}: {share}, about {left} left", file=sys.stderr, flush=True)
+
+    yield advance

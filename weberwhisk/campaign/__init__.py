@@ -3,39 +3,32 @@
 Recovery, power, calibration and surfaces of JNDs are all of one kind: a function of a chunk (what
 to do) and a seed (its own) that returns a table. `run` does it for every chunk, and the answer is
 the same to the bit whatever does it and in what order.
+
+Who does the chunks is an executor of `concurrent.futures`: this process, processes of its own, or a
+dask cluster. What it is handed is a `Job`: some chunks, done in turn until they took long enough.
 """
 
 from __future__ import annotations
 
-import json
+import logging
+import multiprocessing
 import os
-import sys
+import signal
+import threading
 import time
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
-from contextlib import ExitStack, closing, contextmanager
-from datetime import timedelta
-from importlib import import_module
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .. import _checks
+from ..output import shown
 from ..threads import core_count, in_browser
-from .executor import (
-    Chunk,
-    Cluster,
-    ClusterLost,
-    Job,
-    Processes,
-    Report,
-    Work,
-    Workers,
-    WorkerStartupError,
-)
-from .log import Log, by_number, decode, read_lines, versions
+from .log import Chunk, Job, Log, Report, Work, by_number, decode, job_of, read_lines, versions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,8 +111,7 @@ def run(
     >>> table["closed_form_mm"].round(3).tolist()
     [0.226, 0.453]
     """
-    name = _check_work(work)
-    plain = _check_chunks(chunks)
+    job, question = job_of(work, chunks, seed)
     _checks.whole("workers", workers, "write 2")
     if workers > 1 and in_browser():
         warnings.warn("a browser has no processes: the chunks are done serially.", stacklevel=2)
@@ -128,29 +120,25 @@ def run(
         raise ValueError(
             f"a cluster has its own workers, got workers={workers} with a scheduler; leave one out."
         )
-    root = _root(seed)
-    entropy = np.asarray(root.entropy, dtype=object).tolist()
-    job = Job(work, dict(enumerate(plain)), entropy, tuple(int(k) for k in root.spawn_key))
     with ExitStack() as opened:
-        log = None if out is None else opened.enter_context(_log(out, job, name, title))
-        sweep = _Sweep(job, log)
+        log = None if out is None else Log(out, KIND, question, {"title": title})
+        sweep = _Sweep(job, log and opened.enter_context(log))
         if sweep.queue:
             done = len(sweep.lines)
             if progress is None:
-                bar = shown(title or "Sweep", len(job.chunks), done=done)
-                progress = opened.enter_context(bar)
+                progress = opened.enter_context(shown(title or "Sweep", len(job.chunks), done=done))
             else:
                 progress(done)
             try:
-                executor = opened.enter_context(closing(_executor(sweep, workers, scheduler)))
-                sweep.finish(executor, progress)
-            except WorkerStartupError:
-                raise CampaignError(
-                    "workers end as soon as they start, and what they printed says why; a script "
-                    'that starts workers needs `if __name__ == "__main__":`.'
-                ) from None
-            except ClusterLost as error:
-                raise CampaignError(f"the cluster was lost: {error}.{sweep.kept}") from None
+                executor = Workers()
+                if scheduler is not None:
+                    executor = Cluster(scheduler)
+                elif workers > 1:
+                    executor = Processes(min(workers, len(sweep.queue)))
+                with closing(executor):
+                    sweep.finish(executor, progress)
+            except _Lost as error:
+                raise CampaignError(f"{error}{sweep.kept}") from None
         return decode(sweep.lines)
 
 
@@ -202,17 +190,16 @@ class _Sweep:
     def __init__(self, job: Job, log: Log | None) -> None:
         self.job, self._log = job, log
         self.lines = {} if log is None else by_number(log.lines)
-        strange = [number for number in self.lines if number >= len(job.chunks)]
+        strange = self.lines.keys() - job.chunks.keys()
         if log is not None and strange:
             raise ValueError(
-                f"{str(log.path)!r} has a line for chunk {strange[0]} of {len(job.chunks)}; it was "
-                "changed by hand: name another file, or remove this one."
+                f"{str(log.path)!r} has a line for chunk {min(strange)} of {len(job.chunks)}; it "
+                "was changed by hand: name another file, or remove this one."
             )
         self.queue = deque(number for number in job.chunks if number not in self.lines)
         self._suspects: set[int] = set()
         self._deaths: Counter[int] = Counter()
-        self._failure: str | None = None
-        self._trace = ""
+        self._failure, self._trace = "", ""
         self._each = float("inf")  # seconds that a chunk takes, before one is done
 
     def finish(self, executor: Workers, advance: Callable[[float], None]) -> None:
@@ -225,8 +212,7 @@ class _Sweep:
                 self._blame(lost, executor.trials)
                 lost = []
             while len(held) < executor.slots and not (lost or self._failure):
-                numbers = self._next(executor, bool(held))
-                if not numbers:
+                if not (numbers := self._next(executor, bool(held))):
                     break
                 held[executor.submit(self.job.only(numbers))] = numbers
             done = wait(held, timeout=1.0, return_when=FIRST_COMPLETED).done
@@ -247,13 +233,10 @@ class _Sweep:
 
     def _next(self, executor: Workers, busy: bool) -> list[int]:
         """Chunks for one worker, from the left of the queue; those that may kill are done alone."""
-        if busy and self._suspects:
-            return []
-        numbers: list[int] = []
-        most = batch_size(len(self.queue), executor.slots, executor.seconds, self._each)
-        while self.queue and len(numbers) < most and not (numbers and self._suspects):
-            numbers.append(self.queue.popleft())
-        return numbers
+        if self._suspects:
+            return [self.queue.popleft()] if self.queue and not busy else []
+        size = batch_size(len(self.queue), executor.slots, executor.seconds, self._each)
+        return [self.queue.popleft() for _ in range(min(size, len(self.queue)))]
 
     def _keep(self, report: Report) -> int:
         """Write what was done, once; returns how many chunks were new."""
@@ -291,94 +274,184 @@ class _Sweep:
         return f" {len(self.lines)} chunks are done and kept in {str(self._log.path)!r}."
 
 
-def _log(out: str | os.PathLike[str], job: Job, name: str, title: str) -> Log:
-    question = {
-        "work": name,
-        "seed": {"entropy": job.entropy, "spawn_key": list(job.spawn_key)},
-        "chunks": list(job.chunks.values()),
-        "versions": versions(),
-    }
-    return Log(out, KIND, question, {"title": title})
+class _Lost(Exception):
+    """All workers have gone, or none begins."""
 
 
-def _executor(sweep: _Sweep, workers: int, scheduler: str | None) -> Workers:
-    if scheduler is not None:
-        return Cluster(scheduler)
-    return Workers() if workers == 1 else Processes(min(workers, len(sweep.queue)))
+class _Mismatch(Exception):
+    """A worker with other versions than this process."""
 
 
-def _root(seed: int | np.random.SeedSequence) -> np.random.SeedSequence:
-    if isinstance(seed, np.random.SeedSequence):
-        return seed
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(
-            f"seed must be a whole number or a SeedSequence, got {seed!r}; a sweep that is resumed "
-            "must find the same seeds again: write 1, say."
-        )
-    return np.random.SeedSequence(int(seed))
+class Workers:
+    """Who does batches of chunks: an executor with what the loop must know of it.
 
-
-def _check_work(work: Any) -> str:
-    """The name of a function that a fresh interpreter can find."""
-    module, name = getattr(work, "__module__", None), getattr(work, "__qualname__", None)
-    found: Any = None
-    if module and name and "<" not in name:
-        found = import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part, None)
-    if found is None or found is not work:
-        raise ValueError(
-            f"work must be a function at the top level of a module, got {work!r}; move it there, "
-            "and what it needs to know into the chunks."
-        )
-    return f"{module}:{name}"
-
-
-def _check_chunks(chunks: Iterable[Chunk]) -> list[Chunk]:
-    """The chunks as JSON has them, so that a resumed sweep works on the very same ones."""
-    plain: list[Chunk] = []
-    for number, chunk in enumerate(chunks):
-        try:
-            if not isinstance(chunk, dict):
-                raise TypeError
-            plain.append(json.loads(json.dumps(chunk, allow_nan=False)))
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"chunk {number} must be a dict of plain finite numbers, text, lists and dicts, "
-                f"got {chunk!r}; write arrays as lists."
-            ) from None
-    if not plain:
-        raise ValueError("there are no chunks; give one dict or more.")
-    return plain
-
-
-@contextmanager
-def shown(
-    title: str, total: float, *, done: float = 0.0, every: float = 15.0
-) -> Iterator[Callable[..., None]]:
-    """Progress on standard error: a bar with the time left, or without a terminal a line each so
-    many seconds. Yields a function that takes how much more of `total` has been done, 1 by default.
+    `seconds` of work in a batch; `slots`, batches that are under way at most; `trials`, deaths of
+    workers on one chunk alone, before it is given up. This process, by itself, is the plainest.
     """
-    now, began = done, time.monotonic()
-    told = began
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import Progress
 
-        with Progress(console=Console(stderr=True), transient=True) as bar:
-            # What was done before is no measure of how fast it goes now.
-            task = bar.add_task(title, total=total, completed=int(done))
-            yield lambda more=1.0: bar.advance(task, more)
-        return
+    seconds: float = 0.25
+    slots: int = 1
+    trials: int = 1
 
-    def advance(more: float = 1.0) -> None:
-        nonlocal now, told
-        now += more
-        if time.monotonic() - told < every or now <= done:
-            return
-        told = time.monotonic()
-        left = timedelta(seconds=round((told - began) * (total - now) / (now - done)))
-        share = f"{100 * now / total:.0f} % after {told - began:.0f} s"
-        print(f"{title}: {share}, about {left} left", file=sys.stderr, flush=True)
+    def submit(self, job: Job) -> Future[Report]:
+        """Do the chunks of a job, or some of them."""
+        future: Future[Report] = Future()
+        future.set_result(job.do(list(job.chunks), self.seconds))
+        return future
 
-    yield advance
+    def died(self, error: BaseException) -> bool:
+        """Whether an exception of a batch says that its worker has died."""
+        return False
+
+    def restart(self) -> None:
+        """Have other workers, where one has died."""
+
+    def check(self) -> None:
+        """Look whether anybody is there, where no batch has ended for a second."""
+
+    def close(self) -> None:
+        """Stop, whatever is being done."""
+
+
+class Processes(Workers):
+    """Processes of this machine; when one dies all are replaced."""
+
+    # What a worker holds so that it need not wait, and chunks that end are in the file soon.
+    seconds, trials = 0.3, 3
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self.slots = 2 * workers
+        self._start()
+
+    def _start(self) -> None:
+        from concurrent.futures import ProcessPoolExecutor  # a browser's Python lacks it
+
+        # A fresh interpreter: a copy of this one would have its threads' locks, held for ever.
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(self._workers, context, _begin)
+        try:
+            self._pool.submit(os.getpid).result()
+        except BrokenExecutor:
+            raise _Lost(
+                "workers end as soon as they start, and what they printed says why; a script that "
+                'starts workers needs `if __name__ == "__main__":`.'
+            ) from None
+
+    def submit(self, job: Job) -> Future[Report]:
+        try:
+            return self._pool.submit(_some, job, self.seconds)
+        except BrokenExecutor as error:  # since the last look
+            future: Future[Report] = Future()
+            future.set_exception(error)
+            return future
+
+    def died(self, error: BaseException) -> bool:
+        return isinstance(error, BrokenExecutor)
+
+    def restart(self) -> None:
+        self.close()
+        self._start()
+
+    def close(self) -> None:
+        processes = list((getattr(self._pool, "_processes", None) or {}).values())
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()
+
+
+class Cluster(Workers):
+    """The workers of a dask scheduler, whoever they are at the time.
+
+    The scheduler gives the task of a worker that dies to another one. After some deaths it gives up
+    the tasks that were waiting there too, so a chunk is said to kill only when it has had the whole
+    cluster to itself. `connect` is how many seconds it may take to reach the scheduler, and
+    `patience` how many without any worker are waited before the sweep is given up.
+    """
+
+    seconds, trials = 1.5, 1  # the cluster's own cost is some ten milliseconds a task
+
+    def __init__(self, address: str, patience: float = 300.0, connect: float = 15.0) -> None:
+        try:
+            from distributed import Client
+        except ImportError:
+            raise ValueError(
+                "a scheduler needs dask.distributed, which is not installed; write "
+                "pip install 'weberwhisk[cluster]'."
+            ) from None
+        # What it has to say of a lost connection is said here, in a sentence.
+        self._silent = logging.getLogger("distributed")
+        self._level = self._silent.level
+        self._silent.setLevel(logging.CRITICAL + 1)
+        try:
+            self._client: Any = Client(address, set_as_default=False, timeout=connect)
+        except (OSError, ValueError, TimeoutError) as error:
+            self._silent.setLevel(self._level)
+            raise ValueError(
+                f"no scheduler could be reached at {address!r} ({type(error).__name__}); start one "
+                "with `dask scheduler`, and give the address that it prints."
+            ) from error
+        self._pool = self._client.get_executor(pure=False, retries=0)
+        self._patience, self._deadline = patience, time.monotonic() + patience
+        self._wanted = versions()
+        self.slots = self._count()
+
+    def _count(self) -> int:
+        return 2 * max(sum(self._client.nthreads().values()), 1)
+
+    def submit(self, job: Job) -> Future[Report]:
+        future: Future[Report] = self._pool.submit(_some, job, 2 * self.seconds, self._wanted)
+        return future
+
+    def died(self, error: BaseException) -> bool:
+        from distributed import KilledWorker
+
+        if isinstance(error, KilledWorker):
+            return True
+        self.check()
+        words = f"a task ended with {type(error).__name__}: {' '.join(str(error).split())}"
+        raise self._lost(str(error) if isinstance(error, _Mismatch) else words)
+
+    def check(self) -> None:
+        """Refuse to wait for a scheduler that has gone, or where there are no workers."""
+        try:
+            if self._client.status != "running":
+                raise OSError
+            self.slots, anybody = self._count(), bool(self._client.nthreads())
+        except (OSError, TimeoutError):
+            raise self._lost("the scheduler does not answer") from None
+        if anybody:
+            self._deadline = time.monotonic() + self._patience
+        elif time.monotonic() > self._deadline:
+            raise self._lost(f"it has had no workers for {self._patience:g} s")
+
+    def _lost(self, why: str) -> _Lost:
+        return _Lost(f"the cluster was lost: {why}.")
+
+    def close(self) -> None:
+        with suppress(Exception):  # it may have gone
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._client.close(timeout=2.0)
+        self._silent.setLevel(self._level)
+
+
+def _begin() -> None:
+    """A worker's birth: who asked decides what an interrupt means, and it outlives nobody."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _some(job: Job, seconds: float, wanted: dict[str, str | None] | None = None) -> Report:
+    """A worker's share: its chunks, until they are done or have taken long enough."""
+    if wanted is not None and versions() != wanted:
+        raise _Mismatch(f"a worker has {versions()}, not {wanted}")
+    return job.do(list(job.chunks), seconds)

@@ -9,9 +9,15 @@ from __future__ import annotations
 import json
 import os
 import platform
-from contextlib import ExitStack
+import time
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from functools import cache
+from importlib import import_module
 from math import isfinite
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
@@ -19,11 +25,14 @@ import numpy as np
 
 from .. import output
 from .._checks import shown
+from ..threads import limited_blas
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = 1
+Chunk = dict[str, Any]
+Work = Callable[[Chunk, np.random.SeedSequence], "pd.DataFrame"]
 
 
 @cache
@@ -176,7 +185,130 @@ def _parse(file: BinaryIO, path: Path, kind: str) -> tuple[dict[str, Any] | None
     return header, lines, good
 
 
-# -- the tables of a sweep -----------------------------------------------------------------------
+# -- what a worker does, and the tables of a sweep -------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Job:
+    """The same function of every chunk, each with the seed that its number gives it.
+
+    `chunks` by number, for one worker some of them only; `entropy` and `spawn_key` are the root of
+    the seeds.
+    """
+
+    work: Work
+    chunks: dict[int, Chunk]
+    entropy: int | Sequence[int]
+    spawn_key: tuple[int, ...] = ()
+
+    def only(self, numbers: Iterable[int]) -> Job:
+        """The same job for some of its chunks."""
+        return replace(self, chunks={number: self.chunks[number] for number in numbers})
+
+    def seed(self, number: int) -> np.random.SeedSequence:
+        """The seed of a chunk, which hangs on the root and its number alone."""
+        return np.random.SeedSequence(self.entropy, spawn_key=(*self.spawn_key, number))
+
+    def do(self, numbers: Sequence[int], seconds: float) -> Report:
+        """Chunks in this order, until one has failed or they have taken so long together.
+
+        Their seeds are made before and their tables written after the work: among long arithmetic,
+        which fills the processor's caches with other things, either takes three times as long.
+        """
+        report, since = Report(), time.monotonic()
+        tables: dict[int, pd.DataFrame] = {}
+        asked = [(number, dict(self.chunks[number]), self.seed(number)) for number in numbers]
+        with limited_blas():
+            for number, chunk, seed in asked:
+                try:
+                    tables[number] = self.work(chunk, seed)
+                except Exception as error:
+                    report.fail(number, error)
+                if report.failure or time.monotonic() - since > seconds:
+                    break
+        for number, frame in tables.items():
+            try:
+                report.lines[number] = encode(number, frame)
+            except Exception as error:
+                report.fail(number, error)
+        report.back = [number for number in numbers if number not in report.ended]
+        report.each = (time.monotonic() - since) / len(report.ended)
+        return report
+
+
+@dataclass
+class Report:
+    """What became of some chunks.
+
+    `lines` of results by number of the chunk; `back`, chunks given back undone; `failure`, a chunk
+    that raised an exception, which, and its traceback; `each`, seconds that a chunk took.
+    """
+
+    lines: dict[int, str] = field(default_factory=dict)
+    back: list[int] = field(default_factory=list)
+    failure: tuple[int, str, str] | None = None
+    each: float = 0.0
+
+    @property
+    def ended(self) -> list[int]:
+        """Chunks that were done, or have failed."""
+        return [*self.lines, *([self.failure[0]] if self.failure else [])]
+
+    def fail(self, number: int, error: Exception) -> None:
+        """A chunk that raised an exception; the first is kept."""
+        words = f"{type(error).__name__}: {error}"
+        self.failure = self.failure or (number, words, "".join(traceback.format_exception(error)))
+
+
+def job_of(
+    work: Work, chunks: Iterable[Chunk], seed: int | np.random.SeedSequence
+) -> tuple[Job, dict[str, Any]]:
+    """The job that is asked for, and what its file says was asked."""
+    name, plain, root = _checked_work(work), _checked_chunks(chunks), seed
+    if not isinstance(root, np.random.SeedSequence):
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+            raise ValueError(
+                f"seed must be a whole number or a SeedSequence, got {seed!r}; a sweep that is "
+                "resumed must find the same seeds again: write 1, say."
+            )
+        root = np.random.SeedSequence(int(seed))
+    entropy = np.asarray(root.entropy, dtype=object).tolist()
+    job = Job(work, plain, entropy, tuple(int(k) for k in root.spawn_key))
+    asked = {"entropy": entropy, "spawn_key": list(job.spawn_key)}
+    listed = list(plain.values())
+    return job, {"work": name, "seed": asked, "chunks": listed, "versions": versions()}
+
+
+def _checked_work(work: Any) -> str:
+    """The name of a function that a fresh interpreter can find."""
+    module, name = getattr(work, "__module__", None), getattr(work, "__qualname__", None)
+    found: Any = None
+    with suppress(AttributeError):
+        found = attrgetter(name)(import_module(module)) if module and name else None
+    if found is None or found is not work:
+        raise ValueError(
+            f"work must be a function at the top level of a module, got {work!r}; move it there, "
+            "and what it needs to know into the chunks."
+        )
+    return f"{module}:{name}"
+
+
+def _checked_chunks(chunks: Iterable[Chunk]) -> dict[int, Chunk]:
+    """The chunks as JSON has them, so that a resumed sweep works on the very same ones."""
+    plain: dict[int, Chunk] = {}
+    for number, chunk in enumerate(chunks):
+        try:
+            if not isinstance(chunk, dict):
+                raise TypeError
+            plain[number] = json.loads(json.dumps(chunk, allow_nan=False))
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"chunk {number} must be a dict of plain finite numbers, text, lists and dicts, "
+                f"got {chunk!r}; write arrays as lists."
+            ) from None
+    if not plain:
+        raise ValueError("there are no chunks; give one dict or more.")
+    return plain
 
 
 def encode(number: int, frame: pd.DataFrame) -> str:

@@ -6,4 +6,389 @@ Conventions that every command keeps, beside those of `weberwhisk.cli`:
   every option's and column's name says so. Lists are comma-separated, or the option is repeated.
 - ``--out`` names the folder for tables, figures and the record (see `weberwhisk.output`),
   ``--json`` prints the result alone on standard output, ``--seed`` makes a draw repeatable.
+
+Here is what they share: their options, the whisker and the cue that these describe, and what is
+printed in the end.
 """
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import weberwhisk as ww
+
+from .. import _checks
+from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
+from ..cues.force_map import SIGNALS
+from ..output import Run, to_json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Text = str | None
+Texts = list[str] | None
+Number = float | None
+
+
+class Shape(NamedTuple):
+    """Which whisker, as the options of every command say it; None where one is not given."""
+
+    identity: str | None = None
+    length_mm: float | None = None
+    base_radius_um: float | None = None
+    tip_radius_um: float | None = None
+    youngs_modulus_gpa: float | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether any of it was."""
+        return any(value is not None for value in self)
+
+
+NO_SHAPE = Shape()
+
+
+def _of(group: str, **options: Any) -> dict[str, Any]:
+    return {"rich_help_panel": group, **options}
+
+
+_SHAPE: dict[str, Any] = {
+    "identity": Annotated[
+        str | None, "A rat's whisker by row and column, such as C2.", _of("Whisker")
+    ],
+    "length_mm": Annotated[Number, "Arc length from base to tip.", _of("Whisker")],
+    "base_radius_um": Annotated[Number, "Radius at the base.", _of("Whisker")],
+    "tip_radius_um": Annotated[Number, "Radius at the tip, 0 for a perfect cone.", _of("Whisker")],
+    "youngs_modulus_gpa": Annotated[Number, "Young's modulus.  [default: 3.34]", _of("Whisker")],
+}
+#: What a parameter of this name is in every command, unless that says otherwise.
+_SHARED: dict[str, Any] = {
+    "cue": Annotated[
+        str | None,
+        "What tells of distance: compliance, force-map, three-forces (transverse force too), "
+        "moment (at a known angle), vibration, lateral-slip, space-map, balance-of-moments, "
+        "felt-effort, unknown-stiffness, fused (tap and force map), angle-side-angle, "
+        "two-whiskers, contact-and-detachment, vibrissa-length or comparative-length. Choices "
+        "cannot be fitted by the last two, of events, nor by those of angles alone.  "
+        "[default: compliance]",
+        _of("Cue and receptors"),
+    ],
+    "deflection_angle_deg": Annotated[
+        Texts,
+        "Deflection of the contact.  [default: 10 where forces are felt; for compliance 0, "
+        "the lightest tap]",
+        _of("Cue and receptors"),
+    ],
+    "receptors": Annotated[
+        str | None,
+        "Noise of forces: weber, log-normal, near-miss=<exponent>, floor=<sd>, "
+        "ceiling=<signal> (hard) or saturating=<response>, in units of the signals at half the "
+        "length.  [default: weber]",
+        {"metavar": "NAME"},
+    ],
+    "standard_mm": Annotated[Texts, "Radial distances, where there is a whisker."],
+    "radial_distance_mm": Annotated[Texts, "Straight line to the contact."],
+    "column": Annotated[Texts, "Its own name of a quantity.", {"metavar": "NAME=COLUMN"}],
+    "unit": Annotated[Texts, "Unit of a quantity, such as mN or uN m/s.", {"metavar": "NAME=UNIT"}],
+    "workers": Annotated[int | None, "Processes.  [default: one a core]", _of("Workers")],
+    "scheduler": Annotated[
+        str | None, "A dask.distributed scheduler, tcp://… (extra: cluster).", _of("Workers")
+    ],
+    "seed": Annotated[
+        int, "Makes the draws repeatable.", _of("Results", parser=a_seed, metavar="NUMBER")
+    ],
+    "out": Annotated[
+        Path | None,
+        "Folder for the tables, figures and record.",
+        _of("Results", metavar="FOLDER"),
+    ],
+    "as_json": Annotated[
+        bool, "Print the result alone on standard output, as JSON.", _of("Results")
+    ],
+}
+#: What the library says, and what that is called in options.
+_CALLED = {"as_json": "json", "comparison": "compare", "columns": "column", "units": "unit"}
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """A command of plain parameters: their names, types and words say what options they are.
+
+    A parameter is annotated by its type and its line of help, and by what else Typer is to know:
+    ``Annotated[float, "Sd of ln k.", {"metavar": "SD"}]``; with its type alone it is the shared one
+    of that name. Without a default, or with ``{"argument": True}``, it is an argument. The
+    parameter `shape` stands for the options of a whisker.
+    """
+    given = dict(inspect.signature(function, eval_str=True).parameters)
+    shaped = given.pop("shape", None) is not None
+    kinds = {name: None for name in _SHAPE} if shaped else {}
+    kinds |= {name: p.default for name, p in given.items()}
+    parameters = []
+    for name, default in kinds.items():
+        kind = _SHAPE[name] if name not in given else given[name].annotation
+        kind = kind if get_origin(kind) is Annotated else _SHARED[name]
+        parameters.append(
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=default,
+                annotation=_with_typer(name, default is inspect.Parameter.empty, *get_args(kind)),
+            )
+        )  # fmt: skip
+
+    @wraps(function)
+    def run(**options: Any) -> None:
+        if shaped:
+            options["shape"] = Shape(*(options.pop(name) for name in _SHAPE))
+        function(**options)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    return run
+
+
+def _with_typer(
+    name: str, is_argument: bool, kind: Any, words: str, more: Mapping[str, Any] = {}
+) -> Any:
+    options = {"help": words, **more}
+    if options.pop("argument", is_argument):
+        return Annotated[kind, typer.Argument(**options)]
+    if kind in (float, Number):
+        options = {"parser": a_number, "metavar": "NUMBER", **options}
+    elif kind == Texts:
+        options = {"metavar": "LIST", **options}
+    return Annotated[kind, typer.Option(option(name), **options)]
+
+
+def as_asked(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
+    """A command's options for its record, the whisker's one by one, and not where it goes."""
+    own = {"out", "as_json", "seed", "workers", "scheduler", *without}
+    kept = {name: value for name, value in options.items() if name not in own}
+    return (kept.pop("shape")._asdict() if "shape" in kept else {}) | kept
+
+
+def enough_draws(draws: int) -> None:
+    """Refuse fewer readings than an sd needs, by the option's name."""
+    if draws < 2:
+        raise ValueError(f"--draws needs at least two noisy readings, got {draws}; write 200, say.")
+
+
+#: Cues of forces, whose noise is one Weber fraction: what choices can tell of.
+CUES = ("compliance", "force-map", "three-forces", "moment")
+
+
+def _array(whisker: ww.Whisker) -> ww.cues.ComparativeLength:
+    """A whisker between a longer and a shorter neighbour, as along a row."""
+    lengths = np.array([1.25, 0.8]) * whisker.length
+    return ww.cues.ComparativeLength(lengths, [[-2e-3, 0.0], [2e-3, 0.0]])
+
+
+#: Cues whose signals are not forces, in a scene that their defaults describe.
+SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
+    "vibrissa-length": lambda whisker: ww.cues.VibrissaLength(),
+    "comparative-length": _array,
+    "angle-side-angle": lambda whisker: ww.cues.AngleSideAngle(),
+    "two-whiskers": lambda whisker: ww.cues.TwoWhiskers(),
+    "contact-and-detachment": lambda whisker: ww.cues.ContactAndDetachment(),
+    "vibration": lambda whisker: ww.cues.Vibration(3),
+    "lateral-slip": lambda whisker: ww.cues.LateralSlip(),
+    "space-map": lambda whisker: ww.cues.SpaceMap(),
+    "balance-of-moments": lambda whisker: ww.cues.BalanceOfMoments(),
+    "felt-effort": lambda whisker: ww.cues.BalanceOfMoments(effort=None),
+    "unknown-stiffness": lambda whisker: ww.cues.UnknownStiffness(ww.cues.ForceMap()),
+    "fused": lambda whisker: ww.cues.Fused(ww.cues.Compliance(), ww.cues.ForceMap()),
+}
+
+
+def the_scene(
+    cue: str | None, angles_deg: Texts, weber_fraction: Texts, whisker: ww.Whisker
+) -> tuple[ww.Observer, NDArray[np.float64]]:
+    """The observer of any cue, and the deflection angles (rad) at which it feels."""
+    if cue not in SCENES:
+        name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
+        felt, angles = the_cue(name, angles_deg)
+        noise = the_noise(weber_fraction, len(felt.signal_names))
+        return ww.Observer(whisker, felt, noise), angles
+    felt = SCENES[cue](whisker)
+    deflected = "deflection_angle" in felt.unknowns
+    useless = [(weber_fraction, "--weber-fraction")]
+    useless += [] if deflected else [(angles_deg, "--deflection-angle-deg")]
+    for given, what in useless:
+        if given:
+            raise ValueError(
+                f"The cue {cue} has no use for {what}, got {', '.join(given)}; leave it out, or "
+                "write --cue force-map."
+            )
+    return ww.Observer(whisker, felt), _angles(angles_deg) if deflected else np.array([])
+
+
+def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np.float64]]:
+    """The cue, and the deflection angles (rad) at which it is used; none where it knows them."""
+    name = _checks.one_of("cue", cue or CUES[0], CUES)
+    angles = numbers("--deflection-angle-deg", angles_deg or [])
+    if name == "compliance":
+        if angles.size > 1:
+            raise ValueError(
+                f"The compliance cue has one angle of tap, got {angles.size} values of "
+                "--deflection-angle-deg; give one."
+            )
+        tap = _checks.non_negative(
+            "--deflection-angle-deg", angles if angles.size else np.zeros(1), "give degrees, 0 say"
+        )
+        return ww.cues.Compliance(tap_angle=float(np.radians(tap[0]))), np.array([])
+    deflections = _angles(angles_deg)
+    if name == "moment":
+        if deflections.size > 1:
+            raise ValueError(
+                f"The moment is felt at one known angle, got {deflections.size} values of "
+                "--deflection-angle-deg; give one."
+            )
+        known = ww.cues.ForceMap("moment", deflection_angle=float(deflections[0]))
+        return known, np.array([])
+    signals = SIGNALS if name == "three-forces" else SIGNALS[:2]
+    return ww.cues.ForceMap(signals), deflections
+
+
+def one_angle(angles: NDArray[np.float64]) -> float | None:
+    """The one deflection angle (rad) at which choices are made; None where the cue knows it."""
+    if angles.size > 1:
+        raise ValueError(
+            f"Choices are made at one deflection angle, got {angles.size} values of "
+            "--deflection-angle-deg; give one."
+        )
+    return float(angles[0]) if angles.size else None
+
+
+def _angles(texts: Texts) -> NDArray[np.float64]:
+    """Deflection angles in rad, ten degrees where none is given."""
+    given = numbers("--deflection-angle-deg", texts or ["10"])
+    return np.radians(_checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))
+
+
+def the_noise(texts: Texts, signals: int | None = None) -> ww.receptors.Weber:
+    """Weber noise from ``--weber-fraction``: one for all signals or one each."""
+    fractions = numbers("--weber-fraction", texts or ["0.1"])
+    _checks.positive("--weber-fraction", fractions, "write 0.1, say")
+    if signals is not None and fractions.size not in (1, signals):
+        raise ValueError(
+            f"--weber-fraction takes one number, or one for each signal of the cue ({signals}), "
+            f"got {fractions.size}; write 0.1, say."
+        )
+    return ww.receptors.Weber(fractions if fractions.size > 1 else float(fractions[0]))
+
+
+def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
+    """The whisker that the shared options describe; with `seed`, drawn from its identity's."""
+    identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa = shape
+    modulus: dict[str, Any] = {}
+    if youngs_modulus_gpa is not None:
+        _checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
+        modulus["youngs_modulus"] = youngs_modulus_gpa * 1e9
+    names = [option(name) for name in Shape._fields[1:4]]
+    given = [n for n, value in zip(names, shape[1:4], strict=True) if value is not None]
+    if identity is not None:
+        if given:
+            raise ValueError(
+                f"A whisker has an identity or a shape, got --identity and {given[0]}; "
+                "leave one of them out."
+            )
+        return ww.Whisker.from_identity(identity, seed=seed, **modulus)
+    if not given:
+        raise ValueError(
+            "No whisker is given; write --identity C2, or its shape with "
+            "--length-mm, --base-radius-um and --tip-radius-um."
+        )
+    if length_mm is None or base_radius_um is None or tip_radius_um is None:
+        missing = [name for name in names if name not in given]
+        raise ValueError(
+            f"The whisker's shape is incomplete, got {' and '.join(given)}; "
+            f"write {' and '.join(missing)} as well."
+        )
+    if seed is not None:
+        raise ValueError(
+            f"--seed draws a whisker of an --identity, got a shape and --seed {seed}; "
+            "leave --seed out."
+        )
+    _checks.positive("--length-mm", length_mm, "give millimetres, such as 50")
+    _checks.positive("--base-radius-um", base_radius_um, "give micrometres, such as 100")
+    _checks.non_negative("--tip-radius-um", tip_radius_um, "give micrometres, such as 5")
+    return ww.Whisker(length_mm * 1e-3, base_radius_um * 1e-6, tip_radius_um * 1e-6, **modulus)
+
+
+def describe(whisker: ww.Whisker) -> dict[str, float]:
+    """A whisker in the units of the command line."""
+    values = {
+        "length_mm": whisker.length * 1e3,
+        "base_radius_um": whisker.base_radius * 1e6,
+        "tip_radius_um": whisker.tip_radius * 1e6,
+        "youngs_modulus_gpa": whisker.youngs_modulus / 1e9,
+    }
+    return {name: float(f"{value:.12g}") for name, value in values.items()}
+
+
+def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:
+    """Print a result, as JSON alone, or in words and where the files are."""
+    if as_json:
+        print(to_json(answer))
+        return
+    for line in lines:
+        print(line)
+    if run.out_dir is not None:
+        print(f"Written to {run.out_dir}: {', '.join(run.files)}.")
+
+
+def show(
+    table: pd.DataFrame, run: Run, whisker: ww.Whisker, as_json: bool, notes: Iterable[str]
+) -> None:
+    """Print a whisker, a table and what is to be said of it."""
+    answer = {"whisker": describe(whisker), "rows": table.to_dict("records")}
+    words = table.to_string(index=False, float_format="{:.6g}".format, na_rep="-")
+    finish(run, as_json, answer, whisker_line(whisker), words)
+    if not as_json:
+        for line in notes:
+            print(line)
+
+
+def whisker_line(whisker: ww.Whisker) -> str:
+    """A whisker in one sentence."""
+    return (
+        "Whisker: {length_mm:g} mm long, radius {base_radius_um:g} µm at the base and "
+        "{tip_radius_um:g} µm at the tip, {youngs_modulus_gpa:g} GPa.".format(**describe(whisker))
+    )
+
+
+def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:
+    """The entries that an option was given, each `left=right`, as a mapping."""
+    found = {}
+    for text in texts or ():
+        left, sign, right = text.partition("=")
+        if not (left and sign and right):
+            raise ValueError(f"{name} takes a pair such as {example}, got {text!r}.")
+        found[left.strip()] = right.strip()
+    return found
+
+
+def option(parameter: str) -> str:
+    """The option that a parameter is written as."""
+    return f"--{_CALLED.get(parameter, parameter).replace('_', '-')}"
+
+
+@contextmanager
+def options_named(parameters: Iterable[str]) -> Iterator[None]:
+    """Refusals of the library within, with options for the parameters that they name."""
+    names = "|".join(parameters)
+    try:
+        yield
+    except ValueError as error:
+        if not raised_by_weberwhisk(error):
+            raise
+        words = re.sub(rf"^({names})\b", lambda m: option(m[1]), str(error))
+        words = re.sub(rf"\b({names})=(?=[\w.])", lambda m: f"{option(m[1])} ", words)
+        raise ValueError(words) from error

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
+from .. import commands as opt
 from ..behaviour import CueEncoding, IdentityEncoding, task_named
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
@@ -23,19 +24,6 @@ from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase,
 from ..design.session import RULES, Session, converse
 from ..output import Run, atomic_write, csv_text, to_json
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
-from . import options as opt
-from .options import (
-    NO_SHAPE,
-    SCENES,
-    Number,
-    Shape,
-    Texts,
-    as_asked,
-    command,
-    one_angle,
-    the_scene,
-    the_whisker,
-)
 
 _Model = Callable[[float, NDArray[np.float64]], ReceptorNoise]
 #: Receptors of a number and the signals at half the length. Their own Weber fraction, 0.1, is the
@@ -50,9 +38,9 @@ PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(1.0), "log-normal": LogNormal(
 
 
 def distance_encoding(
-    shape: Shape,
+    shape: opt.Shape,
     cue: str | None,
-    angles_deg: Texts,
+    angles_deg: opt.Texts,
     receptors: str | None = None,
     *,
     fitted: bool = True,
@@ -69,15 +57,15 @@ def distance_encoding(
                     f"{name} needs a whisker to feel with, got none; write --identity C2, say."
                 )
         return None, None
-    whisker = the_whisker(shape)
-    observer, angles = the_scene(cue, angles_deg, None, whisker)
+    whisker = opt.the_whisker(shape)
+    observer, angles = opt.the_scene(cue, angles_deg, None, whisker)
     if observer.noise.is_categorical:
         raise ValueError(
             f"The cue {cue} reports events, all or none, which leave no two noisy signals to "
             "compare; write --cue compliance, say."
         )
-    angle = one_angle(angles)
-    if cue not in SCENES:
+    angle = opt.one_angle(angles)
+    if cue not in opt.SCENES:
         noise = _receptors(receptors or "weber", observer, angle)
         observer = replace(observer, noise=noise)
     elif receptors:
@@ -118,16 +106,16 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
     return RECEPTORS[name](number, typical)
 
 
-@command
+@opt.command
 def simulate(
-    shape: Shape = NO_SHAPE,
+    shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
-    deflection_angle_deg: Texts = None,
+    deflection_angle_deg: opt.Texts = None,
     receptors: str | None = None,
-    standard: Annotated[Texts, "Magnitudes compared with.  [default: 1]"] = None,
-    standard_mm: Texts = None,
+    standard: Annotated[opt.Texts, "Magnitudes compared with.  [default: 1]"] = None,
+    standard_mm: opt.Texts = None,
     offset: Annotated[
-        Texts, "Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]"
+        opt.Texts, "Comparisons over their standard, less 1.  [default: nine from -0.3 to 0.3]"
     ] = None,
     weber_fraction: Annotated[float, "The truth to find."] = 0.1,
     lapse_low: Annotated[float, "Share lost at the low end."] = 0.0,
@@ -136,7 +124,7 @@ def simulate(
     drift: Annotated[float, "Change of ln k from the first session to the last."] = 0.0,
     bias_drift: Annotated[float, "Change of the bias from the first session to the last."] = 0.0,
     effect: Annotated[
-        Texts,
+        opt.Texts,
         "What else moves the answers, as in fit, with its parameter: history:0.5, "
         "past-contraction=20:0.3; may be repeated.",
         {"metavar": "NAME:VALUE"},
@@ -194,14 +182,14 @@ def simulate(
         if encoding is not None:
             table = table.rename(columns={name: f"{name}_mm" for name in STIMULI})
         run.table("trials", table)
-        known = {
-            **truth,
-            **({} if fittable else {"weber_fraction": None}),
-            **({"drift": drift, "bias_drift": bias_drift} if drift or bias_drift else {}),
-            **(
-                {} if animals is None else {"spread": spread, "animals": animals.to_dict("records")}
-            ),
-            **({"effects": {e.name: value for e, value in effects}} if effects else {}),
+        known = truth | ({} if fittable else {"weber_fraction": None})
+        if drift or bias_drift:
+            known |= {"drift": drift, "bias_drift": bias_drift}
+        if animals is not None:
+            known |= {"spread": spread, "animals": animals.to_dict("records")}
+        if effects:
+            known |= {"effects": {e.name: value for e, value in effects}}
+        known |= {
             "standards": base,
             "offsets": SIGNED_OFFSETS if levels is None else levels,
             "order": order,
@@ -226,30 +214,26 @@ def simulate(
                     priors={"weber_fraction": weber_fraction, **free},
                 )  # fmt: skip
                 run.figure("trials", ww.figures.psychometrics(exact, unit=unit))
-    if as_json:
-        print(to_json({"truth": known, "rows": table.astype(object).to_dict("records")}))
-        return
-    if whisker is not None:
-        print(opt.whisker_line(whisker))
+    lines = [] if whisker is None else [opt.whisker_line(whisker)]
     noise = f"Weber fraction {weber_fraction:g}" if fittable else "constant noise of the cue's own"
     many = "" if animals is None else f" of {subjects} animals"
-    print(
+    lines.append(
         f"{len(table)} trials{many} of {trials.task.name}, {trials.n_missing} without an answer; "
         f"{base.size} standard{'s' if base.size > 1 else ''}, {noise}, "
         f"lapses {lapse_low:g} and {lapse_high:g}, bias {bias:g}, seed {seed}."
     )
     if run.out_dir is None:
-        print(csv_text(table), end="")
-    else:
-        opt.wrote(run)
-        if fittable:
-            print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
+        lines.append(csv_text(table).rstrip("\n"))
+    answer = {"truth": known, "rows": table.astype(object).to_dict("records")}
+    opt.finish(run, as_json, answer, *lines)
+    if run.out_dir is not None and fittable and not as_json:
+        print(f"Fit them with: weberwhisk fit {run.out_dir / 'trials.csv'}{_again(inputs)}")
 
 
 def _again(inputs: dict[str, Any]) -> str:
     """The options that `fit` needs to feel the same distances."""
     words = []
-    for name in (*Shape._fields, "cue", "deflection_angle_deg", "receptors"):
+    for name in (*opt.Shape._fields, "cue", "deflection_angle_deg", "receptors"):
         value = inputs[name]
         if value:
             text = ",".join(value) if isinstance(value, list) else f"{value}"
@@ -262,13 +246,13 @@ def _again(inputs: dict[str, Any]) -> str:
     return "".join(words)
 
 
-@command
+@opt.command
 def next_trials(
-    shape: Shape = NO_SHAPE,
+    shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
-    deflection_angle_deg: Texts = None,
-    standard: Annotated[Texts, "Magnitudes compared with."] = None,
-    standard_mm: Texts = None,
+    deflection_angle_deg: opt.Texts = None,
+    standard: Annotated[opt.Texts, "Magnitudes compared with."] = None,
+    standard_mm: opt.Texts = None,
     goal: Annotated[
         str,
         "What the trials are to tell: weber-fraction, or taper (against a cylinder); or a rule: "
@@ -278,7 +262,9 @@ def next_trials(
     farthest: Annotated[float, "Greatest stimulus; mm with a whisker."] = float("inf"),
     step: Annotated[float, "Stimuli come in steps of this size."] = 0.0,
     easy_share: Annotated[float, "Share of easy trials."] = 0.1,
-    width_percent: Annotated[Number, "Stop when the 95 % interval of k is within ± this."] = None,
+    width_percent: Annotated[
+        opt.Number, "Stop when the 95 % interval of k is within ± this."
+    ] = None,
     most: Annotated[int | None, "Stop after so many trials."] = None,
     bias: Annotated[str, "per-standard, shared or none; none where answers are scored."] = (
         "per-standard"
@@ -296,7 +282,7 @@ def next_trials(
     shown than was proposed (without a whisker: "comparison"). A line that cannot be used gets
     {"error": ...} and the trial stands. With --log nothing is lost: start the same command again.
     """
-    inputs = as_asked(locals(), "log") | {"seed": seed}
+    inputs = opt.as_asked(locals(), "log") | {"seed": seed}
     if farthest == float("inf"):
         inputs["farthest"] = None
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg)
@@ -306,42 +292,13 @@ def next_trials(
         raise ValueError(f"{name} says what is compared with, got none; write {name} 20, say.")
     at = numbers(name, texts)
     limits = Constraints(nearest, farthest, step)
-    placer = _placer(goal, encoding, whisker, at, limits, bias.replace("-", " "), task,
-                     easy_share, width_percent, most, seed)  # fmt: skip
-    unit = "" if encoding is None else "_mm"
-    # More trials, or fewer, go on with the same file.
-    question = {name: value for name, value in inputs.items() if name != "most"}
-    with Run(out, "next", inputs, seed) as run, Session(placer, log, question) as session:
-        for line in converse(session, sys.stdin, unit):
-            print(line, flush=True)
-        table = placer.trials().table()
-        run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in STIMULI}))
-        if run.out_dir is not None and len(table):
-            run.figure("trials", ww.figures.placements(placer))
-
-
-def _placer(
-    goal: str,
-    encoding: CueEncoding | None,
-    whisker: ww.Whisker | None,
-    standards: np.ndarray,
-    limits: Constraints,
-    bias: str,
-    task: str,
-    easy_share: float,
-    width_percent: float | None,
-    most: int | None,
-    seed: int,
-) -> BayesianPlacer | Staircase:
-    """What the options ask for."""
     _checks.one_of("--goal", goal, ("weber-fraction", "taper", *RULES))
-    usual = bias == "per standard" and not task_named(task).has_bias
-    how: dict[str, Any] = {"bias": "none" if usual else bias, "task": task}
+    bias = bias.replace("-", " ")
+    unasked = bias == "per standard" and not task_named(task).has_bias
+    how: dict[str, Any] = {"bias": "none" if unasked else bias, "task": task}
     encoded = encoding or IdentityEncoding()
     hypotheses = [Hypothesis("Weber", encoded, **how)]
-    scheme = lattice(encoded, standards, limits)
-    if goal in RULES:
-        return Staircase(hypotheses[0], scheme, rule=goal, most=most, seed=seed)
+    scheme = lattice(encoded, at, limits)
     if goal == "taper":
         if encoding is None or whisker is None or whisker.tip_radius >= whisker.base_radius:
             raise ValueError(
@@ -352,14 +309,24 @@ def _placer(
         other = CueEncoding(observer, encoding.deflection_angle, encoding.unit)
         named = {"tapered": encoded, "cylindrical": other}
         hypotheses = [Hypothesis(name, of_it, **how) for name, of_it in named.items()]
-        rows = zip(scheme.offsets, lattice(other, standards, limits).offsets, strict=True)
+        rows = zip(scheme.offsets, lattice(other, at, limits).offsets, strict=True)
         scheme = Scheme(scheme.standards, [sorted({*a, *b}) for a, b in rows])
-    return BayesianPlacer(
-        hypotheses,
-        scheme,
-        goal="hypothesis" if goal == "taper" else "weber_fraction",
-        easy_share=easy_share,
-        width=None if width_percent is None else width_percent / 100,
-        most=most,
-        seed=seed,
-    )
+    placer: BayesianPlacer | Staircase
+    if goal in RULES:
+        placer = Staircase(hypotheses[0], scheme, rule=goal, most=most, seed=seed)
+    else:
+        placer = BayesianPlacer(
+            hypotheses, scheme, goal="hypothesis" if goal == "taper" else "weber_fraction",
+            easy_share=easy_share, width=None if width_percent is None else width_percent / 100,
+            most=most, seed=seed,
+        )  # fmt: skip
+    unit = "" if encoding is None else "_mm"
+    # More trials, or fewer, go on with the same file.
+    question = {name: value for name, value in inputs.items() if name != "most"}
+    with Run(out, "next", inputs, seed) as run, Session(placer, log, question) as session:
+        for line in converse(session, sys.stdin, unit):
+            print(line, flush=True)
+        table = placer.trials().table()
+        run.table("trials", table.rename(columns={c: f"{c}{unit}" for c in STIMULI}))
+        if run.out_dir is not None and len(table):
+            run.figure("trials", ww.figures.placements(placer))

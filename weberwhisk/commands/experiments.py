@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
+from .. import commands as opt
 from ..behaviour.trials import STIMULI, rows_in_words
 from ..campaign import all_cores
 from ..citing import versions_in_words
@@ -20,9 +21,8 @@ from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read
 from ..design.experiment import WIDE
 from ..design.plan_file import assumptions, offsets_in_words
 from ..figures.designs import fill
-from ..output import Run, atomic_write, to_json
+from ..output import Run, atomic_write
 from ..tables import load_table
-from . import options as opt
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,12 +110,11 @@ def design(
             **_encoded(cue, deflection_angle_deg),
         )
         fill(run, plan)
+    opt.finish(
+        run, as_json, _answer(plan, whisker), f"{opt.whisker_line(whisker)}\n", _summary(plan)
+    )
     if as_json:
-        print(to_json(_answer(plan, whisker)))
         return
-    print(f"{opt.whisker_line(whisker)}\n")
-    print(_summary(plan))
-    opt.wrote(run)
     if run.out_dir is None:
         print("Write it, with its trial lists, by naming a folder: --out plan.")
     else:
@@ -230,11 +229,8 @@ def rehearse(
             run.figure("rehearsal", ww.figures.rehearsed(found))
     if stream is not None:
         stream.unlink(missing_ok=True)  # what it held is in rehearsal.csv now
-    if as_json:
-        print(to_json({"goal": str(plan.goal), "rows": summary.to_dict("records")}))
-        return
-    print(found.report(), end="")
-    opt.wrote(run)
+    answer = {"goal": str(plan.goal), "rows": summary.to_dict("records")}
+    opt.finish(run, as_json, answer, found.report().rstrip())
 
 
 def _stream(folder: Path, plan: Any, runs: int, seed: int) -> Path:
@@ -275,13 +271,11 @@ def analyse(
         run.table("analysis", found.estimates)
         if run.out_dir is not None:
             atomic_write(run.path("analysis.txt"), words)
-    if as_json:
-        shown = {"log_evidence": found.log_evidence, "favoured": found.favoured()}
-        rows = found.estimates.to_dict("records")
-        print(to_json({**shown, "left_out": list(found.left_out), "rows": rows}))
-        return
-    print(words, end="")
-    opt.wrote(run)
+    answer = {
+        "log_evidence": found.log_evidence, "favoured": found.favoured(),
+        "left_out": found.left_out, "rows": found.estimates.to_dict("records"),
+    }  # fmt: skip
+    opt.finish(run, as_json, answer, words.rstrip())
 
 
 def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:

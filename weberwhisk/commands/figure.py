@@ -13,8 +13,8 @@ import weberwhisk as ww
 from .. import _checks, along_whisk, surveys
 from ..cli import progress
 from ..mechanics.muscle import MuscleCurve
-from ..output import Run, atomic_write, to_json
-from .options import NO_SHAPE, Shape, Text, as_asked, command, describe, the_whisker, wrote
+from ..output import Run, atomic_write
+from . import NO_SHAPE, Shape, Text, as_asked, command, describe, finish, the_whisker
 from .whiskers import curve_in_steps
 
 if TYPE_CHECKING:
@@ -274,10 +274,7 @@ def figure(
         for key, table in made.tables.items():
             run.table(key, table)
         run.figure(name, made.chart)
-    if as_json:
-        print(to_json({key: table.to_dict("records") for key, table in made.tables.items()}))
-        return
-    wrote(run)
+    finish(run, as_json, {key: table.to_dict("records") for key, table in made.tables.items()})
 
 
 @command
@@ -327,10 +324,7 @@ def paper(
                 run.table(key, each)
             run.figure(name, chart)
         atomic_write(run.path("paper.md"), claims.as_markdown(rows))
-    if as_json:
-        print(to_json({"claims": rows, "files": run.files}))
-        return
-    wrote(run)
+    finish(run, as_json, {"claims": rows, "files": run.files})
 
 
 @command
@@ -360,11 +354,8 @@ def chart(
         table = pd.concat(tables.values(), ignore_index=True)
         run.figure("speed_accuracy", figures.speed_accuracy(table, foot=foot))
         run.figure("fits_and_growth", figures.fits_and_growth(table, foot=foot))
-    if as_json:
-        print(to_json({"machine": foot, "rows": table.to_dict("records")}))
-        return
-    print(foot)
+    lines = [foot]
     for name, rows in tables.items():
         shown = rows.drop(columns="part").dropna(axis="columns", how="all")
-        print(f"\n{name}\n{shown.to_string(index=False, float_format='{:.3g}'.format)}")
-    wrote(run)
+        lines.append(f"\n{name}\n{shown.to_string(index=False, float_format='{:.3g}'.format)}")
+    finish(run, as_json, {"machine": foot, "rows": table.to_dict("records")}, *lines)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import weberwhisk as ww
 
 from .. import _checks
+from .. import commands as opt
 from ..behaviour import (
     CueEncoding,
     FitStatus,
@@ -24,7 +25,6 @@ from ..behaviour.trials import in_millimetres
 from ..cli import numbers
 from ..output import Run, atomic_write, to_json
 from ..tables import load_table
-from . import options as opt
 from .choices import distance_encoding
 
 if TYPE_CHECKING:
@@ -179,13 +179,10 @@ def fit(
             if result.status is not FitStatus.NO_TRIALS:
                 unit = "mm" if encoding else ""
                 run.figure("psychometric", ww.figures.psychometrics(result, unit=unit))
-    if as_json:
-        print(to_json(answer))
-        return
+    lines = [report]
     if whisker is not None:
-        print(f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
-    print(report)
-    opt.wrote(run)
+        lines.insert(0, f"{opt.whisker_line(whisker)} Distances are in millimetres.\n")
+    opt.finish(run, as_json, answer, *lines)
 
 
 def compared(
@@ -296,15 +293,15 @@ def _fit_together(
     if as_json:
         print(found.to_json())
         return
-    print(f"{found.status.value[0].upper()}{found.status.value[1:]}.")
-    if found.population is not None:
-        print(f"\n{found.summary().to_string(float_format='{:.3g}'.format)}")
-    if found.sessions is not None:
-        print(f"\n{found.sessions.to_string(index=False, float_format='{:.3g}'.format)}")
-    print(f"\n{found.subjects.to_string(index=False, float_format='{:.3g}'.format)}")
-    for note in found.notes:
-        print(note)
-    opt.wrote(run)
+    tables = {"summary": None if found.population is None else found.summary()}
+    tables |= {"sessions": found.sessions, "subjects": found.subjects}
+    words = [
+        f"\n{table.to_string(index=name == 'summary', float_format='{:.3g}'.format)}"
+        for name, table in tables.items()
+        if table is not None
+    ]
+    status = f"{found.status.value[0].upper()}{found.status.value[1:]}."
+    opt.finish(run, False, None, status, *words, *found.notes)
 
 
 def _selected(

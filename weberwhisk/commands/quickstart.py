@@ -15,8 +15,8 @@ from ..behaviour import load_rat_auditory
 from ..cli import progress
 from ..jnd import weber_propagation
 from ..output import Run, atomic_write, to_json
+from . import command, describe, enough_draws, finish, whisker_line
 from .figure import light_taps, tapered_and_not
-from .options import command, describe, enough_draws, whisker_line, wrote
 
 
 @command
@@ -52,11 +52,7 @@ def quickstart(
         text = explanation(identity, whisker, weber_fraction, draws, numbers)
         atomic_write(run.path("quickstart.txt"), text)
         atomic_write(run.path("quickstart.json"), to_json(numbers) + "\n")
-    if as_json:
-        print(to_json(numbers))
-        return
-    print(text)
-    wrote(run)
+    finish(run, as_json, numbers, text)
 
 
 def curves(

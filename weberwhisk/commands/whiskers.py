@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
+from .. import commands as opt
 from ..cli import a_seed, numbers, progress
-from ..output import Run, to_json
-from . import options as opt
+from ..output import Run
 
 Array = NDArray[np.float64]
 
@@ -91,17 +92,15 @@ def bend(
         run.table("bend", table)
         if run.out_dir is not None:
             run.figure("bend", _figure(whisker, where * units[0], much * units[1], names[0], model))
-    opt.show(table, run, whisker, as_json=as_json)
-    if not as_json:
-        for outcome in sorted({ww.Outcome(o) for o in np.asarray(bending.outcome)[~bending.held]}):
-            print(f"{outcome.message[:1].upper()}{outcome.message[1:]}.")
-        if bending.outside_domain:
-            print(bending.outside_domain)
-        if model is None:
-            _say_which_model(whisker, bending)
+    lost = sorted({ww.Outcome(o) for o in np.asarray(bending.outcome)[~bending.held]})
+    notes = [f"{o.message[:1].upper()}{o.message[1:]}." for o in lost]
+    notes += [bending.outside_domain] * bool(bending.outside_domain)
+    if model is None and not as_json:
+        notes += _which_model(whisker, bending)
+    opt.show(table, run, whisker, as_json, notes)
 
 
-def _say_which_model(whisker: ww.Whisker, bending: ww.Bending) -> None:
+def _which_model(whisker: ww.Whisker, bending: ww.Bending) -> Iterator[str]:
     """One line for each model that the contacts held would need, with the reason of the first."""
     at = bending.held
     if not np.any(at):
@@ -110,7 +109,7 @@ def _say_which_model(whisker: ww.Whisker, bending: ww.Bending) -> None:
     models, first, counts = np.unique(choice.model, return_index=True, return_counts=True)
     for model, k, count in zip(models, first, counts, strict=True):
         title = ww.Model(model).title
-        print(f"At k = 0.1, {title} is enough for {count} of {at.sum()}: {choice.why[k]}.")
+        yield f"At k = 0.1, {title} is enough for {count} of {at.sum()}: {choice.why[k]}."
 
 
 def _figure(whisker: ww.Whisker, where: Array, load: Array, given: str, model: str | None) -> Any:
@@ -167,19 +166,17 @@ def jnd(
         run.table("jnd", written)
         if run.out_dir is not None:
             run.figure("jnd", ww.figures.jnd_lines(curve))
-    opt.show(written, run, whisker, as_json=as_json)
-    if not as_json:
-        print(f"Every column of lengths is a JND of radial distance, criterion {criterion}.")
-        bad = written["unreliable"].fillna(0.0)
-        if (bad > 0).any():
-            print(
-                f"At {int((bad > 0).sum())} of {len(bad)} places some posteriors are not to be "
-                f"relied on (up to {bad.max():.0%}): the reading does not pin the contact down, or "
-                "the method did not reach its precision."
-            )
-        for outcome in sorted(set(written["outcome"])):
-            if not outcome.startswith("held"):
-                print(f"{outcome[:1].upper()}{outcome[1:]}.")
+    notes = [f"Every column of lengths is a JND of radial distance, criterion {criterion}."]
+    bad = written["unreliable"].fillna(0.0)
+    if (bad > 0).any():
+        notes.append(
+            f"At {int((bad > 0).sum())} of {len(bad)} places some posteriors are not to be "
+            f"relied on (up to {bad.max():.0%}): the reading does not pin the contact down, or "
+            "the method did not reach its precision."
+        )
+    lost = sorted(o for o in set(written["outcome"]) if not o.startswith("held"))
+    notes += [f"{outcome[:1].upper()}{outcome[1:]}." for outcome in lost]
+    opt.show(written, run, whisker, as_json, notes)
 
 
 def curve_in_steps(
@@ -311,21 +308,15 @@ def locate(
                 run.figure("touches", ww.figures.located(table, against=touch, by=touch))
     if taps is not None:
         whisker = by.whisker
-    notes = (*heard, *table.attrs["notes"])
-    if as_json:
-        rows = table.to_dict("records")
-        print(to_json({"whisker": opt.describe(whisker), "notes": notes, "rows": rows}))
-        return
-    print(opt.whisker_line(whisker))
-    few = table if len(table) <= 20 else table.head(20)
-    print(few.drop(columns="message").to_string(float_format="{:.6g}".format, na_rep="-"))
-    if len(few) < len(table):
-        print(f"… and {len(table) - len(few)} more rows.")
-    for message, count in table["message"].value_counts().items():
-        print(f"{count} of {len(table)} rows: {message}.")
-    for note in notes:
-        print(note)
-    opt.wrote(run)
+    notes, few = (*heard, *table.attrs["notes"]), table.head(20).drop(columns="message")
+    more = [f"… and {len(table) - len(few)} more rows."] * (len(few) < len(table))
+    counted = table["message"].value_counts().items()
+    answer = {"notes": notes, "rows": table.to_dict("records")}
+    opt.finish(
+        run, as_json, {"whisker": opt.describe(whisker), **answer}, opt.whisker_line(whisker),
+        few.to_string(float_format="{:.6g}".format, na_rep="-"), *more,
+        *(f"{count} of {len(table)} rows: {message}." for message, count in counted), *notes,
+    )  # fmt: skip
 
 
 @opt.command
@@ -365,15 +356,13 @@ def calibrate(
         run.table("left_out", found.left_out)
         if run.out_dir is not None:
             run.figure("calibration", ww.figures.calibrated(found))
-    if as_json:
-        print(to_json({
-            "whisker": opt.describe(found.whisker), "message": found.message,
-            "parameters": parameters.to_dict("records"), "p_value": found.p_value,
-            "left_out": found.left_out.to_dict("records"),
-        }))  # fmt: skip
-        return
-    print(opt.whisker_line(found.whisker))
-    print(parameters.to_string(index=False, float_format="{:.4g}".format))
-    print(found.left_out.to_string(index=False, float_format="{:.4g}".format))
-    print(found.message)
-    opt.wrote(run)
+    answer = {
+        "whisker": opt.describe(found.whisker), "message": found.message,
+        "parameters": parameters.to_dict("records"), "p_value": found.p_value,
+        "left_out": found.left_out.to_dict("records"),
+    }  # fmt: skip
+    opt.finish(
+        run, as_json, answer, opt.whisker_line(found.whisker),
+        parameters.to_string(index=False, float_format="{:.4g}".format),
+        found.left_out.to_string(index=False, float_format="{:.4g}".format), found.message,
+    )  # fmt: skip
