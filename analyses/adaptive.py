@@ -67,8 +67,8 @@ class Constant(TrialLog):
     def _encode(self, pair: tuple[float, float, float]) -> None:
         """Stimuli of a scheme can be encoded."""
 
-    def record(self, standard: float, comparison: float, choice: Any) -> None:
-        self._note(self.check(standard, comparison, choice), choice)
+    def _learn(self, pair: tuple[float, float, float], answer: int) -> None:
+        """No trial changes what comes next."""
 
 
 def scene(part: str, method: str, seed: int) -> Any:

@@ -114,7 +114,8 @@ def test_a_rehearsal_broken_off_goes_on(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--half-width", "0.2", "--bayes-factor", "10"], "There is one goal, got"),
+        (["--half-width", "0.2", "--bayes-factor", "10"],
+         "A goal is a Bayes factor or the width of an interval, got both"),
         (["--standard-mm", "35"], "is off the whisker, by 1.4 mm past its tip"),
         (["--trials", "0"], "--trials of a level must be a whole number of 1 or more, got 0"),
         (["--easy-share", "0.8"], "fewer than --easy-share 0.8 asks for"),

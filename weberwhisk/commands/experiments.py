@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import weberwhisk as ww
 
@@ -84,15 +83,21 @@ def design(
     """
     inputs = opt.as_asked(locals())
     whisker = opt.the_whisker(shape if shape.given else opt.Shape("C2"))
-    _checks.positive("--weber-fraction", weber_fraction, "write 0.1, say")
+    standards = numbers("--standard-mm", standard_mm or [])
+    _checks.positive("--standard-mm", standards, "give millimetres, such as 10,20")
+    levels = numbers("--level", level) if level else np.array(WIDE)
+    encoded: dict[str, Any] = {}
+    if cue is not None or deflection_angle_deg:
+        felt, angles = opt.the_cue(cue, deflection_angle_deg)
+        encoded = {"cue": felt, "deflection_angle": opt.one_angle(angles)}
+    if bayes_factor is None and half_width is None:
+        bayes_factor = 10.0
     with opt.options_named(inputs), Run(out, "design", inputs, seed) as run:
         plan = ww.plan_experiment(
             whisker,
-            goal=_goal(bayes_factor, half_width, share),
-            standards=_standards(standard_mm),
-            levels=_checks.finite("--level", numbers("--level", level), "write -1,1, say")
-            if level
-            else WIDE,
+            goal=Goal(bayes_factor, half_width, share),
+            standards=standards * 1e-3 if standards.size else None,
+            levels=_checks.finite("--level", levels, "write -1,1, say"),
             best=best,
             trials=trials,
             animals=animals,
@@ -107,7 +112,7 @@ def design(
             workers=all_cores(workers, scheduler),
             scheduler=scheduler,
             progress=(lambda done: None) if as_json else None,
-            **_encoded(cue, deflection_angle_deg),
+            **encoded,
         )
         fill(run, plan)
     opt.finish(
@@ -119,17 +124,6 @@ def design(
         print("Write it, with its trial lists, by naming a folder: --out plan.")
     else:
         print(f"Simulate the whole with: weberwhisk rehearse {run.out_dir / 'plan.json'}")
-
-
-def _goal(bayes_factor: float | None, half_width: float | None, share: float) -> Goal:
-    if bayes_factor is not None and half_width is not None:
-        raise ValueError(
-            f"There is one goal, got --bayes-factor {bayes_factor:g} and --half-width "
-            f"{half_width:g}; leave one of them out."
-        )
-    if half_width is not None:
-        return Goal(half_width=half_width, share=share)
-    return Goal(bayes_factor=10.0 if bayes_factor is None else bayes_factor, share=share)
 
 
 def _constraints(
@@ -144,20 +138,6 @@ def _constraints(
         )
     farthest = np.inf if farthest_mm is None else farthest_mm * 1e-3
     return Constraints(nearest_mm * 1e-3, farthest, step_mm * 1e-3, easy_share)
-
-
-def _standards(texts: opt.Texts) -> NDArray[np.float64] | None:
-    if not texts:
-        return None
-    at = numbers("--standard-mm", texts)
-    return _checks.positive("--standard-mm", at, "give millimetres, such as 10,20") * 1e-3
-
-
-def _encoded(cue: str | None, angles_deg: opt.Texts) -> dict[str, Any]:
-    if cue is None and not angles_deg:
-        return {}
-    encoded, angles = opt.the_cue(cue, angles_deg)
-    return {"cue": encoded, "deflection_angle": opt.one_angle(angles)}
 
 
 def _answer(plan: Plan, whisker: ww.Whisker) -> dict[str, Any]:

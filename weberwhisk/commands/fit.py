@@ -198,28 +198,26 @@ def compared(
     if name == "law":
         test = fit.weber_law_test()
         return test.by_standard, test.report()
-    if name == "noise":
-        found = compare_noise(trials, encoding=fit.encoding, **options)
-    elif name == "drift":
-        found = compare_drift(trials, encoding=fit.encoding, **options)
+    if name in ("noise", "drift"):
+        compare = compare_noise if name == "noise" else compare_drift
+        found = compare(trials, encoding=fit.encoding, **options)
+        return found.table.reset_index(), found.report()
+    if whisker is None or not isinstance(fit.encoding, CueEncoding):
+        raise ValueError(
+            f"--compare {name} needs a whisker to feel with, got none; write --identity C2, or a "
+            "shape."
+        )
+    options |= {"unit": fit.encoding.unit}
+    if name == "taper":
+        found = compare_taper(trials, whisker, **options)
     else:
-        if whisker is None or not isinstance(fit.encoding, CueEncoding):
+        angle = fit.encoding.deflection_angle
+        if angle is None:
             raise ValueError(
-                f"--compare {name} needs a whisker to feel with, got none; write --identity C2, or "
-                "a shape."
+                "--compare cues needs the deflection angle of the contacts; write --cue force-map "
+                "--deflection-angle-deg 10, say."
             )
-        if name == "taper":
-            found = compare_taper(trials, whisker, unit=fit.encoding.unit, **options)
-        else:
-            if fit.encoding.deflection_angle is None:
-                raise ValueError(
-                    "--compare cues needs the deflection angle of the contacts; write "
-                    "--cue force-map --deflection-angle-deg 10, say."
-                )
-            found = compare_cues(
-                trials, whisker, deflection_angle=fit.encoding.deflection_angle,
-                unit=fit.encoding.unit, **options,
-            )  # fmt: skip
+        found = compare_cues(trials, whisker, deflection_angle=angle, **options)
     return found.table.reset_index(), found.report()
 
 

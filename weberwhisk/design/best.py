@@ -178,11 +178,8 @@ class _Search:
             at = np.linspace(0, len(self.sites) - 1, standards).round().astype(int)
         else:
             at = np.sort(rng.choice(len(self.sites), standards, replace=False))
-        choice = []
-        for i in at:
-            size = self.sites[i].sizes.size
-            choice.append((int(i), tuple(range(size - self.pairs, size))))
-        return tuple(choice)
+        last = [(int(i), self.sites[i].sizes.size) for i in at]
+        return tuple((i, tuple(range(size - self.pairs, size))) for i, size in last)
 
     def spread(self, standards: int) -> Choice:
         """Evenly spread standards, with offsets of all sizes."""
@@ -260,14 +257,12 @@ class _Search:
             widths = self.precision.half_widths(at, self.each)
             # A quarter of the animals that may miss the goal: real ones' answers scatter.
             return -float(np.quantile(widths, 1 - (1 - self.goal.share) / 4.0))
-        worst = np.inf
+        factors = []
         for truth in self.models:
-            own = truth.log_evidence(truth, choice, self.each)
-            others = [
-                m.log_evidence(truth, choice, self.each) for m in self.models if m is not truth
-            ]
-            worst = min(worst, own - max(others))
-        return float(worst)
+            found = {m: m.log_evidence(truth, choice, self.each) for m in self.models}
+            own = found.pop(truth)
+            factors.append(own - max(found.values()))
+        return min(factors)
 
     def scheme(self, choice: Choice, animals: int) -> Scheme:
         rows = []
@@ -316,18 +311,15 @@ class _Sketch:
         middle = np.full((1, model.n_groups), float(model.priors.value("bias", 0.0)))
         self.expected = model.probability(k, lapse, lapse, middle)[0][0]
 
-    def _posterior(self, truth: _Sketch, choice: Choice, each: int) -> Array:
-        """Log posterior of k and the lapses, (K, L), given the answers that a truth expects."""
+    def log_evidence(self, truth: _Sketch, choice: Choice, each: int) -> float:
+        """Of the answers that a truth expects."""
         total = self.prior.copy()
         for site, sizes in choice:
             at = self.first[site] + np.array([*sizes, *(self.count[site] + s for s in sizes)])
             x = (each * truth.expected[at]).astype(np.float32)
             by_bias = np.tensordot(x, self.yes[at], 1) + np.tensordot(each - x, self.no[at], 1)
             total += log_sum(by_bias + self.bias, 0).reshape(total.shape)
-        return total
-
-    def log_evidence(self, truth: _Sketch, choice: Choice, each: int) -> float:
-        return float(log_sum(self._posterior(truth, choice, each).reshape(1, -1), 1)[0])
+        return float(log_sum(total.reshape(1, -1), 1)[0])
 
 
 def _sites(
@@ -357,24 +349,15 @@ def _sites(
         sizes = np.unique(limits.positions(np.arange(0.3, 4.01, 0.3) * one))
         sizes = sizes[sizes > 0]
         inside = (s - sizes > low) & (s + sizes < high)
-        inside &= (s - sizes >= limits.nearest) & (s + sizes <= limits.farthest)
-        sizes = sizes[inside]
+        sizes = sizes[inside & (s - sizes >= limits.nearest) & (s + sizes <= limits.farthest)]
         for h in hypotheses:
-            sizes = sizes[gives_signal(h.encoding, s - sizes)]
-            sizes = sizes[gives_signal(h.encoding, s + sizes)]
+            for sign in (-1, 1):
+                sizes = sizes[gives_signal(h.encoding, s + sign * sizes)]
         if sizes.size < pairs:
             continue
-        easy = [
-            easy_share(
-                Scheme([s], [-d, d], 1),
-                encoded,
-                animals.weber_fraction,
-                limits.easy_proportion,
-                hypotheses[0].task,
-                hypotheses[0].noise,
-            )
-            for d in sizes
-        ]
+        k, how = animals.weber_fraction, (hypotheses[0].task, hypotheses[0].noise)
+        pairs_of = (Scheme([s], [-d, d], 1) for d in sizes)
+        easy = [easy_share(p, encoded, k, limits.easy_proportion, *how) for p in pairs_of]
         out.append(_Site(float(s), sizes, np.asarray(easy) == 1.0))
     return out
 

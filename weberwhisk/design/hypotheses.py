@@ -351,7 +351,7 @@ class Goal:
         if (self.bayes_factor is None) == (self.half_width is None):
             raise ValueError(
                 "A goal is a Bayes factor or the width of an interval, got "
-                f"{'both' if self.bayes_factor else 'neither'}; write Goal(bayes_factor=10), say."
+                f"{'both' if self.bayes_factor else 'neither'}; write one of them."
             )
         _checks.between("share", self.share, "write 0.8, say")
         if self.half_width is not None:

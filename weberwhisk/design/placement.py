@@ -140,30 +140,44 @@ class TrialLog:
     def _encode(self, pair: Pair) -> None:
         raise NotImplementedError
 
-    def _note(self, pair: Pair, choice: Any) -> int | None:
-        """Keep a trial; another is to be chosen then."""
+    def record(
+        self, standard: float, comparison: float, choice: Any, *, nominal: float | None = None
+    ) -> None:
+        """Learn from a trial: what was shown, whether or not it was proposed, and the answer.
+
+        Parameters
+        ----------
+        standard, comparison : float
+            Stimulus 1 and stimulus 2, in the encoding's unit.
+        choice : {0, 1, None}
+            1 is the answer that the task counts, "second greater" say; None for no answer.
+        nominal : float, optional
+            The standard of the trial; stimulus 1 by default. Give it where the comparison came
+            first: a bias may belong to the standard.
+
+        Raises
+        ------
+        ValueError
+            For another choice, or stimuli that cannot be encoded; the trial is not kept then.
+        """
+        pair = self.check(standard, comparison, choice, nominal)
         missing = choice is None or choice != choice
         self._rows.append((*pair, np.nan if missing else float(choice)))
-        self._proposal = None
-        return None if missing else int(choice)
+        self._proposal = None  # another is to be chosen then
+        if not missing:
+            self._learn(pair, int(choice))
+
+    def _learn(self, pair: Pair, answer: int) -> None:
+        raise NotImplementedError
 
     def trials(self) -> Trials:
         """Every trial recorded, in order.
 
         The standard of a trial is the scheme's nearest to stimulus 1, unless one was given.
         """
-        rows = np.array(self._rows, dtype=float).reshape(-1, 4)
-        frame = pd.DataFrame(
-            {
-                "session": 1,
-                "trial": np.arange(len(rows)) + 1,
-                "standard": rows[:, 2],
-                "stimulus_1": rows[:, 0],
-                "stimulus_2": rows[:, 1],
-                "n": 1,
-                "count": rows[:, 3],
-            }
-        )
+        s1, s2, standard, count = np.array(self._rows, dtype=float).reshape(-1, 4).T
+        frame = pd.DataFrame({"session": 1, "trial": np.arange(count.size) + 1})
+        frame = frame.assign(standard=standard, stimulus_1=s1, stimulus_2=s2, n=1, count=count)
         encoding = self.hypotheses[0].encoding
         unit = encoding.log_unit if isinstance(encoding, LogEncoding) else None
         scale = "linear" if unit is None else "log"
@@ -310,53 +324,25 @@ class BayesianPlacer(TrialLog):
 
     def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
         easy, draw = rng.random() < self.easy_share, rng.random()
-        cells = self._cells
-        allowed = np.ones(cells.n.size, dtype=bool)
-        if standard is not None:
-            allowed = cells.standard == standard
-        information = self.information()
+        cells, information = self._cells, self.information()
+        allowed = self.scheme.standards if standard is None else (standard,)
         if easy:
-            extreme = [
-                int(f(np.flatnonzero(allowed & (cells.standard == s)), key=cells.stimulus_2.item))
-                for s in self.scheme.standards
-                if np.any(allowed & (cells.standard == s))
+            good = [
+                f(np.flatnonzero(cells.standard == s), key=cells.stimulus_2.item)
+                for s in allowed
                 for f in (min, max)
             ]
-            at = extreme[int(draw * len(extreme))]
-        else:
-            open_to = np.flatnonzero(allowed)
-            top = information[open_to].max()
-            # Any of these is as good, and none foreseen.
-            good = open_to[information[open_to] >= 0.95 * top]
-            at = int(good[int(draw * good.size)])
+        else:  # any of these is as good, and none foreseen
+            open_to = np.isin(cells.standard, allowed)
+            enough = 0.95 * information[open_to].max()
+            good = list(np.flatnonzero(open_to & (information >= enough)))
+        at = int(good[int(draw * len(good))])
         s1, s2 = float(cells.stimulus_1[at]), float(cells.stimulus_2[at])
         return Proposal(number, s1, s2, bool(easy), float(information[at]))
 
-    def record(
-        self, standard: float, comparison: float, choice: Any, *, nominal: float | None = None
-    ) -> None:
-        """Learn from a trial: what was shown, whether or not it was proposed, and the answer.
-
-        Parameters
-        ----------
-        standard, comparison : float
-            Stimulus 1 and stimulus 2, in the encoding's unit.
-        choice : {0, 1, None}
-            1 is the answer that the task counts, "second greater" say; None for no answer.
-        nominal : float, optional
-            The standard of the trial; stimulus 1 by default. Give it where the comparison came
-            first: a bias may belong to the standard.
-
-        Raises
-        ------
-        ValueError
-            For another choice, or stimuli that cannot be encoded; the trial is not kept then.
-        """
-        pair = self.check(standard, comparison, choice, nominal)
-        answer = self._note(pair, choice)
-        if answer is not None:
-            for belief in self.beliefs.values():
-                belief.absorb(pair, answer)
+    def _learn(self, pair: Pair, answer: int) -> None:
+        for belief in self.beliefs.values():
+            belief.absorb(pair, answer)
 
 
 def next_trial(

@@ -306,13 +306,10 @@ class Plan(Shown):
                 own = fit.trials.frame.query("standard == @standard")["stimulus_2"]
                 low, high = own.min(), own.max()
                 margin = 0.1 * (high - low) or 0.05 * standard
-                edge = fit.encoding.domain
-                at = np.linspace(
-                    max(low - margin, edge[0] + 0.02 * (low - edge[0])),
-                    min(high + margin, edge[1] - 0.02 * (edge[1] - high)),
-                    81,
-                )
-                curve = fit.psychometric(at, float(standard))
+                first, last = fit.encoding.domain
+                start = max(low - margin, first + 0.02 * (low - first))
+                end = min(high + margin, last - 0.02 * (last - high))
+                curve = fit.psychometric(np.linspace(start, end, 81), float(standard))
                 curve.insert(0, "standard", float(standard))
                 curve.insert(0, "hypothesis", name)
                 parts.append(curve)

@@ -61,8 +61,7 @@ class Power(Shown):
         for _, row in self.table.iterrows():
             lines.append(
                 f"{row['truth']}, {row['animals']} × {row['trials']} trials a comparison, lapse "
-                f"{row['lapse']:g}: {what} {100 * row['power']:.3g} % "
-                f"({100 * row['lower']:.3g} to {100 * row['upper']:.3g})"
+                f"{row['lapse']:g}: {what} {_share(row)}"
             )
             if wilson(1 - row["coverage"], int(row["runs"]))[0] > 0.1:
                 lines.append(
@@ -97,8 +96,7 @@ class Smallest:
         return (
             f"{self.power.goal}: {row[self.vary]} {what} ({self.size:.3g} ± {self.size_error:.2g}),"
             f" {self.scheme.n_trials} trials an animal, {self.scheme.total_trials} in all; "
-            f"{100 * row['power']:.3g} % reach it ({100 * row['lower']:.3g} to "
-            f"{100 * row['upper']:.3g}) where {row['truth']} is true."
+            f"{_share(row, 'reach it ')} where {row['truth']} is true."
         )
 
 
@@ -361,6 +359,13 @@ def _probit(x: Array, hits: Array, n: Array, wanted: float, shift: float) -> tup
     return size, size * float(np.sqrt(slope @ np.linalg.solve(information, slope)))
 
 
+def _share(row: pd.Series, verb: str = "") -> str:
+    """The power with its interval, in per cent."""
+    return "{:.3g} % {}({:.3g} to {:.3g})".format(
+        100 * row["power"], verb, 100 * row["lower"], 100 * row["upper"]
+    )
+
+
 def _worst(found: Power) -> pd.Series:
     """The row of the truth that reaches the goal least often."""
     return found.table.iloc[int(found.table["power"].to_numpy().argmin())]
@@ -370,10 +375,9 @@ def _out_of_reach(found: Power, vary: str, most: int) -> str:
     row = _worst(found)
     what = "trials a comparison" if vary == "trials" else "animals"
     return (
-        f"no design of up to {most} {what} reaches {found.goal}: with {most} it is "
-        f"{100 * row['power']:.3g} % ({100 * row['lower']:.3g} to {100 * row['upper']:.3g}) where "
-        f"{row['truth']} is true, {100 * (found.goal.share - row['power']):.3g} % short; set the "
-        "standards farther apart, take more of them or of animals, or ask for less."
+        f"no design of up to {most} {what} reaches {found.goal}: with {most} it is {_share(row)} "
+        f"where {row['truth']} is true, {100 * (found.goal.share - row['power']):.3g} % short; set "
+        "the standards farther apart, take more of them or of animals, or ask for less."
     )
 
 

@@ -108,9 +108,8 @@ class Staircase(TrialLog):
     @property
     def finished(self) -> str:
         """Why there are trials enough; empty where there are not."""
-        if self.turns is not None and all(
-            len(t.turns) >= self.turns for t in self._tracks.values()
-        ):
+        fewest = min(len(track.turns) for track in self._tracks.values())
+        if self.turns is not None and fewest >= self.turns:
             return f"every track has turned {self.turns} times"
         return super().finished
 
@@ -120,20 +119,10 @@ class Staircase(TrialLog):
         levels = self._sides[s][int(side < 0.5)]
         return Proposal(number, s, float(levels[min(self._tracks[s].level, levels.size - 1)]))
 
-    def record(self, standard: float, comparison: float, choice: Any) -> None:
-        """Move by a trial: what was shown, and the answer (None for none, which moves nothing).
-
-        Raises
-        ------
-        ValueError
-            For another choice, or stimuli that cannot be encoded; the trial is not kept then.
-        """
-        pair = self.check(standard, comparison, choice)
-        answer = self._note(pair, choice)
-        if answer is None:
-            return
+    def _learn(self, pair: Pair, answer: int) -> None:
+        """Move by an answer."""
         signed = isinstance(self.hypotheses[0].asked, SignedChoice | YesNo)
-        right = answer == int(comparison > standard) if signed else bool(answer)
+        right = answer == int(pair[1] > pair[0]) if signed else bool(answer)
         track = self._tracks[pair[2]]
         track.right = track.right + 1 if right else 0
         way = -1 if not right else int(track.right >= RULES[self.rule])
@@ -292,12 +281,8 @@ def converse(session: Session, lines: Iterable[str], unit: str = "") -> Iterator
     while not session.finished:
         trial = session.next()
         names = f"standard{unit}", f"comparison{unit}"
-        row: dict[str, Any] = {
-            "trial": trial.trial,
-            names[0]: trial.standard,
-            names[1]: trial.comparison,
-            "easy": trial.easy,
-        }
+        shown = dict(zip(names, (trial.standard, trial.comparison), strict=True))
+        row = {"trial": trial.trial, **shown, "easy": trial.easy}
         yield json.dumps(row | _known(session.placer))
         session.sync()  # while the animal is at it
         for line in answers:
@@ -321,13 +306,14 @@ def _known(placer: Placer) -> dict[str, Any]:
     """What is known so far, where the placer knows it."""
     if not isinstance(placer, BayesianPlacer):
         return {}
+
+    def rounded(values: dict[str, float]) -> dict[str, Any]:
+        return {name: float(f"{value:.5g}") for name, value in values.items()}
+
     low, high = placer.interval()
-    known = {"weber_fraction": placer.weber_fraction, "low": low, "high": high}
-    rounded: dict[str, Any] = {name: float(f"{value:.5g}") for name, value in known.items()}
-    if len(placer.hypotheses) > 1:
-        chances = placer.probabilities
-        rounded["probabilities"] = {name: float(f"{p:.5g}") for name, p in chances.items()}
-    return rounded
+    known = rounded({"weber_fraction": placer.weber_fraction, "low": low, "high": high})
+    several = len(placer.hypotheses) > 1
+    return known | ({"probabilities": rounded(placer.probabilities)} if several else {})
 
 
 def _answer(line: str, trial: Proposal, names: tuple[str, str]) -> tuple[float, float, Any]:
@@ -351,8 +337,5 @@ def _answer(line: str, trial: Proposal, names: tuple[str, str]) -> tuple[float, 
         raise ValueError(
             f"trial {given['trial']} is not the one that is open; answer trial {trial.trial}."
         )
-    standard, comparison = (
-        given.get(name, proposed)
-        for name, proposed in zip(names, (trial.standard, trial.comparison), strict=True)
-    )
-    return standard, comparison, given["choice"]
+    standard, comparison = trial.standard, trial.comparison
+    return given.get(names[0], standard), given.get(names[1], comparison), given["choice"]

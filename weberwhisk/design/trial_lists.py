@@ -88,14 +88,12 @@ def trial_lists(
             "answer to reward; leave the offset 0 out."
         )
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(int(seed))
-    parts = []
+    parts = {}
     for i in range(scheme.animals):  # as `spawn` would, without counting it up
         own = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
         rng = np.random.default_rng(own)
-        parts.append(
-            _of_animal(levels, f"s{i + 1}", trials_per_session, longest_run, one_stimulus, rng)
-        )
-    return pd.concat(parts, ignore_index=True)
+        parts[f"s{i + 1}"] = _of_animal(levels, trials_per_session, longest_run, one_stimulus, rng)
+    return pd.concat(parts, names=["subject"]).reset_index(0).reset_index(drop=True)
 
 
 def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
@@ -115,12 +113,7 @@ def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
 
 
 def _of_animal(
-    levels: Cells,
-    subject: str,
-    per_session: int,
-    longest_run: int,
-    one_stimulus: bool,
-    rng: np.random.Generator,
+    levels: Cells, per_session: int, longest_run: int, one_stimulus: bool, rng: np.random.Generator
 ) -> pd.DataFrame:
     sessions, blocks = sessions_needed(levels, per_session)
     counts = _dealt(levels.n.astype(np.intp), blocks)
@@ -129,16 +122,13 @@ def _of_animal(
         second = counts * (levels.stimulus_2 > levels.standard)
     else:
         second = _greater_second(counts, levels.standard, rng)
-    picked: list[Counts] = []
-    sides: list[Counts] = []
+    picked: list[tuple[Counts, Counts]] = []
     for number in range(sessions):
         before: list[int] = []
         for block in np.flatnonzero(session_of == number):
-            drawn = _block(counts[block], second[block], before, longest_run, rng)
-            picked.append(drawn[0])
-            sides.append(drawn[1])
-            before.extend(drawn[1].tolist())
-    level, side = np.concatenate(picked), np.concatenate(sides)
+            picked.append(_block(counts[block], second[block], before, longest_run, rng))
+            before.extend(picked[-1][1].tolist())
+    level, side = (np.concatenate(parts) for parts in zip(*picked, strict=True))
     # Numbered without gaps: a block may be empty where sessions are shorter than the levels.
     in_block = np.repeat(np.arange(blocks), counts.sum(axis=1))
     session = np.unique(session_of[in_block], return_inverse=True)[1]
@@ -149,7 +139,6 @@ def _of_animal(
     standard_mm, comparison_mm = millimetres([levels.standard, levels.stimulus_2])[:, level]
     return pd.DataFrame(
         {
-            "subject": np.full(level.size, subject),
             "session": session + 1,
             "block": block - block[start] + 1,
             "trial": np.arange(level.size) - start + 1,
