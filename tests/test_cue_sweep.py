@@ -11,7 +11,7 @@ import weberwhisk as ww
 from weberwhisk import Outcome, sweeping
 from weberwhisk.cues import ForceMap, Friction, UnknownCurvature
 from weberwhisk.mechanics import elastica, profile
-from weberwhisk.mechanics import surface as slip
+from weberwhisk.mechanics import objects as slip
 from weberwhisk.mechanics.forward import ForwardModel
 from weberwhisk.mechanics.objects import contour, cylinder, peg, sweep, wall
 from weberwhisk.receptors import Weber

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.mechanics.chebyshev import load_cap, the_map
-from weberwhisk.mechanics.surface import Surface
+from weberwhisk.mechanics.elastica import Surface
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 SIGNALS = ("moment", "axial_force", "transverse_force")

@@ -13,9 +13,8 @@ from scipy.linalg import eigh, expm, lu_factor, lu_solve
 from scipy.optimize import brentq
 from short_forms import slow_but
 
-from weberwhisk.mechanics.modes import impulse_response, modes, transfer
+from weberwhisk.mechanics.modes import impulse_response, modes, quasi_static, transfer
 from weberwhisk.mechanics.shape import Profile
-from weberwhisk.mechanics.whisking import quasi_static
 from weberwhisk.whisker import Whisker
 
 TAPER = Whisker(50e-3, 100e-6, 5e-6, 3e9)

@@ -7,7 +7,7 @@ from analysis_scripts import load
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.mechanics.curved_surface import PlanarSurface, pressed, space_surface
-from weberwhisk.mechanics.surface import Surface
+from weberwhisk.mechanics.elastica import Surface
 
 BEND = 8.0
 W = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=BEND)

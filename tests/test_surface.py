@@ -5,8 +5,8 @@ import pytest
 
 import weberwhisk as ww
 from weberwhisk import Outcome
+from weberwhisk.mechanics.elastica import Surface
 from weberwhisk.mechanics.forward import ForwardModel
-from weberwhisk.mechanics.surface import Surface
 
 TIPS = {"truncated": 5e-6, "cone": 0.0, "needle": 1e-7, "blunt": 50e-6, "cylinder": 100e-6}
 

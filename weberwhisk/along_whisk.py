@@ -20,8 +20,8 @@ from .cues import ForceMap
 from .jnd import fisher_jnd
 from .mechanics import press
 from .mechanics.contact import Outcome
+from .mechanics.modes import quasi_static
 from .mechanics.objects import Body, Sweep, cylinder, peg, sweep, wall
-from .mechanics.whisking import quasi_static
 from .observer import Observer
 from .receptors import GeneralisedWeber, Weber
 from .sweeping import SweepFilter

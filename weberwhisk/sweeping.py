@@ -31,8 +31,8 @@ from .cues import ForceMap
 from .cues.protocol import Cue, readings
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
+from .mechanics.objects import Walls, rate_on_wall, slid
 from .mechanics.shape import Profile
-from .mechanics.surface import Walls, rate_on_wall, slid
 from .observer import Observer
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
@@ -231,7 +231,7 @@ class SweepFilter:
     and smooth. A bootstrap particle filter (Gordon, Salmond & Smith 1993, IEE Proc. F 140, 107)
     with systematic resampling; the likelihood of each moment is that of an `Observer`. A share of
     the objects is met by the tip: walls at any distance from the base, whose contacts stay at the
-    tip at first and then run inwards as `mechanics.surface` says, but for a rate that wanders too.
+    tip at first and then run inwards as `mechanics.objects` says, but for a rate that wanders too.
     A whisker that is pushed on its convex side meets near walls with its flank.
 
     Parameters

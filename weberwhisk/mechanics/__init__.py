@@ -17,14 +17,13 @@ from .ladder import bend, flick_past, press, signal_jacobian
 if TYPE_CHECKING:
     from . import closed_form, elastica, modes, profile, rod
     from .model_choice import choose_model
-    from .modes import Modes, impulse_response, transfer
+    from .modes import Modes, QuasiStatic, impulse_response, quasi_static, transfer
     from .muscle import Balance, MomentBalance, MuscleCurve, moment_balance
     from .objects import Sweep, sweep
     from .profile import Sticking, rest_angle, sticking
     from .rod import RodBending
     from .shape import Parabola, Profile, Spiral
     from .touch import Body, contour, cylinder, peg, wall
-    from .whisking import QuasiStatic, quasi_static
 
 # What a plain straight whisker does not need, imported when it is first used.
 _HOME = {
@@ -35,8 +34,7 @@ _HOME = {
     "touch": ("Body", "contour", "cylinder", "peg", "wall"),
     "objects": ("Sweep", "sweep"),
     "muscle": ("Balance", "MomentBalance", "MuscleCurve", "moment_balance"),
-    "whisking": ("QuasiStatic", "quasi_static"),
-    "modes": ("Modes", "impulse_response", "transfer"),
+    "modes": ("Modes", "QuasiStatic", "impulse_response", "quasi_static", "transfer"),
 }
 _MODULES = ("closed_form", "elastica", "modes", "profile", "rod")
 __all__ = [

@@ -1,8 +1,9 @@
 """The base signals of a curved or rubbing whisker as tables over contacts, for posteriors.
 
-What `surface` is to the straight elastica, this is to the planar beam and to the rod: the equations
-are solved once, at Chebyshev nodes, and interpolated from then on. A contact is given by its radial
-distance and its push, the angle by which the whisker has been turned since it first touched there.
+What `elastica.Surface` is to the straight elastica, this is to the planar beam and to the rod: the
+equations are solved once, at Chebyshev nodes, and interpolated from then on. A contact is given by
+its radial distance and its push, the angle by which the whisker has been turned since it first
+touched there.
 
 At a distance the branch of equilibria runs from rest to the fold, at the push P. It is followed on
 the whisker continued beyond its tip to the apex (`branches`), and tabled over the distance and

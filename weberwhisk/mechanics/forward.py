@@ -26,8 +26,8 @@ from . import closed_form, elastica, hinge, ladder
 from .chebyshev import Array
 from .contact import Outcome, in_pieces
 from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
+from .elastica import Surface, surface_of
 from .shape import Law, Profile, Spiral
-from .surface import Surface, surface_of
 
 NAMES = ("moment", "axial_force", "transverse_force")
 #: Friction at which nothing is known: µ = 0.48 (whisker on steel), sliding either way.

@@ -231,12 +231,7 @@ def moment_balance(
             flick > high - impact,
             np.broadcast_to(np.equal(limit.ended_by, elastica.Outcome.SLIPPED_OFF_TIP), shape),
         ],
-        [
-            Balance.OUT_OF_REACH,
-            Balance.BALANCED,
-            Balance.END_OF_WHISKING,
-            Balance.SLIPPED_OFF_TIP,
-        ],
+        [Balance.OUT_OF_REACH, Balance.BALANCED, Balance.END_OF_WHISKING, Balance.SLIPPED_OFF_TIP],
         Balance.FLICKED_PAST,
     ).astype(np.int8)
     balanced = outcome == Balance.BALANCED

@@ -10,11 +10,24 @@ with its tip or with its flank: the sweep ends with `TOUCHES_TWICE` where the sh
 would take it a millionth of its length into the object elsewhere.
 
 Whisking is quasi-static here: the whisker is in balance at every angle, without inertia. It is
-then a good model where the base turns slowly; `whisking.quasi_static` says up to which frequency.
+then a good model where the base turns slowly; `modes.quasi_static` says up to which frequency.
 
 The base starts at the origin of the world frame; at rotation 0 its tangent is the x axis, and a
 positive rotation turns it towards −y, into objects below. In the base frame the object then turns
 the other way, and the deflection is positive. A base that travels instead moves towards −y.
+
+Last, how a contact moves along a whisker that is pushed on along an object (§2g): the same for
+straight and curved whiskers, with and without friction, which differ in the contact angle alone.
+
+In the frame of the base, with φ the direction of the whisker's tangent at the contact, β = φ − θ_d
+its angle to the line base → contact, and ρ the push angle: the contact moves along the tangent,
+
+    r d(θ_d − ρ) = tan β dr,                                                            (slip)
+
+and the object's own tangent, φ − ρ in the world, is what the object lets it be: on a wall it does
+not turn, so that its contacts move at a rate that depends on the contact alone,
+
+    dr/dρ = (1 − ∂φ/∂θ_d) / (∂φ/∂r + ∂φ/∂θ_d tan β / r).                                (wall)
 """
 
 from __future__ import annotations
@@ -234,3 +247,115 @@ def _advance(
     if not touch.tip and v[0] > 1 - 10 * smallest:
         return touch, v, sign, now, last, Outcome.SLIPPED_OFF_TIP
     return touch, v, sign, now, last, Outcome.FLICKED_PAST
+
+
+#: Relative step of the differences in (wall); contacts of the tip in its table, and how far they
+#: are, in θ_d, from slipping off.
+STEP, NODES, INSIDE = 1e-5, 401, 1e-6
+
+
+def contact_angle(forward: Any, r: Array, theta: Array) -> Array:
+    """φ (...) from the direction of the force, which friction tilts; NaN of what is not held.
+
+    `forward` is a `ForwardModel`. Where nothing is pressed, φ is that of the whisker at rest.
+    """
+    signals, _ = forward.signals(r, np.maximum(theta - forward.rest(r), 1e-9))
+    beta = np.arctan2(signals[..., 1], signals[..., 2]) - forward.friction - theta
+    return np.asarray(theta + np.mod(beta + np.pi / 2, 2 * np.pi) - np.pi / 2)
+
+
+def slid(
+    forward: Any, r: Array, theta: Array, slip: Array, push: Array | float
+) -> tuple[Array, Array]:
+    """r and θ_d (n,) after slips dr (n,) and pushes dρ: (slip), by the trapezoid rule."""
+    start = slope(forward, r, theta)
+    there = r + slip
+    # A contact that is not held has no slope of its own: it is lost, whatever is written here.
+    end = slope(forward, there, theta + push + start * slip)
+    mean = np.where(np.isfinite(end), (start + end) / 2, start)
+    return there, theta + push + np.where(slip == 0, 0.0, mean * slip)
+
+
+def slope(forward: Any, r: Array, theta: Array) -> Array:
+    """tan β/r (n,)."""
+    inside = np.clip(r, 1e-6 * forward.length, forward.reach)
+    return np.asarray(np.tan(contact_angle(forward, inside, theta) - theta) / inside)
+
+
+def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
+    """dr/dρ (n,) of contacts with a wall, m per rad: (wall); 0 of contacts that are not held."""
+    r = np.clip(r, 1e-3 * forward.length, forward.reach)
+    # On this side of the largest angles and of the tip.
+    inwards = r * (1 - STEP)
+    rest, beside = forward.rest(r), forward.rest(inwards)
+    push = np.maximum(theta - rest, 1e-6 + 2 * np.abs(rest - beside))
+    theta, less = rest + push, rest + push * (1 - STEP)
+    here, there, before = contact_angle(
+        forward, np.stack([r, inwards, r]), np.stack([theta, theta, less])
+    )
+    by_r, by_theta = (here - there) / (r - inwards), (here - before) / (theta - less)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = (1 - by_theta) / (by_r + by_theta * np.tan(here - theta) / r)
+    return np.where(np.isfinite(rate), rate, 0.0)
+
+
+def tip_contacts(forward: Any) -> tuple[Array, Array, Array]:
+    """r, θ_d and β (n,) along the contacts of the tip, from the whisker at rest on.
+
+    A wall at the angle β from the line base → tip at first contact is met by the tip until the
+    whisker is bent as much there; by the flank from then on.
+    """
+    reach = forward.reach * (1 - 1e-15)
+    r = reach * (1 - np.linspace(0.0, 1.0, NODES)[:-1] ** 2)
+    push = np.nan_to_num(forward.limit(r)) * (1 - INSIDE)
+    tip = forward.signals(r, push * (1 + 2 * INSIDE))[1] == Outcome.SLIPPED_OFF_TIP
+    tip[0] = True
+    r, push = r[tip], push[tip]
+    push[0] = 0.0
+    theta = forward.rest(r) + push
+    return r, theta, contact_angle(forward, r, theta) - theta
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """Walls that a whisker meets: with its tip, at r, θ_d and β (n,), or with its flank at rest.
+
+    `rest` is the distance of a wall from the base and the r (m,) at which the flank touches it.
+    """
+
+    r: Array
+    theta: Array
+    beta: Array
+    rest: tuple[Array, Array]
+
+    @classmethod
+    def of(cls, forward: Any, farther_out: float = 0.01) -> Walls:
+        """Those of a `ForwardModel`, whose tip must not be pushed by `farther_out`, rad, outwards.
+
+        Raises
+        ------
+        ValueError
+        """
+        unknown = len({*forward.friction_range}) > 1 or len({*forward.offset_range}) > 1
+        reach = forward.reach * (1 - 1e-12)
+        if unknown or forward.limit(np.array([reach]))[0] > farther_out:
+            raise ValueError(
+                "A tip that meets an object may go further out than it reaches at rest, got "
+                f"{forward.whisker!r}{' with friction or curvature unknown' * unknown}; write "
+                "prior=scipy.stats.uniform(...) of the distances at which the flank is touched, or "
+                "slip_rate=0 for a peg."
+            )
+        r = np.linspace(1e-3, 1.0, 201) * reach
+        rest = forward.rest(r)
+        depth = r * np.sin(contact_angle(forward, r, rest) - rest)
+        return cls(*tip_contacts(forward), (np.maximum.accumulate(depth), r))
+
+    def met(self, angle: Array) -> tuple[Array, Array]:
+        """r (n,) at which walls are met, and how far the tip is then turned, −∞ of the flank.
+
+        The sine of `angle` is a wall's distance from the base over that of the tip.
+        """
+        flank = angle < self.beta[0]
+        turned = np.interp(angle, self.beta, self.theta - self.theta[0], right=np.inf)
+        place = np.interp(np.sin(angle) * self.r[0], *self.rest)
+        return np.where(flank, place, self.r[0]), np.where(flank, -np.inf, turned)
