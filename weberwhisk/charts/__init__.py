@@ -397,7 +397,12 @@ def measure_growth(*, full: bool = False) -> pd.DataFrame:
         # What makes a call of size n; the least n, the most in short, where 0 leaves out what takes
         # seconds a call, and in full.
         "posteriors, quadrature, r": (partial(posteriors, one, "quadrature"), 1, 1024, 65_536),
-        "posteriors, quadrature, r and θ_d": (partial(posteriors, two, "quadrature"), 1, 64, 4096),
+        "posteriors, quadrature, r and θ_d": (
+            partial(posteriors, two, "quadrature"),
+            1,
+            1024,
+            4096,
+        ),
         "posteriors, emcee, r": (partial(posteriors, one, "emcee"), 1, 64, 1024),
         "trials, fit": (fit, 16, 4096, 262_144),
         "subjects, population fit": (population, 2, 0, 32),
@@ -407,7 +412,7 @@ def measure_growth(*, full: bool = False) -> pd.DataFrame:
     for what, (job, n, *most) in jobs.items():
         if not most[full]:
             continue
-        job(2)()  # what is made once is not counted
+        job(64 if "θ_d" in what else 2)()  # what is made once, a tiling, say, is not counted
         rows = []
         while n <= most[full]:
             call = job(n)
