@@ -1,9 +1,10 @@
-"""The command line that the scripts of this folder share: where to write, and how much to do."""
+"""What the scripts of this folder share: a command line (where to write, how much), and tables."""
 
 from __future__ import annotations
 
 import argparse
 import inspect
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 ANALYSES = Path(__file__).parent
@@ -50,3 +51,9 @@ def options(
         parser.add_argument("--workers", type=int, help="processes; by default one a core")
         parser.add_argument("--scheduler", help="of a dask.distributed cluster")
     return parser.parse_args()
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -2,240 +2,34 @@
 
     python analyses/lapse_prior.py [folder] [--short] [--sets N]
 
-Writes `lapse_prior.md` into this folder, or the one named. The posterior of k, both lapses and the
-bias is summed on a plain grid written for itself, so that a belief is a table of weights and costs
-next to nothing to change. `psignifit_side_by_side.py` and `recovery.py` use the same animals.
+Writes `lapse_prior.md` into this folder, or the one named. The population, and the grid on which
+the posterior is summed, are those of `plain_grid.py`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from command import ANALYSES, options
-from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.special import ndtr, ndtri
-from scipy.stats import beta, logistic, norm
-
-Array = NDArray[np.float64]
-
-LAPSES = np.array([0, 2, 5, 10, 16, 24, 34, 46, 60, 80, 105, 135, 170, 220, 290, 400]) / 1000
-EDGES = np.r_[0, (LAPSES[1:] + LAPSES[:-1]) / 2, 1]
-BIAS = np.arange(-3, 3.01, 0.2)
-REACH = np.arange(-3.2, 2.6, 0.12)  # of ln k from where the easiest level is 1 sd away
-FINE = 900
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """Pairs of stimuli, (C,), each shown `per_level` times; (N, C) where animals differ in it."""
-
-    name: str
-    first: Array
-    second: Array
-    per_level: Any
-
-    @property
-    def drive(self) -> Array:
-        """The decision variable for a Weber fraction of 1."""
-        return (self.second - self.first) / np.hypot(self.first, self.second)
-
-    @property
-    def reach(self) -> float:
-        """The largest step, of the logarithm."""
-        return float(np.abs(np.log(self.second / self.first)).max())
-
-    @property
-    def easiest(self) -> float:
-        """The largest drive."""
-        return float(np.abs(self.drive).max())
-
-
-def around(name: str, *offsets: Array, per_level: int, both_orders: bool = False) -> Design:
-    """Comparisons (1 + offset) around one standard, or more where their offsets differ."""
-    second = 1 + np.concatenate(offsets)
-    first = np.ones_like(second)
-    if both_orders:
-        first, second = np.r_[first, second], np.r_[second, first]
-    return Design(name, first, second, per_level)
-
-
-def even(reach: float, count: int) -> Array:
-    return np.linspace(-reach, reach, count)
-
-
-def log_even(reach: float, count: int) -> Array:
-    return np.expm1(even(reach, count))
-
-
-def either_way(*steps: float) -> Array:
-    return np.r_[-np.array(steps[::-1]), steps]
-
-
-NINE = "9 even levels to ±0.30"
-TRAINING = (
-    around(NINE, even(0.3, 9), per_level=13),
-    around(NINE, even(0.3, 9), per_level=33),
-    around(NINE, even(0.3, 9), per_level=111),
-    around("7 levels to ±0.5 of the log", log_even(0.5, 7), per_level=20),
-    around("7 levels to ±0.5 of the log", log_even(0.5, 7), per_level=70),
-    around("5 even levels to ±0.15", even(0.15, 5), per_level=60),
-    around("2 standards, 9 equal steps to ±0.4 and ±0.2", even(0.4, 9), even(0.2, 9), per_level=15),
-    around("0.1, 0.2, 0.4 of the log", np.expm1(either_way(0.1, 0.2, 0.4)), per_level=50),
+from command import ANALYSES, markdown_table, options
+from plain_grid import (
+    CELLS,
+    DESIGNS,
+    Array,
+    Design,
+    around,
+    belief,
+    cell,
+    density,
+    estimates,
+    even,
+    population,
 )
-HELD_OUT = (
-    around("±0.02, doubling to ±0.32", either_way(0.02, 0.04, 0.08, 0.16, 0.32), per_level=30),
-    around("11 even levels to ±0.5", even(0.5, 11), per_level=27),
-    around("9 levels to ±0.9 of the log", log_even(0.9, 9), per_level=33),
-    around("7 even levels to ±0.2", even(0.2, 7), per_level=17),
-    around("3 standards, 7 equal steps to ±0.3, ±0.15, ±0.1",
-           even(0.3, 7), even(0.15, 7), even(0.1, 7), per_level=12),
-    around("8 levels without 0 to ±0.24", either_way(0.03, 0.09, 0.15, 0.24), per_level=125),
-    around("5 even levels to ±0.30, both orders", even(0.3, 5), per_level=20, both_orders=True),
-    around(NINE, even(0.3, 9), per_level=33),
-)  # fmt: skip
-DESIGNS = {"training": TRAINING, "held out": HELD_OUT}
-
-#: Cells of one animal each: offsets, trials a level, k, both lapses, bias.
-CELLS = {
-    "k 0.1, 117 trials to ±0.30": (even(0.3, 9), 13, 0.1, 0.02, 0.02, 0.0),
-    "k 0.1, 297 trials to ±0.30": (even(0.3, 9), 33, 0.1, 0.02, 0.02, 0.0),
-    "k 0.1, 999 trials to ±0.30": (even(0.3, 9), 111, 0.1, 0.02, 0.02, 0.0),
-    "k 0.2, 117 trials to ±0.30": (even(0.3, 9), 13, 0.2, 0.02, 0.02, 0.0),
-    "k 0.2, 297 trials to ±0.30": (even(0.3, 9), 33, 0.2, 0.02, 0.02, 0.0),
-    "k 0.2, 999 trials to ±0.30": (even(0.3, 9), 111, 0.2, 0.02, 0.02, 0.0),
-    "k 0.4, 297 trials to ±1.2 of the log": (log_even(1.2, 9), 33, 0.4, 0.02, 0.02, 0.0),
-    "k 0.1, 297 trials to ±0.30, lapses 0.1": (even(0.3, 9), 33, 0.1, 0.1, 0.1, 0.0),
-    "k 0.1, 297 trials to ±0.30, lapses 0.08 and 0.02, bias 0.5": (
-        even(0.3, 9), 33, 0.1, 0.08, 0.02, 0.5),
-}  # fmt: skip
-#: The stream of each cell; those of cells since dropped stay free.
-STREAMS = dict(zip(CELLS, (0, 1, 2, 3, 4, 5, 8, 11, 13), strict=True))
-
-
-def animals(design: Design, number: int, sets: int, part: str) -> tuple[Array, ...]:
-    """k, both lapses and the bias of so many animals, (sets,) each.
-
-    The experimenter has chosen levels that bracket the thresholds: the easiest is 0.8 to 4 sds away
-    (held out: to 6), log-uniform. Training: 40 % of animals lose up to 1 % of trials a side, 40 %
-    1 to 6 %, 20 % 6 to 18 %, each side its own by a factor of e^0.5 as one sd; biases N(0, 0.4).
-    Held out: half lose as many at both ends, Beta(1, 20); half exponentially many, 3 % on average,
-    each side by itself; biases Laplace, 0.4.
-    """
-    held_out = part == "held out"
-    rng = np.random.default_rng([2026, number, int(held_out)])
-    u, g = rng.random((400, 8)), rng.standard_normal((400, 4))
-    top = 6.0 if held_out else 4.0
-    k = design.reach / (np.sqrt(2) * 0.8 * (top / 0.8) ** u[:, 0])
-    if held_out:
-        alike, same = u[:, 1] < 0.5, 1 - (1 - u[:, 2]) ** (1 / 20)
-        low, high = (
-            np.where(alike, same, np.minimum(-0.03 * np.log(u[:, i]), 0.3)) for i in (3, 4)
-        )
-        bias = -0.4 * np.where(u[:, 5] < 0.5, 1, -1) * np.log(u[:, 6])
-    else:
-        kind, share = u[:, 1], u[:, 2]
-        often = np.where(kind < 0.8, 0.01 + 0.05 * share, 0.06 + 0.12 * share)
-        common = np.where(kind < 0.4, 0.01 * share, often)
-        low, high = (np.minimum(common * np.exp(0.5 * g[:, i]), 0.3) for i in (0, 1))
-        bias = 0.4 * g[:, 2]
-    return k[:sets], low[:sets], high[:sets], bias[:sets]
-
-
-def population(part: str, number: int, sets: int) -> tuple[Design, Array, tuple[Array, ...]]:
-    """A design, the answers "second greater" (sets, C) of animals to it, and their truth."""
-    design = DESIGNS[part][number]
-    k, low, high, bias = truth = animals(design, number, 400, part)
-    p = low[:, None] + (1 - low - high)[:, None] * ndtr(design.drive / k[:, None] + bias[:, None])
-    rng = np.random.default_rng([2027, number, int(part == "held out")])
-    count = np.array([rng.binomial(design.per_level, row) for row in p], dtype=float)
-    return design, count[:sets], tuple(a[:sets] for a in truth)
-
-
-def cell(name: str, sets: int) -> tuple[Design, Array, float]:
-    """The design of a cell, the answers (sets, C) to it, and the Weber fraction."""
-    offsets, per_level, k, low, high, bias = CELLS[name]
-    design = around(name, offsets, per_level=per_level)
-    p = low + (1 - low - high) * ndtr(design.drive / k + bias)
-    count = np.random.default_rng([2028, STREAMS[name]]).binomial(per_level, p, (400, p.size))
-    return design, count[:sets].astype(float), k
-
-
-# -- the posterior, summed on plain nodes ----------------------------------------------------------
-
-
-def weights(cdf: Array, correlation: float) -> Array:
-    """Prior probability of the lapse nodes, (Lo·Hi,): that of one at the edges, scores normal."""
-    ends = ndtri(np.clip(cdf, 0, 1))
-    z = np.linspace(-8, 8, 4001)
-    given = ndtr((ends - correlation * z[:, None]) / np.sqrt(1 - correlation**2))
-    out = np.zeros((LAPSES.size, LAPSES.size))
-    at = np.clip(np.searchsorted(ends, z, side="right") - 1, 0, LAPSES.size - 1)
-    np.add.at(out, at, norm.pdf(z)[:, None] * np.diff(given, axis=1))
-    return (out / out.sum()).ravel()
-
-
-def belief(a: float, b: float, correlation: float = 0.7) -> Array:
-    """Weights of Beta(a, b) at either end."""
-    return weights(beta(a, b).cdf(EDGES), correlation)
-
-
-def density(
-    design: Design, count: Array, beliefs: Array, bias_sds: tuple[float, ...] = (1.0,)
-) -> tuple[Array, Array]:
-    """Nodes of ln k, (K,), and the likelihood there under each belief, (S, K, B, N).
-
-    Parameters
-    ----------
-    count : ndarray, shape (N, C)
-    beliefs : ndarray, shape (Lo·Hi, B)
-        Prior weights of the lapse nodes.
-    bias_sds : tuple of float, S of them
-        Of the normal prior of the bias.
-    """
-    ln_k = np.log(design.reach / np.sqrt(2)) + REACH
-    low, high = LAPSES[:, None, None, None], LAPSES[:, None, None]
-    both = np.hstack([count, design.per_level - count]).T.astype(np.float32)
-    of_bias = np.array([norm.pdf(BIAS, 0, sd) for sd in bias_sds], dtype=np.float32)
-    of_bias /= of_bias.sum(axis=1, keepdims=True)
-    shape = LAPSES.size**2, BIAS.size, len(count)
-    out = np.empty((len(bias_sds), ln_k.size, beliefs.shape[1], len(count)))
-    tops = np.empty((ln_k.size, len(count)))
-    for i, z in enumerate(design.drive / np.exp(ln_k)[:, None, None] + BIAS[:, None]):
-        p = low * ndtr(-z) + (1 - high) * ndtr(z)
-        q = (1 - low) * ndtr(-z) + high * ndtr(z)
-        logs = np.log(np.maximum(np.concatenate([p, q], axis=-1), 1e-30)).astype(np.float32)
-        like = (logs.reshape(-1, len(both)) @ both).reshape(shape)
-        tops[i] = like.max(axis=(0, 1))
-        np.exp(like - tops[i].astype(np.float32), out=like)
-        for s, prior in enumerate(of_bias):
-            out[s, i] = beliefs.T @ np.einsum("lbn,b->ln", like, prior)
-    return ln_k, out * np.exp(tops - tops.max(axis=0))[:, None]
-
-
-DEFAULT = norm(np.log(0.1), np.log(3))
-
-
-def estimates(ln_k: Array, like: Array, prior: Any = DEFAULT) -> dict[str, Array]:
-    """Of ln k under a prior, by default that of a fit, from likelihoods (K, ..., N): (..., N)."""
-    post = like * prior.pdf(ln_k).reshape(ln_k.size, *[1] * (like.ndim - 2), -1)
-    log_post = np.log(np.maximum(post / post.max(axis=0), 1e-12))
-    fine = np.linspace(ln_k[0], ln_k[-1], FINE)
-    post = np.exp(CubicSpline(ln_k, log_post)(fine))
-    post /= post.sum(axis=0)
-    below = np.cumsum(post, axis=0)
-    low, median, high = (fine[np.argmax(below >= p, axis=0)] for p in (0.025, 0.5, 0.975))
-    mean = np.tensordot(fine, post, 1)
-    return {"lower": low, "median": median, "upper": high, "mean": mean,
-            "mode": fine[post.argmax(axis=0)]}  # fmt: skip
-
-
-# -- what beliefs cost -----------------------------------------------------------------------------
+from scipy.special import ndtr
+from scipy.stats import logistic, norm
 
 SHIPPED = "Beta(0.7, 20), 0.7"
 BELIEFS = {
@@ -265,21 +59,20 @@ def found(part: str, sets: int) -> tuple[dict[str, Array], tuple[Array, ...]]:
     for number in range(len(DESIGNS[part])):
         design, count, truth = population(part, number, sets)
         ln_k, like = density(design, count, table, BIAS_SDS)
-        for sd in range(len(BIAS_SDS)):
-            for name, value in estimates(ln_k, like[sd]).items():
-                errors.setdefault(f"{name} {sd}", []).append(value - np.log(truth[0]))
+        by_sd = [estimates(ln_k, one) for one in like]
+        for name in by_sd[0]:
+            value = np.stack([each[name] for each in by_sd])
+            errors.setdefault(name, []).append(value - np.log(truth[0]))
         truths.append(truth)
     joined = {name: np.concatenate(parts, axis=-1) for name, parts in errors.items()}
-    names = sorted({name.split()[0] for name in joined})
-    stacked = {n: np.stack([joined[f"{n} {sd}"] for sd in range(len(BIAS_SDS))]) for n in names}
-    return stacked, tuple(np.concatenate(a) for a in zip(*truths, strict=True))
+    return joined, tuple(np.concatenate(a) for a in zip(*truths, strict=True))
 
 
 def rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def row(part: str, sets: int, sd: int, at: int, name: str = "median") -> list[str]:
+def row(part: str, sets: int, sd: int, at: int, name: str) -> list[str]:
     """RMSE of ln k in all, by lapses (under 1 %, to 5 %, more); median bias; coverage."""
     errors, (_, low, high, _) = found(part, sets)
     error, lapse = errors[name][sd, at], (low + high) / 2
@@ -293,7 +86,6 @@ def row(part: str, sets: int, sd: int, at: int, name: str = "median") -> list[st
     ]
 
 
-TOO_HARD = "9 levels to ±0.3, 13 each, k 0.5"
 CELL_ABOVE, CELL_LAPSES = "k 0.2, 117 trials to ±0.30", "k 0.1, 297 trials to ±0.30, lapses 0.1"
 BESIDE = {CELL_ABOVE: 178, CELL_LAPSES: 78}  # data sets that psignifit has answered
 #: Priors of k: median, sd of ln k, and whether the median is the sds at which the easiest pair lies
@@ -369,14 +161,14 @@ def likelihoods(sets: int) -> dict[str, list[Any]]:
     return out
 
 
-def fraction_rows(sets: int) -> list[str]:
+def fraction_rows(sets: int) -> str:
     """Rows of fixed priors of ln k and point estimates, and of the belief about levels."""
     data = likelihoods(sets)
     middle = {part: np.median(np.concatenate([k for *_, k in data[part]])) for part in DESIGNS}
     parts = [f"k about {about}: " if about else "" for about in ABOUT]
     heads = ["prior of k", "lapses", "estimate", "the cell: RMSE of k"]
     heads += [f"{words}{part}" for words in parts for part in DESIGNS]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines = []
     points = ("median", "mean", "mode")
     rows = [(SHIPPED_FRACTION, 0, point) for point in points]
     rows += [(name, 0, "median") for name in list(FRACTIONS)[1:3]]
@@ -387,11 +179,11 @@ def fraction_rows(sets: int) -> list[str]:
             for part in DESIGNS:
                 moved = 0.0 if about is None else float(np.log(about / middle[part]))
                 cost.append(f"{rms(outcome(data[part], name, at, moved, point)[0]):.3f}")
-        lines.append(f"| {name} | {WITH_LEVELS[at]} | {point} | " + " | ".join(cost) + " |")
-    return lines
+        lines.append([name, WITH_LEVELS[at], point, *cost])
+    return markdown_table(heads, lines)
 
 
-def level_rows(sets: int, within: float = 0.015) -> list[str]:
+def level_rows(sets: int, within: float = 0.015) -> str:
     """Beliefs about levels and lapses together, by the training animals' loss: all that lie so
     close to the least, and with the lapses of the default the best and the old one."""
     data = likelihoods(sets)
@@ -400,28 +192,20 @@ def level_rows(sets: int, within: float = 0.015) -> list[str]:
     least = min(loss.values())
     shown = [both for both in joint if loss[both] <= (1 + within) * least]
     shown.append(("levels: 1.5 sds, a factor of 1.6, normal", 0))
-    heads = [
-        "prior of k",
-        "lapses",
-        "training: RMSE of ln k",
-        "covers, %",
-        "held out: RMSE of ln k",
-        "covers, %",
-        "k 0.2, 117 trials: RMSE of k, %",
-        "lapses 0.1: RMSE of k, %",
-        "covers, %",
-    ]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    heads = ["prior of k", "lapses"]
+    heads += [words for part in DESIGNS for words in (f"{part}: RMSE of ln k", "covers, %")]
+    heads += ["k 0.2, 117 trials: RMSE of k, %", "lapses 0.1: RMSE of k, %", "covers, %"]
+    lines = []
     for name, at in [(SHIPPED_FRACTION, 0), *sorted(set(shown), key=lambda both: loss[both])]:
-        values = [f"| {name} | {WITH_LEVELS[at]}"]
+        values = [name, WITH_LEVELS[at]]
         for part in DESIGNS:
             error, inside = outcome(data[part], name, at)
             values += [f"{rms(error):.3f}", f"{100 * inside.mean():.1f}"]
         for one in (CELL_ABOVE, CELL_LAPSES):
             error, inside = outcome(data[one], name, at)
             values.append(f"{100 * rms(np.expm1(error)):.1f}")
-        lines.append(" | ".join([*values, f"{100 * inside.mean():.1f}"]) + " |")
-    return lines
+        lines.append([*values, f"{100 * inside.mean():.1f}"])
+    return markdown_table(heads, lines)
 
 
 def staircase(start: float, trials: int, k: float, sets: int) -> tuple[Design, Array]:
@@ -462,7 +246,7 @@ def elsewhere(sets: int) -> list[Any]:
         ("9 levels to ±0.06, 33 each, k 0.15", even(0.06, 9), 33, 0.15, 0.02),
         ("9 levels to ±0.3, 33 each, k 0.02", even(0.3, 9), 33, 0.02, 0.02),
         ("one level, +0.1, 100 trials, k 0.1", np.array([0.1]), 100, 0.1, 0.02),
-        (TOO_HARD, even(0.3, 9), 13, 0.5, 0.02),
+        ("9 levels to ±0.3, 13 each, k 0.5", even(0.3, 9), 13, 0.5, 0.02),
         ("9 levels to ±0.3, 13 each, k 0.03, lapses 0.1", even(0.3, 9), 13, 0.03, 0.1),
     ):
         design = around(words, offsets, per_level=n)
@@ -471,19 +255,18 @@ def elsewhere(sets: int) -> list[Any]:
     return [(d, density(d, count, table), np.full(len(count), k)) for d, count, k in cases]
 
 
-def elsewhere_rows(sets: int) -> list[str]:
+def elsewhere_rows(sets: int) -> str:
     """Both beliefs there."""
-    lines = ["| data | easiest pair, sds | belief | RMSE of ln k | median bias, % | covers, % |",
-             "|" + "---|" * 6]  # fmt: skip
+    heads = ["data", "easiest pair, sds", "belief", "RMSE of ln k", "median bias, %", "covers, %"]
+    lines = []
     for case in elsewhere(sets):
         design, _, k = case
         for words, name, at in (("default", SHIPPED_FRACTION, 0), ("levels", BY_LEVELS, 1)):
             error, inside = outcome([case], name, at)
-            lines.append(
-                f"| {design.name} | {design.easiest / k[0]:.1f} | {words} | {rms(error):.3f} | "
-                f"{100 * np.expm1(np.median(error)):+.0f} | {100 * inside.mean():.0f} |"
-            )
-    return lines
+            bias, covers = 100 * np.expm1(np.median(error)), 100 * inside.mean()
+            lines.append([design.name, f"{design.easiest / k[0]:.1f}", words, f"{rms(error):.3f}",
+                          f"{bias:+.0f}", f"{covers:.0f}"])  # fmt: skip
+    return markdown_table(heads, lines)
 
 
 def psignifit_squares(name: str, sets: int) -> Array:
@@ -493,7 +276,7 @@ def psignifit_squares(name: str, sets: int) -> Array:
     return (own.sort_values("set")["k"].to_numpy() / CELLS[name][2] - 1) ** 2
 
 
-def mixture_rows(sets: int, elsewhere_sets: int) -> list[str]:
+def mixture_rows(sets: int, elsewhere_sets: int) -> str:
     """Mixtures: what they gain, and RMSE of ln k elsewhere over that of the default, with coverage;
     between them that of both parts where a share of the data is from elsewhere."""
     data, others = likelihoods(sets), elsewhere(elsewhere_sets)
@@ -502,7 +285,7 @@ def mixture_rows(sets: int, elsewhere_sets: int) -> list[str]:
     heads = ["weight, easiest pair at", "lapses"]
     heads += [f"{part}: {words}" for part in DESIGNS for words in shares]
     heads += ["the cell: RMSE of k (above psignifit)", *(design.name for design, *_ in others)]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines = []
     rows: list[tuple[str | Mixture, int]] = [(SHIPPED_FRACTION, 0), *MIXTURES]
     before: list[float] = []
     for name, at in rows:
@@ -523,32 +306,32 @@ def mixture_rows(sets: int, elsewhere_sets: int) -> list[str]:
         values.append(f"{100 * np.sqrt(squares.mean()):.1f} % ({by:+.1f} se)")
         values += [f"{new / old:.2f}, {100 * inside.mean():.0f} %"
                    for new, old, (_, inside) in zip(loss, before, found, strict=True)]  # fmt: skip
-        lines.append("| " + " | ".join(values) + " |")
-    return lines
+        lines.append(values)
+    return markdown_table(heads, lines)
 
 
 def report(sets: int) -> str:
     """The page of text."""
-    head = "| RMSE of ln k | by lapses: < 1 %, < 5 %, more | median bias, % | 95 % covers, % "
-    top = ["belief at either end, correlation" + " " + 2 * head + "|", "|" + "---|" * 9]
-    lines = [f"| {top[0]}", top[1]]
-    names = list(BELIEFS)
-    for at, name in enumerate(names):
-        lines.append(f"| {name} | " + " | ".join(
-            value for part in DESIGNS for value in row(part, sets, 0, at)) + " |")  # fmt: skip
-    other = [f"| bias prior, sd {2 * head}|", "|" + "---|" * 9]
-    for sd in np.argsort(BIAS_SDS):
-        other.append(f"| {BIAS_SDS[sd]:g} | " + " | ".join(
-            value for part in DESIGNS for value in row(part, sets, int(sd), 0)) + " |")  # fmt: skip
-    points = [f"| estimate {2 * head}|", "|" + "---|" * 9]
-    for name in ("median", "mean", "mode"):
-        points.append(f"| {name} of ln k | " + " | ".join(
-            value for part in DESIGNS for value in row(part, sets, 0, 0, name)) + " |")  # fmt: skip
+    heads = ["RMSE of ln k", "by lapses: < 1 %, < 5 %, more", "median bias, %", "95 % covers, %"]
+
+    def both(first: str, rows: dict[str, tuple[int, int, str]]) -> str:
+        """A table of both parts; of each row the bias prior, the belief and the estimate."""
+        return markdown_table(
+            [first, *heads, *heads],
+            [[name, *row("training", sets, *at), *row("held out", sets, *at)]
+             for name, at in rows.items()],
+        )  # fmt: skip
+
+    points = ("median", "mean", "mode")
     return TEXT.format(
-        sets=sets, animals=8 * sets, beliefs="\n".join(lines), biases="\n".join(other),
-        points="\n".join(points), fractions="\n".join(fraction_rows(sets)),
-        levels="\n".join(level_rows(sets)), elsewhere="\n".join(elsewhere_rows(min(sets, 150))),
-        mixtures="\n".join(mixture_rows(sets, min(sets, 150))),
+        sets=sets, animals=8 * sets,
+        beliefs=both("belief at either end, correlation",
+                     {name: (0, at, "median") for at, name in enumerate(BELIEFS)}),
+        biases=both("bias prior, sd", {f"{BIAS_SDS[sd]:g}": (int(sd), 0, "median")
+                                       for sd in np.argsort(BIAS_SDS)}),
+        points=both("estimate", {f"{point} of ln k": (0, 0, point) for point in points}),
+        fractions=fraction_rows(sets), levels=level_rows(sets),
+        elsewhere=elsewhere_rows(min(sets, 150)), mixtures=mixture_rows(sets, min(sets, 150)),
         designs="\n".join(
             f"- *{part}*: " + "; ".join(f"{d.name}, {d.per_level} each" for d in designs) + "."
             for part, designs in DESIGNS.items()

@@ -5,7 +5,7 @@
 
 Writes `psignifit_side_by_side.md` and psignifit's answers, `psignifit_side_by_side.csv`, into this
 folder, or the one named; answers that the table has already are not made again. The animals and
-designs are those of `lapse_prior.py`. psignifit fits a cumulative normal against ln(stimulus 2 /
+designs are those of `plain_grid.py`. psignifit fits a cumulative normal against ln(stimulus 2 /
 stimulus 1) with equal asymptotes; its width, over 1.645 √2 twice, is its Weber fraction. Times are
 CPU seconds.
 """
@@ -18,10 +18,10 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import lapse_prior as animals
 import numpy as np
 import pandas as pd
-from command import ANALYSES, options
+import plain_grid as animals
+from command import ANALYSES, markdown_table, options
 from numpy.typing import NDArray
 from scipy.stats import norm
 
@@ -143,30 +143,27 @@ def in_per_cent(relative: Array) -> str:
     return f"{100 * rmse:.1f} ({100 * square.std() / np.sqrt(square.size) / (2 * rmse):.1f})"
 
 
-def lines_of(title: str, found: dict[str, Any], bracketed: bool | None = None) -> list[str]:
+def lines_of(title: str, found: dict[str, Any], bracketed: bool | None = None) -> list[list[str]]:
     """Rows of the table, of some sets or all; the bias is that of the median."""
     out = []
     for tool in TOOLS:
         which = slice(None) if bracketed is None else found["bracketed"] == bracketed
         relative = found[tool][which]
         inside = (relative[:, 1] < 1) & (relative[:, 2] > 1)
-        out.append(
-            f"| {title} | {tool} | {len(relative)} | "
-            f"{in_per_cent(relative[:, 0])} | "
-            f"{np.sqrt(np.mean(np.log(relative[:, 0]) ** 2)):.3f} | "
-            f"{100 * (np.median(relative[:, 0]) - 1):+.1f} | {100 * inside.mean():.1f} | "
-            f"{1e3 * found['seconds'][tool]:.0f} |"
-        )
+        rmse = np.sqrt(np.mean(np.log(relative[:, 0]) ** 2))
+        out.append([
+            title, tool, str(len(relative)), in_per_cent(relative[:, 0]), f"{rmse:.3f}",
+            f"{100 * (np.median(relative[:, 0]) - 1):+.1f}", f"{100 * inside.mean():.1f}",
+            f"{1e3 * found['seconds'][tool]:.0f}",
+        ])  # fmt: skip
     return out
 
 
 def report(kept: pd.DataFrame) -> str:
     """The page of text."""
-    lines = [
-        "| data | tool | sets | RMSE of k, %, and its error | RMSE of ln k | bias, % | covers, % "
-        "| CPU ms |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    heads = ["data", "tool", "sets", "RMSE of k, %, and its error", "RMSE of ln k", "bias, %",
+             "covers, %", "CPU ms"]  # fmt: skip
+    lines: list[list[str]] = []
     above: dict[str, list[str]] = {tool: [] for tool in OURS}
     sets = [(name, "cell", [name], None) for name in animals.CELLS]
     for kind, part in KINDS.items():
@@ -185,7 +182,7 @@ def report(kept: pd.DataFrame) -> str:
             by = more.mean() / more.std() * np.sqrt(more.size)
             titles += [f"{title} (by {by:.1f} standard errors)"] if by > 0 else []
     said = {tool: "; ".join(titles) or "none" for tool, titles in above.items()}
-    return TEXT.format(table="\n".join(lines), above=said["weberwhisk"],
+    return TEXT.format(table=markdown_table(heads, lines), above=said["weberwhisk"],
                        by_levels=said["weberwhisk, levels"])  # fmt: skip
 
 

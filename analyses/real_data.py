@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from command import ANALYSES, options
+from command import ANALYSES, markdown_table, options
 
 from weberwhisk import compare, figures, fit_weber
 from weberwhisk.behaviour import (
@@ -39,8 +39,8 @@ def markdown(table: pd.DataFrame, index: bool = True) -> str:
     def cell(value: object) -> str:
         return f"{value:.3g}" if isinstance(value, float) else str(value)
 
-    lines = [shown.columns.tolist(), ["---"] * shown.shape[1], *shown.to_numpy(object).tolist()]
-    return "\n".join("| " + " | ".join(map(cell, line)) + " |" for line in lines)
+    rows = [[cell(value) for value in row] for row in shown.to_numpy(object).tolist()]
+    return markdown_table([str(name) for name in shown.columns], rows)
 
 
 def by_block(trials: Trials) -> pd.DataFrame:

@@ -4,7 +4,7 @@
 
 Writes `recovery.csv` and `recovery.md` into this folder, or the one named; cells that the table
 has already are not made again, so that a run that was stopped goes on. Beside each fit stand the
-estimates of an exact sum on a plain grid (`lapse_prior.py`) from the same trials, and those of
+estimates of an exact sum on a plain grid (`plain_grid.py`) from the same trials, and those of
 an observer told the lapses: what is left of the bias then is not the lapse prior's.
 """
 
@@ -13,17 +13,17 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-import lapse_prior as plain
 import numpy as np
 import pandas as pd
-from command import ANALYSES, options
+import plain_grid as plain
+from command import ANALYSES, markdown_table, options
 
 from weberwhisk.behaviour import fit_weber, read_trials, simulate_trials
 from weberwhisk.behaviour.effects import Overdispersion
 
 FRACTIONS, PER_LEVEL, RATES = (0.05, 0.1, 0.2, 0.4), (13, 33, 111), (0.0, 0.02, 0.1)
 SCATTER = 0.05  # the intraclass correlation of overdispersed answers
-SHIPPED = plain.belief(*plain.BELIEFS[plain.SHIPPED])[:, None]
+SHIPPED = plain.belief(0.7, 20)[:, None]
 CELL = ["k", "trials", "lapse", "scatter", "model"]
 
 
@@ -153,10 +153,9 @@ def report(table: pd.DataFrame) -> str:
 def markdown(table: pd.DataFrame) -> str:
     """A table in Markdown, under readable names."""
     names = [str(name).replace("_percent", ", %").replace("_", " ") for name in table.columns]
-    lines = [names, ["---"] * len(names)]
-    for row in table.to_numpy(object).tolist():
-        lines.append([f"{v:g}" if isinstance(v, float) else str(v) for v in row])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    rows = [[f"{v:g}" if isinstance(v, float) else str(v) for v in row]
+            for row in table.to_numpy(object).tolist()]  # fmt: skip
+    return markdown_table(names, rows)
 
 
 TEXT = """# Is the truth found?
@@ -165,7 +164,7 @@ Made by `{command}`: {sets} data sets for each of {n} known
 observers, nine levels (to ±0.30 for k = 0.1, to ±3 k of the logarithm for the others), fitted with
 the default priors. Told the lapses, the same fit has the bias in the column "lapses known": the
 rest is the lapse prior's share. The exact grid is the same posterior summed on plain nodes
-(`lapse_prior.py`). The numbers are also in `recovery.csv`.
+(`plain_grid.py`). The numbers are also in `recovery.csv`.
 
 ## Against the bars
 

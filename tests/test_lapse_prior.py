@@ -20,7 +20,7 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.priors import DEFAULTS
 from weberwhisk.receptors import GeneralisedWeber
 
-script = load("lapse_prior")
+script, grid = load("lapse_prior"), load("plain_grid")
 beside = load("psignifit_side_by_side")
 
 LEVELS = {"weber_fraction": "levels"}
@@ -83,8 +83,8 @@ def test_no_further_from_the_truth_than_psignifit_on_the_same_data(
 
 def test_levels_that_hardly_reach_the_thresholds_leave_what_nobody_can_know() -> None:
     design, count, k = script.cell(BEYOND_REACH, 150)
-    told = np.zeros((script.LAPSES.size, script.LAPSES.size))
-    place = int(np.argmin(np.abs(script.LAPSES - 0.02)))
+    told = np.zeros((grid.LAPSES.size, grid.LAPSES.size))
+    place = int(np.argmin(np.abs(grid.LAPSES - 0.02)))
     told[place, place] = 1
     ln_k, like = script.density(design, count, told.reshape(-1, 1), (0.05,))
     floor = rmse(np.exp(script.estimates(ln_k, like[0, :, 0])["median"]), k)
