@@ -26,7 +26,8 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
-from weberwhisk.contacts.lattice import Lattice, Readings, distances
+from weberwhisk.contacts.lattice import Lattice, Readings
+from weberwhisk.contacts.sums import distances
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))

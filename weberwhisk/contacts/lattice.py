@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..coordinates import constrain_distance
 from ..cues import UnknownStiffness
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -96,19 +95,6 @@ class _Level:
             self.data = more
         self.data[:, first : self.count] = columns
         return first
-
-
-def distances(observer: Observer, x: Array) -> Array:
-    """Radial distances, m, at coordinates x."""
-    low, high = observer.reach
-    return np.asarray(low + (high - low) * constrain_distance(x)[0])
-
-
-def log_prior_of_distance(observer: Observer, x: Array) -> Array:
-    """ln of the prior density of the distance in coordinates x."""
-    with np.errstate(divide="ignore"):
-        prior = np.log(observer.distance_prior(distances(observer, x)))
-    return np.asarray(prior + constrain_distance(x)[1])
 
 
 class Lattice:
@@ -196,17 +182,19 @@ class Lattice:
         return (out if len(values) > 1 else out[0]), log_sd
 
     def match(self, readings: Readings, signals: Array) -> tuple[Array, Array]:
-        """ln of the stiffness (P,) that brings signals (P, S) nearest to readings, and its sd."""
+        """ln of the stiffness (P, …) that brings signals (P, …, S) nearest to readings; its sd."""
         assert self.soft is not None
         variance = np.diagonal(self.covariance(readings, readings.value), axis1=-2, axis2=-1)
         total: Any = self.log_sd**-2
         pull: Any = self.log_median * total
         for i in np.flatnonzero(self.soft):
-            y, s = readings.value[:, i], signals[:, i]
+            s = signals[..., i]
+            own = (-1, *(1,) * (s.ndim - 1))
+            y, known = readings.value[:, i].reshape(own), variance[:, i].reshape(own)
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = y / s
                 usable = (ratio > 0) & np.isfinite(ratio)
-                weight = np.where(usable, y**2 / variance[:, i], 0.0)
+                weight = np.where(usable, y**2 / known, 0.0)
                 pull = pull + weight * np.log(np.where(usable, ratio, 1.0))
             total = total + weight
         return pull / total, total**-0.5
@@ -320,7 +308,7 @@ class Lattice:
                  np.zeros(n, dtype=bool))]  # fmt: skip
         while todo:
             level, row, cell, last = todo.pop()
-            if within is not None:
+            if within is not None and level is not start:
                 x = (level.data[0, cell] + 0.5) * level.step[0]
                 room = 3 * level.step[0]  # for splines
                 near = (x > within[0] - room) & (x < within[1] + room)
@@ -370,10 +358,16 @@ class Lattice:
         """Cells (P,) of rows (P,) with their densities, but those that are `drop` below."""
         u, s = self.unknowns, self.size
         data = level.data[: 2 * u + s + 1, cell]
-        log = self.evidence(readings, row, data[2 * u : -1].T) + data[-1]
-        first = np.flatnonzero(np.diff(row, prepend=-1))
-        top = np.maximum.reduceat(log, first)
-        keep = log > np.repeat(top, np.diff(first, append=len(row))) - drop[row]
+        if self.soft is not None:  # what is far off at its nearest stiffness is so at every other
+            own, signals = readings.take(row), data[2 * u : -1].T
+            log_e, sd = self.match(own, signals)
+            log = self.log_likelihood(own, self.scaled(signals, log_e)) + np.log(sd)
+            log += data[-1] + self.log_prior_of_stiffness(log_e)
+            keep = log > self._below(log, row) - drop[row] - 3.0
+            row, data, log = row[keep], data[:, keep], log[keep]
+        if self.soft is None or not self.for_touches:  # those sum over the stiffness by themselves
+            log = self.evidence(readings, row, data[2 * u : -1].T) + data[-1]
+        keep = log > self._below(log, row) - drop[row]
         row, data, log = row[keep], data[:, keep], log[keep]
         first = np.flatnonzero(np.diff(row, prepend=-1))
         rows = row[first]
@@ -382,6 +376,12 @@ class Lattice:
             rows, first, level.step, precise[rows], owner, data[0].astype(np.intp),
             data[u : 2 * u].T, data[2 * u : -1].T, data[-1], log,
         )  # fmt: skip
+
+    def _below(self, log: Array, row: Index) -> Array:
+        """The best of each pair's row."""
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        counts = np.diff(first, append=len(row))
+        return np.repeat(np.maximum.reduceat(log, first), counts)
 
     def _tempered(
         self, readings: Readings, level: _Level, row: Index, cell: Index, first: Index,
@@ -394,15 +394,18 @@ class Lattice:
         signals: along it there is nothing to resolve but the prior, whose width is 1, about.
         """
         u, s = self.unknowns, self.size
-        data = level.data[2 * u :, cell]
-        signals, log = data[:s].T, data[s]
-        change = [data[s + 1 + d * s : s + 1 + (d + 1) * s].T for d in range(u)]
-        own = readings.take(row)
+        every = level is self._start  # each row's cells are all of them: arrays (n, N)
+        data = level.data[2 * u :, None] if every else level.data[2 * u :, cell]
+        own = readings if every else readings.take(row)
+        parts = np.moveaxis(data, 0, -1)
+        signals, log = parts[..., :s], parts[..., s]
+        change = [parts[..., s + 1 + d * s : s + 1 + (d + 1) * s] for d in range(u)]
         if self.soft is not None:
             log_e = self.match(own, signals)[0]
             signals = self.scaled(signals, log_e)
             change = [self.scaled(each, log_e) for each in change]
-        off = own.value - self.observer.noise.mean(signals)
+        y = own.value.reshape(len(own.value), *(1,) * (signals.ndim - 2), s)
+        off = y - self.observer.noise.mean(signals)
         (off, along, *steps), log_sd = self._whitened(own, signals, off, signals, *change)
         # Across half a cell each way, and a little more for curvature.
         product: Any = 1.0
@@ -417,40 +420,18 @@ class Lattice:
             turns = [sum(a * b for a, b in zip(step, along, strict=True)) / size for step in steps]
             spread = self.log_sd**2 + 0.36 * sum(np.abs(turn) for turn in turns) ** 2
             log = log - 0.5 * (log_e - self.log_median) ** 2 / spread
+        log = log.reshape(-1)
         depth = log - np.repeat(np.maximum.reduceat(log, first), counts)
         near = np.flatnonzero(depth > -2.0)
+        at = np.unravel_index(near, off[0].shape)
         lengths = np.zeros((u, len(row)))
         for d, step in enumerate(steps):
-            square = sum(v[near] ** 2 for v in step)
+            square = sum(np.broadcast_to(v, off[0].shape)[at] ** 2 for v in step)
             if self.soft is not None and not self.for_touches:
-                square -= turns[d][near] ** 2 * size[near]
+                square = square - turns[d][at] ** 2 * size[at]
             lengths[d, near] = np.sqrt(np.maximum(square, 0.0))
         longest = np.maximum.reduceat(lengths, first, axis=1)
         return depth, longest + 5.0 * level.step[:, None]
-
-    def alike(self, readings: Readings, most: int = 64) -> list[Index]:
-        """Rows in groups of `most`: every signal within one sd of that of the first of its group.
-
-        Where they have measurement errors of their own, in units in which the first one's are
-        independent and 1, and these must be alike too.
-        """
-        value, own = readings.value, self.covariance(readings, readings.value)
-        inverse = np.linalg.inv(np.linalg.cholesky(own))
-        far = 1.01 * np.sqrt(self.size * own[:, -1, -1])
-        left, groups = np.lexsort(value.T), []
-        while left.size:
-            first = left[0]
-            end = np.searchsorted(value[left, -1], value[first, -1] + far[first], side="right")
-            some = left[:end]
-            z = (value[some] - value[first]) @ inverse[first].T
-            near = (np.abs(z) <= 1).all(axis=1)
-            if readings.covariance is not None:
-                errors = inverse[first] @ readings.covariance[some] @ inverse[first].T
-                near &= (np.abs(errors - errors[0]) < 0.25).all(axis=(1, 2))
-            near[np.flatnonzero(near)[most:]] = False
-            groups.append(some[near])
-            left = np.delete(left, np.flatnonzero(near))
-        return groups
 
 
 def _columns(*parts: Array) -> Array:

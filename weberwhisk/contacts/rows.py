@@ -31,7 +31,7 @@ from .readings import (
     turn_round,
 )
 from .signals import COMMON, FROM_SHAPE
-from .sums import summarise, touch_posterior
+from .sums import alike, summarise, touch_posterior
 
 #: What `locate` adds to a table.
 RESULTS = (
@@ -183,7 +183,8 @@ def locate(
         if notes[-1:] == [IN_PLANE] and is_curved(whisker):
             raise ValueError(
                 "Six signals of a curved whisker do not say how its curvature lies; give moment, "
-                "axial_force and transverse_force in its plane, or a straight whisker."
+                "axial_force and transverse_force in its plane, or a straight whisker; of contacts "
+                "one by one, write posterior(Observer(whisker, cues.SpaceMap()), readings)."
             )
         side = one_side(si, named, notes)
         turn_round(si, _by_side(side, whisker), notes)
@@ -307,8 +308,8 @@ def _rows(
     outside = bool(domain.of_observer(lattice.observer)) and lattice.with_receptors
     prior_sd = _prior_sd(lattice.observer)
     done = n - len(rows)
-    groups = lattice.alike(some)
-    for batch in (groups[i : i + 64] for i in range(0, len(groups), 64)):
+    groups = alike(lattice, some)
+    for batch in (groups[i : i + 32] for i in range(0, len(groups), 32)):
         first = some.take([g[0] for g in batch])
         # Cells that others share, or a touch, are sought farther: 5 sd beyond readings 1 sd off.
         drop = np.array([23.0 if keep or len(g) > 1 else 16.0 for g in batch])

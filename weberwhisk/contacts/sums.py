@@ -8,10 +8,50 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix
 from scipy.special import ndtri
 
-from .lattice import Array, Cells, Index, Lattice, Readings, distances, log_prior_of_distance
+from ..coordinates import constrain_distance
+from ..observer import Observer
+from .lattice import Array, Cells, Index, Lattice, Readings
+
+
+def distances(observer: Observer, x: Array) -> Array:
+    """Radial distances, m, at coordinates x."""
+    low, high = observer.reach
+    return np.asarray(low + (high - low) * constrain_distance(x)[0])
+
+
+def log_prior_of_distance(observer: Observer, x: Array) -> Array:
+    """ln of the prior density of the distance in coordinates x."""
+    with np.errstate(divide="ignore"):
+        prior = np.log(observer.distance_prior(distances(observer, x)))
+    return np.asarray(prior + constrain_distance(x)[1])
+
+
+def alike(lattice: Lattice, readings: Readings, most: int = 64) -> list[Index]:
+    """Rows in groups of `most`: every signal within one sd of that of the first of its group.
+
+    Where they have measurement errors of their own, in units in which the first one's are
+    independent and 1, and these must be alike too.
+    """
+    value, own = readings.value, lattice.covariance(readings, readings.value)
+    inverse = np.linalg.inv(np.linalg.cholesky(own))
+    far = 1.01 * np.sqrt(lattice.size * own[:, -1, -1])
+    left, groups = np.lexsort(value.T), []
+    while left.size:
+        first = left[0]
+        end = np.searchsorted(value[left, -1], value[first, -1] + far[first], side="right")
+        some = left[:end]
+        z = (value[some] - value[first]) @ inverse[first].T
+        near = (np.abs(z) <= 1).all(axis=1)
+        if readings.covariance is not None:
+            errors = inverse[first] @ readings.covariance[some] @ inverse[first].T
+            near &= (np.abs(errors - errors[0]) < 0.25).all(axis=(1, 2))
+        near[np.flatnonzero(near)[most:]] = False
+        groups.append(some[near])
+        left = np.delete(left, np.flatnonzero(near))
+    return groups
 
 
 class Summary(NamedTuple):
@@ -96,6 +136,7 @@ def quantiles(share: Array, probability: Array) -> Array:
 
 #: How far up to the fold the angles of a touch may go: shares have the density exp(−(share/span)⁴).
 _SPANS = np.array([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.2])
+_NORMS = np.exp(-(((np.arange(2000)[:, None] + 0.5) / 2000 / _SPANS) ** 4)).mean(axis=0)
 
 
 class LocatedTouch(NamedTuple):
@@ -150,6 +191,9 @@ def touch_posterior(
             if row is None:
                 return nothing
             total += row
+    # Each row had the prior once.
+    prior = np.maximum(log_prior_of_distance(lattice.observer, x), -100.0)[:, None, None]
+    total -= sum(len(f.rows) for _, _, f in every) * prior
     ends = [(low, high), (log_e[0], log_e[-1])]
     for fine in ((61, 31), (161, 41)):
         axes = [np.linspace(*end, n) for end, n in zip(ends, fine, strict=True)]
@@ -180,7 +224,7 @@ def touch_posterior(
 def _row(
     lattice: Lattice, found: Cells, i: int, readings: Readings, x: Array, log_e: Array
 ) -> Array | None:
-    """ln ∫ p(y | r, θ, E) p(θ | r, span) dθ of the ith of the rows found, (J, E, spans)."""
+    """ln p(r) ∫ p(y | r, θ, E) p(θ | r, span) dθ of the ith of the rows found, (J, E, spans)."""
     own = slice(found.first[i], found.first[i + 1] if i + 1 < len(found.first) else None)
     row, signals, contact = readings.take([found.rows[i]]), found.signals[own], found.contact[own]
     layer = found.layer[own] - found.layer[own].min()
@@ -188,34 +232,33 @@ def _row(
     if layers < 4:
         return None
     # Cells by layer, the logarithm at each stiffness, −∞ where that is beyond 8 sds of the best.
-    if many == 1:
+    noise = lattice.observer.noise
+    if lattice.soft is None:
         log = (found.log[own] - found.log_prior[own])[:, None]
+    elif row.covariance is None and noise.is_scale_family and lattice.soft.all():
+        # Signals that are stiffer are readings that are less, by a product of matrices.
+        less = row.value * np.exp(-log_e)[:, None]
+        log = noise.log_likelihoods(less, signals).T - lattice.size * log_e
     else:
         middle, sd = lattice.match(row, signals)
         cell, at_e = np.nonzero(np.abs(log_e - middle[:, None]) < 8 * sd[:, None])
+        scaled = lattice.scaled(signals[cell], log_e[at_e])
         log = np.full((len(layer), many), -np.inf)
-        log[cell, at_e] = lattice.log_likelihood(
-            row, lattice.scaled(signals[cell], log_e[at_e])[None]
-        )[0]
+        log[cell, at_e] = lattice.log_likelihood(row, scaled[None])[0]
     log += found.log_prior[own][:, None]
     top = log.max()
+    own_x = (found.layer[own].min() + 0.5 + np.arange(layers)) * found.step[0]
     share = np.zeros(len(layer))  # how far up to the fold the angles go, 0 where a prior says
     observer = lattice.observer
     if observer.bounded > 1 and "deflection_angle" not in observer.prior:
-        least, width = observer.angle_range(contact[:, 0])
-        share = (contact[:, 1] - least) / width
-    norms = np.exp(-(((np.arange(2000) + 0.5) / 2000 / _SPANS[:, None]) ** 4)).mean(axis=1)
-    within = np.exp(-((share / _SPANS[:, None]) ** 4)) / norms[:, None]
-    spans, cells = len(_SPANS), np.arange(len(layer))
-    table = csr_matrix(
-        (
-            within.ravel(),
-            (np.add.outer(np.arange(spans) * layers, layer).ravel(), np.tile(cells, spans)),
-        ),
-        (spans * layers, len(cells)),
+        least, width = observer.angle_range(distances(observer, own_x))
+        share = (contact[:, 1] - least) / width[layer]
+    within = np.exp(-((share[:, None] / _SPANS) ** 4)) / _NORMS
+    places = np.arange(len(_SPANS)) * layers + layer[:, None]
+    table = csc_matrix(
+        (within.ravel(), places.ravel(), np.arange(0, within.size + 1, len(_SPANS))),
+        (len(_SPANS) * layers, len(layer)),
     )
-    mass = (table @ np.exp(log - top)).reshape(spans, layers, many)
-    own_x = (found.layer[own].min() + 0.5 + np.arange(layers)) * found.step[0]
+    mass = (table @ np.exp(log - top)).reshape(len(_SPANS), layers, many)
     log = np.log(np.maximum(mass, 1e-26)) + top
-    log -= np.maximum(log_prior_of_distance(observer, own_x), -100.0)[:, None]
     return np.asarray(make_interp_spline(own_x, np.moveaxis(log, 0, -1), 3)(x))
