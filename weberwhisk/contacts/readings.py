@@ -143,7 +143,8 @@ def signals_of(
             cue = UnknownStiffness(cue)
             notes.append(
                 "Young's modulus is the default, and so taken as unknown: 3.34 GPa with an sd of "
-                "ln 0.42; if it was measured, write known_stiffness=True."
+                "ln 0.42; if it was measured, give it (--youngs-modulus-gpa) or write "
+                "known_stiffness=True."
             )
     names = {"measured_angle": "deflection_angle"}
     wanted = [names.get(name, name) for name in cue.signal_names]
@@ -244,7 +245,7 @@ def from_shape(
         cue = cue if friction == 0 else Friction(cue, float(np.radians(friction)))
     notes.append(
         "Signals are of tracked shapes: the whisker's stiffness drops out of the distance, and its "
-        f"curvature at rest is {rest[0]:.3g} + {rest[1]:.3g} s /m."
+        f"curvature at rest is {rest[0]:.3g} /m at the base and rises by {rest[1]:.3g} /m²."
     )
     return profile.curved(Spiral(*rest)), cue, out, side
 

@@ -173,7 +173,7 @@ def read_tracking(
         needed.append("frame_rate")
     else:
         table["time_s"] = table["frame"] / frame_rate
-    if identified_by(table) == "whisker":
+    if identified_by(table) == "whisker" and table["whisker"].nunique() > 1:
         needed.append("which whisker each is (whisker, of the table)")
     if needed:
         notes.append(f"The file does not tell {', '.join(needed)}; give them.")
