@@ -303,7 +303,7 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
     drawn(axes[1, 0], rows, cmap=colours, vmin=-0.5, vmax=4.5, alpha=0.55)
     for row in sorted({int(row) for row in rows if row == row}):
         axes[1, 0].fill_between([], [], color=COLOURS[row], alpha=0.55, label="ABCDE"[row])
-    axes[1, 0].legend(loc="lower left", title="row", handlelength=1.0)
+    axes[1, 0].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="row", handlelength=1.0)
     written = np.empty((0, 2))
     room = 0.11 * np.ptp(x), 0.06 * np.ptp(y)  # of a name
     own = [mine for _, mine in table[best != ""].groupby("best")]
