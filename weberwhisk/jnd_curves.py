@@ -198,42 +198,39 @@ def jnd_curve(
     from .posterior import Status, posterior
 
     one_of("method", method, ("quadrature", "emcee", "laplace"))
-    factor = criterion_factor(criterion)
+    criterion_factor(criterion)
     n_readings = whole("n_readings", n_readings, "write 200, say", least=2)
     contact = _contact(observer, radial_distance, deflection_angle)
     signals, outcome = observer.signals(contact)
     held = outcome == Outcome.HELD
-    table = pd.DataFrame(
-        {name: contact[:, i] for i, name in enumerate(observer.unknowns)} | {"criterion": criterion}
-    )
-    table["closed_form"] = factor * weber_propagation(observer, contact, model="closed_form")
-    table["propagation"] = factor * weber_propagation(observer, contact)
-    table["fisher"] = factor * fisher_jnd(observer, contact)
-    table.loc[~held, ["closed_form", "propagation", "fisher"]] = np.nan
-    columns = ("posterior", "posterior_error", "estimator", "estimator_error", "unreliable")
-    table[list(columns)] = np.nan
+    table = pd.DataFrame(dict(zip(observer.unknowns, contact.T, strict=True)))
+    table["criterion"] = criterion
+    for name, jnd in (
+        ("closed_form", weber_propagation(observer, contact, model="closed_form")),
+        ("propagation", weber_propagation(observer, contact)),
+        ("fisher", fisher_jnd(observer, contact)),
+    ):
+        table[name] = np.where(held, jnd, np.nan)
+    table[[*_JNDS[3:], "unreliable"]] = np.nan
     if held.any():
         reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
         readings = observer.noise.sample(np.repeat(signals[held], n_readings, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
-        sd, mean = (np.reshape(v, (-1, n_readings)) for v in (result.sd, result.mean))
-        scatter = mean.std(axis=1, ddof=1)
+        sd, mean, status = (
+            np.reshape(v, (-1, n_readings)) for v in (result.sd, result.mean, result.status)
+        )
         # All readings alike, as those of one event may be, tell nothing of their scatter.
-        alike = (
-            np.ptp(readings.reshape(-1, n_readings, readings.shape[-1]), axis=1).max(axis=-1) == 0
-        )
-        scatter = np.where(alike, np.nan, scatter)
-        bad = np.reshape(np.asarray(result.status) != Status.CONVERGED, (-1, n_readings))
-        table.loc[held, list(columns)] = np.stack(
-            [
-                factor * sd.mean(axis=1),
-                factor * sd.std(axis=1, ddof=1) / np.sqrt(n_readings),
-                factor * scatter,
-                factor * scatter / np.sqrt(2 * (n_readings - 1)),
-                bad.mean(axis=1),
-            ],
-            axis=-1,
-        )
+        spread = np.ptp(readings.reshape(-1, n_readings, readings.shape[-1]), axis=1).max(axis=-1)
+        scatter = np.where(spread == 0, np.nan, mean.std(axis=1, ddof=1))
+        for name, found in (
+            ("posterior", sd.mean(axis=1)),
+            ("posterior_error", sd.std(axis=1, ddof=1) / np.sqrt(n_readings)),
+            ("estimator", scatter),
+            ("estimator_error", scatter / np.sqrt(2 * (n_readings - 1))),
+            ("unreliable", (status != Status.CONVERGED).mean(axis=1)),
+        ):
+            table.loc[held, name] = found
+    table[list(_JNDS)] *= criterion_factor(criterion)
     table["linear"] = is_linear(observer, contact)
     table["outcome"] = [Outcome(int(o)).message for o in outcome]
     return JNDCurve(observer, table)
@@ -336,15 +333,10 @@ def jnd_sweep(
     angles: list[float | None] = [None]
     if deflection_angle is not None:
         angles = [*finite("deflection_angle", deflection_angle, "give radians").ravel().tolist()]
-    how = {"method": method, "criterion": criterion, "n_readings": n_readings}
+    how = {"radial_distance": r.tolist(), "method": method, "criterion": criterion,
+           "n_readings": n_readings}  # fmt: skip
     chunks: list[dict[str, Any]] = [
-        {
-            "whisker": fields,
-            "weber_fraction": fraction,
-            "radial_distance": r.tolist(),
-            "deflection_angle": theta,
-            **how,
-        }
+        {"whisker": fields, "weber_fraction": fraction, "deflection_angle": theta, **how}
         for fraction in k.tolist()
         for theta in angles
     ]
@@ -362,14 +354,10 @@ def jnd_sweep(
 
 def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFrame:
     """The part of the sweep with one Weber fraction and deflection angle."""
-    theta = chunk["deflection_angle"]
-    observer = Observer(
-        Whisker(**chunk["whisker"]),
-        Compliance() if theta is None else ForceMap(),
-        Weber(chunk["weber_fraction"]),
-    )
-    how = {name: chunk[name] for name in ("method", "criterion", "n_readings")}
-    curve = jnd_curve(observer, chunk["radial_distance"], theta, seed=seed, **how)
+    whisker, k, how = Whisker(**chunk["whisker"]), chunk["weber_fraction"], dict(chunk)
+    del how["whisker"], how["weber_fraction"]
+    cue = Compliance() if how["deflection_angle"] is None else ForceMap()
+    curve = jnd_curve(Observer(whisker, cue, Weber(k)), seed=seed, **how)
     table = curve.table.reset_index()
-    table.insert(0, "weber_fraction", chunk["weber_fraction"])
+    table.insert(0, "weber_fraction", k)
     return table

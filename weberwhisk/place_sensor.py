@@ -193,7 +193,7 @@ class Evidence:
         held = outcome[0] == Outcome.HELD
         return bool(not held or off > 5.0 or is_outside(observer.noise, signs[None], signals)[0])
 
-    def draws(self, rng: np.random.Generator, count: int = 400) -> Array:
+    def draws(self, rng: np.random.Generator, count: int) -> Array:
         """Places (n, 2) that this whisker's own posterior holds probable."""
         sensor, observer = self.sensor, self.sensor.observer
         contact = self._contacts(rng, count)

@@ -13,8 +13,10 @@ the text. The two differ in their unit alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from enum import IntEnum
 from functools import cache
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,9 +41,15 @@ def moment_rates() -> pd.DataFrame:
         ("cone", CONE), ("tapered, R = 20", WHISKER), ("cylinder", WHISKER.cylinder())
     ):  # fmt: skip
         rate = Compliance().signals(whisker, share[:, None] * whisker.length)[0][:, 0]
-        columns = {"radial_distance": share, "rate": rate / whisker.moment_scale}
-        tables.append(pd.DataFrame(columns).assign(whisker=name))
+        rate = rate / whisker.moment_scale
+        tables.append(_table(radial_distance=share, rate=rate, whisker=name))
     return pd.concat(tables, ignore_index=True)
+
+
+def _table(**columns: Any) -> pd.DataFrame:
+    """Columns of shapes that broadcast to one, a row an element."""
+    arrays = np.broadcast_arrays(*columns.values())
+    return pd.DataFrame({name: a.ravel() for name, a in zip(columns, arrays, strict=True)})
 
 
 # -- figure 2 --------------------------------------------------------------------------------------
@@ -69,24 +77,23 @@ def contacts(arcs: Array = ARCS, degrees: Array = DEGREES) -> pd.DataFrame:
     tables = []
     for name, whisker in WHISKERS.items():
         bent = loaded(whisker, arcs * whisker.length, np.radians(degrees)[:, None])
-        columns = {
-            "whisker": np.full(bent.moment.shape, name),
-            "arc_length": bent.arc_length / whisker.length,
-            "contact_angle_deg": np.degrees(bent.contact_angle),
-            "force": bent.force / whisker.force_scale,
-            "moment": bent.normalised_moment,
-            "axial_force": bent.normalised_axial_force,
-            "transverse_force": bent.transverse_force / whisker.force_scale,
-            "radial_distance": bent.radial_distance / whisker.length,
-            "deflection_angle_deg": np.degrees(bent.deflection_angle),
-        }
-        named = [Outcome(int(k)).name for k in np.ravel(bent.outcome)]
-        tables.append(
-            pd.DataFrame({key: np.ravel(value) for key, value in columns.items()}).assign(
-                outcome=named
-            )
+        table = _table(
+            whisker=name,
+            arc_length=bent.arc_length / whisker.length,
+            contact_angle_deg=np.degrees(bent.contact_angle),
+            force=bent.force / whisker.force_scale,
+            moment=bent.normalised_moment,
+            axial_force=bent.normalised_axial_force,
+            transverse_force=bent.transverse_force / whisker.force_scale,
+            radial_distance=bent.radial_distance / whisker.length,
+            deflection_angle_deg=np.degrees(bent.deflection_angle),
         )
+        tables.append(table.assign(outcome=_names(Outcome, bent.outcome)))
     return pd.concat(tables, ignore_index=True)
+
+
+def _names(kind: type[IntEnum], codes: Any) -> list[str]:
+    return [kind(int(code)).name for code in np.ravel(codes)]
 
 
 def map_jacobian(whisker: Whisker) -> Array:
@@ -113,18 +120,10 @@ def map_boundary(whisker: Whisker, points: int = 200) -> Array:
     A map without singular points that takes the edge of a disc to a curve that does not cross
     itself is one-to-one: no two contacts of the domain share signals.
     """
-    arc, angle = (
-        np.linspace(ARCS[0], ARCS[-1], points),
-        np.linspace(DEGREES[0], DEGREES[-1], points),
-    )
-    edges = [
-        (arc, angle[:1]),
-        (arc[-1:], angle),
-        (arc[::-1], angle[-1:]),
-        (arc[:1], angle[::-1]),
-    ]
-    sides = []
-    for s, alpha in edges:
+    arc, angle = (np.linspace(ends[0], ends[-1], points) for ends in (ARCS, DEGREES))
+    sides, round_it = [], ((arc, angle[:1]), (arc[-1:], angle), (arc[::-1], angle[-1:]),
+                           (arc[:1], angle[::-1]))  # fmt: skip
+    for s, alpha in round_it:
         bent = loaded(whisker, s * whisker.length, np.radians(alpha))
         ratio = bent.moment**2 / (2 * whisker.stiffness * bent.axial_force)
         sides.append(np.stack([np.log(bent.normalised_moment), np.log(ratio)], axis=-1)[:-1])
@@ -140,8 +139,8 @@ def crossings(polygon: Array) -> int:
         along, out = (q - p)[:, None], x[None] - p[:, None]
         return np.asarray(np.sign(along[..., 0] * out[..., 1] - along[..., 1] * out[..., 0]))
 
-    crossed = (side(a, b, a) * side(a, b, b) < 0) & (side(a, b, a) * side(a, b, b) < 0).T
-    return int(np.sum(crossed)) // 2
+    parted = side(a, b, a) * side(a, b, b) < 0
+    return int(np.sum(parted & parted.T)) // 2
 
 
 def shape(whisker: Whisker, bent: Bending) -> Array:
@@ -165,17 +164,14 @@ def shape(whisker: Whisker, bent: Bending) -> Array:
     return np.column_stack([path[1:], path[1:, -1] + rest])
 
 
-def examples(shares: Sequence[float] = (0.3, 0.6, 0.9)) -> pd.DataFrame:
+def examples() -> pd.DataFrame:
     """Panel a: the three whiskers as they are loaded to 90°, points (x/L, y/L) of each."""
     tables = []
-    for share in shares:
-        for degrees in range(0, 91, 15):
-            angle = np.array(np.radians(max(degrees, 1e-3)))
-            x, y = shape(WHISKER, loaded(WHISKER, np.array(share * WHISKER.length), angle))
-            columns = {"x": x / WHISKER.length, "y": y / WHISKER.length}
-            columns |= {"arc_length": np.full(x.size, share)}
-            columns |= {"contact_angle_deg": np.full(x.size, degrees)}
-            tables.append(pd.DataFrame(columns))
+    for share, degrees in product((0.3, 0.6, 0.9), range(0, 91, 15)):
+        angle = np.array(np.radians(max(degrees, 1e-3)))
+        bent = loaded(WHISKER, np.array(share * WHISKER.length), angle)
+        x, y = shape(WHISKER, bent) / WHISKER.length
+        tables.append(_table(x=x, y=y, arc_length=share, contact_angle_deg=degrees))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -185,13 +181,10 @@ def lines() -> pd.DataFrame:
     angle = np.radians(np.linspace(0.3, 90, 120))[:, None]
     for name, whisker in WHISKERS.items():
         bent = loaded(whisker, arcs * whisker.length, angle)
-        columns = {
-            "arc_length": np.broadcast_to(arcs, bent.force.shape),
-            "force": bent.force / whisker.force_scale,
-            "moment": bent.normalised_moment,
-        }
-        table = pd.DataFrame({key: np.ravel(value) for key, value in columns.items()})
-        tables.append(table.assign(whisker=name))
+        force = bent.force / whisker.force_scale
+        tables.append(
+            _table(arc_length=arcs, force=force, moment=bent.normalised_moment, whisker=name)
+        )
     return pd.concat(tables, ignore_index=True)
 
 
@@ -211,46 +204,34 @@ def moments() -> pd.DataFrame:
         r = share * WHISKER.length
         end = float(flick_past(WHISKER, r).deflection_angle)
         past = end * (1 - np.linspace(1, 0, 200) ** 2)
-        bent = press(WHISKER, r, past)
-        columns = {
-            "radial_distance": np.full(past.size, share),
-            "angle_deg": np.degrees(IMPACT + past),
-            "moment": MuscleCurve.NORMALISED.gain() * bent.normalised_moment,
-        }
-        tables.append(pd.DataFrame(columns))
+        moment = MuscleCurve.NORMALISED.gain() * press(WHISKER, r, past).normalised_moment
+        angle = np.degrees(IMPACT + past)
+        tables.append(_table(radial_distance=share, angle_deg=angle, moment=moment))
     return pd.concat(tables, ignore_index=True)
 
 
 def muscle() -> pd.DataFrame:
     """Panel a: the muscle's largest moment, equation (2.2) with its peak scaled to 1."""
     theta = np.linspace(*WHISKING, 300)
-    moment = MuscleCurve.NORMALISED.moment(theta)
-    return pd.DataFrame({"angle_deg": np.degrees(theta), "moment": moment})
+    return _table(angle_deg=np.degrees(theta), moment=MuscleCurve.NORMALISED.moment(theta))
 
 
 def balance_angles() -> pd.DataFrame:
     """Panel b: θ_b at the impact angle of 60°, on either scale, and where each curve ends."""
     tables = []
     for curve in MuscleCurve:
-        share = np.append(np.linspace(0.3, 1.0, 141), curve_end(curve))
-        b = moment_balance(WHISKER, np.sort(share) * WHISKER.length, IMPACT, curve=curve)
-        columns = {
-            "curve": np.full(share.size, curve.value),
-            "radial_distance": np.sort(share),
-            "balance_angle_deg": np.degrees(b.balance_angle),
-            "outcome": [Balance(k).name for k in b.outcome],
-        }
-        tables.append(pd.DataFrame(columns))
+        share = np.sort(np.append(np.linspace(0.3, 1.0, 141), curve_end(curve)))
+        tables.append(_balances(curve, share, np.degrees(IMPACT)).drop(columns="impact_angle_deg"))
     return pd.concat(tables, ignore_index=True)
 
 
 @cache
-def curve_end(curve: MuscleCurve, impact: float = IMPACT) -> float:
+def curve_end(curve: MuscleCurve) -> float:
     """The largest distance over L at which muscle and whisker still balance, by finer grids."""
     low, high = 0.3, 1.0
     for _ in range(5):
         share = np.linspace(low, high, 33)
-        b = moment_balance(WHISKER, share * WHISKER.length, impact, curve=curve)
+        b = moment_balance(WHISKER, share * WHISKER.length, IMPACT, curve=curve)
         last = int(np.flatnonzero(b.outcome == Balance.BALANCED)[-1])
         low, high = share[last], share[last + 1]
     return float(low)
@@ -260,18 +241,19 @@ def surface(
     curve: MuscleCurve, distances: Array = DISTANCES, impacts: Array = IMPACTS
 ) -> pd.DataFrame:
     """Panel c: θ_b and the outcome over distance and impact angle."""
-    b = moment_balance(
-        WHISKER, distances * WHISKER.length, np.radians(impacts)[:, None], curve=curve
+    return _balances(curve, distances, impacts[:, None])
+
+
+def _balances(curve: MuscleCurve, share: Array, degrees: float | Array) -> pd.DataFrame:
+    """θ_b and the outcome at distances over L and impact angles."""
+    b = moment_balance(WHISKER, share * WHISKER.length, np.radians(degrees), curve=curve)
+    table = _table(
+        curve=curve.value,
+        radial_distance=share,
+        impact_angle_deg=degrees,
+        balance_angle_deg=np.degrees(b.balance_angle),
     )
-    share, impact = np.meshgrid(distances, impacts)
-    columns = {
-        "curve": np.full(share.size, curve.value),
-        "radial_distance": share.ravel(),
-        "impact_angle_deg": impact.ravel(),
-        "balance_angle_deg": np.degrees(b.balance_angle).ravel(),
-        "outcome": [Balance(int(k)).name for k in b.outcome.ravel()],
-    }
-    return pd.DataFrame(columns)
+    return table.assign(outcome=_names(Balance, b.outcome))
 
 
 def dashed_line() -> tuple[Array, Array]:
