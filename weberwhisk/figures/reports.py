@@ -50,52 +50,33 @@ def speed_accuracy(
     """
     figure = new_figure(DOUBLE, 10.0)
     rows: Any = figure.subfigures(3, 1, height_ratios=(1.0, 1.1, 0.85))
-    beams, posteriors, jnds = (
-        table[table["part"] == part] for part in ("beams", "posteriors", "jnds")
-    )
-    axes = _row(rows[0], beams, set(outside))
-    in_jnds = (lambda e: e / weber_fraction, lambda jnds: jnds * weber_fraction)
-    for ax, (_, part) in zip(axes, beams.groupby("scene", sort=False), strict=True):
-        _limits(ax, _closed_form(part), ROUNDING, "rounding")
-        ax.axhline(allowed * weber_fraction, color="0.6", linewidth=0.7, linestyle="--")
+    parts = dict(iter(table.groupby("part")))
+    hollow, k = set(outside), weber_fraction
+    axes = _row(rows[0], parts["beams"], hollow, "relative error of the moment", "rounding")
+    in_jnds = (lambda error: error / k, lambda jnds: jnds * k)
+    for ax in axes:
+        ax.axhline(allowed * k, color="0.6", linewidth=0.7, linestyle="--")
         ax.set_ylim(1e-17, TOP)
         right = ax.secondary_yaxis("right", functions=in_jnds)
         right.yaxis.set_major_locator(LogLocator(numticks=6))
         right.yaxis.set_minor_formatter(NullFormatter())
         if ax is not axes[-1]:
             right.set_yticklabels([])
-    right.set_ylabel(f"error of r (JND, k = {weber_fraction:g})")
-    axes[0].set_ylabel("relative error of the moment")
+    right.set_ylabel(f"error of r (JND, k = {k:g})")
     rows[0].supxlabel("CPU time of one contact (s)", fontsize=8)
-    methods = posteriors[~posteriors["method"].isin(("closed form", "referee"))]
-    axes = _row(rows[1], methods, set(outside))
-    for ax, (_, part) in zip(axes, posteriors.groupby("scene", sort=False), strict=True):
-        _limits(ax, _closed_form(part), _doubt(part), "referee")
-        ax.set_ylim(1e-17, TOP)
-    axes[0].set_ylabel("r.m.s. relative error of the sd")
-    rows[1].supxlabel(f"CPU time of one posterior (s), k = {weber_fraction:g}", fontsize=8)
-    axes = _row(rows[2], jnds[jnds["method"] != "referee"], set(outside))
-    for ax, (_, part) in zip(axes, jnds.groupby("scene", sort=False), strict=True):
-        doubt = _doubt(part)
-        _limits(ax, _closed_form(part), doubt, "Monte Carlo error of the truth", below=True)
-        ax.set_ylim(min(ax.get_ylim()[0], doubt / 3))
+    error = "r.m.s. relative error of the"
+    axes = _row(rows[1], parts["posteriors"], hollow, f"{error} sd", "referee")
+    axes[0].set_ylim(1e-17, TOP)
+    rows[1].supxlabel(f"CPU time of one posterior (s), k = {k:g}", fontsize=8)
+    truth = "Monte Carlo error of the truth"
+    axes = _row(rows[2], parts["jnds"], hollow, f"{error} JND", truth, below=True)
+    for ax, (_, part) in zip(axes, parts["jnds"].groupby("scene", sort=False), strict=True):
         swept = part[part["knob"] > 0]
         for i, (_, row) in enumerate(swept.iterrows()):  # in turn above and below
             _beside(ax, f"{row['knob']:.0f}", row, (4, -8 if i % 2 else 2))
-    axes[0].set_ylabel("r.m.s. relative error of the JND")
     words = "CPU time of a JND at one distance (s); small numbers: readings"
     rows[2].supxlabel(f"{words}\n{fill(foot, FOOT)}", fontsize=SMALL)
     return figure
-
-
-def _closed_form(part: pd.DataFrame) -> float:
-    """Time of the closed form, the least there is."""
-    return float(part[part["method"].str.contains("closed form")]["seconds"].min())
-
-
-def _doubt(part: pd.DataFrame) -> float:
-    """Error of the truth itself."""
-    return max(float(part[part["method"] == "referee"]["error"].iloc[0]), ROUNDING)
 
 
 @styled
@@ -151,17 +132,35 @@ def _style(i: int, hollow: bool) -> dict[str, Any]:
     return style | ({"markerfacecolor": "white"} if hollow else {})
 
 
-def _row(figure: Any, table: pd.DataFrame, outside: set[str]) -> list[Axes]:
-    """A panel for each scene, with one legend below."""
-    scenes = list(dict.fromkeys(table["scene"]))
-    methods = list(dict.fromkeys(table["method"]))
+def _row(
+    figure: Any, table: pd.DataFrame, hollow: set[str], ylabel: str, floor: str, below: bool = False
+) -> list[Axes]:
+    """A panel for each scene, with one legend, the time of the closed form and the least error.
+
+    The `floor` is the error of the truth itself, if rounding is not above it.
+    """
+    scenes = list(table.groupby("scene", sort=False))
+    known = table[table["failed"].notna()]  # what is left are referees, and times alone
     axes = list(np.atleast_1d(figure.subplots(1, len(scenes), sharey=True)))
-    for ax, scene in zip(axes, scenes, strict=True):
-        here = table[table["scene"] == scene]
-        for i, method in enumerate(methods):
-            _line(ax, here[here["method"] == method], _style(i, method in outside), method)
-        ax.set_title(scene, fontsize=SMALL)
+    guide: Any = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
+    lowest = TOP
+    for ax, (scene, here) in zip(axes, scenes, strict=True):
+        for i, method in enumerate(dict.fromkeys(known["method"])):
+            one = here[(here["method"] == method) & here["failed"].notna()]
+            _line(ax, one, _style(i, method in hollow), str(method))
+        ax.set_title(str(scene), fontsize=SMALL)
         ax.set(xscale="log", yscale="log")
+        closed = float(here[here["method"].str.contains("closed form")]["seconds"].min())
+        least = max([*here[here["method"] == "referee"]["error"], ROUNDING])
+        ax.axvline(closed, **guide)
+        ax.axhline(least, **guide)
+        place: Any = {"fontsize": SMALL, "transform": ax.get_xaxis_transform()}
+        ax.text(closed * 1.15, 0.02, "closed form", rotation=90, va="bottom", **place)
+        place["transform"] = ax.get_yaxis_transform()
+        ax.text(0.99, least, floor, ha="right", va="top" if below else "bottom", **place)
+        lowest = min(lowest, least / 3)
+    axes[0].set_ylabel(ylabel)
+    axes[0].set_ylim(bottom=min(axes[0].get_ylim()[0], lowest))  # of all panels
     _legend(figure, axes)
     return axes
 
@@ -187,15 +186,6 @@ def _beside(ax: Axes, text: str, row: Any, xytext: tuple[float, float], **more: 
     drawn = ax.annotate(text, at, xytext=xytext, textcoords="offset points", fontsize=SMALL, **more)
     if box := drawn.get_bbox_patch():
         box.set_boxstyle("square", pad=0.05)
-
-
-def _limits(ax: Axes, closed: float, floor: float, name: str, *, below: bool = False) -> None:
-    ax.axvline(closed, color="0.4", linewidth=0.7, linestyle=":")
-    ax.axhline(floor, color="0.4", linewidth=0.7, linestyle=":")
-    place: dict[str, Any] = {"fontsize": SMALL, "transform": ax.get_xaxis_transform()}
-    ax.text(closed * 1.15, 0.02, "closed form", rotation=90, va="bottom", **place)
-    place["transform"] = ax.get_yaxis_transform()
-    ax.text(0.99, floor, name, ha="right", va="top" if below else "bottom", **place)
 
 
 def _legend(figure: Any, axes: list[Axes]) -> None:
