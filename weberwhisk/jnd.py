@@ -162,12 +162,9 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
     signals, outcome = observer.cue.signals(observer.whisker, contact, model=model)
     held = np.asarray(outcome == Outcome.HELD)
     signals = np.where(held[..., None], signals, 1.0)
-    slope = observer.noise.jacobian(signals) @ observer.cue.jacobian(
-        observer.whisker, contact, model=model
-    )
-    covariance = observer.noise.covariance(signals)
-    if not linear.all():
-        slope, covariance = slope[..., linear, :], covariance[..., linear, :][..., linear]
+    of_cue = observer.cue.jacobian(observer.whisker, contact, model=model)
+    slope = (observer.noise.jacobian(signals) @ of_cue)[..., linear, :]
+    covariance = observer.noise.covariance(signals)[..., linear, :][..., linear]
     if observer.bounded < contact.shape[-1]:
         slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
