@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,7 +151,7 @@ class Sensor:
         return r, self.azimuth(theta) if self.taps else theta
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Evidence:
     """What one reading of one whisker says of the place of a pole, its azimuth being known."""
 
@@ -247,11 +246,6 @@ class Blurred(Evidence):
     #: it would add less than 0.1 % to the spread.
     MOST = 22.0
 
-    _cloud: tuple[Array, Array]  # distances, and their shares of the likelihood
-    _ends: tuple[float, float]
-    _line: Any  # mean and variance of φ at a distance
-    _table: Any  # ln of the integral, less that of a Gaussian; None where the azimuth is known
-
     def __init__(self, sensor: Sensor, reading: Array, *, distances: int = 100) -> None:
         super().__init__(sensor, reading)
         low, high = sensor.observer.reach
@@ -267,11 +261,11 @@ class Blurred(Evidence):
         mean, variance, total = _moments(log, phi, weight)
         wide = float(np.sqrt(variance.max())) / sd
         share = total / total.max() * np.gradient(r)
-        set_ = object.__setattr__
-        set_(self, "_cloud", (r, share / share.sum()))
-        set_(self, "_ends", (r[0], r[-1]))
-        set_(self, "_table", None)
-        set_(self, "_line", CubicSpline(r, np.stack([mean, variance], axis=1)))
+        self._cloud = r, share / share.sum()  # distances, and their shares of the likelihood
+        self._ends = r[0], r[-1]
+        # Mean and variance of φ at a distance; ln of the integral, less that of a Gaussian.
+        self._line = CubicSpline(r, np.stack([mean, variance], axis=1))
+        self._table: RectBivariateSpline | None = None  # as where the azimuth counts as known
         if wide > self.MOST:
             return
         # The steps of φ and θ are shorter than the azimuth's sd, over which edges are smoothed.
@@ -287,8 +281,8 @@ class Blurred(Evidence):
             most = exponent.max(axis=1)
             value[:, i] = most + np.log(np.exp(exponent - most[:, None]).sum(axis=1)) + at**2 / 2
         value -= np.log(sd * np.sqrt(2 * np.pi))
-        set_(self, "_line", CubicSpline(r, np.stack([mean, variance], axis=1)))
-        set_(self, "_table", RectBivariateSpline(r, t, value))
+        self._line = CubicSpline(r, np.stack([mean, variance], axis=1))
+        self._table = RectBivariateSpline(r, t, value)
 
     def _along(self, r: Array, count: int) -> tuple[Array, Array, Array]:
         """ln p(reading | r, φ) at nodes φ around the likeliest, and their weights, (n, count)."""
@@ -310,10 +304,10 @@ class Blurred(Evidence):
         return log, phi, top * np.exp(slope) * step[:, None]
 
     def _at(self, r: Array, theta: Array) -> Array:
-        out = np.full(r.shape, -np.inf)
-        some = (r >= self._ends[0]) & (r <= self._ends[1])
         if self._table is None:
             return super()._at(r, theta)
+        out = np.full(r.shape, -np.inf)
+        some = (r >= self._ends[0]) & (r <= self._ends[1])
         mean, variance = self._line(r[some]).T
         t = (theta[some] - mean) / np.sqrt(np.maximum(variance, 0.0) + self.sensor.angle_sd**2)
         out[some] = self._table.ev(r[some], np.clip(t, -8.0, 8.0)) - t**2 / 2

@@ -315,10 +315,9 @@ def integrate(
 
     Cells of 4 × 4 nodes are cut in four where they have mass, and again where a cell and its
     quarters differ, until twice the root of the summed squares of all differences is below the
-    tolerance.
-    Smooth cells are then far better than that; errors of cells that an edge runs through have
-    random signs. `depth` is the ln of the density below the highest that is nothing, `most` the
-    number of cells at which it ends, with an error above the tolerance.
+    tolerance. Smooth cells are then far better than that; errors of cells that an edge runs through
+    have random signs. `depth` is the ln of the density below the highest that is nothing, `most`
+    the number of cells at which it ends, with an error above the tolerance.
     """
 
     def made(low: Array, side: Array) -> _Cells:
