@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import simpson
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.special import expit
 from scipy.stats import uniform
@@ -141,6 +142,11 @@ def brute(w, cue, noise, reading, friction=0.0):
         low, high = np.interp(fine, r, low), np.interp(fine, r, high)
         x = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 160)
         r, rate, signals, area = contacts(w, friction, ends, x)
+    # Where a signal changes sign its noise is the floor's: what has that sign is a narrow peak,
+    # of which these nodes alone took a quarter (sds 0.03 off). Signals are smooth: a spline.
+    t, dense = np.linspace(0, 1, x.shape[1]), np.linspace(0, 1, 16 * x.shape[1])
+    assert np.isfinite(area).all()
+    signals, area = (CubicSpline(t, part, axis=1)(dense) for part in (signals, area))
     log = noise.log_likelihood(reading, signals[..., columns]) + area
     density = np.exp(log - log.max()).sum(axis=1) * rate
     whole = simpson(density)
