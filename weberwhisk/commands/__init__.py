@@ -234,35 +234,23 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np
     name = _checks.one_of("cue", cue or CUES[0], CUES)
     angles = numbers("--deflection-angle-deg", angles_deg or [])
     if name == "compliance":
-        if angles.size > 1:
-            raise ValueError(
-                f"The compliance cue has one angle of tap, got {angles.size} values of "
-                "--deflection-angle-deg; give one."
-            )
-        tap = _checks.non_negative(
-            "--deflection-angle-deg", angles if angles.size else np.zeros(1), "give degrees, 0 say"
-        )
-        return ww.cues.Compliance(tap_angle=float(np.radians(tap[0]))), np.array([])
+        tap = one_angle(angles, "The compliance cue has one angle of tap") or 0.0
+        _checks.non_negative("--deflection-angle-deg", tap, "give degrees, 0 say")
+        return ww.cues.Compliance(tap_angle=float(np.radians(tap))), np.array([])
     deflections = _angles(angles_deg)
     if name == "moment":
-        if deflections.size > 1:
-            raise ValueError(
-                f"The moment is felt at one known angle, got {deflections.size} values of "
-                "--deflection-angle-deg; give one."
-            )
-        known = ww.cues.ForceMap("moment", deflection_angle=float(deflections[0]))
-        return known, np.array([])
+        known = one_angle(deflections, "The moment is felt at one known angle")
+        return ww.cues.ForceMap("moment", deflection_angle=known), np.array([])
     signals = SIGNALS if name == "three-forces" else SIGNALS[:2]
     return ww.cues.ForceMap(signals), deflections
 
 
-def one_angle(angles: NDArray[np.float64]) -> float | None:
-    """The one deflection angle (rad) at which choices are made; None where the cue knows it."""
+def one_angle(
+    angles: NDArray[np.float64], why: str = "Choices are made at one deflection angle"
+) -> float | None:
+    """The one deflection angle that there may be; None where the cue knows it."""
     if angles.size > 1:
-        raise ValueError(
-            f"Choices are made at one deflection angle, got {angles.size} values of "
-            "--deflection-angle-deg; give one."
-        )
+        raise ValueError(f"{why}, got {angles.size} values of --deflection-angle-deg; give one.")
     return float(angles[0]) if angles.size else None
 
 

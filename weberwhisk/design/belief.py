@@ -39,6 +39,25 @@ class Axes:
     bias: tuple[Array, ...]
 
 
+def wide_ends(model: WeberModel, far: float) -> list[tuple[float, float]]:
+    """Ends of k, either lapse and every bias, so many scores of their priors away."""
+    lapses = [tuple(t.coordinate([-far, far]).tolist()) for t in model.transforms[-2:]]
+    return [(-far, far), *lapses, *[(-far, far)] * model.n_groups]
+
+
+def even_axes(
+    model: WeberModel, ends: Sequence[tuple[float, float]], sizes: tuple[int, int, int]
+) -> Axes:
+    """Even nodes of k, either lapse and every bias between these ends, one where it is known."""
+    counts = [sizes[0], sizes[1], sizes[1], *[sizes[2]] * model.n_groups]
+    free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
+    k, low, high, *biases = (
+        np.linspace(*end, count) if own else np.zeros(1)
+        for end, count, own in zip(ends, counts, free, strict=True)
+    )
+    return Axes(k, low, high, tuple(biases))
+
+
 class BeliefGrid:
     """Likelihoods (K, B, L) of every group on its nodes; L are pairs of lapses.
 
@@ -142,7 +161,6 @@ def step_of(axis: Array) -> float:
     return float(axis[1] - axis[0]) if axis.size > 1 else 1.0
 
 
-NODES = {"weber_fraction": 21, "bias": 21, "lapse_low": 14, "lapse_high": 14}
 HELD = 1e-4  # of the highest marginal density: below, a node is empty
 LEAST_TOLD = 8  # trials that the coordinates of the lapses are made for at first
 
@@ -245,18 +263,11 @@ class GrowingBelief(Belief):
             for i, (s1, s2, s) in enumerate(pairs)
         }
         self._standards = np.unique(candidates.standard)
-        free = dict(zip(model.lead, model.free, strict=True)) | {"bias": model.free_bias}
-        wide = {n: (-FAR, FAR, size) if free[n] else (0.0, 0.0, 1) for n, size in NODES.items()}
-        for name in ("lapse_low", "lapse_high"):  # their coordinates, made now and kept
-            for doublings in range(3, 13 * free[name]):
+        for name, free in zip(model.lead[-2:], model.free[-2:], strict=True):
+            for doublings in range(3, 13 * free):  # their coordinates, made now and kept
                 lapse_transform(model.priors.of(name), 2.0**doublings)
-        low, high = (
-            _even(transform.coordinate(wide[name][:2]), wide[name][2])
-            for name, transform in zip(model.lead[-2:], model.transforms[-2:], strict=True)
-        )
-        k, bias = (_even(wide[name][:2], wide[name][2]) for name in ("weber_fraction", "bias"))
         self._building: Iterator[BeliefGrid | None] | None = None
-        *_, grid = self._laid(model, Axes(k, low, high, (bias,) * model.n_groups))
+        *_, grid = self._laid(model, even_axes(model, wide_ends(model, FAR), (21, 14, 21)))
         assert grid is not None
         super().__init__(hypothesis, candidates, grid)
 

@@ -15,7 +15,6 @@ from .._deprecated import renamed_arguments, renamed_attribute
 from ..behaviour.comparison import cue_encodings, taper_encodings
 from ..behaviour.encodings import (
     ConstantNoise,
-    CueEncoding,
     Encoding,
     checked_encoding,
     unit_encodings,
@@ -173,8 +172,8 @@ def taper(whisker: Whisker, **options: Any) -> tuple[Hypothesis, Hypothesis]:
     >>> [h.name for h in taper(Whisker(50e-3, 100e-6, 5e-6))]
     ['tapered', 'cylindrical']
     """
-    tapered, cylindrical = _hypotheses(taper_encodings(whisker), options)
-    return tapered, cylindrical
+    one, other = taper_encodings(whisker).items()
+    return Hypothesis(*one, **options), Hypothesis(*other, **options)
 
 
 def cues(
@@ -195,12 +194,8 @@ def cues(
     >>> [h.name for h in cues(Whisker(50e-3, 100e-6, 5e-6), 0.1)]
     ['compliance', 'moment–axial-force map']
     """
-    compliance, force_map = _hypotheses(cue_encodings(whisker, deflection_angle), options)
-    return compliance, force_map
-
-
-def _hypotheses(encodings: dict[str, CueEncoding], options: dict[str, Any]) -> list[Hypothesis]:
-    return [Hypothesis(name, encoding, **options) for name, encoding in encodings.items()]
+    one, other = cue_encodings(whisker, deflection_angle).items()
+    return Hypothesis(*one, **options), Hypothesis(*other, **options)
 
 
 @renamed_arguments(percept="encoding")

@@ -21,7 +21,7 @@ from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
-from .belief import Axes, Belief, BeliefGrid, entropy
+from .belief import Belief, BeliefGrid, entropy, even_axes, wide_ends
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
 from .scheme import Scheme, millimetres
 
@@ -133,23 +133,15 @@ def believed(
         cells = Cells(*(np.r_[getattr(before, name), getattr(cells, name)] for name in names))
     model = hypothesis.model(cells)
     if before is None:
-        ends = [(-reach, reach)]
-        ends += [tuple(t.coordinate([-reach, reach])) for t in model.transforms[-2:]]
-        ends += [(-reach, reach)] * model.n_groups
+        ends = wide_ends(model, reach)
     else:
         windows = zoomed(model, cells.count[None], batch_steps(model), 7.5)
         low, high = windows.low[:, :, 0].min(axis=1), windows.high[:, :, 0].max(axis=1)
         ends = [tuple(windows.ends[0, :, 0]), *zip(low, high, strict=True)]
-    sizes = [nodes[0], nodes[1], nodes[1], *[nodes[2]] * model.n_groups]
-    free = [model.free[0], *model.free[-2:], *[model.free_bias] * model.n_groups]
-    k, low, high, *biases = (
-        np.linspace(*end, n) if own else np.zeros(1)
-        for end, n, own in zip(ends, sizes, free, strict=True)
-    )
-    grid = BeliefGrid(model, Axes(k, low, high, tuple(biases)))
+    grid = BeliefGrid(model, even_axes(model, ends, nodes))
     for i, (n, count, group) in enumerate(zip(cells.n, cells.count, model.group, strict=True)):
         grid.put(model.encodings.of(np.array([i])), group, [n - count, count])
-    for _ in biases:
+    for _ in grid.bias:
         grid.see_candidates()
         grid.close()
     return Belief(hypothesis, cells, grid)
@@ -212,12 +204,9 @@ class Precision:
         middle = model.fixed_bias()
         if model.free_bias and model.task.bias_name == "criterion":
             middle = float(hypothesis.priors.value("bias", 0.0))
-        lapses = (
-            # An animal that never lapses does not tell so.
-            np.maximum(likely[name].to_numpy(), 3e-3)
-            for name in ("lapse_low", "lapse_high")
-        )
-        # ln k, either lapse and the bias of every animal, (4, A)
+        # ln k, either lapse and the bias of every animal, (4, A); one that never lapses does not
+        # tell so.
+        lapses = np.maximum(likely[["lapse_low", "lapse_high"]].to_numpy().T, 3e-3)
         at = np.stack([np.log(likely["weber_fraction"]), *lapses, middle + likely["bias"]])
 
         def chance(there: Array) -> Array:
