@@ -207,7 +207,7 @@ def test_a_cylinders_pair_leaves_the_contact_open_and_a_third_signal_closes_it()
         (lambda: ww.Observer(W, ForceMap(deflection_angle=2.0)), "No contact holds"),
         (lambda: UnknownStiffness(ALL, 0), "spread must be above zero"),
         (lambda: UnknownStiffness(UnknownStiffness(ALL)), "unknown in .* already"),
-        (lambda: UnknownStiffness(ALL, signals=["torque"]), "signal 'torque' is unknown"),
+        (lambda: UnknownStiffness(ALL, soft_signals=["torque"]), "signal 'torque' is unknown"),
     ],
 )
 def test_misuse_is_refused_in_one_sentence(call, words):

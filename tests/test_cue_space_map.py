@@ -10,6 +10,7 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.behaviour import CueEncoding
+from weberwhisk.coordinates import is_all_around
 from weberwhisk.cues import (
     ForceMap,
     Friction,
@@ -319,7 +320,7 @@ def test_a_roll_that_is_known_or_has_no_effect_leaves_the_rest_as_it_is(changed,
 
 def plain_sum(observer, reading, found, counts):
     """Means and sds by midpoints in distance, deflection, azimuth and azimuth from the plane."""
-    cue, spread = observer.cue.cue, observer.cue.spread
+    cue = observer.cue.cue
     draws = found.draws_of(2000, 1).reshape(-1, 4)
     columns = [draws[:, 0], draws[:, 1], draws[:, 2] - draws[:, 3], draws[:, 2]]
     low, high = ([c.mean() + s * 6.2 * c.std() for c in columns] for s in (-1, 1))
@@ -338,7 +339,10 @@ def plain_sum(observer, reading, found, counts):
         held = outcome == Outcome.HELD
         log = observer.noise.log_likelihood(reading, np.where(held[:, None], signals, 1.0))
         roll = (turned - place[:, 2] - cue.roll + np.pi) % (2 * np.pi) - np.pi
-        logs.append(np.where(held, log, -np.inf) - 0.5 * (roll / spread) ** 2)
+        log_prior = observer.prior["roll"].logpdf(roll + cue.roll)
+        if not is_all_around(observer.prior["azimuth"]):
+            log_prior = log_prior + observer.prior["azimuth"].logpdf(turned)
+        logs.append(np.where(held, log, -np.inf) + log_prior)
         whole.append(np.column_stack([place[:, :2], turned, roll + cue.roll]))
     weight = np.exp(np.concatenate(logs) - np.max(logs))
     whole = np.concatenate(whole)
@@ -373,6 +377,29 @@ def test_posteriors_of_an_unknown_roll_are_those_of_a_plain_sum(signals, roll, s
     mean, sd = plain_sum(observer, reading, found, counts)
     for i, estimate in enumerate(found.estimates.values()):
         off = max(2e-3, 3 * float(estimate.mean_error / estimate.sd))
+        assert estimate.mean == pytest.approx(mean[i], abs=off * sd[i])
+        assert estimate.sd == pytest.approx(sd[i], rel=off)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "prior",
+    [
+        {"azimuth": stats.uniform(1.5, 0.7)},
+        {"roll": stats.norm(0.1, 0.2)},
+        {"azimuth": stats.norm(1.8, 0.2), "roll": stats.uniform(-0.1, 0.5)},
+    ],
+    ids=lambda prior: " and ".join(prior),
+)
+def test_priors_of_your_own_with_an_unknown_roll_are_those_of_a_plain_sum(prior):
+    noise = Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[3, 2])
+    observer = ww.Observer(CURVED, UnknownRoll(SpaceMap(), 0.3), noise, prior)
+    reading = observer.read([30e-3, 0.25, 2.0, 0.2], seed=4)
+    found = ww.posterior(observer, reading)
+    assert found.status == ww.Status.CONVERGED
+    mean, sd = plain_sum(observer, reading, found, (29, 29, 61, 61))
+    for i, estimate in enumerate(found.estimates.values()):
+        off = max(5e-3, 3 * float(estimate.mean_error / estimate.sd))
         assert estimate.mean == pytest.approx(mean[i], abs=off * sd[i])
         assert estimate.sd == pytest.approx(sd[i], rel=off)
 

@@ -6,7 +6,14 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import figures
-from weberwhisk.cues import Compliance, ForceMap, Friction, LateralSlip, UnknownCurvature
+from weberwhisk.cues import (
+    Compliance,
+    ForceMap,
+    Friction,
+    LateralSlip,
+    SpaceMap,
+    UnknownCurvature,
+)
 from weberwhisk.jnd import fisher_jnd, is_linear, weber_propagation
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
@@ -260,6 +267,14 @@ def test_linear_is_the_same_of_a_tilt_to_either_side():
     observer = ww.Observer(W, LateralSlip(friction_angle=0.2), noise)
     for tilt in (0.3, 1.2):
         assert is_linear(observer, [20e-3, tilt]) == is_linear(observer, [20e-3, -tilt])
+
+
+def test_linear_is_the_same_at_all_azimuths():
+    """An azimuth that may be any has no ends: near ±π it was taken for known."""
+    observer = ww.Observer(W, SpaceMap())
+    contact = [[30e-3, 0.2, azimuth] for azimuth in (0.5, 3.13, np.pi, -3.13)]
+    assert is_linear(observer, contact).all()
+    assert np.ptp(fisher_jnd(observer, contact)) < 1e-12
 
 
 def test_the_old_name_of_the_number_of_readings_still_works():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import pickle
 from copy import copy
-from dataclasses import FrozenInstanceError, dataclass
+from dataclasses import FrozenInstanceError, dataclass, replace
 
 import numpy as np
 import pytest
@@ -209,6 +209,19 @@ def test_a_cue_is_a_value(make):
     with pytest.raises(FrozenInstanceError):
         first.side = 0.5
     assert len({make() for make in CUES for _ in range(2)}) == len(CUES)
+
+
+def test_a_cue_that_differs_is_made_of_another():
+    """`dataclasses.replace` met a TypeError: signals had another name where they are given."""
+    three = ("moment", "axial_force", "transverse_force")
+    assert replace(ForceMap(three), deflection_angle=0.2) == ForceMap(three, deflection_angle=0.2)
+    assert replace(cues.SpaceMap(three), roll=0.5) == cues.SpaceMap(three, roll=0.5)
+    soft = cues.UnknownStiffness(ForceMap(), soft_signals=["moment"])
+    assert replace(soft, spread=0.1) == cues.UnknownStiffness(ForceMap(), 0.1, ["moment"])
+    with pytest.warns(DeprecationWarning, match="soft_signals"):
+        assert soft.soft == ("moment",)
+    with pytest.warns(DeprecationWarning, match="signal_names"):
+        assert ForceMap(signals=three) == ForceMap(three)
 
 
 def test_every_unknown_has_its_unit():

@@ -327,6 +327,15 @@ def test_a_tip_that_is_pushed_out_of_reach_on_the_concave_side_says_so(curvature
     noise = GeneralisedWeber(0.03, floor=[1e-10, 1e-9])
     found = posterior(Observer(w, ForceMap(), noise), [bent.moment[far], bent.axial_force[far]])
     assert found.outcome == ww.Outcome.OUT_OF_REACH
+    assert found.status == ww.Status.OUTSIDE_DOMAIN
+    assert "a tip pushed straight" in found.outside_domain
+
+
+def test_a_reading_near_the_tip_that_has_a_contact_is_inside_the_domain():
+    observer = Observer(whisker(20, -20.0), ForceMap(), GeneralisedWeber(0.03, floor=[1e-10, 1e-9]))
+    near, over = [0.97 * observer.reach[1], 0.1], [0.999 * observer.reach[1], 0.1]
+    signals = observer.signals([near, over])[0]
+    assert (posterior(observer, signals).status == ww.Status.CONVERGED).all()
 
 
 def test_compliance_of_a_curved_whisker():
@@ -435,7 +444,9 @@ def test_the_observer_chooses_its_model_and_says_why():
     assert hardly.model == "elastica"
     assert ", 0.1 allowed" in hardly.why
     assert Observer(whisker(20, 0.02), ForceMap(), tolerance=1e-4).model == "profile"
-    assert Observer(whisker(20, 0.0), ForceMap()).model == "elastica"
+    plain = Observer(whisker(20, 0.0), ForceMap(), tolerance=0.2)
+    assert plain.model == "elastica"
+    assert plain.why.endswith(", 0.2 allowed")
     contact = [25e-3, 0.2]
     straight = Observer(whisker(20, 0.0), ForceMap())
     assert hardly.signals(contact)[0] == pytest.approx(straight.signals(contact)[0], rel=1e-9)
@@ -456,6 +467,9 @@ def test_what_real_observers_refuse():
         Friction(Friction(ForceMap()))
     with pytest.raises(ValueError, match="turn by up to"):
         Observer(whisker(20, 60.0), ForceMap())
+    five = Observer(whisker(), cues.UnknownStiffness(Friction(UnknownCurvature(ForceMap(), 1.0))))
+    with pytest.raises(ValueError, match="four unknowns at most, got 5"):
+        posterior(five, five.read([30e-3, 0.2, 0.0, 0.0, 1.0], seed=1))
 
 
 def test_a_named_whisker_carries_its_curvature_where_asked():

@@ -329,6 +329,12 @@ def family(distribution: Any) -> Any:
     return key
 
 
+def is_all_around(distribution: Any) -> bool:
+    """Whether an angle is as likely to be any: flat over a whole turn."""
+    flat = getattr(getattr(distribution, "dist", None), "name", None) == "uniform"
+    return flat and bool(np.ptp(distribution.support()) > 2 * np.pi - 1e-9)
+
+
 def in_words(prior: Any) -> str:
     """A frozen distribution as one would write it."""
     given = [f"{a:.4g}" for a in prior.args] + [f"{k}={v:.4g}" for k, v in prior.kwds.items()]

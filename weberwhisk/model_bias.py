@@ -41,7 +41,7 @@ def why(observer: Any) -> str:
     if forward.is_plain:
         return (
             "the elastica models all there is; the closed form is off by up to "
-            f"{of_model(observer, 'closed_form'):.2g} JND, 0.1 allowed"
+            f"{of_model(observer, 'closed_form'):.2g} JND, {observer.tolerance:g} allowed"
         )
     whole = "the rod" if forward.azimuth is not None else "the curved planar beam"
     if not forward.is_smooth:

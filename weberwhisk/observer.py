@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import model_bias
 from ._checks import finite, numbers, one_of, positive_number, shown
 from ._deprecated import renamed_attribute
-from .coordinates import ContactCoordinates, family, priors_of, to_normal
+from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
 from .cues.protocol import Cue, straight
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
@@ -280,9 +280,12 @@ class Observer:
         contact = np.asarray(contact, dtype=float)
         out = np.zeros((*contact.shape, contact.shape[-1]))
         for i in range(self.bounded, contact.shape[-1]):
-            distribution = self.prior[self.unknowns[i]]
-            z = to_normal(distribution, contact[..., i])
-            slope = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / distribution.pdf(contact[..., i])
+            name, value = self.unknowns[i], contact[..., i]
+            distribution = self.prior[name]
+            if name == "azimuth" and is_all_around(distribution):  # which has no ends
+                value = np.full(value.shape, float(distribution.median()))
+            z = to_normal(distribution, value)
+            slope = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / distribution.pdf(value)
             out[..., i, i] = slope**-2
         return out
 

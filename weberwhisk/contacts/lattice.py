@@ -111,7 +111,7 @@ class Lattice:
         self.whole, self.with_receptors = observer, with_receptors
         self.soft: NDArray[np.bool_] | None = None
         if isinstance(observer.cue, UnknownStiffness):
-            self.soft = np.isin(observer.cue.signal_names, observer.cue.soft)
+            self.soft = np.isin(observer.cue.signal_names, observer.cue.soft_signals)
             self.stiffness = observer.prior["stiffness"]
             low, middle, high = np.log(self.stiffness.ppf([0.159, 0.5, 0.841]))
             self.log_median, self.log_sd = float(middle), float(high - low) / 2

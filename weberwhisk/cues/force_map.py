@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import numbers, one_or_more, positive_number
+from .._deprecated import renamed_arguments
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
@@ -30,7 +31,7 @@ class ForceMap(Cue):
 
     Parameters
     ----------
-    signals : sequence of {"moment", "axial_force", "transverse_force"}
+    signal_names : sequence of {"moment", "axial_force", "transverse_force"}
         Which are felt.
     deflection_angle : float, optional
         θ_d, rad, where it is known; by default it is unknown. On a curved whisker counted from
@@ -61,10 +62,11 @@ class ForceMap(Cue):
     _: KW_ONLY
     deflection_angle: float | None = None
 
+    @renamed_arguments(signals="signal_names")
     def __init__(
-        self, signals: Sequence[str] = SIGNALS[:2], *, deflection_angle: float | None = None
+        self, signal_names: Sequence[str] = SIGNALS[:2], *, deflection_angle: float | None = None
     ) -> None:
-        names = one_or_more("signals", signals, SIGNALS)
+        names = one_or_more("signals", signal_names, SIGNALS)
         if deflection_angle is not None:
             hint = "give radians, or None where it is unknown"
             deflection_angle = positive_number("deflection_angle", deflection_angle, hint)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import number, numbers, one_or_more, refuse_hinge
+from .._deprecated import renamed_arguments
 from ..mechanics.contact import Outcome
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of
@@ -41,7 +42,7 @@ class SpaceMap(Cue):
 
     Parameters
     ----------
-    signals : sequence of str, optional
+    signal_names : sequence of str, optional
         Which are sensed, of ``"moment"`` and ``"transverse_force"``, the sizes of what is across
         the base tangent, and their directions ``"moment_direction"`` and ``"force_direction"``,
         rad; ``"axial_force"``, ``"force_y"``, ``"force_z"``, ``"torsion"``, ``"moment_y"`` and
@@ -82,10 +83,11 @@ class SpaceMap(Cue):
     signal_names: tuple[str, ...] = (*SIGNALS, *DIRECTIONS)
     roll: float = 0.0
 
+    @renamed_arguments(signals="signal_names")
     def __init__(
-        self, signals: Sequence[str] = (*SIGNALS, *DIRECTIONS), *, roll: float = 0.0
+        self, signal_names: Sequence[str] = (*SIGNALS, *DIRECTIONS), *, roll: float = 0.0
     ) -> None:
-        names = one_or_more("signals", signals, IN_SPACE)
+        names = one_or_more("signals", signal_names, IN_SPACE)
         hint = "give radians, 0 where the whisker curves towards y; UnknownRoll has a prior of it"
         roll = number("roll", roll, hint)
         self._set(signal_names=names, roll=roll)

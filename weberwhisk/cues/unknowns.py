@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
+from .._deprecated import renamed_arguments, renamed_attribute
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
@@ -392,7 +393,7 @@ class UnknownStiffness(_Wrapped):
     spread : float
         Sd of the log-normal prior's ln; its median is 1. By default that of measured moduli,
         3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
-    signals : sequence of str, optional
+    soft_signals : sequence of str, optional
         The cue's signals that are proportional to EI₀; by default its forces, moments and rates of
         moments, and not its angles, ratios or chances.
 
@@ -418,11 +419,13 @@ class UnknownStiffness(_Wrapped):
 
     cue: Cue
     spread: float
-    soft: tuple[str, ...]
+    soft_signals: tuple[str, ...]
     unknown: ClassVar[str] = "stiffness"
+    soft = renamed_attribute("UnknownStiffness", "soft", "soft_signals")
 
+    @renamed_arguments(signals="soft_signals")
     def __init__(
-        self, cue: Cue, spread: float = 0.42, signals: Sequence[str] | None = None
+        self, cue: Cue, spread: float = 0.42, soft_signals: Sequence[str] | None = None
     ) -> None:
         spread = positive_number("spread", spread, "give the sd of ln EI₀, such as 0.42")
         names = a_cue(cue).signal_names
@@ -431,22 +434,23 @@ class UnknownStiffness(_Wrapped):
                 f"{cue!r} has four unknowns, and sums over five take too long; give the "
                 "stiffness, or the roll as UnknownStiffness(SpaceMap(roll=0.3))."
             )
-        if signals is None:
+        if soft_signals is None:
             # The signals of a fusion are numbered where a name comes twice.
-            signals = [name for name in names if name.rstrip("_0123456789") in FORCES]
-            if not signals:
+            soft_signals = [name for name in names if name.rstrip("_0123456789") in FORCES]
+            if not soft_signals:
                 raise ValueError(
                     f"Of the signals of {cue!r} ({', '.join(names)}) none is a force or a "
                     "moment that goes with the stiffness; use the cue as it is."
                 )
-        self._wrap(cue, spread=spread, soft=one_or_more("signals", signals, names))
+        soft = one_or_more("signals", soft_signals, names)
+        self._wrap(cue, spread=spread, soft_signals=soft)
 
     def __repr__(self) -> str:
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
 
     @cached_property
     def _soft(self) -> NDArray[np.bool_]:
-        return np.isin(self.cue.signal_names, self.soft)
+        return np.isin(self.cue.signal_names, self.soft_signals)
 
     @property
     def is_scale(self) -> bool:

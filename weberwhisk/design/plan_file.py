@@ -43,15 +43,15 @@ from .plan import Plan
 from .scheme import Constraints, Scheme, easy_share
 from .trial_lists import ONE_STIMULUS
 
-# What each is made of: the names of its arguments, `argument=attribute` where these differ, and
-# after a colon what they may be where that is not one finite number.
+# What each is made of: the names of its arguments, and after a colon what they may be where that is
+# not one finite number.
 NOUNS: dict[type, str] = {
     Whisker: "length base_radius tip_radius youngs_modulus curvature density "
     "hinge_stiffness:number|null",
     Compliance: "tap_angle angular_velocity velocity_spread",
-    ForceMap: "signals=signal_names:texts deflection_angle:number|null",
+    ForceMap: "signal_names:texts deflection_angle:number|null",
     Friction: "cue:Compliance|ForceMap angle:number|null coefficient",
-    SpaceMap: "signals=signal_names:texts roll",
+    SpaceMap: "signal_names:texts roll",
     UnknownRoll: "cue:SpaceMap spread",
     WhiskerArray: "species:text sides:text curved:flag identities:texts protraction",
     Weber: "weber_fraction:numbers correlation:numbers",
@@ -82,7 +82,7 @@ KINDS = {
     "LogAxisEncoding|ConstantNoise",
     "prior": "number|distribution",
 }
-#: Names in plans of version 0.1.
+#: Names in plans that were written before they had others.
 OLD = {
     "Animals": "SubjectPopulation",
     "CuePercept": "CueEncoding",
@@ -90,6 +90,7 @@ OLD = {
     "LogPercept": "LogEncoding",
     "LogAxisPercept": "LogAxisEncoding",
     "percept": "encoding",
+    "signals": "signal_names",
 }
 KIND = "is"  # the key that says which noun a mapping is
 
@@ -114,7 +115,7 @@ def encode(value: Any) -> Any:
     if type(value) not in NOUNS:
         known = ", ".join(noun.__name__ for noun in NOUNS)
         raise ValueError(f"{value!r} cannot be written to a plan; make it of {known}.")
-    parts = {name: encode(getattr(value, a)) for name, a, _ in _parts(type(value))}
+    parts = {name: encode(getattr(value, name)) for name in _parts(type(value))}
     made = {KIND: type(value).__name__, **parts}
     if isinstance(value, Observer) and decode(made) != value:
         raise ValueError(
@@ -144,7 +145,7 @@ def decode(value: Any) -> Any:
     if noun is None:
         return _frozen(value[KIND], parts)
     try:
-        return noun(**checked(noun.__name__, parts, {n: kind for n, _, kind in _parts(noun)}))
+        return noun(**checked(noun.__name__, parts, _parts(noun)))
     except (TypeError, OverflowError) as error:
         raise ValueError(f"{noun.__name__} cannot be made of these ({error})") from None
 
@@ -212,10 +213,10 @@ def _frozen(name: Any, parts: dict[str, Any]) -> Any:
     return made
 
 
-def _parts(noun: type) -> list[tuple[str, str, str]]:
-    """Arguments of a noun, the attributes that hold them, and their kinds."""
-    found = re.findall(r"(\w+)(?:=(\w+))?(?::(\S+))?", NOUNS[noun])
-    return [(name, attribute or name, kind or "number") for name, attribute, kind in found]
+def _parts(noun: type) -> dict[str, str]:
+    """Arguments of a noun, which its attributes are called by too, and their kinds."""
+    found = re.findall(r"(\w+)(?::(\S+))?", NOUNS[noun])
+    return {name: kind or "number" for name, kind in found}
 
 
 FORMAT, VERSION = "weberwhisk plan", 1

@@ -19,7 +19,16 @@ from ..receptors import ReceptorNoise, Seed
 from .grid import integrate
 from .peaks import laplace
 from .quadrature import quadrature
-from .result import Array, Estimate, Index, Posterior, Solution, Status, is_outside
+from .result import (
+    Array,
+    Estimate,
+    Index,
+    Posterior,
+    Solution,
+    Status,
+    beyond_reach,
+    is_outside,
+)
 
 __all__ = ["Estimate", "Posterior", "Status", "posterior"]
 
@@ -124,7 +133,7 @@ def posterior(
     if not known.all():
         solution = solution.among(known)
         solution.status[given & nothing] = Status.NO_CONTACT
-    solution.status[_outside(observer, solution)] = Status.OUTSIDE_DOMAIN
+    solution.status[_outside(observer, rows, solution)] = Status.OUTSIDE_DOMAIN
 
     def shaped(values: NDArray[Any]) -> Any:
         return values[0] if single else values
@@ -176,10 +185,13 @@ def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
     return np.asarray(graded.any() & (reading[:, graded] == 0).all(axis=1))
 
 
-def _outside(observer: Observer, solution: Solution) -> NDArray[np.bool_]:
+def _outside(observer: Observer, reading: Array, solution: Solution) -> NDArray[np.bool_]:
     """Posteriors (B,) that converged, of an observer or at a distance outside the domain."""
-    share = solution.estimates[0].mean / observer.reach[1]
-    outside = (share < domain.CONTACTS[0]) | bool(domain.of_observer(observer))
+    r = solution.estimates[0]
+    outside = (r.mean / observer.reach[1] < domain.CONTACTS[0]) | beyond_reach(
+        observer, reading, r.mean, r.sd
+    )
+    outside |= bool(domain.of_observer(observer))
     return np.asarray(outside & (solution.status == Status.CONVERGED))
 
 

@@ -105,6 +105,12 @@ def quadrature(
     observer: Observer, reading: Array, seed: Seed, tolerance: float | None, progress: Any
 ) -> Solution:
     """The reference: panels for one unknown, tiles for more."""
+    if len(observer.unknowns) > 4:
+        raise ValueError(
+            f"Quadrature sums over four unknowns at most, got {len(observer.unknowns)} "
+            f"({', '.join(observer.unknowns)}); give one of them, as Friction(cue, angle) does, "
+            'or write method="laplace" for a quick look.'
+        )
     if len(observer.unknowns) == 1:
         return _by_panels(observer, reading, tolerance or 1e-6)
     wanted = tolerance or 1e-2

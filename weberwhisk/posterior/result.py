@@ -130,10 +130,13 @@ class Posterior(Shown):
         >>> p.status.name, p.outside_domain[:43]
         ('OUTSIDE_DOMAIN', 'Outside the domain: a Weber fraction of 0.0')
         """
-        r = np.atleast_1d(self.mean)
-        r = r[np.isfinite(r)]
-        near = domain.of_contact(r, self.observer.reach[1]) if r.size else ()
-        return domain.sentence((*domain.of_observer(self.observer), *near))
+        r, sd = np.atleast_1d(self.mean, self.sd)
+        known = np.isfinite(r)
+        near = domain.of_contact(r[known], self.observer.reach[1]) if known.any() else ()
+        rows = self.reading.reshape(len(r), -1)
+        beyond = beyond_reach(self.observer, rows, r, sd).any()
+        far = "a contact that may be beyond the reach, to where a tip pushed straight can go"
+        return domain.sentence((*domain.of_observer(self.observer), *near, *[far] * int(beyond)))
 
     @property
     def mean(self) -> Array:
@@ -333,6 +336,28 @@ def among(columns: Columns, rows: Any) -> Columns:
 def joined(parts: Sequence[Columns]) -> Columns:
     """Named tuples of arrays, one below the other."""
     return parts[0]._make(map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[attr-defined]
+
+
+def beyond_reach(observer: Observer, reading: Array, mean: Array, sd: Array) -> NDArray[np.bool_]:
+    """Readings (B, R) that may be of a tip beyond where it is at rest, which no observer knows.
+
+    Pushed against its curvature a whisker is straightened; one that is straight or pushed along
+    its curvature slips off at its reach. Such a reading has no contact of its own, and a posterior
+    up against the reach: its mean was 3 sd short.
+    """
+    out = np.zeros(len(reading), dtype=bool)
+    forward, end = observer.forward, observer.reach[1]
+    if "deflection_angle" not in observer.unknowns or forward.azimuth is not None:
+        return out
+    near = mean + 4 * sd > end
+    if (
+        forward.is_plain
+        or not near.any()
+        or not forward.limit(np.array(0.999 * forward.reach)) > 0.05
+    ):
+        return out
+    out[near] = observer.reading_outcome(reading[near]) == Outcome.OUT_OF_REACH
+    return out
 
 
 def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:
