@@ -27,8 +27,8 @@ from weberwhisk.cues import (
 from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
-from weberwhisk.posterior.summed import LastSummed
-from weberwhisk.posterior.tiling import likelihood_of, tiles_of
+from weberwhisk.posterior.summed import LastSummed, likelihood_of
+from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.whisker import identities, rest_shape
 

@@ -18,8 +18,9 @@ from weberwhisk.fusion import prior_draws
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.posterior.grid import OwnGrids
 from weberwhisk.posterior.peaks import find_mode
+from weberwhisk.posterior.summed import likelihood_of
 from weberwhisk.posterior.summed_tiles import SummedTiles
-from weberwhisk.posterior.tiling import likelihood_of, tiles_of
+from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)

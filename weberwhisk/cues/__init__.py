@@ -2,7 +2,6 @@
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
-from .comparative_length import ComparativeLength
 from .compliance import Compliance, LateralSlip
 from .force_map import ForceMap
 from .fused import Fused
@@ -10,7 +9,7 @@ from .protocol import Cue
 from .space_map import SpaceMap
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
 from .vibration import Vibration
-from .vibrissa_length import VibrissaLength
+from .vibrissa_length import ComparativeLength, VibrissaLength
 
 __all__ = [
     "AngleSideAngle",

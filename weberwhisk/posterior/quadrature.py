@@ -36,10 +36,10 @@ from .result import (
     joined,
     refuse_impossible,
 )
-from .summed import LastSummed
+from .summed import LastSummed, likelihood_of
 from .summed_tiles import SummedTiles
 from .tiled import Moments, TiledObserver
-from .tiling import Tiles, TooManyTiles, expected_tiles, likelihood_of, tiles_of
+from .tiling import Tiles, TooManyTiles, expected_tiles, tiles_of
 
 
 def longest(tolerance: float) -> float:

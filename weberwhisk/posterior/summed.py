@@ -1,11 +1,12 @@
-"""A last unknown with a prior of its own, summed out at every contact of the others.
+"""What tiles ask of an observer: its contacts, their signals and how likely readings are there.
 
-At a given contact the density of a stiffness, a side or a friction is one narrow bump that moves
-from contact to contact along a ridge: boxes of all unknowns together would be as narrow as the
-bump. So tiles are of the other unknowns, as long as what a reading tells of *them*, and the last
-is summed at each node by the trapezoid rule over a few points about its bump. Points lie on one
-lattice of the unknown's normal coordinate, on which signals are known beforehand: as functions of
-it they are combinations of a few (of one, where they are all in proportion to it).
+Of all unknowns, or of all but a last one with a prior of its own, which is summed out. At a given
+contact the density of a stiffness, a side or a friction is one narrow bump that moves from contact
+to contact along a ridge: boxes of all unknowns together would be as narrow as the bump. So tiles
+are of the other unknowns, as long as what a reading tells of *them*, and the last is summed at each
+node by the trapezoid rule over a few points about its bump. Points lie on one lattice of the
+unknown's normal coordinate, on which signals are known beforehand: as functions of it they are
+combinations of a few (of one, where they are all in proportion to it).
 
 Friction and curvature also say how far a whisker can be deflected. Nodes are coordinates, not
 contacts, for that: the angle at a node then moves with the last unknown and stays within its range.
@@ -14,6 +15,7 @@ Its change, and that of ln of the prior's density, are two more functions beside
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -391,3 +393,58 @@ class Quadratic(LastCurve):
         out += self.lattice.constant[index]
         out += middle[..., None]
         return np.asarray(out)
+
+
+class AllUnknowns:
+    """Every unknown has an axis of the tiles; nodes have the signals themselves."""
+
+    panels, turns, unsure = 1, False, 0.0
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.noise = observer, observer.noise
+        self.dim = len(observer.unknowns)
+        #: Most boxes: 120 000 in two dimensions, 20 000 in three.
+        self.most = 720_000 // 6 ** (self.dim - 1)
+        #: Contacts (..., U) at coordinates x, and ln of the prior.
+        self.contact = observer.contact
+
+    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Signals (..., S) of contacts (..., U), and which are held."""
+        signals, outcome = self.observer.signals(contact)
+        held = outcome == Outcome.HELD
+        return np.where(held[..., None], signals, 1.0), np.asarray(held)
+
+    def views(self, signals: Array) -> list[tuple[Array, Array | None]]:
+        """The signals; there is nothing left to know."""
+        return [(signals, None)]
+
+    def interval(self, signals: Array, width: float) -> tuple[Array, Array]:
+        """Between which readings (..., 1, R) lie."""
+        low, high = self.noise.interval(signals, width)
+        return low[..., None, :], high[..., None, :]
+
+    def log_likelihood(self, reading: Array, signals: Array) -> Array:
+        """ln p(reading | contact), (m, N), for readings (m, R) and nodes (m, N, S)."""
+        return self.noise.log_likelihood(reading[:, None], signals)
+
+
+Likelihood = AllUnknowns | LastSummed
+
+
+@lru_cache(maxsize=64)
+def likelihood_of(observer: Observer) -> Likelihood:
+    """Of three unknowns and more the last is summed out, where signals are smooth in it.
+
+    Not so of two cues with an unknown each, nor of the azimuth of a curved whisker's contact: the
+    last is known by its own signals as well as any is.
+    """
+    if (
+        len(observer.unknowns) < 3
+        or observer.forward.azimuth is not None
+        or observer.unknowns[-1] not in observer.unknowns[observer.bounded :]
+    ):
+        return AllUnknowns(observer)
+    try:
+        return LastSummed(observer)
+    except NotSmooth:
+        return AllUnknowns(observer)

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
-from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .result import Array, Index, among, joined
-from .summed import LastSummed, NotSmooth
+from .summed import AllUnknowns, Likelihood, likelihood_of
 
 #: Nodes along each axis of a tile.
 ORDER = 6
@@ -63,61 +62,6 @@ class Nodes(NamedTuple):
     lengths: Array
     kink: NDArray[np.bool_]
     bent: NDArray[np.bool_]
-
-
-class AllUnknowns:
-    """Every unknown has an axis of the tiles; nodes have the signals themselves."""
-
-    panels, turns, unsure = 1, False, 0.0
-
-    def __init__(self, observer: Observer) -> None:
-        self.observer, self.noise = observer, observer.noise
-        self.dim = len(observer.unknowns)
-        #: Most boxes: 120 000 in two dimensions, 20 000 in three.
-        self.most = 720_000 // 6 ** (self.dim - 1)
-        #: Contacts (..., U) at coordinates x, and ln of the prior.
-        self.contact = observer.contact
-
-    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Signals (..., S) of contacts (..., U), and which are held."""
-        signals, outcome = self.observer.signals(contact)
-        held = outcome == Outcome.HELD
-        return np.where(held[..., None], signals, 1.0), np.asarray(held)
-
-    def views(self, signals: Array) -> list[tuple[Array, Array | None]]:
-        """The signals; there is nothing left to know."""
-        return [(signals, None)]
-
-    def interval(self, signals: Array, width: float) -> tuple[Array, Array]:
-        """Between which readings (..., 1, R) lie."""
-        low, high = self.noise.interval(signals, width)
-        return low[..., None, :], high[..., None, :]
-
-    def log_likelihood(self, reading: Array, signals: Array) -> Array:
-        """ln p(reading | contact), (m, N), for readings (m, R) and nodes (m, N, S)."""
-        return self.noise.log_likelihood(reading[:, None], signals)
-
-
-Likelihood = AllUnknowns | LastSummed
-
-
-@lru_cache(maxsize=64)
-def likelihood_of(observer: Observer) -> Likelihood:
-    """Of three unknowns and more the last is summed out, where signals are smooth in it.
-
-    Not so of two cues with an unknown each, nor of the azimuth of a curved whisker's contact: the
-    last is known by its own signals as well as any is.
-    """
-    if (
-        len(observer.unknowns) < 3
-        or observer.forward.azimuth is not None
-        or observer.unknowns[-1] not in observer.unknowns[observer.bounded :]
-    ):
-        return AllUnknowns(observer)
-    try:
-        return LastSummed(observer)
-    except NotSmooth:
-        return AllUnknowns(observer)
 
 
 def nodes_of(boxes: Boxes) -> Array:
