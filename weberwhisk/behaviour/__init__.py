@@ -22,10 +22,17 @@ from .located import with_distances
 from .population import simulate_moving, simulate_population
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
-from .psychometric import response_probability, threshold
+from .psychometric import (
+    TASKS,
+    PercentCorrect,
+    SignedChoice,
+    Task,
+    response_probability,
+    task_named,
+    threshold,
+)
 from .report import methods_paragraph
 from .simulate import load_numerosity, load_rat_auditory, simulate_trials
-from .tasks import TASKS, PercentCorrect, SignedChoice, Task, task_named
 from .trials import Trials
 from .verdict import FitStatus, WeberLawTest, weber_law_test
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._deprecated import renamed_attribute, renamed_names
+from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
 if TYPE_CHECKING:
@@ -303,6 +304,55 @@ def refuse_unencoded(encoding: Encoding, stimulus: ArrayLike) -> None:
         f"{int((~encoded).sum())} of {levels.size} stimuli give no signal, the first being "
         f"{first:g}{why}; leave those trials out, or change the whisker or the cue."
     )
+
+
+def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "stimulus") -> None:
+    """Refuse what the whisker cannot reach, past its tip, past its base, or flicked past: the
+    farthest offender, and by how much it is off."""
+    at = np.atleast_1d(_checks.numbers(name, stimulus, "give one distance, or several"))
+    if not at.size:
+        raise ValueError(f"a {name} is needed, got none; give one distance, or several.")
+    low, high = encoding.domain
+
+    def said(value: float) -> str:
+        return in_words(encoding, value)
+
+    if at.max() >= high:
+        raise ValueError(
+            f"{name} {said(at.max())} is off the whisker, by {said(at.max() - high)} past its tip "
+            f"at {said(high)}; stay well inside."
+        )
+    if at.min() <= low:
+        raise ValueError(
+            f"{name} {said(at.min())} is off the whisker, by {said(low - at.min())} before its "
+            f"base at {said(low)}; stay well inside."
+        )
+    encoded = gives_signal(encoding, at)
+    if encoded.all():
+        return
+    worst = float(at[~encoded].max())
+    why = encoding.outcome(worst) if isinstance(encoding, OF_DISTANCE) else "it gives no signal"
+    if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
+        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
+    whisker, unit = encoding.observer.whisker, encoding.unit
+    angle = np.degrees(encoding.deflection_angle)
+    limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
+    if not limit < angle:  # NaN beyond a curved whisker's reach
+        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
+    grid = np.linspace(0.01, 0.999, 400) * high
+    inside = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]
+    farthest = f"stay within {said(float(inside.max()))}, or " if inside.size else ""
+    raise ValueError(
+        f"{name} {said(worst)} is flicked past: the whisker holds {limit:.3g}° there and contacts "
+        f"are at {angle:.3g}°, {angle - limit:.2g}° too much; {farthest}press less."
+    )
+
+
+def in_words(encoding: Encoding, length: float) -> str:
+    """A stimulus with its unit: millimetres where it is a distance along a whisker."""
+    if not isinstance(encoding, OF_DISTANCE):
+        return f"{length:.4g}"
+    return f"{1e3 * encoding.unit * length:.4g} mm"
 
 
 class UnitEncodings(NamedTuple):

@@ -11,15 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import binary_dilation, map_coordinates
+from scipy.special import ndtr
 
+from .integrate import half_grid_error
+from .integrate.batch import Table
+from .lapses import AS_BELIEVED, BiasScales
 from .priors import PopulationPriors
-from .tabulated import Members
 
 Array = NDArray[np.float64]
 
@@ -27,6 +31,129 @@ NAMES = (
     "log_weber_fraction", "spread", "session_spread", "bias_scale", "lapse_mean", "lapse_spread",
 )  # fmt: skip
 ALL = range(len(NAMES))
+
+
+@dataclass(frozen=True)
+class Members:
+    """The likelihood of a population's parameters, given the tables of its members: one for each
+    animal, or for each session of each animal.
+
+    `animal` (U,) rises and says whose each table is; `scales` are those of the biases at which all
+    were made.
+    """
+
+    tables: tuple[Table, ...]
+    animal: NDArray[np.intp]
+    sessions: bool
+    scales: BiasScales = AS_BELIEVED
+
+    @cached_property
+    def first(self) -> NDArray[np.intp]:
+        """The first table of each animal."""
+        return np.flatnonzero(np.r_[True, np.diff(self.animal) > 0])
+
+    @cached_property
+    def _moments(self) -> tuple[Array, Array]:
+        """Mean and log sd of ln k of each alone, with the prior's lapses, by scale, (U, S)."""
+        found = np.array([_moments(t) for t in self.tables])
+        return found[:, 0], found[:, 1]
+
+    @cached_property
+    def x(self) -> Array:
+        """Nodes of ln k on which all are compared."""
+        # However little members tell, spreads are distinguished from 0.1 on.
+        step = min(float(np.exp(self._moments[1].min())) / 4, 0.15)
+        low = min(t.log_k[0] for t in self.tables) - 0.5
+        high = max(t.log_k[-1] for t in self.tables) + 0.5
+        return np.arange(low, high + step, step)
+
+    @property
+    def step(self) -> float:
+        """How far these are apart."""
+        return float(self.x[1] - self.x[0])
+
+    def middle(
+        self, spread: Array, session_spread: Array, bias_scale: Array
+    ) -> tuple[Array, Array]:
+        """Where ln k of the population lies given its spreads, and how surely, both (T, Z, B).
+
+        As if every member's likelihood were normal: only the place of nodes depends on it.
+        """
+        onto = self.scales.onto(bias_scale).T
+        mean, log_sd = self._moments
+        own_mean, own_sd = mean @ onto, np.exp(log_sd @ onto)  # (U, B)
+        precision = 1 / (own_sd[:, None] ** 2 + session_spread[:, None] ** 2)  # (U, Z, B)
+        first = self.first
+        total = np.add.reduceat(precision, first)
+        mean = np.add.reduceat(precision * own_mean[:, None], first) / total
+        weight = 1 / (1 / total + spread[:, None, None, None] ** 2)  # (T, A, Z, B)
+        sum_of_weights = weight.sum(axis=1)
+        return (weight * mean).sum(axis=1) / sum_of_weights, 1 / np.sqrt(sum_of_weights)
+
+    def kernel(self, centre: Array, spread: Array) -> Array:
+        """Probability of each node of ln k under normals, (X, ...).
+
+        The end nodes stand for all beyond them, where a likelihood goes on as it was: populations
+        out there are unlikely by their prior, and not impossible.
+        """
+        # A normal narrower than the nodes is as wide as they are: a fifth of what any member tells.
+        width = np.maximum(spread, 0.8 * self.step)
+        z = (self.x.reshape(-1, *[1] * np.ndim(centre)) - centre) / width
+        out: Array = np.exp(-0.5 * z**2) * (self.step / (width * np.sqrt(2 * np.pi)))
+        half = 0.5 * self.step / width
+        out[0] += ndtr(z[0] - half)
+        out[-1] += ndtr(-z[-1] - half)
+        return out
+
+    def within(self, session_spread: float) -> Array | None:
+        """The kernel of sessions about their animal's ln k, (X, X); none where they are one."""
+        if not self.sessions:
+            return None
+        return self.kernel(self.x, np.full(self.x.shape, session_spread))
+
+    def given_lapses(self, mean: Array, spread: Array, bias_scale: Array) -> Array:
+        """Log-likelihood of ln k of every member, (B, J, U, X).
+
+        For J populations of lapses, and each scale of the biases (B,).
+        """
+        onto = self.scales.onto(bias_scale)
+        out = [table.given_lapses(mean, spread, self.x, onto) for table in self.tables]
+        return np.array(out).transpose(1, 3, 0, 2)
+
+    def by_animal(self, log_like: Array, within: Array | None) -> tuple[Array, Array]:
+        """Log-likelihood of each animal's middle ln k, (..., A, X), and each member's (..., U, X).
+
+        `within` is the kernel of its sessions.
+        """
+        if within is None:
+            return log_like, log_like
+        own = _log_product(log_like, within)
+        return np.add.reduceat(own, self.first, axis=-2), own
+
+    def log_likelihood(
+        self, log_like: Array, within: Array | None, between: Array
+    ) -> tuple[Array, Array]:
+        """Of the population, (..., MT), by animal (..., A, MT); `between` is the kernel (X, MT)."""
+        by_animal = _log_product(self.by_animal(log_like, within)[0], between)
+        return by_animal.sum(axis=-2), by_animal
+
+
+def _log_product(log_like: Array, kernel: Array) -> Array:
+    """ln of the likelihoods averaged over each column of a kernel."""
+    top = log_like.max(axis=-1, keepdims=True)
+    return np.log(np.maximum(np.exp(log_like - top) @ kernel, 1e-300)) + top
+
+
+def _moments(table: Table) -> tuple[Array, Array]:
+    """Mean and log sd of ln k in the likelihood of a member alone, with the prior's lapses, for
+    every scale of its biases, (S,)."""
+    usual = np.zeros(1), np.ones(1)
+    log_like = table.given_lapses(*usual, table.log_k, np.eye(len(table.top)))[..., 0]
+    mass = np.exp(log_like - log_like.max(axis=1, keepdims=True))
+    mass /= mass.sum(axis=1, keepdims=True)
+    mean = mass @ table.log_k
+    variance = (mass * (table.log_k - mean[:, None]) ** 2).sum(axis=1)
+    return mean, 0.5 * np.log(variance)
 
 
 @dataclass(frozen=True)
@@ -145,7 +272,7 @@ def integrate_population(
         mass = np.exp(log_mass - top)
         total = mass.sum()
         mass /= total
-        missed = [_thinned(mass, j) for j in ALL]
+        missed = [half_grid_error(_marginal(mass, j)) for j in ALL]
         if missed[3] < 0.1:
             break
     of_members, of_animals = grid.shrunken(mass)
@@ -206,7 +333,7 @@ class _Grid:
     def cut_off(self, mass: Array, share: float = 1e-3) -> bool:
         """Whether scales of the biases that were not tabulated are likely too: whether the density
         at the last is more than that share of the peak."""
-        by_scale, ends = mass.sum(axis=(0, 1, 2, 4, 5)), self.members.scales.nodes[[0, -1]]
+        by_scale, ends = _marginal(mass, 3), self.members.scales.nodes[[0, -1]]
         at_end = np.isclose(self.on_axes()[0][3][[0, -1]], ends) & (ends != 0) & (not self.fixed[3])
         return bool(np.any(at_end & (2 * by_scale[[0, -1]] > share * by_scale.max())))
 
@@ -304,19 +431,16 @@ def _narrowed(
     """The part of an axis with at least that share of the peak, a step more on either side."""
     if axis.size == 1:
         return bounds
-    marginal = mass.sum(axis=tuple(i for i in ALL if i != index))
+    marginal = _marginal(mass, index)
     marginal[[0, -1]] *= 2.0
     above = axis[marginal > least * marginal.max()]
     step = axis[1] - axis[0]
     return max(above[0] - step, bounds[0]), min(above[-1] + step, bounds[1])
 
 
-def _thinned(mass: Array, index: int) -> float:
-    """How far the total moves when every other node is left out."""
-    if mass.shape[index] == 1:
-        return 0.0
-    marginal = mass.sum(axis=tuple(i for i in ALL if i != index))
-    return float(abs(np.log(2 * marginal[::2].sum())))
+def _marginal(mass: Array, index: int) -> Array:
+    """Mass along one axis."""
+    return np.asarray(mass.sum(axis=tuple(i for i in ALL if i != index)))
 
 
 def _cut_within(log_mass: Array, mass: Array) -> float:
@@ -328,9 +452,4 @@ def _cut_within(log_mass: Array, mass: Array) -> float:
     possible = np.isfinite(log_mass)
     if possible.all():
         return 0.0
-    edge = np.zeros_like(possible)
-    for axis in ALL:
-        here, there = np.moveaxis(edge, axis, 0), np.moveaxis(possible, axis, 0)
-        here[1:] |= ~there[:-1]
-        here[:-1] |= ~there[1:]
-    return 0.5 * float(mass[edge & possible].sum())
+    return 0.5 * float(mass[possible & binary_dilation(~possible)].sum())

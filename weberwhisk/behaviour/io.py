@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..tables import as_number, load_table
-from .tasks import TASKS, Task, task_named
+from .psychometric import TASKS, Task, task_named
 from .trials import (
     LABELS,
     SCALES,

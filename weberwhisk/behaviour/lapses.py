@@ -26,7 +26,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
 from .priors import REACH, Priors, quantiles
-from .tasks import Task
+from .psychometric import Task
 
 if TYPE_CHECKING:
     from .likelihood import Draws, WeberModel

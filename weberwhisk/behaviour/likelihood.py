@@ -25,7 +25,7 @@ from .encodings import (
 from .lapses import PLAIN, LapseTransform, lapse_transform
 from .located import binned, over_places
 from .priors import TINY, Priors, priors_for
-from .tasks import Task
+from .psychometric import Task
 from .trials import Cells, Trials, check_trials
 
 Array = NDArray[np.float64]

@@ -33,7 +33,7 @@ from .encodings import (
     chosen_encoding,
     gives_signal,
 )
-from .tasks import SameDifferent, SignedChoice, Task, YesNo
+from .psychometric import SameDifferent, SignedChoice, Task, YesNo
 from .trials import SDS, Cells, Trials, check_trials
 
 Array = NDArray[np.float64]

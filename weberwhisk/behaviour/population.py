@@ -14,9 +14,8 @@ from scipy.stats import beta as beta_distribution
 from .. import _checks
 from .._deprecated import renamed_arguments
 from .encodings import CueEncoding, Encoding, LogEncoding, checked_encoding, refuse_unencoded
-from .psychometric import response_probability
+from .psychometric import response_probability, task_named
 from .simulate import simulate_trials
-from .tasks import task_named
 from .trials import LABELS, STIMULI, Trials, check_trials, in_millimetres, notes_of
 
 Array = NDArray[np.float64]

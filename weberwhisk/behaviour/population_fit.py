@@ -20,11 +20,11 @@ from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report
 from .fit import WeberFit, fit_weber, tails
-from .hierarchy import NAMES, Population, integrate_population
+from .hierarchy import NAMES, Members, Population, integrate_population
+from .integrate.batch import tabulate
 from .lapses import likely_scales
 from .likelihood import encoding_of, pairs_shown
 from .priors import PopulationPriors, Priors, priors_for
-from .tabulated import Members, tabulate
 from .trials import Trials, check_trials
 from .verdict import FitStatus
 
@@ -377,8 +377,7 @@ def _row(labels: tuple[Any, ...], fit: WeberFit | None) -> dict[str, Any]:
 
 def _with_quantiles(table: pd.DataFrame, rows: pd.Index, log_k: Array, mass: Array) -> pd.DataFrame:
     """The table with medians and 95 % intervals of exp(ln k); NaN for those left out."""
-    below = np.cumsum(mass, axis=1) - 0.5 * mass
-    found = [np.exp(np.interp([0.5, 0.025, 0.975], b, log_k)) for b in below]
+    found = [np.exp(_quantile(log_k, own, [0.5, 0.025, 0.975])) for own in mass]
     names = ["weber_fraction", "lower", "upper"]
     return table.join(pd.DataFrame(found, index=rows, columns=names))
 

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from .. import _checks
 from ..coordinates import in_words
 from .encodings import UnitEncodings
-from .tasks import SameDifferent, Task, YesNo
+from .psychometric import SameDifferent, Task, YesNo
 from .trials import Cells
 
 Array = NDArray[np.float64]
@@ -287,7 +287,7 @@ def levels_prior(
     Examples
     --------
     >>> pair = UnitEncodings(np.ones(1), np.ones(1), np.array([1.3]), np.array([1.3]))
-    >>> from .tasks import task_named
+    >>> from .psychometric import task_named
     >>> prior = levels_prior([pair], task_named("2AFC"))
     >>> float(np.round(prior.median(), 4))  # 0.3 / hypot(1, 1.3) / 1.5
     0.1219

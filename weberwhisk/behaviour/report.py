@@ -20,7 +20,7 @@ from . import criticism
 from .cue_encoding import CueEncoding
 from .encodings import Encoding, IdentityEncoding, described
 from .likelihood import Draws
-from .tasks import SignedChoice
+from .psychometric import SignedChoice
 from .verdict import FitStatus, too_few_kinds
 
 if TYPE_CHECKING:

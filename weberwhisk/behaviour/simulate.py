@@ -27,7 +27,7 @@ from .encodings import (
     unit_encodings,
 )
 from .io import read_trials
-from .tasks import task_named
+from .psychometric import task_named
 from .trials import Trials, notes_of
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..output import atomic_write, csv_text
-from .tasks import Task
+
+if TYPE_CHECKING:
+    from .psychometric import Task
 
 Array = NDArray[np.float64]
 

@@ -115,12 +115,17 @@ def _notes(model: WeberModel) -> tuple[str, ...]:
             "lapses that are known, for example "
             "priors={'lapse_low': 0.02, 'lapse_high': 0.02}, or add easier and harder pairs."
         )
-    d = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
+    d = _drive(model)
     none, some = (d[gap > 0][left[gap > 0] > 0] for left in (cells.n - cells.count, cells.count))
     apart = none.max(initial=-np.inf) < some.min(initial=np.inf)
     if apart and none.size + some.size > 1 and not _one_sided(model):
         notes.append("Every level is answered all one way: only harder comparisons can tell more.")
     return tuple(notes)
+
+
+def _drive(model: WeberModel) -> Array:
+    """The decision variable of every pair for a Weber fraction of 1, biases and lapses apart."""
+    return np.asarray(model.task.decide(model.encodings.encoded(1.0))[0])
 
 
 def too_few_kinds(model: WeberModel) -> bool:
@@ -130,7 +135,7 @@ def too_few_kinds(model: WeberModel) -> bool:
 
 def _kinds(model: WeberModel) -> int:
     """How many proportions the observer could give: pairs that differ in d by a tenth or more."""
-    d = np.sort(model.task.decide(model.encodings.encoded(np.float64(1.0)))[0])
+    d = np.sort(_drive(model))
     alike, kinds, first = 0.1 * np.abs(d).max(), 1, d[0]
     for value in d:  # measured distances leave no gaps
         if value - first > alike:
@@ -149,7 +154,7 @@ def _one_sided(model: WeberModel) -> bool:
     c = model.cells
     if model.task.guess_rate is not None or c.n.size < 2 or c.count.sum() not in (0, c.n.sum()):
         return False
-    d = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
+    d = _drive(model)
     return bool(np.ptp(d) > 0 and (model.task.bias_name == "criterion" or d.min() < 0 < d.max()))
 
 
@@ -157,7 +162,7 @@ def _reversed(model: WeberModel, posterior: WeberPosterior) -> bool:
     """Whether the opposite answers would be a hundred times as probable, by the evidence."""
     c = model.cells
     if model.task.guess_rate is None:
-        drive = model.task.decide(model.encodings.encoded(np.float64(1.0)))[0]
+        drive = _drive(model)
         suspect = drive @ (c.count - c.n * (c.count.sum() / c.n.sum())) < 0
     else:
         suspect = c.count.sum() < model.task.guess_rate * c.n.sum()

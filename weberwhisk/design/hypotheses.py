@@ -17,14 +17,14 @@ from ..behaviour.encodings import (
     ConstantNoise,
     Encoding,
     checked_encoding,
+    refuse_out_of_reach,
     unit_encodings,
 )
 from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.likelihood import BIASES, WeberModel, names_by_standard
 from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors, of_task
-from ..behaviour.psychometric import refuse_out_of_reach
-from ..behaviour.tasks import Task, task_named
+from ..behaviour.psychometric import Task, task_named
 from ..behaviour.trials import STIMULI, Cells, Trials
 from ..whisker import Whisker
 from .scheme import Scheme

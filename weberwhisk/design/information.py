@@ -16,9 +16,9 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from ..behaviour.encodings import gives_signal
+from ..behaviour.encodings import gives_signal, refuse_out_of_reach
 from ..behaviour.integrate.batch import batch_steps, zoomed
-from ..behaviour.psychometric import difference_sd, refuse_out_of_reach
+from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .belief import Belief, BeliefGrid, entropy, even_axes, wide_ends

@@ -14,9 +14,15 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._deprecated import renamed_arguments
-from ..behaviour.encodings import Encoding, checked_encoding, gives_signal, unit_encodings
-from ..behaviour.psychometric import difference_sd, in_words, refuse_out_of_reach
-from ..behaviour.tasks import task_named
+from ..behaviour.encodings import (
+    Encoding,
+    checked_encoding,
+    gives_signal,
+    in_words,
+    refuse_out_of_reach,
+    unit_encodings,
+)
+from ..behaviour.psychometric import difference_sd, task_named
 from ..behaviour.trials import Cells
 
 Array = NDArray[np.float64]

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from .. import _checks
-from ..behaviour.psychometric import decision_variable
-from ..behaviour.tasks import SignedChoice, YesNo
+from ..behaviour.psychometric import SignedChoice, YesNo, decision_variable
 from ..behaviour.trials import Cells
 from ..campaign.log import Log
 from .belief import Pair

@@ -24,6 +24,7 @@ __all__ = [
     "PosteriorGrid",
     "Tolerance",
     "density_of",
+    "half_grid_error",
     "integrate",
     "likelihood",
     "log_marginal",
@@ -156,8 +157,9 @@ def _summed(at: ChoiceNodes, tolerance: Tolerance) -> tuple[PosteriorGrid, Array
     top = joint.max()
     log_evidence = float(np.log(np.exp(joint - top).sum()) + top + log_cell)
     lines = np.array([half_grid_error_by_line(joint, i) for i in range(joint.ndim)])
-    wholes = np.array([half_grid_error(log_marginal(joint, i)) for i in range(joint.ndim)])
-    steep = np.array([_steepest(log_marginal(joint, i)) for i in range(joint.ndim)])
+    marginals = [log_marginal(joint, i) for i in range(joint.ndim)]
+    wholes = np.array([half_grid_error(np.exp(m)) for m in marginals])
+    steep = np.array([_steepest(m) for m in marginals])
     steep[-2:] = 0.0  # a lapse's axis ends where its prior does, steep or not
     bias_error = lost / max(total, 1e-300) / len(at.groups)
     error = max(lines.max(), bias_error)
@@ -211,11 +213,10 @@ def log_marginal(joint: Array, axis: int) -> Array:
         return np.asarray(np.log(density / density.max()))
 
 
-def half_grid_error(log_density: Array) -> float:
+def half_grid_error(density: Array) -> float:
     """How far the evidence moves when every other node is left out."""
-    if log_density.size == 1:
+    if density.size == 1:
         return 0.0
-    density = np.exp(log_density)
     return float(abs(np.log(max(2 * density[::2].sum() / density.sum(), 1e-300))))
 
 
