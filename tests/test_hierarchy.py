@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -540,6 +541,9 @@ def test_reading_off_a_fit_and_its_draws_for_arviz() -> None:
         assert low == pytest.approx(summary.loc[name, "lower"], abs=0.08 * summary.loc[name, "sd"])
         assert high == pytest.approx(summary.loc[name, "upper"], abs=0.2 * summary.loc[name, "sd"])
     assert json.loads(fit.to_json())["population"]["spread"]["median"] > 0
+    assert fit.population is not None
+    cut_off = replace(fit, population=replace(fit.population, error=np.inf))
+    assert json.loads(cut_off.to_json())["error"] is None
     with pytest.raises(ValueError, match="did you mean 'spread'"):
         fit.interval(parameter="sprad")
     with pytest.raises(ValueError, match="mass must lie between 0 and 1, got 1"):

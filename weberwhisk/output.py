@@ -139,25 +139,29 @@ def locked(path: Path, seconds: float = -1.0) -> Iterator[None]:
 def to_json(value: Any) -> str:
     """Strict JSON of results: arrays, NumPy scalars, paths and outcomes included.
 
-    NaN and infinities, which JSON lacks, become null; members of an enumeration become their names
+    See `plain`.
+    """
+    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """A result as JSON can hold it: numbers, text, lists and dictionaries.
+
+    NaN and infinities, which JSON lacks, become None; members of an enumeration become their names
     in lower case. A TypeError for anything that has no plain form.
     """
-    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
     if isinstance(value, Enum):
         return value.name.lower()
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if value is None or isinstance(value, str | int | float):
         return None if value in (np.inf, -np.inf) or value != value else value
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     raise TypeError(f"{type(value).__name__} has no JSON form; turn it into numbers and text.")
 
 

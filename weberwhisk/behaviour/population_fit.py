@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from .._deprecated import renamed_arguments
 from .._values import Shown, interval_text
+from ..output import plain
 from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report
@@ -184,18 +185,19 @@ class PopulationFit(Shown):
 
     def to_dict(self) -> dict[str, object]:
         """Everything a reader needs to use the fit, ready for JSON."""
-        none = self.population is None
-        return {
+        none, sessions = self.population is None, self.sessions
+        described = {
             "status": self.status.name,
             "message": self.status.value,
-            "notes": list(self.notes),
+            "notes": self.notes,
             "population": {} if none else self.summary().to_dict(orient="index"),
-            "subjects": report.rows_for_json(self.subjects),
-            "sessions": None if self.sessions is None else report.rows_for_json(self.sessions),
-            "log_evidence": None if none else self.log_evidence,
+            "subjects": self.subjects.to_dict("records"),
+            "sessions": None if sessions is None else sessions.to_dict("records"),
+            "log_evidence": self.log_evidence,
             "error": None if self.population is None else self.population.error,
             "seed": self.seed,
         }
+        return dict(plain(described))
 
     def to_json(self) -> str:
         """`to_dict()` as JSON."""

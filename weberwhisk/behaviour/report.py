@@ -13,6 +13,7 @@ from .. import __version__
 from .._values import interval_text
 from ..contacts.rows import methods_of
 from ..coordinates import in_words
+from ..output import plain
 from ..posterior.arviz_io import ArvizData
 from ..posterior.arviz_io import to_arviz as convert
 from ..receptors import Weber
@@ -234,7 +235,7 @@ def to_arviz(fit: WeberFit, seed: int = 0) -> ArvizData:
 def as_dict(fit: WeberFit) -> dict[str, object]:
     """Everything a reader needs to use or repeat a fit, ready for JSON."""
     low, high = fit.interval()
-    return {
+    described = {
         "weber_fraction": fit.weber_fraction,
         "lower": low,
         "upper": high,
@@ -244,10 +245,10 @@ def as_dict(fit: WeberFit) -> dict[str, object]:
         "message": fit.status.message,
         "notes": list(fit.notes),
         "parameters": fit.summary().to_dict(orient="index"),
-        "thresholds": rows_for_json(fit.threshold()),
-        "lapse_sensitivity": rows_for_json(fit.lapse_sensitivity),
+        "thresholds": fit.threshold().to_dict("records"),
+        "lapse_sensitivity": fit.lapse_sensitivity.to_dict("records"),
         "log_evidence": fit.log_evidence,
-        "error": fit.posterior.error if np.isfinite(fit.posterior.error) else None,
+        "error": fit.posterior.error,
         "misfit": fit.misfit,
         "data": {
             "source": fit.trials.source,
@@ -265,14 +266,7 @@ def as_dict(fit: WeberFit) -> dict[str, object]:
             "encoding": type(fit.encoding).__name__,
         },
     }
-
-
-def rows_for_json(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table; what is lacking or infinite is None, which JSON can hold."""
-    return [
-        {str(k): None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
-        for row in table.to_dict("records")
-    ]
+    return dict(plain(described))
 
 
 def population_report(fit: PopulationFit) -> str:

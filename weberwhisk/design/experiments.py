@@ -24,6 +24,7 @@ from scipy.stats import beta as beta_distribution
 
 from ..behaviour.integrate import likelihood, marginal
 from ..behaviour.integrate.batch import (
+    LapseNodes,
     Likelihood,
     batch_steps,
     carried_on,
@@ -32,7 +33,7 @@ from ..behaviour.integrate.batch import (
 )
 from ..behaviour.integrate.blocks import NOTHING
 from ..behaviour.integrate.windows import Steps
-from ..behaviour.lapses import AS_BELIEVED, BiasScales, score_prior, with_tail
+from ..behaviour.lapses import AS_BELIEVED, BiasScales, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors, Priors
 from ..threads import one_blas_thread
@@ -286,7 +287,8 @@ def _bias_scales(
         return np.ones((1, 1), dtype=np.float32), np.zeros(1)
     top = values.max(axis=(0, 2, 3), keepdims=True)
     # Every animal's k is its own.
-    log_likelihood = np.log(np.exp(values - top).sum(axis=2) @ usual + LEAST)  # (S, A)
+    like = np.exp(values - top).sum(axis=2) @ usual
+    log_likelihood = np.log(np.maximum(like, LEAST))  # (S, A)
 
     def log_density(at: Array) -> Array:
         """Prior density of asinh(scale / unit)."""
@@ -349,49 +351,17 @@ def _lapses(
     `means`, in scores, and `spreads` are where populations are looked for, with so many
     Gauss–Legendre nodes of the logarithm of the spread.
     """
-    names, axes = model.lead[-2:], (found.low, found.high)
-    free = [axis.size > 1 for axis in axes]
-    if not any(free):
+    if found.low.size == found.high.size == 1:
         return np.ones((1, 1, 1), dtype=np.float32), np.zeros(1)
-    parts = [_between(model, name, axis) for name, axis in zip(names, axes, strict=True)]
     step = min(0.75 / np.sqrt(animals), 0.35)
     mean = np.arange(means[0], means[1] + step, step)
     log_spread, weight = _legendre(float(np.log(spreads[0])), float(np.log(spreads[1])), count)
     prior = PRIORS.lapse_mean.logpdf(mean)[:, None] + np.log(step)
     prior = prior + PRIORS.lapse_spread.logpdf(np.exp(log_spread)) + log_spread + np.log(weight)
-    rho = model.priors.lapse_correlation if all(free) else 0.0
-    columns = []
-    for spread in np.exp(log_spread):
-        u, v = (
-            (score[:, None] - mean) / spread if is_free else np.zeros((1, mean.size))
-            for (score, _, _), is_free in zip(parts, free, strict=True)
-        )
-        square = u[:, None] ** 2 + v[None] ** 2 - 2 * rho * u[:, None] * v[None]
-        density = np.exp(-0.5 * square / (1 - rho**2)) / np.sqrt(1 - rho**2)
-        scale = (spread * np.sqrt(2 * np.pi)) ** sum(free)
-        density *= parts[0][1][:, None, None] * parts[1][1][:, None] / scale
-        columns.append(
-            np.einsum("li,hj,lhm->ijm", parts[0][2], parts[1][2], density, optimize=True)
-        )
+    nodes = LapseNodes.between(model, found.low, found.high, finer=4, lowest=-4.5)
+    columns = [nodes.weights(mean, spread) for spread in np.exp(log_spread)]
     weights = np.stack(columns, axis=-1).reshape(found.low.size, found.high.size, -1)
-    lo, hi = (model.at(n, a) for n, a in zip(names, axes, strict=True))
-    lost = np.add(*model.lapses(lo[:, None], hi[None]))
-    weights[np.broadcast_to(lost >= 1, (lo.size, hi.size))] = 0.0
     return weights.astype(np.float32), prior.ravel()
-
-
-def _between(
-    model: WeberModel, name: str, axis: Array, finer: int = 4
-) -> tuple[Array, Array, Array]:
-    """Fine scores (F,), their width, and what each takes of every node, (F, N)."""
-    if axis.size == 1:
-        return np.zeros(1), np.ones(1), np.ones((1, 1))
-    transform = model.transforms[model.lead.index(name)]
-    step = (axis[1] - axis[0]) / finer
-    fine = np.arange(with_tail(model, name, axis)[0], axis[-1] + 0.5 * step, step)
-    # Below the first node, where there is none, the likelihood is that of none.
-    share = np.stack([np.interp(fine, axis, one) for one in np.eye(axis.size)], axis=1)
-    return transform.score(fine), transform.slope(fine) * step, share
 
 
 def _fractions(
