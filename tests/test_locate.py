@@ -97,6 +97,15 @@ def test_ridges_of_precise_readings_and_an_unknown_stiffness_are_whole() -> None
         assert found.loc[i, "sd_mm"] == pytest.approx(spread, rel=0.02), i
 
 
+def test_no_part_of_a_long_posterior_is_left_out_at_the_first_spacing() -> None:
+    noise, forces = ww.receptors.Weber(0.3), ["moment", "axial_force", "transverse_force"]
+    y = np.array([[8.54581789e-08, 1.85481110e-06, 2.47848520e-06]])
+    found = ww.locate(pd.DataFrame(y, columns=forces), KNOWN, noise=noise)
+    p = ww.posterior(ww.Observer(KNOWN, ww.cues.ForceMap(forces), noise), y)
+    assert abs(found["radial_distance_mm"][0] - 1e3 * p.mean[0]) < 0.02e3 * p.sd[0]
+    assert found["sd_mm"][0] == pytest.approx(1e3 * p.sd[0], rel=0.01)
+
+
 def test_own_names_units_signs_and_index() -> None:
     b = ww.press(KNOWN, [10e-3, 20e-3, 25e-3], [0.2, 0.3, 0.2])
     plain = pd.DataFrame({"moment": b.moment, "axial_force": b.axial_force})

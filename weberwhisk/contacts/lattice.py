@@ -407,10 +407,12 @@ class Lattice:
         y = own.value.reshape(len(own.value), *(1,) * (signals.ndim - 2), s)
         off = y - self.observer.noise.mean(signals)
         (off, along, *steps), log_sd = self._whitened(own, signals, off, signals, *change)
-        # Across half a cell each way, and a little more for curvature.
+        # Across half a cell each way, and more for curvature, which large cells have most of: with
+        # 0.36 there, a part of one posterior in 76 at k = 0.3 was left out, 0.07 sd.
+        blur = 1.0 if level.depth < 2 else 0.36
         product: Any = 1.0
         for i in range(s):
-            spread = 1 + 0.36 * sum(np.abs(step[i]) for step in steps) ** 2
+            spread = 1 + blur * sum(np.abs(step[i]) for step in steps) ** 2
             log = log - 0.5 * off[i] ** 2 / spread
             product = product * spread
         log = log - 0.5 * np.log(product) - log_sd
@@ -418,7 +420,7 @@ class Lattice:
             along = [v * soft for v, soft in zip(along, self.soft, strict=True)]
             size = sum(v**2 for v in along) + self.log_sd**-2
             turns = [sum(a * b for a, b in zip(step, along, strict=True)) / size for step in steps]
-            spread = self.log_sd**2 + 0.36 * sum(np.abs(turn) for turn in turns) ** 2
+            spread = self.log_sd**2 + blur * sum(np.abs(turn) for turn in turns) ** 2
             log = log - 0.5 * (log_e - self.log_median) ** 2 / spread
         log = log.reshape(-1)
         depth = log - np.repeat(np.maximum.reduceat(log, first), counts)
