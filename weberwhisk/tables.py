@@ -138,13 +138,14 @@ def _bpod_trials(path: Path) -> pd.DataFrame:
         raise ValueError("it has no SessionData of Bpod")
     count = int(found["SessionData"].pop("nTrials"))
     fields = {name: np.atleast_1d(v) for name, v in found["SessionData"].items()}
-    return pd.DataFrame(
-        {
-            name: v[:count]  # lists made before the session may be longer than it was
-            for name, v in fields.items()
-            if v.ndim == 1 and v.size >= count and v.dtype.kind in "fiub"
-        }
-    )
+    table = {
+        name: v[:count]  # lists made before the session may be longer than it was
+        for name, v in fields.items()
+        if v.ndim == 1 and v.size >= count and v.dtype.kind in "fiub"
+    }
+    # MATLAB's numbers are floats, subject 1 too.
+    whole = {name for name, v in table.items() if np.all(v == np.floor(v))}
+    return pd.DataFrame({n: v.astype(int) if n in whole else v for n, v in table.items()})
 
 
 def _holds_many(value: Any) -> bool:
