@@ -11,7 +11,8 @@ this friction angle the object cannot move the contact at all.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,9 +85,9 @@ class Branch:
 
     def take(self, index: NDArray[np.intp]) -> Branch:
         """The branches at `index`."""
-        values = (self.r, self.friction, self.start, self.compliance, self.unit)
-        r, friction, start, compliance, unit = (v[index] for v in values)
-        return Branch(self.rows.take(index), r, friction, start, compliance, unit, self.tolerance)
+        own = vars(self).items()
+        some: dict[str, Any] = {k: v[index] for k, v in own if isinstance(v, np.ndarray)}
+        return replace(self, rows=self.rows.take(index), **some)
 
     def contact(self, v: Array) -> tuple[Array, Array]:
         """Contact arc and force at the points v (2, n)."""

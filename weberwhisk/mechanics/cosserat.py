@@ -5,7 +5,8 @@ In units of the whisker's length, base radius and base stiffness; the equations 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,10 +39,8 @@ class Base:
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Base:
         """The rods at `index`."""
-        d1, d2, d3, lever, force = (
-            vector[:, index] for vector in (self.d1, self.d2, self.d3, self.lever, self.force)
-        )
-        return Base(d1, d2, d3, lever, force, self.error[index], self.steps)
+        some: dict[str, Any] = {k: v[..., index] for k, v in vars(self).items() if k != "steps"}
+        return replace(self, **some)
 
     def seen(self, vector: Array) -> Array:
         """A vector of the contact's frame in the base frame, (3, n)."""
@@ -109,30 +108,16 @@ class RodScenes:
         return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
 
     def take(self, index: NDArray[np.intp]) -> RodScenes:
-        values = (self.length, self.force, self.friction, self.plane)
-        length, force, friction, plane = (a[index] for a in values)
-        return RodScenes(
-            self.rows.take(index),
-            (index.size,),
-            length,
-            force,
-            friction,
-            plane,
-            self.twist,
-            self.whisker,
-        )
+        own = vars(self).items()
+        some: dict[str, Any] = {k: v[index] for k, v in own if isinstance(v, np.ndarray)}
+        return replace(self, rows=self.rows.take(index), shape=(index.size,), **some)
 
     def follow(self, v: Array, steps: int) -> Base:
         """The rods at v = (arc, force along d₁, along d₂), in `steps` steps a piece."""
         n = v.shape[1]
         size = np.hypot(v[1], v[2])
-        force = np.stack(
-            [
-                v[1] * np.cos(self.friction),
-                v[2] * np.cos(self.friction),
-                -size * np.sin(self.friction),
-            ]
-        )
+        cosine, sine = np.cos(self.friction), np.sin(self.friction)
+        force = np.stack([v[1] * cosine, v[2] * cosine, -size * sine])
         tilt = -np.sin(self.plane), np.cos(self.plane)
         state = np.zeros((12, n))
         state[0] = state[4] = state[8] = 1.0

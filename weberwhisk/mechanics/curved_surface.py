@@ -33,8 +33,6 @@ from .shape import Profile, Spiral
 
 #: Axial force positive in compression, forces along y and z; torsion, moments about y and z.
 SIX = ("axial_force", "force_y", "force_z", "torsion", "moment_y", "moment_z")
-#: Nodes along each axis of what is uncertain.
-UNCERTAIN = 7
 
 
 class _Places(NamedTuple):
@@ -301,7 +299,7 @@ class PlanarSurface(CurvedSurface):
                 f"Observers take whiskers that turn by up to 2 rad from base to tip, "
                 f"got {turn:.3g}; give a smaller curvature."
             )
-        axes = [UNCERTAIN if high > low else 1 for low, high in self._ends]
+        axes = [7 if high > low else 1 for low, high in self._ends]
         try:
             self._made((*axes, 24, 14), (*axes, 32, 16))
         except NotFound:

@@ -303,12 +303,7 @@ class ForwardModel(Value):
             return signals, np.asarray(bare.outcome, dtype=np.int8)
         whisker = self.whisker
         if np.any(self.offset):
-            bent: Any = self._law(self.offset)
-            whisker = (
-                replace(whisker, curvature=bent.base)
-                if isinstance(whisker, Whisker)
-                else whisker.curved(bent)
-            )
+            whisker = Profile.of(whisker).curved(self._law(self.offset))
         theta = np.asarray(theta, dtype=float)
         if np.any(getattr(whisker, "curvature", 1.0)):
             from .profile import rest_angle

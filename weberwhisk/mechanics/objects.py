@@ -250,11 +250,6 @@ def _advance(
     return touch, v, sign, now, last, Outcome.FLICKED_PAST
 
 
-#: Relative step of the differences in (wall); contacts of the tip in its table, and how far they
-#: are, in θ_d, from slipping off.
-STEP, NODES, INSIDE = 1e-5, 401, 1e-6
-
-
 def contact_angle(forward: Any, r: Array, theta: Array) -> Array:
     """φ (...) from the direction of the force, which friction tilts; NaN of what is not held.
 
@@ -283,14 +278,14 @@ def slope(forward: Any, r: Array, theta: Array) -> Array:
     return np.asarray(np.tan(contact_angle(forward, inside, theta) - theta) / inside)
 
 
-def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
+def rate_on_wall(forward: Any, r: Array, theta: Array, step: float = 1e-5) -> Array:
     """dr/dρ (n,) of contacts with a wall, m per rad: (wall); 0 of contacts that are not held."""
     r = np.clip(r, 1e-3 * forward.length, forward.reach)
     # On this side of the largest angles and of the tip.
-    inwards = r * (1 - STEP)
+    inwards = r * (1 - step)
     rest, beside = forward.rest(r), forward.rest(inwards)
     push = np.maximum(theta - rest, 1e-6 + 2 * np.abs(rest - beside))
-    theta, less = rest + push, rest + push * (1 - STEP)
+    theta, less = rest + push, rest + push * (1 - step)
     here, there, before = contact_angle(
         forward, np.stack([r, inwards, r]), np.stack([theta, theta, less])
     )
@@ -300,16 +295,20 @@ def rate_on_wall(forward: Any, r: Array, theta: Array) -> Array:
     return np.where(np.isfinite(rate), rate, 0.0)
 
 
-def tip_contacts(forward: Any) -> tuple[Array, Array, Array]:
+def tip_contacts(
+    forward: Any, count: int = 401, inside: float = 1e-6
+) -> tuple[Array, Array, Array]:
     """r, θ_d and β (n,) along the contacts of the tip, from the whisker at rest on.
+
+    Up to a share `inside` of the push before it slips off.
 
     A wall at the angle β from the line base → tip at first contact is met by the tip until the
     whisker is bent as much there; by the flank from then on.
     """
     reach = forward.reach * (1 - 1e-15)
-    r = reach * (1 - np.linspace(0.0, 1.0, NODES)[:-1] ** 2)
-    push = np.nan_to_num(forward.limit(r)) * (1 - INSIDE)
-    tip = forward.signals(r, push * (1 + 2 * INSIDE))[1] == Outcome.SLIPPED_OFF_TIP
+    r = reach * (1 - np.linspace(0.0, 1.0, count)[:-1] ** 2)
+    push = np.nan_to_num(forward.limit(r)) * (1 - inside)
+    tip = forward.signals(r, push * (1 + 2 * inside))[1] == Outcome.SLIPPED_OFF_TIP
     tip[0] = True
     r, push = r[tip], push[tip]
     push[0] = 0.0
