@@ -227,7 +227,7 @@ def test_what_is_no_observer_is_named(call):
         call("C2", [1.0])
 
 
-CURVED = Whisker(50e-3, 100e-6, 5e-6, curvature=20.0)
+CURVED, CONE = Whisker(50e-3, 100e-6, 5e-6, curvature=20.0), Whisker(50e-3, 100e-6, 0.0)
 RECEPTOR_AND_CUE_MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: cues.VibrissaLength().radial_distance(WHISKER, [1, 0, 1]), "must have 2 numbers"),
     (lambda: cues.VibrissaLength().radial_distance(WHISKER, 1.0), "must have 2 numbers"),
@@ -248,7 +248,7 @@ RECEPTOR_AND_CUE_MISUSES: list[tuple[Callable[[], object], str]] = [
     (lambda: GeneralisedWeber(0.1, floor=0.0, ceiling=[np.nan, 1.0]), "ceiling must be finite"),
     (lambda: GeneralisedWeber(0.1, floor=0.0, ceiling=["a", 1.0]), "ceiling must be a number"),
     (
-        lambda: cues.UnknownCurvature(cues.ForceMap(), 2.0).signals(WHISKER, [[0.03, 0.2, 0]]),
+        lambda: cues.UnknownCurvature(cues.ForceMap(), 2.0).signals(CONE, [[0.03, 0.2, 0]]),
         "give less spread to the curvature, whose 7 sd are -14 to 14 1/m more",
     ),
 ]  # fmt: skip
