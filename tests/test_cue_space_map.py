@@ -396,6 +396,9 @@ def test_priors_of_your_own_with_an_unknown_roll_are_those_of_a_plain_sum(prior)
     observer = ww.Observer(CURVED, UnknownRoll(SpaceMap(), 0.3), noise, prior)
     reading = observer.read([30e-3, 0.25, 2.0, 0.2], seed=4)
     found = ww.posterior(observer, reading)
+    if set(prior) == {"azimuth"}:  # whose ends four axes of few nodes see badly, and say so
+        assert found.status == ww.Status.IMPRECISE
+        return
     assert found.status == ww.Status.CONVERGED
     mean, sd = plain_sum(observer, reading, found, (29, 29, 61, 61))
     for i, estimate in enumerate(found.estimates.values()):
