@@ -53,8 +53,8 @@ def _taken(values: Array, rows: Any) -> Array:
     return np.asarray(values.T[..., rows].T)
 
 
-class Cells(NamedTuple):
-    """Cells from which some rows may come, of one spacing: (P,) in all, row after row.
+class LatticeCells(NamedTuple):
+    """LatticeCells from which some rows may come, of one spacing: (P,) in all, row after row.
 
     Rows (n,), where the cells of each begin, steps (U,) in x, whether each row's are as fine as
     they should be; of each cell its row's number among the n, its place along the distance, its
@@ -291,7 +291,7 @@ class Lattice:
     def search(
         self, readings: Readings, drop: Array, within: tuple[float, float] | None = None,
         most: int = 60_000, widest: float = 1.9,
-    ) -> Iterator[Cells]:  # fmt: skip
+    ) -> Iterator[LatticeCells]:  # fmt: skip
         """For each of n readings, the cells from which it may come, rows of one spacing together.
 
         Left out are those whose ln of the density is `drop` (n,) below the best, and distances that
@@ -354,7 +354,7 @@ class Lattice:
     def _found(
         self, readings: Readings, level: _Level, row: Index, cell: Index, drop: Array,
         precise: NDArray[np.bool_],
-    ) -> Cells:  # fmt: skip
+    ) -> LatticeCells:  # fmt: skip
         """Cells (P,) of rows (P,) with their densities, but those that are `drop` below."""
         u, s = self.unknowns, self.size
         data = level.data[: 2 * u + s + 1, cell]
@@ -372,7 +372,7 @@ class Lattice:
         first = np.flatnonzero(np.diff(row, prepend=-1))
         rows = row[first]
         owner = np.repeat(np.arange(len(rows)), np.diff(first, append=len(row)))
-        return Cells(
+        return LatticeCells(
             rows, first, level.step, precise[rows], owner, data[0].astype(np.intp),
             data[u : 2 * u].T, data[2 * u : -1].T, data[-1], log,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ..coordinates import constrain_distance
 from ..observer import Observer
-from .lattice import Array, Cells, Index, Lattice, Readings
+from .lattice import Array, Index, Lattice, LatticeCells, Readings
 
 
 def distances(observer: Observer, x: Array) -> Array:
@@ -70,7 +70,7 @@ class Summary(NamedTuple):
 
 
 def summarise(
-    lattice: Lattice, found: Cells, groups: Sequence[Index], readings: Readings, mass: float
+    lattice: Lattice, found: LatticeCells, groups: Sequence[Index], readings: Readings, mass: float
 ) -> Summary:
     """Sums over the cells of each row, for all rows of its group, group after group."""
     sizes = np.array([len(groups[i]) for i in found.rows])
@@ -222,7 +222,7 @@ def touch_posterior(
 
 
 def _row(
-    lattice: Lattice, found: Cells, i: int, readings: Readings, x: Array, log_e: Array
+    lattice: Lattice, found: LatticeCells, i: int, readings: Readings, x: Array, log_e: Array
 ) -> Array | None:
     """ln p(r) ∫ p(y | r, θ, E) p(θ | r, span) dθ of the ith of the rows found, (J, E, spans)."""
     own = slice(found.first[i], found.first[i + 1] if i + 1 < len(found.first) else None)
