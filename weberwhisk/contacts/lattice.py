@@ -54,7 +54,7 @@ def _taken(values: Array, rows: Any) -> Array:
 
 
 class LatticeCells(NamedTuple):
-    """LatticeCells from which some rows may come, of one spacing: (P,) in all, row after row.
+    """Cells from which some rows may come, of one spacing: (P,) in all, row after row.
 
     Rows (n,), where the cells of each begin, steps (U,) in x, whether each row's are as fine as
     they should be; of each cell its row's number among the n, its place along the distance, its
