@@ -143,8 +143,8 @@ def signals_of(
             cue = UnknownStiffness(cue)
             notes.append(
                 "Young's modulus is the default, and so taken as unknown: 3.34 GPa with an sd of "
-                "ln 0.42; if it was measured, give it (--youngs-modulus-gpa) or write "
-                "known_stiffness=True."
+                "ln 0.42; if it was measured, write known_stiffness=True or, on the command line, "
+                "--youngs-modulus-gpa."
             )
     names = {"measured_angle": "deflection_angle"}
     wanted = [names.get(name, name) for name in cue.signal_names]
