@@ -7,6 +7,8 @@ the whole family between the paper's two limits.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -21,6 +23,7 @@ from .cues import (
     ContactAndDetachment,
     Cue,
     ForceMap,
+    Friction,
     Fused,
     LateralSlip,
     TwoWhiskers,
@@ -34,10 +37,11 @@ from .jnd_curves import jnd_curve
 from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.ladder import flick_past, press
+from .model_bias import of_shape_at_rest
 from .observer import Observer
 from .posterior import Status, posterior
 from .receptors import Weber
-from .whisker import Whisker
+from .whisker import Whisker, identities
 
 Array = NDArray[np.float64]
 
@@ -117,6 +121,41 @@ def curves(
         table.insert(0, "cue", name)
         tables.append(table.assign(place=r / whisker.length))
     return pd.concat(tables, ignore_index=True)
+
+
+def curvatures(
+    points: int, draws: int, *, whisker: Whisker = WHISKER, seed: int = SEED
+) -> pd.DataFrame:
+    """JNDs of moment and axial force for observers that know a whisker's curvature and friction.
+
+    Touched on the concave side, straight and on the convex side: curvatures of −1, 0 and 1 over the
+    length; and straight, sliding inwards with a friction angle of −5°. ``model`` is the one each
+    observer chose.
+    """
+    r, tables = np.linspace(0.05, 0.95, points) * whisker.length, []
+    scenes = (("concave", -1, 0), ("straight", 0, 0), ("convex", 1, 0), ("rubbing", 0, -5))
+    for name, turn, degrees in scenes:
+        curved = replace(whisker, curvature=turn / whisker.length)
+        cue = Friction(ForceMap(), np.radians(degrees)) if degrees else ForceMap()
+        made = Observer(curved, cue, Weber(K))
+        table = jnd_curve(made, r, ANGLE, n_readings=draws, seed=seed).table.reset_index()
+        table = table.assign(curvature_per_m=curved.curvature, friction_angle_deg=degrees)
+        table = table.assign(whisker=name, model=str(made.model), place=r / whisker.length)
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
+
+
+def taken_as_straight(rows: str = "ABCDE") -> pd.DataFrame:
+    """How far a straight model of each of the rat's whiskers moves the distance, in JNDs.
+
+    ``bias_jnd`` is what `Observer.note` says: the most of 16 contacts, by moment and axial force.
+    """
+    found = []
+    for name in (name for name in identities() if name[0] in rows):
+        straight = Observer(Whisker.from_identity(name), ForceMap(), Weber(K))
+        bow = Whisker.from_identity(name, curved=True).curvature
+        found.append((name, bow, of_shape_at_rest(straight)))
+    return pd.DataFrame(found, columns=["identity", "curvature_per_m", "bias_jnd"])
 
 
 #: What may fail otherwise than at an edge of the reach: by chance, or altogether.

@@ -136,6 +136,15 @@ def jnd_surface(asked: Asked) -> Made:
     return _made("jnd-surface", table, drawn)
 
 
+def curvature(asked: Asked) -> Made:
+    """JND of curved and rubbing whiskers, and what taking the rat's as straight costs"""
+    how: Any = {"whisker": asked.whisker, "seed": asked.seed}
+    jnds = surveys.curvatures(5 if asked.short else 13, min(asked.readings(), 12), **how)
+    biases = surveys.taken_as_straight("C" if asked.short else "ABCDE")
+    drawn = ww.figures.curvature(jnds, biases)
+    return Made({"curvature": jnds, "curvature-ignored": biases}, drawn)
+
+
 def along_push(asked: Asked) -> Made:
     """JND of distance against push, for pegs, cylinders and a wall: it depends on slip (§3c)"""
     push = np.radians(np.arange(2.0, 31.0, 7.0 if asked.short else 0.5))
@@ -238,7 +247,7 @@ CHARTS: dict[str, Callable[[Asked], Made]] = {
     make.__name__.replace("_", "-"): make
     for make in (
         cues, outcomes, best_cue, ridge, information, figure_4a, figure_4b, jnd_surface, weber_2d,
-        along_push, lateral_sweep, touches, jnd_limits, reversal, whisking_speed,
+        curvature, along_push, lateral_sweep, touches, jnd_limits, reversal, whisking_speed,
         array_resolution, array_counts,
     )
 }  # fmt: skip

@@ -21,6 +21,8 @@ from .style import (
     errors,
     legend_above,
     legend_over,
+    log_numbers,
+    look,
     mark,
     new_figure,
     styled,
@@ -119,6 +121,39 @@ def _where_it_works(
         ax.text(x, height - 0.16, ", ".join(words), fontsize=SMALL, color="0.3", va="top", ha=ha)
 
 
+@styled
+def curvature(jnds: pd.DataFrame, biases: pd.DataFrame) -> Figure:
+    """JNDs of curved and rubbing whiskers, and the bias of taking the rat's as straight.
+
+    Parameters
+    ----------
+    jnds : DataFrame
+        From `surveys.curvatures`; of posteriors, with 95 % Monte Carlo errors.
+    biases : DataFrame
+        From `surveys.taken_as_straight`.
+    """
+    figure = new_figure(DOUBLE, 3.4)
+    left, right = figure.subplots(1, 2)
+    for i, (name, rows) in enumerate(jnds.groupby("whisker", sort=False)):
+        jnd, error = rows["posterior_mm"], rows["posterior_error_mm"]
+        bow, friction, model = rows.iloc[0][["curvature_per_m", "friction_angle_deg", "model"]]
+        of = f", {bow:+.3g} /m" if bow else f", ψ = {friction:+g}°" if friction else ""
+        label = f"{name}{of}: {model}".replace("-", "−")
+        errors(left, rows["place"], jnd, error, i, **look(i), label=label)
+    left.set(xlabel="Radial distance r/L", ylabel="JND (mm), d'=1", xlim=(0, 1))
+    left.set_ylim(bottom=0)
+    legend_above(left)
+    for i, (row, rows) in enumerate(biases.groupby(biases["identity"].str[0])):
+        arc = rows["identity"].str[1:].astype(int)
+        right.plot(arc, rows["bias_jnd"], **mark(i) | look(i), label=f"row {row}")
+    for i, (level, text) in enumerate(((1.0, "said in note"), (0.1, "allowed: a tenth"))):
+        right.axhline(level, color="0.4", linestyle=LINES[i], linewidth=0.8, label=text)
+    right.set(xlabel="Arc (0: α to δ)", ylabel="moved by a straight model (JND)", yscale="log")
+    log_numbers(right.yaxis)
+    legend_above(right, 3)
+    return figure
+
+
 def _outcome_looks() -> dict[str, dict[str, Any]]:
     """A colour and hatch for every outcome there is, whichever a chart happens to show."""
     names = [outcome.message.split(":")[0] for outcome in Outcome]
@@ -157,10 +192,10 @@ def cue_outcomes(table: pd.DataFrame) -> Figure:
             ax.fill_between(place, below, below + share, step="mid", **looks[str(name)])
             below = below + share
         ax.set(title=cue, xlim=(place[0], place[-1]), ylim=(0, 1))
-    for name, look in looks.items():
+    for name, fill in looks.items():
         if (table["outcome"] == name).any():
             label = "distance found" if name == _WORKS else name
-            axes[0].fill_between([], [], label=label, **look)
+            axes[0].fill_between([], [], label=label, **fill)
     legend_over(figure, axes[:1], 5)
     figure.supxlabel("Radial distance r/L")
     figure.supylabel("share of readings")
