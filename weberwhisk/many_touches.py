@@ -148,7 +148,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         contact, far = grid.best_contacts(y, rows[top])
         # A distance that all touches allow is for none of them worse by 8 sd than its own best.
         far |= len(y) > 1 and bool((best - each[:, top] > 32.0).any())
-    status = Status.IMPROBABLE_READING if far else grid.status
+    coarse = grid.coarse[rows[log > log.max() - 20.0]].any()  # below lies no mass to speak of
+    status = Status.IMPRECISE if coarse else Status.CONVERGED
+    if far:
+        status = Status.IMPROBABLE_READING
     if len(rows) < 4 or log[top] == -np.inf:
         # Hundreds of touches say more than the rows of the grid can tell.
         lost = status if far else Status.IMPRECISE
@@ -210,7 +213,7 @@ class _Grid:
         rate = np.clip(np.exp(log_rate) / np.maximum(jnd, 1e-12) / self.ALONG, 4.0, 400.0)
         rise = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(ends)))
         self.x = np.interp(np.linspace(0, rise[-1], int(rise[-1]) + 2), rise, ends)
-        self.status, y, log_step = Status.CONVERGED, np.zeros((1, 1)), np.zeros((1, 1))
+        self.coarse, y, log_step = np.zeros(len(self.x), bool), np.zeros((1, 1)), np.zeros((1, 1))
         if observer.bounded > 1:
             y, log_step = self._across()
         r, log_rate = _distances(observer, self.x)
@@ -233,7 +236,8 @@ class _Grid:
         whole = np.logaddexp.reduce(weight, axis=1, keepdims=True)
         self.weight = weight - np.where(np.isfinite(whole), whole, 0.0)
         signals = np.where(held[..., None], signals, 1.0)
-        self.signals = signals.reshape(-1, signals.shape[-1])
+        # In C's order, or each `take` would copy the whole of it first.
+        self.signals = np.ascontiguousarray(signals.reshape(-1, signals.shape[-1]))
         with np.errstate(divide="ignore"):
             self.log_held = np.log(observer.angles_held(r)) + log_rate
             self.log_prior = self.log_held
@@ -280,7 +284,7 @@ class _Grid:
         return told.reshape(*theta.shape, *told.shape[1:]), width[:, None] * np.exp(log_slope)
 
     def _across(
-        self, *, terms: int = 13, samples: int = 65, finest: float = 20.0
+        self, *, terms: int = 21, samples: int = 65, finest: float = 20.0
     ) -> tuple[Array, Array]:
         """Angles' coordinates (rows, columns) at even steps of what is told, and ln of the steps.
 
@@ -300,18 +304,21 @@ class _Grid:
             sharpest = np.sqrt(2 * np.pi) * prior.pdf(prior.ppf(np.linspace(0.02, 0.98, 49))).max()
             rate = np.hypot(rate, sharpest * unit)
         shape = np.asarray(chebyshev.chebfit(t, rate.T, terms - 1))  # (terms, rows)
-        fine = np.linspace(-1, 1, 201)
-        least = chebyshev.chebval(fine, shape).min(axis=1)
-        shape[0] += np.maximum(2.0 - least, 0.0)
+        # Jackson's factors: smoothed by a kernel that is nowhere negative, as densities must be.
+        turn = np.pi / (terms + 1)
+        n = np.arange(terms)[:, None]
+        damping = (1 - n * turn / np.pi) * np.cos(n * turn)
+        shape *= damping + np.sin(n * turn) / np.tan(turn) * turn / np.pi
+        fine = np.linspace(-1, 1, 401)
         rise = np.asarray(chebyshev.chebint(shape, lbnd=-1))
         whole = np.asarray(chebyshev.chebval(1.0, rise))
-        count = int((stop - start) / 2 * whole.max() / self.ACROSS) + 2
-        columns = min(count, self.MOST // len(self.x))
-        self.status = Status.CONVERGED if columns == count else Status.IMPRECISE
+        count = (stop - start) / 2 * whole / self.ACROSS + 2
+        columns = min(int(count.max()), self.MOST // len(self.x))
+        self.coarse = count * self.ACROSS > columns  # steps of 1 sd still sum to 5e-9
         wanted = np.linspace(0.0, 1.0, columns)
         table = chebyshev.chebval(fine, rise) / whole[:, None]
         place = np.stack([np.interp(wanted, row, fine) for row in table])
-        for _ in range(4):
+        for _ in range(2):
             miss = _series(rise, place) / whole[:, None] - wanted
             density = _series(shape, place) / whole[:, None]
             place = np.clip(place - miss / density, -1.0, 1.0)
