@@ -129,13 +129,10 @@ _renamed = renamed_names(
 class _Package(ModuleType):
     """This package, whose `posterior` is the function, and not the subpackage of that name."""
 
-    @property
-    def posterior(self) -> Any:
-        return import_module(".posterior", __name__).posterior
-
-    @posterior.setter
-    def posterior(self, subpackage: ModuleType) -> None:
-        """What importing a subpackage does to its parent, and is not wanted here."""
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Importing a subpackage sets its parent's attribute."""
+        wanted = name == "posterior" and isinstance(value, ModuleType)
+        super().__setattr__(name, value.posterior if wanted else value)
 
 
 sys.modules[__name__].__class__ = _Package

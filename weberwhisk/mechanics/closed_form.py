@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import refuse_hinge
 from ..whisker import Whisker
 from .chebyshev import Array
-from .contact import Bending, Model, Outcome, beyond_tip, by_rows
+from .contact import Bending, Model, Outcome
+from .elastica import beyond_tip, by_rows
 
 
 def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:

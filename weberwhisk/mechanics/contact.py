@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._checks import refuse_hinge
 from .._deprecated import renamed_attribute
 from .._values import Shown, member
 from ..whisker import Whisker
@@ -282,8 +280,6 @@ class Bending(Shown):
 
 #: Relative error of the signals to stay below, by default, where equations are integrated.
 TOLERANCE = 1e-9
-#: Rows solved at a time: pieces that fit the cache halve the time of large calls.
-ROWS = 8192
 #: The numbers of a `Bending`, in order.
 NUMBERS = (
     "moment", "axial_force", "transverse_force", "radial_distance", "deflection_angle",
@@ -293,51 +289,6 @@ NUMBERS = (
 
 #: A contact this close beyond the tip (relative) is rounding, not a contact beyond the tip.
 TIP_ROUNDING = 1e-12
-
-
-def beyond_tip(
-    distance: NDArray[np.float64],
-    length: NDArray[np.float64] | float,
-    fraction: NDArray[np.float64],
-) -> NDArray[np.bool_]:
-    """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back.
-
-    `fraction` is the distance over the apex distance.
-    """
-    return (distance > length * (1 + TIP_ROUNDING)) | (fraction >= 1)
-
-
-def in_pieces(solve: Callable[..., Any], *given: Array, axis: int = -1) -> Any:
-    """`solve` of flat arrays (n,), or (1,) for all, piece by piece; what it returns, joined."""
-    found = []
-    for start in range(0, max(given[0].size, 1), ROWS):
-        piece = slice(start, start + ROWS)
-        found.append(solve(*[a[piece] if a.size > 1 else a for a in given]))
-    if len(found) == 1:
-        return found[0]
-    if isinstance(found[0], tuple):
-        return tuple(np.concatenate(parts, axis=axis) for parts in zip(*found, strict=True))
-    return np.concatenate(found, axis=axis)
-
-
-def flat_with(whisker: Whisker, *arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
-    """The shape of scenes of a straight whisker; its length, taper, stiffness and they, flat."""
-    given = np.broadcast_arrays(whisker.length, whisker.taper, whisker.stiffness, *arguments)
-    flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in given]
-    return given[0].shape, flat
-
-
-def by_rows(
-    solve: Callable[..., Any], model: Model, whisker: Whisker, *arguments: ArrayLike
-) -> Bending:
-    """Broadcast a straight whisker and its contacts, solve them, and shape the result.
-
-    `solve` takes flat arrays ``(length, taper, stiffness, *arguments)`` and returns the eight
-    numbers (8, n), the outcomes (n,) and the errors (n,).
-    """
-    refuse_hinge(whisker, f"The {model.name.lower()} model")
-    shape, flat = flat_with(whisker, *arguments)
-    return bending(whisker, model, shape, *in_pieces(solve, *flat))
 
 
 def bending(

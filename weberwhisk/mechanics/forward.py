@@ -24,9 +24,9 @@ from .._values import Value
 from ..whisker import Whisker
 from . import closed_form, elastica, hinge, ladder
 from .chebyshev import Array
-from .contact import Outcome, in_pieces
+from .contact import Outcome
 from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
-from .elastica import Surface, surface_of
+from .elastica import Surface, in_pieces, surface_of
 from .shape import Law, Profile, Spiral
 
 NAMES = ("moment", "axial_force", "transverse_force")
