@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
 from .. import _checks
-from .effects.kinds import in_order
 from .likelihood import Draws, WeberModel, gather
-from .trials import STIMULI
+from .trials import STIMULI, in_order
 
 if TYPE_CHECKING:
     from .fit import WeberFit

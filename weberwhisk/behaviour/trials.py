@@ -353,3 +353,63 @@ def data_package(name: str, title: str, resources: Sequence[Mapping[str, Any]]) 
         "licenses": [{"name": "BSD-3-Clause"}],
         "resources": [dict(entry) for entry in resources],
     }
+
+
+def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
+    """Which stretch of rows of one session each row lies in."""
+    new = np.zeros(len(frame), dtype=bool)
+    for label in ("subject", "session"):
+        if label in frame:
+            new |= (frame[label] != frame[label].shift(1)).to_numpy()
+    return np.cumsum(new)
+
+
+def in_order(frame: pd.DataFrame) -> bool:
+    """Whether rows come session by session, trials rising in each, as far as columns tell."""
+    block = session_block(frame)
+    labels = frame[[label for label in ("subject", "session") if label in frame]]
+    if labels.size and block[-1] - block[0] >= len(labels.drop_duplicates()):
+        return False
+    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
+        return True
+    return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
+
+
+def after_gap(frame: pd.DataFrame) -> NDArray[np.bool_]:
+    """Where the number of a trial leaps within a session: the one before it is not in the table."""
+    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
+        return np.zeros(len(frame), dtype=bool)
+    return (frame["trial"].groupby(session_block(frame)).diff() > 1).to_numpy(bool)
+
+
+def needs_order(trials: Trials, what: str) -> None:
+    if trials.task.bias_name != "bias":
+        raise ValueError(
+            f"{what} needs to know which interval held which stimulus, got task "
+            f"{trials.task.name!r}; it goes with '2AFC' and '2IFC'."
+        )
+
+
+def needs_rows(trials: Trials, what: str) -> None:
+    if (trials.frame["n"] != 1).any():
+        raise ValueError(
+            f"{trials.source}: {what} needs a row a trial, got counts; give the trials in their "
+            "order."
+        )
+    if not in_order(trials.frame):
+        raise ValueError(
+            f"{trials.source}: {what} needs the trials in their order, got rows whose trial falls "
+            "within a session, or sessions in pieces; sort by session and trial."
+        )
+
+
+def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
+    """Sessions in order (text as it first appears in the table), and the place of each row's."""
+    if what and len(trials.sessions) < 2:
+        raise ValueError(
+            f"{trials.source}: {what} needs two sessions or more, got {len(trials.sessions)}; "
+            "give the table a column 'session'."
+        )
+    sessions = trials.frame["session"]
+    place, levels = pd.factorize(sessions, sort=pd.api.types.is_numeric_dtype(sessions))
+    return levels.tolist(), place

@@ -1,129 +1,378 @@
-"""The paper's equations and claims: what we find, the test that shows it, where a sentence ends."""
+"""The paper's claims (`data/paper_claims.toml`), and what we find of each, in computed numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+import tomllib
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import paper
+from ..along_whisk import limits
+from ..array import WhiskerArray
+from ..array_observer import ArrayObserver, array_by_count, array_resolution
+from ..cues import (
+    AngleSideAngle,
+    ComparativeLength,
+    Compliance,
+    ForceMap,
+    LateralSlip,
+    Vibration,
+    VibrissaLength,
+)
+from ..jnd import weber_propagation
+from ..mechanics import (
+    bend,
+    closed_form,
+    cylinder,
+    flick_past,
+    press,
+    signal_jacobian,
+    sweep,
+)
+from ..mechanics.muscle import MuscleCurve, moment_balance
+from ..observer import Observer
+from ..posterior import posterior
 from ..receptors import Weber
-from ..surveys import K
-from . import found
+from ..surveys import NONE, WHISKER, K
+from ..sweeping import follow
+from ..whisker import Whisker
+from . import CONE
+
+Array = NDArray[np.float64]
+
+L = float(WHISKER.length)
+CYLINDER = WHISKER.cylinder()
+SHARES = np.linspace(0.05, 0.95, 19)
+
+
+def _compliance_jnd(whisker: Whisker, share: Array) -> Array:
+    observer = Observer(whisker, Compliance(), Weber(K))
+    return weber_propagation(observer, share[:, None] * L) / (K * L)
+
+
+def _map_jnd(share: float | Array, theta: float | Array, k_moment: float, k_force: float) -> Array:
+    observer = Observer(WHISKER, ForceMap(), Weber([k_moment, k_force]))
+    contact = np.stack(np.broadcast_arrays(np.asarray(share) * L, theta), axis=-1)
+    return weber_propagation(observer, contact) / (K * L)
+
+
+def _off(found: Array, expected: Array) -> str:
+    return f"{float(np.max(np.abs(found / expected - 1))):.1e}"
+
+
+def length() -> str:
+    said = []
+    for event, name in (([1, 1], "tip"), ([1, 0], "shaft")):
+        p = posterior(Observer(WHISKER, VibrissaLength(spread=0.05)), event)
+        said.append(f"of the {name} {p.mean / L:.2f} ± {p.sd / L:.2f} L")
+    return f"of a length known to 5 %, a touch {', '.join(said)}"
+
+
+def two_lengths() -> str:
+    sure: Any = {"spread": 1e-6, "base_sd": 1e-9, "angle_sd": 1e-9, "position_sd": 0.0}
+    cue = ComparativeLength([1.2 * L], [[0.0, 1e-5]], **sure, orientation_sd=0.0)
+    low, high, _ = cue.interval(WHISKER, [0, 1])
+    behind = ComparativeLength([1.2 * L], [[-0.4 * L, 0.0]], **sure, orientation_sd=0.0)
+    near, far, _ = behind.interval(WHISKER, [1, 0])
+    return (
+        f"touched by one of 1.2 L alone it lies {low / L:.2f} to {high / L:.2f} L away; with a "
+        "base 0.4 L further back the shorter one can touch alone, from "
+        f"{near / L:.2f} to {far / L:.2f} L"
+    )
+
+
+def _array(rows: str = "CDE") -> ArrayObserver:
+    array = WhiskerArray("rat", "right").protract(np.radians(40))
+    return ArrayObserver(array.only([name for name in array.identities if name[0] in rows]))
+
+
+def more_whiskers() -> str:
+    counts = (1, 4, 20)
+    told = array_by_count(_array(), 20e-3, np.linspace(-8e-3, 8e-3, 5), counts, subsets=60, seed=1)
+    right = ", ".join(f"{share:.0%}" for share in told["correct"])
+    return f"widths that differ by 3 mm, by {', '.join(map(str, counts))} whiskers: {right} correct"
+
+
+def over_the_array() -> str:
+    table = array_resolution(_array(), np.array([10e-3, 20e-3, 30e-3]), np.array([0.0, 5e-3]))
+    first, last = table["error_mm"].min(), table["error_mm"].max()
+    return (
+        f"sd of a pole's place, by rows C to E together, at six places 10 to 30 mm to the side: "
+        f"{first:.2f} to {last:.2f} mm"
+    )
+
+
+def triangle() -> str:
+    cue, r = AngleSideAngle(0.2 * L), np.array([0.2, 0.4, 0.8]) * L
+    contact = np.stack([r, np.full(3, np.pi / 2)], axis=-1)
+    back, _ = cue.radial_distance(WHISKER, cue.signals(WHISKER, contact)[0])
+    jnds = weber_propagation(Observer(WHISKER, cue), contact) / L
+    rows = ", ".join(f"{v:.3f} L at {s / L:.1f} L" for v, s in zip(jnds, r, strict=True))
+    return (
+        f"inverted to {_off(back, r)}; with angles felt to 1° and a side of 0.2 L the JND is {rows}"
+    )
+
+
+def out_of_the_plane() -> str:
+    tilts = np.radians([20.0, 40.0, 60.0])
+    slips = weber_propagation(
+        Observer(WHISKER, LateralSlip(), Weber(K)),
+        np.stack([np.full(3, 0.5 * L), tilts], axis=-1),
+    )
+    ratio = slips / (K * L) / _compliance_jnd(WHISKER, np.array([0.5]))
+    rows = ", ".join(f"{v:.2f} at {d:.0f}°" for v, d in zip(ratio, np.degrees(tilts), strict=True))
+    return f"two moments tell distance and tilt; JND over that of a tap in the plane: {rows}"
+
+
+def lever() -> str:
+    bent = press(WHISKER, np.array([0.3, 0.9]) * L, np.radians([[1.0], [10.0]]))
+    off = bent.moment / bent.transverse_force / bent.radial_distance - 1
+    return (
+        f"M/Fy is the distance to {off[0].max():.1%} at 1°, and to {off[1, 0]:.1%} at 0.3 L and "
+        f"{off[1, 1]:.0%} at 0.9 L at 10°; with Fx too it is exact, of a cylinder as well"
+    )
+
+
+def followed() -> str:
+    push, body = np.radians(np.linspace(2, 40, 20)), cylinder(0.6 * L, -20e-3, 20e-3)
+    first = sweep(WHISKER, body, np.radians([-1.0, 30.0])).first_contact
+    bent = sweep(WHISKER, body, np.concatenate([[first - 0.01], first + push])).bending
+    r, track = bent.radial_distance[1:], follow(WHISKER, push, bent.moment[1:])
+    off = np.max(np.abs(track.radial_distance - r)[1:]) / L
+    return (
+        f"along a cylinder of 20 mm the contact slides from {r[0] / L:.2f} to {r[-1] / L:.2f} L in "
+        f"40°, and is followed on the tapered whisker to {off:.0e} L"
+    )
+
+
+def smaller_signals() -> str:
+    shares = np.array([0.3, 0.5, 0.7, 0.9])
+    taper, other = (press(w, shares * L, np.radians(1.0)) for w in (WHISKER, CYLINDER))
+    rows = [
+        ", ".join(f"{v:.2f}" for v in getattr(taper, name) / getattr(other, name))
+        for name in ("moment", "axial_force")
+    ]
+    return f"taper over cylinder at 0.3, 0.5, 0.7, 0.9 L: {rows[0]} in M, {rows[1]} in Fx"
+
+
+def limits_of_the_jnd() -> str:
+    table = limits(WHISKER, np.array([0.1, 0.5, 0.9]) * L, push=np.radians(5))
+    weber, floor = table["weber_mm"] / (K * L) / 1e3, table["threshold_mm"] / (K * L) / 1e3
+    return (
+        f"JND/(kL) at 0.9 L is {weber[2]:.3f}, and {floor[2]:.3f} with a threshold of 0.03 µN m; "
+        f"at 0.1 L a torque of 4 µN m stops the push at {table['deflection_angle_deg'][0]:.1f}° of "
+        "5°"
+    )
+
+
+def equation_2_1() -> str:
+    c, theta, r = CONE.compliance_constant, 0.02, SHARES * L
+    moment = closed_form.moment(CONE, r, theta)
+    back = c * theta * L / (c * theta + moment * L)
+    return f"inverts (2.3) to {_off(back, r)}; with A = L/(1 − 1/R) for L it holds of any taper"
+
+
+def equation_2_3() -> str:
+    beam = press(CONE, SHARES * L, 1e-6).moment
+    formula = CONE.compliance_constant * 1e-6 * (1 / (SHARES * L) - 1 / L)
+    return f"the exact beam's limit at small angle to {_off(beam, formula)}; C is 3EI₀"
+
+
+def monotonic() -> str:
+    r = np.linspace(0.01, 0.999, 500)[:, None] * L
+    rises = [np.sum(np.diff(Compliance().signals(w, r)[0][:, 0]) >= 0) for w in (CONE, WHISKER)]
+    return f"dM/dθ falls with distance, with {int(sum(rises))} rises in 998 steps"
+
+
+def forces_at_90() -> str:
+    arc = np.array([0.3, 0.5, 0.7, 0.9]) * L
+    taper, cylinder = (
+        paper.loaded(w, arc, np.array(np.pi / 2)).force for w in paper.WHISKERS.values()
+    )
+    ratio = ", ".join(f"{v:.3f}" for v in taper / cylinder)
+    return f"the taper's force over the cylinder's at 90°, 0.3, 0.5, 0.7 and 0.9 L: {ratio}"
+
+
+def one_to_one() -> str:
+    signs = set(np.sign(paper.map_jacobian(WHISKER)).ravel())
+    crossed = paper.crossings(paper.map_boundary(WHISKER, 120))
+    return (
+        f"signs of the map's Jacobian over all contacts to 90°: {len(signs)}; crossings of the "
+        f"image of its edge: {crossed}; so no two contacts share their signals"
+    )
+
+
+def parabola() -> str:
+    bent = press(CYLINDER, np.linspace(0.05, 0.5, 30)[:, None] * L, np.linspace(0.01, 1.6, 40))
+    ratio = bent.moment**2 / (2 * CYLINDER.stiffness * bent.axial_force)
+    return f"M² = 2EI·Fx at every load, to {_off(ratio, np.ones_like(ratio))}"
+
+
+def muscle() -> str:
+    theta = np.linspace(np.radians(30), np.radians(150), 2001)
+    peak = float(MuscleCurve.PRINTED.moment(theta).max())
+    at = float(np.degrees(theta[np.argmax(MuscleCurve.PRINTED.moment(theta))]))
+    return f"peaks at {peak:.3f} at {at:.0f}° (w = 1.25); scaled to a peak of 1 here"
+
+
+def flick_past_at() -> str:
+    end = paper.curve_end(MuscleCurve.NORMALISED)
+    return f"from an impact at 60° the balance ends at {end:.3f} L"
+
+
+def two_of_four() -> str:
+    outcome = moment_balance(WHISKER, np.array(paper.SHOWN) * L, paper.IMPACT).outcome
+    held = int(np.sum(outcome == 0))
+    return f"at 0.3, 0.5, 0.7, 0.9 L: {held} balance, {len(outcome) - held} flick past"
+
+
+def balance_monotonic() -> str:
+    b = moment_balance(WHISKER, np.linspace(0.3, 0.69, 100) * L, paper.IMPACT).balance_angle
+    low, high = np.degrees(b[[0, -1]])
+    falls = int(np.sum(np.diff(b) <= 0))
+    return f"from {low:.1f}° at 0.3 L to {high:.1f}° at 0.69 L, with {falls} falls in 99 steps"
+
+
+def white_areas() -> str:
+    grid = paper.surface(MuscleCurve.NORMALISED, paper.DISTANCES[::10], paper.IMPACTS[::10]).query(
+        "outcome != 'BALANCED'"
+    )
+    share, angle = paper.dashed_line()
+    below = grid["impact_angle_deg"] <= np.interp(grid["radial_distance"], share, angle) + 1e-9
+    wrong = int((below == (grid["outcome"] == "END_OF_WHISKING")).sum())
+    return f"{wrong} of {len(grid)} contacts without balance lie on the wrong side of the line"
+
+
+def equation_3_3() -> str:
+    r = SHARES * L
+    slope = Compliance(angular_velocity=2.0).jacobian(CONE, r[:, None])[:, 0, 0]
+    return f"to {_off(slope, -CONE.compliance_constant * 2.0 / r**2)}"
+
+
+def equation_3_5() -> str:
+    found = _compliance_jnd(CONE, SHARES)
+    return f"Weber propagation gives it to {_off(found, SHARES * (1 - SHARES))}"
+
+
+def equation_3_6() -> str:
+    return f"to {_off(_compliance_jnd(CYLINDER, SHARES), SHARES)}"
+
+
+def figure_4a() -> str:
+    share = np.linspace(1e-4, 0.9999, 401)
+    cone, taper = _compliance_jnd(CONE, share), _compliance_jnd(WHISKER, share)
+    return (
+        f"the cone's JND is largest, {cone.max():.3f} kL, at {share[np.argmax(cone)]:.2f} L and "
+        f"{cone[-1]:.1e} kL at the tip; a whisker of R = 20 keeps {taper[-1]:.3f} kL there"
+    )
+
+
+def figure_4b() -> str:
+    at = {f"{s:g}": _map_jnd(s, np.radians([1.0, 10.0]), K, NONE) for s in (0.3, 0.5, 0.7, 0.9)}
+    rows = ", ".join(f"{s} L: {a:.3f} → {b:.3f}" for s, (a, b) in at.items())
+    return f"JND/(kL) from 1° to 10°: {rows}"
+
+
+def similar() -> str:
+    parts = []
+    for share in (0.3, 0.5, 0.7, 0.9):
+        peak = flick_past(WHISKER, share * L).at_moment_peak
+        theta = float(peak.deflection_angle)
+        moment, axial = (_map_jnd(share, theta, *k) for k in ((K, NONE), (NONE, K)))
+        parts.append(
+            f"{share:g} L: θ_d = {np.degrees(theta):.1f}° (α = "
+            f"{np.degrees(peak.contact_angle):.0f}°), {float(axial):.0e} against "
+            f"{float(moment):.2f}"
+        )
+    return f"alike up to where the moment peaks, and there JND/(kL) is {'; '.join(parts)}"
+
+
+def reason() -> str:
+    theta = np.radians([1.0, 30.0])
+    slope = np.abs(np.linalg.inv(signal_jacobian(WHISKER, 0.5 * L, theta)[..., :2, :])[:, 0, 0])
+    slope = slope * WHISKER.moment_scale / L
+    moment = press(WHISKER, 0.5 * L, theta).normalised_moment
+    return (
+        f"at 0.5 L from 1° to 30° |∂r/∂M| falls from {slope[0]:.2f} to {slope[1]:.2f} while M "
+        f"grows from {moment[0]:.3f} to {moment[1]:.2f}; their product falls, "
+        f"{slope[0] * moment[0]:.2f} to {slope[1] * moment[1]:.2f}"
+    )
+
+
+def compliance_size() -> str:
+    theta, r = 1e-4, 0.5 * L
+    ratio = press(CYLINDER, r, theta).moment / press(WHISKER, r, theta).moment
+    return f"at 0.5 L the taper's compliance is {float(ratio):.2f} times the cylinder's"
+
+
+def small_angle() -> str:
+    off = []
+    for share in (0.7, 0.9):
+        bent = bend(WHISKER, share * L, np.geomspace(1e-8, 1e-3, 20001))
+        i = int(np.nanargmin(np.abs(bent.deflection_angle - np.radians(10))))
+        small = closed_form.moment(WHISKER, bent.radial_distance[i], bent.deflection_angle[i])
+        off.append(f"{float(small / bent.moment[i] - 1):.0%} at s = {share:g} L")
+    return f"at θ_d = 10° the small-angle moment is too large by {' and '.join(off)}"
+
+
+def signatures() -> str:
+    share, alone = np.linspace(0.05, 0.98, 300), []
+    for phase in (False, True):
+        observer = Observer(WHISKER, Vibration(3, phase=phase))
+        signals = observer.signals(share[:, None] * L)[0]
+        alike = np.abs(signals[:, None] - signals) < 2 * np.sqrt(2) * observer.noise.sd(signals)
+        far = np.abs(share[:, None] - share) > 0.1
+        alone.append(1 - (alike.all(axis=-1) & far).any(axis=1).mean())
+    return (
+        "impacts whose ratios of three modes, within 2 sd, are those of no impact 0.1 L away: "
+        f"{alone[0]:.0%} by amplitudes, {alone[1]:.0%} with phase"
+    )
+
+
+def along_a_whisk() -> str:
+    parts = []
+    for radius in (6e-3, 20e-3):
+        rotation = np.radians([-2.0, *np.linspace(2, 46, 12)])
+        bent = sweep(WHISKER, cylinder(0.6 * L, -radius, radius), rotation).bending
+        jnd = _map_jnd(bent.radial_distance[1:] / L, bent.deflection_angle[1:], K, NONE)
+        top = int(np.nanargmax(jnd))
+        parts.append(
+            f"{1e3 * radius:g} mm: {jnd[0]:.3f} kL, at most {jnd[top]:.3f} at "
+            f"{np.degrees(rotation[1 + top]):.0f}°, {jnd[-1]:.3f} at 46°"
+        )
+    return f"on cylinders met at 0.6 L, rotated 2° to 46°; radius {'; radius '.join(parts)}"
+
+
+def equation_3_1() -> str:
+    one, ten = Weber(K).sd([1.0, 10.0])
+    return f"sd of receptors at I = 1 and 10: {one:.3g} and {ten:.3g}"
+
+
+# -- together --------------------------------------------------------------------------------------
 
 
 class Claim(NamedTuple):
     """A sentence or equation of the paper.
 
-    `found` says, with numbers computed when it is called, what becomes of it; `test` is the file
-    and function that shows it over the paper's domain; `limit` says where the sentence ends.
+    `found` is the function above that says, with numbers, what becomes of it; `test` the file and
+    function that shows it over the paper's domain; `limit` says where the sentence ends.
     """
 
     where: str
     says: str
-    found: Callable[[], str]
+    found: str
     test: str
     limit: str = ""
 
 
-_T = "tests/test_paper.py::test_"
-_F = "tests/test_paper_figures.py::test_"
-CLAIMS = (
-    Claim("§2a", "A touch of the tip: the object is as far as the whisker is long", found.length,
-          "tests/test_cue_vibrissa_length.py::test_a_known_length_leaves_an_interval",
-          "a touch of the shaft, which rules out what lies beyond the whisker alone"),
-    Claim("§2b", "Touched by the longer whisker alone, it lies between the two lengths",
-          found.two_lengths, "tests/test_cue_comparative_length.py::"
-          "test_a_shorter_whisker_can_touch_what_a_longer_one_does_not",
-          "as the paper says, where bases and sweeps differ"),
-    Claim("§2b", "Performance improves as the number of whiskers increases", found.more_whiskers,
-          "tests/test_array.py::test_fewer_whiskers_discriminate_worse"),
-    Claim("§2c, figure 1b", "Two angles and the side between them determine distance",
-          found.triangle,
-          "tests/test_cue_angle_side_angle.py::"
-          "test_a_short_side_costs_jnd_and_distance_costs_its_square",
-          "out of reach of either base; the error grows as r²/side"),
-    Claim("(2.1)", "Distance from the rate of moment in a tap", found.equation_2_1,
-          _T + "equations_2_1_and_2_3", "perfect cones, small angles"),
-    Claim("(2.3)", "Moment at small deflection", found.equation_2_3,
-          _T + "2_3_is_the_small_angle_limit_of_the_beam"),
-    Claim("§2e, figure 1d", "Ṁ is monotonic in distance at any velocity", found.monotonic,
-          _T + "moment_rate_falls_with_distance"),
-    Claim("§2d", "No simple unique spectral signature of distance",
-          found.signatures,
-          "tests/test_cue_vibration.py::test_amplitudes_leave_several_places_and_their_phases_one",
-          "ends where phase is felt too, which leaves one place"),
-    Claim("§2e", "It can be extended to slip out of the plane of rotation", found.out_of_the_plane,
-          "tests/test_cue_compliance.py::"
-          "test_the_lateral_slip_is_that_of_a_rod_pressed_by_a_tilted_plane", "small angles"),
-    Claim("§2f", "With M and Fy determination of distance would be straightforward", found.lever,
-          "tests/test_cue_force_map.py::"
-          "test_the_transverse_force_makes_the_map_one_to_one_on_a_cylinder_too",
-          "by their ratio at small angles; by the map, or with Fx, at all"),
-    Claim("§2f, figure 2b, c", "The taper needs smaller forces for α = 90°, above all near the tip",
-          found.forces_at_90,
-          _T + "the_tapered_whisker_needs_smaller_forces_for_90_degrees_above_all_near_the_tip"),
-    Claim("§2f, figure 2d, e", "(M, Fx) determine distance and angle of a taper", found.one_to_one,
-          _F + "2de_the_tapered_map_is_one_to_one", "interpolated on linear axes the scattered map "
-          "is lost; on logarithmic ones it is right (test_a_scattered_map_must_be_interpolated_on_"
-          "logarithmic_axes)"),
-    Claim("§2f, figure 2f", "A cylinder's (M, Fx) lie on one curve", found.parabola,
-          _F + "2f_the_cylinders_map_is_the_parabola"),
-    Claim("§2g", "Sweeping by moment and angle alone could be adapted to tapered whiskers",
-          found.followed,
-          "tests/test_cue_sweep.py::test_exact_moments_give_the_contact_and_the_contour",
-          "noise adds up along the sweep; a filter forgets it"),
-    Claim("(2.2)", "The muscle's moment", found.muscle,
-          "tests/test_muscle.py::test_the_curve_of_figure_3b_ends_where_the_two_curves_touch",
-          "with the arctangent as printed it jumps inside the range of whisking: it has to be that "
-          "of the full circle; and w is then follicle separation over half the lever"),
-    Claim("§2h", "Scaled so that the whisker flicks past at around 70 per cent",
-          found.flick_past_at, _F + "3b_the_curve_ends_at_around_70_per_cent"),
-    Claim("§2h, figure 3a", "Two of four distances balance, two flick past", found.two_of_four,
-          _F + "3a_of_four_distances_two_are_held_and_two_flick_past"),
-    Claim("§2h, figure 3b", "θ_b is monotonic in distance", found.balance_monotonic,
-          _F + "3b_the_angle_of_balance_grows_with_distance_from_any_impact"),
-    Claim("figure 3c", "White below the dashed line: flicked past; above: whisking ended",
-          found.white_areas,
-          _F + "3c_flick_past_below_the_dashed_line_and_the_end_of_whisking_above"),
-    Claim("§3", "Taper leads to smaller signals, especially near the tip", found.smaller_signals,
-          _T + "taper_takes_the_moment_towards_nothing_and_the_axial_force_to_a_third",
-          "M falls with 1 − r/A, towards nothing; Fx with 1 − 2r/(3A), no further than to a third"),
-    Claim("(3.1), (3.4), (3.8)", "Weber's law: ΔI = k I",
-          lambda: "sd of receptors at I = 1 and 10: {:.3g} and {:.3g}".format(
-              *Weber(K).sd([1.0, 10.0])),
-          _T + "equation_3_1_webers_law"),
-    Claim("(3.3)", "dṀ/dr = −Cθ̇/r²", found.equation_3_3,
-          _T + "equation_3_3_slope_of_the_moment_rate"),
-    Claim("(3.2), (3.5)", "Δr = k r(1 − r/L) for the taper", found.equation_3_5,
-          _T + "equations_3_5_and_3_6", "a perfect cone; else A stands for L"),
-    Claim("(3.6)", "Δr = k r for the cylinder", found.equation_3_6, _T + "equations_3_5_and_3_6"),
-    Claim("§3b, figure 4a", "The JND is zero at the base, and at the tip of the taper alone",
-          found.figure_4a, _T + "figure_4a_both_start_at_zero_and_only_the_taper_returns",
-          "zero at the tip is the perfect cone's"),
-    Claim("§3b", "Smaller absolute magnitudes of compliance, of the taper", found.compliance_size,
-          _T + "the_compliance_of_a_taper_is_larger_its_inverse_smaller",
-          "the compliance (dM/dθ)⁻¹ of a taper is larger; its inverse is smaller"),
-    Claim("§3b", "Until torque or saturation end it at the base, a threshold at the tip",
-          found.limits_of_the_jnd,
-          "tests/test_along_whisk.py::"
-          "test_torque_threshold_and_saturation_cut_the_curve_where_they_should",
-          "limits for looking at: the paper gives no numbers"),
-    Claim("§3b", "The linearised compliance", found.small_angle,
-          _T + "small_angle_compliance_is_as_far_off_as_theory_says", "small angles"),
-    Claim("(3.7), §3c, figure 4b", "The JND falls with distance, and with deflection",
-          found.figure_4b, _T + "figure_4b_falls_with_distance_and_with_deflection"),
-    Claim("§3c", "Similar results with noise in Fx alone", found.similar,
-          _T + "results_are_similar_in_both_cases_only_up_to_a_false_zero",
-          "a false zero of the linear JND inside α ≤ 90°, which no posterior has; with noise in M "
-          "alone there is one beyond 90°"),
-    Claim("§3c", "Because δr/δM increases faster than the moment", found.reason,
-          _T + "the_slope_falls_with_deflection_while_the_moment_grows_more_slowly",
-          "the reason is upside down: the slope falls, and faster than the moment grows"),
-    Claim("§3c", "Resolution increases steadily along a whisk, depending on slip",
-          found.along_a_whisk, _T + "resolution_along_a_whisk_depends_on_slip",
-          "thick objects, on which the contact first slips"),
-    Claim("§4", "Important implications for the resolution over the array", found.over_the_array,
-          "tests/test_array.py::test_a_map_is_that_of_the_posterior_region"),
-)  # fmt: skip
+_TOML = tomllib.loads((files("weberwhisk") / "data" / "paper_claims.toml").read_text("utf-8"))
+CLAIMS = tuple(Claim(**claim) for claim in _TOML["claim"])
+#: The paper's figures in its order, with what each shows.
+PANELS: dict[str, str] = _TOML["panels"]
 
 
 def rows() -> Iterator[dict[str, str]]:
@@ -132,20 +381,10 @@ def rows() -> Iterator[dict[str, str]]:
         yield {
             "where": claim.where,
             "claim": claim.says,
-            "found": claim.found(),
+            "found": globals()[claim.found](),
             "limit": claim.limit,
             "test": claim.test,
         }
-
-
-#: The paper's figures in its order, with what each shows.
-PANELS = {
-    "figure-1d": "1d. dM/dθ is monotonic in radial distance.",
-    "figure-2": "2a–f. Large bending of a tapered whisker (radius ratio 20) and a cylinder.",
-    "figure-3": "3a–c. Balance of moments: angle of balance, by distance and impact angle.",
-    "figure-4a": "4a. JND of radial distance by compliance: closed forms, and posteriors.",
-    "figure-4b": "4b. JND by moment and axial force, noise in the moment alone.",
-}
 
 
 def as_markdown(rows: list[dict[str, str]]) -> str:

@@ -1,8 +1,14 @@
-"""The effects: each one parameter, one short class."""
+"""What else may move an animal's answers: each effect one parameter, one short class.
+
+An effect takes the two noisy signals of the plain observer and changes them, as far as its
+parameter says; at its `neutral` value it changes nothing. Effects are applied in the order given.
+An effect that goes with more than the two stimuli (the session, the answer before) names a column,
+a number for each row of the table, and trials that differ in it are counted apart.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,9 +18,31 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
-from ... import _checks
-from ..encodings import Encoding, Signals, UnitEncodings
-from ..trials import SDS, Trials
+from .. import _checks
+from .._deprecated import renamed_names
+from .encodings import Encoding, Signals, UnitEncodings
+from .trials import SDS, Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
+
+Array = NDArray[np.float64]
+
+__all__ = [
+    "EFFECTS",
+    "ComparisonBias",
+    "Contraction",
+    "Drift",
+    "Effect",
+    "FirstIntervalNoise",
+    "Floor",
+    "History",
+    "NearMissExponent",
+    "Overdispersion",
+    "PastContraction",
+    "Step",
+    "check_effects",
+    "check_valued",
+    "effect_named",
+    "effect_valued",
+]
 
 
 class Effect:
@@ -46,57 +74,7 @@ class Effect:
 
 # One object each: the table of its quantiles is made once (see `priors.quantiles`).
 NORMAL = {sd: stats.norm(0.0, sd) for sd in (0.3, 0.4, 0.5, 1.0)}
-
-
-def needs_order(trials: Trials, what: str) -> None:
-    if trials.task.bias_name != "bias":
-        raise ValueError(
-            f"{what} needs to know which interval held which stimulus, got task "
-            f"{trials.task.name!r}; it goes with '2AFC' and '2IFC'."
-        )
-
-
-def needs_rows(trials: Trials, what: str) -> None:
-    if (trials.frame["n"] != 1).any():
-        raise ValueError(
-            f"{trials.source}: {what} needs a row a trial, got counts; give the trials in their "
-            "order."
-        )
-    if not in_order(trials.frame):
-        raise ValueError(
-            f"{trials.source}: {what} needs the trials in their order, got rows whose trial falls "
-            "within a session, or sessions in pieces; sort by session and trial."
-        )
-
-
-def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
-    """Which stretch of rows of one session each row lies in."""
-    new = np.zeros(len(frame), dtype=bool)
-    for label in ("subject", "session"):
-        if label in frame:
-            new |= (frame[label] != frame[label].shift(1)).to_numpy()
-    return np.cumsum(new)
-
-
-def in_order(frame: pd.DataFrame) -> bool:
-    """Whether rows come session by session, trials rising in each, as far as columns tell."""
-    block = session_block(frame)
-    labels = frame[[label for label in ("subject", "session") if label in frame]]
-    if labels.size and block[-1] - block[0] >= len(labels.drop_duplicates()):
-        return False
-    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
-        return True
-    return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
-
-
-def after_gap(frame: pd.DataFrame) -> NDArray[np.bool_]:
-    """Where the number of a trial leaps within a session: the one before it is not in the table."""
-    if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
-        return np.zeros(len(frame), dtype=bool)
-    return (frame["trial"].groupby(session_block(frame)).diff() > 1).to_numpy(bool)
-
-
-Array = NDArray[np.float64]
+_EXPONENT, _RHO = stats.norm(1.0, 0.15), stats.beta(1.0, 15.0)
 
 
 class _OfSessions(Effect):
@@ -161,21 +139,6 @@ class Step(_OfSessions):
         sessions, place = sessions_of(trials, "Step")
         _checks.one_of("the session of a Step", str(self.at), map(str, sessions))
         return (place >= [str(s) for s in sessions].index(str(self.at))).astype(float)
-
-
-def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
-    """Sessions in order (text as it first appears in the table), and the place of each row's."""
-    if what and len(trials.sessions) < 2:
-        raise ValueError(
-            f"{trials.source}: {what} needs two sessions or more, got {len(trials.sessions)}; "
-            "give the table a column 'session'."
-        )
-    sessions = trials.frame["session"]
-    place, levels = pd.factorize(sessions, sort=pd.api.types.is_numeric_dtype(sessions))
-    return levels.tolist(), place
-
-
-_EXPONENT, _RHO = stats.norm(1.0, 0.15), stats.beta(1.0, 15.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,9 +241,6 @@ class Overdispersion(Effect):
     def column(self, trials: Trials, encoding: Encoding) -> Array | None:
         return None if not trials.sessions else sessions_of(trials, "")[1].astype(float)
 
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        return signals
-
 
 @dataclass(frozen=True, eq=False)
 class Contraction(Effect):
@@ -362,8 +322,15 @@ class PastContraction(Contraction):
         return np.where(past.isna(), first - usual, np.round(past / step) * step)
 
 
+class _Shift(Effect):
+    """A shift of the decision variable by the value times the column."""
+
+    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
+        return signals._replace(shift=signals.shift + value * column)
+
+
 @dataclass(frozen=True, eq=False)
-class ComparisonBias(Effect):
+class ComparisonBias(_Shift):
     """A shift towards the comparison, whichever interval it came in; sds of the difference.
 
     Where the standard takes turns between the intervals this is distinguished from the order
@@ -386,12 +353,9 @@ class ComparisonBias(Effect):
             )
         return np.sign(np.abs(s2 - standard) - np.abs(s1 - standard))
 
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        return signals._replace(shift=signals.shift + value * column)
-
 
 @dataclass(frozen=True, eq=False)
-class History(Effect):
+class History(_Shift):
     """A shift towards the answer given on the trial before; sds of the difference.
 
     Positive repeats answers, negative alternates. The first trial of a session, and one after a
@@ -410,5 +374,102 @@ class History(Effect):
         answer[(np.diff(session_block(frame), prepend=-1) != 0) | after_gap(frame)] = 0.0
         return answer
 
-    def apply(self, signals: Signals, value: Array, column: Array | float) -> Signals:
-        return signals._replace(shift=signals.shift + value * column)
+
+EFFECTS: dict[str, Effect] = {
+    "floor": Floor(),
+    "near-miss": NearMissExponent(),
+    "contraction": Contraction(),
+    "past-contraction": PastContraction(),
+    "first-interval": FirstIntervalNoise(),
+    "comparison-bias": ComparisonBias(),
+    "history": History(),
+    "drift": Drift(),
+    "drift-fast-first": Drift(of_log=True),
+    "overdispersion": Overdispersion(),
+}
+#: Effects that take a number after their name.
+WITH_NUMBER = ("step=<session>", "past-contraction=<half-life in trials>")
+
+
+def check_effects(effects: Any) -> None:
+    """Refuses what is not a sequence of effects, with what to write instead."""
+    if isinstance(effects, str) or not isinstance(effects, Sequence):
+        raise ValueError(
+            f"effects must be a sequence, got {_checks.shown(effects)}; write effects=[Drift()], "
+            "say, with Drift from weberwhisk.behaviour.effects."
+        )
+    for effect in effects:
+        named = EFFECTS.get(effect) if isinstance(effect, str) else None
+        instead = type(named).__name__ if named else getattr(effect, "__name__", "Drift")
+        _checks.kind(
+            "an effect", effect, "an Effect", "apply",
+            f"write {instead}(), from weberwhisk.behaviour.effects",
+        )  # fmt: skip
+
+
+def check_valued(effects: Any) -> None:
+    """Refuses what is not a sequence of effects with their values."""
+    hint = "write effects=[(Contraction(), 0.2)], from weberwhisk.behaviour.effects"
+    try:
+        pairs = [(effect, value) for effect, value in effects]
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"effects must be pairs of an effect and its value, got {_checks.shown(effects)}; "
+            f"{hint}."
+        ) from None
+    check_effects([effect for effect, _ in pairs])
+    for effect, value in pairs:
+        values = _checks.finite(f"the value of {effect.name}", value, hint)
+        if isinstance(effect, Overdispersion) and not np.all((values > 0) & (values < 1)):
+            raise ValueError(
+                f"overdispersion must lie between 0 and 1, got {_checks.shown(value)}; write "
+                "0.05, say."
+            )
+
+
+def effect_named(text: str) -> Effect:
+    """An effect by its name, with the prior that it brings.
+
+    `step=12` is a step at session 12, and `past-contraction=20` a past that fades with a half-life
+    of 20 trials.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, with the nearest one.
+
+    Examples
+    --------
+    >>> effect_named("near-miss").name, effect_named("step=12").name
+    ('exponent', 'step[12]')
+    """
+    name, _, given = text.partition("=")
+    if name == "step" and given:
+        return Step(at=given)
+    if name == "past-contraction" and given:
+        return PastContraction(
+            half_life=float(_checks.positive("half_life", given, "write past-contraction=20, say"))
+        )
+    return EFFECTS[_checks.one_of("effect", text, (*EFFECTS, *WITH_NUMBER))]
+
+
+def effect_valued(text: str) -> tuple[Effect, float]:
+    """An effect by its name with the value of its parameter after a colon.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, and a value that is no number.
+
+    Examples
+    --------
+    >>> effect, value = effect_valued("past-contraction=20:0.3")
+    >>> effect.half_life, value
+    (20.0, 0.3)
+    """
+    name, _, value = text.rpartition(":")
+    hint = f"write {name or text}:0.3, say"
+    return effect_named(name or text), _checks.number("the value of an effect", value, hint)
+
+
+__getattr__ = renamed_names(__name__, {"NearMiss": "NearMissExponent"})
