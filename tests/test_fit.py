@@ -33,8 +33,8 @@ from weberwhisk.behaviour import (
     simulate_trials,
     task_named,
 )
+from weberwhisk.behaviour.axes import log_lapses_possible
 from weberwhisk.behaviour.encodings import Encoding, IdentityEncoding
-from weberwhisk.behaviour.lapses import log_lapses_possible
 from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.behaviour.psychometric import threshold
 from weberwhisk.design import Hypothesis, Scheme, taper

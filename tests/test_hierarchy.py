@@ -22,9 +22,9 @@ from weberwhisk.behaviour import (
     simulate_population,
     simulate_trials,
 )
+from weberwhisk.behaviour.axes import AS_BELIEVED, BiasScales
 from weberwhisk.behaviour.hierarchy import Members, _zoomed, integrate_population
 from weberwhisk.behaviour.integrate.batch import tabulate
-from weberwhisk.behaviour.lapses import AS_BELIEVED, BiasScales
 from weberwhisk.behaviour.population import joined
 from weberwhisk.posterior.ensemble import sample_stacked
 

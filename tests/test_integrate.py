@@ -10,9 +10,10 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from weberwhisk.behaviour import fit_weber, simulate_trials
+from weberwhisk.behaviour.axes import log_lapses_possible, score_prior
 from weberwhisk.behaviour.effects import Floor
-from weberwhisk.behaviour.integrate import Tolerance, integrate, marginal
-from weberwhisk.behaviour.lapses import log_lapses_possible, score_prior
+from weberwhisk.behaviour.integrate import Tolerance, integrate
+from weberwhisk.behaviour.integrate.batch import marginal
 from weberwhisk.behaviour.likelihood import WeberModel
 
 

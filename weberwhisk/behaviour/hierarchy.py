@@ -20,9 +20,9 @@ from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import binary_dilation, map_coordinates
 from scipy.special import ndtr
 
+from .axes import AS_BELIEVED, BiasScales
 from .integrate import half_grid_error
 from .integrate.batch import Table
-from .lapses import AS_BELIEVED, BiasScales
 from .priors import PopulationPriors
 
 Array = NDArray[np.float64]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
 from .. import _checks
+from .axes import PLAIN, LapseTransform, lapse_transform
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
     Encoding,
@@ -22,7 +23,6 @@ from .encodings import (
     refuse_unencoded,
     unit_encodings,
 )
-from .lapses import PLAIN, LapseTransform, lapse_transform
 from .located import binned, over_places
 from .priors import TINY, Priors, priors_for
 from .psychometric import Task

@@ -20,10 +20,10 @@ from ..output import plain
 from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report
+from .axes import likely_scales
 from .fit import WeberFit, fit_weber, tails
 from .hierarchy import NAMES, Members, Population, integrate_population
 from .integrate.batch import tabulate
-from .lapses import likely_scales
 from .likelihood import encoding_of, pairs_shown
 from .priors import PopulationPriors, Priors, priors_for
 from .trials import Trials, check_trials
@@ -249,7 +249,7 @@ def fit_population(
 
     Biases are drawn from the prior of a single fit, all times one factor, the `bias_scale`: their
     sd, where that prior is a standard normal. Without it k would be pulled wherever biases are
-    narrower or wider than believed (see `weberwhisk.behaviour.lapses`).
+    narrower or wider than believed (see `weberwhisk.behaviour.axes`).
 
     Parameters
     ----------

@@ -17,9 +17,8 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
+from .axes import bias_at, log_lapses_possible
 from .integrate import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
-from .integrate.windows import bias_at
-from .lapses import log_lapses_possible
 from .likelihood import Draws, WeberModel
 from .priors import REACH
 

@@ -14,10 +14,10 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from ..threads import one_blas_thread
+from .axes import lapse_prior, score_prior
 from .criticism import check_fit
 from .integrate import PosteriorGrid, integrate, refined
 from .integrate.batch import over_fractions
-from .lapses import lapse_prior, score_prior
 from .likelihood import WeberModel
 from .posteriors import QuadraturePosterior, WeberPosterior
 

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
+from ..behaviour.axes import lapse_prior, lapse_transform, score_prior
 from ..behaviour.encodings import UnitEncodings
-from ..behaviour.lapses import lapse_prior, lapse_transform, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import TINY
 from ..behaviour.trials import Cells

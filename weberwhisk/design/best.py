@@ -20,9 +20,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from ..behaviour.axes import lapse_prior, score_prior
 from ..behaviour.encodings import gives_signal
 from ..behaviour.integrate.batch import log_sum
-from ..behaviour.lapses import lapse_prior, score_prior
 from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
 from ..threads import one_blas_thread

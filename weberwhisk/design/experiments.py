@@ -22,18 +22,18 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr, ndtri
 from scipy.stats import beta as beta_distribution
 
-from ..behaviour.integrate import likelihood, marginal
+from ..behaviour.axes import AS_BELIEVED, BiasScales, Steps, score_prior
 from ..behaviour.integrate.batch import (
     LapseNodes,
     Likelihood,
     batch_steps,
     carried_on,
+    likelihood,
     log_sum,
+    marginal,
     narrowest_bias,
 )
 from ..behaviour.integrate.blocks import NOTHING
-from ..behaviour.integrate.windows import Steps
-from ..behaviour.lapses import AS_BELIEVED, BiasScales, score_prior
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import PopulationPriors, Priors
 from ..threads import one_blas_thread

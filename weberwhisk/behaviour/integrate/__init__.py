@@ -2,7 +2,7 @@
 
 Here is the posterior of one data set (`fit_weber`, `weber_law_test`), on finer and finer even nodes
 until every other gives the same; `batch` zooms, and serves thousands of one design (`power`);
-`windows` says where they lie, and `blocks` evaluates them.
+`weberwhisk.behaviour.axes` says where they lie, and `blocks` evaluates them.
 """
 
 from __future__ import annotations
@@ -13,24 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ..lapses import lapse_prior, lapse_weights, with_tail
+from ..axes import Steps, Windows, lapse_prior, lapse_weights, least_sds, with_tail
 from ..likelihood import WeberModel
-from .batch import Likelihood, likelihood, marginal, outer_prior, zoomed
+from .batch import outer_prior, zoomed
 from .blocks import ChoiceNodes
-from .windows import Steps, Windows, least_sds
-
-__all__ = [
-    "Likelihood",
-    "PosteriorGrid",
-    "Tolerance",
-    "density_of",
-    "half_grid_error",
-    "integrate",
-    "likelihood",
-    "log_marginal",
-    "marginal",
-    "refined",
-]
 
 Array = NDArray[np.float64]
 

@@ -14,11 +14,23 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.stats import lognorm, norm
 
-from ..lapses import BiasScales, lapse_weights, scaled_prior, score_prior, with_tail
+from ..axes import (
+    BiasScales,
+    Steps,
+    Windows,
+    everything,
+    kept,
+    lapse_weights,
+    least_bias_sds,
+    least_sds,
+    outer_signals,
+    scaled_prior,
+    score_prior,
+    with_tail,
+)
 from ..likelihood import Draws, WeberModel
 from ..priors import REACH, Priors
 from .blocks import NOTHING, ChoiceNodes
-from .windows import Steps, Windows, everything, kept, least_bias_sds, least_sds, outer_signals
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

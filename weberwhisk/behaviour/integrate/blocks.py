@@ -17,10 +17,9 @@ from numpy.typing import DTypeLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
-from ..lapses import score_prior
+from ..axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score_prior
 from ..likelihood import WeberModel
 from ..priors import TINY
-from .windows import Steps, Windows, bias_at, least_bias_sds, outer_signals
 
 Array = NDArray[np.float64]
 Values = NDArray[Any]
