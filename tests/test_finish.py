@@ -18,7 +18,7 @@ from scipy.io import savemat
 
 import weberwhisk as ww
 from weberwhisk.behaviour import methods_paragraph
-from weberwhisk.behaviour.population import simulate_responses
+from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import in_words, rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper

@@ -35,8 +35,8 @@ from weberwhisk.behaviour import (
 )
 from weberwhisk.behaviour.axes import log_lapses_possible
 from weberwhisk.behaviour.encodings import Encoding, IdentityEncoding
-from weberwhisk.behaviour.population import simulate_responses
 from weberwhisk.behaviour.psychometric import threshold
+from weberwhisk.behaviour.simulate import simulate_responses
 from weberwhisk.design import Hypothesis, Scheme, taper
 
 ENDS = [0.025, 0.5, 0.975]

@@ -38,7 +38,8 @@ from weberwhisk.behaviour import (
     weber_law_test,
 )
 from weberwhisk.behaviour.effects import Drift, Floor
-from weberwhisk.behaviour.population import joined, simulate_responses
+from weberwhisk.behaviour.simulate import simulate_responses
+from weberwhisk.behaviour.trials import joined
 from weberwhisk.receptors import GeneralisedWeber
 from weberwhisk.sweeping import follow
 

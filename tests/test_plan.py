@@ -25,7 +25,7 @@ from scipy.stats import norm
 from weberwhisk import Observer, Whisker, figures, plan_experiment, read_plan, write_plan
 from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
 from weberwhisk.behaviour.comparison import ConstantNoise
-from weberwhisk.behaviour.population import draw_animals, simulate_responses
+from weberwhisk.behaviour.simulate import draw_animals, simulate_responses
 from weberwhisk.cues import Compliance, ForceMap
 from weberwhisk.design import (
     LEVELS,

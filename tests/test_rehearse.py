@@ -15,8 +15,7 @@ from scipy.stats import beta, lognorm, norm
 from weberwhisk import Whisker, plan_experiment, simulate_study
 from weberwhisk.behaviour import IdentityEncoding, Priors, fit_population
 from weberwhisk.behaviour.comparison import ConstantNoise
-from weberwhisk.behaviour.population import simulate_responses
-from weberwhisk.behaviour.simulate import simulate_trials
+from weberwhisk.behaviour.simulate import simulate_responses, simulate_trials
 from weberwhisk.design import (
     Goal,
     Hypothesis,

@@ -18,8 +18,8 @@ from weberwhisk.behaviour import (
     simulate_trials,
 )
 from weberwhisk.behaviour.encodings import IdentityEncoding
-from weberwhisk.behaviour.population import joined, simulate_responses
-from weberwhisk.behaviour.trials import data_package, describe_table
+from weberwhisk.behaviour.simulate import simulate_responses
+from weberwhisk.behaviour.trials import data_package, describe_table, joined
 
 
 def digest(path: Path) -> str:
@@ -87,9 +87,9 @@ def test_a_log_encoding_makes_a_log_table() -> None:
         ({"weber_fraction": -0.1}, "weber_fraction must be above zero, got -0.1"),
         ({"weber_fraction": np.nan}, "weber_fraction must be finite"),
         ({"weber_fraction": "big"}, "weber_fraction must be a number"),
-        ({"lapse_low": -0.1}, "lapse_low must be zero or more and below 1"),
+        ({"lapse_low": -0.1}, "lapse_low must lie between 0 and 1, got -0.1"),
         ({"lapse_low": 0.6, "lapse_high": 0.5}, "must be below 1, got 1.1"),
-        ({"missing": 1.0}, "missing must be zero or more and below 1"),
+        ({"missing": 1.0}, "missing must lie between 0 and 1, got 1"),
         ({"trials_per_level": 0}, "trials_per_level must be a whole number"),
         ({"trials_per_level": 2.5}, "trials_per_level must be a whole number"),
         ({"sessions": -1}, "sessions must be a whole number"),
@@ -188,7 +188,7 @@ def test_a_population_is_repeatable() -> None:
     [
         ({"subjects": 0}, "subjects must be a whole number of 1 or more, got 0"),
         ({"spread": -1.0}, "spread must not be negative"),
-        ({"lapse_low": 0.6}, "lapse_low must be below 0.5, got 0.6"),
+        ({"lapse_low": 0.6}, "lapse_low must lie between 0 and 0.5, got 0.6"),
     ],
 )
 def test_impossible_populations_are_refused(options: dict, part: str) -> None:

@@ -17,9 +17,8 @@ from .criticism import checks, quantile_residuals, residuals_by
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import Encoding, IdentityEncoding, LogAxisEncoding, LogEncoding, PlaceEncoding
 from .fit import WeberFit, fit_weber
-from .io import read_trials
-from .located import with_distances
-from .population import simulate_moving, simulate_population
+from .io import load_numerosity, load_rat_auditory, read_trials
+from .located import simulate_moving, with_distances
 from .population_fit import PopulationFit, PopulationStatus, fit_population
 from .priors import PopulationPriors, Priors
 from .psychometric import (
@@ -32,7 +31,7 @@ from .psychometric import (
     threshold,
 )
 from .report import methods_paragraph
-from .simulate import load_numerosity, load_rat_auditory, simulate_trials
+from .simulate import simulate_population, simulate_trials
 from .trials import Trials
 from .verdict import FitStatus, WeberLawTest, weber_law_test
 

@@ -33,7 +33,7 @@ from .encodings import (
     chosen_encoding,
     gives_signal,
 )
-from .psychometric import SameDifferent, SignedChoice, Task, YesNo
+from .psychometric import SameDifferent, SignedChoice, Task, YesNo, response_probability
 from .trials import SDS, Cells, Trials, check_trials
 
 Array = NDArray[np.float64]
@@ -285,6 +285,67 @@ def binned(
     )  # fmt: skip
     mean, spread = sd * total(n * d) / weight, sd**2 * total(n * variance) / weight
     return unit._replace(mean_2=mean, spread=spread), fewer, group[first]
+
+
+def simulate_moving(
+    trials: Trials,
+    encoding: CueEncoding,
+    *,
+    weber_fraction: float,
+    scatter: float,
+    sd: float,
+    offset: float = 0.0,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+    **observer: Any,
+) -> tuple[Trials, pd.DataFrame]:
+    """An animal that moves: answers to where its whisker touches, and those places as measured.
+
+    Parameters
+    ----------
+    trials : Trials
+        Nominal stimuli, a row a trial; its answers are drawn anew.
+    encoding : CueEncoding
+    weber_fraction : float
+    scatter, offset : float
+        Sd and mean of the place of a touch about the nominal one, in the stimulus's unit.
+    sd : float
+        Of the measurement.
+    seed : int, SeedSequence or Generator
+    **observer
+        Lapses, bias and noise, as of `response_probability`.
+
+    Returns
+    -------
+    Trials, DataFrame
+        The choices, and a table as `with_distances` takes it, with true places in `true_mm`.
+    """
+    check_trials(trials)
+    for name, value in (("scatter", scatter), ("sd", sd)):
+        _checks.non_negative(name, value, "write 1e-3, say")
+    rng = _checks.generator(seed)
+    frame = trials.frame
+    nominal = frame[["stimulus_1", "stimulus_2"]].to_numpy(float)
+    true = nominal + offset + scatter * rng.standard_normal(nominal.shape)
+    p = response_probability(
+        trials.task, encoding, true[:, 0], true[:, 1], standard=frame["standard"].to_numpy(float),
+        weber_fraction=weber_fraction, **observer,
+    )  # fmt: skip
+    answers = (rng.random(len(p)) < p).astype(float)
+    moved = replace(
+        trials, frame=frame.assign(count=np.where(frame["count"].isna(), np.nan, answers))
+    )
+    mm = 1e3 * encoding.unit
+    keys = [c for c in ("subject", "session", "trial") if c in frame]
+    parts = [
+        frame[keys].assign(
+            interval=i + 1,
+            radial_distance_mm=mm * (true[:, i] + sd * rng.standard_normal(len(frame))),
+            sd_mm=mm * sd,
+            true_mm=mm * true[:, i],
+        )
+        for i in (0, 1)
+    ]
+    return moved, pd.concat(parts, ignore_index=True)
 
 
 def estimate_scatter(gap: Array, sd: Array) -> Scatter:

@@ -1,16 +1,15 @@
-"""Choices to try things with: of observers with known parameters, repeatable to the byte, and of a
-rat and two people."""
+"""Choices of observers with known parameters, of one or of a population, repeatable to the byte."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from importlib.resources import as_file, files
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 from scipy.stats import beta
 
 from .. import _checks
@@ -21,14 +20,14 @@ from .encodings import (
     IdentityEncoding,
     LogEncoding,
     UnitEncodings,
+    checked_encoding,
     chosen_encoding,
     refuse_outside,
     refuse_unencoded,
     unit_encodings,
 )
-from .io import read_trials
-from .psychometric import task_named
-from .trials import Trials, notes_of
+from .psychometric import response_probability, task_named
+from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
 
 Array = NDArray[np.float64]
 
@@ -132,10 +131,7 @@ def simulate_trials(
             "or leave order out."
         )
     for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high), ("missing", missing)):
-        if not 0 <= _checks.number(name, value, "write for example 0.02") < 1:
-            raise ValueError(
-                f"{name} must be zero or more and below 1, got {value:g}; write for example 0.02."
-            )
+        _checks.between(name, value, "write for example 0.02", ends="[)")
     if lapse_low + lapse_high >= 1:
         raise ValueError(
             f"lapse_low + lapse_high must be below 1, got {lapse_low + lapse_high:g}; "
@@ -147,13 +143,11 @@ def simulate_trials(
         raise ValueError(f"subject must be a name, got {_checks.shown(subject)}; write 'r1', say.")
     encoded = chosen_encoding(encoding, observer) or IdentityEncoding()
     log_unit = encoded.log_unit if isinstance(encoded, LogEncoding) else None
-    is_log = log_unit is not None
-    base = np.atleast_1d(
-        _checks.finite("standards", standards, "give one stimulus or several")
-    ).ravel()
+    scale = "linear" if log_unit is None else "log"
+    base = np.ravel(_checks.finite("standards", standards, "give one stimulus or several"))
     if not base.size:
         raise ValueError("standards is empty; write standards=1.0, say.")
-    levels = _levels(base, offsets, comparisons, is_log)
+    levels = _levels(base, offsets, comparisons, scale == "log")
     shift = _checks.finite("bias", bias, "write for example 0")
     if shift.shape not in ((), (1,), base.shape):
         raise ValueError(
@@ -181,20 +175,12 @@ def simulate_trials(
     count = np.where(rng.random(pair.size) < missing, np.nan, 0.0)[place]  # the answers come below
     course, session, which = session[place], session[place] + 1, which[place]
     start = np.searchsorted(session, session)
-    columns: dict[str, Any] = {} if subject is None else {"subject": np.full(which.size, subject)}
-    frame = pd.DataFrame(
-        {
-            **columns,
-            "session": session,
-            "trial": np.arange(which.size) - start + 1,
-            "standard": s0[which],
-            "stimulus_1": first[which],
-            "stimulus_2": second[which],
-            "n": np.ones(which.size, dtype=np.int64),
-            "count": count,
-        }
+    frame = pd.DataFrame({"session": session, "trial": np.arange(which.size) - start + 1})
+    frame = frame.assign(
+        standard=s0[which], stimulus_1=first[which], stimulus_2=second[which], n=1, count=count
     )
-    scale = "log" if is_log else "linear"
+    if subject is not None:
+        frame.insert(0, "subject", subject)
     trials = Trials(frame, chosen, scale, log_unit, "simulated trials", notes_of(frame))
     answers = responses(
         trials,
@@ -239,20 +225,16 @@ def _levels(base: Array, offsets: Any, comparisons: Any, is_log: bool) -> Array:
     if offsets is not None and comparisons is not None:
         raise ValueError("offsets and comparisons were both given; give one of them.")
     if comparisons is not None:
-        given = np.atleast_1d(
-            _checks.finite("comparisons", comparisons, "give one level or several")
-        )
+        hint = "give one level or several"
+        given = np.atleast_1d(_checks.finite("comparisons", comparisons, hint))
         if not given.size or given.shape not in (given.shape[-1:], (base.size, given.shape[-1])):
             raise ValueError(
                 f"comparisons has shape {given.shape} for {base.size} standards; give one row of "
                 "levels, or one row each."
             )
         return np.broadcast_to(given, (base.size, given.shape[-1]))
-    relative = np.atleast_1d(
-        _checks.finite(
-            "offsets", SIGNED_OFFSETS if offsets is None else offsets, "write for example 0.1"
-        )
-    )
+    offsets = SIGNED_OFFSETS if offsets is None else offsets
+    relative = np.atleast_1d(_checks.finite("offsets", offsets, "write for example 0.1"))
     if relative.ndim > 1 or not relative.size:
         raise ValueError(
             f"offsets must be one row of numbers, got shape {relative.shape}; write "
@@ -281,8 +263,7 @@ def responses(
     `trials` has NaN for an answer that the animal does not give. `uniform` decides the answers.
     """
     frame, task = trials.frame, trials.task
-    names = ("stimulus_1", "stimulus_2", "standard")
-    rows = np.column_stack([frame[name].to_numpy(float) for name in names])
+    rows = frame[["stimulus_1", "stimulus_2", "standard"]].to_numpy(float)
     silent = frame["count"].isna().to_numpy()
     pairs, which = np.unique(rows, axis=0, return_inverse=True)
     which = which.reshape(-1)
@@ -308,11 +289,8 @@ def responses(
         p = np.asarray(low * down + (1 - high) * up)
         for (effect, value), column in zip(bound, columns, strict=True):
             if isinstance(effect, Overdispersion):
-                _, cell = np.unique(
-                    np.column_stack([which, np.zeros(len(p)) if column is None else column]),
-                    axis=0,
-                    return_inverse=True,
-                )
+                keys = np.column_stack([which, np.zeros(len(p)) if column is None else column])
+                _, cell = np.unique(keys, axis=0, return_inverse=True)
                 drawn = scatter[: len(frame)][cell.reshape(-1)]
                 size = 1 / value - 1
                 found = beta.ppf(drawn, p * size, (1 - p) * size)
@@ -333,58 +311,174 @@ def responses(
     return answer
 
 
-def load_rat_auditory(sessions: int | Iterable[int] | None = None) -> Trials:
-    """One rat comparing two sounds: which was louder?
-
-    Rat W053 of the delayed-comparison task of Akrami, Kopec, Diamond & Brody (2018, Nature
-    554:368), the first 40 sessions of its training: 11 489 trials. The stimuli are normalised
-    logarithms of the sound level; one unit is an unknown number of natural-log units, so a Weber
-    fraction is counted per unit. Neighbouring levels are compared, at several standards. The animal
-    is learning: lapses, bias and drift are real.
-
-    Sample data of the psytrack package (github.com/nicholas-roy/psytrack), MIT licence, copyright
-    of its author; see `weberwhisk/data/README.md`.
-
-    Parameters
-    ----------
-    sessions : int or iterable of int, optional
-        1 to 40; all by default.
-
-    Examples
-    --------
-    >>> load_rat_auditory(sessions=range(31, 41)).n_trials
-    3101
-    """
-    with as_file(files("weberwhisk") / "data" / "rat_auditory_2ifc.csv.gz") as path:
-        trials = read_trials(
-            path,
-            columns={"stimulus_1": "s1_z", "stimulus_2": "s2_z"},
-            choice_labels={"right": "first", "left": "second"},
-            scale="log",
-            task="2IFC",
-        )
-    return trials if sessions is None else trials.select(session=sessions)
-
-
-def load_numerosity(subject: str | None = None) -> Trials:
-    """Two people, each 250 trials: which of two clouds has more dots?
-
-    `stimulus_2` over `stimulus_1` is given by its natural logarithm; a choice of "second" is the
-    first colour of the original table.
-
-    Data of the TEfits package (github.com/akcochrane/TEfits), MIT licence; Cochrane, Cui, Hubbard &
-    Green (2019); see `weberwhisk/data/README.md`.
+@renamed_arguments(percept="encoding")
+def simulate_population(
+    subjects: int,
+    *,
+    weber_fraction: float = 0.1,
+    spread: float = 0.3,
+    session_spread: float = 0.0,
+    lapse_low: float = 0.02,
+    lapse_high: float = 0.02,
+    bias: float = 0.0,
+    bias_spread: float = 0.2,
+    sessions: int = 1,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+    **design: Any,
+) -> tuple[Trials, pd.DataFrame]:
+    """Trials of several animals drawn from one population, and what was drawn.
 
     Parameters
     ----------
-    subject : {"s1", "s2"}, optional
-        Both by default.
+    subjects : int
+    weber_fraction : float
+        Median of the population.
+    spread : float
+        Standard deviation of ln k between animals.
+    session_spread : float
+        Standard deviation of ln k between the sessions of one animal.
+    lapse_low, lapse_high : float
+        Mean lapse λ at either end, each animal's own from Beta(2, 2/λ − 2).
+    bias, bias_spread : float
+        Mean and standard deviation of the biases.
+    sessions : int
+    seed : int, SeedSequence or Generator
+    **design
+        As for `simulate_trials`: standards, offsets, trials_per_level, encoding, task, …
+
+    Returns
+    -------
+    trials : Trials
+        With columns `subject` (s1, s2, …) and `session`.
+    truth : DataFrame
+        One row an animal: `subject`, `weber_fraction`, `lapse_low`, `lapse_high`, `bias`; drawn to
+        four digits, so that what is written down is what was used.
 
     Examples
     --------
-    >>> load_numerosity("s1").n_trials
-    250
+    >>> trials, truth = simulate_population(3, trials_per_level=5, seed=1)
+    >>> trials.subjects, truth.columns.tolist()[:2]
+    (['s1', 's2', 's3'], ['subject', 'weber_fraction'])
     """
-    with as_file(files("weberwhisk") / "data" / "numerosity_2afc.csv") as path:
-        trials = read_trials(path, columns={"choice": "response"})
-    return trials if subject is None else trials.select(subject=subject)
+    rng = _checks.generator(seed)
+    subjects = _checks.whole("subjects", subjects, "write 6, say")
+    truth = draw_animals(
+        subjects, weber_fraction=weber_fraction, spread=spread, lapse_low=lapse_low,
+        lapse_high=lapse_high, bias=bias, bias_spread=bias_spread, seed=rng,
+    )  # fmt: skip
+    sessions = _checks.whole("sessions", sessions, "write 10, say")
+    _checks.non_negative_number("session_spread", session_spread, "write for example 0.02")
+    wander = ndtri(np.clip(rng.random((subjects, sessions)), 1e-12, 1 - 1e-12))
+    parts = []
+    for i, row in enumerate(truth.to_dict("records")):
+        animal = {str(name): value for name, value in row.items()}
+        k = animal.pop("weber_fraction") * np.exp(session_spread * wander[i])
+        how = {"sessions": sessions, "seed": rng, **animal, **design}
+        parts.append(simulate_trials(weber_fraction=k if session_spread else k[:1], **how))
+    return joined(parts), truth
+
+
+def draw_animals(
+    subjects: int,
+    *,
+    weber_fraction: float = 0.1,
+    spread: float = 0.3,
+    lapse_low: float = 0.02,
+    lapse_high: float = 0.02,
+    bias: float = 0.0,
+    bias_spread: float = 0.2,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+) -> pd.DataFrame:
+    """Animals drawn from one population: the truth of `simulate_population`, a row an animal."""
+    subjects = _checks.whole("subjects", subjects, "write 6, say")
+    _checks.positive_number("weber_fraction", weber_fraction, "write for example 0.1")
+    _checks.number("bias", bias, "write for example 0")
+    for name, value in (("spread", spread), ("bias_spread", bias_spread)):
+        _checks.non_negative_number(name, value, "write for example 0.02")
+    for name, value in (("lapse_low", lapse_low), ("lapse_high", lapse_high)):
+        _checks.between(name, value, "write for example 0.02", high=0.5, ends="[)")
+    rng = _checks.generator(seed)
+    # Uniform numbers alone, as in `simulate_trials`.
+    u = np.clip(rng.random((subjects, 4)), 1e-12, 1 - 1e-12)
+    return pd.DataFrame(
+        {
+            "subject": [f"s{i + 1}" for i in range(subjects)],
+            "weber_fraction": _rounded(weber_fraction * np.exp(spread * ndtri(u[:, 0]))),
+            "lapse_low": _lapses(lapse_low, u[:, 1]),
+            "lapse_high": _lapses(lapse_high, u[:, 2]),
+            "bias": _rounded(bias + bias_spread * ndtri(u[:, 3])),
+        }
+    )
+
+
+def _lapses(mean: float, u: Array) -> Array:
+    return _rounded(beta.ppf(u, 2, 2 / mean - 2)) if mean else np.zeros(u.size)
+
+
+def _rounded(values: Array) -> Array:
+    return np.array([float(f"{v:.4g}") for v in values])
+
+
+TRUTH = ("weber_fraction", "lapse_low", "lapse_high", "bias")
+
+
+@renamed_arguments(percept="encoding")
+def simulate_responses(
+    table: pd.DataFrame,
+    animals: pd.DataFrame,
+    *,
+    encoding: Encoding,
+    noise: str = "weber",
+    missing: float = 0.0,
+    task: str = "2AFC",
+    seed: int | np.random.SeedSequence | np.random.Generator,
+) -> Trials:
+    """What observers with known parameters answer to a list of trials.
+
+    `simulate_trials` makes its own list, with the standard always first; this one takes any: a row
+    a trial with `subject`, `standard`, `stimulus_1`, `stimulus_2` (or with `_mm`, as `trial_lists`
+    has them, taken in the unit of the encoding), where `session` and `trial` are kept. `animals` is
+    the truth, as from `draw_animals`: a row for each `subject`, or each of its sessions where there
+    is a column `session`. A share of trials, `missing`, gets no answer.
+    """
+    chosen = task_named(task)
+    share = _checks.non_negative_number("missing", missing, "write for example 0.02")
+    if isinstance(table, pd.DataFrame):
+        unit = 1e3 * getattr(encoding, "unit", 1.0)
+        lengths = in_millimetres(table).items()
+        table = table.assign(**{ours: table[theirs] / unit for ours, theirs in lengths})
+    for name, frame, wanted in (("table", table, STIMULI), ("animals", animals, TRUTH)):
+        lacking = {"subject", *wanted} - set(getattr(frame, "columns", ()))
+        if not isinstance(frame, pd.DataFrame) or lacking:
+            raise ValueError(
+                f"{name} must be a DataFrame with columns subject, {', '.join(wanted)}, got "
+                f"{f'none called {min(lacking)}' if hasattr(frame, 'columns') else frame!r}."
+            )
+    checked_encoding(encoding)
+    keys = [name for name in ("subject", "session") if name in animals]
+    truth = table[keys].merge(animals, how="left", on=keys, validate="many_to_one")
+    unknown = truth[list(TRUTH)].isna().any(axis=1).to_numpy()
+    if unknown.any():
+        who = " ".join(str(value) for value in table[keys].iloc[int(np.argmax(unknown))])
+        raise ValueError(f"The truth about {who} is not given; add a row of animals for it.")
+    rng = _checks.generator(seed)
+    standard, s1, s2 = (table[name].to_numpy(float) for name in STIMULI)
+    refuse_unencoded(encoding, np.concatenate([s1, s2, standard]))
+    p = np.empty(len(table))
+    for _, own in truth.groupby(list(TRUTH), sort=False):
+        rows = own.index.to_numpy()
+        k, lapse_low, lapse_high, bias = (float(own[name].iloc[0]) for name in TRUTH)
+        p[rows] = response_probability(
+            chosen, encoding, s1[rows], s2[rows], standard=standard[rows], weber_fraction=k,
+            lapse_low=lapse_low, lapse_high=lapse_high, bias=bias, noise=noise,
+        )  # fmt: skip
+    # Uniform numbers alone: the streams of the other distributions may change between versions.
+    answer = (rng.random(p.size) < p).astype(float)
+    answer[rng.random(p.size) < share] = np.nan
+    frame = table[[name for name in LABELS if name in table]].assign(
+        standard=standard, stimulus_1=s1, stimulus_2=s2, n=1, count=answer
+    )
+    log_unit = encoding.log_unit if isinstance(encoding, LogEncoding) else None
+    scale, source = "linear" if log_unit is None else "log", "simulated trials"
+    frame = frame.reset_index(drop=True)
+    return Trials(frame, chosen, scale, log_unit, source, notes_of(frame))

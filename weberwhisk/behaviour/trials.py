@@ -236,6 +236,25 @@ def notes_of(frame: pd.DataFrame, rows: NDArray[np.intp] | None = None) -> tuple
     return tuple(notes)
 
 
+def joined(parts: list[Trials]) -> Trials:
+    """Tables of one task, scale and unit, one below the other."""
+    if not isinstance(parts, list | tuple):
+        raise ValueError(f"parts must be a list of Trials, got {_checks.shown(parts)}.")
+    for part in parts:
+        check_trials(part)
+    if not parts:
+        raise ValueError("there are no tables to join; give one or more.")
+    kinds = {(t.task.name, t.scale, t.log_unit) for t in parts}
+    if len(kinds) > 1:
+        raise ValueError(
+            f"tables of {len(kinds)} kinds (task, scale, unit) were given; join those of one kind."
+        )
+    if len(parts) == 1:
+        return parts[0]
+    frame = pd.concat([t.frame for t in parts], ignore_index=True)
+    return replace(parts[0], frame=frame, notes=notes_of(frame), rows=None)
+
+
 def rows_in_words(rows: ArrayLike) -> str:
     """Rows in words, the first below the header being 1."""
     numbers = np.atleast_1d(np.asarray(rows))

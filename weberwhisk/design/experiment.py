@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from .. import _checks, campaign
 from .._values import Shown, interval_text
 from ..behaviour.encodings import CueEncoding
-from ..behaviour.population import simulate_responses
+from ..behaviour.simulate import simulate_responses
 from ..behaviour.verdict import FitStatus
 from ..cues import Compliance
 from ..cues.protocol import Cue

@@ -22,9 +22,9 @@ from ..behaviour.encodings import (
 )
 from ..behaviour.fit import WeberFit, fit_weber
 from ..behaviour.likelihood import BIASES, WeberModel, names_by_standard
-from ..behaviour.population import draw_animals
 from ..behaviour.priors import DEFAULTS, Priors, of_task
 from ..behaviour.psychometric import Task, task_named
+from ..behaviour.simulate import draw_animals
 from ..behaviour.trials import STIMULI, Cells, Trials
 from ..whisker import Whisker
 from .scheme import Scheme
