@@ -23,7 +23,7 @@ from weberwhisk.cli import app, run_app
 from weberwhisk.commands.experiments import in_words, rig_trials
 from weberwhisk.design import Goal, Plan, Scheme, plan_json, taper
 from weberwhisk.design.plan_file import preregistration
-from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
+from weberwhisk.design.session import bpod_table, psychopy_tables
 
 ROOT = Path(__file__).parent.parent
 

@@ -44,7 +44,7 @@ from weberwhisk.design import (
     with_priors,
 )
 from weberwhisk.design.plan_file import decode, encode, plan_of, preregistration
-from weberwhisk.design.trial_lists import bpod_table, psychopy_tables
+from weberwhisk.design.session import bpod_table, psychopy_tables
 from weberwhisk.output import csv_text
 
 STANDARDS = [10e-3, 18e-3, 28e-3]

@@ -335,9 +335,7 @@ class WeberFit(Shown):
 
 def tails(mass: float) -> tuple[float, float]:
     """Probabilities below the ends of an equal-tailed interval."""
-    value = _checks.number("mass", mass, "write for example 0.95")
-    if not 0 < value < 1:
-        raise ValueError(f"mass must lie between 0 and 1, got {value:g}; write for example 0.95.")
+    value = _checks.between("mass", mass, "write for example 0.95")
     return 0.5 - value / 2, 0.5 + value / 2
 
 

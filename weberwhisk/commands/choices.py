@@ -21,7 +21,8 @@ from ..behaviour.simulate import SIGNED_OFFSETS
 from ..behaviour.trials import STIMULI, data_package, describe_table
 from ..cli import numbers
 from ..design import BayesianPlacer, Constraints, Hypothesis, Scheme, Staircase, lattice
-from ..design.session import RULES, Session, converse
+from ..design.placement import RULES
+from ..design.session import Session, converse
 from ..output import Run, atomic_write, csv_text, to_json
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
 

@@ -9,13 +9,12 @@ from .best import Best, best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
 from .information import information
-from .placement import BayesianPlacer, Placer, Proposal, TrialLog, next_trial
+from .placement import BayesianPlacer, Placer, Proposal, Staircase, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan
 from .power_analysis import Power, Smallest, power, smallest
 from .scheme import LEVELS, Constraints, Scheme, lattice
-from .session import Session, Staircase
-from .trial_lists import trial_lists
+from .session import Session, trial_lists
 
 __all__ = [
     "LEVELS",

@@ -31,6 +31,8 @@ from .scheme import Scheme
 
 Array = NDArray[np.float64]
 
+TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
+
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
@@ -392,3 +394,29 @@ def refuse_given_k(hypotheses: Sequence[Hypothesis], what: str) -> None:
                 "no trials make surer; leave weber_fraction out of its priors, or ask for a Bayes "
                 "factor."
             )
+
+
+def check_task(task: str) -> None:
+    """Refuses what no trial list is made for."""
+    if task not in (*TWO_STIMULI, *ONE_STIMULUS):
+        raise ValueError(
+            f"Trial lists are made for one or two stimuli a trial, got the task {task!r}; write "
+            "2AFC, 2IFC, yes/no or go/no-go."
+        )
+
+
+def check_answers(trials: Trials, task: str, animals: int) -> None:
+    """Refuses trials of another question than was planned, and several animals without names."""
+    asked = trials.task.name
+    if asked != task and not any(
+        {asked, task} <= {*alike} for alike in (TWO_STIMULI, ONE_STIMULUS)
+    ):
+        raise ValueError(
+            f"{trials.source}: the plan is of {task}, got trials of {asked}; write "
+            f"read_trials(table, task={task!r})."
+        )
+    if animals > 1 and not trials.subjects:
+        raise ValueError(
+            f"{trials.source}: the plan is of {animals} animals, got no column 'subject'; write "
+            "in it whose trial each row is."
+        )

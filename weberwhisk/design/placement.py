@@ -10,21 +10,22 @@ tells of the lapses would spend trials on stimuli so easy that only a lapse can 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import ndtri, softmax
 
 from .. import _checks
 from ..behaviour.encodings import LogEncoding
-from ..behaviour.fit import WeberFit, fit_weber
-from ..behaviour.trials import Trials
+from ..behaviour.fit import WeberFit, fit_weber, tails
+from ..behaviour.psychometric import SignedChoice, YesNo, decision_variable
+from ..behaviour.trials import Cells, Trials
 from .belief import Belief, GrowingBelief, Pair, entropy
-from .hypotheses import Hypothesis, check_distinct, options_of, refuse_given_k
+from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k
 from .scheme import Scheme
-from .trial_lists import check_answers
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ class Proposal:
 
 
 class Placer(Protocol):
-    """Whatever chooses trials: this module's `BayesianPlacer`, and `session.Staircase`."""
+    """Whatever chooses trials: `BayesianPlacer`, and `Staircase`."""
 
     @property
     def finished(self) -> str:
@@ -189,6 +190,12 @@ class TrialLog:
         return {h.name: fit_weber(trials, **options_of(h)) for h in self.hypotheses}
 
 
+def _limit(name: str, value: int | None) -> int | None:
+    if value is not None:
+        _checks.positive(name, value, "write 400, say")
+    return value
+
+
 class BayesianPlacer(TrialLog):
     """Trials that are expected to tell most.
 
@@ -259,26 +266,20 @@ class BayesianPlacer(TrialLog):
         if width is not None:
             _checks.positive_number("width", width, "write 0.2 for an interval of ±20 %")
             refuse_given_k(self.hypotheses, f"trials end at an interval of k of width={width:g}")
-        if most is not None:
-            _checks.positive("most", most, "write 400, say")
-        self.easy_share, self.width, self.most = easy_share, width, most
+        self.easy_share, self.width, self.most = easy_share, width, _limit("most", most)
         self._cells = scheme.cells()
         self.beliefs = {h.name: GrowingBelief(h, self._cells) for h in self.hypotheses}
-
-    # -- what is known ---------------------------------------------------------------------------
 
     @property
     def probabilities(self) -> dict[str, float]:
         """Posterior probability of each hypothesis."""
         log = np.array([b.log_evidence for b in self.beliefs.values()])
-        share = np.exp(log - log.max())
-        return dict(zip(self.beliefs, (share / share.sum()).tolist(), strict=True))
+        return dict(zip(self.beliefs, softmax(log).tolist(), strict=True))
 
     @property
     def best(self) -> Belief:
         """The belief under the most probable hypothesis."""
-        chances = self.probabilities
-        return self.beliefs[max(chances, key=chances.__getitem__)]
+        return max(self.beliefs.values(), key=lambda belief: belief.log_evidence)
 
     @property
     def weber_fraction(self) -> float:
@@ -287,13 +288,11 @@ class BayesianPlacer(TrialLog):
 
     def interval(self, mass: float = 0.95) -> tuple[float, float]:
         """Central interval of k, under the most probable hypothesis."""
-        _checks.between("mass", mass, "write 0.95, say")
-        low, high = self.best.quantile(np.array([0.5 - mass / 2, 0.5 + mass / 2]))
+        low, high = self.best.quantile(np.array(tails(mass)))
         return float(low), float(high)
 
     @property
     def finished(self) -> str:
-        """Why there are trials enough; empty where there are not."""
         if self.width is not None:
             low, high = self.interval()
             if (high - low) / (high + low) <= self.width:
@@ -303,20 +302,18 @@ class BayesianPlacer(TrialLog):
     def information(self) -> Array:
         """Bits that the answer to each trial of the scheme is expected to tell, (C,)."""
         chance = np.array(list(self.probabilities.values()))
-        given_k, given = zip(*(b.predicted() for b in self.beliefs.values()), strict=True)
-        whole = entropy(chance @ np.array(given))
+        beliefs = self.beliefs.values()
+        given_k, of_each = zip(*(b.predicted() for b in beliefs), strict=True)
+        given = np.array(of_each)
+        whole = entropy(chance @ given)
         if self.goal == "hypothesis":
-            left = chance @ entropy(np.array(given))
+            left = chance @ entropy(given)
         elif self.goal == "everything":
-            left = chance @ np.array([b.entropy_of_all() for b in self.beliefs.values()])
+            left = chance @ np.array([b.entropy_of_all() for b in beliefs])
         else:
-            whole = chance @ entropy(np.array(given))
-            left = chance @ np.array(
-                [b.mass_k @ entropy(p) for b, p in zip(self.beliefs.values(), given_k, strict=True)]
-            )
+            known = [b.mass_k @ entropy(p) for b, p in zip(beliefs, given_k, strict=True)]
+            whole, left = chance @ entropy(given), chance @ np.array(known)
         return np.asarray(np.maximum(whole - left, 0.0) / np.log(2))
-
-    # -- trial by trial --------------------------------------------------------------------------
 
     def _encode(self, pair: Pair) -> None:
         for belief in self.beliefs.values():
@@ -327,11 +324,8 @@ class BayesianPlacer(TrialLog):
         cells, information = self._cells, self.information()
         allowed = self.scheme.standards if standard is None else (standard,)
         if easy:
-            good = [
-                f(np.flatnonzero(cells.standard == s), key=cells.stimulus_2.item)
-                for s in allowed
-                for f in (min, max)
-            ]
+            places = [np.flatnonzero(cells.standard == s) for s in allowed]
+            good = [f(at, key=cells.stimulus_2.item) for at in places for f in (min, max)]
         else:  # any of these is as good, and none foreseen
             open_to = np.isin(cells.standard, allowed)
             enough = 0.95 * information[open_to].max()
@@ -343,6 +337,126 @@ class BayesianPlacer(TrialLog):
     def _learn(self, pair: Pair, answer: int) -> None:
         for belief in self.beliefs.values():
             belief.absorb(pair, answer)
+
+
+#: Right answers in a row that make it harder.
+RULES = {"1-up/1-down": 1, "1-up/2-down": 2, "1-up/3-down": 3}
+
+
+@dataclass
+class _Track:
+    """One staircase: its level, from the easiest down, and its turns."""
+
+    level: int = 0
+    right: int = 0
+    way: int = 0
+    turns: list[float] = field(default_factory=list)
+
+
+class Staircase(TrialLog):
+    """A transformed up–down rule (Levitt 1971), one track a standard, interleaved at random.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        Says what is asked and how a stimulus is encoded; the rule itself needs no more.
+    scheme : Scheme
+        Its comparisons are the levels, from the easiest on.
+    rule : {"1-up/2-down", "1-up/3-down", "1-up/1-down"}
+        Settles where 70.7, 79.4 or 50 % of the answers are right.
+    turns : int, optional
+        Finished after so many turns on every track.
+    most : int, optional
+        Finished after so many trials.
+    seed : int
+        Of the order of the standards, and of the side of the comparison.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> scheme = Scheme([1.0], [[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]])
+    >>> staircase = Staircase(Hypothesis("Weber", IdentityEncoding()), scheme, seed=1)
+    >>> offsets = []
+    >>> for _ in range(6):
+    ...     trial = staircase.next()
+    ...     offsets.append(round(abs(trial.comparison - trial.standard), 3))
+    ...     staircase.record(trial.standard, trial.comparison, trial.comparison > trial.standard)
+    >>> offsets
+    [0.4, 0.4, 0.1, 0.1, 0.1, 0.1]
+    """
+
+    def __init__(
+        self,
+        hypothesis: Hypothesis,
+        scheme: Scheme,
+        *,
+        rule: str = "1-up/2-down",
+        turns: int | None = None,
+        most: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__([hypothesis], scheme, seed)
+        self.rule = _checks.one_of("rule", rule, RULES)
+        self.turns, self.most = _limit("turns", turns), _limit("most", most)
+        self._sides: dict[float, tuple[Array, Array]] = {}
+        for s, row in zip(scheme.standards, scheme.comparisons, strict=True):
+            levels = np.asarray(row)
+            # Easiest first on either side.
+            below, above = np.sort(levels[levels < s]), np.sort(levels[levels > s])[::-1]
+            if not below.size or not above.size:
+                raise ValueError(
+                    f"standard {s:g} has comparisons on one side only, and a staircase takes both; "
+                    "give offsets of both signs."
+                )
+            self._sides[s] = below, above
+        self._tracks = {s: _Track() for s in scheme.standards}
+
+    @property
+    def finished(self) -> str:
+        fewest = min(len(track.turns) for track in self._tracks.values())
+        if self.turns is not None and fewest >= self.turns:
+            return f"every track has turned {self.turns} times"
+        return super().finished
+
+    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
+        which, side = rng.random(2)
+        s = self.scheme.standards[int(which * len(self._tracks))] if standard is None else standard
+        levels = self._sides[s][int(side < 0.5)]
+        return Proposal(number, s, float(levels[min(self._tracks[s].level, levels.size - 1)]))
+
+    def _learn(self, pair: Pair, answer: int) -> None:
+        signed = isinstance(self.hypotheses[0].asked, SignedChoice | YesNo)
+        right = answer == int(pair[1] > pair[0]) if signed else bool(answer)
+        track = self._tracks[pair[2]]
+        track.right = track.right + 1 if right else 0
+        way = -1 if not right else int(track.right >= RULES[self.rule])
+        if way == 0:
+            return
+        track.right = 0
+        if track.way and way != track.way:
+            encoding = self.hypotheses[0].encoding  # |d| of the trial for a Weber fraction of 1
+            track.turns.append(abs(float(decision_variable(encoding, pair[0], pair[1]))))
+        track.way = way
+        stride = max(4 >> len(track.turns), 1)  # levels moved at once, halved with every turn
+        lowest = max(side.size for side in self._sides[pair[2]]) - 1
+        track.level = int(np.clip(track.level + way * stride, 0, lowest))
+
+    def _encode(self, pair: Pair) -> None:
+        self.hypotheses[0].model(Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0))))
+
+    @property
+    def weber_fraction(self) -> float:
+        """The textbook's estimate: the mean level (of logarithms) at all turns but the first two.
+
+        NaN before the third turn, for 1-up/1-down, which settles at chance, and for tasks but 2AFC
+        and 2IFC, whose right answers are not Φ of the level. Lapses and bias move it; `fits` takes
+        them into account, and other tasks.
+        """
+        turns = [d for track in self._tracks.values() for d in track.turns[2:]]
+        share = 0.5 ** (1 / RULES[self.rule])
+        if not turns or share == 0.5 or not isinstance(self.hypotheses[0].asked, SignedChoice):
+            return float("nan")
+        return float(np.exp(np.mean(np.log(turns))) / ndtri(share))
 
 
 def next_trial(

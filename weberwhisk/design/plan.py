@@ -26,16 +26,19 @@ from ..behaviour.trials import STIMULI, Trials
 from ..jnd import criterion_factor
 from ..output import csv_text
 from .hypotheses import (
+    ONE_STIMULUS,
     Goal,
     Hypothesis,
     SubjectPopulation,
+    check_answers,
     check_distinct,
     check_goal,
     check_metres,
+    check_task,
     options_of,
 )
 from .scheme import Constraints, Scheme, millimetres
-from .trial_lists import ONE_STIMULUS, check_answers, check_task, sessions_needed, trial_lists
+from .session import sessions_needed, trial_lists
 
 Array = NDArray[np.float64]
 

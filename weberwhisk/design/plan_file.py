@@ -38,10 +38,9 @@ from ..observer import Observer
 from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
-from .hypotheses import Goal, Hypothesis, SubjectPopulation
+from .hypotheses import ONE_STIMULUS, Goal, Hypothesis, SubjectPopulation
 from .plan import Plan
 from .scheme import Constraints, Scheme, easy_share
-from .trial_lists import ONE_STIMULUS
 
 # What each is made of: the names of its arguments, and after a colon what they may be where that is
 # not one finite number.

@@ -1,161 +1,291 @@
-"""A session at the rig: trials on file as they come, line by line, and classical staircases.
+"""Sessions: trial lists made beforehand, and trials placed one by one, on file as they come.
 
-The file is the memory. Every answer is in it before the next trial is given out, and when the
-process is started again, whatever ended it, the answers in the file are learnt from again and the
-session goes on with the trial that it had come to.
+An animal should find nothing in the order of a list to earn its reward by but the stimuli. Three
+levels of balance, from the outside in:
+
+- *blocks*: every level (a standard and its comparison) comes equally often in each block, within
+  one, so that a session that ends early, or a drift of the animal, touches all levels alike;
+- *sides*: of the trials of every level, in half the comparison is the first stimulus and in half
+  the second, within one, and so the second is the greater on half of the trials;
+- *history*: within a session the right answer repeats as often as it changes, within a few trials,
+  and stays for no more than `longest_run` trials running, where a block's sides are even enough for
+  that. A short limit is itself a cue: with 3 (Gellermann 1933) an answer that came twice running
+  changes in 64 % of trials, with 4 in 57 %, with 5, the default, in 54 % (blocks of 36).
+
+Of trials placed one by one the file is the memory. Every answer is in it before the next trial is
+given out, and when the process is started again, whatever ended it, the answers in the file are
+learnt from again and the session goes on with the trial that it had come to.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from .. import _checks
-from ..behaviour.psychometric import SignedChoice, YesNo, decision_variable
 from ..behaviour.trials import Cells
 from ..campaign.log import Log
-from .belief import Pair
-from .hypotheses import Hypothesis
-from .placement import BayesianPlacer, Placer, Proposal, TrialLog
-from .scheme import Scheme
+from .placement import BayesianPlacer, Placer, Proposal
+from .scheme import Scheme, millimetres
 
 Array = NDArray[np.float64]
-
-#: Right answers in a row that make it harder.
-RULES = {"1-up/1-down": 1, "1-up/2-down": 2, "1-up/3-down": 3}
+Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
 
 
-@dataclass
-class _Track:
-    """One staircase: its level, from the easiest down, and its turns."""
-
-    level: int = 0
-    right: int = 0
-    way: int = 0
-    turns: list[float] = field(default_factory=list)
-
-
-class Staircase(TrialLog):
-    """A transformed up–down rule (Levitt 1971), one track a standard, interleaved at random.
+def trial_lists(
+    scheme: Scheme,
+    *,
+    trials_per_session: int = 300,
+    longest_run: int = 5,
+    one_stimulus: bool = False,
+    seed: int | np.random.SeedSequence,
+) -> pd.DataFrame:
+    """The trials of all animals, balanced and randomised within blocks.
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-        Says what is asked and how a stimulus is encoded; the rule itself needs no more.
     scheme : Scheme
-        Its comparisons are the levels, from the easiest on.
-    rule : {"1-up/2-down", "1-up/3-down", "1-up/1-down"}
-        Settles where 70.7, 79.4 or 50 % of the answers are right.
-    turns : int, optional
-        Finished after so many turns on every track.
-    most : int, optional
-        Finished after so many trials.
-    seed : int
-        Of the order of the standards, and of the side of the comparison.
+    trials_per_session : int
+        At most; the trials are spread evenly over as many sessions as that takes.
+    longest_run : int
+        Trials running on which the same answer may be right.
+    one_stimulus : bool
+        Yes/no and go/no-go: `stimulus_2` alone is put, `stimulus_1` is the standard held in mind,
+        and `greater` is 2 where the right answer is "yes".
+    seed : int or SeedSequence
+        The same seed gives the same lists, on every platform. Each animal has an order of its own,
+        which further animals leave as it is.
+
+    Returns
+    -------
+    DataFrame
+        One row a trial: `subject` (s1, s2, …), `session`, `block` and `trial` (each from 1, block
+        and trial within the session), `level` (row of `scheme.table()`, from 1), `standard_mm`,
+        `stimulus_1_mm`, `stimulus_2_mm`, `greater` (1 or 2: the stimulus that is the greater, and
+        so the right answer). `weberwhisk fit` reads it once it has a column `choice`.
+
+    Raises
+    ------
+    ValueError
+        For a level without a right answer, sessions without trials, and the like.
 
     Examples
     --------
-    >>> from weberwhisk.behaviour import IdentityEncoding
-    >>> scheme = Scheme([1.0], [[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]])
-    >>> staircase = Staircase(Hypothesis("Weber", IdentityEncoding()), scheme, seed=1)
-    >>> offsets = []
-    >>> for _ in range(6):
-    ...     trial = staircase.next()
-    ...     offsets.append(round(abs(trial.comparison - trial.standard), 3))
-    ...     staircase.record(trial.standard, trial.comparison, trial.comparison > trial.standard)
-    >>> offsets
-    [0.4, 0.4, 0.1, 0.1, 0.1, 0.1]
+    >>> table = trial_lists(Scheme([20e-3], [-2e-3, 2e-3], 20, 2), trials_per_session=25, seed=1)
+    >>> table.groupby(["subject", "session"])["greater"].value_counts().unique().tolist()
+    [10]
     """
+    _checks.kind("scheme", scheme, "a Scheme", "offsets", "write Scheme([20e-3], [-2e-3, 2e-3])")
+    _checks.whole("trials_per_session", trials_per_session, "write 300, say")
+    if not isinstance(seed, np.random.SeedSequence):
+        _checks.whole("seed", seed, "write 1, say", least=0)
+    _checks.whole("longest_run", longest_run, "write 5, say", least=2)
+    levels = scheme.cells()
+    alike = levels.standard == levels.stimulus_2
+    if alike.any():
+        raise ValueError(
+            f"A comparison equal to its standard, {levels.standard[alike][0]:g}, has no right "
+            "answer to reward; leave the offset 0 out."
+        )
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(int(seed))
+    parts = {}
+    for i in range(scheme.animals):  # as `spawn` would, without counting it up
+        own = np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, i))
+        rng = np.random.default_rng(own)
+        parts[f"s{i + 1}"] = _of_animal(levels, trials_per_session, longest_run, one_stimulus, rng)
+    return pd.concat(parts, names=["subject"]).reset_index(0).reset_index(drop=True)
 
-    def __init__(
-        self,
-        hypothesis: Hypothesis,
-        scheme: Scheme,
-        *,
-        rule: str = "1-up/2-down",
-        turns: int | None = None,
-        most: int | None = None,
-        seed: int = 0,
-    ) -> None:
-        super().__init__([hypothesis], scheme, seed)
-        self.rule = _checks.one_of("rule", rule, RULES)
-        for name, value in (("turns", turns), ("most", most)):
-            if value is not None:
-                _checks.positive(name, value, "write 12, say")
-        self.turns, self.most = turns, most
-        self._sides: dict[float, tuple[Array, Array]] = {}
-        for s, row in zip(scheme.standards, scheme.comparisons, strict=True):
-            levels = np.asarray(row)
-            # Easiest first on either side.
-            below, above = np.sort(levels[levels < s]), np.sort(levels[levels > s])[::-1]
-            if not below.size or not above.size:
-                raise ValueError(
-                    f"standard {s:g} has comparisons on one side only, and a staircase takes both; "
-                    "give offsets of both signs."
-                )
-            self._sides[s] = below, above
-        self._tracks = {s: _Track() for s in scheme.standards}
 
-    @property
-    def finished(self) -> str:
-        """Why there are trials enough; empty where there are not."""
-        fewest = min(len(track.turns) for track in self._tracks.values())
-        if self.turns is not None and fewest >= self.turns:
-            return f"every track has turned {self.turns} times"
-        return super().finished
+def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
+    """Sessions of one animal, and blocks in all of them.
 
-    def _choose(self, number: int, rng: np.random.Generator, standard: float | None) -> Proposal:
-        which, side = rng.random(2)
-        s = self.scheme.standards[int(which * len(self._tracks))] if standard is None else standard
-        levels = self._sides[s][int(side < 0.5)]
-        return Proposal(number, s, float(levels[min(self._tracks[s].level, levels.size - 1)]))
+    A block holds every level in both orders, where a session can be that long.
+    """
+    trials = levels.n.astype(np.intp)
+    sessions = -(-int(trials.sum()) // trials_per_session)
+    while True:
+        blocks = max(-(-int(trials.max()) // 2), sessions)
+        sizes = _dealt(trials, blocks).sum(axis=1)
+        in_session = np.bincount(_session_of(blocks, sessions), sizes)
+        if in_session.max() <= trials_per_session:
+            return sessions, blocks
+        sessions += 1
 
-    def _learn(self, pair: Pair, answer: int) -> None:
-        """Move by an answer."""
-        signed = isinstance(self.hypotheses[0].asked, SignedChoice | YesNo)
-        right = answer == int(pair[1] > pair[0]) if signed else bool(answer)
-        track = self._tracks[pair[2]]
-        track.right = track.right + 1 if right else 0
-        way = -1 if not right else int(track.right >= RULES[self.rule])
-        if way == 0:
-            return
-        track.right = 0
-        if track.way and way != track.way:
-            track.turns.append(self._difficulty(pair))
-        track.way = way
-        stride = max(4 >> len(track.turns), 1)  # levels moved at once, halved with every turn
-        lowest = max(side.size for side in self._sides[pair[2]]) - 1
-        track.level = int(np.clip(track.level + way * stride, 0, lowest))
 
-    def _encode(self, pair: Pair) -> None:
-        self.hypotheses[0].model(Cells(*(np.array([v]) for v in (*pair, 1.0, 0.0))))
+def _of_animal(
+    levels: Cells, per_session: int, longest_run: int, one_stimulus: bool, rng: np.random.Generator
+) -> pd.DataFrame:
+    sessions, blocks = sessions_needed(levels, per_session)
+    counts = _dealt(levels.n.astype(np.intp), blocks)
+    session_of = _session_of(blocks, sessions)
+    if one_stimulus:
+        second = counts * (levels.stimulus_2 > levels.standard)
+    else:
+        second = _greater_second(counts, levels.standard, rng)
+    picked: list[tuple[Counts, Counts]] = []
+    for number in range(sessions):
+        before: list[int] = []
+        for block in np.flatnonzero(session_of == number):
+            picked.append(_block(counts[block], second[block], before, longest_run, rng))
+            before.extend(picked[-1][1].tolist())
+    level, side = (np.concatenate(parts) for parts in zip(*picked, strict=True))
+    # Numbered without gaps: a block may be empty where sessions are shorter than the levels.
+    in_block = np.repeat(np.arange(blocks), counts.sum(axis=1))
+    session = np.unique(session_of[in_block], return_inverse=True)[1]
+    block = np.unique(in_block, return_inverse=True)[1]
+    start = np.searchsorted(session, session)
+    standard, comparison = levels.standard[level], levels.stimulus_2[level]
+    comparison_second = (side == 2) == (comparison > standard)
+    standard_mm, comparison_mm = millimetres([levels.standard, levels.stimulus_2])[:, level]
+    return pd.DataFrame(
+        {
+            "session": session + 1,
+            "block": block - block[start] + 1,
+            "trial": np.arange(level.size) - start + 1,
+            "level": level + 1,
+            "standard_mm": standard_mm,
+            "stimulus_1_mm": np.where(comparison_second, standard_mm, comparison_mm),
+            "stimulus_2_mm": np.where(comparison_second, comparison_mm, standard_mm),
+            "greater": side,
+        }
+    )
 
-    def _difficulty(self, pair: Sequence[float]) -> float:
-        """|d| of a trial for a Weber fraction of 1."""
-        encoding = self.hypotheses[0].encoding
-        return float(np.abs(decision_variable(encoding, [pair[0]], [pair[1]]))[0])
 
-    @property
-    def weber_fraction(self) -> float:
-        """The textbook's estimate: the mean level (of logarithms) at all turns but the first two.
+def _dealt(trials: Counts, blocks: int) -> Counts:
+    """How often each level comes in each block, (B, C): evenly, within one."""
+    # Levels that do not divide evenly are put off against each other, so that blocks are alike.
+    phase = np.arange(trials.size) * blocks // trials.size
+    upto = (np.arange(blocks + 1)[:, None] * trials + phase) // blocks
+    return np.diff(upto, axis=0)
 
-        NaN before the third turn, for 1-up/1-down, which settles at chance, and for tasks but 2AFC
-        and 2IFC, whose right answers are not Φ of the level. Lapses and bias move it; `fits` takes
-        them into account, and other tasks.
-        """
-        turns = [d for track in self._tracks.values() for d in track.turns[2:]]
-        share = 0.5 ** (1 / RULES[self.rule])
-        if not turns or share == 0.5 or not isinstance(self.hypotheses[0].asked, SignedChoice):
-            return float("nan")
-        return float(np.exp(np.mean(np.log(turns))) / ndtri(share))
+
+def _session_of(blocks: int, sessions: int) -> Counts:
+    """The session of each block, from 0: as many blocks in each, within one."""
+    return np.arange(blocks, dtype=np.intp) * sessions // blocks
+
+
+def _greater_second(counts: Counts, standard: Array, rng: np.random.Generator) -> Counts:
+    """On how many of a level's trials in each block the second stimulus is the greater, (B, C).
+
+    Half of them. An odd trial goes to the side that the level has had less of; levels that have
+    had as many of both take sides in turn, standard by standard.
+    """
+    lead = np.zeros(counts.shape[1], dtype=np.intp)  # of "second" over "first", by level
+    out = counts // 2
+    for block, odd in enumerate(counts % 2 == 1):
+        side = np.where(odd, -lead, 0)
+        free = np.flatnonzero(odd & (lead == 0))
+        free = free[np.lexsort((rng.random(free.size), standard[free]))]
+        uneven = (lead + side).sum()
+        first = -int(np.sign(uneven)) or 1 - 2 * int(rng.random() < 0.5)
+        side[free[::2]], side[free[1::2]] = first, -first
+        lead += side
+        out[block] += side == 1
+    return out
+
+
+def _block(
+    counts: Counts, second: Counts, before: list[int], longest_run: int, rng: np.random.Generator,
+    candidates: int = 20,
+) -> tuple[Counts, Counts]:  # fmt: skip
+    """One block in its order: level and side (1 or 2, the greater stimulus) of each trial.
+
+    Of so many sequences drawn the one that balances history best.
+    """
+    each = np.arange(counts.size)
+    decks = [np.repeat(each, counts - second), np.repeat(each, second)]
+    drawn = [
+        _sequence([d.size for d in decks], before, longest_run, rng) for _ in range(candidates)
+    ]
+    sides = np.array(min(drawn, key=lambda s: abs(_excess_repeats([*before, *s]))), dtype=np.intp)
+    level = np.empty(sides.size, dtype=np.intp)
+    for side, deck in enumerate(decks, start=1):
+        level[sides == side] = deck[_shuffled(deck.size, rng)]
+    return level, sides
+
+
+def _sequence(
+    left: list[int], before: list[int], longest_run: int, rng: np.random.Generator
+) -> list[int]:
+    """Sides drawn one after another without replacement; none that must end in too long a run."""
+    remaining, out = list(left), []
+    last, run = 0, 0
+    for side in before:
+        last, run = side, run + 1 if side == last else 1
+    for u in rng.random(sum(left)):
+        side = 1 if u * sum(remaining) < remaining[0] else 2
+        if not _can_follow(side, remaining, last, run, longest_run):
+            other = 3 - side
+            if _can_follow(other, remaining, last, run, longest_run) or not remaining[side - 1]:
+                side = other
+        remaining[side - 1] -= 1
+        last, run = side, run + 1 if side == last else 1
+        out.append(side)
+    return out
+
+
+def _can_follow(side: int, remaining: list[int], last: int, run: int, longest_run: int) -> bool:
+    """Whether `side` may come next, and all that then remain be placed without too long a run."""
+    same, other = remaining[side - 1] - 1, remaining[2 - side]
+    run = run + 1 if side == last else 1
+    return (
+        same >= 0
+        and run <= longest_run
+        and same <= longest_run - run + longest_run * other
+        and other <= longest_run * (same + 1)
+    )
+
+
+def _excess_repeats(sides: list[int]) -> int:
+    """How many more of the right answers repeat the one before than change it."""
+    changes = sum(a != b for a, b in pairwise(sides))
+    return len(sides) - 1 - 2 * changes
+
+
+def _shuffled(size: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    # Uniform numbers alone: the streams of the other distributions may change between versions.
+    return np.argsort(rng.random(size), kind="stable")
+
+
+ANSWERS = ("left", "right")  # where the farther stimulus is 1, or 2
+
+
+def psychopy_tables(lists: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """A conditions file for each session of each animal, with its name.
+
+    The names are those that PsychoPy's own participant and session make: `$"psychopy_" +
+    expInfo["participant"] + "_" + expInfo["session"] + ".csv"`, with sessions 001, 002 and so on;
+    the loop takes it in sequential order, once. `correct_answer` is what a keyboard component takes
+    as its correct answer. The number of the trial is not called `trial`, which is the name of a
+    routine there.
+    """
+    table = lists.rename(columns={"trial": "trial_number"})
+    table["correct_answer"] = [ANSWERS[greater - 1] for greater in table["greater"]]
+    for (subject, session), own in table.groupby(["subject", "session"], sort=False):
+        yield f"psychopy_{subject}_{session:03d}", own
+
+
+def bpod_table(lists: pd.DataFrame) -> pd.DataFrame:
+    """All trials in numbers alone, so that MATLAB's `readtable` or `readmatrix` takes them.
+
+    `trial_type` is that of Bpod's examples, 1 where left is right and 2 where right is: `T =
+    readtable("bpod.csv"); TrialTypes = T.trial_type(T.subject == 1 & T.session == 3)';`
+    """
+    table = lists.copy()
+    table["subject"] = table["subject"].str.removeprefix("s").astype(int)
+    table.insert(4, "trial_type", table.pop("greater"))
+    return table
+
+
+# -- trial by trial -------------------------------------------------------------------------------
 
 
 KIND = "session"

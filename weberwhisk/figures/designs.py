@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..design.plan_file import assumptions, offsets_in_words, plan_json, preregistration
-from ..design.trial_lists import bpod_table, psychopy_tables
+from ..design.session import bpod_table, psychopy_tables
 from ..output import Run, atomic_write, csv_text
 from .style import (
     COLOURS,
