@@ -38,9 +38,9 @@ from matplotlib.patches import Patch
 import weberwhisk as ww
 from weberwhisk import figures
 from weberwhisk.charts.beams import timed
-from weberwhisk.citing import machine
 from weberwhisk.figures.style import SMALL
 from weberwhisk.mechanics import Choice
+from weberwhisk.output import machine
 
 Array = np.ndarray
 #: Long, middling and short whiskers of the rat (Belli et al. 2017).

@@ -14,11 +14,10 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "weberwhisk"
 
 # Each place and what stands right below it. A place may import those, all that those may import,
-# its own folder, `_checks`, `_deprecated` and `_values`. A folder's modules share its
+# its own folder, `_checks` and `_values`. A folder's modules share its
 # entry, unless they have their own. "" is the package's __init__.
 TABLE: dict[str, tuple[str, ...]] = {
     "_checks": (),
-    "_deprecated": (),
     "_values": (),
     "domain": (),
     "whisker": ("domain",),
@@ -42,9 +41,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "mechanics.ladder": ("mechanics.model_choice",),
     "mechanics.branches": ("mechanics.cosserat",),
     "mechanics.curved_surface": ("mechanics.branches", "mechanics.rod"),
-    "mechanics.hinge": ("mechanics.chebyshev",),
     "mechanics.forward": (
-        "mechanics.hinge",
         "mechanics.ladder",
         "mechanics.curved_surface",
         "mechanics.elastica",
@@ -59,8 +56,7 @@ TABLE: dict[str, tuple[str, ...]] = {
     "array": ("whisker", "mechanics.shape"),
     "cues": ("mechanics", "receptors"),
     "coordinates": ("cues",),
-    "model_bias": ("cues",),
-    "observer": ("coordinates", "model_bias"),
+    "observer": ("coordinates",),
     "sweeping": ("observer",),
     "posterior": ("observer", "threads"),
     "jnd": ("posterior",),
@@ -75,12 +71,11 @@ TABLE: dict[str, tuple[str, ...]] = {
     "along_whisk": ("jnd", "sweeping"),
     "surveys": ("fusion", "jnd_curves", "array"),
     "paper": ("surveys", "along_whisk", "array_observer"),
-    "output": ("citing",),
+    "output": (),
     "tables": (),
     "contacts": ("posterior", "tables"),
-    "behaviour": ("fusion", "campaign", "citing", "contacts", "places"),
+    "behaviour": ("fusion", "campaign", "contacts", "places"),
     "design": ("behaviour", "places"),
-    "citing": (),
     "charts": ("behaviour", "jnd_curves"),
     "figures": ("design", "charts", "places"),
     "": ("figures", "contacts", "many_touches", "places", "along_whisk"),
@@ -141,7 +136,7 @@ def _place(module: str) -> str | None:
 
 
 def _allowed(place: str) -> set[str]:
-    own = {place, "_checks", "_deprecated", "_values"}
+    own = {place, "_checks", "_values"}
     return own.union(*(_allowed(below) for below in TABLE[place]))
 
 

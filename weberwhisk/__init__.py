@@ -11,7 +11,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from ._deprecated import renamed_names
+from ._values import renamed_names
 
 if TYPE_CHECKING:
     __version__: str
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from .behaviour import read_trials as read_trials
     from .behaviour import simulate_population as simulate_population
     from .behaviour import simulate_trials as simulate_trials
-    from .citing import cite as cite
     from .contacts import calibrate as calibrate
     from .contacts import locate as locate
     from .contacts import read_tracking as read_tracking
@@ -81,6 +80,7 @@ if TYPE_CHECKING:
     from .mechanics import sticking as sticking
     from .mechanics import sweep as sweep
     from .observer import Observer as Observer
+    from .output import cite as cite
     from .places import ArrayObserver as ArrayObserver
     from .places import Place as Place
     from .places import place as place
@@ -109,7 +109,7 @@ _NAMES = {
     "design": "plan_experiment power read_plan simulate_study",
     "places": "ArrayObserver Place place",
     "figures.designs": "write_plan",
-    "citing": "cite",
+    "output": "cite",
 }
 _MODULES = {
     "along_whisk", "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",

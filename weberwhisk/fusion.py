@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._checks import generator, whole
-from ._deprecated import renamed_arguments
-from ._values import with_units
+from ._values import renamed_arguments, with_units
 from .coordinates import UNITS
-from .cues.fused import Fused
+from .cues import Fused
 from .cues.protocol import Array, Cue
 from .jnd import SD, criterion_factor, fisher_jnd
 from .mechanics.contact import Outcome

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import campaign
 from ._checks import angle, finite, generator, one_of, positive, whole
-from ._deprecated import renamed_arguments
-from ._values import Shown, with_units
+from ._values import Shown, renamed_arguments, with_units
 from .coordinates import UNITS
 from .cues import Compliance, ForceMap
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import model_bias
 from ._checks import finite, numbers, one_of, positive_number, shown
-from ._deprecated import renamed_attribute
+from ._values import renamed_attribute
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
 from .cues.protocol import Cue, straight
+from .mechanics import model_choice
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.shape import Profile
@@ -119,7 +119,7 @@ class Observer:
         given = priors_of(self.prior, self.cue)
         own = {n: p for n, p in self.cue.priors(self.whisker).items() if n not in given}
         prior = {**own, **given}
-        if isinstance(self.model, model_bias.Chosen):  # by an observer that this one is made from
+        if isinstance(self.model, model_choice.Chosen):  # by an observer that this one is made from
             set_(self, "model", None)
         if self.model is not None:
             one_of("model", self.model, ("closed_form", "elastica", "profile", "rod"))
@@ -131,12 +131,12 @@ class Observer:
         set_(self, "space", ContactCoordinates(self.whisker, self.cue, prior))
         self._check_noise()
         if self.model is None:
-            set_(self, "model", model_bias.chosen(self))
+            set_(self, "model", model_choice.chosen(self))
 
     @property
     def solver(self) -> str | None:
         """The model that a cue is told of: none where a table serves."""
-        if isinstance(self.model, model_bias.Chosen):
+        if isinstance(self.model, model_choice.Chosen):
             return "elastica" if self.model == "elastica" and not self.forward.is_plain else None
         return self.model
 
@@ -205,7 +205,7 @@ class Observer:
     def why(self) -> str:
         """Which model of the mechanics serves this observer, and why.
 
-        The bias of the radial distance is to first order (see `model_bias`), over 36 contacts of
+        The bias of the radial distance is to first order (see `model_choice`), over 36 contacts of
         the reach, from a tenth to nine tenths of the distances and of the angles.
 
         Examples
@@ -214,7 +214,7 @@ class Observer:
         >>> print(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap()).why)
         the elastica models all there is; the closed form is off by up to 10 JND, 0.1 allowed
         """
-        return model_bias.why(self)
+        return model_choice.why(self)
 
     @cached_property
     def note(self) -> str:
@@ -230,7 +230,7 @@ class Observer:
         >>> print(Observer(Whisker.from_identity("C2"), cues.ForceMap()).note)
         C2 is taken as straight; its shape at rest moves r by up to 15 JND: write curved=True
         """
-        return model_bias.note(self)
+        return model_choice.note(self)
 
     # -- coordinates ---------------------------------------------------------------------------
 

@@ -37,7 +37,7 @@ from .jnd_curves import jnd_curve
 from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.ladder import flick_past, press
-from .model_bias import of_shape_at_rest
+from .mechanics.model_choice import of_shape_at_rest
 from .observer import Observer
 from .posterior import Status, posterior
 from .receptors import Weber

@@ -4,7 +4,7 @@ A `Task` and an `Encoding` make the psychometric function; `Trials` are read or 
 `fit_weber` makes a `WeberFit` of them.
 """
 
-from .._deprecated import renamed_names
+from .._values import renamed_names
 from .comparison import (
     Comparison,
     compare,

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from .. import _checks
-from .._deprecated import renamed_arguments
-from .._values import Shown
+from .._values import Shown, renamed_arguments
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.arviz_io import pointwise_loo

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_attribute
+from .._values import renamed_attribute
 from ..cues import Compliance, ForceMap
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome

@@ -19,7 +19,7 @@ from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .. import _checks
-from .._deprecated import renamed_names
+from .._values import renamed_names
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import SDS, Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
 

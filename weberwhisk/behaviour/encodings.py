@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_attribute, renamed_names
+from .._values import renamed_attribute, renamed_names
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 

@@ -13,8 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_arguments, renamed_attribute
-from .._values import Shown, interval_text
+from .._values import Shown, interval_text, renamed_arguments, renamed_attribute
 from ..posterior.arviz_io import ArvizData
 from ..threads import one_blas_thread
 from . import criticism, report

@@ -14,8 +14,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_arguments
-from .._values import Shown, interval_text
+from .._values import Shown, interval_text, renamed_arguments
 from ..output import plain
 from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from .. import _checks
-from .._deprecated import renamed_arguments
+from .._values import renamed_arguments
 from .effects import Effect, check_valued
 from .encodings import (
     Encoding,

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from .. import _checks
-from .._deprecated import renamed_arguments
+from .._values import renamed_arguments
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
     Encoding,

@@ -24,12 +24,12 @@ from scipy.integrate import cubature
 
 from .. import cues, receptors
 from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
-from ..citing import machine
 from ..jnd import fisher_jnd, weber_propagation
 from ..jnd_curves import jnd_curve
 from ..mechanics import flick_past
 from ..mechanics.chebyshev import Array
 from ..observer import Observer
+from ..output import machine
 from ..posterior import Posterior, Status, posterior
 from ..posterior.peaks import find_mode
 from ..whisker import Whisker

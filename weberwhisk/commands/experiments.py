@@ -14,13 +14,12 @@ from .. import _checks
 from .. import commands as opt
 from ..behaviour.trials import STIMULI, rows_in_words
 from ..campaign import all_cores
-from ..citing import versions_in_words
 from ..cli import numbers
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.plan_file import assumptions, offsets_in_words
 from ..figures.designs import fill
-from ..output import Run, atomic_write
+from ..output import Run, atomic_write, versions_in_words
 from ..tables import load_table
 
 if TYPE_CHECKING:

@@ -4,8 +4,7 @@ from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
 from .compliance import Compliance, LateralSlip
 from .force_map import ForceMap
-from .fused import Fused
-from .protocol import Cue
+from .protocol import Cue, Fused
 from .space_map import SpaceMap
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
 from .vibration import Vibration

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import numbers, one_or_more, positive_number
-from .._deprecated import renamed_arguments
+from .._values import renamed_arguments
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import number, numbers, one_or_more, refuse_hinge
-from .._deprecated import renamed_arguments
+from .._values import renamed_arguments
 from ..mechanics.contact import Outcome
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of

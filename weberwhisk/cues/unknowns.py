@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
-from .._deprecated import renamed_arguments, renamed_attribute
+from .._values import renamed_arguments, renamed_attribute
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise

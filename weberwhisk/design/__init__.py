@@ -4,7 +4,7 @@ The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses
 runs, a placer chooses each trial from what the ones before have told.
 """
 
-from .._deprecated import renamed_names
+from .._values import renamed_names
 from .best import Best, best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._deprecated import renamed_arguments, renamed_attribute
+from .._values import renamed_arguments, renamed_attribute
 from ..behaviour.comparison import cue_encodings, taper_encodings
 from ..behaviour.encodings import (
     ConstantNoise,

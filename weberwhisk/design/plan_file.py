@@ -33,7 +33,7 @@ from ..behaviour.encodings import (
 )
 from ..behaviour.priors import Priors
 from ..cues import Compliance, ForceMap, Friction, SpaceMap, UnknownRoll
-from ..model_bias import Chosen
+from ..mechanics.model_choice import Chosen
 from ..observer import Observer
 from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Joint, Weber

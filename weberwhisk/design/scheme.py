@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from .. import _checks
-from .._deprecated import renamed_arguments
+from .._values import renamed_arguments
 from ..behaviour.encodings import (
     Encoding,
     checked_encoding,

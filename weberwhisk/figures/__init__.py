@@ -5,7 +5,7 @@ Okabe and Ito, which the colour-blind can tell apart, and every colour comes wit
 line style, so that a figure also reads in grey.
 """
 
-from .._deprecated import renamed_names
+from .._values import renamed_names
 from .contacts import (
     bending,
     calibrated,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .._deprecated import renamed_names
+from .._values import renamed_names
 from .contact import Bending, Choice, FlickPast, Model, Outcome
 from .ladder import bend, flick_past, press, signal_jacobian
 

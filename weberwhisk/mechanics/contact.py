@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._deprecated import renamed_attribute
-from .._values import Shown, member
+from .._values import Shown, member, renamed_attribute
 from ..whisker import Whisker
 
 Array = NDArray[np.float64]

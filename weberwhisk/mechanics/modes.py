@@ -40,7 +40,7 @@ from scipy.linalg import eigh, null_space
 from scipy.optimize import brentq
 
 from .._checks import finite, non_negative, number, positive, whole
-from .._deprecated import renamed_attribute
+from .._values import renamed_attribute
 from ..whisker import Whisker
 from .chebyshev import Array
 from .shape import Profile
