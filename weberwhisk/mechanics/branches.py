@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .beam import Rows, follow_blocks
 from .chebyshev import Array, nodes
 from .continuation import zero_load
-from .cosserat import POISSON_RATIO, RodScenes
+from .rod import POISSON_RATIO, RodScenes
 from .shape import Profile
 
 #: Runge–Kutta steps a piece: relative errors of 1e-9, and 1e-7 at thin curved tips.

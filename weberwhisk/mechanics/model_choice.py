@@ -37,8 +37,8 @@ from . import elastica
 from .beam import follow_blocks
 from .chebyshev import Array
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
-from .cosserat import POISSON_RATIO, RodScenes
 from .equilibrium import Scenes, friction, numbers_of, signal_slopes
+from .rod import POISSON_RATIO, RodScenes
 from .scene import SceneRows, planar, straight
 from .shape import Profile
 
@@ -159,7 +159,7 @@ def _spatial_step(scene: SceneRows, contact: Array) -> tuple[Array, NDArray[np.b
     point, good = scene.point().T, np.ones(v.shape[1], dtype=bool)
     scale = np.stack([scene.distance, np.abs(v[1]), np.abs(v[1])])
     for _ in range(2):
-        step = rods.newton(v, point, STEPS)
+        step, _ = rods.newton(v, point, STEPS)
         good &= np.max(np.abs(step) / scale, axis=0) < LARGEST_STEP
         v = v + np.where(good, step, 0.0)
     good &= v[0] <= 1

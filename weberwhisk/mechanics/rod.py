@@ -23,13 +23,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite, positive
 from ..whisker import Whisker
+from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
 from .chebyshev import Array
 from .contact import TOLERANCE, Model, Outcome
-from .cosserat import POISSON_RATIO, Base, RodScenes
-from .equilibrium import on_whisker
+from .continuation import zero_load
+from .equilibrium import ROUNDING, Scenes, friction, on_whisker
 from .shape import Profile
 
 _METRES = "give metres, such as 35e-3"
+#: Of keratin; sets the torsional stiffness.
+POISSON_RATIO = 0.38
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # of three components
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,13 +172,12 @@ def press(
     base = scenes.resolve(v, tolerance)
     held = outcome == Outcome.HELD
     for _ in range(6):
-        off = scenes.newton(v, distance * target, base.steps)
+        off, _ = scenes.newton(v, distance * target, base.steps)
         v = np.where(held, v + off, v)
         v[0] = np.minimum(v[0], 1.0)
         if np.max(np.abs(off[:, held]) / scenes.scale(distance)[:, held], initial=0.0) < 1e-11:
             break
     base = scenes.resolve(v, tolerance)
-    held = outcome == Outcome.HELD
     error = np.full(distance.size, np.nan)
     at, found = scenes.take(np.flatnonzero(held)), base.take(held)
     error[held] = found.signal_error(at.moved(v[:, held], (distance * target)[:, held], found))
@@ -208,3 +211,280 @@ def _result(
         scalar(error),
         scenes.whisker,
     )
+
+
+# -- inside, in units of the whisker's length, base radius and base stiffness ----------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """The base as reached from the contact: directors and X in the contact's frame, (3, n)."""
+
+    d1: Array
+    d2: Array
+    d3: Array
+    lever: Array
+    force: Array
+    error: Array
+    steps: int
+
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Base:
+        """The rods at `index`."""
+        some: dict[str, Any] = {k: v[..., index] for k, v in vars(self).items() if k != "steps"}
+        return replace(self, **some)
+
+    def seen(self, vector: Array) -> Array:
+        """A vector of the contact's frame in the base frame, (3, n)."""
+        return np.stack([(d * vector).sum(axis=0) for d in (self.d3, self.d1, self.d2)])
+
+    def signals(self) -> Array:
+        """Force and moment at the base, in its frame, (6, n)."""
+        force = self.seen(self.force)
+        return np.concatenate([force, np.cross(self.seen(self.lever), force, axis=0)])
+
+    def signal_error(self, off: Array | float = 0.0) -> Array:
+        """Bound on the relative error of the signals, which are `off` besides what the pass makes.
+
+        The largest of those of axial force, transverse force, torsion and bending, each no less
+        than a thousandth of force or moment.
+        """
+        now = np.abs(self.signals())
+        force, moment = np.linalg.norm(now[:3], axis=0), np.linalg.norm(now[3:], axis=0)
+        arm = np.linalg.norm(self.lever, axis=0)
+        turned = np.concatenate([3 * [force], 3 * [moment + arm * force]])
+        with np.errstate(all="ignore"):
+            wrong = turned * (self.error + ROUNDING) + off
+            parts = [
+                np.hypot(wrong[k], wrong[m]) / np.maximum(np.hypot(now[k], now[m]), 1e-3 * whole)
+                for k, m, whole in ((0, 0, force), (1, 2, force), (3, 3, moment), (4, 5, moment))
+            ]
+            error = np.max(parts, axis=0)
+        # No load, no signals to be wrong.
+        return np.asarray(np.minimum(np.where(force == 0, self.error, error), 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class RodScenes:
+    rows: Rows
+    shape: tuple[int, ...]
+    length: Array
+    force: Array
+    friction: Array
+    plane: Array
+    twist: float
+    whisker: Whisker
+
+    @classmethod
+    def of(
+        cls,
+        whisker: Whisker | Profile,
+        scenes: tuple[Array, ...],
+        friction_angle: ArrayLike,
+        plane: ArrayLike,
+        poisson_ratio: float,
+    ) -> RodScenes:
+        tilt = friction(friction_angle)
+        roll = finite("plane", plane, "give radians, 0 for the xy plane")
+        if not -1 < poisson_ratio <= 0.5:
+            raise ValueError(
+                f"poisson_ratio must be between -1 and 0.5, got {poisson_ratio:g}; write 0.38."
+            )
+        more = {f"argument_{k}": value for k, value in enumerate(scenes)}
+        made = Scenes.of(whisker, friction_angle=tilt, plane=roll, **more)
+        length, force, (psi, turn) = made.length, made.force, made.given[:2]
+        return cls(made.rows, made.shape, length, force, psi, turn, 1 + poisson_ratio, made.whisker)
+
+    def flat(self, value: ArrayLike) -> Array:
+        return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
+
+    def take(self, index: NDArray[np.intp]) -> RodScenes:
+        own = vars(self).items()
+        some: dict[str, Any] = {k: v[index] for k, v in own if isinstance(v, np.ndarray)}
+        return replace(self, rows=self.rows.take(index), shape=(index.size,), **some)
+
+    def follow(self, v: Array, steps: int) -> Base:
+        """The rods at v = (arc, force along d₁, along d₂), in `steps` steps a piece."""
+        n = v.shape[1]
+        size = np.hypot(v[1], v[2])
+        cosine, sine = np.cos(self.friction), np.sin(self.friction)
+        force = np.stack([v[1] * cosine, v[2] * cosine, -size * sine])
+        tilt = -np.sin(self.plane), np.cos(self.plane)
+        state = np.zeros((12, n))
+        state[0] = state[4] = state[8] = 1.0
+        slopes = np.zeros((STAGES, 12, n))
+        error, bent = np.zeros(n), np.full(n, 1e-3)
+        for piece in range(len(self.rows.arc) - 2, -1, -1):
+            low, high = self.rows.arc[piece], np.minimum(self.rows.arc[piece + 1], v[0])
+            if not np.any(high > low):
+                continue
+            path = Piece(self.rows, piece, low, np.maximum(high, low), steps)
+            for step in range(steps):
+                weight, give, curl = path.at(step)
+                for i, (used, share) in enumerate(POINTS):
+                    at = state + np.tensordot(share, slopes[used], axes=1) if i else state
+                    slopes[SLOTS[i]] = self._slope(at, weight[i], give[i], curl[i], force, tilt)
+                change, off = np.tensordot(ENDS, slopes, axes=1)
+                state = state + change
+                size = (off[:9] ** 2).sum(axis=0) + (off[9:] ** 2).sum(axis=0) / v[0] ** 2
+                error += np.sqrt(size * np.sqrt(size))
+                bent = np.maximum(bent, np.hypot(state[6], state[7]))
+        lever = state[9:]
+        bound = np.nan_to_num(CAUTION * error / np.sqrt(bent), nan=np.inf)
+        return Base(state[:3], state[3:6], state[6:9], lever, force, bound, steps)
+
+    def _slope(
+        self,
+        state: Array,
+        weight: Array,
+        give: Array,
+        curl: Array | None,
+        force: Array,
+        tilt: tuple[Array, Array],
+    ) -> Array:
+        d1, d2, d3, x = state[:3], state[3:6], state[6:9], state[9:]
+        m = x[_NEXT] * force[_LAST] - x[_LAST] * force[_NEXT]
+        u1, u2, u3 = (give * (d * m).sum(axis=0) for d in (d1, d2, d3))
+        u3 = u3 * self.twist
+        if curl is not None:
+            u1, u2 = u1 + curl * tilt[0], u2 + curl * tilt[1]
+        return np.concatenate(
+            [u2 * d3 - u3 * d2, u3 * d1 - u1 * d3, u1 * d2 - u2 * d1, weight * d3]
+        )
+
+    def resolve(self, v: Array, tolerance: float) -> Base:
+        """`follow` with steps enough for every row, up to 128."""
+        steps = 2 * pilot(self.rows)
+        while True:
+            with np.errstate(all="ignore"):
+                base = self.follow(v, steps)
+            worst = float(np.max(base.error, initial=0.0))
+            if worst <= tolerance or steps >= 128:
+                return base
+            wanted = steps * 1.1 * min(worst / tolerance, 1e9) ** (1 / 8)
+            steps = int(np.clip(np.ceil(wanted), steps + 2, 128))
+
+    def scale(self, distance: Array) -> Array:
+        """Sizes of v at which everything changes by its own order."""
+        room = np.maximum(1 - distance * (1 - self.rows.radius[-1] / self.rows.radius[0]), 1e-4)
+        stiff = 3 * room / distance**2
+        return np.stack([distance, stiff, stiff])
+
+    def newton(self, v: Array, target: Array, steps: int) -> tuple[Array, Array]:
+        """Newton's step to a contact at `target`, (3, n), and the sign of its determinant."""
+        miss, jacobian, _ = self._slopes(v, target, steps)
+        with np.errstate(all="ignore"):
+            det = np.linalg.det(jacobian)
+            usable = np.isfinite(det) & (det != 0)
+            jacobian[~usable] = np.eye(3)
+            step = np.linalg.solve(jacobian, np.nan_to_num(miss.T)[..., None])[..., 0].T
+        return np.where(usable, step, np.inf), np.where(usable, np.sign(det), 0.0)
+
+    def _slopes(
+        self, v: Array, target: Array, steps: int, nudge: float = 1e-6
+    ) -> tuple[Array, Array, Array]:
+        """How far the contact is from `target` (3, n); its slopes to v and those of the signals.
+
+        The slopes are difference quotients, (n, 3, 3) and (n, 6, 3).
+        """
+        n = v.shape[1]
+        scale = self.scale(np.sqrt((target**2).sum(axis=0)))
+        h = nudge * scale
+        # The size of friction has a cusp at no force: well within what is there.
+        small = np.clip(1e-2 * np.hypot(v[1], v[2]) / scale[1], 1e-11, abs(nudge))
+        h[1:] *= np.where(self.friction != 0, small / abs(nudge), 1.0)
+        probes = np.concatenate([v, *(v - h * np.eye(3)[:, [k]] for k in range(3))], axis=1)
+        with np.errstate(all="ignore"):
+            base = self.take(np.tile(np.arange(n), 4)).follow(probes, steps)
+            both = np.concatenate([base.seen(base.lever), base.signals()]).reshape(9, 4, n)
+            slopes = np.nan_to_num((both[:, :1] - both[:, 1:]) / h).transpose(2, 0, 1)
+        return target - both[:3, 0], slopes[:, :3], slopes[:, 3:]
+
+    def onset(self, v: Array, distance: Array, pace: Array) -> Array:
+        """How v grows from rest with friction as the point is moved at `pace`, (3, n).
+
+        Force across the whisker moves the contact in proportion, its friction by the size of that:
+        slopes · v + cusp · |f| = pace, a quadratic in |f|. Zero where nothing slides.
+        """
+        there = distance * np.eye(3)[:, [0]]  # how far off it is makes no difference to slopes
+        ahead, behind = (self._slopes(v, there, 2 * pilot(self.rows), h)[1] for h in (-1e-6, 1e-6))
+        slopes, cusp = (ahead + behind) / 2, (ahead - behind)[:, :, 1].T / 2
+        with np.errstate(all="ignore"):
+            inverse = np.linalg.pinv(slopes)
+            smooth, leaning = (np.einsum("nij,jn->in", inverse, w) for w in (pace, -cusp))
+            a = 1 - (leaning[1:] ** 2).sum(axis=0)
+            b = (smooth[1:] * leaning[1:]).sum(axis=0)
+            size = (b + np.sqrt(b * b + a * (smooth[1:] ** 2).sum(axis=0))) / a
+            return np.where(a > 0, np.nan_to_num(smooth + size * leaning), 0.0)
+
+    def moved(self, v: Array, target: Array, base: Base) -> Array:
+        """What the signals (6, n) are off by as the contacts are off `target`, at most."""
+        miss, places, signals = self._slopes(v, target, base.steps)
+        slopes = np.nan_to_num(signals @ np.linalg.pinv(places))
+        off = (base.error + ROUNDING) * np.linalg.norm(target, axis=0)
+        off = off + np.linalg.norm(miss, axis=0)
+        return np.asarray(np.linalg.norm(slopes, axis=2).T * off)
+
+    def press(
+        self, distance: Array, target: Array, round_back: NDArray[np.bool_]
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """Equilibria by continuation along the great circle from rest to the unit `target`.
+
+        Where `round_back`, by its longer arc.
+        """
+        n = distance.size
+        outcome = np.full(n, Outcome.OUT_OF_REACH, dtype=np.int8)
+        start, _ = zero_load(self.rows, distance)
+        v = np.stack([np.nan_to_num(start, nan=0.5), np.zeros(n), np.zeros(n)])
+        good = np.isfinite(start) & on_whisker(self.rows, np.nan_to_num(start, nan=2.0))
+        outcome[good] = Outcome.FLICKED_PAST
+        x, y = self.rows.law.point(v[0]) if self.rows.law else (v[0], np.zeros(n))
+        r = np.hypot(x, y)
+        rest = np.stack([x, y * np.cos(self.plane), y * np.sin(self.plane)]) / r
+        across = target - rest * (rest * target).sum(axis=0)
+        size = np.sqrt((across**2).sum(axis=0))
+        across = across / np.maximum(size, 1e-300)
+        whole = np.arctan2(size, (rest * target).sum(axis=0))
+        across = np.where(round_back, -across, across)
+        whole = np.where(round_back, 2 * np.pi - whole, whole)
+        done, stride, last = np.zeros(n), np.full(n, 0.2), np.zeros((3, n))
+        rubbed = np.flatnonzero(good & (self.friction != 0))
+        if rubbed.size:
+            pace = distance[rubbed] * across[:, rubbed]
+            last[:, rubbed] = self.take(rubbed).onset(v[:, rubbed], distance[rubbed], pace)
+        sign = np.zeros(n)
+        active = np.flatnonzero(good)
+        for _ in range(500):
+            if not active.size:
+                break
+            part = self.take(active)
+            scale = part.scale(distance[active])
+            step = np.minimum(stride[active], whole[active] - done[active])
+            angle = done[active] + step
+            goal = distance[active] * (
+                rest[:, active] * np.cos(angle) + across[:, active] * np.sin(angle)
+            )
+            guess = v[:, active] + last[:, active] * step
+            here = guess.copy()
+            wide = 1e3 * scale
+            for _ in range(4):
+                move, det = part.newton(here, goal, 2 * pilot(self.rows))
+                here = np.clip(here + np.nan_to_num(move, posinf=np.inf), -wide, wide)
+                # No further than the tip, where an arc has slopes on this side only.
+                beyond = here[0] - 1
+                here[0] = np.clip(here[0], 0.5 * distance[active], 1.0)
+            ok = np.max(np.abs(move) / scale, axis=0) < 1e-6
+            ok &= (det == sign[active]) | (sign[active] == 0)
+            ok &= np.max(np.abs(here - guess) / scale, axis=0) < 0.15
+            ok &= beyond < 1e-9  # rounding of Newton's method on difference quotients
+            rate = (here - v[:, active]) / np.maximum(step, 1e-300)
+            v[:, active] = np.where(ok, here, v[:, active])
+            last[:, active] = np.where(ok, rate, last[:, active])
+            sign[active] = np.where(ok & (sign[active] == 0), det, sign[active])
+            done[active] = np.where(ok, angle, done[active])
+            stride[active] = np.where(ok, np.minimum(1.5 * stride[active], 0.3), step / 2)
+            finished = ok & (whole[active] - done[active] <= 1e-14)
+            dead = ~ok & (step < 1e-6)
+            outcome[active[finished]] = Outcome.HELD
+            outcome[active[dead & (v[0, active] > 1 - 1e-4)]] = Outcome.SLIPPED_OFF_TIP
+            active = active[~(finished | dead)]
+        return v, outcome
