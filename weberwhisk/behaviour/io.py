@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..tables import as_number, load_table
+from ..contacts.files import as_number, load_table
 from .psychometric import TASKS, Task, task_named
 from .trials import (
     LABELS,

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from .. import _checks
-from ..contacts.columns import read_contacts
+from ..contacts.columns import FROM_SHAPE, read_contacts
+from ..contacts.files import load_table
 from ..contacts.rows import locate
-from ..contacts.signals import FROM_SHAPE
 from ..observer import Observer
-from ..tables import load_table
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import (
     Encoding,

@@ -15,12 +15,12 @@ from .. import commands as opt
 from ..behaviour.trials import STIMULI, rows_in_words
 from ..campaign import all_cores
 from ..cli import numbers
+from ..contacts.files import load_table
 from ..design import Constraints, Goal, Plan, SubjectPopulation, plan_json, read_plan
 from ..design.experiment import WIDE
 from ..design.plan_file import assumptions, offsets_in_words
 from ..figures.designs import fill
 from ..output import Run, atomic_write, versions_in_words
-from ..tables import load_table
 
 if TYPE_CHECKING:
     import pandas as pd

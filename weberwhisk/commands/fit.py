@@ -23,8 +23,8 @@ from ..behaviour import (
 from ..behaviour.effects import EFFECTS, WITH_NUMBER, effect_named
 from ..behaviour.trials import in_millimetres
 from ..cli import numbers
+from ..contacts.files import load_table
 from ..output import Run, atomic_write, to_json
-from ..tables import load_table
 from .choices import distance_encoding
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """Measured contacts: from trackers' files and tables of forces to distances."""
 
+from ..cues.force_map import MeasuredAngle
 from .calibration import Calibration, HingedTap, calibrate
-from .readings import MeasuredAngle
 from .rows import locate
 from .signals import tracked_signals
 from .trackers import read_tracking, simulate_tracking

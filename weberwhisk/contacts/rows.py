@@ -14,23 +14,28 @@ from numpy.typing import NDArray
 from .. import _checks, domain
 from ..coordinates import in_words
 from ..cues import Cue
+from ..cues.force_map import is_curved
 from ..mechanics import Profile
 from ..observer import Observer
 from ..posterior import Status
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
 from .calibration import Calibration, averaged
-from .columns import IN_PLANE, Array, one_side, planar, read_contacts, values_of
-from .lattice import Lattice, Readings
-from .readings import (
+from .columns import (
+    COMMON,
+    FROM_SHAPE,
+    IN_PLANE,
+    Array,
     check_magnitudes,
     from_shape,
-    is_curved,
+    one_side,
+    planar,
+    read_contacts,
     signals_of,
-    touches_of,
     turn_round,
+    values_of,
 )
-from .signals import COMMON, FROM_SHAPE
+from .lattice import Lattice, Readings
 from .sums import alike, summarise, touch_posterior
 
 #: What `locate` adds to a table.
@@ -173,7 +178,7 @@ def locate(
         notes.append(f"The column {several[0]!r} names several whiskers: all rows are of one here.")
     if unsaid:
         notes.append(f"No unit was given for {', '.join(unsaid)}: taken as SI (N m, N, rad).")
-    named = None if touch is None else touches_of(raw, touch, notes)
+    named = None if touch is None else _touches_of(raw, touch, notes)
     common, misfit = np.zeros(len(raw)), np.zeros(len(raw))
     if FROM_SHAPE in raw.get("signals_from", pd.Series(dtype=object)).to_numpy():
         whisker, cue, si, side = from_shape(raw, si, whisker, cue, named, notes)
@@ -240,6 +245,45 @@ def locate(
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]
     out.attrs = {**raw.attrs, "notes": tuple(notes)}
+    return out
+
+
+def _touches_of(
+    raw: pd.DataFrame, touch: str | Sequence[Any], notes: list[str]
+) -> NDArray[np.object_]:
+    """The touch of each row, None where it is in none."""
+    if isinstance(touch, str):
+        if touch not in raw.columns:
+            raise ValueError(
+                f"The table has no column {touch!r} of touches; it has "
+                f"{_checks.listed(map(str, raw.columns), 8)}."
+            )
+        values = raw[touch].to_list()
+    else:
+        values = _checks.several("touch", touch, "write the name of a column")
+        if len(values) != len(raw):
+            raise ValueError(
+                f"touch must have a value for each of {len(raw)} rows, got {len(values)}; leave "
+                "those in no touch None."
+            )
+    out = np.empty(len(values), dtype=object)
+    for i, value in enumerate(values):
+        empty = value is None or value is False or pd.isna(value) or value == 0
+        out[i] = None if empty or str(value).strip().lower() in ("", "0", "false") else value
+    if any(str(value).strip().lower() == "true" for value in out):
+        raise ValueError(
+            "touch is True where there is a touch, and does not say which: all would be one. "
+            "Number them, in order of time by (t & ~t.shift(fill_value=False)).cumsum().where(t)."
+        )
+    first = [i for i in range(len(out)) if i == 0 or out[i] != out[i - 1]]
+    starts = pd.Series([out[i] for i in first], dtype=object).dropna()
+    again = starts[starts.duplicated()].unique()
+    if len(again):
+        notes.append(
+            f"{len(again)} of {starts.nunique()} touches, such as {again[0]!r}, have rows in "
+            "several places of the table: one touch each. If numbers begin anew in each trial or "
+            "whisker, number touches throughout."
+        )
     return out
 
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from .. import _checks
 from ..mechanics import Profile
 from ..whisker import Whisker
-from .columns import Array
+from .columns import AT_REST, COMMON, CORRELATION, FROM_SHAPE, Array
 from .shapes import (
     BENT,
     FREE,
@@ -32,14 +32,6 @@ from .shapes import (
 )
 from .trackers import identified_by
 
-#: What tables made of shapes say in the column `signals_from`.
-FROM_SHAPE = "shape"
-#: Their column of the correlation of the errors of moment and transverse force.
-CORRELATION = "moment_transverse_corr"
-#: Of the part of the distance's sd that all frames have in common, by the shape at rest.
-COMMON = "distance_common_sd_mm"
-#: And of the curvature at rest, at the base and its rate along the whisker.
-AT_REST = ("rest_curvature_per_m", "rest_curvature_rate_per_m2")
 #: What is read off a shape, in the order of `Shapes.signals`.
 _SIGNALS = ("moment", "axial_force", "transverse_force", "shape_distance", "deflection_angle")
 

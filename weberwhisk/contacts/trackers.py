@@ -16,7 +16,7 @@ from ..mechanics.shape import bent_shape
 from ..receptors import Seed
 from ..whisker import Whisker
 from .columns import Array
-from .tracker_files import (
+from .files import (
     angle_and_curvature,
     hdf5,
     measurements,

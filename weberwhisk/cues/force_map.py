@@ -1,19 +1,21 @@
-"""The map of moment and forces in the plane (§2f): a contact from its signals."""
+"""The map of moment and forces in the plane (§2f): a contact from its signals, or with an angle."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import numbers, one_or_more, positive_number
+from .._checks import numbers, one_or_more, positive_number, refuse_hinge
 from .._values import renamed_arguments
-from ..mechanics import closed_form
+from ..mechanics import Profile, closed_form, rest_angle
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
+from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 from .protocol import Array, Cue, Felt, reach_at, readings
 
@@ -257,3 +259,56 @@ def _miss(signals: Array, wanted: Array, size: Array) -> tuple[Array, Array]:
     """
     miss = np.arcsinh(wanted / size) - np.arcsinh(signals / size)
     return miss, 1 / np.hypot(signals, size)
+
+
+def is_curved(whisker: Any) -> bool:
+    """Whether a Whisker or Profile is curved anywhere."""
+    return any(np.any(value) for value in vars(Profile.of(whisker).law).values())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredAngle(Cue):
+    """A map of forces, and the deflection angle as video shows it, with an error of its own.
+
+    The angle is that from the base tangent, on curved whiskers too, whose unknown deflection angle
+    is counted from the first touch.
+
+    Parameters
+    ----------
+    cue : Cue
+        Of a distance and an unknown deflection angle.
+
+    Examples
+    --------
+    >>> cue = MeasuredAngle(ForceMap(["moment"]))
+    >>> cue.signal_names, cue.unknowns
+    (('moment', 'measured_angle'), ('radial_distance', 'deflection_angle'))
+    """
+
+    cue: Cue
+    takes_curved = True
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """The cue's, and the angle."""
+        return (*self.cue.signal_names, "measured_angle")
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Those of the cue."""
+        return self.cue.unknowns
+
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+        """The cue's signals and the angle, (..., S), and the outcome."""
+        refuse_hinge(whisker, "MeasuredAngle")
+        contact = np.asarray(contact, dtype=float)
+        signals, outcome = self.cue.signals(whisker, contact, model=model)
+        angle, held = contact[..., 1].copy(), outcome == Outcome.HELD
+        if is_curved(whisker) and held.any():
+            angle[held] += rest_angle(whisker, contact[held, 0])
+        return np.concatenate([signals, angle[..., None]], axis=-1), outcome
+
+    def default_noise(self) -> ReceptorNoise:
+        """Weber's law with k = 0.1, and a degree of the angle."""
+        angle = GeneralisedWeber(0.0, floor=float(np.radians(1.0)))
+        return Joint([Weber(0.1), angle], [len(self.cue.signal_names), 1])
