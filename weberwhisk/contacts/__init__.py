@@ -7,12 +7,6 @@ from .signals import tracked_signals
 from .trackers import read_tracking, simulate_tracking
 
 __all__ = [
-    "Calibration",
-    "HingedTap",
-    "MeasuredAngle",
-    "calibrate",
-    "locate",
-    "read_tracking",
-    "simulate_tracking",
-    "tracked_signals",
-]
+    "Calibration", "HingedTap", "MeasuredAngle", "calibrate", "locate", "read_tracking",
+    "simulate_tracking", "tracked_signals",
+]  # fmt: skip

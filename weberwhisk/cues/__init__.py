@@ -11,22 +11,8 @@ from .vibration import Vibration
 from .vibrissa_length import ComparativeLength, VibrissaLength
 
 __all__ = [
-    "AngleSideAngle",
-    "BalanceOfMoments",
-    "ComparativeLength",
-    "Compliance",
-    "ContactAndDetachment",
-    "Cue",
-    "ForceMap",
-    "Friction",
-    "Fused",
-    "LateralSlip",
-    "SpaceMap",
-    "TwoWhiskers",
-    "UnknownCurvature",
-    "UnknownHinge",
-    "UnknownRoll",
-    "UnknownStiffness",
-    "Vibration",
-    "VibrissaLength",
-]
+    "AngleSideAngle", "BalanceOfMoments", "ComparativeLength", "Compliance",
+    "ContactAndDetachment", "Cue", "ForceMap", "Friction", "Fused", "LateralSlip", "SpaceMap",
+    "TwoWhiskers", "UnknownCurvature", "UnknownHinge", "UnknownRoll", "UnknownStiffness",
+    "Vibration", "VibrissaLength",
+]  # fmt: skip

@@ -138,7 +138,6 @@ class AngleSideAngle(Cue):
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], Felt]:
-        """The signals as a function of the last unknown (...), the rest of the contact given."""
         straight(whisker)
         if self.side_sd == 0:
             return lambda bearing: self.signals(

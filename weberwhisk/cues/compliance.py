@@ -270,7 +270,6 @@ class LateralSlip(Cue):
         return np.stack([rate * self._gain(tilt), direction], axis=-1), outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives (..., 2, 2) of size and direction with respect to r and τ."""
         contact = np.asarray(contact, dtype=float)
         r, tilt = contact[..., 0], contact[..., 1]
         slips = ~self.sticks(tilt)

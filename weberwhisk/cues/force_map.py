@@ -100,7 +100,6 @@ class ForceMap(Cue):
         return signals[..., self._columns], outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives (..., S, U) of the signals with respect to r and, if unknown, θ_d."""
         r, theta = self._place(contact)
         slope = forward_of(whisker, model).jacobian(r, theta)
         return slope[..., self._columns, : len(self.unknowns)]
@@ -290,16 +289,13 @@ class MeasuredAngle(Cue):
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """The cue's, and the angle."""
         return (*self.cue.signal_names, "measured_angle")
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """Those of the cue."""
         return self.cue.unknowns
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
-        """The cue's signals and the angle, (..., S), and the outcome."""
         refuse_hinge(whisker, "MeasuredAngle")
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact, model=model)

@@ -263,7 +263,6 @@ class Fused(Cue):
 
     @property
     def circular(self) -> tuple[bool, ...]:
-        """Those of all cues."""
         return tuple(turns for cue in self.cues for turns in cue.circular)
 
     @cached_property
@@ -281,7 +280,6 @@ class Fused(Cue):
         return all(cue.takes_curved and "azimuth" not in cue.unknowns for cue in self.cues)
 
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
-        """With all that any of the cues does not know."""
         out = forward_of(whisker)
         for cue in self.cues:
             out = cue.forward(out, self.part(cue, contact))
@@ -301,7 +299,6 @@ class Fused(Cue):
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], Felt]:
-        """The signals as a function of the last unknown (...): cues that know it feel the same."""
         *known, last = self.unknowns
         parts: list[Callable[[Array], Felt]] = []
         for cue in self.cues:
@@ -328,7 +325,6 @@ class Fused(Cue):
         return signals, np.asarray(outcome, dtype=np.int8)
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives of all signals to all unknowns, (..., S, U)."""
         contact = np.asarray(contact, dtype=float)
         out = np.zeros((*contact.shape[:-1], len(self.signal_names), len(self.unknowns)))
         row = 0
@@ -351,7 +347,6 @@ class Fused(Cue):
         return outcome
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
-        """Those of the cues; of an unknown that is shared, the first cue's."""
         out: dict[str, Any] = {}
         for cue in self.cues:
             out = {**cue.priors(whisker), **out}
@@ -373,15 +368,12 @@ class Fused(Cue):
         return Joint(noises, [len(cue.signal_names) for cue in self.cues])
 
     def default_noise(self) -> Joint:
-        """The cues' own."""
         return self.joint(*(cue.default_noise() for cue in self.cues))
 
     def farthest(self, whisker: Whisker) -> float:
-        """As far as all cues work, m."""
         return min(cue.farthest(whisker) for cue in self.cues)
 
     def largest_angle(self, whisker: Whisker, radial_distance: Array) -> Array:
-        """The least of the cues' largest deflections (...), rad; infinite where none has one."""
         least = np.full(np.shape(radial_distance), np.inf)
         for cue in self.cues:
             least = np.minimum(least, cue.largest_angle(whisker, radial_distance))

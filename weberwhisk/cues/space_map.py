@@ -118,19 +118,15 @@ class SpaceMap(Cue):
         return replace(forward, azimuth=np.asarray(contact, dtype=float)[..., 2] - self.roll)
 
     def farthest(self, whisker: Whisker) -> float:
-        """The tip, m."""
         return self.forward(whisker, np.zeros(3)).reach
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
-        """Signals (..., S), as in `signal_names`, and outcome of a contact (..., 3)."""
         contact = np.asarray(contact, dtype=float)
         return self.given(whisker, contact[..., :2], model=model)(contact[..., 2])
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], Felt]:
-        """The signals as a function of the azimuth (...), the rest of the contact given."""
-
         def at(plane: Array) -> Callable[[Array], Felt]:
             whole = np.concatenate([contact, plane[..., None]], axis=-1)
             return self.from_plane(whisker, whole, model=model)
@@ -174,7 +170,6 @@ class SpaceMap(Cue):
         return turned
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives (..., S, 3) of the signals with respect to r, θ_d and ω."""
         contact = np.asarray(contact, dtype=float)
         if self.all_but_last is None or not forward_of(whisker).is_plain:
             return super().jacobian(whisker, contact, model=model)

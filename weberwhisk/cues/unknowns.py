@@ -64,17 +64,14 @@ class _Wrapped(Cue):
 
     @property
     def takes_curved(self) -> bool:  # type: ignore[override]
-        """As the cue does."""
         return self.cue.takes_curved
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Those of the cue."""
         return self.cue.signal_names
 
     @property
     def circular(self) -> tuple[bool, ...]:
-        """As the cue has them."""
         return self.cue.circular
 
     @property
@@ -92,11 +89,9 @@ class _Wrapped(Cue):
         return self._under(whisker, contact[..., -1]), contact[..., :-1]
 
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
-        """The cue's, under the condition of each contact."""
         return self.cue.forward(*self._parts(whisker, contact))
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
-        """The cue's signals (..., S) under the condition, and the outcome."""
         return self.cue.signals(*self._parts(whisker, contact), model=model)
 
     def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
@@ -106,20 +101,16 @@ class _Wrapped(Cue):
         return self.cue.jacobian(*self._parts(whisker, contact), model=model)
 
     def priors(self, whisker: Any) -> dict[str, Any]:
-        """The cue's, and that of the condition where it is not known."""
         out = dict(self.cue.priors(self._under(whisker)))
         return out if self.known is not None else out | {self.unknown: self._prior(whisker)}
 
     def default_noise(self) -> ReceptorNoise:
-        """The cue's."""
         return self.cue.default_noise()
 
     def farthest(self, whisker: Any) -> float:
-        """As far as the cue works under any of the conditions, m."""
         return self.cue.farthest(self._under(whisker))
 
     def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
-        """The cue's, on a whisker under the condition."""
         return self.cue.largest_angle(whisker, radial_distance)
 
 
@@ -369,7 +360,6 @@ class UnknownRoll(_Wrapped):
         return replace(forward, azimuth=contact[..., 2] - contact[..., 3])
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
-        """The cue's signals (..., S) of contacts (..., 4), and the outcome."""
         contact = np.array(contact, dtype=float)
         azimuth = contact[..., 2].copy()
         contact[..., 2] -= contact[..., 3]
@@ -454,7 +444,6 @@ class UnknownStiffness(_Wrapped):
 
     @property
     def is_scale(self) -> bool:
-        """Whether every signal is proportional to the stiffness."""
         return bool(self._soft.all())
 
     def _under(self, whisker: Any, value: Any = None) -> Any:
@@ -467,21 +456,18 @@ class UnknownStiffness(_Wrapped):
         return lognorm(self.spread)
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
-        """The cue's signals (..., S), those of force times the stiffness, and the outcome."""
         contact = np.asarray(contact, dtype=float)
         return self.given(whisker, contact[..., :-1], model=model)(contact[..., -1])
 
     def given(
         self, whisker: Any, contact: Array, *, model: str | None = None
     ) -> Callable[[Array], Felt]:
-        """The signals as a function of the stiffness (...), the rest of the contact given."""
         signals, outcome = self.cue.signals(self._under(whisker), contact, model=model)
         if self.is_scale:
             return lambda factor: (signals * factor[..., None], outcome)
         return lambda factor: (signals * np.where(self._soft, factor[..., None], 1.0), outcome)
 
     def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives of the signals to the cue's unknowns and the stiffness, (..., S, U)."""
         contact = np.asarray(contact, dtype=float)
         inner = contact[..., :-1]
         factor = np.where(self._soft, contact[..., -1:], 1.0)

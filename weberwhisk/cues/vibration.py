@@ -118,7 +118,6 @@ class Vibration(Cue):
         return np.where((outcome == Outcome.HELD)[..., None], value, np.nan), outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Derivatives (..., S, 1) of the signals with respect to r."""
         r = np.asarray(contact, dtype=float)[..., 0]
         spline = _amplitudes(whisker, self.count)
         value, slope = spline(r), spline(r, 1)

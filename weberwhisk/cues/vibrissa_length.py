@@ -124,7 +124,6 @@ class VibrissaLength(Cue):
         return np.where(known[..., None], chances, np.nan), outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Slopes of the chances, (..., 2, 1)."""
         r = np.asarray(contact, dtype=float)[..., 0]
         stretch = 1 / (1 - self.tip_zone)
         none = self._missing(whisker, r)[1]
@@ -381,7 +380,6 @@ class ComparativeLength(Cue):
         return np.where(known[..., None], chances[..., :-1], np.nan), outcome
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
-        """Slopes of the chances, (..., 2ⁿ − 1, 1)."""
         tiny = 1e-30  # a complex step does the product rule, without error
         chances = self._patterns(whisker, np.asarray(contact, dtype=float)[..., 0], 1j * tiny)
         return np.asarray(chances.imag[..., :-1, None] / tiny)

@@ -23,18 +23,6 @@ from .protocol import Array, Component, Joint, ReceptorNoise, Seed
 from .spike_count import Afferents, SpikeCount
 
 __all__ = [
-    "Afferents",
-    "Array",
-    "Component",
-    "Events",
-    "Gaussian",
-    "GeneralisedWeber",
-    "Joint",
-    "LogNormal",
-    "NearMiss",
-    "ReceptorNoise",
-    "Saturating",
-    "Seed",
-    "SpikeCount",
-    "Weber",
-]
+    "Afferents", "Array", "Component", "Events", "Gaussian", "GeneralisedWeber", "Joint",
+    "LogNormal", "NearMiss", "ReceptorNoise", "Saturating", "Seed", "SpikeCount", "Weber",
+]  # fmt: skip

@@ -24,7 +24,6 @@ class Gaussian(ReceptorNoise):
     correlation: float = 0.0
 
     def mean(self, signals: ArrayLike) -> Array:
-        """Mean reading, (..., S)."""
         return np.asarray(signals, dtype=float)
 
     def slopes(self, signals: Array) -> tuple[Array, Array]:
@@ -54,7 +53,6 @@ class Gaussian(ReceptorNoise):
         return (1 - rho) * np.eye(size) + rho
 
     def covariance(self, signals: ArrayLike) -> Array:
-        """Covariance of the readings, (..., S, S)."""
         sd = self.sd(signals)
         return sd[..., :, None] * self._correlations(sd.shape[-1]) * sd[..., None, :]
 
@@ -93,14 +91,6 @@ class Gaussian(ReceptorNoise):
         return np.where(spread > 0, value, -np.inf)
 
     def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
-        """`log_likelihood` at signals (P, ..., S) that many readings will be held against.
-
-        Returns
-        -------
-        callable
-            Of readings (n, S) and the index (n,) of the signals for each, giving (n, ...). What
-            does not depend on the reading is worked out once: z = Ay + b.
-        """
         sd, mean = self.sd(signals), self.mean(signals)
         size = sd.shape[-1]
         root = self.root(size)
@@ -152,7 +142,6 @@ class Gaussian(ReceptorNoise):
         return np.asarray(features @ table[:, 1:].T + table[:, 0])
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
-        """Readings of these signals, (..., S)."""
         sd = self.sd(signals)
         rho = self._correlations(sd.shape[-1])
         values, vectors = np.linalg.eigh(rho)
@@ -295,7 +284,6 @@ class GeneralisedWeber(Gaussian):
         return replace(self, floor=np.where(np.asarray(self.weber_fraction) > 0, 0.0, self.floor))
 
     def uninformative(self, signals: Array) -> NDArray[np.bool_]:
-        """Where a signal lies above the ceiling, (..., S)."""
         return self.saturated(signals)
 
     def saturated(self, signals: ArrayLike) -> NDArray[np.bool_]:

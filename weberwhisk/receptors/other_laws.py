@@ -92,11 +92,9 @@ class LogNormal(ReceptorNoise):
         return np.sqrt(np.log1p(self.weber_fraction**2))
 
     def mean(self, signals: ArrayLike) -> Array:
-        """The signal, (..., S)."""
         return np.asarray(signals, dtype=float)
 
     def jacobian(self, signals: ArrayLike) -> Array:
-        """d mean/d signal, the unit matrix, (..., S, S)."""
         size = np.shape(signals)[-1]
         return np.broadcast_to(np.eye(size), (*np.shape(signals), size))
 
@@ -132,7 +130,6 @@ class LogNormal(ReceptorNoise):
         return np.where(possible, value, -np.inf)
 
     def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
-        """`log_likelihood` at a table of signals (P, ..., S): that of the logs, worked out once."""
         of_logs, sign = self._logs.prepared(self._centre(signals)), np.sign(signals)
 
         def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
@@ -147,7 +144,6 @@ class LogNormal(ReceptorNoise):
         return log_likelihood
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
-        """Readings of these signals, (..., S)."""
         signals = np.asarray(signals, dtype=float)
         return np.sign(signals) * np.exp(self._logs.sample(self._centre(signals), seed))
 
@@ -309,7 +305,6 @@ class Events(ReceptorNoise):
         return (1 - self.misreport) * chance + self.misreport / len(self.reports)
 
     def mean(self, signals: ArrayLike) -> Array:
-        """Mean report, (..., R)."""
         return np.asarray(self.chances(signals) @ self.reports)
 
     def jacobian(self, signals: ArrayLike) -> Array:
@@ -318,13 +313,11 @@ class Events(ReceptorNoise):
         return np.broadcast_to(slope, (*np.shape(signals)[:-1], *slope.shape))
 
     def sd(self, signals: ArrayLike) -> Array:
-        """Standard deviation of each number of a report, (..., R)."""
         mean = self.mean(signals)[..., None, :]
         square = self.chances(signals)[..., None] * (self.reports - mean) ** 2
         return np.asarray(np.sqrt(square.sum(axis=-2)))
 
     def covariance(self, signals: ArrayLike) -> Array:
-        """Covariance of the numbers of a report, (..., R, R)."""
         off = self.reports - self.mean(signals)[..., None, :]
         return np.einsum("...c,...ci,...cj->...ij", self.chances(signals), off, off)
 
@@ -348,7 +341,6 @@ class Events(ReceptorNoise):
         return np.asarray(2 * np.sqrt(self.chances(signals) + 1e-12))
 
     def resolution(self, signals: Array) -> tuple[Array, Array]:
-        """`stabilised`, whose JND is 1 everywhere."""
         place = self.stabilised(signals)
         return place, np.ones_like(place)
 
@@ -362,10 +354,6 @@ class Events(ReceptorNoise):
         return np.where(known, np.take_along_axis(log, at, axis=-1)[..., 0], -np.inf)
 
     def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
-        """`log_likelihood` at signals (P, ..., S) that many readings will be held against.
-
-        A callable of readings (n, R) and the index (n,) of the signals for each, giving (n, ...).
-        """
         log = np.moveaxis(self._log_chances(signals), -1, 0)
 
         def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
@@ -377,7 +365,6 @@ class Events(ReceptorNoise):
         return log_likelihood
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
-        """Reports of what happens, (..., R)."""
         rise = np.cumsum(self.chances(signals), axis=-1)
         u = np.random.default_rng(seed).random(rise.shape[:-1])[..., None]
         return np.asarray(self.reports[(u > rise[..., :-1]).sum(axis=-1)])

@@ -241,17 +241,14 @@ class Joint(ReceptorNoise):
 
     @property
     def is_categorical(self) -> bool:  # type: ignore[override]
-        """Whether all of its models are."""
         return all(noise.is_categorical for noise in self.noises)
 
     @property
     def reads_signals(self) -> bool:  # type: ignore[override]
-        """Whether all of its models do."""
         return all(noise.reads_signals for noise in self.noises)
 
     @property
     def is_scale_family(self) -> bool:
-        """Whether all of its models are."""
         return all(noise.is_scale_family for noise in self.noises)
 
     def components(self, signals: int) -> tuple[Component, ...]:
@@ -280,11 +277,9 @@ class Joint(ReceptorNoise):
         return Joint(self.noises[first:last], self.sizes[first:last])
 
     def weber_fractions(self, signals: int) -> Array:
-        """Those of the models, (S,)."""
         return np.concatenate([n.weber_fractions(k) for n, k in self._sizes])
 
     def floors(self, signals: int) -> Array:
-        """Those of the models, (S,)."""
         return np.concatenate([n.floors(k) for n, k in self._sizes])
 
     @property
@@ -292,7 +287,6 @@ class Joint(ReceptorNoise):
         return [(c.noise, c.signals.stop - c.signals.start) for c in self._components]
 
     def with_weber_fraction(self, weber_fraction: ArrayLike) -> Joint:
-        """The same models with another Weber fraction, one or one for each signal."""
         k = np.asarray(weber_fraction, dtype=float)
         each = [k] * len(self.sizes)
         if k.ndim:
@@ -301,15 +295,12 @@ class Joint(ReceptorNoise):
         return Joint([noise.with_weber_fraction(own) for noise, own in pairs], self.sizes)
 
     def without_floor(self) -> Joint:
-        """The same models with no noise but what grows with the signal."""
         return Joint([noise.without_floor() for noise in self.noises], self.sizes)
 
     def uninformative(self, signals: Array) -> NDArray[np.bool_]:
-        """That of each model, (..., S)."""
         return np.concatenate([n.uninformative(s) for n, s in self.parts(signals)], axis=-1)
 
     def resolution(self, signals: Array) -> tuple[Array, Array]:
-        """That of each model, one after the other."""
         return _joined([noise.resolution(part) for noise, part in self.parts(signals)])
 
     def parts(self, signals: ArrayLike) -> list[tuple[ReceptorNoise, Array]]:
@@ -331,39 +322,30 @@ class Joint(ReceptorNoise):
         return [(n, y, s) for y, (n, s) in zip(own, self.parts(signals), strict=True)]
 
     def reading_size(self, signals: int) -> int:
-        """The readings of all models."""
         return self._components[-1].readings.stop
 
     def mean(self, signals: ArrayLike) -> Array:
-        """Mean of the readings, (..., R)."""
         return np.concatenate([n.mean(s) for n, s in self.parts(signals)], axis=-1)
 
     def sd(self, signals: ArrayLike) -> Array:
-        """Standard deviation of each number of a reading, (..., R)."""
         return np.concatenate([n.sd(s) for n, s in self.parts(signals)], axis=-1)
 
     def jacobian(self, signals: ArrayLike) -> Array:
-        """d mean/d signal, (..., R, S): one block a model."""
         return _blocks([n.jacobian(s) for n, s in self.parts(signals)])
 
     def covariance(self, signals: ArrayLike) -> Array:
-        """Covariance of the readings, (..., R, R): one block a model."""
         return _blocks([n.covariance(s) for n, s in self.parts(signals)])
 
     def fisher(self, signals: ArrayLike) -> Array:
-        """Fisher information about the signals, (..., S, S): one block a model."""
         return _blocks([n.fisher(s) for n, s in self.parts(signals)])
 
     def interval(self, signals: ArrayLike, width: float) -> tuple[Array, Array]:
-        """Readings outside are rarer than those `width` sd from a Gaussian's mean, (..., R)."""
         return _joined([noise.interval(part, width) for noise, part in self.parts(signals)])
 
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
-        """ln p(reading | signals), shape (...): the sum over the models."""
         return reduce(np.add, (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals)))
 
     def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
-        """`log_likelihood` at a table of signals (P, ..., S): the sum over the models."""
         parts = [(c.readings, c.noise.prepared(signals[..., c.signals])) for c in self._components]
 
         def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
@@ -372,11 +354,9 @@ class Joint(ReceptorNoise):
         return log_likelihood
 
     def log_likelihoods(self, reading: Array, signals: Array) -> Array:
-        """`log_likelihood` of readings (B, R) at signals (N, S), (B, N): summed over models."""
         return reduce(np.add, (n.log_likelihoods(y, s) for n, y, s in self.apart(reading, signals)))
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
-        """Readings of these signals, (..., R)."""
         rng = np.random.default_rng(seed)
         return np.concatenate([n.sample(s, rng) for n, s in self.parts(signals)], axis=-1)
 

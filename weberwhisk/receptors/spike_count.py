@@ -240,7 +240,6 @@ class SpikeCount(ReceptorNoise):
         return self._peak * self._exponent * activation * (1 - activation)
 
     def mean(self, signals: ArrayLike) -> Array:
-        """Mean counts, (..., R)."""
         return _flat(self._mean(self._activation(signals)))
 
     def variance(self, signals: ArrayLike) -> Array:
@@ -249,11 +248,9 @@ class SpikeCount(ReceptorNoise):
         return mean + (self.gain_sd * mean) ** 2
 
     def sd(self, signals: ArrayLike) -> Array:
-        """Standard deviation of the counts, (..., R)."""
         return np.sqrt(self.variance(signals))
 
     def jacobian(self, signals: ArrayLike) -> Array:
-        """d mean/d signal, (..., R, S)."""
         signals = np.asarray(signals, dtype=float)
         slope = self._slope(self._activation(signals)) / _off_zero(signals)[..., None]
         size = signals.shape[-1]
@@ -320,7 +317,6 @@ class SpikeCount(ReceptorNoise):
         return np.asarray(value if n is counts else value[counts.astype(np.intp)])
 
     def sample(self, signals: ArrayLike, seed: Seed = None) -> Array:
-        """Counts for these signals, (..., R)."""
         rng = np.random.default_rng(seed)
         mean = self.mean(signals)
         if self.gain_sd > 0:
@@ -337,7 +333,6 @@ class SpikeCount(ReceptorNoise):
         return np.asarray((slope**2 / (mean + (self.gain_sd * mean) ** 2)).sum(axis=-1))
 
     def fisher(self, signals: ArrayLike) -> Array:
-        """Fisher information about the signals, diagonal, (..., S, S)."""
         signals = np.asarray(signals, dtype=float)
         information = self._log_information(signals) / _off_zero(signals) ** 2
         return np.asarray(information[..., None] * np.eye(signals.shape[-1]))
