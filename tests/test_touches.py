@@ -102,6 +102,34 @@ def test_the_product_is_that_of_a_fine_sum(k, curvature, distance, shares, seed,
     assert found.sd == pytest.approx(sd, rel=1e-3)
 
 
+def test_a_touch_of_next_to_no_axial_force_is_summed_finely():
+    """On a concave whisker the force passes through zero, and its noise: 4e-3 sd off, converged."""
+    observer = Observer(Whisker(50e-3, 100e-6, 5e-6, curvature=-12.0), cues.ForceMap(), Weber(0.1))
+
+    def axial(r, theta):
+        return observer.signals(np.stack(np.broadcast_arrays(r, theta), axis=-1))[0][..., 1]
+
+    r = np.linspace(20e-3, 40e-3, 101)
+    top = observer.angle_range(r)[1]
+    low, high = 0.02 * top, 0.9 * top
+    for _ in range(50):  # where the force is none
+        middle = (low + high) / 2
+        below = axial(r, middle) * axial(r, low) > 0
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    zero, reading = low[:, None], np.array([[1.3e-6, -6e-9]])
+    near = np.geomspace(1e-7, 1.0, 1000)
+    theta = np.concatenate([zero * (1 - near[::-1]), zero + (top[:, None] - zero) * near], axis=1)
+    theta = (theta[:, 1:] + theta[:, :-1]) / 2, np.diff(theta, axis=1)
+    signals, _ = observer.signals(np.stack(np.broadcast_arrays(r[:, None], theta[0]), axis=-1))
+    weight = (np.exp(observer.noise.log_likelihood(reading, signals)) * theta[1]).sum(axis=1)
+    found = touches(observer, reading)
+    mean = weight @ r / weight.sum()
+    sd = np.sqrt(weight @ (r - mean) ** 2 / weight.sum())
+    assert found.status == Status.CONVERGED
+    assert found.mean == pytest.approx(mean, abs=1e-3 * sd)
+    assert found.sd == pytest.approx(sd, rel=1e-3)
+
+
 def test_a_prior_of_the_angle_sharper_than_the_signals_is_summed():
     """Steps between angles followed the signals alone: 5.7 mm where 24.9 is right, converged."""
     known = Observer(W, cues.ForceMap(deflection_angle=0.2), Weber(0.3))
