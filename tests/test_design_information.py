@@ -28,10 +28,9 @@ from weberwhisk.design import (
     taper,
     with_priors,
 )
-from weberwhisk.design.best import _Search, _sites
+from weberwhisk.design.best import Precision, _Search, _sites
 from weberwhisk.design.experiment import WIDE
 from weberwhisk.design.experiments import compare, fit
-from weberwhisk.design.information import Precision
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 TAPERED, CYLINDRICAL = taper(WHISKER)

@@ -5,10 +5,10 @@ runs, a placer chooses each trial from what the ones before have told.
 """
 
 from .._values import renamed_names
+from .belief import information
 from .best import Best, best_scheme
 from .experiment import SimulatedStudy, plan_experiment, simulate_study
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, cues, noises, taper, with_priors
-from .information import information
 from .placement import BayesianPlacer, Placer, Proposal, Staircase, TrialLog, next_trial
 from .plan import AnalysisResult, Plan, analyse
 from .plan_file import plan_json, read_plan

@@ -1,4 +1,8 @@
-"""What is believed of one observer while trials come in: a grid that follows the posterior.
+"""What is believed of one observer while trials come in, and what one more would tell.
+
+That is the mutual information, in bits, of its answer and what is asked: the Weber fraction, the
+JND at a distance, or which hypothesis is right (Lindley 1956, Ann. Math. Stat. 27:986), everything
+else integrated out: a lapse or a bias that must be learnt as well costs information.
 
 A trial multiplies the grid by the probability of its answer. Where the axes have become too wide or
 too short for what is left, another grid is laid and the trials so far put in again, some of them
@@ -7,21 +11,28 @@ with every trial that comes, so that none has long to wait; until it is done the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
-from ..behaviour.axes import lapse_prior, lapse_transform, score_prior
-from ..behaviour.encodings import UnitEncodings
+from .. import _checks
+from ..behaviour.axes import bias_at, lapse_prior, lapse_transform, score_prior
+from ..behaviour.encodings import UnitEncodings, gives_signal, refuse_out_of_reach
+from ..behaviour.integrate.batch import batch_steps, zoomed
 from ..behaviour.likelihood import WeberModel
 from ..behaviour.priors import TINY
+from ..behaviour.psychometric import difference_sd
 from ..behaviour.trials import Cells
-from .hypotheses import Hypothesis
+from ..threads import one_blas_thread
+from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
+from .scheme import Scheme, millimetres
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
@@ -68,30 +79,24 @@ class BeliefGrid:
     def __init__(self, model: WeberModel, axes: Axes) -> None:
         self.model, self.axes = model, axes
         self.k = model.at("weber_fraction", axes.k)
-        self.bias = [
-            model.priors.value("bias", b) if b.size > 1 else np.array([model.fixed_bias()])
-            for b in axes.bias
-        ]
-        low, high = np.meshgrid(
-            model.at("lapse_low", axes.low), model.at("lapse_high", axes.high), indexing="ij"
-        )
-        self.low, self.high = (np.ravel(a) for a in model.lapses(low, high))
-        self.slope = np.maximum(1 - self.low - self.high, 0.0)
+        self.bias = [bias_at(model, b) for b in axes.bias]
+        lapses = model.at("lapse_low", axes.low), model.at("lapse_high", axes.high)
+        low, high = model.lapses(*np.meshgrid(*lapses, indexing="ij"))
+        self.low, high = low.ravel(), high.ravel()
+        self.slope = np.maximum(1 - self.low - high, 0.0)
         # Of the other answer, and of the one that is counted.
-        self._ends = [np.stack([self.slope, lapse]) for lapse in (self.high, self.low)]
+        self._ends = [np.stack([self.slope, lapse]) for lapse in (high, self.low)]
         self._least_ends = [np.add(e, [[0.0], [1e-30]]).astype(np.float32) for e in self._ends]
         self.lapse_moments = np.stack([np.ones_like(self.low), self.low, self.slope])
         self.lapse_ends = [s.coordinate([-FAR, FAR]) for s in model.transforms[-2:]]
-        lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
-        self.prior = (
-            np.exp(score_prior(axes.k))[:, None] * step_of(axes.k)
-            * lapses * step_of(axes.low) * step_of(axes.high)
-        )  # fmt: skip
-        self.prior_bias = [np.exp(score_prior(b)) * step_of(b) for b in axes.bias]
+        all_axes = axes.k, axes.low, axes.high, *axes.bias
+        steps = [float(a[1] - a[0]) if a.size > 1 else 1.0 for a in all_axes]
+        of_lapses = np.exp(lapse_prior(model, axes.low, axes.high)).ravel()
+        self.prior = np.exp(score_prior(axes.k))[:, None] * of_lapses * np.prod(steps[:3])
+        of_biases = zip(axes.bias, steps[3:], strict=True)
+        self.prior_bias = [np.exp(score_prior(b)) * step for b, step in of_biases]
         shape = axes.k.size, axes.bias[0].size, self.low.size
-        self._logs: list[NDArray[np.float32]] = [
-            np.zeros(shape, dtype=np.float32) for _ in axes.bias
-        ]
+        self._logs = {g: np.zeros(shape, dtype=np.float32) for g in range(len(axes.bias))}
         self.up: list[Array] = []
         self.values: list[Array] = []
         self.by_group: list[Array] = []
@@ -120,8 +125,7 @@ class BeliefGrid:
 
     def close(self) -> None:
         """Exponentiate the next group."""
-        log = self._logs[len(self.values)]
-        self._logs[len(self.values)] = np.zeros(0, dtype=np.float32)
+        log = self._logs.pop(len(self.values))
         self.log.append(float(log.max()))
         log -= log.max()
         self.values.append(np.exp(log, out=log).astype(float))
@@ -156,13 +160,8 @@ def _with_lapses(side: Any, ends: Any) -> Any:
     return (factors.reshape(-1, 2) @ ends).reshape(*side.shape[:2], -1)
 
 
-def step_of(axis: Array) -> float:
-    """Distance of the nodes, 1 where there is one."""
-    return float(axis[1] - axis[0]) if axis.size > 1 else 1.0
-
-
-HELD = 1e-4  # of the highest marginal density: below, a node is empty
-LEAST_TOLD = 8  # trials that the coordinates of the lapses are made for at first
+EMPTY = 1e-4  # of the highest marginal density: below, a node is empty
+LEAST_TRIALS = 8  # that the coordinates of the lapses are made for at first
 
 
 class Belief:
@@ -175,26 +174,14 @@ class Belief:
         self.hypothesis, self._candidates, self._grid = hypothesis, candidates, grid
         self._sum()
 
-    @property
-    def axes(self) -> Axes:
-        """Of the grid as it is."""
-        return self._grid.axes
-
-    @property
-    def k(self) -> Array:
-        """Weber fractions of its nodes, whose masses are `mass_k`."""
-        return self._grid.k
-
     def _sum(self) -> None:
-        """Integrate everything."""
+        """Integrate everything; `mass_k` are the masses of the Weber fractions `k`."""
+        self.axes, self.k = self._grid.axes, self._grid.k
         by_group = self._grid.by_group
-        others = []
-        for g in range(len(by_group)):
-            rest = self._grid.prior.copy()
-            for h, other in enumerate(by_group):
-                if h != g:
-                    rest *= other
-            others.append(rest)
+        others = [
+            math.prod((o for h, o in enumerate(by_group) if h != g), start=self._grid.prior)
+            for g in range(len(by_group))
+        ]
         joint = others[0] * by_group[0]
         total = joint.sum()
         self.log_evidence = float(np.log(total)) + sum(self._grid.log)
@@ -213,7 +200,7 @@ class Belief:
         """Posterior quantiles of the Weber fraction."""
         z = self.axes.k
         if z.size == 1:
-            return np.full(np.shape(probability), self._grid.k[0])
+            return np.full(np.shape(probability), self.k[0])
         fine = np.linspace(z[0], z[-1], 40 * z.size)
         log_mass = np.maximum(np.log(np.maximum(self.mass_k, TINY)), -200.0)
         density = np.exp(CubicSpline(z, log_mass - log_mass.max())(fine))
@@ -239,14 +226,13 @@ class Belief:
         """
         out = np.empty(self._candidates.n.size)
         for g, up in enumerate(self._grid.up):
-            joint = (
-                self._grid.values[g] * self._grid.prior_bias[g][:, None] * self._others[g][:, None]
-            )
+            grid = self._grid
+            joint = grid.values[g] * grid.prior_bias[g][:, None] * self._others[g][:, None]
             below = np.cumsum(joint)
             steps = (np.arange(drawn) + 0.5) / drawn * below[-1]
             k, b, lapse = np.unravel_index(np.searchsorted(below, steps), joint.shape)
-            p = self._grid.low[lapse, None] + self._grid.slope[lapse, None] * up[k, b]
-            out[self._grid.model.group == g] = entropy(p).mean(axis=0)
+            p = grid.low[lapse, None] + grid.slope[lapse, None] * up[k, b]
+            out[grid.model.group == g] = entropy(p).mean(axis=0)
         return out
 
 
@@ -255,7 +241,7 @@ class GrowingBelief(Belief):
 
     def __init__(self, hypothesis: Hypothesis, candidates: Cells) -> None:
         self.hypothesis = hypothesis
-        model = _told(hypothesis.model(candidates), LEAST_TOLD)
+        model = _with_trials(hypothesis.model(candidates), LEAST_TRIALS)
         self._seen: dict[Pair, list[int]] = {}
         pairs = zip(candidates.stimulus_1, candidates.stimulus_2, candidates.standard, strict=True)
         self._encoded: dict[Pair, UnitEncodings] = {
@@ -316,35 +302,33 @@ class GrowingBelief(Belief):
             if grid is not None:
                 self._grid, self._building = grid, None
         self._sum()
-        if self._building is None:
-            axes = self._better_axes()
-            if axes is not None:
-                self._building = self._laid(*axes)
+        if self._building is None and (axes := self._better_axes()) is not None:
+            self._building = self._laid(*axes)
 
     def _better_axes(self) -> tuple[WeberModel, Axes] | None:
         """Axes that fit what is left, and coordinates; None where those there do."""
         axes = self.axes
         sheet = self._joint.sum(axis=0).reshape(axes.low.size, axes.high.size)
         far = np.array([-FAR, FAR])
-        kept: list[tuple[Array, Array, Array]] = [
+        found = [_fitted(*one) for one in [
             (axes.k, self.mass_k, far),
             (axes.low, sheet.sum(axis=1), self._grid.lapse_ends[0]),
             (axes.high, sheet.sum(axis=0), self._grid.lapse_ends[1]),
             *((b, m[..., 0].sum(axis=0), far)
               for b, m in zip(axes.bias, self._moments, strict=True)),
-        ]  # fmt: skip
-        if all(_serves(*one) for one in kept):
+        ]]  # fmt: skip
+        if all(serves for serves, _ in found):
             return None
-        k, low, high, *bias = (_better(*one) for one in kept)
+        k, low, high, *bias = (better for _, better in found)
         # The coordinate of a lapse goes with how many trials tell of it.
         before = self._grid.model.transforms[-2:]
         trials = sum(map(sum, self._seen.values()))
-        model = _told(self._grid.model, max(trials, LEAST_TOLD))
-        low, high = (
-            _even(new.coordinate(was.score(axis[[0, -1]])), axis.size)
-            for axis, was, new in zip((low, high), before, model.transforms[-2:], strict=True)
-        )
-        return model, Axes(k, low, high, tuple(bias))
+        model = _with_trials(self._grid.model, max(trials, LEAST_TRIALS))
+        lapses = []
+        for axis, was, new in zip((low, high), before, model.transforms[-2:], strict=True):
+            first, last = new.coordinate(was.score(axis[[0, -1]]))
+            lapses.append(np.linspace(first, last, axis.size))
+        return model, Axes(k, lapses[0], lapses[1], tuple(bias))
 
 
 def entropy(p: Array) -> Array:
@@ -352,40 +336,181 @@ def entropy(p: Array) -> Array:
     return np.asarray(entr(p) + entr(1 - p))
 
 
-def _serves(axis: Array, mass: Array, ends: Array, share: float = 0.6) -> bool:
-    """Whether an axis is fine and long enough for the mass on it."""
-    fine = bool(np.count_nonzero(mass > HELD * mass.max()) > share * axis.size)
-    return axis.size == 1 or (fine and not any(_short(axis, mass, ends)))
-
-
-def _short(axis: Array, mass: Array, ends: Array, least: float = 1e-3) -> list[bool]:
-    """Whether mass, so much of the highest, hangs over either end, where the parameter goes on."""
-    top = mass.max()
-    return [
-        bool(mass[edge] > least * top and abs(axis[edge] - end) > 1e-9)
-        for edge, end in zip((0, -1), ends, strict=True)
-    ]
-
-
-def _better(axis: Array, mass: Array, ends: Array) -> Array:
-    """As many nodes over what holds the mass, and some more where it may go on."""
+def _fitted(
+    axis: Array, mass: Array, ends: Array, share: float = 0.6, least: float = 1e-3
+) -> tuple[bool, Array]:
+    """Whether an axis is fine and long enough for the mass on it; and as many nodes over what has
+    the mass, and some more where there is `least` of the highest at an end and it may go on."""
     if axis.size == 1:
-        return axis
+        return True, axis
+    filled, edges = np.flatnonzero(mass > EMPTY * mass.max()), axis[[0, -1]]
+    short = (mass[[0, -1]] > least * mass.max()) & (np.abs(edges - ends) > 1e-9)
     step = axis[1] - axis[0]
-    held = axis[np.flatnonzero(mass > HELD * mass.max())[[0, -1]]]
-    low, high = held[0] - step, held[1] + step
-    below, above = _short(axis, mass, ends)
-    reach = 0.3 * (high - low)
-    low, high = max(low - reach * below, ends[0]), min(high + reach * above, ends[1])
-    return _even((low, high), axis.size)
+    low, high = axis[filled[0]] - step, axis[filled[-1]] + step
+    reach = 0.3 * (high - low) * short
+    low, high = max(low - reach[0], ends[0]), min(high + reach[1], ends[1])
+    serves = filled.size > share * axis.size and not short.any()
+    return serves, np.linspace(low, high, axis.size)
 
 
-def _even(ends: ArrayLike, size: int) -> Array:
-    low, high = np.asarray(ends, dtype=float)
-    return np.linspace(low, high, size)
-
-
-def _told(model: WeberModel, trials: float) -> WeberModel:
+def _with_trials(model: WeberModel, trials: float) -> WeberModel:
     """The model with the lapses' coordinates for so many trials."""
     c = model.cells
     return replace(model, cells=replace(c, n=np.full(c.n.size, trials / max(c.n.size, 1))))
+
+
+# -- information ----------------------------------------------------------------------------------
+
+
+@one_blas_thread
+def information(
+    hypotheses: Sequence[Hypothesis],
+    standards: ArrayLike,
+    offsets: ArrayLike,
+    *,
+    after: Scheme | None = None,
+    expected: SubjectPopulation | None = None,
+    jnd_at: float | None = None,
+) -> pd.DataFrame:
+    """Expected information of one trial at every standard and offset.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        With any cue, whisker, noise and priors; equally probable.
+    standards : array_like, shape (S,)
+        m.
+    offsets : array_like, shape (J,) or (S, J)
+        Comparison − standard, m; one row for all, or one each. Comparisons that cannot be encoded
+        have no information: NaN.
+    after : Scheme, optional
+        What has been run before: the parameters are then known as well as they are expected to be
+        after it, averaged over each hypothesis being the truth. By default nothing has, and beliefs
+        are the priors.
+    expected : SubjectPopulation, optional
+        The animal whose answers are expected before; its Weber fraction and lapses.
+    jnd_at : float, optional
+        Distance of the JND asked for, m; by default the middle standard.
+
+    Returns
+    -------
+    DataFrame
+        One row a standard and offset: `standard_mm`, `offset_mm`, `weber_fraction_bits`,
+        `jnd_bits`, `hypothesis_bits`.
+
+    Notes
+    -----
+    Good to about 1 %. An answer has one bit at most; 1 bit is ln 2 nats. These are the gains of the
+    very next trial: they shrink as the experiment goes on, and what is best to know first need not
+    be best to know in the end. A whole scheme is judged by `best_scheme` and `power`.
+
+    Examples
+    --------
+    >>> from weberwhisk.behaviour import IdentityEncoding
+    >>> weber = Hypothesis("Weber", IdentityEncoding())
+    >>> table = information([weber], [1.0], [0.0, 0.1, 0.2, 0.4])
+    >>> int(table["weber_fraction_bits"].argmax())
+    2
+    """
+    given = check_distinct(hypotheses)
+    check_metres(given)
+    at = np.ravel(_checks.finite("standards", standards, "give distances in m"))
+    rows = np.atleast_2d(_checks.finite("offsets", offsets, "give m, such as [-2e-3, 2e-3]"))
+    if len(rows) not in (1, at.size):
+        raise ValueError(
+            f"offsets has {len(rows)} rows for {at.size} standards; give one for all, or one each."
+        )
+    rows = np.broadcast_to(rows, (at.size, rows.shape[1]))
+    for h in given:
+        refuse_out_of_reach(h.encoding, at, "standard")
+    place = float(np.sort(at)[at.size // 2]) if jnd_at is None else float(jnd_at)
+    likely = expected or SubjectPopulation()
+    s1, s2 = np.repeat(at, rows.shape[1]), (at[:, None] + rows).ravel()
+    encoded = np.ones(s2.size, dtype=bool)
+    for h in given:
+        low, high = h.encoding.domain
+        encoded &= (s2 > low) & (s2 < high)
+        encoded &= gives_signal(h.encoding, np.where(encoded, s2, s1))
+    bits = np.full((3, s1.size), np.nan)
+    if encoded.any():
+        parts = []
+        for truth in given if after is not None else given[:1]:
+            before = None
+            if after is not None:  # the answers that an animal is expected to give
+                count = truth.expected_counts(after, likely.weber_fraction, likely.lapse)
+                before = replace(after.cells(), count=count)
+            beliefs = [believed(h, s1[encoded], s2[encoded], before) for h in given]
+            parts.append(_of_answers(beliefs, int(encoded.sum()), place))
+        bits[:, encoded] = np.mean(parts, axis=0) / np.log(2)
+    named = zip(("weber_fraction_bits", "jnd_bits", "hypothesis_bits"), bits, strict=True)
+    mm = {"standard_mm": millimetres(s1), "offset_mm": millimetres(rows.ravel())}
+    return pd.DataFrame({**mm, **dict(named)})
+
+
+def believed(
+    hypothesis: Hypothesis,
+    standards: Array,
+    comparisons: Array,
+    before: Cells | None,
+    nodes: tuple[int, int, int] = (41, 21, 25),
+    reach: float = 4.0,
+) -> Belief:
+    """What is known of an observer after a table, with pairs that may be shown next at its end.
+
+    `nodes` are of k, either lapse and every bias, over `reach` sds of the prior or, after trials,
+    what the posterior leaves of it.
+    """
+    none = np.zeros(standards.size)
+    shown = standards, comparisons, standards, none, none
+    if before is not None:
+        known = before.stimulus_1, before.stimulus_2, before.standard, before.n, before.count
+        shown = tuple(np.r_[a, b] for a, b in zip(known, shown, strict=True))
+    cells = Cells(*shown)
+    model = hypothesis.model(cells)
+    if before is None:
+        ends = wide_ends(model, reach)
+    else:
+        windows = zoomed(model, cells.count[None], batch_steps(model), 7.5)
+        low, high = windows.low[:, :, 0].min(axis=1), windows.high[:, :, 0].max(axis=1)
+        ends = [tuple(windows.ends[0, :, 0]), *zip(low, high, strict=True)]
+    grid = BeliefGrid(model, even_axes(model, ends, nodes))
+    for i, (n, count, group) in enumerate(zip(cells.n, cells.count, model.group, strict=True)):
+        grid.put(model.encodings.of(np.array([i])), group, [n - count, count])
+    for _ in grid.bias:
+        grid.see_candidates()
+        grid.close()
+    return Belief(hypothesis, cells, grid)
+
+
+def _of_answers(beliefs: list[Belief], last: int, place: float) -> Array:
+    """The three informations of the last so many pairs, (3, J) nats."""
+    answers = [(b.mass_k, b.predicted()[0][:, -last:]) for b in beliefs]
+    mean = np.stack([mass @ p for mass, p in answers])  # (M, J)
+    about_k = np.mean([entropy(mass @ p) - mass @ entropy(p) for mass, p in answers], axis=0)
+    about_hypothesis = entropy(mean.mean(axis=0)) - entropy(mean).mean(axis=0)
+    log_jnd = [np.log(b.k * float(difference_sd(b.hypothesis.encoding, place))) for b in beliefs]
+    return np.maximum([about_k, _shared(log_jnd, answers), about_hypothesis], 0.0)
+
+
+def _shared(
+    log_jnd: list[Array], answers: list[tuple[Array, Array]], thresholds: int = 161
+) -> Array:
+    """Information about a quantity that every hypothesis has a belief of, (J,) nats, by so many
+    bins of its logarithm."""
+    if len(log_jnd) == 1 or log_jnd[0].size == 1:
+        mass, p = answers[0]
+        return np.asarray(entropy(mass @ p) - mass @ entropy(p))
+    low, high = min(a.min() for a in log_jnd), max(a.max() for a in log_jnd)
+    bins = np.linspace(low, high + 1e-9, thresholds)
+    total, up = np.zeros(bins.size), np.zeros((bins.size, answers[0][1].shape[1]))
+    for value, (mass, p) in zip(log_jnd, answers, strict=True):
+        # Belief is a density: spread evenly between nodes before it meets that of another.
+        fine = np.linspace(value[0], value[-1], 64 * (value.size - 1) + 1)
+        density = np.interp(fine, value, mass)
+        density /= density.sum() * len(answers)
+        given = np.stack([np.interp(fine, value, column) for column in p.T], axis=1)
+        at = np.clip(np.searchsorted(bins, fine) - 1, 0, bins.size - 1)
+        np.add.at(total, at, density)
+        np.add.at(up, at, density[:, None] * given)
+    share = up / np.maximum(total, 1e-300)[:, None]
+    return np.asarray(entropy(up.sum(axis=0)) - total @ entropy(np.clip(share, 0.0, 1.0)))

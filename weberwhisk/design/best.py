@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..behaviour.axes import lapse_prior, score_prior
@@ -28,7 +28,6 @@ from ..behaviour.trials import Cells
 from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
-from .information import Precision
 from .scheme import Constraints, Scheme, easy_share
 
 Array = NDArray[np.float64]
@@ -320,6 +319,67 @@ class _Sketch:
             by_bias = np.tensordot(x, self.yes[at], 1) + np.tensordot(each - x, self.no[at], 1)
             total += log_sum(by_bias + self.bias, 0).reshape(total.shape)
         return float(log_sum(total.reshape(1, -1), 1)[0])
+
+
+class Precision:
+    """Expected intervals of k from any choice of the positions (C,), m, that there are.
+
+    One hypothesis is true, and fitted; `drawn` of the animals stand for all, the same for every
+    choice.
+    """
+
+    def __init__(
+        self,
+        hypothesis: Hypothesis,
+        standards: ArrayLike,
+        comparisons: ArrayLike,
+        animals: SubjectPopulation,
+        drawn: int = 64,
+    ) -> None:
+        s1, s2 = (np.asarray(a, dtype=float) for a in (standards, comparisons))
+        model = hypothesis.model(Cells(s1, s2, s1, np.ones(s1.size), np.zeros(s1.size)))
+        likely = animals.draw(drawn, seed=20)
+        middle = model.fixed_bias()
+        if model.free_bias and model.task.bias_name == "criterion":
+            middle = float(hypothesis.priors.value("bias", 0.0))
+        # ln k, either lapse and the bias of every animal, (4, A); one that never lapses does not
+        # tell so.
+        lapses = np.maximum(likely[["lapse_low", "lapse_high"]].to_numpy().T, 3e-3)
+        at = np.stack([np.log(likely["weber_fraction"]), *lapses, middle + likely["bias"]])
+
+        def chance(there: Array) -> Array:
+            k, low, high, bias = there
+            biases = np.repeat(bias[:, None], model.n_groups, axis=1)
+            return model.probability(np.exp(k), low, high, biases)[0]
+
+        p = chance(at)
+        step = 1e-3  # of central differences
+        slopes = [
+            (chance(at + d) - chance(at - d)) / (2 * step) for d in step * np.eye(4)[..., None]
+        ]
+        self._free = [*model.free[:1], *model.free[-2:], model.free_bias]
+        slope = np.stack(slopes, axis=-1) * self._free  # (A, C, 4)
+        self._information = slope[..., :, None] * (slope / (p * (1 - p))[..., None])[..., None, :]
+        self._group = model.group
+        low, high = np.log(model.value("weber_fraction", np.array([-0.5, 0.5])))
+        sds = [
+            high - low if name == "weber_fraction" else model.priors.moments(name)[1]
+            for name in ("weber_fraction", "lapse_low", "lapse_high", "bias")
+        ]
+        # What is known has no slope, and any precision will do.
+        pairs = zip(sds, self._free, strict=True)
+        self._prior = np.diag([sd**-2.0 if free else 1.0 for sd, free in pairs])
+
+    def half_widths(self, chosen: ArrayLike, each: float) -> Array:
+        """1.96 sds of ln k of every animal, (A,), from so many trials of each chosen position."""
+        at = np.asarray(chosen)
+        total = np.broadcast_to(self._prior[:3, :3], (len(self._information), 3, 3)).copy()
+        for group in np.unique(self._group[at]):
+            own = each * self._information[:, at[self._group[at] == group]].sum(axis=1)
+            # The bias integrated out: the Schur complement of its information.
+            mixed, bias = own[:, :3, 3], own[:, 3, 3] + self._prior[3, 3]
+            total += own[:, :3, :3] - mixed[:, :, None] * mixed[:, None, :] / bias[:, None, None]
+        return np.asarray(1.96 * np.sqrt(np.linalg.inv(total)[:, 0, 0]))
 
 
 def _sites(
