@@ -360,7 +360,7 @@ def test_bad_input_in_one_sentence():
     scheme = lattice(PLAIN.encoding, 1.0)
     for options, words in (
         ({"goal": "k"}, "goal 'k' is unknown"),
-        ({"goal": "hypothesis"}, "one hypothesis cannot be told from others"),
+        ({"goal": "hypothesis"}, "one hypothesis cannot be distinguished from others"),
         ({"easy_share": 1.0}, "easy_share must lie between 0 and 1"),
         ({"easy_share": np.nan}, "easy_share must be finite"),
         ({"width": 0.0}, "width must be above zero"),

@@ -445,7 +445,7 @@ def test_the_report_says_where_intervals_of_k_miss():
     hypotheses = with_priors((TAPERED, CYLINDRICAL), weber_fraction=lognorm(0.05, scale=0.3))
     found = ww.power(scheme, hypotheses, truths=[TAPERED.name], runs=16, seed=1)
     assert found.table["coverage"][0] < 0.7
-    assert "hold the truth in" in found.report()
+    assert "cover the truth in" in found.report()
     few = ww.power(scheme.with_animals(2), (TAPERED, CYLINDRICAL), truths=[TAPERED.name], runs=12)
     assert "Caution" not in few.report()
 

@@ -128,29 +128,27 @@ def compare(fits: Mapping[str, WeberFit]) -> Comparison:
     weight = np.stack([first.count, first.n - first.count])
     elpd = np.array([(weight * values).sum() for values, _ in loos])
     best = int(np.argmax(elpd))
-    out = []
-    for i, (name, fit) in enumerate(fits.items()):
-        off = loos[i][0] - loos[best][0]
-        total = weight.sum()
+    total, errors = weight.sum(), []
+    for values, _ in loos:
+        off = values - loos[best][0]
         mean = (weight * off).sum() / total
-        se = np.sqrt((weight * (off - mean) ** 2).sum() * total / max(total - 1, 1))
-        out.append(
-            {
-                "model": name,
-                "log_evidence": evidence[i],
-                "log_bayes_factor": evidence[i] - np.nanmax(evidence, initial=-np.inf),
-                "probability": float(np.exp(evidence[i] - logsumexp(evidence))),
-                "elpd": elpd[i],
-                "elpd_difference": elpd[i] - elpd[best],
-                "difference_se": se,
-                "bad_k": int((weight * (loos[i][1] > 0.7)).sum()),
-                "weber_fraction": fit.weber_fraction,
-                "status": fit.status.name,
-            }
-        )
+        errors.append(np.sqrt((weight * (off - mean) ** 2).sum() * total / max(total - 1, 1)))
+    table = pd.DataFrame(
+        {
+            "log_evidence": evidence,
+            "log_bayes_factor": evidence - np.nanmax(evidence, initial=-np.inf),
+            "probability": np.exp(evidence - logsumexp(evidence)),
+            "elpd": elpd,
+            "elpd_difference": elpd - elpd[best],
+            "difference_se": errors,
+            "bad_k": [int((weight * (k > 0.7)).sum()) for _, k in loos],
+            "weber_fraction": [fit.weber_fraction for fit in fits.values()],
+            "status": [fit.status.name for fit in fits.values()],
+        },
+        index=pd.Index(fits, name="model"),
+    )
     order = ["log_evidence", "elpd"] if np.isfinite(evidence).all() else ["elpd"]
-    table = pd.DataFrame(out).set_index("model").sort_values(order, ascending=False)
-    return Comparison(table, dict(fits))
+    return Comparison(table.sort_values(order, ascending=False), dict(fits))
 
 
 def _same_stimuli(one: pd.DataFrame, other: pd.DataFrame) -> bool:
@@ -231,15 +229,15 @@ def compare_noise(
             "log_unit= when the table is read."
         )
     typical = float(np.exp(np.mean(np.log(noisiness)))) if noisiness.size else 1.0
+    models: dict[str, tuple[Encoding, list[Effect]]] = {
+        "Weber noise": (encoded, []),
+        "generalised Weber noise": (encoded, [Floor()]),
+        "constant noise": (ConstantNoise(encoded, typical), []),
+    }
     return compare(
         {
-            "Weber noise": fit_weber(trials, encoding=encoded, effects=effects, **options),
-            "generalised Weber noise": fit_weber(
-                trials, encoding=encoded, effects=[*effects, Floor()], **options
-            ),
-            "constant noise": fit_weber(
-                trials, encoding=ConstantNoise(encoded, typical), effects=effects, **options
-            ),
+            name: fit_weber(trials, encoding=of_it, effects=[*effects, *own], **options)
+            for name, (of_it, own) in models.items()
         }
     )
 
@@ -351,7 +349,7 @@ def compare_cues(
     trials : Trials
         Of radial distances.
     whisker : Whisker
-        Tapered: the map of a cylinder tells no distance.
+        Tapered: the map of a cylinder leaves distance open.
     deflection_angle : float
         rad, of every contact.
     unit : float

@@ -47,11 +47,8 @@ def residuals(model: WeberModel, draws: Draws) -> pd.DataFrame:
 
 
 def misfit(model: WeberModel, draws: Draws) -> float:
-    """Posterior-predictive p of Σ (count − n P)²/(n P (1 − P)) over pairs of stimuli.
-
-    The share of draws whose own replicated data lie as far from the curve as the data do; near 0
-    the curve misses them. Repeatable: the replications have a seed of their own.
-    """
+    """Posterior-predictive p of Σ (count − n P)²/(n P (1 − P)) over pairs of stimuli: the share of
+    draws whose own replicated data lie as far from the curve as the data do."""
     c = model.cells
     if not c.n.size:
         return 1.0
@@ -93,7 +90,7 @@ def residuals_by(fit: WeberFit, *columns: str) -> pd.DataFrame:
         raise ValueError("no column was named; write residuals_by(fit, 'session'), say.")
     for column in columns:
         _checks.one_of("column", column, map(str, rows.frame.columns))
-    p = _expected(fit)[0].mean(axis=0)[rows.cell]
+    p = _expected(fit).mean(axis=0)[rows.cell]
     table = rows.frame[list(columns)].assign(
         n=rows.n, count=rows.count, mean=rows.n * p, spread=rows.n * p * (1 - p)
     )
@@ -120,7 +117,7 @@ def quantile_residuals(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     True
     """
     gathered, cell = _Rows.of(fit).gathered()
-    p = _expected(fit)[0][:, cell]
+    p = _expected(fit)[:, cell]
     n, count = (gathered[c].to_numpy(float) for c in ("n", "count"))
     whole = n.astype(np.int64)
     upper = bdtr(count, whole, p).mean(axis=0)
@@ -180,13 +177,9 @@ def checks(fit: WeberFit, seed: int = 0) -> pd.DataFrame:
     for name, (_, remedy) in statistics.items():
         seen, made = (np.concatenate(parts) for parts in zip(*values[name], strict=True))
         greater = np.abs(made) >= np.abs(seen) if name in SIGNED else made >= seen
-        out[name] = {
-            "observed": seen.mean(),
-            "expected": made.mean(),
-            "p": float(np.mean(greater)),
-            "remedy": remedy,
-        }
-    return pd.DataFrame.from_dict(out, orient="index").rename_axis("check")
+        out[name] = seen.mean(), made.mean(), float(np.mean(greater)), remedy
+    columns = ["observed", "expected", "p", "remedy"]
+    return pd.DataFrame.from_dict(out, "index", columns=columns).rename_axis("check")
 
 
 @dataclass(frozen=True)
@@ -244,15 +237,13 @@ class _Rows:
                 lambda off, spread: (off / np.sqrt(spread)) @ course,
                 "a bias that drifts: fewer sessions",
             )
-            out["repetition"] = (
-                lambda off, spread: _product_with_previous(off / np.sqrt(spread), follows),
-                "the effect History",
-            )
+
+            def repeated(off: Array, spread: Array) -> Array:
+                z = off / np.sqrt(spread)
+                return np.asarray((z[:, 1:] * z[:, :-1])[:, follows].mean(axis=1))
+
+            out["repetition"] = repeated, "the effect History"
         return out
-
-
-def _product_with_previous(z: Array, follows: NDArray[np.bool_]) -> Array:
-    return np.asarray((z[:, 1:] * z[:, :-1])[:, follows].mean(axis=1))
 
 
 def _codes(labels: NDArray[Any]) -> NDArray[np.intp]:
@@ -285,9 +276,9 @@ def _compared(n: Array, count: Array, mean: Array, spread: Array) -> dict[str, A
     }
 
 
-def _expected(fit: WeberFit) -> tuple[Array, Array]:
-    """P and 1 − P of every cell at some draws, (D, C)."""
-    return fit.model.probability(*fit.posterior.draws().thinned(1000).values)
+def _expected(fit: WeberFit) -> Array:
+    """P of every cell at some draws, (D, C)."""
+    return fit.model.probability(*fit.posterior.draws().thinned(1000).values)[0]
 
 
 def prior_draws(model: WeberModel, size: int, rng: np.random.Generator) -> Draws:
@@ -319,16 +310,7 @@ def predicted(model: WeberModel, draws: Draws, rng: np.random.Generator) -> pd.D
     n = np.maximum(c.n, 1)
     low, median, high = np.quantile(model.simulate(draws, rng) / n, [0.025, 0.5, 0.975], axis=0)
     observed = c.count / n
-    return pd.DataFrame(
-        {
-            "standard": c.standard,
-            "stimulus_1": c.stimulus_1,
-            "stimulus_2": c.stimulus_2,
-            "n": c.n.astype(int),
-            "observed": observed,
-            "median": median,
-            "lower": low,
-            "upper": high,
-            "inside": (low <= observed) & (observed <= high),
-        }
-    )
+    return pd.DataFrame({name: getattr(c, name) for name in STIMULI}).assign(
+        n=c.n.astype(int), observed=observed, median=median, lower=low, upper=high,
+        inside=(low <= observed) & (observed <= high),
+    )  # fmt: skip

@@ -330,14 +330,13 @@ def refuse_out_of_reach(encoding: Encoding, stimulus: ArrayLike, name: str = "st
     encoded = gives_signal(encoding, at)
     if encoded.all():
         return
-    worst = float(at[~encoded].max())
+    worst, limit, angle = float(at[~encoded].max()), np.nan, np.nan
     why = encoding.outcome(worst) if isinstance(encoding, OF_DISTANCE) else "it gives no signal"
-    if not isinstance(encoding, CueEncoding) or encoding.deflection_angle is None:
-        raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
-    whisker, unit = encoding.observer.whisker, encoding.unit
-    angle = np.degrees(encoding.deflection_angle)
-    limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
-    if not limit < angle:  # NaN beyond a curved whisker's reach
+    if isinstance(encoding, CueEncoding) and encoding.deflection_angle is not None:
+        whisker, unit = encoding.observer.whisker, encoding.unit
+        angle = np.degrees(encoding.deflection_angle)
+        limit = np.degrees(float(flick_past(whisker, worst * unit).deflection_angle))
+    if not limit < angle:  # NaN also beyond a curved whisker's reach
         raise ValueError(f"{name} {said(worst)} cannot be encoded: {why}; choose another distance.")
     grid = np.linspace(0.01, 0.999, 400) * high
     inside = grid[np.degrees(flick_past(whisker, grid * unit).deflection_angle) > angle]

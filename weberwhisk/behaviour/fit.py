@@ -38,7 +38,7 @@ class WeberFit(Shown):
     """The fit of one observer; everything in it comes from one posterior.
 
     `weber_fraction` is the posterior median. `status` says what the data could tell and travels
-    with the numbers; `notes` holds further sentences; `report()` puts all of it in plain words.
+    with the numbers; `notes` are further sentences; `report()` puts all of it in plain words.
 
     Examples
     --------

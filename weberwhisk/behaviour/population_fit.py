@@ -272,7 +272,7 @@ def fit_population(
     Raises
     ------
     ValueError
-        Where the table has no subjects, or no sessions to tell apart.
+        Where the table has no subjects, or no sessions to distinguish.
 
     Examples
     --------

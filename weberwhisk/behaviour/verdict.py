@@ -79,20 +79,15 @@ def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tu
     if _one_sided(model):
         return FitStatus.ONE_SIDED, notes
     if posterior.trouble:
-        return FitStatus.NOT_CONVERGED, (
-            *notes,
-            f"{posterior.trouble[0].upper()}{posterior.trouble[1:]}.",
-        )
+        why = f"{posterior.trouble[0].upper()}{posterior.trouble[1:]}."
+        return FitStatus.NOT_CONVERGED, (*notes, why)
     if "weber_fraction" not in model.names:
         return FitStatus.DETERMINED, (*notes, "The Weber fraction was fixed, not fitted.")
-    below, above = _open_ends(*posterior.score_curve())
-    if below and above:
-        return FitStatus.UNINFORMED, notes
-    if below:
-        return FitStatus.UPPER_BOUND, notes
-    if above:
-        return FitStatus.LOWER_BOUND, notes
-    return FitStatus.DETERMINED, notes
+    by_open_ends = {
+        (True, True): FitStatus.UNINFORMED, (True, False): FitStatus.UPPER_BOUND,
+        (False, True): FitStatus.LOWER_BOUND, (False, False): FitStatus.DETERMINED,
+    }  # fmt: skip
+    return by_open_ends[_open_ends(*posterior.score_curve())], notes
 
 
 def _notes(model: WeberModel) -> tuple[str, ...]:
@@ -291,18 +286,11 @@ def weber_law_test(fit: WeberFit) -> WeberLawTest:
     rows = []
     for standard, part in model.by_standard():
         own = QuadraturePosterior(part.merged(), refined(part.merged()), 0)
-        low, median, high = own.quantile("weber_fraction", [0.025, 0.5, 0.975])
-        rows.append(
-            {
-                "standard": standard,
-                "n": int(part.cells.n.sum()),
-                "weber_fraction": median,
-                "lower": low,
-                "upper": high,
-            }
-        )
+        k = own.quantile("weber_fraction", [0.5, 0.025, 0.975])
+        rows.append((standard, int(part.cells.n.sum()), *k))
+    table = pd.DataFrame(rows, columns=["standard", "n", "weber_fraction", "lower", "upper"])
     grid = integrate(model.merged())
-    return WeberLawTest(grid.log_evidence - _separate_evidence(fit, grid), pd.DataFrame(rows))
+    return WeberLawTest(grid.log_evidence - _separate_evidence(fit, grid), table)
 
 
 def _separate_evidence(fit: WeberFit, grid: PosteriorGrid) -> float:

@@ -85,7 +85,7 @@ _SHARED: dict[str, Any] = {
     ],
     "deflection_angle_deg": Annotated[
         Texts,
-        "Deflection of the contact.  [default: 10 where forces are felt; for compliance 0, "
+        "Deflection of the contact.  [default: 10 where forces are encoded; for compliance 0, "
         "the lightest tap]",
         _of("Cue and receptors"),
     ],
@@ -210,7 +210,7 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
 def the_scene(
     cue: str | None, angles_deg: Texts, weber_fraction: Texts, whisker: ww.Whisker
 ) -> tuple[ww.Observer, NDArray[np.float64]]:
-    """The observer of any cue, and the deflection angles (rad) at which it feels."""
+    """The observer of any cue, and the deflection angles (rad) at which it is used."""
     if cue not in SCENES:
         name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
         felt, angles = the_cue(name, angles_deg)
@@ -239,7 +239,7 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np
         return ww.cues.Compliance(tap_angle=float(np.radians(tap))), np.array([])
     deflections = _angles(angles_deg)
     if name == "moment":
-        known = one_angle(deflections, "The moment is felt at one known angle")
+        known = one_angle(deflections, "The moment is encoded at one known angle")
         return ww.cues.ForceMap("moment", deflection_angle=known), np.array([])
     signals = SIGNALS if name == "three-forces" else SIGNALS[:2]
     return ww.cues.ForceMap(signals), deflections

@@ -54,9 +54,7 @@ def distance_encoding(
         options = (("--cue", cue), ("--deflection-angle-deg", angles_deg))
         for name, given in (*options, ("--receptors", receptors)):
             if given:
-                raise ValueError(
-                    f"{name} needs a whisker to feel with, got none; write --identity C2, say."
-                )
+                raise ValueError(f"{name} needs a whisker, got none; write --identity C2, say.")
         return None, None
     whisker = opt.the_whisker(shape)
     observer, angles = opt.the_scene(cue, angles_deg, None, whisker)
@@ -102,7 +100,7 @@ def _receptors(text: str, observer: ww.Observer, angle: float | None) -> Recepto
     if not np.isfinite(typical).all():
         raise ValueError(
             "--receptors are in units of the signals at half the length, and there the "
-            "contact is not held; give a smaller --deflection-angle-deg."
+            "contact is lost; give a smaller --deflection-angle-deg."
         )
     return RECEPTORS[name](number, typical)
 
@@ -145,20 +143,20 @@ def simulate(
 ) -> None:
     """Simulate choices between two stimuli, with the truth beside them.
 
-    Stimuli are magnitudes (--standard), or radial distances felt through a whisker (--standard-mm
-    with --identity or a shape). `weberwhisk fit` reads the table.
+    Stimuli are magnitudes (--standard), or radial distances encoded through a whisker
+    (--standard-mm with --identity or a shape). `weberwhisk fit` reads the table.
     """
     inputs = opt.as_asked(locals())
     encoding, whisker = distance_encoding(shape, cue, deflection_angle_deg, receptors, fitted=False)
     fittable = encoding is None or encoding.has_weber_fraction
     if encoding is None and standard_mm:
         raise ValueError(
-            "--standard-mm needs a whisker to feel with, got none; write --identity C2, or "
+            "--standard-mm needs a whisker, got none; write --identity C2, or "
             "--standard for magnitudes."
         )
     if encoding is not None and (standard or not standard_mm):
         raise ValueError(
-            f"Distances felt through a whisker are given by --standard-mm, got "
+            f"Distances encoded through a whisker are given by --standard-mm, got "
             f"{'--standard' if standard else 'none'}; write --standard-mm 20, say."
         )
     base = numbers("--standard-mm" if encoding else "--standard", standard_mm or standard or ["1"])
@@ -232,7 +230,7 @@ def simulate(
 
 
 def _again(inputs: dict[str, Any]) -> str:
-    """The options that `fit` needs to feel the same distances."""
+    """The options that `fit` needs for the same encoding."""
     words = []
     for name in (*opt.Shape._fields, "cue", "deflection_angle_deg", "receptors"):
         value = inputs[name]

@@ -139,7 +139,7 @@ def fit(
     if distances is not None:
         if encoding is None:
             raise ValueError(
-                f"--distances {distances} needs the whisker that felt them; add --identity C2, say."
+                f"--distances {distances} needs the whisker that touched; add --identity C2, say."
             )
         trials = with_distances(trials, distances, encoding)
     priors = _lapse_priors(lapse_prior, trials)
@@ -204,8 +204,7 @@ def compared(
         return found.table.reset_index(), found.report()
     if whisker is None or not isinstance(fit.encoding, CueEncoding):
         raise ValueError(
-            f"--compare {name} needs a whisker to feel with, got none; write --identity C2, or a "
-            "shape."
+            f"--compare {name} needs a whisker, got none; write --identity C2, or a shape."
         )
     options |= {"unit": fit.encoding.unit}
     if name == "taper":
@@ -232,7 +231,7 @@ def _trials(
         columns = _with_millimetres(file) | columns
         if scale != "linear":
             raise ValueError(
-                f"Distances felt through a whisker are on a linear scale, got {scale!r}; "
+                f"Distances encoded through a whisker are on a linear scale, got {scale!r}; "
                 "leave --scale out."
             )
     try:

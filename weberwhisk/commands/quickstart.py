@@ -294,7 +294,7 @@ def _of_rat(rat: dict[str, Any]) -> list[str]:
         "unit is not published with it, so this Weber fraction cannot be put beside another, nor "
         "beside the k of the whisker above, which is an assumption: no Weber fraction of whisker "
         "force or moment has been measured. There are only two pairs of sounds at each standard, "
-        "so its size hangs on the lapses: held at none, it would be "
+        "so its size hangs on the lapses: fixed at none, it would be "
         f"{rat['without_lapses']['weber_fraction']:.2f} ({low_0:.2f} to {high_0:.2f}), with curves "
         f"that {_fits(rat['without_lapses']['misfit'])} the choices "
         f"(p = {rat['without_lapses']['misfit']:.2g}). {_most_lapses(lapse[0], lapse_high[0])}The "

@@ -1,4 +1,4 @@
-"""`weberwhisk bend`, `jnd`, `locate`, `calibrate`: what whiskers feel, and what they have felt."""
+"""`weberwhisk bend`, `jnd`, `locate`, `calibrate`: signals of contacts, and the reverse."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The design of experiments: which distances, offsets, trials and animals, and why.
 
-The argument, a room each: a `Scheme` within `Constraints` is to tell hypotheses apart. While it
-runs, a placer chooses each trial from what the ones before have told.
+A `Scheme` within `Constraints` is to distinguish hypotheses, with a power that is simulated. While
+it runs, a placer chooses each trial from the answers to those before.
 """
 
 from .._values import renamed_names

@@ -322,7 +322,7 @@ class SimulatedStudy(Shown):
                 f"{_met(row, plan.goal.share)}; the conclusion is right in "
                 f"{100 * row['right']:.3g} %, wrong in {100 * row['wrong']:.3g} % and open in "
                 f"{100 * row['undecided']:.3g} %. The 95 % interval of k is ±"
-                f"{100 * row['half_width']:.2g} % in the median and holds the truth in "
+                f"{100 * row['half_width']:.2g} % in the median and covers the truth in "
                 f"{100 * row['covered']:.3g} %; the median estimate is {100 * row['bias']:+.2g} % "
                 "off."
             )
@@ -335,7 +335,7 @@ def _met(row: pd.Series, share: float) -> str:
         return f"more than {wanted}"
     if row["upper"] < share:
         return f"less than {wanted}"
-    return f"not to be told from {wanted} by so many runs"
+    return f"not distinguishable from {wanted} by so many runs"
 
 
 def simulate_study(

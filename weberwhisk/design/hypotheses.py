@@ -36,7 +36,7 @@ TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """An observer as it will be fitted: what it feels, what is believed of it beforehand.
+    """An observer as it will be fitted: how it encodes stimuli, and its priors.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ Hypothesis.__init__ = renamed_arguments(percept="encoding")(  # type: ignore[met
 
 
 def options_of(hypothesis: Hypothesis) -> dict[str, Any]:
-    """What `fit_weber` and `fit_population` are told of a hypothesis."""
+    """What `fit_weber` and `fit_population` take from a hypothesis."""
     return {name: getattr(hypothesis, name) for name in ("encoding", "priors", "bias", "noise")}
 
 

@@ -222,8 +222,8 @@ class BayesianPlacer(TrialLog):
     Raises
     ------
     ValueError
-        For an unknown goal, shares outside 0 to 1, or one hypothesis where they are to be told
-        apart.
+        For an unknown goal, shares outside 0 to 1, or one hypothesis where they are to be
+        distinguished.
 
     Notes
     -----
@@ -260,7 +260,7 @@ class BayesianPlacer(TrialLog):
         self.goal = _checks.one_of("goal", goal, GOALS)
         if goal == "hypothesis" and len(self.hypotheses) < 2:
             raise ValueError(
-                "one hypothesis cannot be told from others; give two, such as taper(whisker)."
+                "one hypothesis cannot be distinguished from others; write taper(whisker), say."
             )
         _checks.between("easy_share", easy_share, "write 0.1, say", ends="[)")
         if width is not None:

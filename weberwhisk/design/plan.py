@@ -1,7 +1,7 @@
 """A planned experiment: what is shown, what is expected, how it will be analysed, and why so much.
 
-A `Plan` holds what was asked and what follows from it is computed when it is asked for; its JSON
-has the former, and brings back the same plan with the same trial lists, to the byte.
+The fields of a `Plan` are what was decided; all else is computed from them on request. Its JSON
+has the fields, and brings back the same plan with the same trial lists, to the byte.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ class Plan(Shown):
         expected = self.animals.weber_fraction
         self.constraints.check(self.scheme, first.encoding, expected, first.task, first.noise)
         for hypothesis in self.hypotheses:
-            hypothesis.model(self.scheme)  # refuses what this one cannot feel
+            hypothesis.model(self.scheme)  # refuses what this one cannot encode
 
     @cached_property
     def trials(self) -> pd.DataFrame:

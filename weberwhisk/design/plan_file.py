@@ -317,7 +317,7 @@ def plan_of(content: str | bytes, source: str = "plan.json") -> Plan:
             with np.errstate(all="ignore"):
                 seen = hypothesis.model(plan.scheme).encoded(np.ones(1))
             if not all(np.isfinite(part).all() for part in seen):
-                raise ValueError(f"{hypothesis.name!r} feels nothing finite of these levels")
+                raise ValueError(f"{hypothesis.name!r} gives no finite signals at these levels")
     except RecursionError:
         raise ValueError(f"{source} is damaged: its parts are nested too deep; {AGAIN}.") from None
     except ValueError as error:

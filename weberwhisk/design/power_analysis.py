@@ -65,9 +65,9 @@ class Power(Shown):
             )
             if wilson(1 - row["coverage"], int(row["runs"]))[0] > 0.1:
                 lines.append(
-                    f"  Caution: these 95 % intervals of k hold the truth in {row['coverage']:.0%} "
-                    "of runs: the animals are not as the priors have them. Give priors that hold "
-                    "them, with_priors(hypotheses, lapse_low=...), or wider levels."
+                    "  Caution: these 95 % intervals of k cover the truth in "
+                    f"{row['coverage']:.0%} of runs: the animals are not as the priors have them. "
+                    "Give other priors, with_priors(hypotheses, lapse_low=...), or wider levels."
                 )
         return "\n".join(lines)
 
@@ -401,7 +401,7 @@ def sized(scheme: Scheme, vary: str, size: int) -> Scheme:
 
 
 def summary(runs: pd.DataFrame, goal: Goal) -> pd.DataFrame:
-    """What `Power.table` holds, of single runs."""
+    """`Power.table` from single runs."""
     met = reaches(runs, goal)
     rows = []
     for key, own in runs.groupby(BY, sort=False):

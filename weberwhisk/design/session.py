@@ -107,7 +107,7 @@ def trial_lists(
 def sessions_needed(levels: Cells, trials_per_session: int) -> tuple[int, int]:
     """Sessions of one animal, and blocks in all of them.
 
-    A block holds every level in both orders, where a session can be that long.
+    A block has every level in both orders, where a session can be that long.
     """
     trials = levels.n.astype(np.intp)
     sessions = -(-int(trials.sum()) // trials_per_session)

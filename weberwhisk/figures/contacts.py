@@ -57,7 +57,7 @@ def bending(
     points : Bending, optional
         Contacts to mark, arrays (lines, marks on each).
     against : {"deflection_angle", "force"}
-        Along the horizontal axis. Lines are told apart by radial distance or by arc length.
+        Along the horizontal axis. Lines differ by radial distance or by arc length.
 
     Returns
     -------
