@@ -166,17 +166,8 @@ def read_trials(
     else:
         s1, s2 = (numbers[c] for c in stimuli)
     standard = numbers["standard"] if "standard" in numbers else standards_of(s1, s2, scale)
-    frame = pd.DataFrame(
-        {
-            **labels,
-            "standard": rounded_standards(standard, scale),
-            "stimulus_1": s1,
-            "stimulus_2": s2,
-            "n": n.astype(np.int64),
-            "count": count,
-            **sds,
-        }
-    )
+    shown = {"standard": rounded_standards(standard, scale), "stimulus_1": s1, "stimulus_2": s2}
+    frame = pd.DataFrame(labels | shown | {"n": n.astype(np.int64), "count": count} | sds)
     chosen = named or task_named(ANSWERS[answer])
     rows = table.index.to_numpy()
     return Trials(frame, chosen, scale, log_unit, name, notes_of(frame, rows), rows)
@@ -275,30 +266,22 @@ class TableCheck:
         for column, values in numbers.items():
             low = np.isfinite(values) & (values <= 0)
             if low.any():
-                self.add(
-                    column,
-                    low,
-                    f"a magnitude must be above zero, got {values[low][0]:g}; correct it, or read "
-                    "logarithms with scale='log'.",
-                )
+                said = f"a magnitude must be above zero, got {values[low][0]:g}; correct it, or "
+                self.add(column, low, f"{said}read logarithms with scale='log'.")
             if whisker is None:
                 continue
-            off = np.isfinite(values) & (values >= whisker.length)
+            off, most = (
+                np.isfinite(values) & (values >= whisker.length),
+                np.nanmax(values, initial=0),
+            )
+            remedy = f"{whisker.length:g} m; write distances in metres."
             if off.any():
-                self.add(
-                    column,
-                    off,
-                    f"radial distance {values[off][0]:g} m is beyond the whisker's length of "
-                    f"{whisker.length:g} m; write distances in metres.",
-                )
+                said = f"radial distance {values[off][0]:g} m is beyond the whisker's length of"
+                self.add(column, off, f"{said} {remedy}")
             # Nothing beyond 0.2 % of the length: the unit is not metres.
-            elif np.nanmax(values, initial=0.0) < 0.002 * whisker.length and not low.any():
-                self.add(
-                    column,
-                    np.isfinite(values),
-                    f"no radial distance is above {np.nanmax(values, initial=0.0):g} m on a "
-                    f"whisker of {whisker.length:g} m; write distances in metres.",
-                )
+            elif most < 0.002 * whisker.length and not low.any():
+                said = f"no radial distance is above {most:g} m on a whisker of"
+                self.add(column, np.isfinite(values), f"{said} {remedy}")
 
     def labels(self, column: str) -> NDArray[Any]:
         """Subjects, sessions or trials: whole numbers where all are, else text without margins."""
@@ -316,11 +299,8 @@ class TableCheck:
         # A terminal obeys what is not printed, and a figure has no sign for it.
         hidden = np.array([isinstance(c, str) and not c.isprintable() for c in names], dtype=bool)
         if hidden.any():
-            self.add(
-                column,
-                hidden,
-                f"{names[hidden][0]!r} contains characters that are not printed; write letters.",
-            )
+            said = f"{names[hidden][0]!r} contains characters that are not printed; write letters."
+            self.add(column, hidden, said)
         return names
 
     def answers(
@@ -351,19 +331,12 @@ class TableCheck:
         for column, (values, gaps) in columns.items():
             bad = ~gaps & np.isfinite(values) & ((values < 0) | (values != np.round(values)))
             if bad.any():
-                self.add(
-                    column,
-                    bad,
-                    f"{values[bad][0]:g} is not a count; write whole numbers of zero or more.",
-                )
+                said = f"{values[bad][0]:g} is not a count; write whole numbers of zero or more."
+                self.add(column, bad, said)
         over = count > n
         if over.any():
-            self.add(
-                answer,
-                over,
-                f"{count[over][0]:g} is above the {n[over][0]:g} trials in column 'n'; check "
-                "which is which.",
-            )
+            said = f"{count[over][0]:g} is above the {n[over][0]:g} trials in column 'n'; check "
+            self.add(answer, over, f"{said}which is which.")
         return n, count
 
 
@@ -392,13 +365,10 @@ def _single_answers(
         truths = {True: 1, False: 0, "True": 1, "False": 0, "TRUE": 1, "FALSE": 0}
         values = _floats(cells.map(lambda c: truths.get(c, c)))
         kept = np.where(np.isin(values, [0, 1]), values, np.nan)
-        remedy = "write 1 for correct and 0 for wrong"
-        if answer == "choice":
-            remedy = (
-                "write 1 for second greater and 0 for first greater, or give "
-                "choice_labels={label: 'first' or 'second'}"
-            )
-        return kept, remedy
+        if answer != "choice":
+            return kept, "write 1 for correct and 0 for wrong"
+        remedy = "write 1 for second greater and 0 for first greater, or give "
+        return kept, f"{remedy}choice_labels={{label: 'first' or 'second'}}"
     codes = {"first": 0.0, "second": 1.0, "none": np.nan}
     coded = {
         _as_text(label): codes[_checks.one_of("choice_labels value", which, codes)]

@@ -123,18 +123,10 @@ class PopulationFit(Shown):
         for name in self.parameters:
             values, weight = self._nodes(name)
             mean = weight @ values
-            low, median, high = _quantile(values, weight, [first, 0.5, last])
-            rows.append(
-                {
-                    "mean": mean,
-                    "sd": np.sqrt(weight @ (values - mean) ** 2),
-                    "median": median,
-                    "lower": low,
-                    "upper": high,
-                    "mass": mass,
-                }
-            )
-        return pd.DataFrame(rows, index=pd.Index(self.parameters, name="parameter"))
+            sd = np.sqrt(weight @ (values - mean) ** 2)
+            rows.append((mean, sd, *_quantile(values, weight, [0.5, first, last]), mass))
+        columns = ["mean", "sd", "median", "lower", "upper", "mass"]
+        return pd.DataFrame(rows, pd.Index(self.parameters, name="parameter"), columns)
 
     def _nodes(self, parameter: str) -> tuple[Array, Array]:
         _checks.one_of("parameter", parameter, self.parameters)

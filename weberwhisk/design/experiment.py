@@ -279,25 +279,20 @@ class SimulatedStudy(Shown):
         """
         rows = {}
         for truth, own in self.table.groupby("truth", sort=False):
-            mean = own[["reached", "right", "covered"]].mean()
+            reached, right, covered = own[["reached", "right", "covered"]].mean()
             undecided = own["conclusion"] == NEITHER
-            lower, upper = wilson(float(mean["reached"]), len(own))
-            rows[truth] = {
-                "runs": len(own),
-                "reached": float(mean["reached"]),
-                "error": float(own["reached"].std(ddof=0) / np.sqrt(len(own))),
-                "lower": lower,
-                "upper": upper,
-                "right": float(mean["right"]),
-                "wrong": float((1 - own["right"] - undecided).mean()),
-                "undecided": float(undecided.mean()),
-                "covered": float(mean["covered"]),
-                "half_width": float(own["half_width"].median()),
-                "bias": float(
-                    own["weber_fraction"].median() / self.plan.animals.weber_fraction - 1
-                ),
-            }
-        return pd.DataFrame(rows.values(), pd.Index(rows, name="truth"))
+            wrong = (1 - own["right"] - undecided).mean()
+            error = own["reached"].std(ddof=0) / np.sqrt(len(own))
+            bias = own["weber_fraction"].median() / self.plan.animals.weber_fraction - 1
+            rows[truth] = (
+                len(own), reached, error, *wilson(float(reached), len(own)), right,
+                wrong, undecided.mean(), covered, own["half_width"].median(), bias,
+            )  # fmt: skip
+        columns = [
+            "runs", "reached", "error", "lower", "upper", "right", "wrong", "undecided", "covered",
+            "half_width", "bias",
+        ]  # fmt: skip
+        return pd.DataFrame(rows.values(), pd.Index(rows, name="truth"), columns)
 
     def _line(self) -> str:
         rows = self.summary()[["reached", "lower", "upper", "runs"]].iterrows()

@@ -200,14 +200,10 @@ class Scheme:
     def table(self) -> pd.DataFrame:
         """One row a level: `standard_mm`, `offset_mm`, `comparison_mm`, `trials`."""
         cells = self.cells()
-        return pd.DataFrame(
-            {
-                "standard_mm": millimetres(cells.standard),
-                "offset_mm": millimetres(np.concatenate(self.offsets)),
-                "comparison_mm": millimetres(cells.stimulus_2),
-                "trials": cells.n.astype(int),
-            }
-        )
+        shown = cells.standard, np.concatenate(self.offsets), cells.stimulus_2
+        names = "standard_mm", "offset_mm", "comparison_mm"
+        table = pd.DataFrame(dict(zip(names, map(millimetres, shown), strict=True)))
+        return table.assign(trials=cells.n.astype(int))
 
     def with_trials(self, trials: int) -> Scheme:
         """The same levels with so many trials each."""
