@@ -212,7 +212,8 @@ def jnd_curve(
         table[name] = np.where(held, jnd, np.nan)
     table[[*_JNDS[3:], "unreliable"]] = np.nan
     if held.any():
-        reading_seed, walker_seed = np.random.SeedSequence(_entropy(seed)).spawn(2)
+        entropy = None if seed is None else int(generator(seed).integers(2**63))
+        reading_seed, walker_seed = np.random.SeedSequence(entropy).spawn(2)
         readings = observer.noise.sample(np.repeat(signals[held], n_readings, axis=0), reading_seed)
         result = posterior(observer, readings, method=method, seed=walker_seed)
         sd, mean, status = (
@@ -257,11 +258,6 @@ def _contact(
             f"{np.min(theta):g}; write np.radians(5), say."
         )
     return observer.at_middle(np.stack([a.ravel() for a in np.broadcast_arrays(r, theta)], axis=-1))
-
-
-def _entropy(seed: Seed) -> int | None:
-    """A whole number that stands for any seed."""
-    return None if seed is None else int(generator(seed).integers(2**63))
 
 
 # -- sweeps ----------------------------------------------------------------------------------------

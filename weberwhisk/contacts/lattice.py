@@ -45,12 +45,8 @@ class Readings(NamedTuple):
 
     def take(self, rows: Any) -> Readings:
         """Some of them."""
-        value, *errors = (None if part is None else _taken(part, rows) for part in self)
+        value, *errors = (None if part is None else part.T[..., rows].T for part in self)
         return Readings(np.asarray(value), *errors)
-
-
-def _taken(values: Array, rows: Any) -> Array:
-    return np.asarray(values.T[..., rows].T)
 
 
 class LatticeCells(NamedTuple):

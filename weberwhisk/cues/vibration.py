@@ -91,7 +91,7 @@ class Vibration(Cue):
 
     def resolved(self, whisker: Whisker) -> bool:
         """Whether the half-power bands of all the modes are apart."""
-        omega = _frequencies(whisker, self.count)
+        omega = _modes(whisker, self.count).angular_frequency
         return bool(np.all(np.diff(omega) > self.damping_ratio * (omega[1:] + omega[:-1])))
 
     def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
@@ -157,10 +157,6 @@ class Vibration(Cue):
 @lru_cache(maxsize=32)
 def _modes(whisker: Whisker, count: int) -> modes.Modes:
     return modes.modes(whisker, count)
-
-
-def _frequencies(whisker: Whisker, count: int) -> Array:
-    return _modes(whisker, count).angular_frequency
 
 
 @lru_cache(maxsize=32)

@@ -144,9 +144,11 @@ def _press(
     tangent = np.abs(theta) / fold_angle
     past = tangent > 1
     c = np.sqrt(np.where(past, 0.0, (1 - tangent) * (1 + tangent)))
-    force, contact_angle, arc = _contact(
-        table.contact_given, v, c, stiffness, r, np.where(past, fold_angle, np.abs(theta))
-    )
+    angle = np.where(past, fold_angle, np.abs(theta))
+    log_force, log_angle, log_extra = table.contact_given(unfold(v), c)
+    force = 3 * stiffness * angle * (1 - v) / r**2 * np.exp(log_force)
+    contact_angle = angle * (3 - 2 * v) / (2 * (1 - v)) * np.exp(log_angle)
+    arc = r * (1 + angle**2 / (1 - v) * np.exp(log_extra))
     outcome = np.where(past, Outcome.FLICKED_PAST, Outcome.HELD)
     outcome = np.where(arc > length * (1 + TIP_ROUNDING), Outcome.SLIPPED_OFF_TIP, outcome)
     outcome = np.where(beyond, Outcome.OUT_OF_REACH, outcome).astype(np.int8)
@@ -160,17 +162,6 @@ def _press(
     with np.errstate(divide="ignore"):
         error = MAP_ERROR + 3e-15 / c**2
     return numbers, outcome, np.where(lost, np.nan, np.minimum(error, 1.0))
-
-
-def _contact(
-    table: ChebyshevTable, v: Array, c: Array, stiffness: Array, r: Array, theta: Array
-) -> tuple[Array, Array, Array]:
-    """Force, contact angle and arc length of an object at r = vA, deflection angle θ ≥ 0."""
-    log_force, log_angle, log_extra = table(unfold(v), c)
-    force = 3 * stiffness * theta * (1 - v) / r**2 * np.exp(log_force)
-    contact_angle = theta * (3 - 2 * v) / (2 * (1 - v)) * np.exp(log_angle)
-    arc = r * (1 + theta**2 / (1 - v) * np.exp(log_extra))
-    return force, contact_angle, arc
 
 
 def _numbers(

@@ -94,7 +94,8 @@ def estimate(scene: SceneRows) -> Estimates:
         numbers, outcome, _ = planar(part, 1e-9)
         flat_beam[:, high] = numbers[:3]
         vouched[2, high] = outcome == Outcome.HELD
-        high, part, contact = _where(outcome == Outcome.HELD, high, part, numbers[6:])
+        some = np.flatnonzero(outcome == Outcome.HELD)
+        high, part, contact = high[some], part.take(some), numbers[6:, some]
     if high.size:
         _, slopes[..., high], *_ = _planar_step(part, contact)
         true[:, high], good = _spatial_step(part, contact)
@@ -108,12 +109,6 @@ def estimate(scene: SceneRows) -> Estimates:
             miss = miss + np.copysign(2.0 * moved**2 * true, miss)
         misses[model] = np.where(model < top, miss, 0.0)
     return Estimates(top, true, slopes, misses)
-
-
-def _where(
-    mask: NDArray[np.bool_], index: NDArray[np.intp], scene: SceneRows, numbers: Array
-) -> tuple[NDArray[np.intp], SceneRows, Array]:
-    return index[mask], scene.take(np.flatnonzero(mask)), numbers[:, mask]
 
 
 def _planar_step(scene: SceneRows, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:

@@ -106,14 +106,9 @@ class SceneRows:
 
 
 def press_chosen(
-    whisker: Whisker | Profile,
-    radial_distance: ArrayLike,
-    deflection_angle: ArrayLike,
-    friction_angle: ArrayLike,
-    roll: ArrayLike,
-    choice: Choice,
-    tolerance: float = 1e-9,
-) -> Bending:
+    whisker: Whisker | Profile, r: ArrayLike, theta: ArrayLike, psi: ArrayLike, roll: ArrayLike,
+    choice: Choice, tolerance: float = 1e-9,
+) -> Bending:  # fmt: skip
     """Press each whisker by the model chosen for its scene; arguments as for `ladder.press`.
 
     `tolerance` is that of solving the equations of the planar beam.
@@ -123,13 +118,7 @@ def press_chosen(
         return press(SceneRows.of(rows, r, theta, psi, turn), model.astype(np.int8), tolerance)
 
     b = by_rows(
-        solve,
-        whisker,
-        length=radial_distance,
-        angle=deflection_angle,
-        tilt=friction(friction_angle),
-        roll=roll,
-        model=choice.model,
+        solve, whisker, length=r, angle=theta, tilt=friction(psi), roll=roll, model=choice.model
     )
     model: Any = np.broadcast_to(np.asarray(choice.model, dtype=np.int8), np.shape(b.moment))
     off = np.take_along_axis(choice.error, np.asarray(choice.model)[..., None], -1)[..., 0]
@@ -141,41 +130,27 @@ def press_chosen(
 
 
 def press_in_space(
-    whisker: Whisker | Profile,
-    radial_distance: ArrayLike,
-    deflection_angle: ArrayLike,
-    friction_angle: ArrayLike,
-    roll: ArrayLike,
+    whisker: Whisker | Profile, r: ArrayLike, theta: ArrayLike, psi: ArrayLike, roll: ArrayLike
 ) -> Bending:
     """The rod as a `Bending`; arguments as for `ladder.press`."""
     whole = Choice.complete(Model.ROD, 1e-9)
-    return press_chosen(whisker, radial_distance, deflection_angle, friction_angle, roll, whole)
+    return press_chosen(whisker, r, theta, psi, roll, whole)
 
 
 def jacobian_in_space(
-    whisker: Whisker | Profile,
-    radial_distance: ArrayLike,
-    deflection_angle: ArrayLike,
-    friction_angle: ArrayLike,
-    roll: ArrayLike,
+    whisker: Whisker | Profile, r: ArrayLike, theta: ArrayLike, psi: ArrayLike, roll: ArrayLike
 ) -> Array:
     """The rod's derivatives of (M_z, −F_x, F_y) to (r, θ_d); arguments as for `ladder.press`.
 
     Differences of fourth order, good to 1e-7; NaN within 1e-3 of where the contact ends.
     """
-    shape = Scenes.of(
-        whisker, length=radial_distance, angle=deflection_angle, tilt=friction(friction_angle),
-        roll=roll,
-    ).shape  # fmt: skip
-    r, theta = (
-        np.broadcast_to(np.asarray(a, dtype=float), shape)
-        for a in (radial_distance, deflection_angle)
-    )
+    shape = Scenes.of(whisker, length=r, angle=theta, tilt=friction(psi), roll=roll).shape
+    r, theta = (np.broadcast_to(np.asarray(a, dtype=float), shape) for a in (r, theta))
     step = 5e-4 * np.stack([r, np.ones_like(r)])
     at = np.array([1, -1, 2, -2]).reshape(-1, *(1,) * r.ndim)
     columns = []
     for dr, dt in ((step[0], 0.0), (0.0, step[1])):
-        bent = press_in_space(whisker, r + at * dr, theta + at * dt, friction_angle, roll)
+        bent = press_in_space(whisker, r + at * dr, theta + at * dt, psi, roll)
         one, other, far, further = np.stack(
             [bent.moment, bent.axial_force, bent.transverse_force], axis=-1
         )
