@@ -4,13 +4,17 @@ release, with a `DeprecationWarning`."""
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from enum import IntEnum
 from html import escape
+from importlib import import_module
 from inspect import Parameter, signature
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
@@ -19,12 +23,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-import functools
-import warnings
-from collections.abc import Callable
-from importlib import import_module
-from operator import attrgetter
 
 
 class Value:
@@ -220,7 +218,6 @@ def interval_text(middle: float, low: float, high: float, unit: str = "") -> str
 
 
 # -- old names ------------------------------------------------------------------------------------
-
 
 Called = TypeVar("Called", bound=Callable[..., Any])
 

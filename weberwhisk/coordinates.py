@@ -105,6 +105,11 @@ class ContactCoordinates:
                 log_jacobian += np.where(width > 0, np.log(width) + log_slope, -np.inf)
         return out, log_jacobian
 
+    def distance(self, x: Array) -> Array:
+        """The radial distances (...), m, at the first coordinate."""
+        low, high = self.reach
+        return np.asarray(low + (high - low) * constrain_distance(x)[0])
+
     def unconstrain(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""
         contact = np.asarray(contact, dtype=float)
@@ -151,8 +156,7 @@ class ContactCoordinates:
         further = [np.linspace(-2.5, 2.5, others)] * (len(self.cue.unknowns) - self.bounded)
         x = np.stack([a.ravel() for a in np.meshgrid(*bounded, *further, indexing="ij")], axis=-1)
         if self.bounded > 1:
-            low, high = self.reach
-            r = low + (high - low) * constrain_distance(x[:, 0])[0]
+            r = self.distance(x[:, 0])
             x[:, 1] += self._log_gain(r, self.angle_range(r)[1])
         return x
 

@@ -11,7 +11,7 @@ from scipy.special import logsumexp, ndtr
 
 from ._checks import angle, finite
 from .array import Follicle
-from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
+from .coordinates import constrain_angle, unconstrain_angle
 from .mechanics.contact import Outcome
 from .observer import Observer
 from .posterior import posterior
@@ -248,10 +248,9 @@ class Blurred(Evidence):
 
     def __init__(self, sensor: Sensor, reading: Array, *, distances: int = 100) -> None:
         super().__init__(sensor, reading)
-        low, high = sensor.observer.reach
         x = np.linspace(-3.4, 3.4, distances)
         for _ in range(4):  # closer and closer to where the reading is likely
-            r = low + (high - low) * constrain_distance(x)[0]
+            r = sensor.observer.space.distance(x)
             log, phi, weight = self._along(r, 48)
             top = np.logaddexp.reduce(log + np.log(weight), axis=1)
             live = np.flatnonzero(top > np.max(top) - self.DEPTH)

@@ -16,16 +16,10 @@ from ..observer import Observer
 from .lattice import Array, Index, Lattice, LatticeCells, Readings
 
 
-def distances(observer: Observer, x: Array) -> Array:
-    """Radial distances, m, at coordinates x."""
-    low, high = observer.reach
-    return np.asarray(low + (high - low) * constrain_distance(x)[0])
-
-
 def log_prior_of_distance(observer: Observer, x: Array) -> Array:
     """ln of the prior density of the distance in coordinates x."""
     with np.errstate(divide="ignore"):
-        prior = np.log(observer.distance_prior(distances(observer, x)))
+        prior = np.log(observer.distance_prior(observer.space.distance(x)))
     return np.asarray(prior + constrain_distance(x)[1])
 
 
@@ -108,7 +102,7 @@ def summarise(
         signals = lattice.scaled(signals, lattice.match(own, signals)[0])
     sd = np.sqrt(np.diagonal(lattice.covariance(own, signals), axis1=1, axis2=2))
     high = np.maximum.reduceat(layer, first)
-    r = distances(lattice.observer, places * found.step[0])
+    r = lattice.observer.space.distance(places * found.step[0])
     return Summary(
         mean, np.sqrt(np.stack(square, axis=1)), r,
         (np.abs(own.value - signals) / sd).max(axis=1),
@@ -214,10 +208,10 @@ def touch_posterior(
         ]  # fmt: skip
     weight = np.exp(density - density.max()).sum(axis=(1, 2))
     weight /= weight.sum()
-    r = distances(lattice.observer, x_fine)
+    r = lattice.observer.space.distance(x_fine)
     mean, tails = weight @ r, np.array([(1 - mass) / 2, (1 + mass) / 2])
     place = quantiles(weight[None], tails)[0]
-    interval = distances(lattice.observer, x_fine[0] + place * (x_fine[1] - x_fine[0]))
+    interval = lattice.observer.space.distance(x_fine[0] + place * (x_fine[1] - x_fine[0]))
     return LocatedTouch(float(mean), float(np.sqrt(weight @ (r - mean) ** 2)), interval, True)
 
 
@@ -251,7 +245,7 @@ def _row(
     share = np.zeros(len(layer))  # how far up to the fold the angles go, 0 where a prior says
     observer = lattice.observer
     if observer.bounded > 1 and "deflection_angle" not in observer.prior:
-        least, width = observer.angle_range(distances(observer, own_x))
+        least, width = observer.angle_range(observer.space.distance(own_x))
         share = (contact[:, 1] - least) / width[layer]
     within = np.exp(-((share[:, None] / _SPANS) ** 4)) / _NORMS
     places = np.arange(len(_SPANS)) * layers + layer[:, None]
