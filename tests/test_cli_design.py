@@ -46,6 +46,26 @@ def test_the_same_command_makes_the_same_plan(folder: Path, tmp_path: Path) -> N
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
 
 
+def test_design_takes_curvature_and_one_stimulus(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shape = ["--identity", "C2", "--trials", "10", "--runs", "0"]
+    command = ["design", *shape, "--curvature-per-m", "own", "--task", "go/no-go"]
+    assert run_app(cli.app, [*command, "--out", str(tmp_path / "plan")]) == 0
+    assert "curvature +16.5986 /m" in capsys.readouterr().out
+    plan = ww.design.read_plan(tmp_path / "plan" / "plan.json")
+    own = ww.Whisker.from_identity("C2", curved=True)
+    assert plan.hypotheses[0].encoding.observer.whisker == own
+    assert {h.task for h in plan.hypotheses} == {"go/no-go"}
+    assert run_app(cli.app, ["design", *shape]) == 0
+    assert "C2 is taken as straight" in (said := capsys.readouterr().out)
+    assert "write --curvature-per-m own" in said
+    bare = ["--length-mm", "50", "--base-radius-um", "100", "--tip-radius-um", "5"]
+    bend = ["bend", *bare, "--radial-distance-mm", "20", "--deflection-angle-deg", "5"]
+    assert run_app(cli.app, [*bend, "--curvature-per-m", "own"]) == 2
+    assert "--curvature-per-m must be a number, got 'own'" in capsys.readouterr().err
+
+
 def test_design_answers_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(cli.app, [*DESIGN, "--runs", "0", "--animals", "3", "--json"]) == 0
     printed = capsys.readouterr()

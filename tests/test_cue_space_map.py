@@ -476,3 +476,30 @@ def test_an_unknown_stiffness_is_summed_on_a_curved_whisker_in_space_too():
     found = ww.posterior(observer, observer.read([30e-3, 0.25, 2.0, 1.1], seed=4))
     assert found.status == ww.Status.CONVERGED
     assert abs(found.mean - 30e-3) < 3 * found.sd
+
+
+def test_a_tip_that_is_pushed_straight_in_space_is_outside_the_domain():
+    """In the plane of curvature, against it: beyond where any observer has a contact."""
+    bowed = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=12.0)
+    mirrored = replace(bowed, curvature=-12.0)
+    noise = Joint([GeneralisedWeber(0.03, floor=1e-10), GeneralisedWeber(0, floor=0.03)], [3, 2])
+    observer = ww.Observer(bowed, SpaceMap(), noise)
+    force = np.linspace(0, 3e-3, 200)[1:] * bowed.force_scale
+    bent = ww.bend(mirrored, bowed.length * (1 - 1e-9), force)
+    far = np.argmax(np.where(bent.held, bent.radial_distance, 0.0))
+    assert bent.radial_distance[far] > 1.003 * observer.reach[1]
+    sizes = [bent.moment[far], bent.axial_force[far], bent.transverse_force[far]]
+    found = ww.posterior(observer, [*sizes, np.pi, np.pi])  # on the very end of the azimuth's prior
+    assert bent.radial_distance[far] - found.mean > 4 * found.sd
+    assert found.status == ww.Status.OUTSIDE_DOMAIN
+    assert "a tip pushed straight" in found.outside_domain
+    inside = observer.read(np.tile([0.9 * observer.reach[1], 0.1, 2.8], (10, 1)), seed=1)
+    assert (ww.posterior(observer, inside).status == ww.Status.CONVERGED).all()
+
+
+def test_directions_of_weber_noise_alone_are_refused_where_they_are_zero():
+    """They would be known exactly there: no JND is, and the observer itself is made."""
+    observer = ww.Observer(ww.Whisker(50e-3, 100e-6, 5e-6, curvature=8.0), SpaceMap(), Weber(0.1))
+    assert observer.model == "rod"
+    with pytest.raises(ValueError, match="give it a floor, such as"):
+        weber_propagation(observer, [20e-3, 0.2, 0.0])

@@ -14,7 +14,14 @@ from weberwhisk.behaviour import (
     task_named,
 )
 from weberwhisk.design import Goal, Hypothesis, Plan, Scheme, hypotheses
-from weberwhisk.design.plan_file import decode, encode, preregistration
+from weberwhisk.design.plan_file import (
+    assumptions,
+    decode,
+    encode,
+    plan_json,
+    plan_of,
+    preregistration,
+)
 from weberwhisk.jnd import weber_propagation
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
@@ -190,9 +197,46 @@ def test_go_no_go_at_a_pole_is_planned_simulated_and_fitted(looks) -> None:
 def test_plans_keep_curved_pooled_and_placed_observers_in_their_files(looks) -> None:
     observer = ww.Observer(CURVED, ww.cues.Friction(ww.cues.ForceMap(), angle=0.2))
     array = ww.ArrayObserver(ww.WhiskerArray("rat", "right").protract(0.7))
+    hinged = ww.Whisker(50e-3, 100e-6, 5e-6, hinge_stiffness=1e-5)
+    tap, force_map = ww.cues.Compliance(), ww.cues.ForceMap()
+    others = [
+        ww.Observer(CURVED, ww.cues.Fused(tap, force_map)),
+        ww.Observer(CURVED, ww.cues.UnknownCurvature(force_map, 2.0)),
+        ww.Observer(CURVED, ww.cues.UnknownStiffness(force_map)),
+        ww.Observer(hinged, ww.cues.UnknownHinge(force_map, 0.3)),
+    ]
     for encoding in (
         looks[1].encoding,
         PooledEncoding.of_touches(observer, [0.1, 0.2]),
         PlaceEncoding(array, (16e-3, 5e-3)),
+        *(CueEncoding(other, 0.2) for other in others),
     ):
         assert encode(decode(encode(encoding))) == encode(encoding)
+
+
+def test_plans_keep_whose_whisker_it_is_and_say_what_is_left_out() -> None:
+    for curved, said in ((False, ["C2 is taken as straight"]), (True, [])):
+        whisker = ww.Whisker.from_identity("C2", curved=curved)
+        plan = ww.plan_experiment(whisker, trials=20, runs=0)
+        again = plan_of(plan_json(plan))
+        assert again.hypotheses[0].encoding.observer.whisker.identity == whisker.identity
+        for one in (plan, again):
+            assert [s[:23] for s in assumptions(one) if "straight;" in s] == said
+    whole = ww.WhiskerArray("rat", "right")
+    assert "the 30 straight whiskers" in PlaceEncoding(ww.ArrayObserver(whole), (0, 0)).described
+
+
+def test_map_in_space_and_go_no_go_are_planned_without_hypotheses() -> None:
+    """The cue's own noise, which has a floor where directions are zero."""
+    how = {"trials": 20, "runs": 0, "deflection_angle": 0.2, "standards": [30e-3, 40e-3]}
+    goal = Goal(half_width=0.3)
+    plan = ww.plan_experiment(CURVED, goal=goal, cue=ww.cues.SpaceMap(), task="go/no-go", **how)
+    (expected,) = plan.hypotheses
+    assert expected.task == "go/no-go"
+    observer = expected.encoding.observer
+    assert observer.noise == observer.cue.default_noise()
+    assert {
+        h.task for h in ww.plan_experiment("C2", task="yes/no", trials=2, runs=0).hypotheses
+    } == {"yes/no"}
+    with pytest.raises(ValueError, match="Hypotheses have their cues and task"):
+        ww.plan_experiment(CURVED, hypotheses=plan.hypotheses, task="2AFC")

@@ -569,3 +569,24 @@ def test_mice_have_whiskers_and_robots_shafts():
     ):
         with pytest.raises(ValueError, match=said):
             refused()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_a_curved_perfect_cone_has_a_table_too(friction):
+    """Without its last thousandth, which nothing can be held by: all else is the planar beam's."""
+    cone = ww.Whisker(50e-3, 100e-6, 0.0, curvature=8.0)
+    observer = Observer(cone, Friction(ForceMap(), angle=friction))
+    assert (observer.model, observer.note) == ("profile", "")
+    r = np.array([10e-3, 30e-3, 45e-3])
+    signals = observer.signals(np.stack([r, 0 * r + 0.05], axis=1))[0]
+    bent = ww.press(cone, r, profile.rest_angle(cone, r) + 0.05, friction)
+    np.testing.assert_allclose(signals, np.stack([bent.moment, bent.axial_force], 1), rtol=1e-5)
+    found = posterior(observer, observer.read([30e-3, 0.05], seed=1))
+    assert found.status == ww.Status.CONVERGED
+    assert found.outside_domain == ""
+
+
+def test_a_named_whisker_says_where_nobody_knows_what_its_shape_does():
+    named = Observer(ww.Whisker.from_identity("C2"), ww.cues.Vibration(3))
+    assert named.note.startswith("C2 is taken as straight: what its shape at rest does to this cue")
+    assert Observer(whisker(20, 0.0), ww.cues.Vibration(3)).note == ""

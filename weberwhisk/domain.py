@@ -34,8 +34,6 @@ WEBER_FRACTIONS = (0.01, 0.6)
 FITTED_WEBER_FRACTIONS = (0.01, 3.0)
 #: Trials of a fit or a plan.
 TRIALS = (1, 10**6)
-#: How far, in sds, a reading may lie from what the nearest contact gives.
-READING_SDS = 8.0
 
 
 def refuse_length(length: ArrayLike, base_radius: ArrayLike) -> None:

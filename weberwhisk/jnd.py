@@ -168,6 +168,12 @@ def _propagated(observer: Observer, contact: Array, model: str | None) -> Array:
     if observer.bounded < contact.shape[-1]:
         slope, covariance = _with_priors(observer, contact, slope, covariance)
     sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    if np.any((sd == 0) & held[..., None]):
+        raise ValueError(
+            "A signal without noise leaves no JND, got one in "
+            f"{observer.noise!r} where the signal is 0; give it a floor, such as "
+            "receptors.GeneralisedWeber(0.1, floor=0.1)."
+        )
     unit = _contact_scale(contact)
     # In units of the noise and of the contact itself, so that singular means singular.
     scaled = np.where(held[..., None, None], slope / sd[..., None] * unit[..., None, :], 0.0)

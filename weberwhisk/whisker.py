@@ -203,14 +203,21 @@ class Whisker(Value):
             mouse = _rest_shapes()[species, identity][2] * 1e3
             base, length = base / length * mouse, mouse
             tip = base / 31.5
+        made = cls(length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus)
+        bow = made._named(species, identity)
+        if not curved:
+            return made
+        curved_one = replace(made, curvature=bow)
+        curved_one._named(species, identity)
+        return curved_one
+
+    def _named(self, species: str, identity: str) -> float:
+        """Remember whose whisker this is, and return its curvature at rest, 1/m."""
         at_base, rate = rest_shape(identity, species)
-        bow = at_base + rate * length * 1e-3 / 2
-        made = cls(
-            length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus, bow if curved else 0.0
-        )
+        bow = float(at_base + rate * self.length / 2)
         # No field: a whisker with the same numbers is the same whisker.
-        object.__setattr__(made, "_identity", (species, identity, bow))
-        return made
+        object.__setattr__(self, "_identity", (species, identity, bow))
+        return bow
 
     @classmethod
     def shaft(cls, length: float, diameter: float, material: str | float, **fields: Any) -> Whisker:

@@ -21,7 +21,6 @@ from .._values import Shown, renamed_arguments
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.arviz_io import pointwise_loo
-from ..receptors import Weber
 from ..whisker import Whisker
 from .criticism import _Rows, check_fit
 from .effects import Drift, Effect, Floor, check_effects
@@ -310,7 +309,7 @@ def taper_encodings(whisker: Whisker, unit: float = 1.0) -> dict[str, CueEncodin
             f"as its base ({whisker.base_radius:g} m); give one whose tip is thinner."
         )
     return {
-        name: CueEncoding(Observer(w, Compliance(), Weber(1.0)), unit=unit)
+        name: CueEncoding(Observer(w, Compliance()), unit=unit)
         for name, w in (("tapered", whisker), ("cylindrical", whisker.cylinder()))
     }
 
@@ -320,9 +319,7 @@ def cue_encodings(
 ) -> dict[str, CueEncoding]:
     """Distance by compliance, and by the map of forces at that angle (rad), by name."""
     _check_whisker(whisker)
-    compliance, force_map = (
-        Observer(whisker, cue, Weber(1.0)) for cue in (Compliance(), ForceMap())
-    )
+    compliance, force_map = (Observer(whisker, cue) for cue in (Compliance(), ForceMap()))
     return {
         "compliance": CueEncoding(compliance, unit=unit),
         "moment–axial-force map": CueEncoding(force_map, deflection_angle, unit),

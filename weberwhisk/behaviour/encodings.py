@@ -209,7 +209,8 @@ class PlaceEncoding(PlaceItself):
     @property
     def described(self) -> str:
         array = self.observer.array
-        return f"the {len(array.whiskers)} whiskers of a {array.species}'s array together"
+        shape = "curved" if array.curved else "straight"
+        return f"the {len(array.whiskers)} {shape} whiskers of a {array.species}'s array together"
 
 
 @dataclass(frozen=True)

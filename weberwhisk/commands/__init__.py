@@ -17,6 +17,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
@@ -48,6 +49,7 @@ class Shape(NamedTuple):
     base_radius_um: float | None = None
     tip_radius_um: float | None = None
     youngs_modulus_gpa: float | None = None
+    curvature_per_m: str | None = None
 
     @property
     def given(self) -> bool:
@@ -70,6 +72,12 @@ _SHAPE: dict[str, Any] = {
     "base_radius_um": Annotated[Number, "Radius at the base.", _of("Whisker")],
     "tip_radius_um": Annotated[Number, "Radius at the tip, 0 for a perfect cone.", _of("Whisker")],
     "youngs_modulus_gpa": Annotated[Number, "Young's modulus.  [default: 3.34]", _of("Whisker")],
+    "curvature_per_m": Annotated[
+        str | None,
+        "Curvature at rest, above 0 where touched on the convex side; own for that of the "
+        "--identity.  [default: 0]",
+        _of("Whisker", metavar="NUMBER"),
+    ],
 }
 #: What a parameter of this name is in every command, unless that says otherwise.
 _SHARED: dict[str, Any] = {
@@ -274,8 +282,12 @@ def the_noise(texts: Texts, signals: int | None = None) -> ww.receptors.Weber:
 
 def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
     """The whisker that the shared options describe; with `seed`, drawn from its identity's."""
-    identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa = shape
+    identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, bow = shape
     modulus: dict[str, Any] = {}
+    curved = {}
+    if bow is not None and not (bow == "own" and identity is not None):
+        hint = "give 1/m, such as -8" + (", or own" if identity is not None else "")
+        curved["curvature"] = float(_checks.finite("--curvature-per-m", bow, hint))
     if youngs_modulus_gpa is not None:
         _checks.positive("--youngs-modulus-gpa", youngs_modulus_gpa, "give GPa, such as 3.34")
         modulus["youngs_modulus"] = youngs_modulus_gpa * 1e9
@@ -287,7 +299,8 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
                 f"A whisker has an identity or a shape, got --identity and {given[0]}; "
                 "leave one of them out."
             )
-        return ww.Whisker.from_identity(identity, seed=seed, **modulus)
+        made = ww.Whisker.from_identity(identity, seed=seed, curved=bow == "own", **modulus)
+        return replace(made, **curved) if curved else made
     if not given:
         raise ValueError(
             "No whisker is given; write --identity C2, or its shape with "
@@ -307,7 +320,8 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
     _checks.positive("--length-mm", length_mm, "give millimetres, such as 50")
     _checks.positive("--base-radius-um", base_radius_um, "give micrometres, such as 100")
     _checks.non_negative("--tip-radius-um", tip_radius_um, "give micrometres, such as 5")
-    return ww.Whisker(length_mm * 1e-3, base_radius_um * 1e-6, tip_radius_um * 1e-6, **modulus)
+    made = ww.Whisker(length_mm * 1e-3, base_radius_um * 1e-6, tip_radius_um * 1e-6, **modulus)
+    return replace(made, **curved) if curved else made
 
 
 def describe(whisker: ww.Whisker) -> dict[str, float]:
@@ -317,7 +331,7 @@ def describe(whisker: ww.Whisker) -> dict[str, float]:
         "base_radius_um": whisker.base_radius * 1e6,
         "tip_radius_um": whisker.tip_radius * 1e6,
         "youngs_modulus_gpa": whisker.youngs_modulus / 1e9,
-    }
+    } | ({"curvature_per_m": whisker.curvature} if whisker.curvature else {})
     return {name: float(f"{value:.12g}") for name, value in values.items()}
 
 
@@ -327,7 +341,7 @@ def finish(run: Run, as_json: bool, answer: Any, *lines: str) -> None:
         print(to_json(answer))
         return
     for line in lines:
-        print(line)
+        print(_of_options(line))
     if run.out_dir is not None:
         print(f"Written to {run.out_dir}: {', '.join(run.files)}.")
 
@@ -341,15 +355,21 @@ def show(
     finish(run, as_json, answer, whisker_line(whisker), words)
     if not as_json:
         for line in notes:
-            print(line)
+            print(_of_options(line))
+
+
+def _of_options(line: str) -> str:
+    """A line, with what an observer's note asks for as it is written here."""
+    return line.replace("write curved=True", "write --curvature-per-m own")
 
 
 def whisker_line(whisker: ww.Whisker) -> str:
     """A whisker in one sentence."""
+    bow = f", curvature {whisker.curvature:+g} /m" if whisker.curvature else ""
     return (
         "Whisker: {length_mm:g} mm long, radius {base_radius_um:g} µm at the base and "
-        "{tip_radius_um:g} µm at the tip, {youngs_modulus_gpa:g} GPa.".format(**describe(whisker))
-    )
+        "{tip_radius_um:g} µm at the tip, {youngs_modulus_gpa:g} GPa{bow}."
+    ).format(**describe(whisker), bow=bow)
 
 
 def pairs(name: str, texts: Sequence[str] | None, example: str) -> dict[str, str]:

@@ -35,7 +35,7 @@ RECEPTORS: dict[str, _Model] = {
     "ceiling": lambda number, typical: GeneralisedWeber(0.1, floor=0.0, ceiling=number * typical),
     "saturating": lambda number, typical: Saturating(0.1, ceiling=number * typical),
 }
-PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(1.0), "log-normal": LogNormal(0.1)}
+PLAIN: dict[str, ReceptorNoise] = {"weber": Weber(0.1), "log-normal": LogNormal(0.1)}
 
 
 def distance_encoding(

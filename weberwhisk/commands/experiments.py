@@ -33,6 +33,9 @@ def design(
     shape: opt.Shape = opt.NO_SHAPE,
     cue: str | None = None,
     deflection_angle_deg: opt.Texts = None,
+    task: Annotated[
+        opt.Text, "2AFC, 2IFC, yes/no or go/no-go (at a pole).  [default: 2AFC]"
+    ] = None,
     bayes_factor: Annotated[
         opt.Number, "Goal: tapered whisker or cylinder, distinguished by so much.  [default: 10]"
     ] = None,
@@ -107,6 +110,7 @@ def design(
             together=False if apart else None,
             title=title,
             runs=runs,
+            task=task,
             seed=seed,
             workers=all_cores(workers, scheduler),
             scheduler=scheduler,

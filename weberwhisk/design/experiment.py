@@ -26,7 +26,6 @@ from ..behaviour.verdict import FitStatus
 from ..cues import Compliance
 from ..cues.protocol import Cue
 from ..observer import Observer
-from ..receptors import Weber
 from ..whisker import Whisker
 from .best import best_scheme
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper
@@ -47,6 +46,7 @@ def plan_experiment(
     hypotheses: Sequence[Hypothesis] | None = None,
     cue: Cue | None = None,
     deflection_angle: float | None = None,
+    task: str | None = None,
     scheme: Scheme | None = None,
     standards: ArrayLike | None = None,
     levels: ArrayLike = WIDE,
@@ -79,6 +79,8 @@ def plan_experiment(
         cylinder, or for a goal about the interval of k the tapered whisker alone.
     cue, deflection_angle : Cue and float, optional
         How distance is encoded where the goal is the interval of k; the light tap by default.
+    task : str, optional
+        Of hypotheses that are not given: "2AFC" by default, or "go/no-go", say, at a single pole.
     scheme : Scheme, optional
         Levels, trials and animals, where these are decided.
     standards : array_like, optional
@@ -148,7 +150,7 @@ def plan_experiment(
             f"A scheme has its animals, got {scheme.animals} and animals={animals}; write "
             f"scheme.with_animals({animals})."
         )
-    given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle)
+    given = _hypotheses(shape, aim, hypotheses, cue, deflection_angle, task)
     wanted = _what_to_find(find, trials is not None or scheme is not None)
     own: dict[str, Any] = {"goal": aim, "constraints": limits, "seed": seed}
     if best:
@@ -217,14 +219,16 @@ def _hypotheses(
     hypotheses: Sequence[Hypothesis] | None,
     cue: Cue | None,
     deflection_angle: float | None,
+    task: str | None,
 ) -> Sequence[Hypothesis]:
     if hypotheses is not None:
-        if cue is not None or deflection_angle is not None:
+        if (cue, deflection_angle, task) != (None, None, None):
             raise ValueError(
-                "Hypotheses have their cues, got hypotheses and a cue or deflection_angle; leave "
-                "one out."
+                "Hypotheses have their cues and task, got hypotheses and a cue, deflection_angle "
+                "or task; leave one out."
             )
         return hypotheses
+    task = task or "2AFC"
     if goal.bayes_factor is not None:
         if cue is not None and not (isinstance(cue, Compliance) and cue.tap_angle == 0):
             raise ValueError(
@@ -236,9 +240,9 @@ def _hypotheses(
                 "Taper is tested by the compliance cue, which has no deflection angle, got "
                 f"{deflection_angle!r}; leave it out."
             )
-        return taper(whisker)
-    observer = Observer(whisker, cue or Compliance(), Weber(1.0))
-    return [Hypothesis("expected observer", CueEncoding(observer, deflection_angle))]
+        return taper(whisker, task=task)
+    observer = Observer(whisker, cue or Compliance())
+    return [Hypothesis("expected observer", CueEncoding(observer, deflection_angle), task=task)]
 
 
 @dataclass(frozen=True, repr=False)

@@ -32,7 +32,17 @@ from ..behaviour.encodings import (
     described,
 )
 from ..behaviour.priors import Priors
-from ..cues import Compliance, ForceMap, Friction, SpaceMap, UnknownRoll
+from ..cues import (
+    Compliance,
+    ForceMap,
+    Friction,
+    Fused,
+    SpaceMap,
+    UnknownCurvature,
+    UnknownHinge,
+    UnknownRoll,
+    UnknownStiffness,
+)
 from ..mechanics.model_choice import Chosen
 from ..observer import Observer
 from ..places import ArrayObserver
@@ -46,18 +56,21 @@ from .scheme import Constraints, Scheme, easy_share
 # not one finite number.
 NOUNS: dict[type, str] = {
     Whisker: "length base_radius tip_radius youngs_modulus curvature density "
-    "hinge_stiffness:number|null",
+    "hinge_stiffness:number|null identity:list|null",
     Compliance: "tap_angle angular_velocity velocity_spread",
     ForceMap: "signal_names:texts deflection_angle:number|null",
-    Friction: "cue:Compliance|ForceMap angle:number|null coefficient",
+    Fused: "cues:list",
+    Friction: "cue:cue angle:number|null coefficient",
     SpaceMap: "signal_names:texts roll",
-    UnknownRoll: "cue:SpaceMap spread",
+    UnknownCurvature: "cue:cue spread",
+    UnknownHinge: "cue:cue spread",
+    UnknownRoll: "cue:cue spread",
+    UnknownStiffness: "cue:cue spread soft_signals:texts",
     WhiskerArray: "species:text sides:text curved:flag identities:texts protraction",
     Weber: "weber_fraction:numbers correlation:numbers",
     GeneralisedWeber: "weber_fraction:numbers floor:numbers ceiling:limits correlation:numbers",
     Joint: "noises:list sizes:numbers",
-    Observer: "whisker:Whisker cue:Compliance|ForceMap|Friction|SpaceMap|UnknownRoll "
-    "noise:Weber|GeneralisedWeber|Joint model:text|null",
+    Observer: "whisker:Whisker cue:cue noise:Weber|GeneralisedWeber|Joint model:text|null",
     ArrayObserver: "array:WhiskerArray cue:Compliance|ForceMap|Friction|null "
     "noise:Weber|GeneralisedWeber|null angle_sd missed",
     CueEncoding: "observer:Observer deflection_angle:number|null unit",
@@ -77,6 +90,8 @@ NOUNS: dict[type, str] = {
 }
 #: Parts of a noun that are one of several nouns, or a number or distribution.
 KINDS = {
+    "cue": "Compliance|ForceMap|Friction|Fused|SpaceMap|UnknownCurvature|UnknownHinge|UnknownRoll|"
+    "UnknownStiffness",
     "encoding": "CueEncoding|PooledEncoding|PlaceEncoding|IdentityEncoding|LogEncoding|"
     "LogAxisEncoding|ConstantNoise",
     "prior": "number|distribution",
@@ -138,13 +153,22 @@ def decode(value: Any) -> Any:
     if KIND not in value:
         return parts
     name = OLD.get(value[KIND], value[KIND]) if isinstance(value[KIND], str) else None
-    for late in ("hinge_stiffness",) * (name == "Whisker") + ("model",) * (name == "Observer"):
+    for late in {"Whisker": ("hinge_stiffness", "identity"), "Observer": ("model",)}.get(
+        str(name), ()
+    ):
         parts.setdefault(late, None)  # of plans that were written before there was one
     noun = next((noun for noun in NOUNS if noun.__name__ == name), None)
     if noun is None:
         return _frozen(value[KIND], parts)
     try:
-        return noun(**checked(noun.__name__, parts, _parts(noun)))
+        own = checked(noun.__name__, parts, _parts(noun))
+        if noun is Fused:
+            return Fused(*own["cues"])
+        whose = own.pop("identity") if noun is Whisker else None
+        made = noun(**own)
+        if whose is not None:
+            made._named(*whose[:2])
+        return made
     except (TypeError, OverflowError) as error:
         raise ValueError(f"{noun.__name__} cannot be made of these ({error})") from None
 
@@ -360,10 +384,18 @@ def assumptions(plan: Plan) -> list[str]:
         f"Lapses: {100 * animals.lapse:g} % on either side on average. Biases: sd "
         f"{animals.bias_spread:g} between animals, in sds of the difference of the two signals.",
         f"Distance is encoded through {described(first.encoding)}.",
+        *notes_of(plan.hypotheses),
         "Noise is independent from trial to trial, k is the same in all sessions, and the two "
         "stimuli are encoded alike.",
         f"{100 * easy:.2g} % of the trials are easy (right in 95 %, lapses aside).",
     ]
+
+
+def notes_of(hypotheses: Sequence[Hypothesis]) -> list[str]:
+    """What observers of the hypotheses leave out, a sentence each: a whisker's shape at rest."""
+    looks = (look for h in hypotheses for look in getattr(h.encoding, "looks", (h.encoding,)))
+    said = (getattr(getattr(look, "observer", None), "note", "") for look in looks)
+    return [f"{words}." for words in dict.fromkeys(said) if words]
 
 
 def offsets_in_words(offsets: Sequence[float]) -> str:

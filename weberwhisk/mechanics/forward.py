@@ -38,6 +38,7 @@ from .._checks import angle, positive, refuse_hinge
 from .._values import Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
+from .branches import THINNEST
 from .chebyshev import Array
 from .contact import Outcome
 from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
@@ -89,6 +90,13 @@ class ForwardModel(Value):
             given, ends = getattr(self, name), f"{name}_range"
             if not any(getattr(self, ends)) and np.any(given):
                 self._set(**{ends: (float(np.min(given)), float(np.max(given)))})
+        whisker = self.whisker
+        if isinstance(whisker, Whisker) and np.all(whisker.tip_radius == 0):
+            known = not any((*self.friction_range, *self.offset_range))
+            if not known or np.any(whisker.curvature):
+                # The same whisker but for its last thousandth, which nothing can be held by.
+                length, tip = (1 - THINNEST) * whisker.length, THINNEST * whisker.base_radius
+                self._set(whisker=replace(whisker, length=length, tip_radius=tip))
 
     # -- what it is like -----------------------------------------------------------------------
 

@@ -355,6 +355,11 @@ def _table(observer: Any) -> str:
 
 
 def _shape_at_rest(observer: Any) -> str:
+    named = getattr(observer.whisker, "identity", None)
+    if named is not None and not observer.cue.takes_curved:
+        return (
+            f"{named[1]} is taken as straight: what its shape at rest does to this cue is unknown"
+        )
     off = of_shape_at_rest(observer)
     if off < 1:
         return ""
@@ -393,6 +398,7 @@ def between(
     """Largest bias between two sets of signals of contacts, JNDs."""
     (exact, outcome), (rough, held) = one, other
     known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
+    known &= np.nan_to_num(observer.noise.sd(exact), nan=1.0).all(axis=-1)  # else known exactly
     contact, exact, off = contact[known], exact[known], (rough - exact)[known]
     unit = np.maximum(np.abs(contact), 1e-12)
     slope = observer.cue.jacobian(observer.whisker, contact) * unit[:, None]

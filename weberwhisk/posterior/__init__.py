@@ -189,7 +189,7 @@ def _outside(observer: Observer, reading: Array, solution: Solution) -> NDArray[
     """Posteriors (B,) that converged, of an observer or at a distance outside the domain."""
     r = solution.estimates[0]
     outside = (r.mean / observer.reach[1] < domain.CONTACTS[0]) | beyond_reach(
-        observer, reading, r.mean, r.sd
+        observer, reading, dict(zip(observer.unknowns, solution.estimates, strict=True))
     )
     outside |= bool(domain.of_observer(observer))
     return np.asarray(outside & (solution.status == Status.CONVERGED))

@@ -130,11 +130,11 @@ class Posterior(Shown):
         >>> p.status.name, p.outside_domain[:43]
         ('OUTSIDE_DOMAIN', 'Outside the domain: a Weber fraction of 0.0')
         """
-        r, sd = np.atleast_1d(self.mean, self.sd)
+        r = np.atleast_1d(self.mean)
         known = np.isfinite(r)
         near = domain.of_contact(r[known], self.observer.reach[1]) if known.any() else ()
         rows = self.reading.reshape(len(r), -1)
-        beyond = beyond_reach(self.observer, rows, r, sd).any()
+        beyond = beyond_reach(self.observer, rows, self.estimates).any()
         far = "a contact that may be beyond the reach, to where a tip pushed straight can go"
         return domain.sentence((*domain.of_observer(self.observer), *near, *[far] * int(beyond)))
 
@@ -338,25 +338,31 @@ def joined(parts: Sequence[Columns]) -> Columns:
     return parts[0]._make(map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[attr-defined]
 
 
-def beyond_reach(observer: Observer, reading: Array, mean: Array, sd: Array) -> NDArray[np.bool_]:
+def beyond_reach(
+    observer: Observer, reading: Array, estimates: Mapping[str, Estimate]
+) -> NDArray[np.bool_]:
     """Readings (B, R) that may be of a tip beyond where it is at rest, which no observer knows.
 
     Pushed against its curvature a whisker is straightened; one that is straight or pushed along
     its curvature slips off at its reach. Such a reading has no contact of its own, and a posterior
-    up against the reach: its mean was 3 sd short.
+    up against the reach: its mean was 3 sd short, in space 5. There no inverse tells: all that have
+    not fallen off before they come to the reach are taken for such, where it is pushed straight.
     """
     out = np.zeros(len(reading), dtype=bool)
     forward, end = observer.forward, observer.reach[1]
-    if "deflection_angle" not in observer.unknowns or forward.azimuth is not None:
+    if "deflection_angle" not in observer.unknowns or forward.is_plain:
         return out
-    near = mean + 4 * sd > end
-    if (
-        forward.is_plain
-        or not near.any()
-        or not forward.limit(np.array(0.999 * forward.reach)) > 0.05
-    ):
+    mean, sd = (np.atleast_1d(a) for a in estimates["radial_distance"][:2])
+    in_space = forward.azimuth is not None
+    near = mean + (2 if in_space else 4) * sd > end
+    if not near.any():
         return out
-    out[near] = observer.reading_outcome(reading[near]) == Outcome.OUT_OF_REACH
+    contact = np.stack([np.atleast_1d(e.mean)[near] for e in estimates.values()], axis=-1)
+    forward = observer.cue.forward(observer.whisker, contact)
+    straightened = forward.limit(np.full(len(contact), 0.999 * forward.reach)) > 0.05
+    if not in_space and straightened.any():
+        straightened &= observer.reading_outcome(reading[near]) == Outcome.OUT_OF_REACH
+    out[near] = straightened
     return out
 
 
@@ -385,6 +391,12 @@ def is_unidentified(observer: Observer, contact: Array) -> NDArray[np.bool_]:
     leaves the prior to decide. Unknowns that the whisker does not bound are known by their priors,
     and what is left to know of them is taken from the others (Schur complement).
     """
+    contact = contact.copy()
+    for i, name in enumerate(observer.unknowns[observer.bounded :], observer.bounded):
+        low, high = observer.prior[name].support()  # at whose very ends a coordinate is infinite
+        if np.isfinite(high - low):
+            room = 1e-6 * (high - low)
+            contact[:, i] = np.clip(contact[:, i], low + room, high - room)
     slope = contact_slope(observer, observer.coordinates(contact))
     told = observer.information(contact) + observer.prior_information(contact)
     information = np.swapaxes(slope, 1, 2) @ told @ slope
