@@ -18,7 +18,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from weberwhisk.cues import (
     Compliance,
     ContactAndDetachment,
     ForceMap,
+    Friction,
     Fused,
     LateralSlip,
     SpaceMap,
@@ -92,6 +93,12 @@ CUES: dict[str, Observer] = {
         "balance, effort known (h)": BalanceOfMoments(effort=0.5),
         "compliance and vibration": Fused(Compliance(), Vibration(3, phase=True)),
     }.items()
+}
+#: Observers of real whiskers, made when they are asked for: each makes a table.
+REAL: dict[str, Callable[[], Observer]] = {
+    "force map, concave whisker": lambda: Observer(replace(WHISKER, curvature=-12.0), ForceMap()),
+    "force map, convex whisker": lambda: Observer(replace(WHISKER, curvature=8.0), ForceMap()),
+    "force map, rubbing": lambda: Observer(WHISKER, Friction(ForceMap(), angle=np.radians(15.0))),
 }
 RECEPTORS: dict[str, Observer] = {
     "Weber, k = 0.5": Observer(WHISKER, Compliance(), Weber(0.5)),
@@ -303,6 +310,13 @@ def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
     for group, some in (("cues", CUES), ("receptors", RECEPTORS)):
         for name, o in some.items():
             yield group, name, "quadrature", lambda o=o: posterior_ranks(o, of(o), seed=seed)
+    for name, make in REAL.items():
+        yield (
+            "cues",
+            name,
+            "quadrature",
+            lambda make=make: posterior_ranks(make(), sizes[1], seed=seed),
+        )
     for name, o in CUES.items():
         yield (
             "emcee",

@@ -378,7 +378,7 @@ def drawn(fit: ww.WeberFit, population: ww.PopulationFit) -> dict[str, Any]:
     }  # fmt: skip
     functions = {
         "cues": "cue_jnds", "outcomes": "cue_outcomes", "best-cue": "best_cue",
-        "weber-2d": "weber_2d",
+        "weber-2d": "weber_2d", "behaviour": "decisions",
     }  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figure.Asked, "readings", lambda asked, times=1: 3)

@@ -2,6 +2,7 @@
 
 ============================= ==================================================================
 whiskers                      2 to 200 mm long; radius ratio 1 to 1000, or a perfect cone
+shapes at rest                that turn by up to 2 rad; friction up to 30° (else observers refuse)
 contacts                      from 1 % of the reach to the tip; from no deflection to the fold
 Weber fractions of receptors  0.01 to 0.6
 readings                      that some contact the prior allows explains within 8 sd

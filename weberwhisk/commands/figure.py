@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -11,7 +12,9 @@ import numpy as np
 import weberwhisk as ww
 
 from .. import _checks, along_whisk, surveys
+from ..behaviour import CueEncoding, Encoding, PooledEncoding, response_probability, task_named
 from ..cli import progress
+from ..design import Hypothesis, Scheme, taper
 from ..mechanics.muscle import MuscleCurve
 from ..output import Run, atomic_write
 from . import NO_SHAPE, Shape, Text, as_asked, command, describe, finish, the_whisker
@@ -186,6 +189,78 @@ def touches(asked: Asked) -> Made:
     return _made("touches", joined, ww.figures.touches(joined))
 
 
+def behaviour(asked: Asked) -> Made:
+    """choices and power with curved whiskers, several touches or whiskers, at a pole (minutes)"""
+    choices, powers = _choices(asked), _powers(asked)
+    drawn = ww.figures.decisions(choices, powers)
+    return Made({"behaviour": choices, "behaviour-power": powers}, drawn)
+
+
+def _two(whisker: ww.Whisker) -> tuple[ww.Whisker, ww.Whisker]:
+    """A whisker that is touched on its concave side, and a smaller one whose base is as far off."""
+    bowed = replace(whisker, curvature=-0.6 / whisker.length)
+    sizes = {name: 0.7 * getattr(whisker, name) for name in ("length", "base_radius", "tip_radius")}
+    return bowed, replace(bowed, **sizes)
+
+
+def _choices(asked: Asked) -> pd.DataFrame:
+    """Shares of answers about a pole and one at 0.4 of the length, by moment and axial force."""
+    import pandas as pd
+
+    whisker, (bowed, smaller) = asked.whisker, _two(asked.whisker)
+    convex = replace(whisker, curvature=0.6 / whisker.length)
+    straight, concave, other, far = (
+        CueEncoding(ww.Observer(w, ww.cues.ForceMap()), surveys.ANGLE)
+        for w in (whisker, bowed, smaller, convex)
+    )
+    decisions: dict[str, tuple[Encoding, str]] = {
+        "straight": (straight, "2AFC"),
+        "concave side": (concave, "2AFC"),
+        "convex side": (far, "2AFC"),
+        "concave, 5 touches": (PooledEncoding((concave,) * 5), "2AFC"),
+        "concave, 2 whiskers": (PooledEncoding((concave, other)), "2AFC"),
+        "concave, go/no-go": (concave, "go/no-go"),
+    }
+    standard = 0.4 * whisker.length
+    r, tables = standard * np.linspace(0.7, 1.3, 13 if asked.short else 61), []
+    for name, (encoding, task) in decisions.items():
+        chance = response_probability(
+            task_named(task), encoding, standard + 0 * r, r, weber_fraction=surveys.K
+        )
+        right = np.where(r < standard, 1 - chance, chance)
+        tables.append(
+            pd.DataFrame(
+                {"decision": name, "task": task, "standard_mm": 1e3 * standard,
+                 "radial_distance_mm": 1e3 * r, "farther": chance, "correct": right}
+            )
+        )  # fmt: skip
+    return pd.concat(tables, ignore_index=True)
+
+
+def _powers(asked: Asked) -> pd.DataFrame:
+    """How often each question is decided, by taps on a pole, by trials of each comparison."""
+    import pandas as pd
+
+    bowed, smaller = _two(asked.whisker)
+    one, other = (CueEncoding(ww.Observer(w, ww.cues.Compliance())) for w in (bowed, smaller))
+    questions = {"taper, straight": taper(asked.whisker), "taper, concave": taper(bowed)}
+    for task in ("2AFC", "go/no-go"):
+        questions[f"one whisker or two, {task}"] = (
+            Hypothesis("one whisker", one, task=task),
+            Hypothesis("two whiskers", PooledEncoding((one, other)), task=task),
+        )
+    trials = (10, 40) if asked.short else (10, 20, 40, 80, 160, 320)
+    tables = []
+    for name, hypotheses in questions.items():
+        # Of the two whiskers both reach the nearer pole, one the farther.
+        at = np.array([0.3, 0.8]) * asked.whisker.length
+        scheme = Scheme.spaced(hypotheses[0].encoding, at, weber_fraction=surveys.K)
+        runs = 16 if asked.short else 256
+        found = ww.power(scheme, hypotheses, trials=trials, runs=runs, seed=asked.seed)
+        tables.append(found.table.assign(question=name, goal=found.goal.share))
+    return pd.concat(tables, ignore_index=True)
+
+
 def jnd_limits(asked: Asked) -> Made:
     """limits of torque, threshold and saturation on one JND curve (§3b)"""
     places = np.linspace(0.04, 0.98, 25 if asked.short else 190) * asked.whisker.length
@@ -247,8 +322,8 @@ CHARTS: dict[str, Callable[[Asked], Made]] = {
     make.__name__.replace("_", "-"): make
     for make in (
         cues, outcomes, best_cue, ridge, information, figure_4a, figure_4b, jnd_surface, weber_2d,
-        curvature, along_push, lateral_sweep, touches, jnd_limits, reversal, whisking_speed,
-        array_resolution, array_counts,
+        curvature, along_push, lateral_sweep, touches, behaviour, jnd_limits, reversal,
+        whisking_speed, array_resolution, array_counts,
     )
 }  # fmt: skip
 

@@ -37,7 +37,16 @@ from .fits import (
 )
 from .reports import fits_and_growth, paper_1d, paper_2, paper_3, speed_accuracy
 from .style import COLOURS, DOUBLE, LINES, MARKERS, SINGLE, figure_of, new_figure, shown, styled
-from .surveys import best_cue, cue_information, cue_jnds, cue_outcomes, curvature, ridge, weber_2d
+from .surveys import (
+    best_cue,
+    cue_information,
+    cue_jnds,
+    cue_outcomes,
+    curvature,
+    decisions,
+    ridge,
+    weber_2d,
+)
 from .whisks import (
     along_push,
     array_counts,
@@ -69,6 +78,7 @@ __all__ = [
     "cue_jnds",
     "cue_outcomes",
     "curvature",
+    "decisions",
     "figure_of",
     "fits_and_growth",
     "information_map",

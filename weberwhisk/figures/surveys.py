@@ -154,6 +154,38 @@ def curvature(jnds: pd.DataFrame, biases: pd.DataFrame) -> Figure:
     return figure
 
 
+@styled
+def decisions(choices: pd.DataFrame, powers: pd.DataFrame) -> Figure:
+    """Choices of observers of real whiskers, and the power to distinguish pairs of them.
+
+    Parameters
+    ----------
+    choices : DataFrame
+        Columns `decision`, `task`, `standard_mm`, `radial_distance_mm` and `farther`, the share of
+        answers that the pole, or the second of two, is farther.
+    powers : DataFrame
+        Tables of `power`, with a column `question`; of both truths the one told less is drawn.
+    """
+    figure = new_figure(DOUBLE, 3.6)
+    left, right = figure.subplots(1, 2)
+    for i, (name, rows) in enumerate(choices.groupby("decision", sort=False)):
+        left.plot(rows["radial_distance_mm"], rows["farther"], **look(i), label=name)
+    left.axvline(choices["standard_mm"].iloc[0], color="0.6", linewidth=0.8, label="standard")
+    left.set(xlabel="Radial distance (mm)", ylabel='answers "farther" or "go"', ylim=(0, 1))
+    legend_above(left, 2)
+    for i, (name, rows) in enumerate(powers.groupby("question", sort=False)):
+        least = rows.loc[rows.groupby("trials")["power"].idxmin()]
+        ends = [least["power"] - least["lower"], least["upper"] - least["power"]]
+        right.errorbar(least["trials"], least["power"], ends, **mark(i) | look(i), label=name)
+    right.axhline(powers["goal"].iloc[0], color="0.6", linewidth=0.8, linestyle=":", label="goal")
+    right.set(xlabel="Trials of each comparison", ylabel="power", xscale="log", ylim=(0, 1))
+    sizes = np.unique(powers["trials"])
+    right.set_xticks(sizes, [f"{size:g}" for size in sizes])
+    right.minorticks_off()
+    legend_above(right, 2)
+    return figure
+
+
 def _outcome_looks() -> dict[str, dict[str, Any]]:
     """A colour and hatch for every outcome there is, whichever a chart happens to show."""
     names = [outcome.message.split(":")[0] for outcome in Outcome]
