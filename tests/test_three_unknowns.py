@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from analysis_scripts import load
 from scipy.special import logit
+from scipy.stats import uniform
 
 import weberwhisk as ww
 from weberwhisk.cues import (
@@ -413,3 +414,83 @@ def test_four_unknowns_with_friction_are_those_of_draws_from_the_prior():
     for i, found in enumerate(p.estimates.values()):
         assert abs(found.mean - mean[i]) < 4 * sd[i] / np.sqrt(draws) + 3 * found.mean_error
         assert found.sd == pytest.approx(sd[i], rel=4 / np.sqrt(draws))
+
+
+@pytest.mark.parametrize(
+    ("noise", "spread"),
+    [
+        (Weber(0.03), 0.42),
+        (Weber([0.05, 0.2], correlation=-0.4), 0.42),
+        (Weber(0.3), 0.95),
+        (Weber(0.1), 1e-3),
+        (LogNormal(0.1), 0.42),
+    ],
+    ids=repr,
+)
+def test_a_scale_is_summed_by_a_table_as_by_many_points(noise, spread):
+    """Its integral, mean and sd, of readings as near their signals as counts."""
+    observer = ww.Observer(W, UnknownStiffness(ForceMap(), spread), noise)
+    table = likelihood_of(observer).table
+    rng, known = np.random.default_rng(3), np.array([1.0, -0.3])
+    reading = noise.sample(known * observer.last_unknown(rng.standard_normal((60, 1))), rng)
+    reading[(reading * known <= 0).any(axis=1)] = 1.2 * known
+    told = table.quadratic(reading, known)
+    log, mean, variance = table.summed(table.likelihoods(told))
+    row, first = np.arange(60), np.zeros(60, dtype=np.intp)
+    ready = table.prepared(known[None], np.array([0.5]))(reading, row, first)
+    assert table.integral(table.likelihoods(ready)) == pytest.approx(log + 0.5, abs=1e-9)
+    z = np.linspace(-9, 9, 20_001)
+    value = observer.last_unknown(z)
+    for i, y in enumerate(reading):
+        density = noise.log_likelihood(y, known * value[:, None]) - 0.5 * z**2
+        share = np.exp(density - density.max())
+        exact = np.log(share.sum() * (z[1] - z[0]) / np.sqrt(2 * np.pi)) + density.max()
+        share /= share.sum()
+        middle = share @ value
+        sd = np.sqrt(share @ (value - middle) ** 2)
+        assert log[i] == pytest.approx(exact, abs=1e-4)
+        assert mean[i] == pytest.approx(middle, abs=3e-4 * sd)
+        assert np.sqrt(variance[i]) == pytest.approx(sd, rel=1e-3)
+
+
+def test_a_prior_with_an_edge_is_summed_without_a_table():
+    """Beside its edge the integral bends too much: 0.1 off, were it looked up."""
+    soft = UnknownStiffness(ForceMap())
+    edge = ww.Observer(W, soft, Weber(0.03), prior={"stiffness": uniform(0.5, 1.0)})
+    assert likelihood_of(edge).table is None
+
+
+@pytest.mark.parametrize("noise", [Weber(0.03), GeneralisedWeber(0.03, floor=[1e-10, 1e-8])])
+def test_corners_of_a_tile_that_are_far_from_its_centre_are_found(noise):
+    """At k = 0.03 a corner's stiffness is dozens of its sds from the centre's: 0.1 to 0.3 sd off.
+
+    Many readings then were nobody's but their own tiles', at 0.2 s each.
+    """
+    observer = ww.Observer(W, UnknownStiffness(ForceMap()), noise)
+    reading = np.array([[8.87339e-06, 8.23122e-04], [5.16001e-05, 6.69015e-03]])
+    summed = SummedTiles(likelihood_of(observer), tiles_of(observer, 5.5, reading), 5.5)
+    found = summed.moments(reading)
+    z = np.linspace(-6, 6, 1501)
+    stiffness = observer.last_unknown(z)
+    tiles = tiles_of(observer, 3.9, reading)
+    weight, contact = (
+        a.reshape(-1, *a.shape[2:]) for a in (tiles.nodes.log_weight, tiles.nodes.contact)
+    )
+    signals, _ = observer.signals(np.column_stack([contact, np.ones(len(contact))]))
+    for i, y in enumerate(reading):
+        ratio = signals / y
+        near = np.flatnonzero(
+            np.isfinite(weight) & (np.abs(np.log(np.abs(ratio[:, 0] / ratio[:, 1]))) < 0.4)
+        )
+        log, mean = np.full(len(near), -np.inf), np.zeros(len(near))
+        for part in np.array_split(np.arange(len(near)), 40):
+            seen = signals[near[part], None] * stiffness[:, None]
+            density = noise.log_likelihood(y, seen) - 0.5 * z**2 + weight[near[part], None]
+            top = density.max(axis=1)
+            share = np.exp(density - top[:, None])
+            log[part] = np.log(share.sum(axis=1)) + top
+            mean[part] = share @ stiffness / share.sum(axis=1)
+        share = np.exp(log - log.max())
+        share /= share.sum()
+        exact = np.append(share @ contact[near], share @ mean)
+        assert np.all(np.abs(found.mean[i] - exact) < 1e-3 * found.sd[i])

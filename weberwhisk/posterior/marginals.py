@@ -262,7 +262,9 @@ def tile_quantiles(
         weighed = tiled.weigh(reading[part], whole=True)
         for unknown in unknowns:
             if unknown == tiled.dim:
-                found = tiled.last_quantiles(weighed, probability, lost[part, unknown])
+                found = tiled.last_quantiles(
+                    reading[part], weighed, probability, lost[part, unknown]
+                )
             else:
                 marginal = Marginal(tiled, weighed, len(reading[part]), unknown)
                 found = quantiles(marginal, probability, lost[part, unknown])

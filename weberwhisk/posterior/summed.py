@@ -15,7 +15,8 @@ Its change, and that of ln of the prior's density, are two more functions beside
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterable
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .result import Array, Index
+from .scale_table import ScaleTable
 
 
 class Peak(NamedTuple):
@@ -54,6 +56,9 @@ class LastSummed:
     """
 
     panels = 8
+    #: Where signals are in proportion to the last unknown; how much larger readings may be for it.
+    table: ScaleTable | None = None
+    scales: tuple[float, float] | None = None
 
     def __init__(self, observer: Observer, *, samples: int = 65, most: int = 24) -> None:
         self.observer, self.noise = observer, observer.noise
@@ -204,25 +209,21 @@ class LastSummed:
         self.value, self.functions = self.observer.last_unknown(inside), self.basis(inside)
         self.log_prior = -0.5 * (self.z**2 + np.log(2 * np.pi))
         self.log_prior[[0, -1]] = -np.inf
-        self._find_quadratic()
+        self._find_table()
 
-    def _find_quadratic(self) -> None:
-        """Where all signals are in proportion to one function of the last unknown, φ.
-
-        Readings of c times the signals being c times as large, p(y | φs) = φ⁻ᴿ p(y/φ | s): ln of it
-        is a quadratic function of 1/φ for noise that is Gaussian, of ln φ where logarithms are.
-        """
-        noise, size = self.observer.noise, len(self.observer.cue.signal_names)
-        self.quadratic = self.functions.shape[1] == 1 and noise.is_scale_family and not self.turns
-        self.quadratic &= noise.gaussian_on is not None
-        if self.quadratic:
-            middle = self.functions[self.half + 1, 0]
-            phi = self.functions[:, 0] / middle
-            logs = noise.gaussian_on == "log"
-            self.unit = np.array([middle])
-            self.place = np.log(phi) if logs else 1 / phi
-            self.scales = np.exp([0.0, -1.0, 1.0]) if logs else np.array([0.0, 1.0, -1.0])
-            self.constant = self.log_prior - noise.reading_size(size) * np.log(phi)
+    def _find_table(self, *, misfit: float = 1e-4) -> None:
+        """A table, where all signals are in proportion to the last unknown and noise with them."""
+        noise, value = self.noise, self.value
+        if self.functions.shape[1] > 1 or not noise.is_scale_family or noise.gaussian_on is None:
+            return
+        ratio = self.functions[:, 0] / value
+        if self.turns or self.observer.last_unknown(np.array([-12.0])) <= 0:
+            return
+        if np.ptp(ratio) > 1e-6 * np.abs(ratio).max():
+            return
+        table = ScaleTable(self.observer)
+        if table.misfit < misfit:
+            self.table, self.scales, self.panels = table, table.range, 1
 
     def widths_at(self, parts: Array, z: float) -> Array:
         """Widths (...) of the bump at z, by prior and Fisher information; parts (..., S, D)."""
@@ -261,7 +262,10 @@ class LastSummed:
         return [(parts @ self.basis(np.array(z)), parts @ self.slope(z)) for z in (0.0, -2.0, 2.0)]
 
     def interval(self, parts: Array, width: float) -> tuple[Array, Array]:
-        """Between which readings (..., panels, R) lie, of each panel."""
+        """Between which readings (..., panels, R) lie, of each panel; of the middle, by a table."""
+        if self.table:
+            low, high = self.noise.interval(self.middle(parts), width)
+            return low[..., None, :], high[..., None, :]
         ends = self.basis(np.linspace(-1, 1, 2 * self.panels + 1) * self.reach)
         signals = np.einsum("...sd,ed->...es", parts[..., : self.size, :], ends)
         low, high = self.noise.interval(signals, width)
@@ -269,13 +273,12 @@ class LastSummed:
         low = np.minimum.reduce([low[..., c, :] for c in cut])
         return low, np.maximum.reduce([high[..., c, :] for c in cut])
 
+    def middle(self, parts: Array) -> Array:
+        """Signals (..., S) at the middle of the prior."""
+        return np.asarray(parts @ self.functions[self.half + 1])
+
     def curve(self, reading: Array, parts: Array) -> LastCurve:
         """ln of the density of the last unknown, for readings (m, R) and nodes (m, N, S, D)."""
-        if self.quadratic:
-            signals = parts @ self.unit
-            scales = self.scales
-            told = (self.noise.log_likelihood(c * reading[:, None], signals) for c in scales)
-            return Quadratic(self, *told)
         return LastCurve(self, reading, parts)
 
     def search(self, curve: LastCurve, low: Index, high: Index, width: Array, count: int) -> Peak:
@@ -304,10 +307,14 @@ class LastSummed:
         return peak._replace(reach=np.maximum(peak.reach, far + 2 * peak.width))
 
     def climb(self, curve: LastCurve, index: Index, width: Array, steps: int) -> Peak:
-        """The bumps (m, N) near indices, about as wide as (m,), by Newton's method."""
+        """The bumps (m, N) near indices, about as wide as (m,), by Newton's method.
+
+        In so many steps, or as many as the longest way takes: of three a narrow bump at a tile's
+        corner is out of reach, and at k = 0.03 means were 0.3 sd off.
+        """
         stride = np.maximum(1, (0.7 * width / self.step).astype(np.intp))[:, None]
         three = stride[..., None] * np.arange(-1, 2)
-        for _ in range(steps):
+        for step in range(24):
             index = np.minimum(np.maximum(index, 1 + stride), 2 * self.half + 1 - stride)
             log = curve(index[..., None] + three)
             below, middle, above = log[..., 0], log[..., 1], log[..., 2]
@@ -318,12 +325,18 @@ class LastSummed:
             bend = np.minimum(np.maximum(bend, 0.02), 50.0)
             move = np.minimum(np.maximum(rise / bend, -4.0), 4.0)
             index = index + np.rint(move * stride).astype(np.intp)
+            inside = (index > 1 + stride) & (index < 2 * self.half + 1 - stride)
+            if step + 1 >= steps and not (inside & (np.abs(move) >= 4.0)).any():
+                break
         found = np.minimum(stride * self.step * bend**-0.5, 1.0)
         # Of a bump that is found the rise is little; more is of one that the lattice does not show.
         return Peak(index, found, middle + np.clip(rise * move / 2, 0.0, 8.0), 5 * found)
 
     def log_likelihood(self, reading: Array, parts: Array) -> Array:
         """ln p(reading | the other unknowns), (m, N), about: of bumps taken for Gaussian."""
+        if self.table:
+            told = self.table.quadratic(reading[:, None], self.middle(parts))
+            return self.table.integral(self.table.likelihoods(told))
         m, count = parts.shape[:2]
         low = np.zeros(m, dtype=np.intp)
         width = self.widths(parts).min(axis=1)
@@ -371,34 +384,28 @@ class LastCurve:
         return np.asarray(log + self.lattice.log_prior[index])
 
 
-class Quadratic(LastCurve):
-    """The same where that is quadratic, from ln p(c y | signals) (m, N) at the three scales c."""
-
-    def __init__(self, lattice: LastSummed, middle: Array, one: Array, other: Array) -> None:
-        self.lattice, self.middle = lattice, middle
-        self.first, self.second = (one - other) / 2, (one + other) / 2 - middle
-
-    def __call__(self, index: Index) -> Array:
-        return self._sum(self.middle, self.first, self.second, index)
-
-    def at(self, pair: Index, node: Index, index: Index) -> Array:
-        at = pair, node
-        return self._sum(self.middle[at], self.first[at], self.second[at], index)
-
-    def _sum(self, middle: Array, first: Array, second: Array, index: Index) -> Array:
-        t = self.lattice.place[index]
-        out = second[..., None] * t
-        out += first[..., None]
-        out *= t
-        out += self.lattice.constant[index]
-        out += middle[..., None]
-        return np.asarray(out)
+def within(
+    low: Iterable[Array],
+    high: Iterable[Array],
+    reading: Iterable[Array],
+    scales: tuple[float, float] | None,
+) -> NDArray[np.bool_]:
+    """Whether each number of a reading may lie between these; for one of the `scales` for all."""
+    if scales is None:
+        between = ((a <= y) & (y <= b) for a, y, b in zip(low, reading, high, strict=True))
+        return reduce(np.logical_and, between)
+    least, most = (np.asarray(scale) for scale in scales)
+    for a, y, b in zip(low, reading, high, strict=True):
+        with np.errstate(divide="ignore"):
+            ends = a / y, b / y
+        least, most = np.fmax(least, np.fmin(*ends)), np.fmin(most, np.fmax(*ends))
+    return np.asarray(least <= most)
 
 
 class AllUnknowns:
     """Every unknown has an axis of the tiles; nodes have the signals themselves."""
 
-    panels, turns, unsure = 1, False, 0.0
+    panels, turns, unsure, scales = 1, False, 0.0, None
 
     def __init__(self, observer: Observer) -> None:
         self.observer, self.noise = observer, observer.noise

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from .result import Array, Index, among
-from .summed import LastCurve, LastSummed, Quadratic
-from .tiled import TiledObserver, Weighed
+from .scale_table import Likelihoods, ScaleTable
+from .summed import LastCurve, LastSummed
+from .tiled import TiledObserver, Weighed, last_moments
 from .tiling import ORDER, rule
 
 
@@ -19,18 +20,21 @@ class SummedTiles(TiledObserver):
     together = 32
 
     def __init__(self, likelihood: LastSummed, *args: object, **kwargs: object) -> None:
-        self.likelihood = likelihood
+        self.likelihood, self.scales = likelihood, likelihood.scales
         super().__init__(likelihood.observer, *args, **kwargs)  # type: ignore[arg-type]
 
     def _prepare(self, signals: Array) -> None:
         likelihood = self.likelihood
         self._parts = signals
         self._centre = np.array([(ORDER**self.dim + ORDER ** (self.dim - 1)) // 2])
-        self._width = likelihood.widths(signals[:, self._centre])[:, 0]
-        if likelihood.quadratic:
-            unit = signals @ likelihood.unit
-            prepared = self.observer.noise.prepared
-            self._at_all = {key: prepared(unit[:, nodes]) for key, nodes in self._sets().items()}
+        if likelihood.table:
+            unit = likelihood.middle(signals)
+            # Where there is no contact numbers stay finite: such nodes are left out in the end.
+            self._known_weight = np.maximum(self.log_weight, -1e3)
+            unit = unit.reshape(-1, unit.shape[-1])
+            self._told = likelihood.table.prepared(unit, self._known_weight.ravel())
+        else:
+            self._width = likelihood.widths(signals[:, self._centre])[:, 0]
         # Linear between the few nodes along each axis, and on to the tile's ends.
         x = rule(1)[0][:, 0]
         part = (x - x[1]) / (x[ORDER - 2] - x[1])
@@ -42,19 +46,9 @@ class SummedTiles(TiledObserver):
         for _ in range(self.dim):
             self._bulge = np.kron(self._bulge, 1 - ((2 * x - 1) / (1 - 2 * x[1])) ** 2)
 
-    def _sets(self) -> dict[str, Index]:
-        every = np.arange(ORDER**self.dim)
-        return {"centre": self._centre, "few": self._few, "all": every}
-
-    def _curve(self, reading: Array, tile: Index, nodes: str) -> LastCurve:
-        """Curves (n, N) of pairs of a reading (n, R) and a tile: its centre, few or all nodes."""
-        if not self.likelihood.quadratic:
-            parts = self._parts[tile]
-            parts = parts if nodes == "all" else parts[:, self._sets()[nodes]]
-            return self.likelihood.curve(reading, parts)
-        at = self._at_all[nodes]
-        likelihood = self.likelihood
-        return Quadratic(likelihood, *(at(c * reading, tile) for c in likelihood.scales))
+    def _curve(self, reading: Array, tile: Index, nodes: Index | slice = slice(None)) -> LastCurve:
+        """Curves (n, N) of pairs of a reading (n, R) and a tile: of some nodes, or all."""
+        return self.likelihood.curve(reading, self._parts[tile][:, nodes])
 
     def found(self, reading: Array) -> tuple[Index, Index, Index, Index]:
         """Pairs of a reading (B, R) and a tile, and the first and the last panel of each."""
@@ -70,8 +64,10 @@ class SummedTiles(TiledObserver):
 
     def weigh(self, reading: Array, *, whole: bool = False, most: int = 4) -> Weighed:
         likelihood = self.likelihood
+        if likelihood.table:
+            return self._looked_up(likelihood.table, reading, whole)
         row, tile, low, high = self.found(reading)
-        curve = self._curve(reading[row], tile, "centre")
+        curve = self._curve(reading[row], tile, self._centre)
         first = likelihood.search(curve, low, high, self._width[tile], 1)
         centre = (first.height + np.log(first.width))[:, 0]
         log = centre[:, None] + self.log_weight[tile][:, self._centre]
@@ -79,7 +75,7 @@ class SummedTiles(TiledObserver):
         live = self._matters(row, tile, log, self.negligible + 8.0)
         row, tile, centre = row[live], tile[live], centre[live]
         first = among(first, live)
-        curve = self._curve(reading[row], tile, "few")
+        curve = self._curve(reading[row], tile, self._few)
         start = np.repeat(first.place, len(self._few), axis=1)
         peak = likelihood.climb(curve, start, self._width[tile], 3)
         peak = peak._replace(reach=np.maximum(peak.reach, first.reach))
@@ -95,18 +91,107 @@ class SummedTiles(TiledObserver):
         narrowest = np.full(len(reading), likelihood.reach)
         np.minimum.at(narrowest, row, narrow)
         stride = np.maximum((1.2 * narrowest / likelihood.step).astype(np.intp), 1)
-        # Nodes of no weight, as told by what is between the few and the centre, are left out, but
-        # not where the density along a tile is asked for.
-        about = ends @ self._between + (centre - ends.mean(axis=1))[:, None] * self._bulge
-        about += self.log_weight[tile]
+        about = self._about(np.asarray(ends, float), np.asarray(centre, float), tile)
         pair, node = np.nonzero((about > best[row, None] - self.negligible) | whole)
         points = np.ceil(reach.max(axis=1, initial=0.0) / (stride[row] * likelihood.step)).astype(
             int
         )
         middle = np.einsum("pc,cp->p", index[pair], self._between[:, node])
         step = np.rint((middle - likelihood.half - 1) / stride[row[pair]]).astype(np.intp)
-        curve = self._curve(reading[row], tile, "all")
+        curve = self._curve(reading[row], tile)
         return self._summed(row, tile, stride, pair, node, step, points[pair], curve, most)
+
+    def _about(self, few: Array, centre: Array, tile: Index) -> Array:
+        """About the weights of all nodes, in ln, by those of the few and the centre of tiles.
+
+        Nodes of none are left out, but not where the density along a tile is asked for.
+        """
+        about = few @ self._between + (centre - few.mean(axis=1))[:, None] * self._bulge
+        about += self.log_weight[tile]
+        return np.asarray(about)
+
+    def _looked_up(self, table: ScaleTable, reading: Array, whole: bool) -> Weighed:
+        """`weigh` where a table knows the sums over the last unknown."""
+        row, tile = self.find(reading)
+        centre = table.integral(self._likelihoods(table, reading, row, tile, self._centre))
+        top = np.full(len(reading), -np.inf)
+        np.maximum.at(top, row, centre)
+        # The best place of a tile is up to four sds from its centre, and may add to a variance.
+        live = centre > top[row] - self.negligible - 10.0
+        row, tile, centre = row[live], tile[live], centre[live]
+        corner = [np.repeat(row, len(self._few)), np.repeat(tile, len(self._few))]
+        corner.append(np.tile(self._few, len(row)))
+        log = table.integral(self._likelihoods(table, reading, *corner))
+        log = log.reshape(-1, len(self._few))
+        live = self._matters(row, tile, log)
+        row, tile, log, centre = row[live], tile[live], log[live], centre[live]
+        few = log - self._known_weight[tile[:, None], self._few]
+        centre = centre - self._known_weight[tile, self._centre]
+        best = np.full(len(reading), -np.inf)
+        np.maximum.at(best, row, log.max(axis=1, initial=-np.inf))
+        about = self._about(few, centre, tile)
+        pair, node = np.nonzero((about > best[row, None] - self.negligible) | whole)
+        whose = row[pair]
+        found = self._likelihoods(table, reading, whose, tile[pair], node)
+        log, mean, variance = table.summed(found)
+        top = np.full(len(reading), -np.inf)
+        np.maximum.at(top, whose, log)
+        log -= np.where(np.isfinite(top), top, 0.0)[whose]
+        weight = np.exp(log, out=log)
+        weights = np.zeros((len(row), self.log_weight.shape[1]))
+        weights[pair, node] = weight
+        total = np.bincount(whose, weight, len(reading))
+        with np.errstate(invalid="ignore"):
+            first = np.bincount(whose, weight * mean, len(reading)) / total
+            variance += (mean - first[whose]) ** 2
+            sd = np.sqrt(np.bincount(whose, weight * variance, len(reading)) / total)
+        highest = np.flatnonzero(weight == 1.0)
+        place = np.zeros(len(reading))
+        place[whose[highest]] = table.scores(among(found, highest))[0]
+        return Weighed(row, tile, weights, top, (table.middle * first, table.middle * sd), place)
+
+    def _likelihoods(
+        self, table: ScaleTable, reading: Array, row: Index, tile: Index, node: Index
+    ) -> Likelihoods:
+        """Of readings (B, R), rows (n,) of them, and nodes (n,) of tiles (n,)."""
+        index = tile * self.log_weight.shape[1] + node
+        return table.likelihoods(self._told(reading, row, index))
+
+    def _with_masses(self, reading: Array, weighed: Weighed, *, spacing: float = 0.6) -> Weighed:
+        """With the mass on the last unknown, as where it is summed."""
+        table = self.likelihood.table
+        if weighed.last_mass is not None or not table:
+            return weighed
+        pair, node = np.nonzero(weighed.weight > 1e-8)
+        whose = weighed.row[pair]
+        index = weighed.tile[pair] * self.log_weight.shape[1] + node
+        told = self._told(reading, whose, index)
+        found = table.likelihoods(told)
+        middle, first, second = told
+        middle = middle + np.log(weighed.weight[pair, node]) - table.integral(found)
+        place, width = table.scores(found)
+        step = np.full(len(reading), 1.0)
+        np.minimum.at(step, whose, spacing * width)
+        half = int(np.ceil(8.0 / step.min(initial=1.0)))
+        lattice = np.arange(-half, half + 1) * step[:, None]
+        at, beside = (values.ravel() for values in table.density(np.clip(lattice, -8.0, 8.0)))
+        beside[np.abs(lattice.ravel()) > 8.0] = -np.inf
+        start = whose * lattice.shape[1] + np.rint(place / step[whose]).astype(np.intp) + half
+        points = np.ceil(10.0 * width / step[whose]).astype(int)
+        mass = np.zeros(lattice.size)
+        for some in _blocks(np.arange(len(whose)), points):
+            into = start[some, None] + np.arange(-points[some[0]], points[some[0]] + 1)
+            np.clip(into, 0, len(mass) - 1, out=into)
+            x = at.take(into)
+            share = second[some, None] * x
+            share += first[some, None]
+            share *= x
+            share += beside.take(into)
+            share += middle[some, None]
+            np.exp(share, out=share)
+            mass += np.bincount(into.ravel(), share.ravel(), minlength=len(mass))
+        of_last = np.asarray(mass.reshape(lattice.shape), dtype=np.float64)
+        return weighed._replace(last_mass=of_last, last_step=step)
 
     def _summed(
         self,
@@ -174,30 +259,39 @@ class SummedTiles(TiledObserver):
         weight = np.zeros((len(row), self.log_weight.shape[1]))
         weight[pair, node] = weight_of
         steps = (np.arange(size) - size // 2) * stride[:, None]
-        last = likelihood.value[likelihood.at(likelihood.half + 1 + steps)]
+        value = likelihood.value[likelihood.at(likelihood.half + 1 + steps)]
         place = np.zeros(count, dtype=np.intp)
         highest = np.flatnonzero(weight_of == 1.0)
         place[whose[highest]] = centre[highest]
         best = likelihood.z[likelihood.at(likelihood.half + 1 + place * stride)].astype(np.float64)
         top = top + np.log(stride * likelihood.step)
         of_last = np.asarray(mass.reshape(count, size), dtype=np.float64)
+        last = last_moments(value, of_last)
         turned: tuple[Array, Array] | None = None
         if turn is not None:
             turned = np.zeros_like(weight), np.zeros_like(weight)
             for into_, of_node in zip(turned, np.nan_to_num(turn), strict=True):
                 into_[pair, node] = of_node
-        return Weighed(row, tile, weight, top, last, of_last, best, stride, turned)
+        apart = np.asarray(stride * likelihood.step, dtype=np.float64)
+        return Weighed(row, tile, weight, top, last, best, of_last, apart, turned)
 
     def last_quantiles(
-        self, weighed: Weighed, probability: Array, lost: Array, *, finer: int = 16
+        self,
+        reading: Array,
+        weighed: Weighed,
+        probability: Array,
+        lost: Array,
+        *,
+        finer: int = 16,
     ) -> tuple[Array, Array]:
         """Quantiles (B, Q) of the last unknown, and their errors.
 
         Its density is known at even steps of its coordinate, narrower than any bump: a spline
         through it is integrated, and one of a lower degree tells the error.
         """
+        weighed = self._with_masses(reading, weighed)
         assert weighed.last_mass is not None
-        assert weighed.stride is not None
+        assert weighed.last_step is not None
         rows, count = weighed.last_mass.shape
         place = np.linspace(0, count - 1, finer * (count - 1) + 1)
         rising = []
@@ -208,7 +302,7 @@ class SummedTiles(TiledObserver):
         sure = np.zeros(rows)
         sought = [(rising[0], sure), (rising[1], sure), (rising[0], lost), (rising[0], -lost)]
         out = np.full((len(sought), rows, len(probability)), np.nan)
-        step = weighed.stride * self.likelihood.step
+        step = weighed.last_step
         for i in np.flatnonzero(weighed.last_mass.sum(axis=1) > 0):
             z = (place - count // 2) * step[i]
             inside = np.diff(rising[0][i], append=2.0) > 0
@@ -229,14 +323,14 @@ class SummedTiles(TiledObserver):
         first = self.likelihood.contact(x)[0]
         drawn = np.full(first.shape[:2], np.nan)
         for i, y in enumerate(reading):
-            weighed = self.weigh(y[None])
+            weighed = self._with_masses(y[None], self.weigh(y[None]))
             assert weighed.last_mass is not None
-            assert weighed.stride is not None
+            assert weighed.last_step is not None
             held = np.flatnonzero(weighed.last_mass[0] > 1e-9 * weighed.last_mass[0].max())
             if not held.size or np.isnan(first[i]).any():
                 continue
             middle = weighed.last_mass.shape[1] // 2
-            step = weighed.stride[0] * likelihood.step
+            step = weighed.last_step[0]
             low, high = (held[0] - 1 - middle) * step, (held[-1] + 1 - middle) * step
             points_here = max(points, 4 * (held[-1] - held[0]))
             z = np.linspace(low, high, points_here)

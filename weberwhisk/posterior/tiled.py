@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from .result import Array, Index, joined
+from .summed import within
 from .tiling import ORDER, Tiles, near_the_cut, negligible
 
 #: Tiles that are looked for together.
@@ -21,20 +22,20 @@ class Weighed(NamedTuple):
     """Pairs of a reading and a tile that has some of its mass.
 
     The reading and the tile of each pair (n,), the weights of its nodes (n, N) over the largest of
-    the reading, and ln of the largest (B,). Of an unknown that is summed out: values (B, L) and
-    the mass on them (B, L), its value at each reading's best node (B,), and the steps (B,) from
-    value to value on its lattice. Where it moves the angle at a node: means (n, N) of the angle and
-    of its square, over those at the middle.
+    the reading, and ln of the largest (B,). Of an unknown that is summed out: mean and sd (B,), its
+    coordinate at each reading's best node (B,), and mass (B, L) at steps (B,) of its coordinate
+    about 0. Where it moves the angle at a node: means (n, N) of the angle and of its square, over
+    those at the middle.
     """
 
     row: Index
     tile: Index
     weight: Array
     top: Array
-    last: Array | None = None
-    last_mass: Array | None = None
+    last: tuple[Array, Array] | None = None
     last_best: Array | None = None
-    stride: Index | None = None
+    last_mass: Array | None = None
+    last_step: Array | None = None
     turn: tuple[Array, Array] | None = None
 
 
@@ -65,6 +66,8 @@ class TiledObserver:
 
     #: Readings that are worked on together: their arrays stay in the cache.
     together = 96
+    #: By how much readings may be larger for a scale that all signals have.
+    scales: tuple[float, float] | None = None
 
     def __init__(
         self, observer: Observer, tiles: Tiles, longest: float, *, everywhere: bool = False
@@ -104,11 +107,8 @@ class TiledObserver:
             row, tile = np.divmod(np.arange(len(reading) * self.count), self.count)
             return row, tile
         bounds = self._bounds[panel]
-        near = np.ones((len(reading), bounds.group_low.shape[1]), dtype=bool)
-        for k, column in enumerate(self._looked_at):
-            y = reading[:, column, None]
-            near &= bounds.group_low[k] <= y
-            near &= y <= bounds.group_high[k]
+        columns = [reading[:, column, None] for column in self._looked_at]
+        near = within(bounds.group_low, bounds.group_high, columns, self.scales)
         row, group = np.nonzero(near)
         tile = (group[:, None] * GROUP + np.arange(GROUP)).ravel()
         row = np.repeat(row, GROUP)
@@ -117,11 +117,8 @@ class TiledObserver:
 
     def _near(self, reading: Array, row: Index, tile: Index, panel: int = 0) -> tuple[Index, Index]:
         """Those of the pairs whose tile makes the reading plausible."""
-        bounds, near = self._bounds[panel], np.ones(len(row), dtype=bool)
-        for k, column in enumerate(self._looked_at):
-            y = reading[row, column]
-            near &= bounds.low[k][tile] <= y
-            near &= y <= bounds.high[k][tile]
+        low, high = ([side.take(tile) for side in ends] for ends in self._bounds[panel][:2])
+        near = within(low, high, [reading[row, c] for c in self._looked_at], self.scales)
         return row[near], tile[near]
 
     def weigh(self, reading: Array, *, whole: bool = False) -> Weighed:
@@ -226,8 +223,8 @@ class TiledObserver:
         best[:, weighed.row[pair]] = weighed.tile[pair], node
         sd = np.sqrt(np.maximum(square - mean**2, 0))
         contact, signals = self._at_best(best[0], best[1], weighed)
-        if weighed.last is not None and weighed.last_mass is not None:
-            first, second = last_moments(weighed.last, weighed.last_mass)
+        if weighed.last is not None:
+            first, second = weighed.last
             mean, sd = np.column_stack([mean, first]), np.column_stack([sd, second])
         return Moments(mean, sd, log_evidence, share, contact, signals, rough, misfit)
 
@@ -244,7 +241,7 @@ class TiledObserver:
         return nodes.contact[tile, node], nodes.signals[tile, node]
 
     def last_quantiles(
-        self, weighed: Weighed, probability: Array, lost: Array
+        self, reading: Array, weighed: Weighed, probability: Array, lost: Array
     ) -> tuple[Array, Array]:
         """Quantiles (B, Q) of an unknown that is summed out, and their errors.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..observer import Observer
 from .result import Array, Index, among, joined
-from .summed import AllUnknowns, Likelihood, likelihood_of
+from .summed import AllUnknowns, Likelihood, likelihood_of, within
 
 #: Nodes along each axis of a tile.
 ORDER = 6
@@ -410,10 +410,10 @@ def _followed(
     in sd, says. (Half of it would do were signals linear: in boxes of a hundred sd they are not,
     and the end of a ridge was lost, 0.1 sd of the mean, by tiles of any length.)
     """
-    y = reading[:, None, None]
-    near = ((nodes.low <= y) & (y <= nodes.high)).all(axis=-1).any(axis=-1)
-    row, box = np.nonzero(near | everywhere)
     likelihood = likelihood_of(observer)
+    low, high = np.moveaxis(nodes.low, -1, 0), np.moveaxis(nodes.high, -1, 0)
+    near = within(low, high, reading.T[..., None, None], likelihood.scales).any(axis=-1)
+    row, box = np.nonzero(near | everywhere)
     out = np.zeros(len(nodes.low), dtype=bool)
     step = max(1, 400_000 // nodes.log_weight.shape[1])
     widest = np.diff(rule(1)[0][:, 0]).max()
