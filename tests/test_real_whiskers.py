@@ -24,10 +24,14 @@ from weberwhisk.cues import (
     Fused,
     UnknownCurvature,
 )
+from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
+from weberwhisk.posterior.marginals import tile_quantiles
+from weberwhisk.posterior.nodes import NodeSums, turning
 from weberwhisk.posterior.summed import LastSummed, likelihood_of
+from weberwhisk.posterior.summed_tiles import tiled_of
 from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.whisker import identities, rest_shape
@@ -256,6 +260,67 @@ def test_signals_angle_and_prior_are_functions_of_the_friction_at_a_place():
     shift = log_prior + 0.5 * (z**2 + np.log(2 * np.pi)) - log_first
     assert found[:, 2] == pytest.approx(shift, abs=1e-4)
     assert found[:, 3] * first[:, 1] == pytest.approx(contact[:, 1], rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_curvature_that_is_unknown_mixes_posteriors_of_those_that_are_known():
+    """By Gauss and Hermite's rule over whiskers with tables of their own."""
+    w, spread = whisker(20, 8.0), 2.0
+    noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
+    observer = Observer(w, UnknownCurvature(ForceMap(), spread), noise)
+    reading = observer.read([20e-3, 0.3, 1.0], seed=2)
+    found = posterior(observer, reading)
+    assert found.method == "quadrature"
+    assert found.status == 0
+    z, mass = np.polynomial.hermite_e.hermegauss(7)
+    mass /= mass.sum()
+    known = [
+        posterior(Observer(whisker(20, 8.0 + spread * a), ForceMap(), noise), reading) for a in z
+    ]
+    share = mass * np.exp([p.log_evidence for p in known])
+    assert found.log_evidence == pytest.approx(np.log(share.sum()), abs=1e-3)
+    share /= share.sum()
+    for name in ("radial_distance", "deflection_angle"):
+        mean, sd = np.array([p.estimates[name][:2] for p in known]).T
+        whole = share @ mean
+        width = np.sqrt(share @ (sd**2 + (mean - whole) ** 2))
+        assert found.estimates[name].mean == pytest.approx(whole, abs=2e-3 * width)
+        assert found.estimates[name].sd == pytest.approx(width, rel=2e-3)
+    offset = found.estimates["curvature_offset"]
+    assert offset.mean == pytest.approx(spread * share @ z, abs=2e-3 * spread)
+    below = [0.025, 0.5, 0.975]
+    drawn = found.draws_of(2000, 1).reshape(-1, 3)
+    for i, name in enumerate(observer.unknowns):
+        share = np.mean(drawn[:, i, None] < found.quantile(below, of=name), axis=0)
+        assert share == pytest.approx(below, abs=0.03)
+    assert (observer.signals(drawn)[1] == 0).mean() > 0.999
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cue", "k"),
+    [(UnknownCurvature(ForceMap(), 2.0), 0.1), (UnknownCurvature(ForceMap(SIGNALS), 2.0), 0.3)],
+    ids=repr,
+)
+def test_nodes_of_a_curvature_and_sums_at_each_contact_have_the_same_posterior(cue, k):
+    """Two engines that share no sum: moments, evidence, and quantiles of all but the angle."""
+    w = whisker(20, 0.0)
+    floor = [0.0, *[0.01 * w.force_scale] * (len(cue.signal_names) - 1)]
+    observer = Observer(w, cue, GeneralisedWeber(k, floor=floor))
+    reading = observer.read([[20e-3, 0.3, 1.0]], seed=2)
+    name = turning(observer)
+    assert name == "curvature_offset"
+    nodes = NodeSums(observer, name, reading, 5.5, 1e-2)
+    assert nodes.rows.tolist() == [0]
+    tiles = tiled_of(observer, tiles_of(observer, 5.5, reading), 5.5)
+    one, other = nodes.moments, tiles.moments(reading)
+    assert (np.abs(one.mean - other.mean) < 2e-3 * other.sd).all()
+    assert one.sd == pytest.approx(other.sd, rel=2e-3)
+    assert one.log_evidence == pytest.approx(other.log_evidence, abs=1e-3)
+    p = np.array([0.025, 0.5, 0.975])
+    known, _ = tile_quantiles(tiles, reading, p, [0, 2], np.zeros((1, 3)))
+    for i in (0, 2):
+        assert nodes.quantiles(p, i)[0] == pytest.approx(known[i], abs=5e-3 * other.sd[0, i])
 
 
 def coverage(cue, w, noise, count, seed=5):

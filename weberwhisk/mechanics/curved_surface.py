@@ -169,9 +169,11 @@ class CurvedSurface:
 
     def _placed(self, r: Array, given: Sequence[Array]) -> _Places:
         r, which = np.asarray(r, dtype=float) / self.length, cast(Any, slice(None))
+        # Grids have many pushes at one distance and azimuth, where most of the work is.
         if any(a.size > 1 for a in given):
-            # Grids have many pushes at one distance and azimuth, where most of the work is.
             (r, *given), which = _distinct(r, *given)
+        elif r.size > 64 and (kinds := np.unique(r, return_inverse=True))[0].size < r.size / 2:
+            r, which = kinds
         poly = self._polynomials(given)
         reach = self._reach @ poly
         known = (r > 0) & (r <= reach * (1 + 1e-12))

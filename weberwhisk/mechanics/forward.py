@@ -84,6 +84,10 @@ class ForwardModel(Value):
     offset_range: tuple[float, float] = (0.0, 0.0)
     hinge_range: tuple[float, float] = (0.0, 0.0)
     azimuth: Any = None
+    #: Names and values of what is known although cues take it for uncertain; and between which ends
+    #: they do, which one table serves.
+    fixed: tuple[tuple[str, float], ...] = ()
+    tabled_range: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("friction", "offset"):
@@ -159,7 +163,9 @@ class ForwardModel(Value):
 
     @property
     def _planar(self) -> PlanarSurface:
-        return planar_surface(self.clamped.whisker, self.friction_range, self.offset_range)
+        ends = {"friction": self.friction_range, "offset": self.offset_range}
+        ends |= {name: of for name, of in self.tabled_range if name in ends}
+        return planar_surface(self.clamped.whisker, ends["friction"], ends["offset"])
 
     @property
     def error(self) -> float:
@@ -167,10 +173,17 @@ class ForwardModel(Value):
         return getattr(self.surface, "error", 1e-9)
 
     def with_uncertain(self, name: str, value: Any, ends: tuple[float, float]) -> ForwardModel:
-        """With another ``friction``, ``offset`` or ``hinge``, between two ends."""
+        """With another ``friction``, ``offset`` or ``hinge``, between two ends.
+
+        What is `fixed` stays one number for all contacts, and its range that number.
+        """
         if ends[1] > ends[0] and name != "hinge":
             refuse_hinge(self.whisker, "An unknown friction or curvature")
         changed: dict[str, Any] = {name: value, f"{name}_range": ends}
+        if name in (known := dict(self.fixed)):
+            at = known[name]
+            changed = {name: at, f"{name}_range": (at, at)}
+            changed["tabled_range"] = (*self.tabled_range, (name, ends))
         return replace(self, **changed)
 
     def extremes(self, count: int = 3) -> list[ForwardModel]:

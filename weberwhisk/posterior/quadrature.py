@@ -21,6 +21,7 @@ from ..threads import on_threads
 from .azimuths import AroundGrid, around, starts
 from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
+from .nodes import NodeSums, turning
 from .panels import panels_of
 from .peaks import find_mode
 from .result import (
@@ -37,9 +38,9 @@ from .result import (
     refuse_impossible,
 )
 from .summed import LastSummed, likelihood_of
-from .summed_tiles import SummedTiles
+from .summed_tiles import tiled_of
 from .tiled import Moments, TiledObserver
-from .tiling import Tiles, TooManyTiles, expected_tiles, tiles_of
+from .tiling import TooManyTiles, expected_tiles, tiles_of
 
 
 def longest(tolerance: float) -> float:
@@ -55,7 +56,7 @@ class _Found(NamedTuple):
     """Moments of some readings (n,), and the errors of mean and sd in sds, (n, U)."""
 
     rows: Index
-    tiled: TiledObserver | OwnGrids
+    tiled: TiledObserver | OwnGrids | NodeSums
     moments: Moments
     error: Array
 
@@ -120,6 +121,8 @@ def quadrature(
     if observer.forward.azimuth is not None:
         found = _around(observer, reading, wanted, progress)
         left = np.setdiff1d(left, [f.rows[0] for f in found]).astype(np.intp)
+    elif (name := turning(observer)) is not None:
+        found, left = _by_nodes(observer, name, reading, length, wanted, progress)
     # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
     elif len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
         whole = _whole(observer, length)
@@ -143,6 +146,23 @@ def quadrature(
     if progress:
         progress(len(reading), len(reading))
     return _solution(observer, reading, found, wanted)
+
+
+def _by_nodes(
+    observer: Observer, name: str, reading: Array, length: float, wanted: float, progress: Any
+) -> tuple[list[_Found], Index]:
+    """What sums over nodes of an unknown find, and which readings they do not serve."""
+    found: list[_Found] = []
+    for start in range(0, len(reading), 512):
+        sums = NodeSums(observer, name, reading[start : start + 512], length, wanted)
+        if sums.rows.size:
+            found.append(_Found(start + sums.rows, sums, sums.moments, sums.error))
+        if progress:
+            progress(min(start + 512, len(reading)), len(reading))
+    left = np.ones(len(reading), dtype=bool)
+    for part in found:
+        left[part.rows] = False
+    return found, np.flatnonzero(left)
 
 
 def _around(observer: Observer, reading: Array, wanted: float, progress: Any) -> list[_Found]:
@@ -184,7 +204,7 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
         if likelihood.turns:
             return None  # some 4000 tiles of 20 kB, and their certificate takes minutes
         most = MOST_TILES // 6 ** (likelihood.dim - 2)
-        tiled = _tiled(observer, tiles_of(observer, length, most=most), length)
+        tiled = tiled_of(observer, tiles_of(observer, length, most=most), length)
     except TooManyTiles:
         return None
     rng = np.random.default_rng(20261122)
@@ -200,19 +220,10 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
         tiles = tiles_of(observer, length / 1.4, reading, deep=False)
     except TooManyTiles:
         return None  # no whole tiling without its certificate
-    fine = _tiled(observer, tiles, length / 1.4)
+    fine = tiled_of(observer, tiles, length / 1.4)
     moments = tiled.moments(reading)
     error = _difference(moments, fine.moments(reading))[_served(tiled, reading, moments)]
     return _Whole(tiled, np.maximum(1.5 * error.max(axis=0, initial=0.0), 5e-5))
-
-
-def _tiled(
-    observer: Observer, tiles: Tiles, length: float, *, everywhere: bool = False
-) -> TiledObserver:
-    likelihood = likelihood_of(observer)
-    if isinstance(likelihood, LastSummed):
-        return SummedTiles(likelihood, tiles, length, everywhere=everywhere)
-    return TiledObserver(observer, tiles, length, everywhere=everywhere)
 
 
 def _difference(one: Moments, other: Moments) -> Array:
@@ -259,7 +270,7 @@ def _by_own(
 
     def tiled(length: float) -> tuple[TiledObserver, Moments]:
         tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=deep)
-        found = _tiled(observer, tiles, length, everywhere=everywhere)
+        found = tiled_of(observer, tiles, length, everywhere=everywhere)
         return found, found.moments(reading[rows])
 
     out: list[_Found] = []
@@ -324,7 +335,8 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         error[rows] = part.error + moments.misfit[:, None] / 2
         log_evidence[rows] = moments.log_evidence
         signals[rows], contact[rows] = moments.signals, moments.contact
-    error += likelihood_of(observer).unsure
+        if not isinstance(part.tiled, NodeSums):
+            error[rows] += likelihood_of(observer).unsure
     known = np.isfinite(sd).all(axis=1)
     with np.errstate(invalid="ignore"):
         status[~(error <= wanted).all(axis=1)] = Status.IMPRECISE
@@ -364,7 +376,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
             value, off = np.full((2, dim, count, len(p)), np.nan)
             for part in found:
                 rows, args = part.rows, (reading[part.rows], np.array(p))
-                if isinstance(part.tiled, OwnGrids):
+                if isinstance(part.tiled, OwnGrids | NodeSums):
                     for i in several:
                         value[i, rows], off[i, rows] = part.tiled.quantiles(args[1], i)
                 elif unknown == turning:
@@ -386,7 +398,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         rng = np.random.default_rng(seed)
         out = np.full((count, 4 * number, dim), np.nan)
         for part in found:
-            if isinstance(part.tiled, OwnGrids):
+            if isinstance(part.tiled, OwnGrids | NodeSums):
                 out[part.rows] = part.tiled.draws(4 * number, rng)
                 continue
             x = draws(part.tiled, reading[part.rows], 4 * number, rng)

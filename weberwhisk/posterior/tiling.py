@@ -82,6 +82,7 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
     contact, log_prior = likelihood.contact(points)
     log_weight = _weighted(log_prior, boxes)
     signals, held = likelihood.signals(points, contact)
+    signals[held & (log_weight == -np.inf)] = 1.0  # no angle is left there, and so no signal
     held &= log_weight > -np.inf
     log_weight = np.where(held, log_weight, -np.inf)
     low, high = _bounds(likelihood, signals, held)
