@@ -23,6 +23,7 @@ from .jnd import fisher_jnd
 from .observer import Observer
 from .posterior.result import Status, is_unidentified
 from .receptors import Seed
+from .touch_friction import FrictionRows
 from .touch_rows import Rows, distances
 
 if TYPE_CHECKING:
@@ -85,7 +86,8 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     Parameters
     ----------
     observer : Observer
-        Of each touch; its prior of the deflection angle is each touch's own.
+        Of each touch; its priors of the deflection angle and of an unknown friction are each
+        touch's own.
     readings : array, shape (n, S)
         One reading a touch, in SI units.
 
@@ -96,8 +98,9 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     Raises
     ------
     ValueError
-        For readings that are not finite or of another shape, and for an observer of more unknowns
-        than distance and deflection.
+        For readings that are not finite or of another shape, and for an observer of other unknowns
+        than distance, deflection and friction: a stiffness, curvature or hinge is the whisker's,
+        the same in all touches, which no product over touches knows.
 
     Notes
     -----
@@ -105,6 +108,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     contact are as likely. Where touches are alike that belief is wrong as often as there are
     touches: of 17 light ones at k = 0.3 the mean was 4 sd off in a simulation. Say how the animal
     touches: ``Observer(..., prior={"deflection_angle": scipy.stats.halfnorm(scale=0.1)})``.
+
+    The sd of n equal touches is that of one over √n as far as one touch's posterior is Gaussian:
+    2 % less of ten at k = 0.03 on a straight whisker and 4 % at a curvature of 8 /m, where it is
+    skewed; 0.2 and 0.5 % at k = 0.01.
 
     Examples
     --------
@@ -130,7 +137,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
             low, high = max(near[0] - step, 0), min(near[-1] + step + 1, len(x))
             width = step * int((log > log.max() - 2.0).sum()) // 4  # of an sd, in rows
     between = np.interp(np.arange(low, high), rows, np.maximum(log, log.max() - 40.0))
-    rows = np.arange(low, high, max(width // 2, 1) if len(y) > 8 else 1)
+    skip = max(width // 2, 1) if len(y) > 8 else 1
+    if len(observer.unknowns) > 2:  # rows are as close as the friction's ends ask, and dear
+        skip = min(max(width // 4, 1), 3)
+    rows = np.arange(low, high, skip)
     if observer.prior.get("radial_distance") is None:
         rows = rows[between[rows - low] >= between.max() - 32.0]
     each = grid.log_likelihood(y, rows)
@@ -183,7 +193,15 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
 
 @lru_cache(maxsize=8)
 def _grid(observer: Observer) -> Rows:
-    return Rows(observer)
+    further = observer.unknowns[observer.bounded :]
+    if not further:
+        return Rows(observer)
+    if further != ("friction_angle",) or observer.bounded < 2:
+        raise ValueError(
+            "Touches are of distance and deflection, and of friction where both are unknown, got "
+            f"{', '.join(observer.unknowns)} unknown; take a cue that knows the rest."
+        )
+    return FrictionRows(observer)
 
 
 def touches_jnd(

@@ -6,6 +6,8 @@ reading tells of them, about 0.75 sd, where the trapezoid rule's error is below 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -28,30 +30,29 @@ def distances(observer: Observer, x: Array) -> tuple[Array, Array]:
     return low + (high - low) * fraction, log_slope + np.log(high - low)
 
 
+def highest(prior: Any) -> float:
+    """One over the sd of a normal distribution as high as this one."""
+    return float(np.sqrt(2 * np.pi) * prior.pdf(prior.ppf(np.linspace(0.02, 0.98, 49))).max())
+
+
 class Rows:
     """The contacts of an observer in rows of one distance each, one row after the other."""
 
     #: Steps along, in JNDs, and across, in sd; most nodes in all; sd within which a node matters.
     ALONG, ACROSS, MOST, WINDOW = 0.28, 0.75, 4_000_000, 7.5
 
-    def __init__(self, observer: Observer, bins: int = 512) -> None:
-        if len(observer.unknowns) > observer.bounded:
-            raise ValueError(
-                f"Touches are of distance and deflection alone, got {', '.join(observer.unknowns)} "
-                "unknown; take a cue that knows the rest, such as Friction(cue, angle=0.0)."
-            )
+    def __init__(self, observer: Observer) -> None:
         self.observer = observer
         self.x = self._along()
         self.r, log_rate = distances(observer, self.x)
         self._lay()
         with np.errstate(divide="ignore"):
-            self.log_held = np.log(observer.angles_held(self.r)) + log_rate
+            self.log_held = np.log(self.held) + log_rate
             self.log_prior = self.log_held
             if (prior := observer.prior.get("radial_distance")) is not None:
                 ends, _ = distances(observer, (self.x[1:] + self.x[:-1]) / 2)
                 share = np.diff(prior.cdf(ends), prepend=0.0, append=1.0)
                 self.log_prior = self.log_held + np.log(share / np.gradient(self.r))
-        self._sort(bins)
 
     def contacts(self, r: Array, y: Array) -> tuple[Array, Array, Array]:
         """Contacts (n, D, U) at distances (n,) and angles' coordinates (n, D); ln dθ/dy."""
@@ -69,16 +70,21 @@ class Rows:
         jnd = np.full(len(ends), np.inf)
         for depth in (-3.0, -1.0, 0.0, 0.5, 1.0):
             contact, *_ = self.contacts(r, np.full((len(r), 1), depth))
-            told = self.observer.information(contact[:, 0])
+            told = self.observer.information(self.observer.at_middle(contact[:, 0]))
+            told = told[:, : self.observer.bounded, : self.observer.bounded]
+            known = np.asarray(np.isfinite(told).all(axis=(1, 2)))
             with np.errstate(all="ignore"):
-                jnd = np.fmin(jnd, np.sqrt(np.linalg.pinv(np.nan_to_num(told))[:, 0, 0]))
+                own = np.sqrt(np.linalg.pinv(np.where(known[:, None, None], told, 0.0))[:, 0, 0])
+            jnd = np.fmin(jnd, np.where(known, own, np.inf))
         rate = np.clip(np.exp(log_rate) / np.maximum(jnd, 1e-12) / self.ALONG, 4.0, 400.0)
         rise = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(ends)))
         return np.interp(np.linspace(0, rise[-1], int(rise[-1]) + 2), rise, ends)
 
-    def _lay(self, *, at_once: int = 48) -> None:
+    def _lay(self, at_once: int = 48) -> None:
         """The nodes' angles, signals and ln of weights, and where each row of them starts."""
         observer, n = self.observer, len(self.x)
+        #: The prior of what is held at each distance.
+        self.held = observer.angles_held(self.r)
         count, self.coarse = np.ones(n, dtype=np.intp), False
         if several := observer.bounded > 1:
             across = _Across(self)
@@ -124,8 +130,9 @@ class Rows:
                 # In C's order, or each `take` would copy the whole of it first.
                 self.signals = np.empty((len(self.theta), signals.shape[-1]))
             self.signals[begin:stop] = np.where(held[:, None], signals, 1.0)
+        self._sort()
 
-    def _sort(self, bins: int) -> None:
+    def _sort(self, bins: int = 512) -> None:
         """Between which nodes of a row readings can be, known by what bins they lie in."""
         noise, held = self.observer.noise, np.isfinite(self.weight)
         some = self.signals[held][:: max(int(held.sum()) // 50_000, 1)]
@@ -230,8 +237,7 @@ class _Across:
         # A third of an sd of the range itself, which is summed too.
         rate = np.hypot(rate, 3.0 * slope)
         if (prior := observer.prior.get("deflection_angle")) is not None:
-            sharpest = np.sqrt(2 * np.pi) * prior.pdf(prior.ppf(np.linspace(0.02, 0.98, 49))).max()
-            rate = np.hypot(rate, sharpest * np.exp(log_slope) * slope)
+            rate = np.hypot(rate, highest(prior) * np.exp(log_slope) * slope)
         smooth = ndimage.gaussian_filter1d(np.log(rate), 2.0, axis=1, mode="nearest")
         log_rate = CubicSpline(s, smooth, axis=1)
         s = np.linspace(0.0, 1.0, fine * (samples - 1) + 1)
