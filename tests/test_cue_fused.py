@@ -1,5 +1,7 @@
 """Several cues on one contact: the joint posterior, what each tells, and what they add."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cue_checks import (
@@ -315,3 +317,11 @@ def test_misuse_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
+
+
+def test_a_fusion_is_replaced_as_every_cue_is() -> None:
+    """`dataclasses.replace` ended in a TypeError."""
+    assert repr(replace(MAP_AND_TAP)) == repr(MAP_AND_TAP)
+    assert repr(replace(MAP_AND_TAP, cues=TWO_TAPS.cues)) == repr(TWO_TAPS)
+    with pytest.raises(ValueError, match="two cues or more, got 1"):
+        replace(MAP_AND_TAP, cues=[Compliance()])

@@ -1021,9 +1021,16 @@ def test_simulated_responses_are_on_the_scale_of_their_encoding(encoding: Encodi
 
 
 def test_a_weber_fraction_that_was_given_is_reported() -> None:
-    fit = fit_weber(simulate_trials(trials_per_level=10, seed=1), priors={"weber_fraction": 0.1})
+    """The data were said to determine it."""
+    trials = simulate_trials(trials_per_level=10, seed=1)
+    fit = fit_weber(trials, priors={"weber_fraction": 0.1})
     assert fit.interval() == (0.1, 0.1)
     assert "which was given" in fit.report()
+    assert (fit.status, fit.status.ok, fit.notes) == (FitStatus.GIVEN, True, ())
+    assert "determine" not in json.dumps(fit.to_dict()) + fit.report()
+    one_sided = replace(trials, frame=trials.frame.assign(count=trials.frame["n"]))
+    fit = fit_weber(one_sided, priors={"weber_fraction": 0.1})
+    assert fit.status is FitStatus.ONE_SIDED
 
 
 def test_priors_leave_the_criterion_of_same_and_different_its_own() -> None:

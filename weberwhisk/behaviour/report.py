@@ -50,10 +50,9 @@ def _data(fit: WeberFit) -> str:
 
 
 def _answer(fit: WeberFit) -> str:
-    given = "weber_fraction" not in fit.parameters and fit.status.ok
-    said = (
-        f"the Weber fraction was given: {fit.weber_fraction:.3g}" if given else fit.status.message
-    )
+    said = fit.status.message
+    if fit.status is FitStatus.GIVEN:
+        said = f"the Weber fraction was given: {fit.weber_fraction:.3g}"
     lines = [f"What the data say. {_sentence(said)}"]
     if "weber_fraction" in fit.parameters:
         low, high = fit.interval()
@@ -136,11 +135,10 @@ def _next(fit: WeberFit) -> str:
         "some easy enough that the animal is nearly always right.",
         FitStatus.UPPER_BOUND: "Harder comparisons: closer to the standard than any so far.",
         FitStatus.LOWER_BOUND: "Easier comparisons: further from the standard than any so far.",
+        FitStatus.GIVEN: "Nothing for the Weber fraction, which was given.",
     }
     if fit.status in advice:
         return f"What to collect next. {advice[fit.status]}"
-    if "weber_fraction" not in fit.parameters:
-        return "What to collect next. Nothing for the Weber fraction, which was given."
     low, high = fit.interval()
     width = np.log(high / low)
     if width <= 0.4:

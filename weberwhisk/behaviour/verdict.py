@@ -53,12 +53,13 @@ class FitStatus(Enum):
         "the data only bound the Weber fraction from below: the upper end of the interval is the "
         "prior's"
     )
+    GIVEN = "the Weber fraction was given, not fitted"
     DETERMINED = "the data determine the Weber fraction: both ends of the interval are theirs"
 
     @property
     def ok(self) -> bool:
-        """Whether the interval is the data's own."""
-        return self is FitStatus.DETERMINED
+        """Whether the interval is the data's own, or none was asked for."""
+        return self in (FitStatus.GIVEN, FitStatus.DETERMINED)
 
     @property
     def message(self) -> str:
@@ -82,7 +83,7 @@ def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tu
         why = f"{posterior.trouble[0].upper()}{posterior.trouble[1:]}."
         return FitStatus.NOT_CONVERGED, (*notes, why)
     if "weber_fraction" not in model.names:
-        return FitStatus.DETERMINED, (*notes, "The Weber fraction was fixed, not fitted.")
+        return FitStatus.GIVEN, notes
     by_open_ends = {
         (True, True): FitStatus.UNINFORMED, (True, False): FitStatus.UPPER_BOUND,
         (False, True): FitStatus.LOWER_BOUND, (False, False): FitStatus.DETERMINED,

@@ -223,8 +223,10 @@ class Fused(Cue):
 
     Parameters
     ----------
-    *cues : Cue
+    *each : Cue
         Two or more, other fusions among them. Two of one kind are two looks at one contact.
+    cues : sequence of Cue
+        Further ones: by their field's name `dataclasses.replace` gives them.
 
     Raises
     ------
@@ -248,7 +250,8 @@ class Fused(Cue):
 
     cues: tuple[Cue, ...]
 
-    def __init__(self, *cues: Cue) -> None:
+    def __init__(self, *each: Cue, cues: Sequence[Cue] = ()) -> None:
+        cues = (*each, *cues)
         if len(cues) < 2:
             raise ValueError(
                 f"A fusion takes two cues or more, got {len(cues)}; "
