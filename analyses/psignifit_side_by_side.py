@@ -205,12 +205,12 @@ difference of squared errors on the same sets,
 
 By default the cell k = 0.2, 117 trials stays above: with 117 trials that end 0.9 sd from the
 standard even an observer informed of both lapses and the bias has an RMSE of 21 % there (plain
-grid, `lapse_prior.py`), and what is gained is gained by the prior. It has 100 data sets more than
-the others, which were made to see whether that was chance: on these alone psignifit has 19.9 (2.6),
-the default 25.5 (2.6), the belief about the levels 17.4 (1.1) %. Why the belief about the levels
+grid, `lapse_prior.py`), and what is gained is gained by the prior. It has 272 data sets more than
+the others, which were made to see whether that was chance: on these alone psignifit has 17.8 (1.2),
+the default 24.7 (1.5), the belief about the levels 16.8 (0.6) %. Why the belief about the levels
 is not the default, although it loses less in nearly every row: it would be wrong for staircases,
-for one level and wherever levels do not bracket the thresholds (`lapse_prior.md`; so would be
-mixtures of both, which it has too).
+for one level and wherever levels do not bracket the thresholds (`lapse_prior.md`, which also has
+mixtures of both, other estimates and other priors: none is right in both).
 """
 
 
