@@ -11,8 +11,6 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from ._values import renamed_names
-
 if TYPE_CHECKING:
     __version__: str
     from . import along_whisk as along_whisk
@@ -120,10 +118,7 @@ if not TYPE_CHECKING:  # which goes by the imports above
     __all__ = sorted([*_HOME, *_MODULES])
 
 
-_renamed = renamed_names(
-    __name__,
-    {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"},
-)
+_RENAMED = {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"}
 
 
 class _Package(ModuleType):
@@ -154,7 +149,9 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version()
     if name not in _HOME:
-        return _renamed(name)
+        from ._values import renamed_names  # which imports NumPy
+
+        return renamed_names(__name__, _RENAMED)(name)
     value = getattr(import_module(f".{_HOME[name]}", __name__), name)
     globals()[name] = value
     return value

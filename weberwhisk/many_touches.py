@@ -24,7 +24,7 @@ from .observer import Observer
 from .posterior.result import Status, is_unidentified
 from .receptors import Seed
 from .touch_friction import FrictionRows
-from .touch_rows import Rows, distances
+from .touch_rows import TouchRows, distances
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,10 +192,10 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
 
 
 @lru_cache(maxsize=8)
-def _grid(observer: Observer) -> Rows:
+def _grid(observer: Observer) -> TouchRows:
     further = observer.unknowns[observer.bounded :]
     if not further:
-        return Rows(observer)
+        return TouchRows(observer)
     if further != ("friction_angle",) or observer.bounded < 2:
         raise ValueError(
             "Touches are of distance and deflection, and of friction where both are unknown, got "

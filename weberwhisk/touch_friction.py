@@ -11,10 +11,10 @@ from scipy.special import ndtr
 from .coordinates import leaps
 from .mechanics.contact import Outcome
 from .posterior.result import is_outside
-from .touch_rows import Array, Index, Rows, highest
+from .touch_rows import Array, Index, TouchRows, highest
 
 
-class FrictionRows(Rows):
+class FrictionRows(TouchRows):
     """Rows of contacts whose friction is unknown, and of each touch its own.
 
     There are too many contacts to keep. Of each row the signals are kept as polynomials of

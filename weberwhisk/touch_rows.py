@@ -35,7 +35,7 @@ def highest(prior: Any) -> float:
     return float(np.sqrt(2 * np.pi) * prior.pdf(prior.ppf(np.linspace(0.02, 0.98, 49))).max())
 
 
-class Rows:
+class TouchRows:
     """The contacts of an observer in rows of one distance each, one row after the other."""
 
     #: Steps along, in JNDs, and across, in sd; most nodes in all; sd within which a node matters.
@@ -216,7 +216,7 @@ class _Across:
     """
 
     def __init__(
-        self, grid: Rows, *, nearest: float = 1e-3, samples: int = 129, fine: int = 4
+        self, grid: TouchRows, *, nearest: float = 1e-3, samples: int = 129, fine: int = 4
     ) -> None:
         observer, self.grid, self.nearest = grid.observer, grid, nearest
         self.start, self.stop = unconstrain_angle(np.array([1e-6, 1 - 1e-8]))
