@@ -11,7 +11,7 @@ the other is not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
@@ -29,9 +29,8 @@ from ..receptors import ReceptorNoise
 from .grid import weighted_quantiles
 from .marginals import draws, tile_quantiles
 from .result import Array, Index, among
-from .summed_tiles import tiled_of
 from .tiled import Moments, TiledObserver
-from .tiling import TooManyTiles, tiles_of
+from .tiling import Tiles, TooManyTiles, tiles_of
 
 #: What the mechanics call unknowns that change how far a whisker can be deflected. Not friction,
 #: which turns the sign of a force: where that is, evidence bends over a few hundredths of a radian,
@@ -107,8 +106,6 @@ def conditional(observer: Observer, name: str, z: float) -> Observer:
 
 def turning(observer: Observer) -> str | None:
     """The unknown that alone says how far the whisker can be deflected, if there is one."""
-    if not observer.space.angle_range_varies or observer.forward.azimuth is not None:
-        return None
     names = [n for n in observer.unknowns[observer.bounded :] if n in TURNING]
     if len(names) != 1 or conditional(observer, names[0], 0.0).space.angle_range_varies:
         return None
@@ -139,9 +136,16 @@ class NodeSums:
     parts, farthest = 16, 6
 
     def __init__(
-        self, observer: Observer, name: str, reading: Array, length: float, wanted: float
+        self,
+        observer: Observer,
+        name: str,
+        reading: Array,
+        length: float,
+        wanted: float,
+        tiled_of: Callable[[Observer, Tiles, float], TiledObserver],
     ) -> None:
         self.observer, self.name, self.reading, self.length = observer, name, reading, length
+        self._tiles = tiled_of
         self.place = observer.unknowns.index(name)
         self.z = np.arange(-self.farthest * self.parts, self.farthest * self.parts + 1) / self.parts
         self.value = from_normal(observer.prior[name])(self.z)
@@ -199,7 +203,7 @@ class NodeSums:
         observer = conditional(self.observer, self.name, float(self.z[node]))
         length = length or self.length
         try:
-            tiled = tiled_of(observer, tiles_of(observer, length, self.reading[rows]), length)
+            tiled = self._tiles(observer, tiles_of(observer, length, self.reading[rows]), length)
         except TooManyTiles:
             if len(rows) == 1:
                 self.done[rows] = False

@@ -38,9 +38,9 @@ from .result import (
     refuse_impossible,
 )
 from .summed import LastSummed, likelihood_of
-from .summed_tiles import tiled_of
+from .summed_tiles import SummedTiles
 from .tiled import Moments, TiledObserver
-from .tiling import TooManyTiles, expected_tiles, tiles_of
+from .tiling import Tiles, TooManyTiles, expected_tiles, tiles_of
 
 
 def longest(tolerance: float) -> float:
@@ -121,7 +121,7 @@ def quadrature(
     if observer.forward.azimuth is not None:
         found = _around(observer, reading, wanted, progress)
         left = np.setdiff1d(left, [f.rows[0] for f in found]).astype(np.intp)
-    elif (name := turning(observer)) is not None:
+    elif observer.space.angle_range_varies and (name := turning(observer)) is not None:
         found, left = _by_nodes(observer, name, reading, length, wanted, progress)
     # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
     elif len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
@@ -154,7 +154,7 @@ def _by_nodes(
     """What sums over nodes of an unknown find, and which readings they do not serve."""
     found: list[_Found] = []
     for start in range(0, len(reading), 512):
-        sums = NodeSums(observer, name, reading[start : start + 512], length, wanted)
+        sums = NodeSums(observer, name, reading[start : start + 512], length, wanted, _tiled)
         if sums.rows.size:
             found.append(_Found(start + sums.rows, sums, sums.moments, sums.error))
         if progress:
@@ -204,7 +204,7 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
         if likelihood.turns:
             return None  # some 4000 tiles of 20 kB, and their certificate takes minutes
         most = MOST_TILES // 6 ** (likelihood.dim - 2)
-        tiled = tiled_of(observer, tiles_of(observer, length, most=most), length)
+        tiled = _tiled(observer, tiles_of(observer, length, most=most), length)
     except TooManyTiles:
         return None
     rng = np.random.default_rng(20261122)
@@ -220,10 +220,20 @@ def _whole(observer: Observer, length: float, *, certifying: int = 128) -> _Whol
         tiles = tiles_of(observer, length / 1.4, reading, deep=False)
     except TooManyTiles:
         return None  # no whole tiling without its certificate
-    fine = tiled_of(observer, tiles, length / 1.4)
+    fine = _tiled(observer, tiles, length / 1.4)
     moments = tiled.moments(reading)
     error = _difference(moments, fine.moments(reading))[_served(tiled, reading, moments)]
     return _Whole(tiled, np.maximum(1.5 * error.max(axis=0, initial=0.0), 5e-5))
+
+
+def _tiled(
+    observer: Observer, tiles: Tiles, length: float, *, everywhere: bool = False
+) -> TiledObserver:
+    """What sums over an observer's tiles."""
+    likelihood = likelihood_of(observer)
+    if isinstance(likelihood, LastSummed):
+        return SummedTiles(likelihood, tiles, length, everywhere=everywhere)
+    return TiledObserver(observer, tiles, length, everywhere=everywhere)
 
 
 def _difference(one: Moments, other: Moments) -> Array:
@@ -270,7 +280,7 @@ def _by_own(
 
     def tiled(length: float) -> tuple[TiledObserver, Moments]:
         tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=deep)
-        found = tiled_of(observer, tiles, length, everywhere=everywhere)
+        found = _tiled(observer, tiles, length, everywhere=everywhere)
         return found, found.moments(reading[rows])
 
     out: list[_Found] = []

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..observer import Observer
 from .result import Array, Index, among
 from .scale_table import Likelihoods, ScaleTable
-from .summed import LastCurve, LastSummed, likelihood_of
+from .summed import LastCurve, LastSummed
 from .tiled import TiledObserver, Weighed, last_moments
-from .tiling import ORDER, Tiles, rule
+from .tiling import ORDER, rule
 
 
 class SummedTiles(TiledObserver):
@@ -376,13 +375,3 @@ def _blocks(rows: Index, points: Index, *, size: int = 2048) -> Iterator[Index]:
         some = rows[points[rows] == number]
         for start in range(0, len(some), size):
             yield some[start : start + size]
-
-
-def tiled_of(
-    observer: Observer, tiles: Tiles, length: float, *, everywhere: bool = False
-) -> TiledObserver:
-    """What sums over an observer's tiles."""
-    likelihood = likelihood_of(observer)
-    if isinstance(likelihood, LastSummed):
-        return SummedTiles(likelihood, tiles, length, everywhere=everywhere)
-    return TiledObserver(observer, tiles, length, everywhere=everywhere)
