@@ -10,6 +10,7 @@ from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import BalanceOfMoments, Cue
+from weberwhisk.fusion import prior_draws
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.mechanics import closed_form
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
@@ -268,3 +269,11 @@ def test_another_curve_has_its_own_gain_and_the_users_stays():
         assert replace(cue, curve=MuscleCurve.PRINTED) == printed
     assert replace(printed, curve=MuscleCurve.NORMALISED) == BalanceOfMoments()
     assert replace(named, curve=MuscleCurve.PRINTED).gain == 3.0
+
+
+def test_the_edge_is_known_where_some_curvatures_reach_no_further():
+    """Their largest angle was NaN, which the muscle's curve refused."""
+    w = ww.Whisker(50e-3, 100e-6, 5e-6, curvature=5.0)
+    observer = ww.Observer(w, ww.cues.UnknownCurvature(FELT, 3.0), ww.receptors.Weber(0.1))
+    draws = prior_draws(observer, 50, seed=1)
+    assert (observer.signals(draws)[1] == 0).all()

@@ -267,3 +267,11 @@ def test_known_friction_goes_with_a_hinge():
     bent = ww.press(PLAIN, r, inner, -0.2)
     np.testing.assert_allclose(signals[:, 0], bent.moment, rtol=1e-5)
     assert np.all(outcome == Outcome.HELD)
+
+
+def test_a_soft_hinge_has_contacts_at_the_edge_of_what_is_held():
+    """Their signals have no slopes to weigh a model by, and no observer could be made."""
+    w = Whisker(50e-3, 100e-6, 5e-6, hinge_stiffness=2e-5, curvature=-10.0)
+    observer = ww.Observer(w, cues.UnknownHinge(cues.ForceMap(), 0.3), receptors.Weber(0.1))
+    assert observer.model == "profile"
+    assert "off by up to" in observer.why

@@ -30,8 +30,8 @@ from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.posterior.marginals import tile_quantiles
 from weberwhisk.posterior.nodes import NodeSums, turning
+from weberwhisk.posterior.quadrature import _tiled
 from weberwhisk.posterior.summed import LastSummed, likelihood_of
-from weberwhisk.posterior.summed_tiles import tiled_of
 from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.whisker import identities, rest_shape
@@ -262,7 +262,6 @@ def test_signals_angle_and_prior_are_functions_of_the_friction_at_a_place():
     assert found[:, 3] * first[:, 1] == pytest.approx(contact[:, 1], rel=1e-4)
 
 
-@pytest.mark.slow
 def test_a_curvature_that_is_unknown_mixes_posteriors_of_those_that_are_known():
     """By Gauss and Hermite's rule over whiskers with tables of their own."""
     w, spread = whisker(20, 8.0), 2.0
@@ -310,9 +309,9 @@ def test_nodes_of_a_curvature_and_sums_at_each_contact_have_the_same_posterior(c
     reading = observer.read([[20e-3, 0.3, 1.0]], seed=2)
     name = turning(observer)
     assert name == "curvature_offset"
-    nodes = NodeSums(observer, name, reading, 5.5, 1e-2)
+    nodes = NodeSums(observer, name, reading, 5.5, 1e-2, _tiled)
     assert nodes.rows.tolist() == [0]
-    tiles = tiled_of(observer, tiles_of(observer, 5.5, reading), 5.5)
+    tiles = _tiled(observer, tiles_of(observer, 5.5, reading), 5.5)
     one, other = nodes.moments, tiles.moments(reading)
     assert (np.abs(one.mean - other.mean) < 2e-3 * other.sd).all()
     assert one.sd == pytest.approx(other.sd, rel=2e-3)

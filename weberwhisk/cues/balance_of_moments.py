@@ -301,12 +301,13 @@ def _peaks(cue: BalanceOfMoments, forward: ForwardModel) -> Callable[[Array], Ar
     r, ends = share * forward.reach, []
     for model in forward.extremes(5):
         top = np.minimum(model.limit(r), cue.room)
+        known = np.isfinite(top)
+        top[~known] = 0.0
         low, high = np.zeros(r.shape), np.ones(r.shape)
         for _ in range(30):  # effort is level there: an angle off by 1e-9 is nothing
             middle = (low + high) / 2
             rises = cue._slopes(model, r, middle * top)[1] > 0
             low, high = np.where(rises, middle, low), np.where(rises, high, middle)
-        known = np.isfinite(top)
         high[~known] = high[known][-1]  # beyond its tip: anything smooth
         ends.append(np.concatenate([high[:1], high, high[-1:]]))
     places = np.concatenate([[0.0], r, [forward.reach]])

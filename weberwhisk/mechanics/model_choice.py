@@ -399,9 +399,12 @@ def between(
     (exact, outcome), (rough, held) = one, other
     known = (outcome == Outcome.HELD) & (held == Outcome.HELD)
     known &= np.nan_to_num(observer.noise.sd(exact), nan=1.0).all(axis=-1)  # else known exactly
+    slope = np.full((*exact.shape, contact.shape[-1]), np.nan)
+    slope[known] = observer.cue.jacobian(observer.whisker, contact[known])
+    known &= np.isfinite(slope).all(axis=(-2, -1))  # not so at the edge of what is held
     contact, exact, off = contact[known], exact[known], (rough - exact)[known]
     unit = np.maximum(np.abs(contact), 1e-12)
-    slope = observer.cue.jacobian(observer.whisker, contact) * unit[:, None]
+    slope = slope[known] * unit[:, None]
     weight = np.swapaxes(slope, -1, -2) @ observer.noise.fisher(exact)
     prior = observer.prior_information(contact) * unit[:, None] * unit[..., None]
     inverse = np.linalg.pinv(weight @ slope + prior, rcond=1e-12, hermitian=True)
