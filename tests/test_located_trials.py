@@ -27,7 +27,6 @@ from weberwhisk.behaviour import (
 from weberwhisk.behaviour.likelihood import build_model
 from weberwhisk.behaviour.located import estimate_scatter
 from weberwhisk.contacts.lattice import Lattice, Readings
-from weberwhisk.contacts.sums import distances
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6)
 ENCODING = CueEncoding(ww.Observer(WHISKER, ww.cues.Compliance()))
@@ -94,7 +93,7 @@ def _touches(
             mass = np.bincount(cells.layer[own] - cells.layer[own].min(), np.exp(
                 cells.log[own] - cells.log[own].max()))  # fmt: skip
             x = (cells.layer[own].min() + 0.5 + np.arange(len(mass))) * cells.step[0]
-            found[row] = (distances(lattice.observer, x), mass / mass.sum())
+            found[row] = (lattice.observer.space.distance(x), mass / mass.sum())
     return found
 
 

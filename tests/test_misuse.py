@@ -248,10 +248,6 @@ RECEPTOR_AND_CUE_MISUSES: list[tuple[Callable[[], object], str]] = [
     ),
     (lambda: GeneralisedWeber(0.1, floor=0.0, ceiling=[np.nan, 1.0]), "ceiling must be finite"),
     (lambda: GeneralisedWeber(0.1, floor=0.0, ceiling=["a", 1.0]), "ceiling must be a number"),
-    (
-        lambda: cues.UnknownCurvature(cues.ForceMap(), 2.0).signals(CONE, [[0.03, 0.2, 0]]),
-        "give less spread to the curvature, whose 7 sd are -14 to 14 1/m more",
-    ),
 ]  # fmt: skip
 
 

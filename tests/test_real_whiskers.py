@@ -650,6 +650,15 @@ def test_a_curved_perfect_cone_has_a_table_too(friction):
     assert found.outside_domain == ""
 
 
+def test_a_perfect_cone_has_an_uncertain_curvature():
+    cone = ww.Whisker(50e-3, 100e-6, 0.0)
+    signals, outcome = UnknownCurvature(ForceMap(), 2.0).signals(cone, [[30e-3, 0.2, 3.0]])
+    curved = replace(cone, curvature=3.0)
+    bent = ww.press(curved, 30e-3, profile.rest_angle(curved, np.array(30e-3)) + 0.2)
+    np.testing.assert_allclose(signals[0], [bent.moment, bent.axial_force], rtol=1e-5)
+    assert outcome == 0
+
+
 def test_a_named_whisker_says_where_nobody_knows_what_its_shape_does():
     named = Observer(ww.Whisker.from_identity("C2"), ww.cues.Vibration(3))
     assert named.note.startswith("C2 is taken as straight: what its shape at rest does to this cue")

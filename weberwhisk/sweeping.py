@@ -201,7 +201,7 @@ def _at_moment(
     """The contact, among those at radial distances (n,), that has this moment: the nearest."""
     length = forward.reach
     low, high = (1e-3 * length, length) if near is None else (near / 1.5, min(near * 1.5, length))
-    for _ in range(12):
+    for narrowed in range(12):
         r = np.linspace(low, high, 65)
         theta = place(r)
         push = theta - forward.rest(r)
@@ -210,7 +210,9 @@ def _at_moment(
         miss = np.where(held, signals[:, 0], np.nan) - reading
         crossed = np.flatnonzero(np.sign(miss[1:]) * np.sign(miss[:-1]) <= 0)
         if not crossed.size:
-            return None
+            if not narrowed:
+                return None
+            break  # as close as rounding lets signals tell
         if near is not None:
             crossed = crossed[[np.argmin(np.abs(r[crossed] - near))]]
         low, high = r[crossed[0]], r[crossed[0] + 1]

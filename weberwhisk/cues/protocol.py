@@ -251,6 +251,11 @@ class Fused(Cue):
     cues: tuple[Cue, ...]
 
     def __init__(self, *each: Cue, cues: Sequence[Cue] = ()) -> None:
+        if not isinstance(cues, list | tuple):
+            raise ValueError(
+                f"cues must be a list of cues, got {shown(cues)}; write Fused(Compliance(), "
+                "ForceMap()), say."
+            )
         cues = (*each, *cues)
         if len(cues) < 2:
             raise ValueError(
