@@ -29,7 +29,7 @@ from weberwhisk.fusion import prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.posterior.marginals import tile_quantiles
-from weberwhisk.posterior.nodes import NodeSums, turning
+from weberwhisk.posterior.nodes import NodeSums, turning_unknown
 from weberwhisk.posterior.quadrature import _tiled
 from weberwhisk.posterior.summed import LastSummed, likelihood_of
 from weberwhisk.posterior.tiling import tiles_of
@@ -307,7 +307,7 @@ def test_nodes_of_a_curvature_and_sums_at_each_contact_have_the_same_posterior(c
     floor = [0.0, *[0.01 * w.force_scale] * (len(cue.signal_names) - 1)]
     observer = Observer(w, cue, GeneralisedWeber(k, floor=floor))
     reading = observer.read([[20e-3, 0.3, 1.0]], seed=2)
-    name = turning(observer)
+    name = turning_unknown(observer)
     assert name == "curvature_offset"
     nodes = NodeSums(observer, name, reading, 5.5, 1e-2, _tiled)
     assert nodes.rows.tolist() == [0]

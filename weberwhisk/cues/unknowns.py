@@ -25,11 +25,52 @@ from .protocol import Array, Cue, Felt, a_cue
 from .space_map import SpaceMap
 
 
-@dataclass(frozen=True, eq=False, repr=False, init=False)
-class _Wrapped(Cue):
-    """A cue felt under a condition, which is one more unknown where it is not known."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Conditioned(Cue):
+    """A cue felt under a condition, and in all else the cue itself."""
 
     cue: Cue
+
+    def _under(self, whisker: Any) -> Any:
+        """The whisker, ready for any of the conditions possible."""
+        raise NotImplementedError
+
+    def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
+        """The whisker under the condition, and the contact as the cue takes it."""
+        raise NotImplementedError
+
+    @property
+    def takes_curved(self) -> bool:  # type: ignore[override]
+        return self.cue.takes_curved
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        return self.cue.signal_names
+
+    @property
+    def circular(self) -> tuple[bool, ...]:
+        return self.cue.circular
+
+    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
+        return self.cue.forward(*self._parts(whisker, contact))
+
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+        return self.cue.signals(*self._parts(whisker, contact), model=model)
+
+    def default_noise(self) -> ReceptorNoise:
+        return self.cue.default_noise()
+
+    def farthest(self, whisker: Any) -> float:
+        return self.cue.farthest(self._under(whisker))
+
+    def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
+        return self.cue.largest_angle(whisker, radial_distance)
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class _Wrapped(Conditioned):
+    """One more unknown where the condition is not known."""
+
     #: The name of the unknown.
     unknown: ClassVar[str]
 
@@ -63,18 +104,6 @@ class _Wrapped(Cue):
         raise NotImplementedError
 
     @property
-    def takes_curved(self) -> bool:  # type: ignore[override]
-        return self.cue.takes_curved
-
-    @property
-    def signal_names(self) -> tuple[str, ...]:
-        return self.cue.signal_names
-
-    @property
-    def circular(self) -> tuple[bool, ...]:
-        return self.cue.circular
-
-    @property
     def unknowns(self) -> tuple[str, ...]:
         """Those of the cue, and the condition where it is not known."""
         if self.known is not None:
@@ -88,12 +117,6 @@ class _Wrapped(Cue):
             return self._under(whisker, self.known), contact
         return self._under(whisker, contact[..., -1]), contact[..., :-1]
 
-    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
-        return self.cue.forward(*self._parts(whisker, contact))
-
-    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
-        return self.cue.signals(*self._parts(whisker, contact), model=model)
-
     def jacobian(self, whisker: Any, contact: Array, *, model: str | None = None) -> Array:
         """Derivatives of the signals to the unknowns, (..., S, U): by the cue where known."""
         if self.known is None:
@@ -103,15 +126,6 @@ class _Wrapped(Cue):
     def priors(self, whisker: Any) -> dict[str, Any]:
         out = dict(self.cue.priors(self._under(whisker)))
         return out if self.known is not None else out | {self.unknown: self._prior(whisker)}
-
-    def default_noise(self) -> ReceptorNoise:
-        return self.cue.default_noise()
-
-    def farthest(self, whisker: Any) -> float:
-        return self.cue.farthest(self._under(whisker))
-
-    def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
-        return self.cue.largest_angle(whisker, radial_distance)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

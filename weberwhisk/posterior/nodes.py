@@ -22,10 +22,9 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr, ndtri
 
 from ..coordinates import from_normal
-from ..cues.protocol import Cue, Felt
-from ..mechanics.forward import ForwardModel, forward_of
+from ..cues.unknowns import Conditioned
+from ..mechanics.forward import forward_of
 from ..observer import Observer
-from ..receptors import ReceptorNoise
 from .grid import weighted_quantiles
 from .marginals import draws, tile_quantiles
 from .result import Array, Index, among
@@ -39,24 +38,11 @@ TURNING = {"curvature_offset": "offset", "hinge_stiffness": "hinge"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Given(Cue):
+class Given(Conditioned):
     """A cue one of whose unknowns is known, at a value that its tables have."""
 
-    cue: Cue
     name: str
     value: float
-
-    @property
-    def takes_curved(self) -> bool:  # type: ignore[override]
-        return self.cue.takes_curved
-
-    @property
-    def signal_names(self) -> tuple[str, ...]:
-        return self.cue.signal_names
-
-    @property
-    def circular(self) -> tuple[bool, ...]:
-        return self.cue.circular
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -66,27 +52,13 @@ class Given(Cue):
         forward = forward_of(whisker)
         return replace(forward, fixed=(*forward.fixed, (TURNING[self.name], self.value)))
 
-    def _whole(self, contact: Array) -> Array:
-        return np.insert(contact, self.cue.unknowns.index(self.name), self.value, axis=-1)
-
-    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
-        return self.cue.signals(self._under(whisker), self._whole(contact), model=model)
-
-    def forward(self, whisker: Any, contact: Array) -> ForwardModel:
-        return self.cue.forward(self._under(whisker), self._whole(contact))
-
-    def farthest(self, whisker: Any) -> float:
-        return self.cue.farthest(self._under(whisker))
-
-    def largest_angle(self, whisker: Any, radial_distance: Array) -> Array:
-        return self.cue.largest_angle(whisker, radial_distance)
+    def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
+        whole = np.insert(contact, self.cue.unknowns.index(self.name), self.value, axis=-1)
+        return self._under(whisker), whole
 
     def priors(self, whisker: Any) -> Mapping[str, Any]:
         own = self.cue.priors(self._under(whisker))
         return {n: p for n, p in own.items() if n != self.name}
-
-    def default_noise(self) -> ReceptorNoise:
-        return self.cue.default_noise()
 
 
 #: Standard normal scores at which conditional quantiles are known.
@@ -104,7 +76,7 @@ def conditional(observer: Observer, name: str, z: float) -> Observer:
     return Observer(observer.whisker, cue, observer.noise, prior, model=model, tolerance=1e-9)
 
 
-def turning(observer: Observer) -> str | None:
+def turning_unknown(observer: Observer) -> str | None:
     """The unknown that alone says how far the whisker can be deflected, if there is one."""
     names = [n for n in observer.unknowns[observer.bounded :] if n in TURNING]
     if len(names) != 1 or conditional(observer, names[0], 0.0).space.angle_range_varies:

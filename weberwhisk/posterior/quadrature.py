@@ -21,7 +21,7 @@ from ..threads import on_threads
 from .azimuths import AroundGrid, around, starts
 from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
-from .nodes import NodeSums, turning
+from .nodes import NodeSums, turning_unknown
 from .panels import panels_of
 from .peaks import find_mode
 from .result import (
@@ -121,7 +121,7 @@ def quadrature(
     if observer.forward.azimuth is not None:
         found = _around(observer, reading, wanted, progress)
         left = np.setdiff1d(left, [f.rows[0] for f in found]).astype(np.intp)
-    elif observer.space.angle_range_varies and (name := turning(observer)) is not None:
+    elif observer.space.angle_range_varies and (name := turning_unknown(observer)) is not None:
         found, left = _by_nodes(observer, name, reading, length, wanted, progress)
     # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
     elif len(reading) > 20 + min(expected_tiles(observer, length), MOST_TILES) / 100:
