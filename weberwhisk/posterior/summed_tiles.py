@@ -157,39 +157,47 @@ class SummedTiles(TiledObserver):
         index = tile * self.log_weight.shape[1] + node
         return table.likelihoods(self._told(reading, row, index))
 
-    def _with_masses(self, reading: Array, weighed: Weighed, *, spacing: float = 0.6) -> Weighed:
-        """With the mass on the last unknown, as where it is summed."""
+    def _with_masses(self, reading: Array, weighed: Weighed, *, spacing: float = 0.8) -> Weighed:
+        """With the mass on the last unknown, as where it is summed.
+
+        Bumps at the nodes of a tile lie close together: all are seen at the same steps, of which
+        0.8 of the narrowest bump's width leave quantiles 4e-4 sd off, a fifth of what they claim.
+        """
         table = self.likelihood.table
         if weighed.last_mass is not None or not table:
             return weighed
-        pair, node = np.nonzero(weighed.weight > 1e-8)
-        whose = weighed.row[pair]
-        index = weighed.tile[pair] * self.log_weight.shape[1] + node
-        told = self._told(reading, whose, index)
-        found = table.likelihoods(told)
-        middle, first, second = told
-        middle = middle + np.log(weighed.weight[pair, node]) - table.integral(found)
+        some = np.flatnonzero(weighed.weight.max(axis=1, initial=0.0) > 1e-8)
+        row, tile = weighed.row[some], weighed.tile[some]
+        nodes = np.arange(weighed.weight.shape[1])
+        index = tile[:, None] * len(nodes) + nodes
+        told = self._told(reading, np.repeat(row, len(nodes)), index.ravel())
+        level, slope, bend = (column.reshape(index.shape) for column in told)
+        few = level[:, self._few], slope[:, self._few], bend[:, self._few]
+        found = table.likelihoods(few)
         place, width = table.scores(found)
         step = np.full(len(reading), 1.0)
-        np.minimum.at(step, whose, spacing * width)
+        np.minimum.at(step, row, spacing * width.min(axis=1))
         half = int(np.ceil(8.0 / step.min(initial=1.0)))
         lattice = np.arange(-half, half + 1) * step[:, None]
-        at, beside = (values.ravel() for values in table.density(np.clip(lattice, -8.0, 8.0)))
-        beside[np.abs(lattice.ravel()) > 8.0] = -np.inf
-        start = whose * lattice.shape[1] + np.rint(place / step[whose]).astype(np.intp) + half
-        points = np.ceil(10.0 * width / step[whose]).astype(int)
+        at, beside = table.density(np.clip(lattice, -8.0, 8.0))
+        beside[np.abs(lattice) > 8.0] = -np.inf
+        # The few nodes lie a fifth of their distance within a tile's ends. Wide bumps are skewed.
+        apart = np.ptp(place, axis=1)
+        beyond = 6 * (width * (1 + 3 * found.width)).max(axis=1) + 0.25 * apart
+        points = 4 * np.ceil((apart + 2 * beyond) / step[row] / 4 + 0.25).astype(np.intp)
+        points = np.minimum(points, lattice.shape[1])
+        start = np.floor((place.min(axis=1) - beyond) / step[row]).astype(np.intp) + half
+        start = np.clip(start, 0, lattice.shape[1] - points) + row * lattice.shape[1]
+        powers = np.stack([level - weighed.top[row, None], slope, bend], axis=-1)
         mass = np.zeros(lattice.size)
-        for some in _blocks(np.arange(len(whose)), points):
-            into = start[some, None] + np.arange(-points[some[0]], points[some[0]] + 1)
-            np.clip(into, 0, len(mass) - 1, out=into)
+        for pairs in _blocks(np.arange(len(row)), points, size=128):
+            into = start[pairs, None] + np.arange(points[pairs[0]])
             x = at.take(into)
-            share = second[some, None] * x
-            share += first[some, None]
-            share *= x
-            share += beside.take(into)
-            share += middle[some, None]
-            np.exp(share, out=share)
-            mass += np.bincount(into.ravel(), share.ravel(), minlength=len(mass))
+            log = powers[pairs] @ np.stack([np.ones_like(x), x, x * x], axis=1)
+            # Seven digits do, in less than half the time.
+            of_tile = np.exp(log, dtype="f4", casting="unsafe").sum(axis=1)
+            of_tile = of_tile * np.exp(beside.take(into))
+            mass += np.bincount(into.ravel(), of_tile.ravel(), minlength=len(mass))
         of_last = np.asarray(mass.reshape(lattice.shape), dtype=np.float64)
         return weighed._replace(last_mass=of_last, last_step=step)
 
@@ -292,19 +300,25 @@ class SummedTiles(TiledObserver):
         weighed = self._with_masses(reading, weighed)
         assert weighed.last_mass is not None
         assert weighed.last_step is not None
-        rows, count = weighed.last_mass.shape
-        place = np.linspace(0, count - 1, finer * (count - 1) + 1)
+        mass, middle = weighed.last_mass, weighed.last_mass.shape[1] // 2
+        rows = len(mass)
+        held = np.flatnonzero((mass > 1e-12 * mass.max(axis=1, keepdims=True)).any(axis=0))
+        if not held.size:
+            none = np.full((rows, len(probability)), np.nan)
+            return none, none
+        knots = np.arange(max(held[0] - 5, 0), min(held[-1] + 6, mass.shape[1]))
+        place = np.linspace(knots[0], knots[-1], finer * (len(knots) - 1) + 1)
         rising = []
         for degree in (5, 3):
-            density = make_interp_spline(np.arange(count), weighed.last_mass.T, k=degree)
+            density = make_interp_spline(knots, mass.T[knots], k=degree)
             rise = np.maximum.accumulate(density.antiderivative()(place).T, axis=1)
             rising.append(rise / np.maximum(rise[:, -1:], 1e-300))
         sure = np.zeros(rows)
         sought = [(rising[0], sure), (rising[1], sure), (rising[0], lost), (rising[0], -lost)]
         out = np.full((len(sought), rows, len(probability)), np.nan)
         step = weighed.last_step
-        for i in np.flatnonzero(weighed.last_mass.sum(axis=1) > 0):
-            z = (place - count // 2) * step[i]
+        for i in np.flatnonzero(mass.sum(axis=1) > 0):
+            z = (place - middle) * step[i]
             inside = np.diff(rising[0][i], append=2.0) > 0
             for found, (rise, by) in zip(out, sought, strict=True):
                 p = np.clip(probability + by[i], 0.0, 1.0)
