@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from .. import _checks
+from ..contacts import locate
 from ..contacts.columns import FROM_SHAPE, read_contacts
 from ..contacts.files import load_table
-from ..contacts.rows import locate
 from ..observer import Observer
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from .._values import interval_text
-from ..contacts.rows import methods_of
+from ..contacts import methods_of
 from ..coordinates import in_words
 from ..output import plain
 from ..posterior.arviz_io import ArvizData

@@ -2,12 +2,11 @@
 
 from .angle_side_angle import AngleSideAngle, ContactAndDetachment, TwoWhiskers
 from .balance_of_moments import BalanceOfMoments
-from .compliance import Compliance, LateralSlip
 from .force_map import ForceMap
 from .protocol import Cue, Fused
 from .space_map import SpaceMap
+from .taps import Compliance, LateralSlip, Vibration
 from .unknowns import Friction, UnknownCurvature, UnknownHinge, UnknownRoll, UnknownStiffness
-from .vibration import Vibration
 from .vibrissa_length import ComparativeLength, VibrissaLength
 
 __all__ = [

@@ -1,18 +1,19 @@
-"""Rotational compliance (§2e): distance from the rate at which the moment of a tap grows.
+"""What a tap tells: how fast its moment grows (§2e), and the vibration that it leaves (§2d).
 
-And with slip out of the plane of rotation, where the moment has two dimensions.
+The moment's growth with slip out of the plane of rotation too, where it has two dimensions.
 """
 
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import finite, non_negative_number, positive_number
-from ..mechanics import closed_form
+from .._checks import finite, non_negative_number, positive_number, whole
+from ..mechanics import closed_form, modes
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
 from ..receptors import GeneralisedWeber, Joint, Weber
@@ -320,3 +321,163 @@ class LateralSlip(Cue):
             [np.where(good, r, np.nan), np.where(good & ~stuck, tilt, np.nan)], axis=-1
         )
         return contact, np.where(stuck, Outcome.STUCK, outcome).astype(np.int8)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Vibration(Cue):
+    """Radial distance from the amplitudes of the modes that a short impact at r excites.
+
+    An impulse J at r gives mode n the velocity Jφ_n(r), and the base a moment that rings with
+    amplitude J|φ_n(r)|·M_n/ω_n, M_n the base moment for a unit of the mode. By default J is
+    unknown, and the signals are the ratios of the amplitudes to that of the first mode, which no
+    place on the whisker lacks. With J known they are the amplitudes themselves.
+
+    Parameters
+    ----------
+    count : int
+        Modes that are felt, 2 to 12 (with J known 1 to 12).
+    impulse : float, optional
+        J, N s, where it is known.
+    phase : bool
+        Whether the phase is felt too: then signals have the sign of φ_n(r).
+    damping_ratio : float
+        Share of critical damping of every mode.
+
+    Raises
+    ------
+    ValueError
+        For a count outside that range, an impulse that is not positive, a damping ratio below 0 or
+        of 1 and more.
+
+    Notes
+    -----
+    Modes whose half-power bands (2ζω wide) touch are one peak in the spectrum: where that happens
+    to any two neighbours the outcome is `UNRESOLVED` everywhere. Ratios to one amplitude have
+    correlated noise, ½ between any two for equal Weber fractions; with that correlation their
+    information is that of the amplitudes with J unknown, Σ(l_n − l̄)²/k² with l_n = d ln|φ_n|/dr.
+    An amplitude of zero, at a node, is felt no better than the floor of the noise.
+
+    The signature need not be unique: `posterior.peaks.count_peaks` counts the places left. Of them
+    quadrature in one dimension misses none; emcee and Laplace may, and then say so. With further
+    unknowns (a fusion) every method may know of the highest peak alone.
+
+    Examples
+    --------
+    >>> w = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
+    >>> ratios, outcome = Vibration(3).signals(w, np.array([[20e-3], [45e-3]]))
+    >>> ratios.round(2)
+    array([[1.64, 1.69],
+           [1.43, 0.81]])
+    """
+
+    count: int = 3
+    _: KW_ONLY
+    impulse: float | None = None
+    phase: bool = False
+    damping_ratio: float = 0.0
+
+    def __post_init__(self) -> None:
+        least = 1 + (self.impulse is None)
+        hint = "write 3, or impulse= for one mode"
+        count = whole("count", self.count, hint)
+        if not least <= count <= 12:
+            raise ValueError(f"count must be {least} to 12, got {count}; {hint}.")
+        if self.impulse is not None:
+            unit = "give newton seconds, such as 1e-9, or None where it is unknown"
+            self._set(impulse=positive_number("impulse", self.impulse, unit))
+        zeta = non_negative_number("damping_ratio", self.damping_ratio, "give a share, 0.05 say")
+        if zeta >= 1:
+            raise ValueError(f"damping_ratio must be below 1, got {zeta:g}; write 0.05.")
+        self._set(count=count, phase=bool(self.phase), damping_ratio=zeta)
+
+    @cached_property
+    def signal_names(self) -> tuple[str, ...]:
+        """The ratios to the first mode's amplitude, or the amplitudes."""
+        first, kind = (2, "ratio") if self.impulse is None else (1, "amplitude")
+        return tuple(f"mode_{n}_{kind}" for n in range(first, self.count + 1))
+
+    def resolved(self, whisker: Whisker) -> bool:
+        """Whether the half-power bands of all the modes are apart."""
+        omega = _modes(whisker, self.count).angular_frequency
+        return bool(np.all(np.diff(omega) > self.damping_ratio * (omega[1:] + omega[:-1])))
+
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+        """Ratios of amplitudes, or amplitudes (N m), (..., S), and outcome of a contact (..., 1).
+
+        There is one model: `model` makes no difference.
+        """
+        straight(whisker)
+        r = np.asarray(contact, dtype=float)[..., 0]
+        reached = (r > 0) & (r <= whisker.length)
+        outcome = np.where(reached, Outcome.HELD, Outcome.OUT_OF_REACH).astype(np.int8)
+        if not self.resolved(whisker):
+            outcome[reached] = Outcome.UNRESOLVED
+        r = np.where(reached, r, whisker.length)
+        value = _amplitudes(whisker, self.count)(r)
+        if self.impulse is None:
+            value = value[..., 1:] / value[..., :1]
+        else:
+            # Without r², which the spline leaves out and ratios do not need.
+            size = self.impulse / np.sqrt(1 - self.damping_ratio**2)
+            value = value * (r**2 * size)[..., None]
+        if not self.phase:
+            value = np.abs(value)
+        return np.where((outcome == Outcome.HELD)[..., None], value, np.nan), outcome
+
+    def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
+        r = np.asarray(contact, dtype=float)[..., 0]
+        spline = _amplitudes(whisker, self.count)
+        value, slope = spline(r), spline(r, 1)
+        if self.impulse is None:
+            ratio = value[..., 1:] / value[..., :1]
+            out = (slope[..., 1:] - ratio * slope[..., :1]) / value[..., :1]
+            value = ratio
+        else:
+            size = self.impulse / np.sqrt(1 - self.damping_ratio**2)
+            out = (slope * (r**2)[..., None] + value * (2 * r)[..., None]) * size
+        if not self.phase:
+            out = out * np.sign(value)
+        return np.asarray(out)[..., None]
+
+    def noise(self, weber_fraction: float, floor: float) -> GeneralisedWeber:
+        """Weber's law for every mode's amplitude, carried to the signals.
+
+        Parameters
+        ----------
+        weber_fraction : float
+            k of each amplitude.
+        floor : float
+            Sd at a node: of a ratio, or with the impulse known of an amplitude, N m.
+        """
+        if self.impulse is None:
+            return GeneralisedWeber(np.sqrt(2) * weber_fraction, floor=floor, correlation=0.5)
+        return GeneralisedWeber(weber_fraction, floor=floor)
+
+    def default_noise(self) -> GeneralisedWeber:
+        """Weber's law, k = 0.1 for each amplitude, with a floor at the nodes.
+
+        The floor is 0.05 of a ratio, and 0.1 J m/s of an amplitude: a few per cent of most.
+        """
+        return self.noise(0.1, 0.05 if self.impulse is None else 0.1 * self.impulse)
+
+
+@lru_cache(maxsize=32)
+def _modes(whisker: Whisker, count: int) -> modes.Modes:
+    return modes.modes(whisker, count)
+
+
+@lru_cache(maxsize=32)
+def _amplitudes(whisker: Whisker, count: int) -> Any:
+    """Spline over r of the amplitudes at the base over r², (..., count), per N s.
+
+    Divided by r², which every clamped shape starts with, so that their ratios are right down to
+    the base.
+    """
+    from scipy.interpolate import CubicSpline
+
+    found = _modes(whisker, count)
+    s = np.linspace(0, whisker.length, 1001)
+    shapes = np.empty((s.size, count))
+    shapes[0] = found.derivative(0.0, 2) / 2
+    shapes[1:] = (found.shape(s[1:]) / s[1:] ** 2).T
+    return CubicSpline(s, shapes * (found.base_moment / found.angular_frequency))
