@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import elementwise
 
 from . import _checks
-from ._values import with_units
+from ._values import pd, with_units
 from .cues import ForceMap
 from .jnd import fisher_jnd
 from .mechanics import press
@@ -26,9 +26,6 @@ from .observer import Observer
 from .receptors import GeneralisedWeber, Weber
 from .sweeping import SweepFilter
 from .whisker import Whisker
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -82,8 +79,6 @@ def resolution_along_push(
     §3c: what a push tells depends on slip. Against a peg r stays and θ_d is the push; against a
     body that is rounded the contact runs along the whisker, and the same push bends it less.
     """
-    import pandas as pd
-
     angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
     _straight(whisker)
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
@@ -148,8 +143,6 @@ def lateral_sweep(
         `object`, `push_deg`, `true_distance_mm`, `radial_distance_mm` (posterior mean),
         `distance_sd_mm`, `lower_mm` and `upper_mm` (95 %).
     """
-    import pandas as pd
-
     angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
     rng = np.random.default_rng(seed)
     parts = []
@@ -217,8 +210,6 @@ def limits(
     The angle reached is known to the animal, so that the JND is that of the moment alone at it,
     sd(M)/|∂M/∂r|. Where the torque stops the push, the angle at which it did tells the same.
     """
-    import pandas as pd
-
     r = np.atleast_1d(_checks.positive("places", places, "give metres"))
     for name, value in (("torque", torque), ("saturation", saturation)):
         _checks.positive(name, value, "give newton metres, such as 1e-6")
@@ -292,8 +283,6 @@ def reversal(
     Turning about its base, the whisker keeps its distance to a peg. A base that moves by y sideways
     goes away from it: r = √(r₀² + y²) with tan θ_d = y/r₀.
     """
-    import pandas as pd
-
     angles = np.atleast_1d(_checks.positive("push", push, "give radians"))
     own = bodies(radial_distance, [5e-3]) | {"wall, by the tip": leaning(whisker)}
     mu = _checks.non_negative("friction_coefficient", friction_coefficient, "write 0.3, say")
@@ -349,8 +338,6 @@ def speed(
     >>> table["one_percent_hz"].round(1).tolist()
     [22.0, 2.5]
     """
-    import pandas as pd
-
     r = np.atleast_1d(_checks.positive("places", places, "give metres"))
     rows = []
     for at in r:

@@ -9,19 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._checks import number, one_of, one_or_more
-from ._values import Shown, Value
+from ._values import Shown, Value, pd
 from .mechanics.shape import Profile, Spiral
 from .whisker import SPECIES, Whisker, rest_shape
 from .whisker import identities as known_identities
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -297,8 +294,6 @@ class WhiskerArray(Shown, Value):
 
     def table(self) -> pd.DataFrame:
         """One row a whisker: name, base point and length in mm, angles in degrees."""
-        import pandas as pd
-
         rows = []
         for name, f in self.whiskers.items():
             whisker = getattr(f.whisker, "whisker", f.whisker)

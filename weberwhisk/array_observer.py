@@ -15,21 +15,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from ._checks import finite, generator, kind, non_negative_number, one_of, positive_number, whole
+from ._values import pd
 from .array import WhiskerArray
 from .cues.protocol import Cue
 from .observer import Observer
 from .place_sensor import JointEvidence, Sensor, one_place
 from .receptors import ReceptorNoise, Seed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array = NDArray[np.float64]
 Readings = Mapping[str, Any]
@@ -259,8 +257,6 @@ def array_resolution(observer: ArrayObserver, x: ArrayLike, y: ArrayLike) -> pd.
     0        10      0.19   B3           0.85
     1         6      0.38   E2           0.83
     """
-    import pandas as pd
-
     place = _grid(*(np.atleast_1d(finite(n, v, "give metres")) for n, v in (("x", x), ("y", y))))
     each, prior = observer.information(place), _prior(observer)
     covariance = np.linalg.inv(each.sum(axis=1) + prior)
@@ -309,8 +305,6 @@ def array_by_whisker(observer: ArrayObserver, place: ArrayLike) -> pd.DataFrame:
     1      D2     True      3.72  7.79        1.25
     2      C1    False       NaN  0.24        0.00
     """
-    import pandas as pd
-
     at = one_place(place)[None]
     each, prior = observer.information(at)[0], _prior(observer)
     middles = (np.arange(64) + 0.5) / 64
@@ -380,8 +374,6 @@ def array_by_count(
     Rats' performance fell in proportion to the number of whiskers removed, whichever they were
     (Krupa, Matell, Brisben, Oliveira & Nicolelis 2001, J Neurosci 21:5752).
     """
-    import pandas as pd
-
     if observer.array.sides == "both":
         raise ValueError(
             'array_by_count needs one side, got both; write WhiskerArray("rat", "right").'

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from ._checks import generator, whole
-from ._values import renamed_arguments, with_units
+from ._values import pd, renamed_arguments, with_units
 from .coordinates import UNITS
 from .cues import Fused
 from .cues.protocol import Array, Cue
@@ -21,9 +22,6 @@ from .observer import Observer
 from .posterior import posterior
 from .posterior.grid import integrate, prior_box
 from .receptors import ReceptorNoise, Seed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: Distances at which the prior is known.
 _PLACES = 20_000
@@ -215,10 +213,8 @@ def _part(observer: Observer, kept: list[int]) -> Observer:
     if observer.bounded > 1 and "deflection_angle" not in cue.unknowns:
         prior["radial_distance"] = DistancePrior(observer)
     elif cue.farthest(observer.whisker) > observer.reach[1]:  # as far as all cues work
-        from scipy.stats import uniform
-
         low, high = observer.reach
-        prior.setdefault("radial_distance", uniform(low, high - low))
+        prior.setdefault("radial_distance", scipy.stats.uniform(low, high - low))
     how: dict[str, Any] = {"model": observer.model, "tolerance": observer.tolerance}
     return Observer(observer.whisker, cue, noise, prior, **how)
 
@@ -249,8 +245,6 @@ def added_information(
     ValueError
         As for `alone` and `information`.
     """
-    import pandas as pd
-
     parts = alone(observer)
     seeds = np.random.SeedSequence(int(generator(seed).integers(2**63))).spawn(2 * len(parts) + 1)
     whole = information(observer, n_readings=n_readings, seed=seeds[-1])
@@ -301,8 +295,6 @@ def fused_jnds(observer: Observer, contact: ArrayLike, *, criterion: str = SD) -
        best_mm  optimal_mm  together_mm
     0    1.277       1.158        1.158
     """
-    import pandas as pd
-
     fused, parts = _fused(observer), alone(observer)
     place = observer.checked(contact).reshape(-1, len(observer.unknowns))
     factor = criterion_factor(criterion)

@@ -6,14 +6,14 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import campaign
 from ._checks import angle, finite, generator, one_of, positive, whole
-from ._values import Shown, renamed_arguments, with_units
+from ._values import Shown, pd, renamed_arguments, with_units
 from .coordinates import UNITS
 from .cues import Compliance, ForceMap
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
@@ -21,9 +21,6 @@ from .mechanics.contact import Outcome
 from .observer import Observer
 from .receptors import Seed, Weber
 from .whisker import Whisker
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -62,8 +59,6 @@ class JNDCurve(Shown):
     @classmethod
     def joined(cls, curves: Sequence[JNDCurve]) -> JNDCurve:
         """The contacts of several curves of one observer."""
-        import pandas as pd
-
         rows = pd.concat([curve._rows for curve in curves], ignore_index=True)
         return cls(curves[0].observer, rows)
 
@@ -104,8 +99,6 @@ class JNDCurve(Shown):
 
     def lines(self) -> dict[str, pd.DataFrame]:
         """What a chart of it shows: `table`, and the lines in between; a table an angle."""
-        import pandas as pd
-
         criterion, contacts = str(self["criterion"].iloc[0]), self.table.reset_index()
         factor = criterion_factor(criterion)
         r = np.linspace(0.005, 0.999, 200) * self.observer.forward.length
@@ -192,8 +185,6 @@ def jnd_curve(
     10.0                          0.81      0.802
     40.0                          0.96      0.951
     """
-    import pandas as pd
-
     from .posterior import Status, posterior
 
     one_of("method", method, ("quadrature", "emcee", "laplace"))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -20,7 +19,7 @@ from scipy.special import ndtr
 
 from . import _checks
 from ._checks import finite, kind, positive_number, whole
-from ._values import interval_text, with_units
+from ._values import interval_text, pd, with_units
 from .coordinates import leaps
 from .jnd import fisher_jnd
 from .mechanics.contact import Outcome
@@ -28,9 +27,6 @@ from .observer import Observer
 from .posterior.result import Status, is_outside, is_unidentified
 from .receptors import Seed
 from .touch_rows import TouchRows, distances, highest
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -447,8 +443,6 @@ def touches_jnd(
     Mice tell pole positions about 1 mm apart with one whisker and 1 to 17 touches (Pammer et al.
     2013, J Neurosci 33:6726).
     """
-    import pandas as pd
-
     radial_distance = positive_number("radial_distance", radial_distance, "give metres")
     angles = np.atleast_1d(finite("deflection_angles", deflection_angles, "give radians"))
     if not angles.size:

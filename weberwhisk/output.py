@@ -38,14 +38,12 @@ from datetime import UTC, datetime, timedelta
 from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from . import __version__
-
-if TYPE_CHECKING:
-    import pandas as pd
+from ._values import pd
 
 __all__ = ["Run", "atomic_write", "csv_text", "locked", "to_json"]
 

@@ -9,20 +9,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from ._values import Shown
+from ._values import Shown, pd
 from .array_observer import ArrayObserver, Readings
 from .place_sensor import JointEvidence, one_place
 from .posterior import Status
 from .receptors import Seed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = ["ArrayObserver", "Place", "place"]
 
@@ -220,8 +217,6 @@ class Place(Shown):
 
     def summary(self) -> pd.DataFrame:
         """A row each for x, y, z: mean, sd, 95 % interval in mm, how many touch, the status."""
-        import pandas as pd
-
         mean, sd, interval = self.height
         rows = np.column_stack([self.mean, self.sd, self.interval()])
         if not np.isnan(mean):

@@ -21,17 +21,15 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import ExitStack, closing, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .. import _checks
+from .._values import pd
 from ..output import shown
 from ..threads import core_count, in_browser
 from .log import Chunk, Job, Log, Report, Work, by_number, decode, job_of, read_lines, versions
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = ["CampaignError", "all_cores", "read", "run"]
 

@@ -19,16 +19,14 @@ from importlib import import_module
 from math import isfinite
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 
 from .. import output
 from .._checks import shown
+from .._values import pd
 from ..threads import limited_blas
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FORMAT = 1
 Chunk = dict[str, Any]
@@ -314,8 +312,6 @@ def _checked_chunks(chunks: Iterable[Chunk]) -> dict[int, Chunk]:
 def encode(number: int, frame: pd.DataFrame) -> str:
     """The table of a chunk, numbers, booleans and text, as one line of strict JSON, every number to
     its last bit."""
-    import pandas as pd
-
     if not isinstance(frame, pd.DataFrame):
         raise ValueError(f"work must return a DataFrame, got {type(frame).__name__}.")
     if not frame.columns.is_unique or not all(isinstance(name, str) for name in frame.columns):
@@ -344,8 +340,6 @@ def _plain(name: str, column: pd.Series) -> list[Any]:
 
 def decode(lines: dict[int, str]) -> pd.DataFrame:
     """The tables of all chunks in one, in the order of the chunks."""
-    import pandas as pd
-
     tables = [json.loads(line) for _, line in sorted(lines.items())]
     tables = [table for table in tables if table["rows"]] or tables[:1]
     if not tables:

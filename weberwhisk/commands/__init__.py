@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
 import typer
@@ -29,12 +29,10 @@ from numpy.typing import NDArray
 import weberwhisk as ww
 
 from .. import _checks
+from .._values import pd
 from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
 from ..output import Run, to_json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Text = str | None
 Texts = list[str] | None

@@ -12,6 +12,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .. import commands as opt
+from .._values import pd
 from ..behaviour.trials import STIMULI, rows_in_words
 from ..campaign import all_cores
 from ..cli import numbers
@@ -23,8 +24,6 @@ from ..figures.designs import fill
 from ..output import Run, atomic_write, versions_in_words
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from ..design import AnalysisResult
 
 
@@ -263,8 +262,6 @@ def analyse(
 
 def rig_trials(files: list[Path], task: str | None = None) -> ww.Trials:
     """The trials in one rig's tables, in mm; rows without a stimulus are no trials."""
-    import pandas as pd
-
     table = pd.concat([_with_choice(load_table(path)[0], path) for path in files])
     named = {name: f"{name}_mm" for name in STIMULI if f"{name}_mm" in table}
     if "trial" not in table and "trial_number" in table:

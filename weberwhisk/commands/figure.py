@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 import weberwhisk as ww
 
 from .. import _checks, along_whisk, surveys
+from .._values import pd
 from ..behaviour import CueEncoding, Encoding, PooledEncoding, response_probability, task_named
 from ..cli import progress
 from ..design import Hypothesis, Scheme, taper
@@ -19,9 +20,6 @@ from ..mechanics.muscle import MuscleCurve
 from ..output import Run, atomic_write
 from . import NO_SHAPE, Shape, Text, as_asked, command, describe, finish, the_whisker
 from .whiskers import curve_in_steps
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 class Made(NamedTuple):
@@ -118,8 +116,6 @@ def light_taps(
 
 def tapered_and_not(curves: dict[str, ww.JNDCurve]) -> pd.DataFrame:
     """The tables of some whiskers under one another."""
-    import pandas as pd
-
     tables = {name: curve.table for name, curve in curves.items()}
     return pd.concat(tables, names=["whisker"]).reset_index()
 
@@ -165,8 +161,6 @@ def lateral_sweep(asked: Asked) -> Made:
 
 def touches(asked: Asked) -> Made:
     """JND of distance against the number of touches, beside 1/√n and what mice do (§4)"""
-    import pandas as pd
-
     from ..many_touches import touches_jnd
 
     whisker, tables = asked.whisker, []
@@ -205,8 +199,6 @@ def _two(whisker: ww.Whisker) -> tuple[ww.Whisker, ww.Whisker]:
 
 def _choices(asked: Asked) -> pd.DataFrame:
     """Shares of answers about a pole and one at 0.4 of the length, by moment and axial force."""
-    import pandas as pd
-
     whisker, (bowed, smaller) = asked.whisker, _two(asked.whisker)
     convex = replace(whisker, curvature=0.6 / whisker.length)
     straight, concave, other, far = (
@@ -239,8 +231,6 @@ def _choices(asked: Asked) -> pd.DataFrame:
 
 def _powers(asked: Asked) -> pd.DataFrame:
     """How often each question is decided, by taps on a pole, by trials of each comparison."""
-    import pandas as pd
-
     bowed, smaller = _two(asked.whisker)
     one, other = (CueEncoding(ww.Observer(w, ww.cues.Compliance())) for w in (bowed, smaller))
     questions = {"taper, straight": taper(asked.whisker), "taper, concave": taper(bowed)}
@@ -295,8 +285,6 @@ def array_resolution(asked: Asked) -> Made:
 
 def array_counts(asked: Asked) -> Made:
     """apertures discriminated by the number of whiskers left intact, by an ideal observer"""
-    import pandas as pd
-
     array, tables = _level_array(asked, np.radians(40.0)), []
     places = np.linspace(-10e-3, 10e-3, 11 if asked.short else 41)
     for k, degrees in ((0.1, 1.0), (0.3, 3.0), (0.6, 6.0)):
@@ -423,8 +411,6 @@ def chart(
     error are of the same run. What needs other packages (PyElastica, dynesty, psignifit and so on)
     is added by analyses/speed_accuracy.py.
     """
-    import pandas as pd
-
     from .. import charts, figures
 
     foot = charts.machine()

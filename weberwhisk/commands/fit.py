@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import weberwhisk as ww
 
 from .. import _checks
 from .. import commands as opt
+from .._values import pd
 from ..behaviour import (
     CueEncoding,
     FitStatus,
@@ -26,9 +27,6 @@ from ..cli import numbers
 from ..contacts.files import load_table
 from ..output import Run, atomic_write, to_json
 from .choices import distance_encoding
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: What the library says, and what that is called here.
 AS_OPTIONS = (

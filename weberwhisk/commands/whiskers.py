@@ -13,6 +13,7 @@ import weberwhisk as ww
 
 from .. import _checks
 from .. import commands as opt
+from .._values import pd
 from ..cli import a_seed, numbers, progress
 from ..output import Run
 
@@ -54,8 +55,6 @@ def bend(
     that cannot be held is part of the answer: its row says what becomes of it.
     """
     options = opt.as_asked(locals())
-    import pandas as pd
-
     whisker = opt.the_whisker(shape, seed)
     pairs = {
         ("radial_distance_mm", "deflection_angle_deg"): (radial_distance_mm, deflection_angle_deg),
@@ -250,8 +249,6 @@ def locate(
     --taps, a table as of `weberwhisk calibrate`, slopes of a sensor are located by what they tell.
     """
     options = opt.as_asked(locals())
-    import pandas as pd
-
     table_or_path: Any = contacts
     whisker = opt.the_whisker(shape)
     heard: tuple[str, ...] = ()

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite, non_negative_number, positive, positive_number
@@ -171,12 +172,10 @@ class AngleSideAngle(Cue):
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """The bearing, flat, and the side, normal, where it is not known."""
-        from scipy import stats
-
         low, high = self.bearings
-        priors: dict[str, Any] = {"bearing": stats.uniform(low, high - low)}
+        priors: dict[str, Any] = {"bearing": scipy.stats.uniform(low, high - low)}
         if self.side_sd > 0:
-            priors["side"] = stats.norm(self.side, self.side_sd)
+            priors["side"] = scipy.stats.norm(self.side, self.side_sd)
         return priors
 
     def default_noise(self) -> GeneralisedWeber:

@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from .._checks import number, numbers, one_or_more, refuse_hinge
@@ -180,9 +181,7 @@ class SpaceMap(Cue):
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """Flat all around, of the azimuth."""
-        from scipy.stats import uniform
-
-        return {"azimuth": uniform(-np.pi, 2 * np.pi)}
+        return {"azimuth": scipy.stats.uniform(-np.pi, 2 * np.pi)}
 
     def default_noise(self) -> ReceptorNoise:
         """Weber's law, k = 0.1, for sizes and components; as much across them: 0.1 rad."""

@@ -10,6 +10,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite, non_negative_number, positive_number, whole
@@ -136,9 +137,11 @@ class Compliance(Cue):
         """Log-normal, of θ̇ where it is unknown."""
         if self.velocity_spread == 0:
             return {}
-        from scipy.stats import lognorm
-
-        return {"angular_velocity": lognorm(self.velocity_spread, scale=self.angular_velocity)}
+        return {
+            "angular_velocity": scipy.stats.lognorm(
+                self.velocity_spread, scale=self.angular_velocity
+            )
+        }
 
     def farthest(self, whisker: Whisker) -> float:
         """The tip, or where the whisker flicks past at the tap angle, m."""
@@ -282,9 +285,7 @@ class LateralSlip(Cue):
 
     def priors(self, whisker: Whisker) -> dict[str, Any]:
         """Flat, of the tilt."""
-        from scipy.stats import uniform
-
-        return {"surface_tilt": uniform(-self.steepest, 2 * self.steepest)}
+        return {"surface_tilt": scipy.stats.uniform(-self.steepest, 2 * self.steepest)}
 
     def default_noise(self) -> Joint:
         """Noise of a tenth of the moment in both of its components: k = 0.1, and 0.1 rad."""

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
@@ -194,10 +195,8 @@ class Friction(_Wrapped):
         return forward_of(whisker).with_uncertain("friction", value, ends)
 
     def _prior(self, whisker: Any) -> Any:
-        from scipy.stats import uniform
-
         largest = float(np.arctan(self.coefficient))
-        return uniform(-largest, 2 * largest)
+        return scipy.stats.uniform(-largest, 2 * largest)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -237,9 +236,7 @@ class UnknownCurvature(_Wrapped):
         return forward_of(whisker).with_uncertain("offset", value, ends)
 
     def _prior(self, whisker: Any) -> Any:
-        from scipy.stats import norm
-
-        return norm(0.0, self.spread)
+        return scipy.stats.norm(0.0, self.spread)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -298,9 +295,7 @@ class UnknownHinge(_Wrapped):
         return forward_of(whisker).with_uncertain("hinge", value, (float(low), float(high)))
 
     def _prior(self, whisker: Any) -> Any:
-        from scipy.stats import lognorm
-
-        return lognorm(self.spread, scale=self._median(whisker))
+        return scipy.stats.lognorm(self.spread, scale=self._median(whisker))
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -360,10 +355,8 @@ class UnknownRoll(_Wrapped):
         return whisker
 
     def _prior(self, whisker: Any) -> Any:
-        from scipy.stats import truncnorm
-
         ends = np.pi / self.spread
-        return truncnorm(-ends, ends, self.cue.roll, self.spread)
+        return scipy.stats.truncnorm(-ends, ends, self.cue.roll, self.spread)
 
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
         """The mechanics of contacts (..., 4), at their azimuths from the plane of curvature."""
@@ -465,9 +458,7 @@ class UnknownStiffness(_Wrapped):
         return whisker
 
     def _prior(self, whisker: Any) -> Any:
-        from scipy.stats import lognorm
-
-        return lognorm(self.spread)
+        return scipy.stats.lognorm(self.spread)
 
     def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
         contact = np.asarray(contact, dtype=float)

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from .._checks import one_of, shown
+from .._values import pd
 from ..jnd_curves import JNDCurve
 from .style import (
     COLOURS,
@@ -33,8 +34,6 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from ..mechanics import Bending
     from ..posterior import Posterior
 

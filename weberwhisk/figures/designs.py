@@ -18,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._values import pd
 from ..design.plan_file import assumptions, offsets_in_words, plan_json, preregistration
 from ..design.session import bpod_table, psychopy_tables
 from ..output import Run, atomic_write, csv_text
@@ -40,8 +41,6 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from ..design import Plan, TrialLog
     from ..design.experiment import SimulatedStudy
     from ..design.power_analysis import Power

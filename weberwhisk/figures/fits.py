@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from .._values import pd
 from .style import (
     COLOURS,
     DOUBLE,
@@ -31,8 +32,6 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from ..behaviour import Comparison, PopulationFit, WeberFit
     from ..behaviour.trials import Cells
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from .._values import pd
 from ..mechanics.contact import Outcome
 from .contacts import fill_surface
 from .style import (
@@ -27,10 +28,6 @@ from .style import (
     new_figure,
     styled,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 #: Panels of `cue_jnds`: a title and the paper's sections in it.
 _GROUPS = (

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
+from .._values import pd
 from .style import (
     COLOURS,
     DOUBLE,
@@ -28,8 +29,6 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from ..array import Follicle, WhiskerArray
     from ..places import Place
 

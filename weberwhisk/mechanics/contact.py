@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._values import Shown, member, renamed_attribute
+from .._values import Shown, member, pd, renamed_attribute
 from ..whisker import Whisker
 
 Array = NDArray[np.float64]
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 class Outcome(IntEnum):
@@ -248,8 +245,6 @@ class Bending(Shown):
         return f"{known}{Outcome(int(self.outcome)).message}; {Model(int(self.model)).title}"
 
     def _table(self) -> pd.DataFrame:
-        import pandas as pd
-
         units = {
             "radial_distance": ("mm", 1e-3), "deflection_angle": ("deg", np.pi / 180),
             "moment": ("micronewton_metre", 1e-6), "axial_force": ("micronewton", 1e-6),

@@ -9,22 +9,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._checks import finite
-from .._values import Shown, interval_text, member
+from .._values import Shown, interval_text, member, pd
 from ..coordinates import UNITS
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .arviz_io import ArvizData
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -213,8 +210,6 @@ class Posterior(Shown):
 
         And the observer's `note`, where there is one.
         """
-        import pandas as pd
-
         said = {
             key: np.array([kind(i).message for i in range(len(kind))])[np.atleast_1d(values)]
             for key, kind, values in (
