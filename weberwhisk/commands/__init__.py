@@ -219,11 +219,11 @@ def the_scene(
     """The observer of any cue, and the deflection angles (rad) at which it is used."""
     if cue not in SCENES:
         name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
-        felt, angles = the_cue(name, angles_deg)
-        noise = the_noise(weber_fraction, len(felt.signal_names))
-        return ww.Observer(whisker, felt, noise), angles
-    felt = SCENES[cue](whisker)
-    deflected = "deflection_angle" in felt.unknowns
+        made, angles = the_cue(name, angles_deg)
+        noise = the_noise(weber_fraction, len(made.signal_names))
+        return ww.Observer(whisker, made, noise), angles
+    made = SCENES[cue](whisker)
+    deflected = "deflection_angle" in made.unknowns
     useless = [(weber_fraction, "--weber-fraction")]
     useless += [] if deflected else [(angles_deg, "--deflection-angle-deg")]
     for given, what in useless:
@@ -232,7 +232,7 @@ def the_scene(
                 f"The cue {cue} has no use for {what}, got {', '.join(given)}; leave it out, or "
                 "write --cue force-map."
             )
-    return ww.Observer(whisker, felt), _angles(angles_deg) if deflected else np.array([])
+    return ww.Observer(whisker, made), _angles(angles_deg) if deflected else np.array([])
 
 
 def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np.float64]]:

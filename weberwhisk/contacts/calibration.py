@@ -16,7 +16,7 @@ from scipy.stats import f as f_distribution
 from .. import _checks, domain
 from .._values import Shown
 from ..cues import Cue
-from ..cues.protocol import Felt
+from ..cues.protocol import Encoded
 from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
@@ -54,7 +54,7 @@ class HingedTap(Cue):
     angular_velocity: float = 1.0
     signal_names = ("moment_rate",)
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """The slope (..., 1) and the outcome of contacts (..., 1)."""
         _checks.refuse_hinge(whisker, "HingedTap, which has a hinge of its own,")
         r = np.asarray(contact, dtype=float)[..., 0]

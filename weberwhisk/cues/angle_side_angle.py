@@ -20,7 +20,7 @@ from .._checks import finite, non_negative_number, positive, positive_number
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, reach_at, readings, straight
+from .protocol import Array, Cue, Encoded, reach_at, readings, straight
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))
@@ -128,7 +128,7 @@ class AngleSideAngle(Cue):
         outcome = np.select([known, seen], [Outcome.HELD, Outcome.ONE_SIDED], Outcome.OUT_OF_REACH)
         return np.asarray(outcome, dtype=np.int8)
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """First and second angle (..., 2), rad, of a contact (..., U), and its outcome."""
         straight(whisker)
         r, bearing, _, first, angle = self._triangle(contact)
@@ -138,7 +138,7 @@ class AngleSideAngle(Cue):
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Felt]:
+    ) -> Callable[[Array], Encoded]:
         straight(whisker)
         if self.side_sd == 0:
             return lambda bearing: self.signals(
@@ -147,7 +147,7 @@ class AngleSideAngle(Cue):
         r, bearing = contact[..., 0], contact[..., 1]
         ahead, across = r * np.cos(bearing), r * np.sin(bearing)
 
-        def signals(side: Array) -> Felt:
+        def signals(side: Array) -> Encoded:
             along = side + ahead
             outcome = self._outcome(whisker, r, np.hypot(along, across))
             angles = np.empty((*along.shape, 2))

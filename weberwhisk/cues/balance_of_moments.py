@@ -17,7 +17,7 @@ from ..mechanics.forward import ForwardModel, forward_of
 from ..mechanics.muscle import SEPARATION, WHISKING, MuscleCurve, whisking_range
 from ..receptors import GeneralisedWeber
 from .angle_side_angle import ANGLE_SD
-from .protocol import Array, Cue, Felt
+from .protocol import Array, Cue, Encoded
 
 
 class _OfCurve(float):
@@ -195,7 +195,7 @@ class BalanceOfMoments(Cue):
             found = find_root(excess, (np.zeros(r.shape), top), args=(r, *given.values()))
         return np.asarray(found.x), balanced
 
-    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         """Balance angle, rad, and effort where it is felt (..., S), and the outcome (...)."""
         contact = np.asarray(contact, dtype=float)
         forward = _served(whisker)
@@ -234,8 +234,8 @@ class BalanceOfMoments(Cue):
         by_r, by_theta = self._slopes(whisker, safe_r, safe, model)
         if self.effort is not None:
             return np.where(held, -by_r / by_theta, np.nan)[..., None, None]
-        felt = np.stack([by_r, by_theta], axis=-1)
-        both = np.stack([np.broadcast_to([0.0, 1.0], felt.shape), felt], axis=-2)
+        moment = np.stack([by_r, by_theta], axis=-1)
+        both = np.stack([np.broadcast_to([0.0, 1.0], moment.shape), moment], axis=-2)
         return np.where(held[..., None, None], both, np.nan)
 
     def default_noise(self) -> GeneralisedWeber:

@@ -17,7 +17,7 @@ from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, reach_at, readings
+from .protocol import Array, Cue, Encoded, reach_at, readings
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
 
@@ -34,7 +34,7 @@ class ForceMap(Cue):
     Parameters
     ----------
     signal_names : sequence of {"moment", "axial_force", "transverse_force"}
-        Which are felt.
+        Which are encoded.
     deflection_angle : float, optional
         θ_d, rad, where it is known; by default it is unknown. On a curved whisker counted from
         where it first touches: ``press(w, r, rest_angle(w, r) + deflection_angle)``.
@@ -92,7 +92,7 @@ class ForceMap(Cue):
             return r, contact[..., 1]
         return r, np.full_like(r, self.deflection_angle)
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Moment (N m) and forces (N), (..., S), and outcome of a contact (..., U)."""
         signals, outcome = forward_of(whisker, model).signals(*self._place(contact))
         if self._columns == [0, 1]:  # a view, where it will do: the bulk of all work
@@ -112,7 +112,7 @@ class ForceMap(Cue):
 
     # -- inverse -------------------------------------------------------------------------------
 
-    def contact(self, whisker: Whisker, signals: ArrayLike, *, steps: int = 60) -> Felt:
+    def contact(self, whisker: Whisker, signals: ArrayLike, *, steps: int = 60) -> Encoded:
         """The contact that gives these signals: of two signals, or of the moment at a known angle.
 
         Newton's method from the closed-form inverse, or from the nearest contact of a coarse map;
@@ -225,8 +225,8 @@ class ForceMap(Cue):
         for _ in range(steps):
             r, theta = contact[left].T
             point = np.stack([r, np.minimum(theta, 0.995 * forward.limit(r))], axis=-1)
-            felt = self.signals(whisker, point, model=exact)[0]
-            miss, slope = _miss(felt, wanted[left], size[left])
+            signals = self.signals(whisker, point, model=exact)[0]
+            miss, slope = _miss(signals, wanted[left], size[left])
             (a, b), (c, d) = np.moveaxis(
                 self.jacobian(whisker, point) * slope[..., :, None] * point[..., None, :], 0, -1
             )
@@ -295,7 +295,7 @@ class MeasuredAngle(Cue):
     def unknowns(self) -> tuple[str, ...]:
         return self.cue.unknowns
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         refuse_hinge(whisker, "MeasuredAngle")
         contact = np.asarray(contact, dtype=float)
         signals, outcome = self.cue.signals(whisker, contact, model=model)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from .._checks import numbers, refuse_hinge, shown
-from .._values import Value
+from .._values import Value, renamed_names
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber
@@ -35,7 +35,8 @@ from ..whisker import Whisker
 
 Array = NDArray[np.float64]
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
-Felt = tuple[Array, NDArray[np.int8]]
+Encoded = tuple[Array, NDArray[np.int8]]
+__getattr__ = renamed_names(__name__, {"Felt": "Encoded"})
 #: Unknowns that may be of either sign, rad and 1/m.
 SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset")
 
@@ -73,7 +74,7 @@ class Cue(Value):
         """Which signals are angles that a whole turn leaves as they are."""
         return (False,) * len(self.signal_names)
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Signals (..., S) of a contact (..., U), NaN where it is not held, and its `Outcome`.
 
         `model` names the model of the mechanics; without it the elastica's.
@@ -82,7 +83,7 @@ class Cue(Value):
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Felt]:
+    ) -> Callable[[Array], Encoded]:
         """Signals and outcome as a function of the last unknown (...), the others (..., U − 1).
 
         What does not depend on it is worked out once, where the cue knows how.
@@ -96,7 +97,7 @@ class Cue(Value):
         [[2.0]]
         """
 
-        def signals(last: Array) -> Felt:
+        def signals(last: Array) -> Encoded:
             whole = np.concatenate([contact, last[..., None]], axis=-1)
             return self.signals(whisker, whole, model=model)
 
@@ -299,16 +300,16 @@ class Fused(Cue):
             ..., [self.unknowns.index(name) for name in cue.unknowns]
         ]
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Signals of all cues (..., S); the outcome is that of the first cue that fails."""
-        felt = [c.signals(whisker, self.part(c, contact), model=model) for c in self.cues]
-        return self._together(felt)
+        parts = (c.signals(whisker, self.part(c, contact), model=model) for c in self.cues)
+        return self._together(list(parts))
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Felt]:
+    ) -> Callable[[Array], Encoded]:
         *known, last = self.unknowns
-        parts: list[Callable[[Array], Felt]] = []
+        parts: list[Callable[[Array], Encoded]] = []
         for cue in self.cues:
             place = contact[..., [known.index(name) for name in cue.unknowns if name != last]]
             if last not in cue.unknowns:
@@ -321,12 +322,12 @@ class Fused(Cue):
                 )
         return lambda value: self._together([part(value) for part in parts])
 
-    def _together(self, felt: Sequence[Felt]) -> Felt:
+    def _together(self, parts: Sequence[Encoded]) -> Encoded:
         """All signals, and the outcome of the first cue that fails."""
-        outcome = felt[0][1]
-        for _, other in felt[1:]:
+        outcome = parts[0][1]
+        for _, other in parts[1:]:
             outcome = np.where(outcome == Outcome.HELD, other, outcome)
-        signals = np.concatenate([s for s, _ in felt], axis=-1)
+        signals = np.concatenate([s for s, _ in parts], axis=-1)
         lost = outcome != Outcome.HELD
         if lost.any():
             signals[lost] = np.nan
@@ -402,13 +403,13 @@ def _distinct(groups: list[tuple[str, ...]]) -> tuple[str, ...]:
     )
 
 
-def _same(felt: Felt, last: Array) -> Felt:
-    """What is felt whatever the last unknown is."""
-    return felt
+def _same(encoded: Encoded, last: Array) -> Encoded:
+    """What is encoded whatever the last unknown is."""
+    return encoded
 
 
 def _inserted(
     cue: Cue, index: int, whisker: Whisker, contact: Array, model: str | None, last: Array
-) -> Felt:
-    """What a cue feels to which the fusion's last unknown is one in between."""
+) -> Encoded:
+    """What a cue encodes to which the fusion's last unknown is one in between."""
     return cue.signals(whisker, np.insert(contact, index, last, axis=-1), model=model)

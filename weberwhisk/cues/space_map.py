@@ -20,7 +20,7 @@ from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 from .force_map import SIGNALS, ForceMap
-from .protocol import Array, Cue, Felt, readings, straight
+from .protocol import Array, Cue, Encoded, readings, straight
 
 DIRECTIONS = ("moment_direction", "force_direction")
 #: What `SpaceMap` may sense: sizes, components and angles.
@@ -121,14 +121,14 @@ class SpaceMap(Cue):
     def farthest(self, whisker: Whisker) -> float:
         return self.forward(whisker, np.zeros(3)).reach
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         contact = np.asarray(contact, dtype=float)
         return self.given(whisker, contact[..., :2], model=model)(contact[..., 2])
 
     def given(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Felt]:
-        def at(plane: Array) -> Callable[[Array], Felt]:
+    ) -> Callable[[Array], Encoded]:
+        def at(plane: Array) -> Callable[[Array], Encoded]:
             whole = np.concatenate([contact, plane[..., None]], axis=-1)
             return self.from_plane(whisker, whole, model=model)
 
@@ -138,7 +138,7 @@ class SpaceMap(Cue):
 
     def from_plane(
         self, whisker: Whisker, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Felt]:
+    ) -> Callable[[Array], Encoded]:
         """The signals as a function of the azimuth (...) of contacts (..., 3).
 
         The third number of those is the azimuth from the plane of curvature, whatever its roll:
@@ -160,7 +160,7 @@ class SpaceMap(Cue):
             force = c * y + s * z, c * z - s * y
             bending = c * m_z - s * m_y, -c * m_y - s * m_z
 
-        def turned(azimuth: Array) -> Felt:
+        def turned(azimuth: Array) -> Encoded:
             out = _named(self.signal_names, axial, force, twist, bending, azimuth)
             # A direction that is no number is none of a contact.
             off = (outcome == Outcome.HELD) & ~np.isfinite(azimuth)
@@ -190,7 +190,7 @@ class SpaceMap(Cue):
         noises = [GeneralisedWeber(0, floor=0.1) if angle else Weber(0.1) for angle, _ in runs]
         return Joint(noises, sizes=[n for _, n in runs]) if len(runs) > 1 else noises[0]
 
-    def contact(self, whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike) -> Felt:
+    def contact(self, whisker: Whisker, moment: ArrayLike, axial_force: ArrayLike) -> Encoded:
         """The contact of a moment in two dimensions and an axial force.
 
         Parameters

@@ -19,7 +19,7 @@ from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, reach_at, readings, straight
+from .protocol import Array, Cue, Encoded, reach_at, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +92,7 @@ class Compliance(Cue):
             return contact[..., 1]
         return np.full(contact.shape[:-1], self.angular_velocity)
 
-    def _stiffness(self, whisker: Whisker, r: Array, model: str | None) -> Felt:
+    def _stiffness(self, whisker: Whisker, r: Array, model: str | None) -> Encoded:
         """Moment for each radian of the tap, N m, and outcome."""
         forward = forward_of(whisker, model)
         if self.tap_angle == 0:
@@ -102,7 +102,7 @@ class Compliance(Cue):
         signals, outcome = forward.signals(r, np.full_like(r, self.tap_angle))
         return signals[..., 0] / self.tap_angle, outcome
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Moment rate, N m/s, and where unknown θ̇, rad/s, (..., S); outcome of a contact."""
         contact = np.asarray(contact, dtype=float)
         stiffness, outcome = self._stiffness(whisker, contact[..., 0], model)
@@ -257,7 +257,7 @@ class LateralSlip(Cue):
         slip = np.maximum(np.abs(tilt), self.friction_angle)
         return np.asarray(np.cos(slip) / np.cos(self.friction_angle))
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Moment rate (N m/s) and its direction (rad), (..., 2), and outcome of a contact (..., 2).
 
         Beyond the whisker, or on a surface steeper than the steepest, it is out of reach.
@@ -291,7 +291,7 @@ class LateralSlip(Cue):
         """Noise of a tenth of the moment in both of its components: k = 0.1, and 0.1 rad."""
         return Joint([Weber(0.1), GeneralisedWeber(0, floor=0.1)], sizes=[1, 1])
 
-    def contact(self, whisker: Whisker, signals: ArrayLike) -> Felt:
+    def contact(self, whisker: Whisker, signals: ArrayLike) -> Encoded:
         """The contact that gives these signals.
 
         Parameters
@@ -402,7 +402,7 @@ class Vibration(Cue):
         omega = _modes(whisker, self.count).angular_frequency
         return bool(np.all(np.diff(omega) > self.damping_ratio * (omega[1:] + omega[:-1])))
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Ratios of amplitudes, or amplitudes (N m), (..., S), and outcome of a contact (..., 1).
 
         There is one model: `model` makes no difference.

@@ -22,13 +22,13 @@ from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
 from .force_map import SIGNALS
-from .protocol import Array, Cue, Felt, a_cue
+from .protocol import Array, Cue, Encoded, a_cue
 from .space_map import SpaceMap
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Conditioned(Cue):
-    """A cue felt under a condition, and in all else the cue itself."""
+    """A cue under a condition, and in all else the cue itself."""
 
     cue: Cue
 
@@ -55,7 +55,7 @@ class Conditioned(Cue):
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
         return self.cue.forward(*self._parts(whisker, contact))
 
-    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         return self.cue.signals(*self._parts(whisker, contact), model=model)
 
     def default_noise(self) -> ReceptorNoise:
@@ -366,7 +366,7 @@ class UnknownRoll(_Wrapped):
             return forward
         return replace(forward, azimuth=contact[..., 2] - contact[..., 3])
 
-    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         contact = np.array(contact, dtype=float)
         azimuth = contact[..., 2].copy()
         contact[..., 2] -= contact[..., 3]
@@ -460,13 +460,13 @@ class UnknownStiffness(_Wrapped):
     def _prior(self, whisker: Any) -> Any:
         return scipy.stats.lognorm(self.spread)
 
-    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Any, contact: Array, *, model: str | None = None) -> Encoded:
         contact = np.asarray(contact, dtype=float)
         return self.given(whisker, contact[..., :-1], model=model)(contact[..., -1])
 
     def given(
         self, whisker: Any, contact: Array, *, model: str | None = None
-    ) -> Callable[[Array], Felt]:
+    ) -> Callable[[Array], Encoded]:
         signals, outcome = self.cue.signals(self._under(whisker), contact, model=model)
         if self.is_scale:
             return lambda factor: (signals * factor[..., None], outcome)

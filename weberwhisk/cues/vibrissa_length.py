@@ -19,7 +19,7 @@ from .._checks import finite, non_negative_number, positive, positive_number, wh
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array, Cue, Felt, readings, straight
+from .protocol import Array, Cue, Encoded, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -112,7 +112,7 @@ class VibrissaLength(Cue):
         chance = ndtr(z) + self.damage * r * inverse
         return chance, (1 - self.damage) * density + self.damage * inverse
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Chances (..., 2) of no touch and of a touch with the tip, at a contact (..., 1)."""
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
@@ -370,7 +370,7 @@ class ComparativeLength(Cue):
             parts.append(both.reshape(len(touch), len(self.reports)))
         return np.concatenate(parts).reshape(*r.shape, len(self.reports))
 
-    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Felt:
+    def signals(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Encoded:
         """Chances (..., 2ⁿ − 1) of all patterns but "all touch", of a contact (..., 1)."""
         straight(whisker)
         r = np.asarray(contact, dtype=float)[..., 0]
