@@ -584,3 +584,11 @@ def test_a_label_may_stand_for_no_answer() -> None:
     trials = read_trials(table, choice_labels=labels | {"timeout": "none"})
     assert trials.frame["count"].tolist()[:2] == [1.0, 0.0]
     assert (trials.n_trials, trials.n_missing) == (2, 1)
+
+
+def test_trials_say_how_many_they_are():
+    trials = simulate_trials(weber_fraction=0.15, seed=1)
+    said = repr(trials)
+    assert said.startswith(f"<Trials: {trials.n_trials} with an answer, in {len(trials)} rows")
+    assert "2AFC" in said
+    assert "DataFrame" not in said

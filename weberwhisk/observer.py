@@ -158,6 +158,13 @@ class Observer:
                 f"The noise is not of {size} signals ({', '.join(self.cue.signal_names)}), got "
                 f"{self.noise!r}; give one value, or one for each signal."
             )
+        twists = [name.split("_")[0] == "torsion" for name in self.cue.signal_names]
+        exact = any(twists) and not np.all(self.noise.sd(np.where(twists, 0.0, 1.0)))
+        if exact and self.forward.is_flat:
+            raise ValueError(
+                "A straight whisker has no torsion, which this noise would tell exactly, got "
+                f"{self.noise!r}; leave torsion out, or give its noise a floor."
+            )
 
     def __repr__(self) -> str:
         return f"Observer({self.whisker}, {self.cue!r}, {self.noise!r})"

@@ -116,6 +116,15 @@ class Trials:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def __repr__(self) -> str:
+        who = f" of {len(self.subjects)} subjects" if len(self.subjects) > 1 else ""
+        lost = f", {self.n_missing} without" if self.n_missing else ""
+        notes = f"; {len(self.notes)} notes" if self.notes else ""
+        return (
+            f"<Trials: {self.n_trials} with an answer{lost}, in {len(self)} rows{who}; "
+            f"{self.task.name}, {self.scale} scale, {self.source}{notes}>"
+        )
+
     @property
     def n_trials(self) -> int:
         """Trials with an answer."""

@@ -114,7 +114,7 @@ class SpaceMap(Cue):
                 "SpaceMap knows contacts without friction of whiskers whose shape is known, got "
                 "others; write cues.ForceMap(), which takes them."
             )
-        if forward.is_plain:
+        if forward.is_flat:
             return forward
         return replace(forward, azimuth=np.asarray(contact, dtype=float)[..., 2] - self.roll)
 
@@ -172,7 +172,7 @@ class SpaceMap(Cue):
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         contact = np.asarray(contact, dtype=float)
-        if self.all_but_last is None or not forward_of(whisker).is_plain:
+        if self.all_but_last is None or not forward_of(whisker).is_flat:
             return super().jacobian(whisker, contact, model=model)
         out = np.zeros((*contact.shape[:-1], len(self.signal_names), 3))
         out[..., :-2, :2] = self.all_but_last.jacobian(whisker, contact[..., :2], model=model)
@@ -220,7 +220,7 @@ class SpaceMap(Cue):
 
 def _is_flat(forward: ForwardModel, model: str | None) -> bool:
     """Whether the whisker bends in the plane of its contact, or is taken to."""
-    return forward.is_plain or model in ("elastica", "closed_form")
+    return forward.is_flat or model in ("elastica", "closed_form")
 
 
 def _named(

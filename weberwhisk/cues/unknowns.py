@@ -362,7 +362,7 @@ class UnknownRoll(_Wrapped):
         """The mechanics of contacts (..., 4), at their azimuths from the plane of curvature."""
         contact = np.asarray(contact, dtype=float)
         forward = self.cue.forward(whisker, contact[..., :3])
-        if forward.is_plain:
+        if forward.is_flat:
             return forward
         return replace(forward, azimuth=contact[..., 2] - contact[..., 3])
 

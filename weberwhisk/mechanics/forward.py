@@ -147,6 +147,14 @@ class ForwardModel(Value):
         return self.is_smooth and not np.any(self.whisker.curvature)
 
     @cached_property
+    def is_flat(self) -> bool:
+        """Whether it bends in the plane of any contact: a straight taper or profile."""
+        if not isinstance(self.whisker, Profile):
+            return self.is_plain
+        bent = np.any(self.whisker.law(np.array([0.0, self.length])))
+        return not (bent or any((*self.friction_range, *self.offset_range)))
+
+    @cached_property
     def is_smooth(self) -> bool:
         """A linear taper without friction, of a curvature that is known."""
         known = not any((*self.friction_range, *self.offset_range))

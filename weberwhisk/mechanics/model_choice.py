@@ -334,7 +334,7 @@ def note(observer: Any) -> str:
 
 
 def _roll(observer: Any) -> str:
-    straight = observer.forward.is_plain or observer.solver == "elastica"
+    straight = observer.forward.is_flat or observer.solver == "elastica"
     if "roll" not in observer.unknowns or not straight:
         return ""
     return (

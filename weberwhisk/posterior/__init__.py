@@ -203,7 +203,7 @@ def _hint_at_units(observer: Observer, reading: Array, solution: Solution) -> No
     """
     if observer.noise.is_categorical:  # reports have no unit
         return
-    times = np.abs(reading) / observer.usual_reading
+    times = np.abs(reading) / np.where(observer.usual_reading > 0, observer.usual_reading, np.inf)
     low, high = observer.reach
     at_base = solution.estimates[0].mean < low + 0.01 * (high - low)
     odd = (times > 30).any(axis=1) & (at_base | (solution.status == Status.IMPROBABLE_READING))
@@ -249,7 +249,7 @@ class Factors(NamedTuple):
 def factors_of(observer: Observer) -> Factors | None:
     """The factors of the posterior, if it is a product."""
     cue = getattr(observer.cue, "all_but_last", None)
-    if cue is None or not observer.forward.is_plain:
+    if cue is None or not observer.forward.is_flat:
         return None
     own, size = len(cue.signal_names), len(observer.cue.signal_names)
     noise = observer.noise.part(size, 0, own)
