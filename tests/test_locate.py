@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import weberwhisk as ww
 from weberwhisk.cli import app
@@ -459,3 +460,38 @@ def test_a_modulus_that_was_given_is_known_be_it_the_default(
     for more, unknown in (([], True), (["--youngs-modulus-gpa", "3.34"], False)):
         assert run_app(app, [*words, *more]) in (0, None)
         assert ("UnknownStiffness" in capsys.readouterr().out) == unknown
+
+
+STEPS = stats.rv_histogram(([1, 5, 2], [0.0, 24e-3, 26e-3, 40e-3]), density=True)()
+
+
+@pytest.mark.parametrize(
+    ("name", "prior", "resolved"),
+    [
+        ("radial_distance", stats.norm(26e-3, 2e-3), True),
+        ("radial_distance", stats.norm(26e-3, 0.5e-3), False),
+        ("radial_distance", stats.norm(26e-3, 5e-6), False),
+        ("radial_distance", stats.uniform(24e-3, 0.2e-3), True),
+        ("radial_distance", STEPS, False),
+        ("deflection_angle", stats.norm(0.25, 0.1), True),
+        ("deflection_angle", stats.norm(0.25, 0.002), False),
+        ("deflection_angle", stats.uniform(0.1, 0.01), True),
+    ],
+)  # fmt: skip
+def test_priors_of_your_own_are_those_of_a_posterior_or_refused(name, prior, resolved):
+    """One of 0.5 mm left a third of its sd, and one of 5 µm an sd of 0, converged."""
+    whisker = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=3e9)
+    observer = ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber(0.1), {name: prior})
+    contact = observer.contact(np.random.default_rng(1).normal(0, 0.3, (6, 2)))[0]
+    readings = observer.read(contact, seed=1)
+    table = pd.DataFrame(readings, columns=["moment", "axial_force"])
+    if not resolved:
+        with pytest.raises(ValueError, match=f"The prior of {name} is sharp or leaps"):
+            ww.locate(table, whisker, prior={name: prior}, cue=ww.cues.ForceMap())
+        return
+    located = ww.locate(table, whisker, prior={name: prior}, cue=ww.cues.ForceMap())
+    found = ww.posterior(observer, readings)
+    assert np.allclose(
+        located.radial_distance_mm, 1e3 * found.mean, atol=2e3 * 1e-3 * found.sd.min()
+    )
+    assert np.allclose(located.sd_mm, 1e3 * found.sd, rtol=2e-3)

@@ -38,7 +38,7 @@ from .columns import (
     turn_round,
     values_of,
 )
-from .lattice import Lattice, Readings
+from .lattice import Lattice, Readings, refuse_sharp
 from .signals import tracked_signals
 from .sums import alike, summarise, touch_posterior
 from .trackers import read_tracking, simulate_tracking
@@ -216,6 +216,7 @@ def locate(
         if observer.noise.is_categorical or not observer.noise.reads_signals:
             raise ValueError(f"A table holds signals, which {observer.noise!r} does not report.")
         check_magnitudes(observer, y[rows], found)
+        refuse_sharp(observer)
         lattice = Lattice(observer, with_receptors=receptors)
 
         def tell(now: int, _: int, before: int = done) -> None:
