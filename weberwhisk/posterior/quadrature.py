@@ -8,6 +8,7 @@ agree. What would take too many tiles gets a plain grid.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
 from .azimuths import AroundGrid, around, starts
+from .friction import FrictionSums, friction_rows
 from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
 from .nodes import NodeSums, turning_unknown
@@ -56,7 +58,7 @@ class _Found(NamedTuple):
     """Moments of some readings (n,), and the errors of mean and sd in sds, (n, U)."""
 
     rows: Index
-    tiled: TiledObserver | OwnGrids | NodeSums
+    tiled: TiledObserver | OwnGrids | NodeSums | FrictionSums
     moments: Moments
     error: Array
 
@@ -121,6 +123,8 @@ def quadrature(
     if observer.forward.azimuth is not None:
         found = _around(observer, reading, wanted, progress)
         left = np.setdiff1d(left, [f.rows[0] for f in found]).astype(np.intp)
+    elif observer.bounded == 2 and observer.unknowns[2:] == ("friction_angle",):
+        found, left = _by_friction(observer, reading, wanted, progress)
     elif observer.space.angle_range_varies and (name := turning_unknown(observer)) is not None:
         found, left = _by_nodes(observer, name, reading, length, wanted, progress)
     # A tile of the whole takes 0.1 ms, tiles of a reading's own take 10 ms.
@@ -152,16 +156,33 @@ def _by_nodes(
     observer: Observer, name: str, reading: Array, length: float, wanted: float, progress: Any
 ) -> tuple[list[_Found], Index]:
     """What sums over nodes of an unknown find, and which readings they do not serve."""
+    return _by_sums(
+        lambda some: NodeSums(observer, name, some, length, wanted, _tiled), reading, progress
+    )
+
+
+def _by_friction(
+    observer: Observer, reading: Array, wanted: float, progress: Any
+) -> tuple[list[_Found], Index]:
+    """What sums over rows of one distance each find, and which readings they do not serve."""
+    rows = friction_rows(observer)
+    if rows.coarse:
+        return [], np.arange(len(reading))
+    return _by_sums(lambda some: FrictionSums(rows, some, wanted), reading, progress)
+
+
+def _by_sums(
+    sums_of: Callable[[Array], NodeSums | FrictionSums], reading: Array, progress: Any
+) -> tuple[list[_Found], Index]:
     found: list[_Found] = []
+    left = np.ones(len(reading), dtype=bool)
     for start in range(0, len(reading), 512):
-        sums = NodeSums(observer, name, reading[start : start + 512], length, wanted, _tiled)
+        sums = sums_of(reading[start : start + 512])
+        left[start + sums.rows] = False
         if sums.rows.size:
             found.append(_Found(start + sums.rows, sums, sums.moments, sums.error))
         if progress:
             progress(min(start + 512, len(reading)), len(reading))
-    left = np.ones(len(reading), dtype=bool)
-    for part in found:
-        left[part.rows] = False
     return found, np.flatnonzero(left)
 
 
@@ -345,7 +366,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         error[rows] = part.error + moments.misfit[:, None] / 2
         log_evidence[rows] = moments.log_evidence
         signals[rows], contact[rows] = moments.signals, moments.contact
-        if not isinstance(part.tiled, NodeSums):
+        if not isinstance(part.tiled, NodeSums | FrictionSums):
             error[rows] += likelihood_of(observer).unsure
     known = np.isfinite(sd).all(axis=1)
     with np.errstate(invalid="ignore"):
@@ -386,7 +407,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
             value, off = np.full((2, dim, count, len(p)), np.nan)
             for part in found:
                 rows, args = part.rows, (reading[part.rows], np.array(p))
-                if isinstance(part.tiled, OwnGrids | NodeSums):
+                if isinstance(part.tiled, OwnGrids | NodeSums | FrictionSums):
                     for i in several:
                         value[i, rows], off[i, rows] = part.tiled.quantiles(args[1], i)
                 elif unknown == turning:
@@ -408,7 +429,7 @@ def _solution(observer: Observer, reading: Array, found: list[_Found], wanted: f
         rng = np.random.default_rng(seed)
         out = np.full((count, 4 * number, dim), np.nan)
         for part in found:
-            if isinstance(part.tiled, OwnGrids | NodeSums):
+            if isinstance(part.tiled, OwnGrids | NodeSums | FrictionSums):
                 out[part.rows] = part.tiled.draws(4 * number, rng)
                 continue
             x = draws(part.tiled, reading[part.rows], 4 * number, rng)

@@ -6,18 +6,19 @@ reading tells of them, about 0.75 sd, where the trapezoid rule's error is below 
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize.elementwise import find_root
 
-from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
-from .mechanics.contact import Outcome
-from .observer import Observer
-from .posterior.result import is_outside
+from ..coordinates import constrain_angle, constrain_distance, unconstrain_angle
+from ..mechanics.contact import Outcome
+from ..observer import Observer
+from .result import is_outside
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -43,8 +44,11 @@ class TouchRows:
 
     def __init__(self, observer: Observer) -> None:
         self.observer = observer
-        self.x = self._along()
+        #: Coordinates of the rows' distances, and the steps between them.
+        self.x, self.step = self._along()
         self.r, log_rate = distances(observer, self.x)
+        #: ln of the steps in m.
+        self.log_step = log_rate + np.log(self.step)
         self._lay()
         with np.errstate(divide="ignore"):
             self.log_held = np.log(self.held) + log_rate
@@ -53,6 +57,11 @@ class TouchRows:
                 ends, _ = distances(observer, (self.x[1:] + self.x[:-1]) / 2)
                 share = np.diff(prior.cdf(ends), prepend=0.0, append=1.0)
                 self.log_prior = self.log_held + np.log(share / np.gradient(self.r))
+
+    @property
+    def first(self) -> float:
+        """Coordinate of the first row's distance: at the base."""
+        return -3.4
 
     def contacts(self, r: Array, y: Array) -> tuple[Array, Array, Array]:
         """Contacts (n, D, U) at distances (n,) and angles' coordinates (n, D); ln dθ/dy."""
@@ -63,22 +72,29 @@ class TouchRows:
         with np.errstate(divide="ignore"):
             return contact[..., : self.observer.bounded], log_slope + np.log(width)[:, None], theta
 
-    def _along(self) -> Array:
-        """Coordinates of the rows' distances."""
-        ends = np.linspace(-3.4, 4.0, 75)
+    def _along(self) -> tuple[Array, Array]:
+        """Coordinates of the rows' distances, and the steps between them."""
+        ends = np.linspace(self.first, 4.0, 75)
         r, log_rate = distances(self.observer, ends)
         jnd = np.full(len(ends), np.inf)
-        for depth in (-3.0, -1.0, 0.0, 0.5, 1.0):
-            contact, *_ = self.contacts(r, np.full((len(r), 1), depth))
-            told = self.observer.information(self.observer.at_middle(contact[:, 0]))
+        further = [self.observer.prior[n] for n in self.observer.unknowns[self.observer.bounded :]]
+        for depth, share in product((-3.0, -1.0, 0.0, 0.5, 1.0), (0.02, 0.5, 0.98)):
+            if not further and share != 0.5:
+                continue
+            contact = self.contacts(r, np.full((len(r), 1), depth))[0][:, 0]
+            rest = [np.full((len(r), 1), prior.ppf(share)) for prior in further]
+            told = self.observer.information(np.concatenate([contact, *rest], axis=1))
             told = told[:, : self.observer.bounded, : self.observer.bounded]
             known = np.asarray(np.isfinite(told).all(axis=(1, 2)))
             with np.errstate(all="ignore"):
                 own = np.sqrt(np.linalg.pinv(np.where(known[:, None, None], told, 0.0))[:, 0, 0])
             jnd = np.fmin(jnd, np.where(known, own, np.inf))
         rate = np.clip(np.exp(log_rate) / np.maximum(jnd, 1e-12) / self.ALONG, 4.0, 400.0)
+        rate = np.exp(ndimage.gaussian_filter1d(np.log(rate), 1.5, mode="nearest"))
         rise = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(ends)))
-        return np.interp(np.linspace(0, rise[-1], int(rise[-1]) + 2), rise, ends)
+        x, count = PchipInterpolator(rise, ends), int(rise[-1]) + 2
+        place = np.linspace(0, rise[-1], count)
+        return x(place), x(place, 1) * rise[-1] / (count - 1)
 
     def _lay(self, at_once: int = 48) -> None:
         """The nodes' angles, signals and ln of weights, and where each row of them starts."""
