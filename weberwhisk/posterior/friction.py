@@ -58,9 +58,10 @@ class FrictionRows(TouchRows):
     summed by 6 × 6 of Gauss and Legendre's nodes each.
     """
 
-    #: The longest parts, in sd: 3e-6 of an evidence off, and 2e-4 at 7.5; pairs at a time; how far
-    #: below the highest of a row and of a reading, in ln, parts are left out.
-    LONGEST, AT_ONCE, DEPTHS = 5.5, 1000, (11.0, 18.0)
+    #: The longest parts, in sd: 3e-6 of an evidence off, and 2e-4 at 7.5; pairs at a time.
+    LONGEST, AT_ONCE = 5.5, 1000
+    #: As of `leaves`; other touches may want what is far below one's highest.
+    DEPTHS = 11.0, 40.0
 
     @property
     def first(self) -> float:
@@ -156,20 +157,28 @@ class FrictionRows(TouchRows):
         return signals.reshape(*flat, signals.shape[-1]), contact.reshape(*flat, 4)
 
     def leaves(
-        self, reading: Array, rows: Index, log_step: Array | None = None
+        self, reading: Array, rows: Index, log_step: Array, depths: tuple[float, float]
     ) -> Iterator[Leaves]:
         """What readings (B, R) can be of rows (n,), some rows at a time.
 
-        Rows count with ln of their steps, by default those in m.
+        But for what is so far below the highest of its row and, with ln of the rows' steps, of its
+        reading, in ln.
         """
-        log_step = self.log_step if log_step is None else log_step
         size = max(1, self.AT_ONCE // len(reading))
         rows, top = rows[self.known[rows]], np.full((len(reading), len(self.r)), -np.inf)
         for start in range(0, len(rows), size):
-            yield from self._leaves(reading, rows[start : start + size], log_step, top)
+            some = rows[start : start + size]
+            yield from self._leaves(reading, some, log_step, depths, top)
 
     def _leaves(
-        self, reading: Array, row: Index, log_step: Array, top: Array, *, deepest: int = 60
+        self,
+        reading: Array,
+        row: Index,
+        log_step: Array,
+        depths: tuple[float, float],
+        top: Array,
+        *,
+        deepest: int = 60,
     ) -> Iterator[Leaves]:
         noise, prior = self.observer.noise, self.observer.prior
         # Pairs of a reading and a part.
@@ -227,8 +236,8 @@ class FrictionRows(TouchRows):
                 )
             ended = done[part]
             np.maximum.at(top, (which, row[part]), least)
-            of_row, of_reading = self.DEPTHS
-            least = np.maximum(top[which, row[part]] - of_row, top.max(axis=1)[which] - of_reading)
+            least = top[which, row[part]] - depths[0]
+            least = np.maximum(least, top.max(axis=1)[which] - depths[1])
             live = most > least
             pair = np.flatnonzero(ended & live)
             if pair.size:
@@ -258,7 +267,7 @@ class FrictionRows(TouchRows):
         The same with any stride.
         """
         out = np.full((len(reading), len(self.r)), -np.inf)
-        for found in self.leaves(reading, rows):
+        for found in self.leaves(reading, rows, self.log_step, self.DEPTHS):
             np.logaddexp.at(out, (found.which, found.row), _sum(found.log)[0])
         with np.errstate(divide="ignore"):
             out = out[:, rows] - np.log(self.held[rows])
@@ -266,7 +275,9 @@ class FrictionRows(TouchRows):
 
     def best_contacts(self, reading: Array, row: int) -> tuple[Array, bool]:
         """The most probable contacts (n, U) at one distance; if any is 5 sd from its reading."""
-        contact, known = _best(_joined(self.leaves(reading, np.array([row]))), len(reading))
+        contact, known = _best(
+            _joined(self.leaves(reading, np.array([row]), self.log_step, self.DEPTHS)), len(reading)
+        )
         if not known.all():
             return contact[:0], True
         signals = self.observer.signals(contact)[0]
@@ -338,6 +349,8 @@ class FrictionSums:
     """
 
     count = 1
+    #: As of `leaves`: at k = 0.3 means are 1e-4 sd off.
+    DEPTHS = 7.0, 11.0
     #: Readings that are worked on together; every so many rows at first.
     together, coarsest = 16, 4
 
@@ -398,7 +411,7 @@ class FrictionSums:
         """
         grid, size = self.grid, len(self.grid.r)
         rows = np.arange(0, size, self.coarsest)
-        found = _joined(grid.leaves(self.reading[some], rows, self.log_step))
+        found = _joined(grid.leaves(self.reading[some], rows, self.log_step, self.DEPTHS))
         left = np.arange(len(some))
         while True:
             weight, log = self._weight(some, found)
@@ -414,7 +427,7 @@ class FrictionSums:
             if live.size:
                 rows = rows[(rows > live.min() - 2 * stride) & (rows < live.max() + 2 * stride)]
             self.stride[some[left]] //= 2
-            more = grid.leaves(self.reading[some[left]], rows, self.log_step)
+            more = grid.leaves(self.reading[some[left]], rows, self.log_step, self.DEPTHS)
             found = _joined([found, *(m._replace(which=left[m.which]) for m in more)])
 
     def _weight(self, some: Index, found: Leaves) -> tuple[Array, Array]:
@@ -453,7 +466,7 @@ class FrictionSums:
                 off = np.maximum(np.abs(other - mean) / sd, np.abs(width / sd - 1))
                 error = np.maximum(error, np.nan_to_num(off, nan=np.inf))
         # What every other row changes falls as the square root of what all leave, and faster.
-        return mean, sd, np.where(error < 0.1, error**1.5, error) + 1e-4
+        return mean, sd, np.where(error < 0.1, error**1.5, error) + 2e-4
 
     def _again(self) -> Iterator[tuple[Index, Leaves, Array]]:
         """Some of the readings that are served, as places (b,) among them; as of `_refined`."""
@@ -464,7 +477,9 @@ class FrictionSums:
                 some = self.rows[at]
                 rows = np.arange(0, len(self.grid.r), stride)
                 inside = (rows >= self.first[some].min()) & (rows <= self.last[some].max())
-                found = _joined(self.grid.leaves(self.reading[some], rows[inside], self.log_step))
+                found = _joined(
+                    self.grid.leaves(self.reading[some], rows[inside], self.log_step, self.DEPTHS)
+                )
                 yield at, found, self._weight(some, found)[0]
 
     def quantiles(self, p: Array, unknown: int) -> tuple[Array, Array]:
