@@ -1,6 +1,7 @@
 """Simulation-based calibration of every cue's posterior, of the engines and of the fits.
 
     python analyses/calibration.py [--short] [folder] [--workers 2] [--scheduler tcp://...]
+    python analyses/calibration.py --draw analyses/figures/calibration.csv [folder]
 
 Truths are drawn from the observer's own prior, readings from `observer.read` (trials from
 `simulate_trials`), and the rank of each truth among draws from its posterior must be uniform
@@ -8,7 +9,7 @@ Truths are drawn from the observer's own prior, readings from `observer.read` (t
 posterior that has not looked at the data (Modrák et al. 2023, Bayesian Analysis). Uniform means:
 the ECDF stays within simultaneous bands (Säilynoja, Bürkner & Vehtari 2022, Statistics and
 Computing 32, 32). The broken models at the end must be caught by the same test. Writes calibration
-(CSV, PNG, SVG): ranks' p-values and coverage at 50, 80 and 95 %, and the ECDFs' departures.
+(CSV, PNG, SVG): ranks' p-values and coverage at 50, 80 and 95 %; `--draw` draws such a table.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from weberwhisk.cues import (
     LateralSlip,
     SpaceMap,
     TwoWhiskers,
+    UnknownCurvature,
     UnknownStiffness,
     Vibration,
     VibrissaLength,
@@ -99,6 +101,10 @@ REAL: dict[str, Callable[[], Observer]] = {
     "force map, concave whisker": lambda: Observer(replace(WHISKER, curvature=-12.0), ForceMap()),
     "force map, convex whisker": lambda: Observer(replace(WHISKER, curvature=8.0), ForceMap()),
     "force map, rubbing": lambda: Observer(WHISKER, Friction(ForceMap(), angle=np.radians(15.0))),
+    "force map, curvature uncertain": lambda: Observer(
+        replace(WHISKER, curvature=8.0), UnknownCurvature(ForceMap(), 2.0)
+    ),
+    "map in space, curved whisker": lambda: Observer(replace(WHISKER, curvature=8.0), SpaceMap()),
 }
 RECEPTORS: dict[str, Observer] = {
     "Weber, k = 0.5": Observer(WHISKER, Compliance(), Weber(0.5)),
@@ -315,7 +321,9 @@ def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
             "cues",
             name,
             "quadrature",
-            lambda make=make: posterior_ranks(make(), sizes[1], seed=seed),
+            lambda make=make, n=sizes[3 if "uncertain" in name or "space" in name else 0]: (
+                posterior_ranks(make(), n, seed=seed)
+            ),
         )
     for name, o in CUES.items():
         yield (
@@ -406,80 +414,61 @@ def verdict(table: pd.DataFrame) -> str:
     )
 
 
+#: Groups of jobs whose models are right, in plain terms.
+GROUPS = {"cues": "cues", "receptors": "receptors", "emcee": "cues by emcee", "fits": "fits"}
+
+
 @figures.styled
-def draw(rows: list[Row]) -> Figure:
-    """ECDFs less the diagonal, times √n, a panel a group; below the last, coverage."""
-    figure = figures.new_figure(figures.DOUBLE, 6.0)
-    groups = {
-        "cues": "cues, quadrature",
-        "receptors": "receptors, quadrature",
-        "emcee": "emcee",
-        "fits": "fits of choices",
-        "broken": "broken on purpose",
-    }
-    axes = figure.subplots(2, 3).ravel()
-    for ax, (group, title) in zip(axes, groups.items(), strict=False):
-        some = [r for r in rows if r.group == group]
-        most = max(r.ranks.size for r in some)
-        points, low, high = band(most)
-        root = np.sqrt(most)
-        ax.fill_between(
-            points, (low - points) * root, (high - points) * root, color="0.85",
-            label="95 % of right posteriors" if group == "broken" else None,
-        )  # fmt: skip
-        # Of a broken model the quantity that gives it away.
-        if group == "broken":
-            best: dict[str, Row] = {}
-            for r in some:
-                if r.name not in best or uniform_p(r.ranks) < uniform_p(best[r.name].ranks):
-                    best[r.name] = r
-            some = list(best.values())
-        for i, r in enumerate(some):
-            ordered = np.sort(r.ranks)
-            grid = _points(r.ranks.size)
-            ecdf = np.searchsorted(ordered, grid, side="right") / ordered.size
-            ax.plot(
-                grid,
-                (ecdf - grid) * np.sqrt(ordered.size),
-                color=figures.COLOURS[i % len(figures.COLOURS)],
-                linestyle=figures.LINES[i // len(figures.COLOURS) % len(figures.LINES)],
-                linewidth=0.7,
-                label=r.name if group == "broken" else None,
-            )
-        if group == "broken":
-            broken = ax
-        ax.set(title=f"{title}: {len(some)}", xlabel="rank", ylabel="√n (ECDF − rank)")
-    table = pd.DataFrame([r.numbers() for r in rows])
-    for i, group in enumerate(groups):
-        some_rows = table[table["group"] == group]
+def draw(table: pd.DataFrame) -> Figure:
+    """From the table alone: p of all sets of ranks in order, coverage, and what is wrong."""
+    figure = figures.new_figure(figures.DOUBLE, 3.0)
+    ordered, covered, caught = figure.subplots(1, 3, width_ratios=[1, 1, 0.6])
+    ordered.plot([0, 1], [0, 1], color="0.7", linewidth=0.7)
+    at = np.linspace(0.005, 0.995, 100)
+    # Ranks of one observer go together: as many are independent as there are observers.
+    most = int(table.loc[table["group"] == "cues", "name"].nunique())
+    low, high = stats.beta.interval(0.95, at * (most + 1), (1 - at) * (most + 1))
+    ordered.fill_between(at, low, high, color="0.88", linewidth=0)
+    for i, (group, words) in enumerate(GROUPS.items()):
+        own = table[table["group"] == group]
+        look = {"color": figures.COLOURS[i], "marker": figures.MARKERS[i], "linestyle": ""}
+        p = np.sort(own["p"])
+        label = f"{words} ({len(own)})"
+        ordered.plot((np.arange(len(p)) + 0.5) / len(p), p, markersize=2, label=label, **look)
         for j, mass in enumerate(MASSES):
-            value = some_rows[f"covered_{mass:.0%}".rstrip("%")]
-            axes[5].plot(
-                j + (i - 2) * 0.15 + np.linspace(-0.05, 0.05, len(value)),
-                value - mass,
-                figures.MARKERS[i],
-                color=figures.COLOURS[i],
-                markersize=2,
-                label=group if j == 0 else None,
-            )
-    axes[5].axhline(0, color="0.7", linewidth=0.7, zorder=0)
-    axes[5].set(title="coverage", ylabel="covered − nominal", ylim=(-0.3, 0.4))
-    axes[5].set_xticks(range(3), [f"{m:.0%}" for m in MASSES])
-    axes[5].legend(ncols=2, loc="upper center")
-    names = broken.get_legend_handles_labels()
-    figure.legend(
-        *names, loc="outside lower center", ncols=3, title="bands, and models broken on purpose"
-    )
+            off = 100 * (own[f"covered_{mass:.0%}".rstrip("%")] - mass)
+            error = 196 * np.sqrt(mass * (1 - mass) / own["n"])
+            x = 5 * j + i + np.linspace(-0.35, 0.35, len(own))
+            covered.vlines(x, -error, error, color="0.88", linewidth=1.5, zorder=0)
+            covered.plot(x, off, markersize=2, **look)
+    ordered.set(xlabel="place in order, share", ylabel="p of uniform ranks")
+    covered.axhline(0, color="0.7", linewidth=0.7, zorder=0)
+    covered.set(xlabel="nominal coverage", ylabel="covered more than nominal (%)")
+    covered.set_xticks([5 * j + 1.5 for j in range(3)], [f"{m:.0%}" for m in MASSES])
+    worst = table[table["group"] == "broken"].groupby("name", sort=False)["p"].min()
+    caught.barh(range(len(worst)), -np.log10(worst), color=figures.COLOURS[0], height=0.6)
+    caught.axvline(-np.log10(0.05), color="0.4", linewidth=0.7, linestyle="--")
+    caught.text(-np.log10(0.05), -0.55, " p = 0.05", color="0.4", fontsize=6, va="bottom")
+    caught.set_yticks(range(len(worst)), list(worst.index))
+    caught.set(xlabel="−log10 p", title="wrong on purpose", ylim=(len(worst) - 0.4, -1.1))
+    ordered.set_title("right models: p in order")
+    covered.set_title("right models: coverage")
+    figure.legend(*ordered.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
-def make(folder: Path, *, short: bool = False, **how: Any) -> pd.DataFrame:
-    """Table and figure into `folder`; `how` is for `campaign.run`."""
-    rows = run_all(SHORT if short else FULL, **how)
-    table = pd.DataFrame([r.numbers() for r in rows])
+def make(
+    folder: Path, *, short: bool = False, drawn: Path | None = None, **how: Any
+) -> pd.DataFrame:
+    """Table, or that in the file `drawn`, and figure into `folder`; `how` is for `campaign.run`."""
+    if drawn is not None:
+        table = pd.read_csv(drawn)
+    else:
+        rows = run_all(SHORT if short else FULL, **how)
+        table = pd.DataFrame([r.numbers() for r in rows])
     with Run(folder, "calibration", {"short": short}, SEED) as run:
         run.table("calibration", table)
-        run.figure("calibration", draw(rows))
+        run.figure("calibration", draw(table))
     return table
 
 
@@ -487,10 +476,14 @@ if __name__ == "__main__":
     # By its own name, which workers can import.
     import calibration
 
-    given = options(__file__, __doc__, short="few draws", workers=True)
+    given = options(__file__, __doc__, short="few draws", workers=True, drawn=True)
     workers = campaign.all_cores(given.workers, given.scheduler)
     made = calibration.make(
-        given.folder, short=given.short, workers=workers, scheduler=given.scheduler
+        given.folder,
+        short=given.short,
+        drawn=given.draw,
+        workers=workers,
+        scheduler=given.scheduler,
     )
     print(made.to_string(index=False, float_format="{:.3g}".format))
     print(verdict(made))

@@ -19,6 +19,7 @@ def options(
     sets: int | None = None,
     seed: int | None = None,
     workers: bool = False,
+    drawn: bool = False,
 ) -> argparse.Namespace:
     """What was written after the script's name; `--help` prints its docstring and ends.
 
@@ -34,6 +35,8 @@ def options(
         Data sets of each kind and seed, by default.
     workers : bool
         Whether it takes `--workers` and `--scheduler`.
+    drawn : bool
+        Whether it takes `--draw` and a table that it made.
     """
     parser = argparse.ArgumentParser(
         description=inspect.cleandoc(description or ""),
@@ -50,6 +53,8 @@ def options(
     if workers:
         parser.add_argument("--workers", type=int, help="processes; by default one a core")
         parser.add_argument("--scheduler", help="of a dask.distributed cluster")
+    if drawn:
+        parser.add_argument("--draw", type=Path, help="draw this table, and compute nothing")
     return parser.parse_args()
 
 

@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import stability_choices
-import stability_fusions
 import stability_outside
 import stability_populations
 import stability_posteriors
 import stability_rungs
 import stability_space
 import stability_walkers
+import stability_whiskers
 from command import options
 from hunting import Domain, Fate, hunt, silent
 from matplotlib.axes import Axes
@@ -107,7 +107,8 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
     found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
     found += [(d, "outside the domain", "x", "y", 4) for d in stability_outside.DOMAINS]
     several = "quadrature, several unknowns"
-    found += [(d, several, "distance", "k", 4) for d in stability_fusions.DOMAINS]
+    for d, effort in zip(stability_whiskers.DOMAINS, (4, 4, 1, 1), strict=True):
+        found.append((d, several, "distance", "k" if "k" in d.axes else "fraction", effort))
     return found
 
 

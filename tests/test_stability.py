@@ -47,6 +47,9 @@ SIZES = {
     "quadrature, vibration, phase, odd readings": (6, 1),
     "contacts outside": (20, 1),
     "fusions of any whisker": (1, 0),
+    "real whiskers": (1, 0),
+    "curvature or hinge uncertain": (1, 0),
+    "curved whiskers in space": (1, 0),
     "posteriors outside": (6, 0),
 }
 
@@ -58,6 +61,7 @@ LONG = {
     "rod, in the plane", "fit of choices", "quadrature, tap and map fused",
     "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
     "quadrature, angle-side-angle, side unknown", "emcee, compliance", "fusions of any whisker",
+    "real whiskers", "curvature or hinge uncertain", "curved whiskers in space",
 }  # fmt: skip
 
 

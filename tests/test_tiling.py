@@ -25,7 +25,7 @@ from weberwhisk.posterior.tiled import TiledObserver
 from weberwhisk.posterior.tiling import TooManyTiles, tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
-fusions = load("stability_fusions")
+fusions = load("stability_whiskers")
 W = ww.Whisker(50e-3, 100e-6, 5e-6)
 WHISKERS = {
     "R = 20": W,

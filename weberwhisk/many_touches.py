@@ -42,7 +42,9 @@ class Touches:
         Of the radial distance, m.
     status : Status
         `IMPROBABLE_READING` where a touch lies more than 5 sd from every contact at the distance
-        found, or 8 from its own best; `UNIDENTIFIED` where none of them tells of its contact.
+        found, or 8 from its own best; `UNIDENTIFIED` where none of them tells of its contact;
+        `IMPRECISE` where more than 3e-3 of a touch's likelihood may lie between the nodes summed,
+        as beside a zero of a signal, where Weber's law has no noise.
     r, density : array
         Density of the distance, 1/m, at distances, m.
     """
@@ -153,7 +155,12 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         contact, far = grid.best_contacts(y, rows[top])
         # A distance that all touches allow is for none of them worse by 8 sd than its own best.
         far |= len(y) > 1 and bool((best - each[:, top] > 32.0).any())
-    status = Status.IMPRECISE if grid.coarse else Status.CONVERGED
+    sure = np.maximum(each, -1e6)
+    whole = sure.sum(axis=0) + grid.log_prior[rows]
+    might = whole - sure + np.logaddexp(sure, grid.hidden(y, rows))
+    missed = np.logaddexp.reduce(might, axis=1) - np.logaddexp.reduce(whole)
+    precise = not grid.coarse and missed.max() < 3e-3
+    status = Status.CONVERGED if precise else Status.IMPRECISE
     if far:
         status = Status.IMPROBABLE_READING
     if len(rows) < 4 or log[top] == -np.inf:

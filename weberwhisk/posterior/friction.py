@@ -273,6 +273,10 @@ class FrictionRows(TouchRows):
             out = out[:, rows] - np.log(self.held[rows])
         return np.nan_to_num(out, nan=-np.inf, neginf=-np.inf)
 
+    def hidden(self, reading: Array, rows: Index) -> Array:
+        """Nothing: parts are cut until none lies between nodes."""
+        return np.full((len(reading), len(rows)), -np.inf)
+
     def best_contacts(self, reading: Array, row: int) -> tuple[Array, bool]:
         """The most probable contacts (n, U) at one distance; if any is 5 sd from its reading."""
         contact, known = _best(

@@ -112,6 +112,7 @@ class TouchRows:
         self.theta, self.weight = np.zeros((2, self.start[-1]))
         low, width = observer.angle_range(self.r)
         prior = observer.prior.get("deflection_angle")
+        rough = []
         for first in range(0, n, at_once):
             rows = np.arange(first, min(first + at_once, n))
             begin, stop = self.start[[rows[0], rows[-1] + 1]]
@@ -146,7 +147,39 @@ class TouchRows:
                 # In C's order, or each `take` would copy the whole of it first.
                 self.signals = np.empty((len(self.theta), signals.shape[-1]))
             self.signals[begin:stop] = np.where(held[:, None], signals, 1.0)
+            mean, sd = observer.noise.mean(signals), observer.noise.sd(signals)
+            far = np.abs(np.diff(mean, axis=0)) > 2 * self.ACROSS * np.maximum(sd[1:], sd[:-1])
+            node, which = np.nonzero(far & (row[1:] == row[:-1])[:, None])
+            rough.append([node + begin, which])
+        #: Nodes from which it is far to the next of their row, and by which number of a reading.
+        self.rough = np.concatenate(rough, axis=1)
         self._sort()
+
+    def hidden(self, reading: Array, rows: Index) -> Array:
+        """ln of the most that likelihoods (n, rows) may miss between nodes.
+
+        About a signal's zero, where its noise is none, Weber's law asks for nodes without end: the
+        likelihood of a reading (n, R) so near it is a peak of that number alone, as high as the
+        other numbers have it, between two nodes.
+        """
+        out = np.full((len(rows), len(reading)), -np.inf)
+        first, past = np.searchsorted(self.rough[0], self.start[[rows[0], rows[-1] + 1]])
+        node, which = self.rough[:, first:past]
+        row = np.searchsorted(self.start, node, side="right") - 1
+        at = np.minimum(np.searchsorted(rows, row), len(rows) - 1)
+        some = rows[at] == row
+        node, which, at = node[some], which[some], at[some]
+        both, each = node[:, None] + [0, 1], (np.arange(len(node)), slice(None), which)
+        noise, signals = self.observer.noise, self.signals[both]
+        ends, sd = noise.mean(signals)[each], noise.sd(signals)[each]
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        touch, i = np.nonzero((reading[:, which] >= low) & (reading[:, which] <= high))
+        as_read = np.repeat(reading[touch][:, None], 2, axis=1)
+        as_read[np.arange(len(i)), :, which[i]] = ends[i]
+        log = noise.log_likelihood(as_read, signals[i]) + self.weight[both[i]] + np.log(sd[i])
+        peak = log.max(axis=1) + 0.5 * np.log(2 * np.pi) - np.log(high - low)[i]
+        np.logaddexp.at(out, (at[i], touch), peak)
+        return out.T
 
     def _sort(self, bins: int = 512) -> None:
         """Between which nodes of a row readings can be, known by what bins they lie in."""
