@@ -688,3 +688,16 @@ def test_an_unknown_friction_is_summed_as_midpoints_are(curvature):
     assert found.status == ww.Status.CONVERGED
     assert found.mean == pytest.approx(mean, abs=2e-3 * sd)
     assert found.sd == pytest.approx(sd, rel=2e-3)
+
+
+def test_a_model_that_loses_contacts_is_not_chosen():
+    """The balance of moments ends earlier straight: 0.5 sd off at 0.85 of the reach, converged."""
+    bent = whisker(20, -12.0)
+    observer = Observer(bent, BalanceOfMoments(), Weber(0.1))
+    assert observer.model == "profile"
+    assert observer.why.endswith("the straight elastica has contacts lost that are held")
+    exact = replace(observer, tolerance=1e-9)
+    reading = exact.signals(np.linspace(0.1, 0.95, 18)[:, None] * exact.reach[1])[0]
+    assert np.isfinite(reading).all()
+    found, wanted = posterior(observer, reading), posterior(exact, reading)
+    np.testing.assert_array_less(np.abs(found.mean - wanted.mean), 1e-6 * wanted.sd)

@@ -323,7 +323,10 @@ def why(observer: Any) -> str:
     whole = "the rod" if forward.azimuth is not None else "the curved planar beam"
     if not forward.is_smooth:
         return f"{whole} models all there is, and nothing cheaper does"
-    off = f"the straight elastica is off by up to {of_model(observer, 'elastica'):.2g} JND"
+    bias = of_model(observer, "elastica")
+    if np.isinf(bias):
+        return f"{whole} models all there is; the straight elastica has contacts lost that are held"
+    off = f"the straight elastica is off by up to {bias:.2g} JND"
     start = "" if observer.model == "elastica" else f"{whole} models all there is; "
     return f"{start}{off}, {observer.tolerance:g} allowed"
 
@@ -382,10 +385,16 @@ def of_shape_at_rest(observer: Any) -> float:
 
 
 def of_model(observer: Any, model: str) -> float:
-    """Largest bias that a model brings at 36 contacts in the reach, JNDs."""
-    contact = observer.contact(observer.space.spread(np.linspace(0.1, 0.9, 6)))[0]
+    """Largest bias that a model brings at 36 contacts in the reach, JNDs.
+
+    Infinite where it has contacts lost that are held: no distance beyond is possible to it.
+    """
+    each = 36 if observer.bounded == 1 else 6
+    contact = observer.contact(observer.space.spread(np.linspace(0.1, 0.9, each)))[0]
     exact = observer.cue.signals(observer.whisker, contact)
     rough = observer.cue.signals(observer.whisker, contact, model=model)
+    if ((exact[1] == Outcome.HELD) & (rough[1] != Outcome.HELD)).any():
+        return np.inf
     return between(observer, contact, exact, rough)
 
 
