@@ -101,6 +101,7 @@ REAL: dict[str, Callable[[], Observer]] = {
     "force map, concave whisker": lambda: Observer(replace(WHISKER, curvature=-12.0), ForceMap()),
     "force map, convex whisker": lambda: Observer(replace(WHISKER, curvature=8.0), ForceMap()),
     "force map, rubbing": lambda: Observer(WHISKER, Friction(ForceMap(), angle=np.radians(15.0))),
+    "force map, friction unknown": lambda: Observer(WHISKER, Friction(ForceMap())),
     "force map, curvature uncertain": lambda: Observer(
         replace(WHISKER, curvature=8.0), UnknownCurvature(ForceMap(), 2.0)
     ),
@@ -317,13 +318,12 @@ def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
         for name, o in some.items():
             yield group, name, "quadrature", lambda o=o: posterior_ranks(o, of(o), seed=seed)
     for name, make in REAL.items():
+        dear = any(word in name for word in ("uncertain", "unknown", "space"))
         yield (
             "cues",
             name,
             "quadrature",
-            lambda make=make, n=sizes[3 if "uncertain" in name or "space" in name else 0]: (
-                posterior_ranks(make(), n, seed=seed)
-            ),
+            lambda make=make, n=sizes[3 if dear else 0]: posterior_ranks(make(), n, seed=seed),
         )
     for name, o in CUES.items():
         yield (

@@ -2,7 +2,7 @@
 
 Given the distance, touches are independent: each has a likelihood of the distance alone, its own
 deflection integrated out, and these multiply. They are summed over a grid of contacts that is made
-once for each observer (`touch_rows`).
+once for each observer (`posterior.rows`).
 """
 
 from __future__ import annotations
