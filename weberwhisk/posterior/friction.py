@@ -117,7 +117,7 @@ class FrictionRows(TouchRows):
         rng = np.random.default_rng(20261123)
         row = rng.choice(np.flatnonzero(self.known), count)
         c, share = rng.uniform(0.02, 0.98, (2, count))
-        found, contact = self.felt(row, np.column_stack([c, c, share, share]), np.zeros(1))
+        found, contact = self.signals_in(row, np.column_stack([c, c, share, share]), np.zeros(1))
         off, held = self.off(contact[:, 0, :3], found[:, 0])
         return float(np.quantile(np.nan_to_num(off[held], nan=np.inf), 0.95))
 
@@ -131,7 +131,7 @@ class FrictionRows(TouchRows):
             off = np.abs(found_low + found_high - low - high) / 2 / (high - low)
         return off.max(axis=-1), held
 
-    def felt(self, row: Index, box: Array, at: Array = _X) -> tuple[Array, Array]:
+    def signals_in(self, row: Index, box: Array, at: Array = _X) -> tuple[Array, Array]:
         """Signals (m, J², S) in parts (m, 4) of rows, at places −1 to 1 of either; contacts.
 
         With the contacts' measure, of dθ = 2 c width dc, (m, J², 4).
@@ -144,15 +144,15 @@ class FrictionRows(TouchRows):
             chebyshev.chebvander(2 * side - 1, k - 1)
             for side, k in zip(sides, self.parts.shape[2:], strict=True)
         )
-        felt = first[:, None] @ (self.parts[row] @ second.swapaxes(1, 2)[:, None])
-        felt = np.moveaxis(felt, 1, -1)
+        encoded = first[:, None] @ (self.parts[row] @ second.swapaxes(1, 2)[:, None])
+        encoded = np.moveaxis(encoded, 1, -1)
         width = (second @ self.ranges[row][:, :, None]).swapaxes(1, 2)
-        contact = np.empty((*felt.shape[:3], 4))
+        contact = np.empty((*encoded.shape[:3], 4))
         contact[..., 0] = self.r[row][:, None, None]
         contact[..., 1] = self.low + width * (1 - sides[0][:, :, None] ** 2)
         contact[..., 2] = self._value(sides[1])[:, None]
         contact[..., 3] = 2 * sides[0][:, :, None] * width
-        signals = felt * contact[..., 1:2]
+        signals = encoded * contact[..., 1:2]
         flat = len(row), -1
         return signals.reshape(*flat, signals.shape[-1]), contact.reshape(*flat, 4)
 
@@ -190,7 +190,7 @@ class FrictionRows(TouchRows):
         last = prior[self.observer.unknowns[-1]]
         sharpest = [0.0 if p is None else highest(p) for p in (angle, last)]
         for depth in range(deepest):
-            signals, contact = self.felt(row, box)
+            signals, contact = self.signals_in(row, box)
             low, high = noise.interval(signals, 6.0)
             low, high = low.min(axis=1), high.max(axis=1)
             room = 0.1 * (high - low)
@@ -383,7 +383,8 @@ class FrictionSums:
                 continue
             pair, node = _chosen(found.which, nodes, len(some), 24, rng)
             used, of = np.unique(pair, return_inverse=True)
-            signals = grid.felt(found.row[used], found.box[used])[0][of.reshape(node.shape), node]
+            signals, _ = grid.signals_in(found.row[used], found.box[used])
+            signals = signals[of.reshape(node.shape), node]
             off, _ = grid.off(found.contact[pair, node], signals)
             misfit[some] = np.where(held[some], off.mean(axis=1), np.nan)
         top = self.log.max(axis=1)
