@@ -160,7 +160,10 @@ def test_finite_elements_agree():
         omega.append(1 / np.sqrt(values[::-1]))
     got = modes(TAPER, 5).angular_frequency
     np.testing.assert_allclose(omega[1], got, rtol=1e-6)
-    assert np.all(np.abs(omega[1] / got - 1) < np.abs(omega[0] / got - 1) / 10)
+    # But for rounding: stiffnesses, with ones on their diagonal, have a condition of 2e8, and the
+    # lowest mode was 1.5e-10 off on one processor whatever the elements.
+    coarse, fine = np.abs(np.array(omega) / got - 1)
+    assert np.all(fine < np.maximum(coarse / 10, 1e-9))
 
 
 def test_impulse_response_is_that_of_finite_elements_in_time():
