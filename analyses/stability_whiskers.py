@@ -40,7 +40,7 @@ FLOOR = 0.05
 #: How far off, in sds, what converged may be without saying so; the evidence in ln.
 ADMITTED = 1e-2
 REAL_RATIOS = (1.0, 5.0, 20.0, 40.0, 0.0)
-ENCODED = ("M, Fx", "M, Fy", "M, Fx, Fy", "a tap")
+SENSED = ("M, Fx", "M, Fy", "M, Fx, Fy", "a tap")
 #: Weber fractions of observers that are made once, as their tables take long.
 FRACTIONS = (0.03, 0.1, 0.3)
 
@@ -98,9 +98,9 @@ def real(of: dict[str, float]) -> Observer:
     radius, ratio = of["slender"] * of["length"], _one(of, "ratio", REAL_RATIOS)
     tip = radius / ratio if ratio else 0.0
     whisker = Whisker(of["length"], radius, tip, curvature=of["curvature"])
-    felt = _one(of, "felt", ENCODED)
+    sensed = _one(of, "sensed", SENSED)
     signals = {"M, Fx": SIGNALS[:2], "M, Fy": SIGNALS[::2], "M, Fx, Fy": SIGNALS}
-    cue = cues.ForceMap(signals[felt]) if felt in signals else cues.Compliance(tap_angle=0.1)
+    cue = cues.ForceMap(signals[sensed]) if sensed in signals else cues.Compliance(tap_angle=0.1)
     return Observer(
         whisker, cues.Friction(cue, np.radians(of["friction"])), noise_of(whisker, cue, of["k"])
     )
@@ -310,7 +310,7 @@ DOMAINS = (
     ),
     Domain(
         "real whiskers",
-        {"felt": Axis(0.0, len(ENCODED) - 1e-9), "ratio": Axis(0.0, len(REAL_RATIOS) - 1e-9)}
+        {"sensed": Axis(0.0, len(SENSED) - 1e-9), "ratio": Axis(0.0, len(REAL_RATIOS) - 1e-9)}
         | SIZE
         | {
             "curvature": Axis(-25.0, 25.0, special=(0.0,)),

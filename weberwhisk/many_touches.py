@@ -26,7 +26,6 @@ from .posterior.rows import TouchRows, distances
 from .receptors import Seed
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

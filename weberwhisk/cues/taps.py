@@ -26,7 +26,7 @@ from .protocol import Array, Cue, Encoded, reach_at, readings, straight
 class Compliance(Cue):
     """Radial distance from the moment rate Ṁ and the angular velocity θ̇ (equation (2.1)).
 
-    By default θ̇ is known. With a spread it is unknown, felt with noise of its own, and the
+    By default θ̇ is known. With a spread it is unknown, sensed with noise of its own, and the
     posterior of the distance is that of both readings.
 
     Parameters
@@ -247,7 +247,7 @@ class LateralSlip(Cue):
             )
 
     def sticks(self, surface_tilt: ArrayLike) -> NDArray[np.bool_]:
-        """Where friction holds the whisker: the tilt is not felt there, the distance is."""
+        """Where friction holds the whisker: the tilt is not sensed there, the distance is."""
         return np.asarray(np.abs(finite("surface_tilt", surface_tilt, "give radians")) <= (
             self.friction_angle
         ))  # fmt: skip
@@ -336,11 +336,11 @@ class Vibration(Cue):
     Parameters
     ----------
     count : int
-        Modes that are felt, 2 to 12 (with J known 1 to 12).
+        Modes that are sensed, 2 to 12 (with J known 1 to 12).
     impulse : float, optional
         J, N s, where it is known.
     phase : bool
-        Whether the phase is felt too: then signals have the sign of φ_n(r).
+        Whether the phase is sensed too: then signals have the sign of φ_n(r).
     damping_ratio : float
         Share of critical damping of every mode.
 
@@ -356,7 +356,7 @@ class Vibration(Cue):
     to any two neighbours the outcome is `UNRESOLVED` everywhere. Ratios to one amplitude have
     correlated noise, ½ between any two for equal Weber fractions; with that correlation their
     information is that of the amplitudes with J unknown, Σ(l_n − l̄)²/k² with l_n = d ln|φ_n|/dr.
-    An amplitude of zero, at a node, is felt no better than the floor of the noise.
+    An amplitude of zero, at a node, is sensed no better than the floor of the noise.
 
     The signature need not be unique: `posterior.peaks.count_peaks` counts the places left. Of them
     quadrature in one dimension misses none; emcee and Laplace may, and then say so. With further

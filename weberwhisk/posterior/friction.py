@@ -2,10 +2,10 @@
 
 Friction turns the sign of a force, and noise that is in proportion to a force with it: tiles of
 distance and deflection, with friction summed at each node, are many, and their sums dear. At one
-distance deflection and friction are told by two signals, and a rectangle of both is cut until no
-part is longer than a few sd; parts are the same for all readings. Along distances evidence is
-smooth on the scale of the JND at a known friction, and rows at even steps of that are summed by the
-trapezoid rule. Every other row tells the error.
+distance two signals determine deflection and friction, and a rectangle of both is cut until no part
+is longer than a few sd; parts are the same for all readings. Along distances evidence is smooth on
+the scale of the JND at a known friction, and rows at even steps of that are summed by the trapezoid
+rule. Every other row tells the error.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from scipy.special import ndtr
 from ..coordinates import leaps
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .marginals import TO_LEGENDRE, logs
+from .marginals import logs, to_cells
 from .result import Array, Index, is_outside
 from .rows import TouchRows, distances, highest
 from .tiled import Moments
+from .tiling import ORDER
 
 #: Gauss and Legendre's nodes of a part, and their weights in either direction.
-ORDER = 6
 _X, _W = legendre.leggauss(ORDER)
 _BOTH = np.log(np.outer(_W, _W).ravel() / 4)
 
@@ -77,7 +77,7 @@ class FrictionRows(TouchRows):
         self.ends = np.where(np.isfinite(ends), ends, prior.ppf(ndtr([-6.0, 6.0])))
         nodes = [np.cos(np.pi * (np.arange(k) + 0.5) / k) for k in (across, terms)]
         fits = [np.linalg.inv(chebyshev.chebvander(t, len(t) - 1)) for t in nodes]
-        c, last = (nodes[0] + 1) / 2, self._value((nodes[1] + 1) / 2)
+        c, last = (nodes[0] + 1) / 2, self.value((nodes[1] + 1) / 2)
         width = self._widths(self.r, last)
         values = self._signals(self.r[:, None, None], width[:, None], c[:, None], last)
         self.known = np.asarray(np.isfinite(values).all(axis=(1, 2, 3)))
@@ -85,7 +85,7 @@ class FrictionRows(TouchRows):
         self.parts = np.einsum("ic,jp,ncps->nsij", *fits, values, optimize=True)
         self.ranges = width @ fits[1].T
         share, weight = np.polynomial.legendre.leggauss(16)
-        last = self._value((share + 1) / 2)
+        last = self.value((share + 1) / 2)
         held = self._widths(self.r, last)
         if "deflection_angle" in observer.prior:
             angle = observer.prior["deflection_angle"]
@@ -95,7 +95,7 @@ class FrictionRows(TouchRows):
         leaping = [leaps(prior), *observer.space.leaps.values()]
         self.coarse = self._misfit() > 0.03 or any(a.size for a in leaping)
 
-    def _value(self, share: Array) -> Array:
+    def value(self, share: Array) -> Array:
         return self.ends[0] + (self.ends[1] - self.ends[0]) * share
 
     def _widths(self, r: Array, last: Array) -> Array:
@@ -150,7 +150,7 @@ class FrictionRows(TouchRows):
         contact = np.empty((*encoded.shape[:3], 4))
         contact[..., 0] = self.r[row][:, None, None]
         contact[..., 1] = self.low + width * (1 - sides[0][:, :, None] ** 2)
-        contact[..., 2] = self._value(sides[1])[:, None]
+        contact[..., 2] = self.value(sides[1])[:, None]
         contact[..., 3] = 2 * sides[0][:, :, None] * width
         signals = encoded * contact[..., 1:2]
         flat = len(row), -1
@@ -531,7 +531,7 @@ class FrictionSums:
         )
         if unknown == 1:  # along c
             share, value = share.swapaxes(1, 2), value.swapaxes(1, 2)
-        finer = legendre.legvander((2 * np.arange(cells) + 1) / cells - 1, ORDER - 1) @ TO_LEGENDRE
+        finer = to_cells(cells)
         log, _ = logs(share)
         mass = np.exp(np.minimum(log @ finer.T, 30.0))
         mass *= (weight / mass.sum(axis=(1, 2)))[:, None, None]
@@ -564,7 +564,7 @@ class FrictionSums:
                 box[..., 2 * k] + side[k] * (edges[i] + _W[i] / 2 * rng.random(node.shape))
                 for k, i in enumerate(which)
             )
-            contact = np.stack([grid.r[row], c, grid._value(share)], axis=-1)
+            contact = np.stack([grid.r[row], c, grid.value(share)], axis=-1)
             width = observer.space.angle_range(contact[..., 0], contact)[1]
             contact[..., 1] = grid.low + width * (1 - c**2)
             # ln of the density of nodes over distance, x₂ and the friction's coordinate.

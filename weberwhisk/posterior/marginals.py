@@ -19,7 +19,7 @@ from .tiling import ORDER
 
 _X, _W = legendre.leggauss(ORDER)
 #: From values at the nodes of an axis to Legendre coefficients.
-TO_LEGENDRE = np.linalg.inv(legendre.legvander(_X, ORDER - 1))
+_TO_LEGENDRE = np.linalg.inv(legendre.legvander(_X, ORDER - 1))
 #: A rule for part of a line, and from values at the nodes to powers.
 _PART_X, _PART_W = legendre.leggauss(8)
 _TO_POWERS = np.linalg.inv(_X[:, None] ** np.arange(ORDER))
@@ -94,8 +94,7 @@ class Marginal:
         row = self.row[some]
         share, value = self._weight[some], self._value[some]
         if not self.sheared:
-            x = (np.arange(cells) + 0.5) / cells
-            finer = legendre.legvander(2 * x - 1, ORDER - 1) @ TO_LEGENDRE
+            finer = to_cells(cells)
             share = np.exp(np.minimum(logs(share)[0] @ finer.T, 30.0))
             share *= (self.mass[some] / share.sum(axis=(1, 2)))[:, None, None]
             value = value @ finer.T
@@ -142,7 +141,7 @@ class Marginal:
         powers[..., 0] += top[:, None]
         lines = _exp_of(powers, _PART_X) @ (_PART_W / 2)
         self._whole[pairs] = lines @ (_W / 2) if self.sheared else lines[:, 0]
-        self._powers[pairs] = TO_LEGENDRE @ powers if self.sheared else powers
+        self._powers[pairs] = _TO_LEGENDRE @ powers if self.sheared else powers
 
     @cached_property
     def _tiles(self) -> Index:
@@ -155,7 +154,7 @@ class Marginal:
         As Legendre coefficients of the range's width and of what is added to the coordinate.
         """
         low, width, gain = self.observer.space.angle_scale(self._distance[self._tiles])
-        return low, np.asarray(TO_LEGENDRE @ np.stack([width, gain], axis=-1), dtype=np.float64)
+        return low, np.asarray(_TO_LEGENDRE @ np.stack([width, gain], axis=-1), dtype=np.float64)
 
     @cached_property
     def _edges(self) -> Array:
@@ -214,7 +213,7 @@ class Marginal:
         powers = np.asarray(terms[some] @ self._powers[pairs[whose]], dtype=np.float64)
         lines = _below(powers, t[some])
         out = np.bincount(whose, half * (lines @ (_W / 2)), len(pairs)).astype(np.float64)
-        tail = np.abs(lines @ TO_LEGENDRE[-2:].T).sum(axis=1)
+        tail = np.abs(lines @ _TO_LEGENDRE[-2:].T).sum(axis=1)
         missed = 0.01 * half * tail**2 / np.maximum(lines.max(axis=1, initial=0.0), 1e-300)
         return out, self._whole[pairs], np.bincount(whose, missed, len(pairs)).astype(np.float64)
 
@@ -228,6 +227,12 @@ def _below(powers: Array, t: Array) -> Array:
     """The mass of lines (n, lines, ORDER) below the fractions t (n, lines)."""
     x = t[..., None] * (_PART_X + 1) - 1
     return np.asarray((_exp_of(powers, x) @ (_PART_W / 2)) * t)
+
+
+def to_cells(count: int) -> Array:
+    """From values at the nodes of a line to those in the middle of even cells, (count, ORDER)."""
+    middle = (np.arange(count) + 0.5) / count
+    return np.asarray(legendre.legvander(2 * middle - 1, ORDER - 1) @ _TO_LEGENDRE)
 
 
 def logs(weight: Array) -> tuple[Array, Array]:
@@ -351,8 +356,7 @@ def draws(tiled: TiledObserver, reading: Array, count: int, rng: np.random.Gener
     """
     dim = tiled.dim
     cells = 24 if dim <= 2 else 12
-    middle = (np.arange(cells) + 0.5) / cells
-    finer = legendre.legvander(2 * middle - 1, ORDER - 1) @ TO_LEGENDRE
+    finer = to_cells(cells)
     rule = np.array(1.0)
     for _ in range(dim):
         rule = np.multiply.outer(rule, _W / 2)

@@ -83,11 +83,11 @@ class TouchRows:
                 continue
             contact = self.contacts(r, np.full((len(r), 1), depth))[0][:, 0]
             rest = [np.full((len(r), 1), prior.ppf(share)) for prior in further]
-            told = self.observer.information(np.concatenate([contact, *rest], axis=1))
-            told = told[:, : self.observer.bounded, : self.observer.bounded]
-            known = np.asarray(np.isfinite(told).all(axis=(1, 2)))
+            fisher = self.observer.information(np.concatenate([contact, *rest], axis=1))
+            fisher = fisher[:, : self.observer.bounded, : self.observer.bounded]
+            known = np.asarray(np.isfinite(fisher).all(axis=(1, 2)))
             with np.errstate(all="ignore"):
-                own = np.sqrt(np.linalg.pinv(np.where(known[:, None, None], told, 0.0))[:, 0, 0])
+                own = np.sqrt(np.linalg.pinv(np.where(known[:, None, None], fisher, 0.0))[:, 0, 0])
             jnd = np.fmin(jnd, np.where(known, own, np.inf))
         rate = np.clip(np.exp(log_rate) / np.maximum(jnd, 1e-12) / self.ALONG, 4.0, 400.0)
         rate = np.exp(ndimage.gaussian_filter1d(np.log(rate), 1.5, mode="nearest"))
@@ -301,19 +301,19 @@ class _Across:
         """Where in each row a signal first passes through zero; NaN where none does."""
         grid, n = self.grid, len(self.grid.r)
 
-        def felt(y: Array, rows: Index) -> Array:
+        def signals_at(y: Array, rows: Index) -> Array:
             return grid.observer.signals(grid.contacts(grid.r[rows], y)[0])[0]
 
         y = np.linspace(self.start, self.stop, 65)
         with np.errstate(invalid="ignore"):
-            turns = np.diff(np.sign(felt(np.tile(y, (n, 1)), np.arange(n))), axis=1)
+            turns = np.diff(np.sign(signals_at(np.tile(y, (n, 1)), np.arange(n))), axis=1)
         row, at, which = np.nonzero(np.abs(np.nan_to_num(turns)) > 1)
         row, one = np.unique(row, return_index=True)
         at, which = at[one], which[one]
         out = np.full(n, np.nan)
 
         def signal(y: Array, row: Array, which: Array) -> Array:
-            values = felt(y[:, None], row.astype(np.intp))[:, 0]
+            values = signals_at(y[:, None], row.astype(np.intp))[:, 0]
             return np.take_along_axis(values, which.astype(np.intp)[:, None], 1)[:, 0]
 
         if row.size:
