@@ -414,6 +414,8 @@ def verdict(table: pd.DataFrame) -> str:
     )
 
 
+#: Columns that the figure is drawn from.
+DRAWN = ("group", "name", "n", "p", "covered_50", "covered_80", "covered_95")
 #: Groups of jobs whose models are right, in plain terms.
 GROUPS = {"cues": "cues", "receptors": "receptors", "emcee": "cues by emcee", "fits": "fits"}
 
@@ -458,12 +460,11 @@ def draw(table: pd.DataFrame) -> Figure:
 
 
 def make(
-    folder: Path, *, short: bool = False, drawn: Path | None = None, **how: Any
+    folder: Path, *, short: bool = False, drawn: pd.DataFrame | None = None, **how: Any
 ) -> pd.DataFrame:
-    """Table, or that in the file `drawn`, and figure into `folder`; `how` is for `campaign.run`."""
-    if drawn is not None:
-        table = pd.read_csv(drawn)
-    else:
+    """Table, or the one `drawn`, and figure into `folder`; `how` is for `campaign.run`."""
+    table = drawn
+    if table is None:
         rows = run_all(SHORT if short else FULL, **how)
         table = pd.DataFrame([r.numbers() for r in rows])
     with Run(folder, "calibration", {"short": short}, SEED) as run:
@@ -476,7 +477,7 @@ if __name__ == "__main__":
     # By its own name, which workers can import.
     import calibration
 
-    given = options(__file__, __doc__, short="few draws", workers=True, drawn=True)
+    given = options(__file__, __doc__, short="few draws", workers=True, drawn=DRAWN)
     workers = campaign.all_cores(given.workers, given.scheduler)
     made = calibration.make(
         given.folder,

@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import inspect
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
+
+import pandas as pd
 
 ANALYSES = Path(__file__).parent
 
@@ -19,7 +22,7 @@ def options(
     sets: int | None = None,
     seed: int | None = None,
     workers: bool = False,
-    drawn: bool = False,
+    drawn: Sequence[str] = (),
 ) -> argparse.Namespace:
     """What was written after the script's name; `--help` prints its docstring and ends.
 
@@ -35,8 +38,8 @@ def options(
         Data sets of each kind and seed, by default.
     workers : bool
         Whether it takes `--workers` and `--scheduler`.
-    drawn : bool
-        Whether it takes `--draw` and a table that it made.
+    drawn : sequence of str
+        Columns of a table that it made, which `--draw` reads; without them no such option.
     """
     parser = argparse.ArgumentParser(
         description=inspect.cleandoc(description or ""),
@@ -54,8 +57,23 @@ def options(
         parser.add_argument("--workers", type=int, help="processes; by default one a core")
         parser.add_argument("--scheduler", help="of a dask.distributed cluster")
     if drawn:
-        parser.add_argument("--draw", type=Path, help="draw this table, and compute nothing")
+        parser.add_argument(
+            "--draw", type=partial(kept, drawn), help="draw this table, and compute nothing"
+        )
     return parser.parse_args()
+
+
+def kept(columns: Sequence[str], path: str) -> pd.DataFrame:
+    """A table that a script made, with all of these columns; anything else is refused."""
+    try:
+        table = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(f"{path} is no table: {str(error).strip()}") from error
+    if missing := [name for name in columns if name not in table]:
+        raise argparse.ArgumentTypeError(
+            f"{path} lacks {', '.join(missing)}; give a table that this script made"
+        )
+    return table
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
