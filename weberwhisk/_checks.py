@@ -8,10 +8,12 @@ from typing import Any
 from warnings import warn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from ._values import Array, Flags
 
 
-def numbers(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+def numbers(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array, NaN and infinite values included, refused where it is text."""
     try:
         return np.asarray(value, dtype=float)
@@ -19,7 +21,7 @@ def numbers(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
         raise ValueError(f"{name} must be a number, got {shown(value)}; {hint}.") from None
 
 
-def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+def finite(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array, refused where it is text, NaN or infinite."""
     array = numbers(name, value, hint)
     if not np.all(np.isfinite(array)):
@@ -29,7 +31,7 @@ def finite(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     return array
 
 
-def angle(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+def angle(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as finite radians, with a warning beyond a whole turn: likely to be degrees."""
     array = finite(name, value, hint)
     if np.any(beyond := np.abs(array) > 2 * np.pi):
@@ -41,7 +43,7 @@ def angle(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     return array
 
 
-def positive(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+def positive(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers above zero."""
     array = finite(name, value, hint)
     if not np.all(array > 0):
@@ -49,7 +51,7 @@ def positive(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
     return array
 
 
-def non_negative(name: str, value: ArrayLike, hint: str) -> NDArray[np.float64]:
+def non_negative(name: str, value: ArrayLike, hint: str) -> Array:
     """`value` as a float array of finite numbers of zero or more."""
     array = finite(name, value, hint)
     if not np.all(array >= 0):
@@ -191,5 +193,5 @@ def one_or_more(name: str, value: Any, choices: Iterable[str]) -> tuple[str, ...
     return found
 
 
-def _first(array: NDArray[np.float64], bad: NDArray[np.bool_]) -> str:
+def _first(array: Array, bad: Flags) -> str:
     return f"{array[bad].flat[0] if array.ndim else array[()]:g}"

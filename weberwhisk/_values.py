@@ -18,6 +18,12 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Codes = NDArray[np.int8]  # members of an enumeration: outcomes, statuses, models
+Index = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
 
 
 class _WhenUsed:

@@ -11,11 +11,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import elementwise
 
 from . import _checks
-from ._values import pd, with_units
+from ._values import Array, Flags, pd, with_units
 from .cues import ForceMap
 from .jnd import fisher_jnd
 from .mechanics import press
@@ -26,8 +26,6 @@ from .observer import Observer
 from .receptors import GeneralisedWeber, Weber
 from .sweeping import SweepFilter
 from .whisker import Whisker
-
-Array = NDArray[np.float64]
 
 __all__ = ["lateral_sweep", "limits", "resolution_along_push", "reversal", "speed"]
 
@@ -106,7 +104,7 @@ def leaning(whisker: Whisker, angle: float = np.pi / 3) -> Body:
     return wall(float(whisker.length), 0.0, angle)
 
 
-def _along(found: Sweep, observer: Observer) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _along(found: Sweep, observer: Observer) -> tuple[Array, Array, Array, Flags]:
     """Distance, deflection and JND along a sweep but for its start, and where the flank touches."""
     bent = found.bending
     r, theta = (np.asarray(a, dtype=float)[1:] for a in (bent.radial_distance,

@@ -12,15 +12,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._checks import number, one_of, one_or_more
-from ._values import Shown, Value, pd
+from ._values import Array, Shown, Value, pd
 from .mechanics.shape import Profile, Spiral
 from .whisker import SPECIES, Whisker, rest_shape
 from .whisker import identities as known_identities
-
-Array = NDArray[np.float64]
 
 ROWS = "ABCDE"
 #: Degrees of elevation and of roll that come with each degree of protraction, row by row (Knutsen,

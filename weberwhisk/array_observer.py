@@ -18,18 +18,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from ._checks import finite, generator, kind, non_negative_number, one_of, positive_number, whole
-from ._values import pd
+from ._values import Array, pd
 from .array import WhiskerArray
 from .cues.protocol import Cue
 from .observer import Observer
 from .place_sensor import JointEvidence, Sensor, one_place
 from .receptors import ReceptorNoise, Seed
 
-Array = NDArray[np.float64]
 Readings = Mapping[str, Any]
 
 

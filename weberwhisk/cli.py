@@ -24,8 +24,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from ._values import Array
 
 
 #: Refusals are one sentence, not a box, and a traceback is the whole traceback.
@@ -211,7 +210,7 @@ def a_seed(text: str | int) -> int:
     return int(text)
 
 
-def numbers(option: str, values: Sequence[str]) -> NDArray[np.float64]:
+def numbers(option: str, values: Sequence[str]) -> Array:
     """The numbers of a list option, whether comma-separated or repeated.
 
     Examples

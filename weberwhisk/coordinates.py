@@ -13,15 +13,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
 from ._checks import one_of, shown
+from ._values import Array
 from .cues.protocol import Cue
 from .mechanics.forward import forward_of
 from .whisker import Whisker
-
-Array = NDArray[np.float64]
 
 #: Of an unknown's moments and quantiles; a stiffness over the whisker's own is a ratio.
 UNITS = {

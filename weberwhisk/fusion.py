@@ -12,10 +12,10 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ._checks import generator, whole
-from ._values import pd, renamed_arguments, with_units
+from ._values import Array, pd, renamed_arguments, with_units
 from .coordinates import UNITS
 from .cues import Fused
-from .cues.protocol import Array, Cue
+from .cues.protocol import Cue
 from .jnd import SD, criterion_factor, fisher_jnd
 from .mechanics.contact import Outcome
 from .observer import Observer

@@ -11,13 +11,12 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from ._values import Array, Flags
 from .mechanics.contact import Outcome
 from .observer import Observer
-
-Array = NDArray[np.float64]
 
 #: The criterion that is meant where none is named: the sd of one observation.
 SD = "d'=1"
@@ -113,7 +112,7 @@ def weber_propagation(observer: Observer, contact: ArrayLike, *, model: str | No
     return np.sqrt(np.maximum(covariance[..., 0, 0], 0.0))
 
 
-def is_linear(observer: Observer, contact: ArrayLike) -> NDArray[np.bool_]:
+def is_linear(observer: Observer, contact: ArrayLike) -> Flags:
     """Whether Weber propagation can be relied on at a contact, (...).
 
     Where one sd of the contact to either side, along each axis of its propagated covariance, the

@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Any, ClassVar, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from . import campaign
 from ._checks import angle, finite, generator, one_of, positive, whole
-from ._values import Shown, pd, renamed_arguments, with_units
+from ._values import Array, Shown, pd, renamed_arguments, with_units
 from .coordinates import UNITS
 from .cues import Compliance, ForceMap
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
@@ -21,8 +21,6 @@ from .mechanics.contact import Outcome
 from .observer import Observer
 from .receptors import Seed, Weber
 from .whisker import Whisker
-
-Array = NDArray[np.float64]
 
 #: Columns of a `JNDCurve` that are JNDs, m.
 _JNDS = ("closed_form", "propagation", "fisher", "posterior", "posterior_error", "estimator",

@@ -11,21 +11,19 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from . import _checks
 from ._checks import finite, kind, positive_number, whole
-from ._values import interval_text, pd, with_units
+from ._values import Array, interval_text, pd, with_units
 from .jnd import fisher_jnd
 from .observer import Observer
 from .posterior.friction import friction_rows
 from .posterior.result import Status, is_unidentified
 from .posterior.rows import TouchRows, distances
 from .receptors import Seed
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

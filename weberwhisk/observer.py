@@ -9,10 +9,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._checks import finite, numbers, one_of, positive_number, shown
-from ._values import renamed_attribute
+from ._values import Array, Codes, renamed_attribute
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
 from .cues.protocol import Cue, straight
 from .mechanics import model_choice
@@ -21,8 +21,6 @@ from .mechanics.forward import ForwardModel
 from .mechanics.shape import Profile
 from .receptors import ReceptorNoise, Seed
 from .whisker import Whisker
-
-Array = NDArray[np.float64]
 
 
 class _Filled(NamedTuple):
@@ -337,11 +335,11 @@ class Observer:
 
     # -- densities -----------------------------------------------------------------------------
 
-    def signals(self, contact: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, contact: ArrayLike) -> tuple[Array, Codes]:
         """Signals (..., S) of a contact (..., U), NaN where not held, and the outcome (...)."""
         return self.cue.signals(self.whisker, np.asarray(contact, dtype=float), model=self.solver)
 
-    def given(self, contact: Array) -> Callable[[Array], tuple[Array, NDArray[np.int8]]]:
+    def given(self, contact: Array) -> Callable[[Array], tuple[Array, Codes]]:
         """Signals and outcome for values (...) of the last unknown, the others (..., U − 1) given.
 
         What does not depend on it is worked out once.
@@ -379,7 +377,7 @@ class Observer:
 
     # -- readings ------------------------------------------------------------------------------
 
-    def reading_outcome(self, reading: ArrayLike) -> NDArray[np.int8]:
+    def reading_outcome(self, reading: ArrayLike) -> Codes:
         """What the cue's method, taken by itself and as exact, makes of readings (..., R).
 
         An `Outcome` each: `NOT_A_READING` where a number is missing; `HELD` where it finds a

@@ -5,19 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import logsumexp, ndtr
 
 from ._checks import angle, finite
+from ._values import Array
 from .array import Follicle
 from .coordinates import constrain_angle, unconstrain_angle
 from .mechanics.contact import Outcome
 from .observer import Observer
 from .posterior import posterior
 from .posterior.result import is_outside
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,18 +12,16 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from . import _checks
-from ._values import Shown, pd
+from ._values import Array, Flags, Shown, pd
 from .array_observer import ArrayObserver, Readings
 from .place_sensor import JointEvidence, one_place
 from .posterior import Status
 from .receptors import Seed
 
 __all__ = ["ArrayObserver", "Place", "place"]
-
-Array = NDArray[np.float64]
 
 
 def place(
@@ -111,7 +109,7 @@ class Place(Shown):
     """
 
     observer: ArrayObserver
-    readings: Mapping[str, NDArray[np.float64] | None]
+    readings: Mapping[str, Array | None]
     status: Status
     mean: Array
     covariance: Array
@@ -293,7 +291,7 @@ class _Cells(NamedTuple):
         """What each node stands for (n, N), over the density of which ln is `top`."""
         return np.asarray(np.exp(self.log - top) * _WEIGHTS * self.side.prod(axis=1)[:, None])
 
-    def of(self, which: NDArray[np.bool_]) -> _Cells:
+    def of(self, which: Flags) -> _Cells:
         return _Cells(*(column[which] for column in self))
 
 
@@ -388,9 +386,7 @@ def _monomials(cells: _Cells, top: float) -> Array:
     return np.stack([(mass * m).sum(axis=1) for m in (1.0 + 0 * u, u, v, u * u, u * v, v * v)], 1)
 
 
-def _cut(
-    cells: _Cells, cut: NDArray[np.bool_], made: Callable[[Array, Array], _Cells], top: float
-) -> _Cells:
+def _cut(cells: _Cells, cut: Flags, made: Callable[[Array, Array], _Cells], top: float) -> _Cells:
     """The same with some cells in four."""
     old = cells.of(cut)
     side = np.repeat(old.side / 2, 4, axis=0)
@@ -411,7 +407,7 @@ def _moments(cells: _Cells, top: float) -> tuple[float, Array, Array]:
     return total, mean, covariance
 
 
-def _errors(cells: _Cells, top: float, known: NDArray[np.bool_]) -> tuple[float, Array]:
+def _errors(cells: _Cells, top: float, known: Flags) -> tuple[float, Array]:
     """The estimated error in sds, and how much of it each cell has (n,)."""
     total, mean, covariance = _moments(cells, top)
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

@@ -11,9 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from ._values import with_units
+from ._values import Array, with_units
 from .array import WhiskerArray
 from .cues import (
     AngleSideAngle,
@@ -42,8 +41,6 @@ from .observer import Observer
 from .posterior import Status, posterior
 from .receptors import Weber
 from .whisker import Whisker, identities
-
-Array = NDArray[np.float64]
 
 WHISKER = Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6, youngs_modulus=3e9)
 K = 0.1

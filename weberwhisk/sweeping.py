@@ -24,9 +24,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._checks import finite, kind, non_negative, positive, refuse_hinge
+from ._values import Array, Codes, Flags, Index
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
 from .mechanics.contact import Outcome
@@ -36,8 +37,6 @@ from .mechanics.shape import Profile
 from .observer import Observer
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
-
-Array = NDArray[np.float64]
 
 #: Share of objects that are walls; where in question with more than this probability, and beyond
 #: this share of the largest θ_d, they are `AT_LIMIT`.
@@ -76,7 +75,7 @@ class Track:
     interval: Array
     path: Array
     path_sd: Array
-    outcome: NDArray[np.int8]
+    outcome: Codes
 
 
 def follow(
@@ -409,12 +408,12 @@ class SweepFilter:
         columns: Any = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
         return Track(push, **columns, outcome=outcome)
 
-    def _at_limit(self, state: Array) -> NDArray[np.bool_]:
+    def _at_limit(self, state: Array) -> Flags:
         """States of walls at which the tip still touches, or that are about to flick past."""
         limit = self._forward(state).limit(state[:, 0])
         return (state[:, 3] != 0) & ~(self._contact(state)[:, 1] < NEAR_LIMIT * limit)
 
-    def _weigh(self, state: Array, reading: float) -> tuple[Array, NDArray[np.int8]]:
+    def _weigh(self, state: Array, reading: float) -> tuple[Array, Codes]:
         """ln p(moment | state), −∞ where not held, and the outcome of every state."""
         contact, whisker = self._contact(state), self.observer.whisker
         inside = (contact[:, 0] > 0) & (contact[:, 1] > 0)
@@ -438,7 +437,7 @@ def _summary(state: Array, weight: Array, push: float) -> tuple[Any, ...]:
     return *mean, *sd, interval, middle, path_sd
 
 
-def _resampled(weight: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+def _resampled(weight: Array, rng: np.random.Generator) -> Index:
     """Systematic resampling: each state as often as its weight says, to within one."""
     count = len(weight)
     places = (np.arange(count) + rng.random()) / count

@@ -9,11 +9,11 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from . import domain
 from ._checks import finite, one_of, positive, positive_number, shown
-from ._values import Value
+from ._values import Array, Value
 
 #: Young's modulus of rat whiskers, Pa: 3.34 ± 1.48 GPa (Quist, Faruqi & Hartmann 2011).
 YOUNGS_MODULUS = 3.34e9
@@ -266,39 +266,39 @@ class Whisker(Value):
         return getattr(self, "_identity", None)
 
     @property
-    def radius_ratio(self) -> NDArray[np.float64]:
+    def radius_ratio(self) -> Array:
         """Base radius over tip radius: 1 for a cylinder, infinite for a perfect cone."""
         with np.errstate(divide="ignore"):
             return np.divide(self.base_radius, self.tip_radius)
 
     @property
-    def taper(self) -> NDArray[np.float64]:
+    def taper(self) -> Array:
         """Length over apex distance, 1 − 1/R: 0 for a cylinder, 1 for a perfect cone."""
         return 1.0 - np.divide(self.tip_radius, self.base_radius)
 
     @property
-    def apex_distance(self) -> NDArray[np.float64]:
+    def apex_distance(self) -> Array:
         """Distance A from the base at which the taper would reach zero width, m."""
         with np.errstate(divide="ignore"):
             return np.divide(self.length, self.taper)
 
     @property
-    def stiffness(self) -> NDArray[np.float64]:
+    def stiffness(self) -> Array:
         """Bending stiffness at the base EI₀ = E π/4 · base_radius⁴, N m²."""
         return self.youngs_modulus * np.pi / 4 * np.power(self.base_radius, 4)
 
     @property
-    def moment_scale(self) -> NDArray[np.float64]:
+    def moment_scale(self) -> Array:
         """EI₀/L, N m: the paper's unit of moment."""
         return self.stiffness / self.length
 
     @property
-    def force_scale(self) -> NDArray[np.float64]:
+    def force_scale(self) -> Array:
         """EI₀/L², N: the paper's unit of force."""
         return self.stiffness / self.length**2
 
     @property
-    def compliance_constant(self) -> NDArray[np.float64]:
+    def compliance_constant(self) -> Array:
         """C = 3EI₀ of equations (2.1) and (2.3), N m²."""
         return 3 * self.stiffness
 
@@ -388,7 +388,7 @@ def _morphology() -> dict[str, dict[str, float]]:
     )
     text = resources.files("weberwhisk").joinpath("data/whisker_morphology.csv").read_text("utf-8")
     rows = {row["whisker"]: row for row in csv.DictReader(text.splitlines())}
-    tips: NDArray[np.float64] = np.array(
+    tips: Array = np.array(
         [float(r["tip_diameter_median_um"]) for r in rows.values() if r["tip_diameter_median_um"]]
     )
     unmeasured = float(np.median(tips))

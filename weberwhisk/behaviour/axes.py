@@ -32,14 +32,13 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
+from .._values import Array
 from ..domain import FITTED_WEBER_FRACTIONS
 from .priors import REACH, Priors, quantiles
 from .psychometric import Task
 
 if TYPE_CHECKING:
     from .likelihood import Draws, WeberModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from .. import _checks
-from .._values import Shown, renamed_arguments
+from .._values import Array, Index, Shown, renamed_arguments
 from ..cues import Compliance, ForceMap
 from ..observer import Observer
 from ..posterior.arviz_io import pointwise_loo
@@ -29,8 +28,6 @@ from .fit import WeberFit, fit_weber
 from .located import at_touches
 from .trials import SDS, Trials, check_trials
 from .verdict import strength
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)
@@ -159,7 +156,7 @@ def _same_stimuli(one: pd.DataFrame, other: pd.DataFrame) -> bool:
     return bool(np.allclose(a, b))
 
 
-def _by_answer(fit: WeberFit, cell: NDArray[np.intp]) -> tuple[Array, Array]:
+def _by_answer(fit: WeberFit, cell: Index) -> tuple[Array, Array]:
     """LOO density and Pareto k of one trial of each row, answered one way or the other, (2, R)."""
     model = fit.model
     if model.dispersed is not None:

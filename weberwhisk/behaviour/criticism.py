@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri
 
 from .. import _checks
+from .._values import Array, Index
 from .likelihood import Draws, WeberModel, gather
 from .trials import STIMULI, in_order
 
 if TYPE_CHECKING:
     from .fit import WeberFit
 
-
-Array = NDArray[np.float64]
 
 SIGNED = ("trend", "repetition")  # checks that may be off on either side
 
@@ -189,7 +188,7 @@ class _Rows:
     frame: pd.DataFrame
     n: Array
     count: Array
-    cell: NDArray[np.intp]
+    cell: Index
 
     @classmethod
     def of(cls, fit: WeberFit) -> _Rows:
@@ -200,7 +199,7 @@ class _Rows:
         n, count = (frame[name].to_numpy(float) for name in ("n", "count"))
         return cls(frame, n, count, cell)
 
-    def gathered(self) -> tuple[pd.DataFrame, NDArray[np.intp]]:
+    def gathered(self) -> tuple[pd.DataFrame, Index]:
         """Rows of one pair of stimuli in one session together, and the cell of each."""
         labels = [c for c in ("session", *STIMULI) if c in self.frame]
         table = self.frame[labels].assign(cell=self.cell, n=self.n, count=self.count)
@@ -246,11 +245,11 @@ class _Rows:
         return out
 
 
-def _codes(labels: NDArray[Any]) -> NDArray[np.intp]:
+def _codes(labels: NDArray[Any]) -> Index:
     return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
-def _summed(values: Array, group: NDArray[np.intp]) -> Array:
+def _summed(values: Array, group: Index) -> Array:
     """Sums by group along the last axis, (D, G)."""
     shape = len(values), int(group.max()) + 1
     place = np.arange(shape[0])[:, None] * shape[1] + group
@@ -258,7 +257,7 @@ def _summed(values: Array, group: NDArray[np.intp]) -> Array:
     return np.asarray(sums.reshape(shape), dtype=float)
 
 
-def _squares(off: Array, spread: Array, group: NDArray[np.intp]) -> Array:
+def _squares(off: Array, spread: Array, group: Index) -> Array:
     """Squared residuals of groups, in their variances, (D, G)."""
     return np.asarray(_summed(off, group) ** 2 / _summed(spread, group))
 

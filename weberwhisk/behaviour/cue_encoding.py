@@ -13,17 +13,15 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import renamed_attribute
+from .._values import Array, Codes, renamed_attribute
 from ..cues import Compliance, ForceMap
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import ReceptorNoise
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ class CueEncoding:
             known.append(np.full_like(r, self.deflection_angle or 0.0))
         return self.observer.at_middle(np.stack(known, axis=-1))
 
-    def _signals(self, stimulus: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def _signals(self, stimulus: ArrayLike) -> tuple[Array, Codes]:
         signals, outcome = self.observer.signals(self._contact(stimulus))
         blind = np.asarray(self.observer.noise.uninformative(signals).any(axis=-1))
         return np.where(blind[..., None], np.nan, signals), outcome

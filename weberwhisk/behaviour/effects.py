@@ -14,16 +14,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.stats.distributions import rv_frozen
 
 from .. import _checks
-from .._values import renamed_names
+from .._values import Array, renamed_names
 from .encodings import Encoding, Signals, UnitEncodings
 from .trials import SDS, Trials, after_gap, needs_order, needs_rows, session_block, sessions_of
-
-Array = NDArray[np.float64]
 
 __all__ = [
     "EFFECTS",

@@ -11,17 +11,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import renamed_attribute, renamed_names
+from .._values import Array, Flags, Index, renamed_attribute, renamed_names
 from ..mechanics import flick_past
 from .cue_encoding import CueEncoding, PlaceItself, PooledEncoding
 
 if TYPE_CHECKING:
     from ..places import ArrayObserver
 
-Array = NDArray[np.float64]
 
 NOISES = ("weber", "equal-variance")
 
@@ -276,7 +275,7 @@ def checked_encoding(encoding: Any) -> None:
     _checks.kind("encoding", encoding, "an Encoding", "sd_per_weber_fraction", hint)
 
 
-def gives_signal(encoding: Encoding, stimulus: ArrayLike) -> NDArray[np.bool_]:
+def gives_signal(encoding: Encoding, stimulus: ArrayLike) -> Flags:
     """Whether each stimulus has a signal, and noise."""
     sd = encoding.sd_per_weber_fraction(stimulus)
     return np.asarray(np.isfinite(encoding.mean(stimulus)) & np.isfinite(sd))
@@ -389,7 +388,7 @@ class UnitEncodings(NamedTuple):
         """Whether any place was measured, with an error."""
         return bool(np.any(self.spread))
 
-    def of(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> UnitEncodings:
+    def of(self, which: Flags | Index) -> UnitEncodings:
         """Some of the cells."""
         return UnitEncodings(*(np.broadcast_to(a, self.mean_1.shape)[which] for a in self))
 

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Shown, interval_text, renamed_arguments, renamed_attribute
+from .._values import Array, Shown, interval_text, renamed_arguments, renamed_attribute
 from ..posterior.arviz_io import ArvizData
 from ..threads import one_blas_thread
 from . import criticism, report
@@ -27,8 +27,6 @@ from .located import at_touches
 from .posteriors import QuadraturePosterior, WeberPosterior, sample
 from .trials import Trials
 from .verdict import FitStatus, WeberLawTest, lapse_sensitivity, verdict, weber_law_test
-
-Array = NDArray[np.float64]
 
 METHODS = ("quadrature", "emcee")
 

@@ -15,17 +15,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import binary_dilation, map_coordinates
 from scipy.special import ndtr
 
+from .._values import Array, Index
 from .axes import AS_BELIEVED, BiasScales
 from .integrate import half_grid_error
 from .integrate.batch import Table
 from .priors import PopulationPriors
-
-Array = NDArray[np.float64]
 
 NAMES = (
     "log_weber_fraction", "spread", "session_spread", "bias_scale", "lapse_mean", "lapse_spread",
@@ -43,12 +41,12 @@ class Members:
     """
 
     tables: tuple[Table, ...]
-    animal: NDArray[np.intp]
+    animal: Index
     sessions: bool
     scales: BiasScales = AS_BELIEVED
 
     @cached_property
-    def first(self) -> NDArray[np.intp]:
+    def first(self) -> Index:
         """The first table of each animal."""
         return np.flatnonzero(np.r_[True, np.diff(self.animal) > 0])
 

@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._values import Array, Flags
 from ..contacts.files import as_number, load_table
 from .psychometric import TASKS, Task, task_named
 from .trials import (
@@ -27,9 +28,6 @@ from .trials import (
     rows_in_words,
     standards_of,
 )
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 FORMS = (("stimulus_1", "stimulus_2"), ("standard", "comparison"), ("log_ratio",))
 ANSWERS = {

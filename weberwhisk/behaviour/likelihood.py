@@ -8,10 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
 from .. import _checks
+from .._values import Array, Index
 from .axes import PLAIN, LapseTransform, lapse_transform
 from .effects import Effect, Overdispersion, check_effects
 from .encodings import (
@@ -27,8 +28,6 @@ from .located import binned, over_places
 from .priors import TINY, Priors, priors_for
 from .psychometric import Task
 from .trials import Cells, Trials, check_trials
-
-Array = NDArray[np.float64]
 
 BIASES = ("none", "shared", "per standard")
 RHO_TINY = 1e-7  # below this a beta-binomial is a binomial, and log-gammas lose their digits
@@ -83,7 +82,7 @@ class WeberModel:
     encodings: UnitEncodings
     cells: Cells
     priors: Priors
-    group: NDArray[np.intp]
+    group: Index
     group_names: tuple[str, ...]
     effects: tuple[Effect, ...] = ()
     columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -328,7 +327,7 @@ class WeberModel:
 
 def gather(
     trials: Trials, effects: tuple[Effect, ...], encoding: Encoding
-) -> tuple[Cells, Array, NDArray[np.intp]]:
+) -> tuple[Cells, Array, Index]:
     """Trials in cells, those apart that differ in what an effect goes with; columns (E, C); and the
     cell of each row with an answer."""
     named = [e.column(trials, encoding) for e in effects]

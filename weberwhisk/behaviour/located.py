@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from .. import _checks
+from .._values import Array, Index
 from ..contacts import locate
 from ..contacts.columns import FROM_SHAPE, read_contacts
 from ..contacts.files import load_table
@@ -34,8 +34,6 @@ from .encodings import (
 )
 from .psychometric import SameDifferent, SignedChoice, Task, YesNo, response_probability
 from .trials import SDS, Cells, Trials, check_trials
-
-Array = NDArray[np.float64]
 
 _HINT = "write distances=ww.locate(contacts, whisker, touch='touch')"
 #: Columns of `locate` and of the posterior of a touch: mean, sd, status.
@@ -245,8 +243,8 @@ def over_places(
 
 
 def binned(
-    task: Any, encodings: UnitEncodings, cells: Cells, group: NDArray[np.intp], most: int = 1000
-) -> tuple[UnitEncodings, Cells, NDArray[np.intp]]:
+    task: Any, encodings: UnitEncodings, cells: Cells, group: Index, most: int = 1000
+) -> tuple[UnitEncodings, Cells, Index]:
     """Thousands of trials, each at places of its own, in about `most` cells: those of a bias that
     are alike in D for k = 1, and in its variance.
 

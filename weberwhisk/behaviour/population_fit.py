@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import Shown, interval_text, renamed_arguments
+from .._values import Array, Shown, interval_text, renamed_arguments
 from ..output import plain
 from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
@@ -27,8 +27,6 @@ from .likelihood import encoding_of, pairs_shown
 from .priors import PopulationPriors, Priors, priors_for
 from .trials import Trials, check_trials
 from .verdict import FitStatus
-
-Array = NDArray[np.float64]
 
 LEFT_OUT = (FitStatus.NO_TRIALS, FitStatus.REVERSED, FitStatus.ONE_SIDED)
 

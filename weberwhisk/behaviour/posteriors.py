@@ -12,17 +12,16 @@ from itertools import product
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
+from .._values import Array
 from .axes import bias_at, log_lapses_possible
 from .integrate import PosteriorGrid, Tolerance, density_of, integrate, log_marginal
 from .likelihood import Draws, WeberModel
 from .priors import REACH
-
-Array = NDArray[np.float64]
 
 
 def score_precision(model: WeberModel) -> Array:

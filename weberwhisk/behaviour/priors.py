@@ -8,18 +8,17 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from .. import _checks
+from .._values import Array
 from ..coordinates import in_words
 from .encodings import UnitEncodings
 from .psychometric import SameDifferent, Task, YesNo
 from .trials import Cells
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("weber_fraction", "lapse_low", "lapse_high", "bias")
 REACH = 9.0  # scores beyond which no prior has mass

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from .. import _checks
-from .._values import renamed_arguments
+from .._values import Array, renamed_arguments
 from .effects import Effect, check_valued
 from .encodings import (
     Encoding,
@@ -27,8 +27,6 @@ from .encodings import (
     refuse_outside,
     unit_encodings,
 )
-
-Array = NDArray[np.float64]
 
 
 class Task:

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from .. import __version__
-from .._values import interval_text
+from .._values import Array, interval_text
 from ..contacts import methods_of
 from ..coordinates import in_words
 from ..output import plain
@@ -27,8 +26,6 @@ from .verdict import FitStatus, too_few_kinds
 if TYPE_CHECKING:
     from .fit import WeberFit
     from .population_fit import PopulationFit
-
-Array = NDArray[np.float64]
 
 
 def report(fit: WeberFit) -> str:

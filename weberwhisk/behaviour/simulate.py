@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 from scipy.stats import beta
 
 from .. import _checks
-from .._values import renamed_arguments
+from .._values import Array, renamed_arguments
 from .effects import Effect, History, Overdispersion, check_valued
 from .encodings import (
     Encoding,
@@ -28,8 +28,6 @@ from .encodings import (
 )
 from .psychometric import response_probability, task_named
 from .trials import LABELS, STIMULI, Trials, in_millimetres, joined, notes_of
-
-Array = NDArray[np.float64]
 
 ORDERS = ("standard first", "random")
 SIGNED_OFFSETS = tuple(np.linspace(-0.3, 0.3, 9).round(12).tolist())

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
+from .._values import Array, Flags, Index
 from ..output import atomic_write, csv_text
 
 if TYPE_CHECKING:
     from .psychometric import Task
 
-Array = NDArray[np.float64]
 
 SCALES = ("linear", "log")
 LABELS = ("subject", "session", "trial")
@@ -95,7 +95,7 @@ class Trials:
     log_unit: float | None = None
     source: str = "table"
     notes: tuple[str, ...] = ()
-    rows: NDArray[np.intp] | None = field(default=None, repr=False, compare=False)
+    rows: Index | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         hint = "make it with read_trials, which takes a table under any names"
@@ -131,7 +131,7 @@ class Trials:
         return int(self.frame.loc[self.frame["count"].notna(), "n"].sum())
 
     @property
-    def answered(self) -> NDArray[np.bool_]:
+    def answered(self) -> Flags:
         """Which rows have an answer to some trial."""
         return (self.frame["count"].notna() & (self.frame["n"] > 0)).to_numpy(bool)
 
@@ -193,7 +193,7 @@ class Trials:
         """Trials with an answer, gathered into unique (standard, stimulus 1, stimulus 2)."""
         return self.gathered()[0]
 
-    def gathered(self, *columns: Array) -> tuple[Cells, Array, NDArray[np.intp]]:
+    def gathered(self, *columns: Array) -> tuple[Cells, Array, Index]:
         """The same, those apart that differ in further columns, a number a row; these, (E, C); and
         the cell of each row with an answer."""
         sds = [c for c in SDS if c in self.frame]
@@ -225,7 +225,7 @@ class Trials:
         return Path(path)
 
 
-def notes_of(frame: pd.DataFrame, rows: NDArray[np.intp] | None = None) -> tuple[str, ...]:
+def notes_of(frame: pd.DataFrame, rows: Index | None = None) -> tuple[str, ...]:
     """What a reader should know of a table whose rows have these places in their file."""
     places = np.arange(1, len(frame) + 1) if rows is None else rows
     notes = []
@@ -383,7 +383,7 @@ def data_package(name: str, title: str, resources: Sequence[Mapping[str, Any]]) 
     }
 
 
-def session_block(frame: pd.DataFrame) -> NDArray[np.intp]:
+def session_block(frame: pd.DataFrame) -> Index:
     """Which stretch of rows of one session each row lies in."""
     new = np.zeros(len(frame), dtype=bool)
     for label in ("subject", "session"):
@@ -403,7 +403,7 @@ def in_order(frame: pd.DataFrame) -> bool:
     return bool((frame["trial"].groupby(block).diff().dropna() >= 0).all())
 
 
-def after_gap(frame: pd.DataFrame) -> NDArray[np.bool_]:
+def after_gap(frame: pd.DataFrame) -> Flags:
     """Where the number of a trial leaps within a session: the one before it is not in the table."""
     if "trial" not in frame or not pd.api.types.is_numeric_dtype(frame["trial"]):
         return np.zeros(len(frame), dtype=bool)
@@ -431,7 +431,7 @@ def needs_rows(trials: Trials, what: str) -> None:
         )
 
 
-def sessions_of(trials: Trials, what: str) -> tuple[list[Any], NDArray[np.intp]]:
+def sessions_of(trials: Trials, what: str) -> tuple[list[Any], Index]:
     """Sessions in order (text as it first appears in the table), and the place of each row's."""
     if what and len(trials.sessions) < 2:
         raise ValueError(

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import logsumexp
 
+from .._values import Array
 from ..threads import one_blas_thread
 from .axes import lapse_prior, score_prior
 from .criticism import check_fit
@@ -65,9 +65,6 @@ class FitStatus(Enum):
     def message(self) -> str:
         """The same as the value, for reading."""
         return self.value
-
-
-Array = NDArray[np.float64]
 
 
 def verdict(model: WeberModel, posterior: WeberPosterior) -> tuple[FitStatus, tuple[str, ...]]:

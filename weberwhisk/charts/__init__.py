@@ -23,11 +23,11 @@ from scipy import stats
 from scipy.integrate import cubature
 
 from .. import cues, receptors
+from .._values import Array
 from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
 from ..jnd import fisher_jnd, weber_propagation
 from ..jnd_curves import jnd_curve
 from ..mechanics import flick_past
-from ..mechanics.chebyshev import Array
 from ..observer import Observer
 from ..output import machine
 from ..posterior import Posterior, Status, posterior

@@ -20,8 +20,8 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.optimize import root
 
+from .._values import Array
 from ..mechanics import closed_form, elastica, flick_past, profile, rod
-from ..mechanics.chebyshev import Array
 from ..whisker import Whisker
 
 T = TypeVar("T")

@@ -24,12 +24,11 @@ from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 import weberwhisk as ww
 
 from .. import _checks
-from .._values import pd
+from .._values import Array, pd
 from ..cli import a_number, a_seed, numbers, raised_by_weberwhisk
 from ..cues.force_map import SIGNALS
 from ..output import Run, to_json
@@ -215,7 +214,7 @@ SCENES: dict[str, Callable[[ww.Whisker], ww.cues.Cue]] = {
 
 def the_scene(
     cue: str | None, angles_deg: Texts, weber_fraction: Texts, whisker: ww.Whisker
-) -> tuple[ww.Observer, NDArray[np.float64]]:
+) -> tuple[ww.Observer, Array]:
     """The observer of any cue, and the deflection angles (rad) at which it is used."""
     if cue not in SCENES:
         name = None if cue is None else _checks.one_of("cue", cue, (*CUES, *SCENES))
@@ -235,7 +234,7 @@ def the_scene(
     return ww.Observer(whisker, made), _angles(angles_deg) if deflected else np.array([])
 
 
-def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np.float64]]:
+def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, Array]:
     """The cue, and the deflection angles (rad) at which it is used; none where it knows them."""
     name = _checks.one_of("cue", cue or CUES[0], CUES)
     angles = numbers("--deflection-angle-deg", angles_deg or [])
@@ -251,16 +250,14 @@ def the_cue(cue: str | None, angles_deg: Texts) -> tuple[ww.cues.Cue, NDArray[np
     return ww.cues.ForceMap(signals), deflections
 
 
-def one_angle(
-    angles: NDArray[np.float64], why: str = "Choices are made at one deflection angle"
-) -> float | None:
+def one_angle(angles: Array, why: str = "Choices are made at one deflection angle") -> float | None:
     """The one deflection angle that there may be; None where the cue knows it."""
     if angles.size > 1:
         raise ValueError(f"{why}, got {angles.size} values of --deflection-angle-deg; give one.")
     return float(angles[0]) if angles.size else None
 
 
-def _angles(texts: Texts) -> NDArray[np.float64]:
+def _angles(texts: Texts) -> Array:
     """Deflection angles in rad, ten degrees where none is given."""
     given = numbers("--deflection-angle-deg", texts or ["10"])
     return np.radians(_checks.positive("--deflection-angle-deg", given, "give degrees, 10 say"))

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import weberwhisk as ww
 
 from .. import _checks
 from .. import commands as opt
+from .._values import Array
 from ..behaviour import CueEncoding, IdentityEncoding, task_named
 from ..behaviour.effects import effect_valued
 from ..behaviour.simulate import SIGNED_OFFSETS
@@ -26,7 +26,7 @@ from ..design.session import Session, converse
 from ..output import Run, atomic_write, csv_text, to_json
 from ..receptors import GeneralisedWeber, LogNormal, NearMiss, ReceptorNoise, Saturating, Weber
 
-_Model = Callable[[float, NDArray[np.float64]], ReceptorNoise]
+_Model = Callable[[float, Array], ReceptorNoise]
 #: Receptors of a number and the signals at half the length. Their own Weber fraction, 0.1, is the
 #: scale of the one that is fitted.
 RECEPTORS: dict[str, _Model] = {

@@ -7,17 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import weberwhisk as ww
 
 from .. import _checks
 from .. import commands as opt
-from .._values import pd
+from .._values import Array, pd
 from ..cli import a_seed, numbers, progress
 from ..output import Run
-
-Array = NDArray[np.float64]
 
 #: Column of `bend`'s table: attribute of `Bending`, and its unit in SI.
 _BENDING_COLUMNS = {

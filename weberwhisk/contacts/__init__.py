@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .. import _checks, domain
+from .._values import Array, Index
 from ..coordinates import in_words
 from ..cues import Cue
 from ..cues.force_map import MeasuredAngle, is_curved
@@ -28,7 +29,6 @@ from .columns import (
     COMMON,
     FROM_SHAPE,
     IN_PLANE,
-    Array,
     check_magnitudes,
     from_shape,
     one_side,
@@ -332,7 +332,7 @@ def methods_of(located: pd.DataFrame) -> list[str]:
     return [*said, *notes, "Posteriors are by quadrature."]
 
 
-def _by_side(side: Array, whisker: Any) -> list[tuple[NDArray[np.intp], Any]]:
+def _by_side(side: Array, whisker: Any) -> list[tuple[Index, Any]]:
     """Rows pushed to either side, and the whisker as it looks from there: mirrored or not."""
     if not is_curved(whisker):
         return [(np.arange(len(side)), whisker)]

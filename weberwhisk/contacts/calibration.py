@@ -9,20 +9,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
 from .. import _checks, domain
-from .._values import Shown
+from .._values import Array, Shown
 from ..cues import Cue
 from ..cues.protocol import Encoded
 from ..mechanics.contact import Outcome
 from ..receptors import Seed, Weber
 from ..whisker import Whisker
 from .columns import likely_prefix, read_contacts
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

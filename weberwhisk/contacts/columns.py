@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._values import Array
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS, MeasuredAngle
 from ..cues.unknowns import Friction
@@ -20,8 +20,6 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..whisker import YOUNGS_MODULUS, Whisker
 from .files import as_number, load_table
-
-Array = NDArray[np.float64]
 
 PREFIX = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
 #: Units as people write them, and signs for them.

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._values import Array
 
 _REFUSED = (b"bwhiskpoly1", b"whisk1", b"whiskold")
 
@@ -81,7 +81,7 @@ def whiskers(path: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def segment(*axes: NDArray[np.float64]) -> dict[str, Any]:
+def segment(*axes: Array) -> dict[str, Any]:
     """What a row tells of points from follicle to tip: x, y and perhaps z."""
     x, y = axes[:2]
     return {
@@ -106,7 +106,7 @@ def angle_and_curvature(x: Any, y: Any) -> tuple[float, float]:
     )
 
 
-def _runs_to_and_fro(axes: NDArray[np.float64]) -> bool:
+def _runs_to_and_fro(axes: Array) -> bool:
     """Whether points (D, n), by eighths of them, go twice as far as they reach."""
     parts = np.array_split(axes, min(8, axes.shape[1]), axis=1)
     means = np.array([part.mean(axis=1) for part in parts])

@@ -23,14 +23,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._values import Array, Flags, Index
 from ..cues import UnknownStiffness
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class Readings(NamedTuple):
@@ -60,7 +57,7 @@ class LatticeCells(NamedTuple):
     rows: Index
     first: Index
     step: Array
-    precise: NDArray[np.bool_]
+    precise: Flags
     owner: Index
     layer: Index
     contact: Array
@@ -136,7 +133,7 @@ class Lattice:
     ) -> None:
         self.for_touches = for_touches
         self.whole, self.with_receptors = observer, with_receptors
-        self.soft: NDArray[np.bool_] | None = None
+        self.soft: Flags | None = None
         if isinstance(observer.cue, UnknownStiffness):
             self.soft = np.isin(observer.cue.signal_names, observer.cue.soft_signals)
             self.stiffness = observer.prior["stiffness"]
@@ -380,7 +377,7 @@ class Lattice:
 
     def _found(
         self, readings: Readings, level: _Level, row: Index, cell: Index, drop: Array,
-        precise: NDArray[np.bool_],
+        precise: Flags,
     ) -> LatticeCells:  # fmt: skip
         """Cells (P,) of rows (P,) with their densities, but those that are `drop` below."""
         u, s = self.unknowns, self.size

@@ -19,8 +19,8 @@ from scipy.special import expit
 from scipy.stats import chi2
 
 from .. import _checks
+from .._values import Array, Flags
 from ..mechanics import Profile
-from .columns import Array
 
 Complex = NDArray[np.complex128]
 
@@ -322,7 +322,7 @@ def points_of(table: pd.DataFrame, plane: Array, unit: float, groups: int = 32) 
     return Points(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def free_frames(bends: Array, false_alarms: float) -> NDArray[np.bool_]:
+def free_frames(bends: Array, false_alarms: float) -> Flags:
     """Frames whose curvature is that of most: within the χ² of a robust covariance.
 
     Concentration: mean and covariance of the frames that the last round found free, with the
@@ -355,7 +355,7 @@ def median_shape(bends: Array) -> Array:
     return np.asarray(root @ np.median(np.linalg.solve(root, bends.T), axis=1))
 
 
-def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> NDArray[np.bool_]:
+def contacts_of(tracking: pd.DataFrame, table: pd.DataFrame, contact: Any) -> Flags:
     """Which rows are in contact, as a column or a list says."""
     if isinstance(contact, str):
         _checks.one_of("contact", contact, map(str, tracking.columns))

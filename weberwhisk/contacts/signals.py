@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from .. import _checks
+from .._values import Array
 from ..mechanics import Profile
 from ..whisker import Whisker
-from .columns import AT_REST, COMMON, CORRELATION, FROM_SHAPE, Array
+from .columns import AT_REST, COMMON, CORRELATION, FROM_SHAPE
 from .shapes import (
     BENT,
     FREE,

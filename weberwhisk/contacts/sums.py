@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.sparse import csc_matrix
 from scipy.special import ndtri
 
+from .._values import Array, Flags, Index
 from ..coordinates import constrain_distance
 from ..observer import Observer
-from .lattice import Array, Index, Lattice, LatticeCells, Readings
+from .lattice import Lattice, LatticeCells, Readings
 
 
 def log_prior_of_distance(observer: Observer, x: Array) -> Array:
@@ -59,7 +59,7 @@ class Summary(NamedTuple):
     sd: Array
     ends: Array
     off: Array
-    precise: NDArray[np.bool_]
+    precise: Flags
     between: Array
 
 

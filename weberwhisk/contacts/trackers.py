@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from .. import _checks
+from .._values import Array, Flags
 from ..mechanics import Outcome, Profile, press, rest_angle
 from ..mechanics.shape import bent_shape
 from ..receptors import Seed
 from ..whisker import Whisker
-from .columns import Array
 from .files import (
     angle_and_curvature,
     hdf5,
@@ -218,7 +218,7 @@ def _from_follicle(table: pd.DataFrame) -> pd.DataFrame:
     return _turned(table, np.hypot(*first) > np.hypot(*last))
 
 
-def _turned(table: pd.DataFrame, turn: NDArray[np.bool_]) -> pd.DataFrame:
+def _turned(table: pd.DataFrame, turn: Flags) -> pd.DataFrame:
     """With the points of some rows from the other end."""
     points = {
         name: [v[::-1] if t else v for v, t in zip(table[name], turn, strict=True)]

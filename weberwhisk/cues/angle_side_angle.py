@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative_number, positive, positive_number
+from .._values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import GeneralisedWeber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Encoded, reach_at, readings, straight
+from .protocol import Cue, Encoded, reach_at, readings, straight
 
 #: Sd of an angle, rad: one degree. No receptor value is known for single whiskers.
 ANGLE_SD = float(np.radians(1.0))
@@ -118,7 +119,7 @@ class AngleSideAngle(Cue):
             return -1.0
         return float(min(np.sqrt(first_reach**2 - across**2) - along, reach))
 
-    def _outcome(self, whisker: Whisker, r: Array, first: Array) -> NDArray[np.int8]:
+    def _outcome(self, whisker: Whisker, r: Array, first: Array) -> Codes:
         """Outcomes, given the distances from the second place and from the first."""
         first_reach, reach = self._reaches(whisker)
         seen = (r > 0) & (r <= reach) & (first <= first_reach)
@@ -195,7 +196,7 @@ class AngleSideAngle(Cue):
 
     def radial_distance(
         self, whisker: Whisker, angles: ArrayLike, side: ArrayLike | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    ) -> tuple[Array, Codes]:
         """The distance that two angles (..., 2) and the side give, m, and its outcome, (...) each.
 
         NaN and `PARALLEL` where the lines of sight do not meet ahead, NaN and `OUT_OF_REACH` (or
@@ -211,7 +212,7 @@ class AngleSideAngle(Cue):
         outcome = np.where(meet, self._outcome(whisker, r, far), Outcome.PARALLEL)
         return np.where(outcome == Outcome.HELD, r, np.nan), outcome.astype(np.int8)
 
-    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """`PARALLEL` where two angles (..., 2) do not meet, or what else `radial_distance` says."""
         return self.radial_distance(whisker, reading)[1]
 
@@ -292,7 +293,7 @@ class ContactAndDetachment(AngleSideAngle):
         reach = _held_to(whisker, self.push)
         return reach, reach
 
-    def _outcome(self, whisker: Whisker, r: Array, first: Array) -> NDArray[np.int8]:
+    def _outcome(self, whisker: Whisker, r: Array, first: Array) -> Codes:
         outcome = super()._outcome(whisker, r, first)
         on_whisker = (r > 0) & (np.maximum(r, first) <= whisker.length)
         lost = (outcome == Outcome.OUT_OF_REACH) & on_whisker

@@ -8,16 +8,17 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import number, positive, positive_number, shown
+from .._values import Array, Codes, Flags
 from ..mechanics import closed_form
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..mechanics.muscle import SEPARATION, WHISKING, MuscleCurve, whisking_range
 from ..receptors import GeneralisedWeber
 from .angle_side_angle import ANGLE_SD
-from .protocol import Array, Cue, Encoded
+from .protocol import Cue, Encoded
 
 
 class _OfCurve(float):
@@ -167,7 +168,7 @@ class BalanceOfMoments(Cue):
 
     # -- the cue -------------------------------------------------------------------------------
 
-    def _ends(self, whisker: Any, r: Array, model: str | None) -> tuple[Array, NDArray[np.bool_]]:
+    def _ends(self, whisker: Any, r: Array, model: str | None) -> tuple[Array, Flags]:
         """The largest rotation, and whether the known effort is reached by then, (...) each."""
         assert self.effort is not None
         top = np.full(r.shape, self.room)
@@ -175,9 +176,7 @@ class BalanceOfMoments(Cue):
             top = np.nan_to_num(self.largest_angle(whisker, r)) * (1 - 1e-12)
         return top, np.asarray(self._effort(whisker, r, top, model) >= self.effort)
 
-    def _balance(
-        self, whisker: Any, r: Array, model: str | None
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def _balance(self, whisker: Any, r: Array, model: str | None) -> tuple[Array, Flags]:
         """Rotation at which the known effort is reached, and whether it ever is, (...) each."""
         from scipy.optimize.elementwise import find_root
 
@@ -259,7 +258,7 @@ class BalanceOfMoments(Cue):
 
     def radial_distance(
         self, whisker: Any, balance_angle: ArrayLike, effort: ArrayLike | None = None
-    ) -> tuple[Array, NDArray[np.int8]]:
+    ) -> tuple[Array, Codes]:
         """The distance at which muscle and whisker balance at an angle, m, and its outcome.
 
         The effort that a deflection takes falls with distance: bisection. NaN and
@@ -319,7 +318,7 @@ def _peaks(cue: BalanceOfMoments, forward: ForwardModel) -> Callable[[Array], Ar
 def _last_balance(cue: BalanceOfMoments, forward: ForwardModel, model: str | None) -> float:
     """The first distance from the base at which there is no balance, m; 0 where there is none."""
 
-    def balances(r: Array) -> NDArray[np.bool_]:
+    def balances(r: Array) -> Flags:
         return cue._ends(forward, r, model)[1]
 
     r = np.linspace(0.005, 1 - 1e-9, 400) * forward.reach

@@ -8,16 +8,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import numbers, one_or_more, positive_number, refuse_hinge
-from .._values import renamed_arguments
+from .._values import Array, Codes, renamed_arguments
 from ..mechanics import Profile, closed_form, rest_angle
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Encoded, reach_at, readings
+from .protocol import Cue, Encoded, reach_at, readings
 
 SIGNALS = ("moment", "axial_force", "transverse_force")
 
@@ -156,7 +156,7 @@ class ForceMap(Cue):
         lost = np.isnan(contact[..., 0])
         return contact, np.where(lost, Outcome.OUT_OF_REACH, Outcome.HELD).astype(np.int8)
 
-    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """What `contact` says of readings (..., S); `HELD` where there is no unique inverse."""
         known = self.deflection_angle is not None
         if (self.signal_names != ("moment",)) if known else (len(self.signal_names) != 2):

@@ -23,19 +23,17 @@ from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from .._checks import numbers, refuse_hinge, shown
-from .._values import Value, renamed_names
+from .._values import Array, Codes, Value, renamed_names
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 
-Array = NDArray[np.float64]
 #: Signals (..., S), NaN where the contact is not held, and the `Outcome` (...).
-Encoded = tuple[Array, NDArray[np.int8]]
+Encoded = tuple[Array, Codes]
 __getattr__ = renamed_names(__name__, {"Felt": "Encoded"})
 #: Unknowns that may be of either sign, rad and 1/m.
 SIGNED = ("azimuth", "friction_angle", "roll", "surface_tilt", "curvature_offset")
@@ -148,7 +146,7 @@ class Cue(Value):
         """Noise of the signals where the user names none: Weber's law, k = 0.1."""
         return Weber(0.1)
 
-    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """What the method's own inverse makes of readings (..., R); `HELD` where it has none."""
         return np.zeros(reading.shape[:-1], dtype=np.int8)
 
@@ -344,7 +342,7 @@ class Fused(Cue):
             row += slope.shape[-2]
         return out
 
-    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """That of the first cue to which its part of the readings (..., R) gives no contact."""
         outcome = np.zeros(reading.shape[:-1], dtype=np.int8)
         start = 0

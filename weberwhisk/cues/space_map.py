@@ -13,14 +13,14 @@ import scipy
 from numpy.typing import ArrayLike
 
 from .._checks import number, numbers, one_or_more, refuse_hinge
-from .._values import renamed_arguments
+from .._values import Array, renamed_arguments
 from ..mechanics.contact import Outcome
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import ForwardModel, forward_of
 from ..receptors import GeneralisedWeber, Joint, ReceptorNoise, Weber
 from ..whisker import Whisker
 from .force_map import SIGNALS, ForceMap
-from .protocol import Array, Cue, Encoded, readings, straight
+from .protocol import Cue, Encoded, readings, straight
 
 DIRECTIONS = ("moment_direction", "force_direction")
 #: What `SpaceMap` may sense: sizes, components and angles.

@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative_number, positive_number, whole
+from .._values import Array, Flags
 from ..mechanics import closed_form, modes
 from ..mechanics.contact import Outcome
 from ..mechanics.forward import forward_of
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker
-from .protocol import Array, Cue, Encoded, reach_at, readings, straight
+from .protocol import Cue, Encoded, reach_at, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,7 +247,7 @@ class LateralSlip(Cue):
                 f"{self.friction_angle:g} and {self.steepest:g} rad; write steepest=1.3, say."
             )
 
-    def sticks(self, surface_tilt: ArrayLike) -> NDArray[np.bool_]:
+    def sticks(self, surface_tilt: ArrayLike) -> Flags:
         """Where friction holds the whisker: the tilt is not sensed there, the distance is."""
         return np.asarray(np.abs(finite("surface_tilt", surface_tilt, "give radians")) <= (
             self.friction_angle

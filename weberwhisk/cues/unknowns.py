@@ -14,15 +14,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from .._checks import number, one_or_more, positive_number, refuse_hinge, shown
-from .._values import renamed_arguments, renamed_attribute
+from .._values import Array, Flags, renamed_arguments, renamed_attribute
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
 from .force_map import SIGNALS
-from .protocol import Array, Cue, Encoded, a_cue
+from .protocol import Cue, Encoded, a_cue
 from .space_map import SpaceMap
 
 
@@ -446,7 +445,7 @@ class UnknownStiffness(_Wrapped):
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
 
     @cached_property
-    def _soft(self) -> NDArray[np.bool_]:
+    def _soft(self) -> Flags:
         return np.isin(self.cue.signal_names, self.soft_signals)
 
     @property

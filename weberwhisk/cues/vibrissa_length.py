@@ -12,14 +12,15 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from .._checks import finite, non_negative_number, positive, positive_number, whole
+from .._values import Array, Codes
 from ..mechanics.contact import Outcome
 from ..receptors import Events
 from ..whisker import Whisker
-from .protocol import Array, Cue, Encoded, readings, straight
+from .protocol import Cue, Encoded, readings, straight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,9 +139,7 @@ class VibrissaLength(Cue):
         """As far out as there may be objects, m."""
         return self.reach * float(whisker.length)
 
-    def radial_distance(
-        self, whisker: Whisker, reading: ArrayLike
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def radial_distance(self, whisker: Whisker, reading: ArrayLike) -> tuple[Array, Codes]:
         """The distance that a reading (..., 2) gives away, m, and its outcome, (...) each.
 
         A touch of the tip puts the object into the middle of the tip's zone; after any other
@@ -155,7 +154,7 @@ class VibrissaLength(Cue):
         middle = whisker.length * (1 - self.tip_zone / 2)
         return np.where(at_tip, middle, np.nan), outcome.astype(np.int8)
 
-    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """`HELD` after a touch of the tip, else `NO_TOUCH` or `TIP_NOT_TOUCHED`, (...)."""
         return self.radial_distance(whisker, reading)[1]
 
@@ -433,7 +432,7 @@ class ComparativeLength(Cue):
         outcome = Outcome.HELD if pattern.any() else Outcome.NO_TOUCH
         return float(cuts[fits[0]]), float(cuts[fits[-1] + 1]), outcome
 
-    def reading_outcome(self, whisker: Whisker, reading: Array) -> NDArray[np.int8]:
+    def reading_outcome(self, whisker: Whisker, reading: Array) -> Codes:
         """What `interval` says of readings (..., n): `HELD`, `NO_TOUCH` or `CONTRADICTORY`."""
         rows, back = np.unique(reading.reshape(-1, reading.shape[-1]), axis=0, return_inverse=True)
         outcome = np.array([self.interval(whisker, row)[2] for row in rows], dtype=np.int8)

@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import entr
 
 from .. import _checks
+from .._values import Array
 from ..behaviour.axes import bias_at, lapse_prior, lapse_transform, score_prior
 from ..behaviour.encodings import UnitEncodings, gives_signal, refuse_out_of_reach
 from ..behaviour.integrate.batch import batch_steps, zoomed
@@ -34,7 +35,6 @@ from ..threads import one_blas_thread
 from .hypotheses import Hypothesis, SubjectPopulation, check_distinct, check_metres
 from .scheme import Scheme, millimetres
 
-Array = NDArray[np.float64]
 Pair = tuple[float, float, float]  # stimulus 1, stimulus 2, standard
 
 FAR = 4.5  # scores of the priors, beyond which next to nothing lies

@@ -17,9 +17,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
+from .._values import Array, Flags, Index
 from ..behaviour.axes import lapse_prior, score_prior
 from ..behaviour.encodings import gives_signal
 from ..behaviour.integrate.batch import log_sum
@@ -29,8 +30,6 @@ from ..threads import one_blas_thread
 from .experiments import compare, fit, simulate
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .scheme import Constraints, Scheme, easy_share
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -137,10 +136,10 @@ class _Site:
 
     standard: float
     sizes: Array
-    easy: NDArray[np.bool_]
+    easy: Flags
 
 
-def _positions(sites: list[_Site]) -> tuple[Array, Array, NDArray[np.intp]]:
+def _positions(sites: list[_Site]) -> tuple[Array, Array, Index]:
     """Standards and comparisons of all sites, nearer ones first, and where each site begins."""
     s1 = np.concatenate([np.full(2 * s.sizes.size, s.standard) for s in sites])
     s2 = s1 + np.concatenate([np.concatenate([-s.sizes, s.sizes]) for s in sites])

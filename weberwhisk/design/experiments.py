@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr, ndtri
 from scipy.stats import beta as beta_distribution
 
+from .._values import Array
 from ..behaviour.axes import AS_BELIEVED, BiasScales, Steps, score_prior
 from ..behaviour.integrate.batch import (
     LapseNodes,
@@ -41,7 +42,6 @@ from .hypotheses import Hypothesis, SubjectPopulation
 from .plan_file import decode
 from .scheme import Scheme
 
-Array = NDArray[np.float64]
 Weights = NDArray[np.float32]
 
 MOST_BYTES = 100e6  # of the tables of a population's batch, a quarter of what a worker then takes

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._values import renamed_arguments, renamed_attribute
+from .._values import Array, renamed_arguments, renamed_attribute
 from ..behaviour.comparison import cue_encodings, taper_encodings
 from ..behaviour.encodings import (
     ConstantNoise,
@@ -28,8 +28,6 @@ from ..behaviour.simulate import draw_animals
 from ..behaviour.trials import STIMULI, Cells, Trials
 from ..whisker import Whisker
 from .scheme import Scheme
-
-Array = NDArray[np.float64]
 
 TWO_STIMULI, ONE_STIMULUS = ("2AFC", "2IFC"), ("yes/no", "go/no-go")
 

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import ndtri, softmax
 
 from .. import _checks
+from .._values import Array
 from ..behaviour.encodings import LogEncoding
 from ..behaviour.fit import WeberFit, fit_weber, tails
 from ..behaviour.psychometric import SignedChoice, YesNo, decision_variable
@@ -26,8 +26,6 @@ from ..behaviour.trials import Cells, Trials
 from .belief import Belief, GrowingBelief, Pair, entropy
 from .hypotheses import Hypothesis, check_answers, check_distinct, options_of, refuse_given_k
 from .scheme import Scheme
-
-Array = NDArray[np.float64]
 
 GOALS = ("weber_fraction", "hypothesis", "everything")
 

@@ -14,11 +14,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import binom
 
 from .. import _checks
-from .._values import Shown
+from .._values import Array, Shown
 from ..behaviour.fit import WeberFit
 from ..behaviour.population_fit import LEFT_OUT, PopulationFit, fit_population
 from ..behaviour.psychometric import difference_sd
@@ -39,8 +38,6 @@ from .hypotheses import (
 )
 from .scheme import Constraints, Scheme, millimetres
 from .session import sessions_needed, trial_lists
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,19 +9,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri
 from scipy.stats import norm
 
 from .. import _checks, campaign
-from .._values import Shown, interval_text
+from .._values import Array, Shown, interval_text
 from .experiments import experiments
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, check_goal
 from .plan_file import encode
 from .scheme import Scheme
-
-Array = NDArray[np.float64]
 
 BY = ["truth", "trials", "animals", "lapse"]  # what experiments are counted by
 MOST = {"trials": 1000, "animals": 200}

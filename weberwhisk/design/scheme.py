@@ -9,11 +9,11 @@ from typing import Any, TypedDict
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from .. import _checks
-from .._values import renamed_arguments
+from .._values import Array, renamed_arguments
 from ..behaviour.encodings import (
     Encoding,
     checked_encoding,
@@ -24,8 +24,6 @@ from ..behaviour.encodings import (
 )
 from ..behaviour.psychometric import difference_sd, task_named
 from ..behaviour.trials import Cells
-
-Array = NDArray[np.float64]
 
 #: Trials of one experiment at most: what is listed must fit the memory.
 MOST_TRIALS = 10_000_000

@@ -28,16 +28,15 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._values import Array, Index
 from ..behaviour.trials import Cells
 from ..campaign.log import Log
 from .placement import BayesianPlacer, Placer, Proposal
 from .scheme import Scheme, millimetres
 
-Array = NDArray[np.float64]
-Counts = NDArray[np.intp]  # what NumPy counts with: 32 bits in a browser
+Counts = Index  # what NumPy counts with: 32 bits in a browser
 
 
 def trial_lists(
@@ -250,7 +249,7 @@ def _excess_repeats(sides: list[int]) -> int:
     return len(sides) - 1 - 2 * changes
 
 
-def _shuffled(size: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def _shuffled(size: int, rng: np.random.Generator) -> Index:
     # Uniform numbers alone: the streams of the other distributions may change between versions.
     return np.argsort(rng.random(size), kind="stable")
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from .._checks import one_of, shown
-from .._values import pd
+from .._values import Array, pd
 from ..jnd_curves import JNDCurve
 from .style import (
     COLOURS,
@@ -106,7 +106,7 @@ def bending(
     return np.array(axes, dtype=object)
 
 
-def _rows(curves: Bending, name: str) -> NDArray[np.float64]:
+def _rows(curves: Bending, name: str) -> Array:
     """A value of every contact, (lines, points)."""
     values = np.asarray(getattr(curves, name), dtype=float)
     return values.reshape(-1, values.shape[-1] if values.ndim else 1)

@@ -11,13 +11,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from .._values import pd
+from .._values import Array, pd
 from .style import (
     COLOURS,
     DOUBLE,
     LINES,
     SINGLE,
-    Array,
     axes_or_new,
     bars,
     drawable,

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DOP853
 
-from .chebyshev import Array
+from .._values import Array, Codes, Index
 from .shape import Law, Profile
 
 STAGES = DOP853.n_stages
@@ -71,7 +71,7 @@ class Rows:
     core: Array | None
     law: Law | None
 
-    def take(self, index: NDArray[np.intp] | slice) -> Rows:
+    def take(self, index: Index | slice) -> Rows:
         """The rows at `index`."""
         law = self.law
         if law is not None:
@@ -131,14 +131,14 @@ class Path:
     scale: Array
     d_arc: Array
     d_force: Array
-    flips: NDArray[np.int8]
+    flips: Codes
     steps: NDArray[np.int64]
 
     def room(self, n: int) -> Path:
         """Room for n rows of the kind."""
         return Path(**{k: np.empty((*v.shape[:-1], n), v.dtype) for k, v in vars(self).items()})
 
-    def put(self, index: NDArray[np.intp], other: Path) -> Path:
+    def put(self, index: Index, other: Path) -> Path:
         """Set the rows at `index`; returns this path."""
         for name, value in vars(other).items():
             getattr(self, name)[..., index] = value

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._values import Array, Index
 from .beam import Rows, follow_blocks
-from .chebyshev import Array, nodes
+from .chebyshev import nodes
 from .continuation import zero_load
 from .rod import POISSON_RATIO, RodScenes
 from .shape import Profile
@@ -93,7 +93,7 @@ class Branches:
         room = 1 - taper * r / reach_of(rows)
         return cls(rows, r, room, friction, *zero_load(rows, r))
 
-    def take(self, index: NDArray[np.intp]) -> Self:
+    def take(self, index: Index) -> Self:
         """Some of them."""
         parts = {k: v[..., index] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, rows=self.rows.take(index), **parts)
@@ -249,7 +249,7 @@ class SpaceBranches(Branches):
         scenes = RodScenes(rows, (r.size,), one, one, none, none, twist, profile.whisker)
         return cls(**flat, scenes=scenes, azimuth=azimuth)
 
-    def take(self, index: NDArray[np.intp]) -> Self:
+    def take(self, index: Index) -> Self:
         return replace(super().take(index), scenes=self.scenes.take(index))
 
     @property

@@ -17,9 +17,8 @@ from importlib import resources
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .._values import Array
 
 
 def nodes(n: int) -> Array:

@@ -12,11 +12,11 @@ truncated cones and cylinders (A infinite) alike.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import refuse_hinge
+from .._values import Array, Codes, Flags
 from ..whisker import Whisker
-from .chebyshev import Array
 from .contact import Bending, Model, Outcome
 from .elastica import beyond_tip, by_rows
 
@@ -32,7 +32,7 @@ def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
 
 def _bend(
     length: Array, taper: Array, stiffness: Array, arc: Array, force: Array
-) -> tuple[Array, NDArray[np.int8], Array]:
+) -> tuple[Array, Codes, Array]:
     u, lost = _place(length, taper, arc)
     contact_angle = force * arc**2 * (3 - 2 * u) / (6 * stiffness * (1 - u) ** 2)
     theta = contact_angle * 2 * (1 - u) / (3 - 2 * u)
@@ -50,7 +50,7 @@ def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayL
 
 def _press(
     length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
-) -> tuple[Array, NDArray[np.int8], Array]:
+) -> tuple[Array, Codes, Array]:
     u, lost = _place(length, taper, r)
     contact_angle = theta * (3 - 2 * u) / (2 * (1 - u))
     force = 3 * stiffness * theta * (1 - u) / r**2
@@ -62,15 +62,15 @@ def _press(
     return numbers, outcome, np.where(slid_off & ~lost, 1.0, error)
 
 
-def _place(length: Array, taper: Array, r: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _place(length: Array, taper: Array, r: Array) -> tuple[Array, Flags]:
     u = r / length * taper
     lost = beyond_tip(r, length, u)
     return np.where(lost, 0.0, u), lost
 
 
 def _result(
-    r: Array, theta: Array, contact_angle: Array, force: Array, lost: NDArray[np.bool_]
-) -> tuple[Array, NDArray[np.int8], Array]:
+    r: Array, theta: Array, contact_angle: Array, force: Array, lost: Flags
+) -> tuple[Array, Codes, Array]:
     with np.errstate(over="ignore"):  # of loads beyond belief: the error says so
         axial = force * contact_angle
         square = contact_angle**2

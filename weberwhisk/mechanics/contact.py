@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._values import Shown, member, pd, renamed_attribute
+from .._values import Array, Codes, Flags, Shown, member, pd, renamed_attribute
 from ..whisker import Whisker
-
-Array = NDArray[np.float64]
 
 
 class Outcome(IntEnum):
@@ -112,9 +110,9 @@ class Choice:
         What bias and tolerance are in, in words.
     """
 
-    model: Model | NDArray[np.int8]
-    error: NDArray[np.float64]
-    bias: NDArray[np.float64]
+    model: Model | Codes
+    error: Array
+    bias: Array
     tolerance: ArrayLike
     unit: str = "JND"
 
@@ -137,7 +135,7 @@ class Choice:
         return str(why[()]) if why.ndim == 0 else why
 
 
-def _reason(model: Model, bias: NDArray[np.float64], allowed: float, unit: str) -> str:
+def _reason(model: Model, bias: Array, allowed: float, unit: str) -> str:
     here = f"{model.title} is off by {_shown(bias[model], allowed)} {unit}"
     if bias[model] == 0:
         here = f"{model.title} models all there is in this scene"
@@ -201,7 +199,7 @@ class Bending(Shown):
     arc_length: Array
     force: Array
     outcome: Outcome
-    model: Model | NDArray[np.int8]
+    model: Model | Codes
     error: Array
     whisker: Whisker
     choice: Choice | None = None
@@ -226,7 +224,7 @@ class Bending(Shown):
         return domain.sentence(domain.of_whisker(self.whisker) + domain.of_contact(share, 1.0))
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Flags:
         """True where the contact is stable."""
         return np.equal(self.outcome, Outcome.HELD)
 
@@ -290,7 +288,7 @@ def bending(
     model: Model,
     shape: tuple[int, ...],
     numbers: Array,
-    outcome: NDArray[np.int8],
+    outcome: Codes,
     error: Array,
 ) -> Bending:
     """A result in its scenes' shape, of flat numbers in SI units."""
@@ -322,7 +320,7 @@ class FlickPast:
         an imposed base angle, and under a muscle of limited moment.
     """
 
-    deflection_angle: NDArray[np.float64]
-    ended_by: Outcome | NDArray[np.int8]
+    deflection_angle: Array
+    ended_by: Outcome | Codes
     at_end: Bending
     at_moment_peak: Bending

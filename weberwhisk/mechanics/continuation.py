@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._values import Array, Codes, Flags, Index
 from .beam import Path, Rows, needed, resolve
-from .chebyshev import Array
 
 REACHED, FOLD, TIP, NO_MOVE = range(4)
 #: Steps along a branch: the first, the longest, and the shortest, where a walk gives up.
@@ -83,7 +83,7 @@ class Branch:
         unit = np.clip(width / rows.radius[0], 1e-6, 1.0)
         return cls(rows, r, friction, start, t_f - t_s * r_f / r_s, unit, tolerance)
 
-    def take(self, index: NDArray[np.intp]) -> Branch:
+    def take(self, index: Index) -> Branch:
         """The branches at `index`."""
         own = vars(self).items()
         some: dict[str, Any] = {k: v[index] for k, v in own if isinstance(v, np.ndarray)}
@@ -160,12 +160,12 @@ class Section:
         low, high, low_tangent, high_tangent = np.full((4, 2, n), np.nan)
         return cls(low, high, low_tangent, high_tangent, np.full(n, np.nan), np.zeros(n))
 
-    def put(self, index: NDArray[np.intp], which: NDArray[np.bool_], *values: Array) -> None:
+    def put(self, index: Index, which: Flags, *values: Array) -> None:
         """Set those of the stretches at `index` that are `which`."""
         for old, new in zip(vars(self).values(), values, strict=True):
             old[..., index[which]] = new[..., which]
 
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Section:
+    def take(self, index: Index | Flags) -> Section:
         """The stretches at `index`."""
         return Section(*(value[..., index] for value in vars(self).values()))
 
@@ -182,7 +182,7 @@ class Walk:
     """Where walks ended: the points (2, n) and why; with the moment peak's where asked for."""
 
     point: Array
-    end: NDArray[np.int8]
+    end: Codes
     peak: Array
 
 

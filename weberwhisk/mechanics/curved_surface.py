@@ -19,14 +19,14 @@ from functools import lru_cache, reduce
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize.elementwise import find_root
 
+from .._values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from . import profile as planar
 from . import rod
 from .branches import Branches, NotFound, SpaceBranches, circle, extended, reach_of, taper_of
-from .chebyshev import Array, basis, fit, nodes, place_of, product, unfold
+from .chebyshev import basis, fit, nodes, place_of, product, unfold
 from .contact import Outcome
 from .continuation import zero_load
 from .shape import Profile, Spiral
@@ -40,8 +40,8 @@ class _Places(NamedTuple):
 
     which: Any
     distance: Array  # in lengths, 1 where it is not known
-    known: NDArray[np.bool_]
-    far: NDArray[np.bool_]
+    known: Flags
+    far: Flags
     room: Array
     last: Array
     rest: Array
@@ -216,7 +216,7 @@ class CurvedSurface:
         place = self._placed(r, tuple(map(np.atleast_1d, given)))
         return np.where(place.known, place.rest, np.nan)[place.which]
 
-    def __call__(self, r: Array, push: Array, *given: Any) -> tuple[Array, NDArray[np.int8]]:
+    def __call__(self, r: Array, push: Array, *given: Any) -> tuple[Array, Codes]:
         """Signals (n, S), NaN where not held, and outcomes (n,) at distances and pushes (n,)."""
         given = tuple(map(np.atleast_1d, given))
         place = self._placed(r, given)
@@ -248,7 +248,7 @@ class CurvedSurface:
         return out, np.where(held, Outcome.HELD, lost).astype(np.int8)
 
 
-def _distinct(*given: Array) -> tuple[list[Array], NDArray[np.intp]]:
+def _distinct(*given: Array) -> tuple[list[Array], Index]:
     """The distinct combinations (m,) of values (n,), and which each is."""
     values, codes = zip(*(np.unique(a, return_inverse=True) for a in given), strict=True)
     shape = tuple(v.size for v in values)
@@ -422,7 +422,7 @@ def space_surface(whisker: Whisker | Profile) -> SpaceSurface:
 
 def pressed(
     whisker: Whisker | Profile, r: Array, push: Array, azimuth: Array
-) -> tuple[Array, NDArray[np.int8]]:
+) -> tuple[Array, Codes]:
     """`SIX` signals (n, 6) and outcomes (n,) of contacts, by the rod's own equations."""
     profile = Profile.of(whisker)
     rows = extended(profile, np.zeros_like(r))

@@ -19,21 +19,12 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import refuse_hinge
+from .._values import Array, Codes, Flags
 from ..whisker import Whisker
-from .chebyshev import (
-    Array,
-    ChebyshevTable,
-    Curve,
-    fit,
-    load_cap,
-    nodes,
-    place_of,
-    the_map,
-    unfold,
-)
+from .chebyshev import ChebyshevTable, Curve, fit, load_cap, nodes, place_of, the_map, unfold
 from .contact import TIP_ROUNDING, Bending, FlickPast, Model, Outcome, bending
 
 #: Relative accuracy of the tables, held by the tests against an independent integrator.
@@ -43,10 +34,10 @@ ROWS = 8192
 
 
 def beyond_tip(
-    distance: NDArray[np.float64],
-    length: NDArray[np.float64] | float,
-    fraction: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    distance: Array,
+    length: Array | float,
+    fraction: Array,
+) -> Flags:
     """Beyond the tip, or at the tip of a perfect cone, which has no stiffness to push back.
 
     `fraction` is the distance over the apex distance.
@@ -99,7 +90,7 @@ def bend(whisker: Whisker, arc_length: ArrayLike, force: ArrayLike) -> Bending:
 
 def _bend(
     length: Array, taper: Array, stiffness: Array, arc: Array, force: Array
-) -> tuple[Array, NDArray[np.int8], Array]:
+) -> tuple[Array, Codes, Array]:
     table = the_map()
     u = arc / length * taper
     beyond = beyond_tip(arc, length, u)
@@ -135,7 +126,7 @@ def press(whisker: Whisker, radial_distance: ArrayLike, deflection_angle: ArrayL
 
 def _press(
     length: Array, taper: Array, stiffness: Array, r: Array, theta: Array
-) -> tuple[Array, NDArray[np.int8], Array]:
+) -> tuple[Array, Codes, Array]:
     table = the_map()
     v = r / length * taper
     beyond = beyond_tip(r, length, v)
@@ -348,9 +339,7 @@ class Surface:
             angle[tip] = np.sqrt(room * self._tip(x)[0])
         return angle
 
-    def __call__(
-        self, radial_distance: Array, deflection_angle: Array
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def __call__(self, radial_distance: Array, deflection_angle: Array) -> tuple[Array, Codes]:
         """Signals (n, 3), NaN where not held, and outcomes (n,) at distances and angles (n,)."""
         r = np.asarray(radial_distance, dtype=float)
         v = np.clip(r / self.length * self.taper, 0.0, 1.0)

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import finite
-from .._values import member
+from .._values import Array, Codes, Flags, Index, member
 from ..whisker import Whisker
 from .beam import Path, Rows, follow_each, needed, rows_of
-from .chebyshev import Array, ChebyshevTable, Curve, the_map, unfold
+from .chebyshev import ChebyshevTable, Curve, the_map, unfold
 from .contact import TIP_ROUNDING, Bending, Model, Outcome, bending
 from .continuation import FOLD, NO_MOVE, REACHED, TIP, Branch, walk, zero_load
 from .shape import Profile
 
-Solved = tuple[Array, NDArray[np.int8], Array]
+Solved = tuple[Array, Codes, Array]
 
 
 def friction(friction_angle: ArrayLike) -> Array:
@@ -76,7 +76,7 @@ class Scenes:
             part = slice(start, start + size)
             yield part, self.rows.take(part), [a[part] for a in self.given]
 
-    def outcome(self, flat: NDArray[np.int8]) -> Any:
+    def outcome(self, flat: Codes) -> Any:
         """Outcomes in the scenes' shape."""
         return member(Outcome, flat.reshape(self.shape))
 
@@ -88,7 +88,7 @@ class Scenes:
         slopes = slopes * to_signal[:, None] / to_contact
         return np.moveaxis(slopes, -1, 0).reshape(*self.shape, 3, 2)
 
-    def bending(self, numbers: Array, outcome: NDArray[np.int8], error: Array) -> Bending:
+    def bending(self, numbers: Array, outcome: Codes, error: Array) -> Bending:
         """Results in the scenes' shape and in SI units."""
         length, force, one = self.length, self.force, np.ones_like(self.length)
         # In the order of `contact.NUMBERS`.
@@ -163,7 +163,7 @@ def press_rows(rows: Rows, r: Array, theta: Array, psi: Array, tolerance: float)
 
 def _newton(
     rows: Rows, r: Array, theta: Array, psi: Array, start: Array, push: Array, tolerance: float
-) -> tuple[Array, Array, Path, Array, NDArray[np.bool_]]:
+) -> tuple[Array, Array, Path, Array, Flags]:
     """Arc, force and pass at (r, θ), what the last step leaves; True where proved stable."""
     n = r.size
     compliance, f, s, steps = _guess(rows, r, psi, start, push)
@@ -253,7 +253,7 @@ def _guess(
     return compliance, f, np.clip(s, 0.5 * start, 1.0), np.clip(steps, 1, 4).astype(np.int64)
 
 
-def _winds(rows: Rows, most: float = 1.5) -> NDArray[np.bool_]:
+def _winds(rows: Rows, most: float = 1.5) -> Flags:
     """So curled that a stable contact may lie on another branch than the first: it is walked.
 
     By the turn of the whisker at rest, rad: up to about twice a rat's Newton's method is trusted.
@@ -340,12 +340,12 @@ def signal_slopes(path: Path, force: Array, sign: Array) -> Array:
     return np.asarray(slopes)
 
 
-def on_whisker(rows: Rows, arc: Array) -> NDArray[np.bool_]:
+def on_whisker(rows: Rows, arc: Array) -> Flags:
     """On the whisker, and not at a tip of no width, which has no stiffness to push back."""
     return (arc <= 1 + TIP_ROUNDING) & ~((arc >= 1 - TIP_ROUNDING) & (rows.radius[-1] <= 0))
 
 
-def in_order(rows: Rows, arc: Array, which: NDArray[np.bool_]) -> NDArray[np.intp]:
+def in_order(rows: Rows, arc: Array, which: Flags) -> Index:
     """The indices of `which`; by contact arc if there are several pieces.
 
     A block of rows that all touch near the base then skips the pieces beyond.

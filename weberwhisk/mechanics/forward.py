@@ -30,16 +30,15 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize.elementwise import find_root
 
 from .._checks import angle, positive, refuse_hinge
-from .._values import Value
+from .._values import Array, Codes, Flags, Value
 from ..whisker import Whisker
 from . import closed_form, elastica, ladder
 from .branches import THINNEST
-from .chebyshev import Array
 from .contact import Outcome
 from .curved_surface import PlanarSurface, SpaceSurface, planar_surface, pressed, space_surface
 from .elastica import Surface, in_pieces, surface_of
@@ -283,7 +282,7 @@ class ForwardModel(Value):
         assert isinstance(law, Spiral)
         return Spiral(law.base + offset, law.rate + 0 * np.asarray(offset))
 
-    def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
         """Moment, axial and transverse force (..., 3), NaN where not held, and outcome (...)."""
         if self.is_hinged:
             inner, falls = self._bent(r, theta)
@@ -299,7 +298,7 @@ class ForwardModel(Value):
         """What bends on a hinge, by the table that serves it."""
         return replace(self.clamped, model=None if self.is_plain else self.model)
 
-    def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    def _bent(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Flags]:
         """How much of deflections bends the whisker (...), and whether it lost hold early."""
         shape, (flat, angle, _, _, compliance) = self._rows(r, theta)
         compliance = np.broadcast_to(compliance, flat.shape)
@@ -309,7 +308,7 @@ class ForwardModel(Value):
         inner, falls = _clamped_angle(self._table, self._compliances, flat, angle, compliance)
         return inner.reshape(shape), falls.reshape(shape)
 
-    def in_space(self, r: ArrayLike, push: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def in_space(self, r: ArrayLike, push: ArrayLike) -> tuple[Array, Codes]:
         """The six signals (..., 6) of `space_surface`, NaN where not held, and outcome (...).
 
         Without friction, at `azimuth`: by the table or, where the model is "rod", one by one.
@@ -328,7 +327,7 @@ class ForwardModel(Value):
             signals, outcome = in_pieces(self.surface, *flat, axis=0)
         return signals.reshape(*r.shape, 6), outcome.reshape(r.shape)
 
-    def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
         """`signals` of a clamped base by the table, whichever model is named."""
         surface = self.surface
         if isinstance(surface, Surface):
@@ -339,7 +338,7 @@ class ForwardModel(Value):
         out, outcome = in_pieces(surface, *flat, axis=0)
         return out.reshape(*shape, 3), outcome.reshape(shape)
 
-    def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def _solved(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
         """By solving the equations of the model that was named, contact by contact."""
         if self.model == "closed_form":
             bare = closed_form.press(_straightened(self.base), r, theta)
@@ -391,7 +390,7 @@ class ForwardModel(Value):
             columns.append(slope)
         return np.stack(columns, axis=-1)
 
-    def stiffness(self, r: ArrayLike) -> tuple[Array, NDArray[np.int8]]:
+    def stiffness(self, r: ArrayLike) -> tuple[Array, Codes]:
         """Moment for each radian of the lightest push, N m, and outcome (...)."""
         r = np.asarray(r, dtype=float)
         if self.is_hinged:
@@ -438,7 +437,7 @@ def _largest(
 
 def _clamped_angle(
     forward: ForwardModel, ends: tuple[float, float], r: Array, theta: Array, compliance: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Flags]:
     """θ′ at distances and θ (n,), beyond its limit where θ is; whether not the tip ends it."""
     top, peak, last, held = _largest(forward, ends, r, compliance)
     size = np.abs(theta)

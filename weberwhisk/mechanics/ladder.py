@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import angle, finite, one_of, positive
+from .._values import Array
 from ..whisker import Whisker
 from . import closed_form, elastica
-from .chebyshev import Array
 from .contact import TOLERANCE, Bending, Choice, FlickPast, Model
 
 if TYPE_CHECKING:

@@ -29,13 +29,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, positive
+from .._values import Array, Codes, Flags
 from ..whisker import Whisker
 from . import elastica
 from .beam import follow_blocks
-from .chebyshev import Array
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
 from .equilibrium import Scenes, friction, numbers_of, signal_slopes
 from .rod import POISSON_RATIO, RodScenes
@@ -59,7 +59,7 @@ class Estimates:
     not vouch for that model and zero from the top on.
     """
 
-    top: NDArray[np.int8]
+    top: Codes
     signals: Array
     slopes: Array
     misses: Array
@@ -111,7 +111,7 @@ def estimate(scene: SceneRows) -> Estimates:
     return Estimates(top, true, slopes, misses)
 
 
-def _planar_step(scene: SceneRows, contact: Array) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+def _planar_step(scene: SceneRows, contact: Array) -> tuple[Array, Array, Flags, Array]:
     """Signals and slopes of the planar beam one Newton step from a contact (arc, force).
 
     And how large the step was: of the moment, of the contact and of the whisker that is left.
@@ -145,7 +145,7 @@ def _planar_step(scene: SceneRows, contact: Array) -> tuple[Array, Array, NDArra
     return numbers[:3], slopes, good, np.where(good, size, 0.0)
 
 
-def _spatial_step(scene: SceneRows, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _spatial_step(scene: SceneRows, contact: Array) -> tuple[Array, Flags]:
     """The rod's signals two Newton steps from a planar contact, and their vouching."""
     rods = RodScenes.of(
         scene.profile(), (scene.distance,), scene.friction, scene.roll, POISSON_RATIO
@@ -284,7 +284,7 @@ def _direction(slopes: Array, angle_unknown: bool) -> Array:
     if len(to_r) == 1:
         return np.ones_like(to_r)
     if angle_unknown and len(to_r) == 2:  # also where the two columns are parallel: a ridge
-        q: NDArray[np.float64] = np.stack([to_angle[1], -to_angle[0]])
+        q: Array = np.stack([to_angle[1], -to_angle[0]])
     elif angle_unknown:
         q = to_r - to_angle * (to_angle * to_r).sum(axis=0) / (to_angle**2).sum(axis=0)
     else:
@@ -401,8 +401,8 @@ def of_model(observer: Any, model: str) -> float:
 def between(
     observer: Any,
     contact: Array,
-    one: tuple[Array, NDArray[np.int8]],
-    other: tuple[Array, NDArray[np.int8]],
+    one: tuple[Array, Codes],
+    other: tuple[Array, Codes],
 ) -> float:
     """Largest bias between two sets of signals of contacts, JNDs."""
     (exact, outcome), (rough, held) = one, other

@@ -40,9 +40,8 @@ from scipy.linalg import eigh, null_space
 from scipy.optimize import brentq
 
 from .._checks import finite, non_negative, number, positive, whole
-from .._values import renamed_attribute
+from .._values import Array, renamed_attribute
 from ..whisker import Whisker
-from .chebyshev import Array
 from .shape import Profile
 
 BASIS = 60

@@ -13,12 +13,12 @@ from enum import Enum, IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, positive, positive_number
+from .._values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from . import elastica
-from .chebyshev import Array
 
 #: Figure 3c: the range of whisking, rad.
 WHISKING = (np.radians(30.0), np.radians(150.0))
@@ -136,7 +136,7 @@ class MomentBalance:
 
     balance_angle: Array
     moment: Array
-    outcome: NDArray[np.int8]
+    outcome: Codes
     end_angle: Array
 
 
@@ -246,16 +246,14 @@ def moment_balance(
     )
 
 
-def _first_crossing(
-    excess: Any, reach: Array, samples: int
-) -> tuple[NDArray[np.bool_], Array, Array]:
+def _first_crossing(excess: Any, reach: Array, samples: int) -> tuple[Flags, Array, Array]:
     """Whether and between which angles the excess first falls to zero."""
     k = np.arange(samples + 1).reshape(-1, *(1,) * reach.ndim)
     # Closer steps towards the fold, about which everything goes as a square root.
     place = reach * (1 - (1 - k / samples) ** 2)
     over = np.stack([excess(row) for row in place])
 
-    def of(index: NDArray[np.intp]) -> Array:
+    def of(index: Index) -> Array:
         return np.take_along_axis(place, np.clip(index, 0, samples)[None], axis=0)[0]
 
     falls = over <= 0

@@ -36,12 +36,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, kind, number
-from .._values import member
+from .._values import Array, Flags, member
 from ..whisker import Whisker
-from .chebyshev import Array
 from .contact import Bending, Outcome
 from .profile import bend
 from .shape import Profile
@@ -74,7 +73,7 @@ class Sweep:
     rotation: Array
     bending: Bending
     contact: Array
-    tip: NDArray[np.bool_]
+    tip: Flags
     first_contact: float
     end: float
     ended_by: Outcome

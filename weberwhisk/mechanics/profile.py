@@ -18,12 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative, positive
+from .._values import Array, Flags
 from ..whisker import Whisker
 from .beam import Rows, resolve
-from .chebyshev import Array
 from .contact import TOLERANCE, Bending, FlickPast, Outcome
 from .continuation import NO_MOVE, TIP, Branch, walk, zero_load
 from .equilibrium import (
@@ -274,8 +274,8 @@ class Sticking:
 
     inward: Bending
     outward: Bending
-    stuck_inward: NDArray[np.bool_]
-    stuck_outward: NDArray[np.bool_]
+    stuck_inward: Flags
+    stuck_outward: Flags
 
 
 def sticking(

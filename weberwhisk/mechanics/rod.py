@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, positive
+from .._values import Array, Codes, Flags, Index
 from ..whisker import Whisker
 from .beam import CAUTION, ENDS, POINTS, SLOTS, STAGES, Piece, Rows, pilot
-from .chebyshev import Array
 from .contact import TOLERANCE, Model, Outcome
 from .continuation import zero_load
 from .equilibrium import ROUNDING, Scenes, friction, on_whisker
@@ -66,8 +66,8 @@ class RodBending:
     arc_length: Array
     magnitude: Array
     direction: Array
-    outcome: Outcome | NDArray[np.int8]
-    model: Model | NDArray[np.int8]
+    outcome: Outcome | Codes
+    model: Model | Codes
     error: Array
     whisker: Whisker
 
@@ -184,9 +184,7 @@ def press(
     return _result(scenes, v, base, outcome, error)
 
 
-def _result(
-    scenes: RodScenes, v: Array, base: Base, outcome: NDArray[np.int8], error: Array
-) -> RodBending:
+def _result(scenes: RodScenes, v: Array, base: Base, outcome: Codes, error: Array) -> RodBending:
     lost = outcome != Outcome.HELD
     contact = base.seen(base.lever)
     force, moment = np.split(base.signals(), 2)
@@ -228,7 +226,7 @@ class Base:
     error: Array
     steps: int
 
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Base:
+    def take(self, index: Index | Flags) -> Base:
         """The rods at `index`."""
         some: dict[str, Any] = {k: v[..., index] for k, v in vars(self).items() if k != "steps"}
         return replace(self, **some)
@@ -297,7 +295,7 @@ class RodScenes:
     def flat(self, value: ArrayLike) -> Array:
         return np.broadcast_to(np.asarray(value, dtype=float), self.shape).reshape(-1).copy()
 
-    def take(self, index: NDArray[np.intp]) -> RodScenes:
+    def take(self, index: Index) -> RodScenes:
         own = vars(self).items()
         some: dict[str, Any] = {k: v[index] for k, v in own if isinstance(v, np.ndarray)}
         return replace(self, rows=self.rows.take(index), shape=(index.size,), **some)
@@ -424,9 +422,7 @@ class RodScenes:
         off = off + np.linalg.norm(miss, axis=0)
         return np.asarray(np.linalg.norm(slopes, axis=2).T * off)
 
-    def press(
-        self, distance: Array, target: Array, round_back: NDArray[np.bool_]
-    ) -> tuple[Array, NDArray[np.int8]]:
+    def press(self, distance: Array, target: Array, round_back: Flags) -> tuple[Array, Codes]:
         """Equilibria by continuation along the great circle from rest to the unit `target`.
 
         Where `round_back`, by its longer arc.

@@ -23,12 +23,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from .._values import Array, Codes, Index
 from ..whisker import Whisker
 from . import closed_form, elastica, rod
 from .beam import Rows
-from .chebyshev import Array
 from .contact import Bending, Choice, Model, Outcome
 from .continuation import zero_load
 from .equilibrium import Scenes, Solved, by_rows, friction, press_rows
@@ -61,7 +61,7 @@ class SceneRows:
         height = np.arcsin(np.sin(rest) * np.sin(roll))
         return cls(rows, r, theta, psi, roll, start, theta - azimuth, height)
 
-    def take(self, index: NDArray[np.intp]) -> SceneRows:
+    def take(self, index: Index) -> SceneRows:
         """The scenes at `index`."""
         rest = (value[index] for name, value in vars(self).items() if name != "rows")
         return SceneRows(self.rows.take(index), *rest)
@@ -71,7 +71,7 @@ class SceneRows:
         """1 − 1/R of the straight whisker that models 0 and 1 see."""
         return np.clip(1 - self.rows.radius[-1] / self.rows.radius[0], 0.0, 1.0)
 
-    def top(self) -> NDArray[np.int8]:
+    def top(self) -> Codes:
         """The lowest model that models all there is in each scene."""
         plain = self.rows.core is None and len(self.rows.arc) == 2
         model = np.where((self.friction != 0) | (not plain), Model.PROFILE, Model.ELASTICA)
@@ -159,7 +159,7 @@ def jacobian_in_space(
     return np.stack(columns, axis=-1)
 
 
-def press(scene: SceneRows, model: NDArray[np.int8], tolerance: float) -> Solved:
+def press(scene: SceneRows, model: Codes, tolerance: float) -> Solved:
     """The eight numbers of a `Bending`, outcome and error, each scene by the model named."""
     n = scene.distance.size
     numbers, error = np.full((8, n), np.nan), np.full(n, np.nan)

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite, kind, non_negative, positive, refuse_hinge
-from .._values import Value
+from .._values import Array, Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Whisker
-from .chebyshev import Array
 
 _METRES = "give metres, such as 5e-3"
 _TABLES = ("arc", "radius", "core")

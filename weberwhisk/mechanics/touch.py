@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative, positive
+from .._values import Array
 from .beam import follow, pilot, rows_of
-from .chebyshev import Array
 from .contact import Outcome
 from .shape import Profile, bent_shape
 

@@ -20,16 +20,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from .._values import Array
 from ..cues import Compliance
 from ..mechanics import Bending, Outcome, bend, flick_past, press
 from ..mechanics.muscle import WHISKING, Balance, MuscleCurve, moment_balance
 from ..surveys import WHISKER
 from ..whisker import Whisker
-
-Array = NDArray[np.float64]
 
 CONE = Whisker(WHISKER.length, WHISKER.base_radius, 0.0, WHISKER.youngs_modulus)
 

@@ -8,9 +8,9 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import paper
+from .._values import Array
 from ..along_whisk import limits
 from ..array import WhiskerArray
 from ..array_observer import ArrayObserver, array_by_count, array_resolution
@@ -41,8 +41,6 @@ from ..surveys import NONE, WHISKER, K
 from ..sweeping import follow
 from ..whisker import Whisker
 from . import CONE
-
-Array = NDArray[np.float64]
 
 L = float(WHISKER.length)
 CYLINDER = WHISKER.cylinder()

@@ -12,23 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
 from .._checks import kind, one_of, positive_number
-from .._values import member
+from .._values import Array, Flags, Index, member
 from ..coordinates import family
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .grid import integrate
 from .peaks import laplace
 from .quadrature import quadrature
-from .result import (
-    Array,
-    Estimate,
-    Index,
-    Posterior,
-    Solution,
-    Status,
-    beyond_reach,
-    is_outside,
-)
+from .result import Estimate, Posterior, Solution, Status, beyond_reach, is_outside
 
 __all__ = ["Estimate", "Posterior", "Status", "posterior"]
 
@@ -173,7 +164,7 @@ def _who(solution: Solution) -> str:
     return ", own grid" if own.all() else f", {own.sum()} of {len(own)} on own grids"
 
 
-def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
+def _of_no_contact(observer: Observer, reading: Array) -> Flags:
     """Readings (B, R) that are zero wherever noise only grows with the signal: no contact's.
 
     Such noise has no zeros but of a signal that is zero, and not all are but without deflection.
@@ -185,7 +176,7 @@ def _of_no_contact(observer: Observer, reading: Array) -> NDArray[np.bool_]:
     return np.asarray(graded.any() & (reading[:, graded] == 0).all(axis=1))
 
 
-def _outside(observer: Observer, reading: Array, solution: Solution) -> NDArray[np.bool_]:
+def _outside(observer: Observer, reading: Array, solution: Solution) -> Flags:
     """Posteriors (B,) that converged, of an observer or at a distance outside the domain."""
     r = solution.estimates[0]
     outside = (r.mean / observer.reach[1] < domain.CONTACTS[0]) | beyond_reach(

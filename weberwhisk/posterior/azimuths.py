@@ -16,15 +16,14 @@ from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf, expit, logsumexp, ndtri
 
+from .._values import Array, Codes, Index
 from ..coordinates import ContactCoordinates, family, from_normal
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .grid import OwnGrids, integrate, weighted_quantiles
 from .peaks import climb
-from .result import Array, Index
 from .tiled import Moments
 
 FULL = 2 * np.pi
@@ -90,7 +89,7 @@ class Around:
         azimuth = place[..., 2] + self.middle + self.scale * v
         return np.concatenate([place, azimuth[..., None]], axis=-1), log + self.log_roll(v)
 
-    def signals(self, contact: Array) -> tuple[Array, NDArray[np.int8]]:
+    def signals(self, contact: Array) -> tuple[Array, Codes]:
         """Signals and outcome of contacts (..., 4) as above."""
         return self.felt(contact[..., :3])(contact[..., 3])
 

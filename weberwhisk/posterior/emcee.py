@@ -12,10 +12,10 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from .._checks import one_of
+from .._values import Array, Flags, Index
 from ..coordinates import FARTHEST
 from ..observer import Observer
 from ..receptors import Seed
@@ -25,17 +25,9 @@ from .moves import MoveMaker, StackedMixture, default_moves, recommended_walkers
 from .panels import panels_of
 from .peaks import climb, density_at, is_divided, prior_precision, score
 from .quadrature import quadrature
-from .result import (
-    Array,
-    Estimate,
-    Solution,
-    Status,
-    is_improbable,
-    is_unidentified,
-    refuse_impossible,
-)
+from .result import Estimate, Solution, Status, is_improbable, is_unidentified, refuse_impossible
 
-Density = Callable[[Array, NDArray[np.intp]], Array]
+Density = Callable[[Array, Index], Array]
 #: Monte Carlo error of the sd, over the sd, that emcee goes on for, and the steps after which a
 #: posterior that has not converged is called so: one unknown, and more.
 PRECISION, MOST_STEPS = (0.02, 0.03), (20_000, 6_000)
@@ -91,7 +83,7 @@ def sample(
         fields: dict[str, Any] = {}
         for most in stages:
 
-            def density(x: Array, index: NDArray[np.intp], todo: Any = todo) -> Array:
+            def density(x: Array, index: Index, todo: Any = todo) -> Array:
                 value = observer.log_density(x, rows[todo[index], None])
                 # Beyond, where contacts stay at an end, a density that does would let walkers go.
                 return np.where(np.abs(x[..., 0]) < FARTHEST, value, -np.inf)
@@ -158,7 +150,7 @@ def _solution(
     return Solution(estimates, status.astype(np.int8), evidence, quantile_of, draws_of)
 
 
-def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> NDArray[np.bool_]:
+def _missing_peaks(observer: Observer, reading: Array, sampled: Estimate) -> Flags:
     """Of which posteriors of one unknown (B,), their mass being apart, walkers missed some.
 
     No diagnostic of the walkers sees a peak where none of them is, so these are held against
@@ -283,7 +275,7 @@ def _scatter(observer: Observer) -> tuple[Array, tuple[int, ...]]:
 
 def _best_places(
     density: Callable[[Array], Array], reading: Array, shape: tuple[int, ...], places: int
-) -> NDArray[np.intp]:
+) -> Index:
     """Which of a grid's places (B, K) are best, each at least two steps from the others."""
     table = density(reading)
     refuse_impossible(reading, table.max(axis=1))

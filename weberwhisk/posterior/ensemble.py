@@ -18,10 +18,11 @@ import emcee
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._values import Array, Flags, Index
 from ..receptors import Seed
 from . import arviz_io as diagnostics
 from .arviz_io import Shortfall
-from .moves import Array, MoveMaker, StackedMove, checked_start, default_moves, refuse_outside
+from .moves import MoveMaker, StackedMove, checked_start, default_moves, refuse_outside
 from .result import checked_density
 
 
@@ -51,7 +52,7 @@ class StackedSample:
     shortfall: NDArray[np.int64]
 
     @property
-    def converged(self) -> NDArray[np.bool_]:
+    def converged(self) -> Flags:
         """Which posteriors met every criterion, shape (B,)."""
         return self.shortfall == 0
 
@@ -216,7 +217,7 @@ class EnsembleRun:
         both = [v.reshape(-1, w * c) @ pool for v in (values, np.square(values))]
         return _batched(np.stack(both).reshape(2, n, b, e, c).transpose(0, 2, 4, 3, 1), self.batch)
 
-    def leave(self, stay: NDArray[np.bool_]) -> None:
+    def leave(self, stay: Flags) -> None:
         """Go on with some of the posteriors only."""
         self.alive, self.moved = self.alive[stay], self.moved[stay]
         for move, _ in self.moves:
@@ -275,7 +276,7 @@ class EnsembleRun:
         kept[asked] = values
         return out | {"shortfall": fault, "rhat": rhat, "values": kept}
 
-    def burn_in(self) -> NDArray[np.intp]:
+    def burn_in(self) -> Index:
         """The shortest of n/8, n/4 and n/2 batches after which no drift of 3 errors is left."""
         n = self.series.shape[-1]
         late = self.series[..., n // 2 :]
@@ -291,7 +292,7 @@ class EnsembleRun:
             burn[settled] = cut
         return burn
 
-    def statistics(self, rows: NDArray[np.intp], cut: int) -> dict[str, NDArray]:
+    def statistics(self, rows: Index, cut: int) -> dict[str, NDArray]:
         """Moments and their Monte Carlo errors after a burn-in of `cut` batches."""
         first, second = self.series[:, rows, ..., cut:]
         mean = first.mean(axis=(-2, -1))
@@ -311,7 +312,7 @@ class EnsembleRun:
             "ess": count * variance / np.where(of_mean > 0, of_mean, np.nan),
         }
 
-    def values(self, rows: NDArray[np.intp], cut: NDArray[np.intp]) -> Array:
+    def values(self, rows: Index, cut: Index) -> Array:
         """An even selection of the columns of posteriors `rows`, (b, E, N, C), in order of time."""
         steps = np.linspace(cut, len(self.coords) - 1, self.selected).round().astype(np.intp)
         chosen = np.moveaxis(self.columns(self.coords[steps, rows]), 0, 2)

@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
+from .._values import Array, Flags, Index
 from ..coordinates import leaps
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .marginals import logs, to_cells
-from .result import Array, Index, is_outside
+from .result import is_outside
 from .rows import TouchRows, distances, highest
 from .tiled import Moments
 from .tiling import ORDER
@@ -121,7 +121,7 @@ class FrictionRows(TouchRows):
         off, held = self.off(contact[:, 0, :3], found[:, 0])
         return float(np.quantile(np.nan_to_num(off[held], nan=np.inf), 0.95))
 
-    def off(self, contact: Array, found: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def off(self, contact: Array, found: Array) -> tuple[Array, Flags]:
         """How far off signals (..., S) found at contacts (..., 3) are, in sds; which are held."""
         exact, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD
@@ -310,7 +310,7 @@ def _joined(found: Iterable[Leaves]) -> Leaves:
     return Leaves(*(np.concatenate(column) for column in zip(*parts, *found, strict=True)))
 
 
-def _best(found: Leaves, count: int) -> tuple[Array, NDArray[np.bool_]]:
+def _best(found: Leaves, count: int) -> tuple[Array, Flags]:
     """The contact of the highest node of each reading, (B, 3), and whether it has any."""
     top = found.log.max(axis=1, initial=-np.inf)
     order = np.lexsort((-top, found.which))

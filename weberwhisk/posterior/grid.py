@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._values import Array, Index
 from ..observer import Observer
-from .result import Array, Index, checked_density
+from .result import checked_density
 from .tiled import Moments
 from .tiling import trunk
 

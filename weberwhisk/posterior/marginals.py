@@ -12,8 +12,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.special import logit, wrightomega
 
+from .._values import Array, Index
 from ..coordinates import constrain_angle
-from .result import Array, Index
 from .tiled import TiledObserver, Weighed, summed
 from .tiling import ORDER
 

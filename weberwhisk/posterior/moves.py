@@ -7,10 +7,10 @@ from functools import partial
 
 import emcee
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
-Array = NDArray[np.float64]
+from .._values import Array, Flags, Index
 
 
 class StackedMove(emcee.moves.Move):
@@ -33,16 +33,14 @@ class StackedMove(emcee.moves.Move):
     def begin(self, posteriors: int, rows: int) -> None:
         """Told of how many posteriors the blocks are, and how many rows belong to each."""
 
-    def leave(self, stay: NDArray[np.bool_]) -> None:
+    def leave(self, stay: Flags) -> None:
         """Told which posteriors go on, when the others are done."""
 
     def proposal(self, active: Array, rest: Array) -> tuple[Array, Array | float]:
         """New places for `active` (blocks, W/2, D) from `rest`, and the log Hastings factor."""
         raise NotImplementedError
 
-    def propose(
-        self, model: emcee.model.Model, state: emcee.State
-    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+    def propose(self, model: emcee.model.Model, state: emcee.State) -> tuple[emcee.State, Flags]:
         """One step of every walker of every block; emcee calls this."""
         rows, dim = state.coords.shape
         blocks, half = rows // self.walkers, self.walkers // 2
@@ -154,14 +152,12 @@ class StackedMixture(StackedMove):
         self.seen = np.full((posteriors, rows, self.centre.shape[2]), np.nan)
         self.proposed = np.empty((posteriors, rows))  # ln of the proposals' density at `seen`
 
-    def leave(self, stay: NDArray[np.bool_]) -> None:
+    def leave(self, stay: Flags) -> None:
         self.alive = self.alive[stay]
         self.next = [part[stay] for part in self.next]
         self.seen, self.proposed = self.seen[stay], self.proposed[stay]
 
-    def propose(
-        self, model: emcee.model.Model, state: emcee.State
-    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+    def propose(self, model: emcee.model.Model, state: emcee.State) -> tuple[emcee.State, Flags]:
         """One step of every walker of every posterior; emcee calls this."""
         if not self.next or not self.next[0].shape[1]:
             self._look_ahead(model)
@@ -198,7 +194,7 @@ class StackedMixture(StackedMove):
         x = self.centre[row, which] + np.einsum("bmij,bmj->bmi", self.root[row, which], z)
         return x, self.log_density(x, self.alive)
 
-    def log_density(self, x: Array, index: NDArray[np.intp]) -> Array:
+    def log_density(self, x: Array, index: Index) -> Array:
         """ln of the density that proposals x (b, m, D) for posteriors `index` (b,) have."""
         out = np.empty(x.shape[:2])
         # A few at a time: what is worked on stays in the cache.

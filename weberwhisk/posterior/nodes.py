@@ -17,17 +17,17 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr, ndtri
 
+from .._values import Array, Flags, Index
 from ..coordinates import from_normal
 from ..cues.unknowns import Conditioned
 from ..mechanics.forward import forward_of
 from ..observer import Observer
 from .grid import weighted_quantiles
 from .marginals import draws, tile_quantiles
-from .result import Array, Index, among
+from .result import among
 from .tiled import Moments, TiledObserver
 from .tiling import Tiles, TooManyTiles, tiles_of
 
@@ -159,7 +159,7 @@ class NodeSums:
             self.moments = self._moments()
             self.error = self.error[self.rows]
 
-    def _evaluate(self, asked: NDArray[np.bool_]) -> None:
+    def _evaluate(self, asked: Flags) -> None:
         """Sum over tiles at the nodes that are asked for, of the readings that do, (B, n)."""
         self._known |= asked
         for node in np.flatnonzero(asked.any(axis=0)):
@@ -210,7 +210,7 @@ class NodeSums:
         for i in unknowns:
             self.quantile[rows, node, i] = found[i]
 
-    def _beyond(self, rows: Index) -> NDArray[np.bool_]:
+    def _beyond(self, rows: Index) -> Flags:
         """The next nodes (B, n) beyond the ends, where those have mass to speak of.
 
         At four sds the prior alone is e^-8 below its top.
@@ -223,7 +223,7 @@ class NodeSums:
                     out[row, end + step] = True
         return out
 
-    def _closer(self, rows: Index) -> NDArray[np.bool_]:
+    def _closer(self, rows: Index) -> Flags:
         """Nodes halfway between those that have mass, and their neighbours, (B, n)."""
         out = np.zeros_like(self._known)
         for row in rows:

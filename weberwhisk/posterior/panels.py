@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from .._values import Array, Flags, Index
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .result import IMPROBABLE, Array, Index, refuse_impossible
+from .result import IMPROBABLE, refuse_impossible
 
 
 def _gauss_kronrod(count: int = 7) -> tuple[Array, Array, Array]:
@@ -94,7 +94,7 @@ class PanelMoments:
     mean_error: Array
     sd_error: Array
     log_evidence: Array
-    improbable: NDArray[np.bool_]
+    improbable: Flags
 
 
 class Panels:
@@ -167,7 +167,7 @@ class Panels:
 
     def _too_long(
         self, left: Array, right: Array, *, longest: float = 2.0, shortest: float = 1e-6
-    ) -> NDArray[np.bool_]:
+    ) -> Flags:
         """Panels longer than so many JNDs, or on which signals or noise are not smooth.
 
         None with a half-length below the shortest: a kink is close enough, its square is the error.

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import expit, ndtri
 
 from .._checks import finite
+from .._values import Array, Flags
 from ..coordinates import FARTHEST
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -18,7 +19,6 @@ from ..receptors import Seed
 from ..threads import on_threads
 from .panels import panels_of
 from .result import (
-    Array,
     Estimate,
     Solution,
     Status,
@@ -301,7 +301,7 @@ def count_peaks(observer: Observer, reading: ArrayLike, mass: float = 0.95) -> A
     return np.array(counts) if y.ndim > 1 else counts[0]
 
 
-def is_divided(observer: Observer, reading: Array) -> NDArray[np.bool_]:
+def is_divided(observer: Observer, reading: Array) -> Flags:
     """Posteriors (B,) of one unknown whose mass lies apart: methods that climb miss some of it.
 
     A billionth of the mass, as far off as the base is from the tip, still widens a narrow peak.

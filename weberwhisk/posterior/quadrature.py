@@ -13,8 +13,8 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._values import Array, Flags, Index
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
@@ -27,9 +27,7 @@ from .nodes import NodeSums, turning_unknown
 from .panels import panels_of
 from .peaks import find_mode
 from .result import (
-    Array,
     Estimate,
-    Index,
     Solution,
     Status,
     among,
@@ -278,7 +276,7 @@ def _by_whole(
     return _of(served, rows, tiled, moments, errors), np.flatnonzero(~served)
 
 
-def _served(tiled: TiledObserver, reading: Array, moments: Moments) -> NDArray[np.bool_]:
+def _served(tiled: TiledObserver, reading: Array, moments: Moments) -> Flags:
     """Of which readings (B,) the sums over a whole tiling are to be believed."""
     served = np.isfinite(moments.sd).all(axis=1) & (moments.rough < 1e-4)
     served &= moments.share < 0.35  # else it is narrower than its reading should be
@@ -343,9 +341,7 @@ def _by_own(
     return out
 
 
-def _of(
-    some: NDArray[np.bool_], rows: Index, tiled: TiledObserver, moments: Moments, error: Array
-) -> _Found:
+def _of(some: Flags, rows: Index, tiled: TiledObserver, moments: Moments, error: Array) -> _Found:
     return _Found(rows[some], tiled, among(moments, some), error)
 
 

@@ -12,19 +12,16 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import domain
 from .._checks import finite
-from .._values import Shown, interval_text, member, pd
+from .._values import Array, Codes, Flags, Index, Shown, interval_text, member, pd
 from ..coordinates import UNITS
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .arviz_io import ArvizData
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: A reading this many sd from the signals is improbable under the model.
 IMPROBABLE = 5.0
@@ -279,16 +276,16 @@ class Solution(NamedTuple):
     """What a method gives for readings (B, S)."""
 
     estimates: list[Estimate]
-    status: NDArray[np.int8]
+    status: Codes
     log_evidence: Array
     quantile_of: Callable[[Array, int], Array]
     draws_of: Callable[[int, Seed], Array]
     #: Errors of the quantiles, where the method knows them.
     quantile_error_of: Callable[[Array, int], Array] | None = None
     #: Readings (B,) that were summed on a grid of their own.
-    own_grid: NDArray[np.bool_] | None = None
+    own_grid: Flags | None = None
 
-    def of(self, rows: NDArray[np.intp]) -> Solution:
+    def of(self, rows: Index) -> Solution:
         """The same for readings some of which come again and again."""
         return Solution(
             [Estimate(*(column[rows] for column in estimate)) for estimate in self.estimates],
@@ -298,7 +295,7 @@ class Solution(NamedTuple):
             lambda count, seed: self.draws_of(count, seed)[rows],
         )
 
-    def among(self, known: NDArray[np.bool_]) -> Solution:
+    def among(self, known: Flags) -> Solution:
         """The same among readings (B,) of which the others are not known: NaN for those."""
 
         def put(values: Array) -> Array:
@@ -333,9 +330,7 @@ def joined(parts: Sequence[Columns]) -> Columns:
     return parts[0]._make(map(np.concatenate, zip(*parts, strict=True)))  # type: ignore[attr-defined]
 
 
-def beyond_reach(
-    observer: Observer, reading: Array, estimates: Mapping[str, Estimate]
-) -> NDArray[np.bool_]:
+def beyond_reach(observer: Observer, reading: Array, estimates: Mapping[str, Estimate]) -> Flags:
     """Readings (B, R) that may be of a tip beyond where it is at rest, which no observer knows.
 
     Pushed against its curvature a whisker is straightened; one that is straight or pushed along
@@ -361,12 +356,12 @@ def beyond_reach(
     return out
 
 
-def is_improbable(observer: Observer, reading: Array, contact: Array) -> NDArray[np.bool_]:
+def is_improbable(observer: Observer, reading: Array, contact: Array) -> Flags:
     """Readings with a number more than 5 sd from what their own most probable contact gives."""
     return is_outside(observer.noise, reading, observer.signals(contact)[0])
 
 
-def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> NDArray[np.bool_]:
+def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:
     """Readings (B, R) with a number more than 5 sd from their signals (B, S)."""
     low, high = noise.interval(signals, IMPROBABLE)
     return np.any((reading < low) | (reading > high), axis=-1)
@@ -379,7 +374,7 @@ def contact_slope(observer: Observer, x: Array, *, h: float = 1e-5) -> Array:
     return np.asarray(np.subtract(*ends).swapaxes(1, 2) / (2 * h))
 
 
-def is_unidentified(observer: Observer, contact: Array) -> NDArray[np.bool_]:
+def is_unidentified(observer: Observer, contact: Array) -> Flags:
     """Posteriors to which the reading adds less than the prior in some direction.
 
     In the coordinates x a flat prior has a curvature of ¼ and more: information below that

@@ -10,18 +10,15 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize.elementwise import find_root
 
+from .._values import Array, Index
 from ..coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .result import is_outside
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def distances(observer: Observer, x: Array) -> tuple[Array, Array]:

@@ -21,11 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
+from .._values import Array, Flags, Index
 from ..mechanics.contact import Outcome
 from ..observer import Observer
-from .result import Array, Index
 from .scale_table import ScaleTable
 
 
@@ -136,7 +135,7 @@ class LastSummed:
             return whole
         return self.with_z(self.observer.coordinates(whole)[..., :-1], z)[0]
 
-    def _signals(self, x: Array, z: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _signals(self, x: Array, z: Array) -> tuple[Array, Flags]:
         """Signals (n, J, S) and whether contacts are held, at coordinates x (n, U − 1) and z (J,).
 
         Where the angle turns, with ln of how the prior changes from z = 0 on, and the angle over
@@ -159,7 +158,7 @@ class LastSummed:
         held = np.stack([o == Outcome.HELD for _, o in pairs], axis=1)
         return np.where(held[..., None], signals, 1.0), held
 
-    def parts(self, x: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def parts(self, x: Array) -> tuple[Array, Flags]:
         """The parts (n, S, D) of signals at coordinates x (n, U − 1), and whether all are held.
 
         Where the angle turns there are three more rows: ln of the prior's change, the angle's
@@ -238,7 +237,7 @@ class LastSummed:
         return np.asarray((ends[0] - ends[1]) / 2e-5)
 
     def at(self, index: Index) -> Index:
-        """Indices of the lattice, those beyond it at its ends."""
+        """Index of the lattice, those beyond it at its ends."""
         if index.size and index.min() >= 0 and index.max() <= 2 * self.half + 2:
             return index
         return np.clip(index, 0, 2 * self.half + 2)
@@ -250,7 +249,7 @@ class LastSummed:
         contact, log_prior = self.with_z(x)
         return contact[..., :-1], log_prior
 
-    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def signals(self, x: Array, contact: Array) -> tuple[Array, Flags]:
         """The parts (..., S, D) of the signals at coordinates (..., U − 1), and which are held."""
         parts, held = self.parts(x.reshape(-1, self.dim))
         shape = x.shape[:-1]
@@ -389,7 +388,7 @@ def within(
     high: Iterable[Array],
     reading: Iterable[Array],
     scales: tuple[float, float] | None,
-) -> NDArray[np.bool_]:
+) -> Flags:
     """Whether each number of a reading may lie between these; for one of the `scales` for all."""
     if scales is None:
         between = ((a <= y) & (y <= b) for a, y, b in zip(low, reading, high, strict=True))
@@ -415,7 +414,7 @@ class AllUnknowns:
         #: Contacts (..., U) at coordinates x, and ln of the prior.
         self.contact = observer.contact
 
-    def signals(self, x: Array, contact: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def signals(self, x: Array, contact: Array) -> tuple[Array, Flags]:
         """Signals (..., S) of contacts (..., U), and which are held."""
         signals, outcome = self.observer.signals(contact)
         held = outcome == Outcome.HELD

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from .result import Array, Index, among
+from .._values import Array, Index
+from .result import among
 from .scale_table import Likelihoods, ScaleTable
 from .summed import LastCurve, LastSummed
 from .tiled import TiledObserver, Weighed, last_moments

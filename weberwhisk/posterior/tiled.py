@@ -7,10 +7,10 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._values import Array, Flags, Index
 from ..observer import Observer
-from .result import Array, Index, joined
+from .result import joined
 from .summed import within
 from .tiling import ORDER, Tiles, near_the_cut, negligible
 
@@ -175,9 +175,7 @@ class TiledObserver:
         live = best[row, tile] + np.log1p(off) > -self.negligible
         return self._near(reading, row[live], tile[live])
 
-    def _matters(
-        self, row: Index, tile: Index, log: Array, below: float | None = None
-    ) -> NDArray[np.bool_]:
+    def _matters(self, row: Index, tile: Index, log: Array, below: float | None = None) -> Flags:
         """Of which pairs the mass, or what it adds to a variance, is not negligible.
 
         Told by the best of a few nodes of each.

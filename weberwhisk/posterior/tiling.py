@@ -17,8 +17,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
+from .._values import Array, Flags, Index
 from ..observer import Observer
-from .result import Array, Index, among, joined
+from .result import among, joined
 from .summed import AllUnknowns, Likelihood, likelihood_of, within
 
 #: Nodes along each axis of a tile.
@@ -60,8 +61,8 @@ class Nodes(NamedTuple):
     low: Array
     high: Array
     lengths: Array
-    kink: NDArray[np.bool_]
-    bent: NDArray[np.bool_]
+    kink: Flags
+    bent: Flags
 
 
 def nodes_of(boxes: Boxes) -> Array:
@@ -106,7 +107,7 @@ def measured(observer: Observer, boxes: Boxes) -> Nodes:
     return Nodes(contact, log_weight, signals, low, high, lengths, kink, bent)
 
 
-def _bounds(likelihood: Likelihood, signals: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _bounds(likelihood: Likelihood, signals: Array, held: Flags) -> tuple[Array, Array]:
     """Between which readings (n, panels, R) boxes make plausible lie."""
     low, high = likelihood.interval(signals, 7.0)  # a reading may lie so many sd from a box
     known = held[..., None, None]
@@ -128,9 +129,7 @@ def _bounds(likelihood: Likelihood, signals: Array, held: NDArray[np.bool_]) -> 
     return found[0], found[1]
 
 
-def _bent(
-    observer: Observer, signals: Array, held: NDArray[np.bool_], *, most: float = 0.03
-) -> NDArray[np.bool_]:
+def _bent(observer: Observer, signals: Array, held: Flags, *, most: float = 0.03) -> Flags:
     """Along which axes (n, d) the signals of boxes are no polynomial, as told by its last terms.
 
     So it is at the node of a vibration, whose size is felt and not its sign: tilings of two lengths
@@ -152,7 +151,7 @@ def _lengths(
     score: Array,
     signals: Array,
     slope: Array | None,
-    held: NDArray[np.bool_],
+    held: Flags,
 ) -> Array:
     """Lengths (n, d) of boxes: what a reading and the prior tell along each axis, in sd.
 
@@ -392,7 +391,7 @@ def _rough(observer: Observer, length: float) -> float:
     return float(ROUGH - np.log(expected_tiles(observer, length)))
 
 
-def near_the_cut(observer: Observer, nodes: Nodes, length: float) -> NDArray[np.bool_]:
+def near_the_cut(observer: Observer, nodes: Nodes, length: float) -> Flags:
     """Which tiles (n,) hold so little of the prior that others like them were left out.
 
     Those that are not cut further, where a reading comes from: a tile next to it that is left out
@@ -404,7 +403,7 @@ def near_the_cut(observer: Observer, nodes: Nodes, length: float) -> NDArray[np.
 
 def _followed(
     observer: Observer, nodes: Nodes, reading: Array, best: Array, everywhere: bool, length: float
-) -> NDArray[np.bool_]:
+) -> Flags:
     """In which boxes (n,) one of the readings may lie; updates ln of the most (B,) seen in one.
 
     A peak between the nodes may be higher than they are by what the distance to the next of them,

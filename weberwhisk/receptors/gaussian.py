@@ -10,10 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import non_negative, number, numbers, positive
-from .protocol import Array, ReceptorNoise, Seed
+from .._values import Array, Flags, Index
+from .protocol import ReceptorNoise, Seed
 
 
 class Gaussian(ReceptorNoise):
@@ -90,7 +91,7 @@ class Gaussian(ReceptorNoise):
             value = constant - 0.5 * square - np.log(spread)
         return np.where(spread > 0, value, -np.inf)
 
-    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
         sd, mean = self.sd(signals), self.mean(signals)
         size = sd.shape[-1]
         root = self.root(size)
@@ -105,7 +106,7 @@ class Gaussian(ReceptorNoise):
             for k in range(size)
         ]
 
-        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+        def log_likelihood(reading: Array, index: Index) -> Array:
             y = reading.T.reshape(size, -1, *(1,) * (constant.ndim - 1))
             value = constant[index]
             for start, factors in axes:
@@ -283,10 +284,10 @@ class GeneralisedWeber(Gaussian):
         """Without the floor, but of signals whose noise is a floor alone."""
         return replace(self, floor=np.where(np.asarray(self.weber_fraction) > 0, 0.0, self.floor))
 
-    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+    def uninformative(self, signals: Array) -> Flags:
         return self.saturated(signals)
 
-    def saturated(self, signals: ArrayLike) -> NDArray[np.bool_]:
+    def saturated(self, signals: ArrayLike) -> Flags:
         """Where a signal lies above the ceiling, (..., S)."""
         return np.abs(np.asarray(signals, dtype=float)) > self.ceiling
 
@@ -373,7 +374,7 @@ class Saturating(GeneralisedWeber):
         """Never: the response bends."""
         return False
 
-    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+    def uninformative(self, signals: Array) -> Flags:
         """Nowhere: the response rises for ever."""
         return np.zeros(np.shape(signals), dtype=bool)
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative, number, positive
+from .._values import Array, Flags, Index
 from .gaussian import Gaussian, checked_correlation
-from .protocol import Array, ReceptorNoise, Seed
+from .protocol import ReceptorNoise, Seed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,10 +130,10 @@ class LogNormal(ReceptorNoise):
             value = value - log_reading.sum(axis=-1)
         return np.where(possible, value, -np.inf)
 
-    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
         of_logs, sign = self._logs.prepared(self._centre(signals)), np.sign(signals)
 
-        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+        def log_likelihood(reading: Array, index: Index) -> Array:
             own = reading.reshape(len(reading), *(1,) * (signals.ndim - 2), -1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 logs = np.log(np.abs(reading))
@@ -353,10 +354,10 @@ class Events(ReceptorNoise):
         at = np.broadcast_to(event, shape)[..., None]
         return np.where(known, np.take_along_axis(log, at, axis=-1)[..., 0], -np.inf)
 
-    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
         log = np.moveaxis(self._log_chances(signals), -1, 0)
 
-        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+        def log_likelihood(reading: Array, index: Index) -> Array:
             event, known = self._event(reading)
             value = log[event, index]
             value[~known] = -np.inf
@@ -382,7 +383,7 @@ class Events(ReceptorNoise):
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(self.chances(signals)))
 
-    def _event(self, reading: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    def _event(self, reading: ArrayLike) -> tuple[Index, Flags]:
         """Which event each reading (..., R) reports, and whether it reports one."""
         same = (np.asarray(reading, dtype=float)[..., None, :] == self.reports).all(axis=-1)
         return same.argmax(axis=-1), same.any(axis=-1)

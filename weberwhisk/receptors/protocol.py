@@ -24,12 +24,11 @@ from itertools import accumulate
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import several, shown, whole
-from .._values import Value
+from .._values import Array, Flags, Index, Value
 
-Array = NDArray[np.float64]
 Seed = int | np.random.SeedSequence | np.random.Generator | None
 
 
@@ -150,7 +149,7 @@ class ReceptorNoise(Value):
         """The same receptors with no noise but what grows with the signal."""
         return self._with(floor=0.0)
 
-    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+    def uninformative(self, signals: Array) -> Flags:
         """Where a reading says nothing of its signal's size, (..., S): above a hard ceiling."""
         return np.zeros(np.shape(signals), dtype=bool)
 
@@ -169,7 +168,7 @@ class ReceptorNoise(Value):
         """
         return self.mean(signals), self.sd(signals)
 
-    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
         """`log_likelihood` at a table of signals (P, ..., S) for many readings.
 
         Returns
@@ -179,7 +178,7 @@ class ReceptorNoise(Value):
             array. What does not depend on the readings is worked out once, where the law allows.
         """
 
-        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+        def log_likelihood(reading: Array, index: Index) -> Array:
             own = reading.reshape(len(reading), *(1,) * (signals.ndim - 2), -1)
             return self.log_likelihood(own, signals[index])
 
@@ -297,7 +296,7 @@ class Joint(ReceptorNoise):
     def without_floor(self) -> Joint:
         return Joint([noise.without_floor() for noise in self.noises], self.sizes)
 
-    def uninformative(self, signals: Array) -> NDArray[np.bool_]:
+    def uninformative(self, signals: Array) -> Flags:
         return np.concatenate([n.uninformative(s) for n, s in self.parts(signals)], axis=-1)
 
     def resolution(self, signals: Array) -> tuple[Array, Array]:
@@ -345,10 +344,10 @@ class Joint(ReceptorNoise):
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         return reduce(np.add, (n.log_likelihood(y, s) for n, y, s in self.apart(reading, signals)))
 
-    def prepared(self, signals: Array) -> Callable[[Array, NDArray[np.intp]], Array]:
+    def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
         parts = [(c.readings, c.noise.prepared(signals[..., c.signals])) for c in self._components]
 
-        def log_likelihood(reading: Array, index: NDArray[np.intp]) -> Array:
+        def log_likelihood(reading: Array, index: Index) -> Array:
             return reduce(np.add, (part(reading[:, columns], index) for columns, part in parts))
 
         return log_likelihood

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.special import expit, gammaln
 
 from .._checks import non_negative_number, positive, positive_number, shown, whole
-from .._values import Value
-from .protocol import Array, ReceptorNoise, Seed
+from .._values import Array, Value
+from .protocol import ReceptorNoise, Seed
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

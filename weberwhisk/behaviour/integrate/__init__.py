@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from ..._values import Array
 from ..axes import Steps, Windows, lapse_prior, lapse_weights, least_sds, with_tail
 from ..likelihood import WeberModel
 from .batch import outer_prior, zoomed
 from .blocks import ChoiceNodes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.stats import lognorm, norm
 
+from ..._values import Array, Flags, Index
 from ..axes import (
     BiasScales,
     Steps,
@@ -32,9 +33,7 @@ from ..likelihood import Draws, WeberModel
 from ..priors import REACH, Priors
 from .blocks import NOTHING, ChoiceNodes
 
-Array = NDArray[np.float64]
 Single = NDArray[np.float32]
-Indices = NDArray[np.intp]
 
 
 def zoomed(
@@ -84,7 +83,7 @@ def _pass(
     prior = (steps.power * outer_prior(at.outer)).astype(np.float32)
     weights = np.maximum(steps.power * lapse_weights(model, *at.lapses), NOTHING).astype(np.float32)
     low, high = (np.full((size, a.size, count), -np.inf, np.float32) for a in at.lapses)
-    biases: list[list[tuple[NDArray[np.intp], NDArray[np.intp], Array, Single]]]
+    biases: list[list[tuple[Index, Index, Array, Single]]]
     biases = [[] for _ in at.groups]
     for block in at.blocks(highest=True):
         outer, rows = block.outer, block.rows
@@ -104,9 +103,7 @@ def _pass(
     return kept(windows, at.outer, profiles, cut, 0.15, by_node)
 
 
-def _put(
-    out: Single, outer: NDArray[np.intp], span: slice, rows: NDArray[np.intp], values: Single
-) -> None:
+def _put(out: Single, outer: Index, span: slice, rows: Index, values: Single) -> None:
     for i, m in enumerate(outer):
         out[m][span, rows] = values[i]
 
@@ -278,7 +275,7 @@ class LapseNodes:
     scores: tuple[Array, ...]
     widths: tuple[Array, ...]
     shares: tuple[Array, ...]
-    possible: NDArray[np.bool_]
+    possible: Flags
     correlation: float
 
     @classmethod

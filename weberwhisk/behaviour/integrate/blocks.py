@@ -17,13 +17,12 @@ from numpy.typing import DTypeLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
+from ..._values import Array, Index
 from ..axes import Steps, Windows, bias_at, least_bias_sds, outer_signals, score_prior
 from ..likelihood import WeberModel
 from ..priors import TINY
 
-Array = NDArray[np.float64]
 Values = NDArray[Any]
-Indices = NDArray[np.intp]
 #: Log prior mass (P, B, S) of biases (P, B) of these widths (P, B), by S priors.
 Biases = Callable[[Array, Array], Array]
 
@@ -48,8 +47,8 @@ class Block:
     biases integrated, at their highest, or (S, P, Lo, Hi, r) integrated for S priors.
     """
 
-    outer: Indices
-    rows: Indices
+    outer: Index
+    rows: Index
     low: slice
     high: slice
     log_like: Values
@@ -166,7 +165,7 @@ class ChoiceNodes:
                 yield self._block(outer, rows[some], nodes, tables, all_of,
                                   [_slice(s[:, some]) for s in spans], highest, biases)  # fmt: skip
 
-    def _outer_chunks(self, values: int = 20_000) -> Iterator[Indices]:
+    def _outer_chunks(self, values: int = 20_000) -> Iterator[Index]:
         """One outer node at a time, or with one data set as many as fill a cell's table of so many
         values: what is summed up stays in the cache."""
         inside = np.flatnonzero(np.isfinite(self.first[0]).any(axis=1))
@@ -187,13 +186,13 @@ class ChoiceNodes:
             yield inside[start:stop]
             start = stop
 
-    def _biases(self, outer: Indices, g: int, first: Array, last: Array) -> Array:
+    def _biases(self, outer: Index, g: int, first: Array, last: Array) -> Array:
         """Nodes of a bias at each outer node, (P, B)."""
         low, high, step = first.min(axis=1), last.max(axis=1), self.bias_step[outer, g]
         count = int(np.ceil((high - low) / step - 1e-9).max()) + 1
         return np.asarray(low[:, None] + step[:, None] * np.arange(count))
 
-    def _table(self, outer: Indices, g: int, bias: Array, spans: list[slice]) -> Values:
+    def _table(self, outer: Index, g: int, bias: Array, spans: list[slice]) -> Values:
         """Log-probabilities of the answers that were given, and of the bias, (N, P, B, Lo, Hi)."""
         model, cells = self.model, self.groups[g]
         low, high = self.low[spans[0], spans[1]], self.high[spans[0], spans[1]]
@@ -234,8 +233,8 @@ class ChoiceNodes:
 
     def _block(
         self,
-        outer: Indices,
-        rows: Indices,
+        outer: Index,
+        rows: Index,
         nodes: list[Array],
         tables: list[Values],
         whole: list[slice],
@@ -290,13 +289,13 @@ class ChoiceNodes:
         return np.asarray(np.swapaxes(total, 0, 1) + top)
 
 
-def _spans(axis: Array, low: Array, high: Array) -> Indices:
+def _spans(axis: Array, low: Array, high: Array) -> Index:
     """First node within a window, and the one after the last, (2, r)."""
     first, last = np.searchsorted(axis, low - 1e-9), np.searchsorted(axis, high + 1e-9)
     return np.minimum(np.array([first, last + 1]), [[axis.size - 1], [axis.size]])
 
 
-def _slice(spans: Indices) -> slice:
+def _slice(spans: Index) -> slice:
     return slice(int(spans[0].min()), int(spans[1].max()))
 
 
@@ -334,7 +333,7 @@ class BetaBinomial:
     """
 
     def __init__(
-        self, model: WeberModel, cells: Indices, share: float = 0.1, far: float = 40.0
+        self, model: WeberModel, cells: Index, share: float = 0.1, far: float = 40.0
     ) -> None:
         self.model, self.cells, self.far = model, cells, far
         columns = np.delete(model.columns, model.dispersed or 0, axis=0)
