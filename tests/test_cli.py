@@ -96,6 +96,16 @@ def test_bend_combines_each_with_each(capsys: pytest.CaptureFixture[str]) -> Non
     np.testing.assert_allclose(moment[::2], -moment[1::2], rtol=1e-12)
 
 
+@pytest.mark.parametrize("command", [["jnd", "--draws", "2"], ["figure", "jnd-limits", "--short"]])
+def test_a_named_whisker_taken_as_straight_is_said(
+    command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert run_app(cli.app, [*command, "--identity", "C2", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "C2 is taken as straight; its shape at rest moves r by up to" in said
+    assert "write --curvature-per-m own" in said
+
+
 def test_bend_identity_modulus_seed_and_model(capsys: pytest.CaptureFixture[str]) -> None:
     def result(*options: str) -> dict[str, object]:
         return answer(capsys, "bend", "--identity", "C2", *options, *CONTACT)

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import simpson
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.optimize import brentq
 from scipy.special import expit
 from scipy.stats import uniform
 from short_forms import slow_but
@@ -26,6 +27,7 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.posterior.marginals import tile_quantiles
@@ -588,6 +590,19 @@ def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
     assert Observer(numbers, ForceMap()).note == ""
     assert Observer(plain.cylinder(), ForceMap(("moment", "transverse_force"))).note == ""
     assert Observer(plain, Compliance(), Weber(0.5)).note == ""  # JNDs are larger than that
+    hinged = Whisker.from_identity("C2", hinge_stiffness=1e-5)
+    assert "C2 is taken as straight" in Observer(hinged, ForceMap()).note
+
+
+def test_a_shape_that_costs_a_jnd_next_to_the_tip_alone_is_said():
+    """D0 by taps: half a JND in the middle, more than one within 7 % of the tip, and no note."""
+    plain = Whisker.from_identity("D0")
+    observer, r = Observer(plain, Compliance(), Weber(0.1)), 0.97 * plain.length
+    curved = replace(plain, curvature=plain.identity[2])
+    signal = Compliance().signals(curved, np.array([[r]]), model="profile")[0][0, 0]
+    taken = brentq(lambda x: observer.signals([x])[0][0] - signal, 0.5 * r, plain.length - 1e-9)
+    assert abs(taken - r) > 1.3 * fisher_jnd(observer, np.array([[r]]))[0]
+    assert "moves r by up to 1.7 JND" in observer.note
 
 
 def test_whatever_takes_a_named_whisker_as_straight_says_so():

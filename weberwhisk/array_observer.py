@@ -370,8 +370,9 @@ def array_by_count(
 
     Notes
     -----
-    Rats' performance fell in proportion to the number of whiskers removed, whichever they were
-    (Krupa, Matell, Brisben, Oliveira & Nicolelis 2001, J Neurosci 21:5752).
+    Where nothing touches the answer is a guess: that no whisker does says something of the place,
+    and is left out. Rats' performance fell in proportion to the number of whiskers removed,
+    whichever they were (Krupa, Matell, Brisben, Oliveira & Nicolelis 2001, J Neurosci 21:5752).
     """
     if observer.array.sides == "both":
         raise ValueError(
@@ -391,9 +392,12 @@ def array_by_count(
         if n > names:
             raise ValueError(f"There are {names} whiskers on a side, got a count of {n}.")
         intact = rng.random((subsets, names)).argsort(axis=1) < n
-        information = np.einsum("sw,pwij->spij", intact.astype(float), each) + prior
-        width = np.sqrt(2 * np.linalg.inv(information)[..., 0, 0])
-        right = ndtr(gap / 2 / width).mean(axis=1)
+        information = np.einsum("sw,pwij->spij", intact.astype(float), each)
+        width = np.sqrt(2 * np.linalg.inv(information + prior)[..., 0, 0])
+        # What whiskers tell of x, y being as uncertain as it is: the region says of neither width.
+        cross, own = information[..., 0, 1], information[..., 1, 1] + prior[1, 1]
+        told = np.maximum(information[..., 0, 0] - cross**2 / own, 0.0)
+        right = ndtr(gap / 2 * np.sqrt(told / 2)).mean(axis=1)
         sensed = np.einsum("sw,pw->sp", intact.astype(float), touches.astype(float))
         error = right.std(ddof=1) / np.sqrt(subsets)
         middle = 1e3 * float(np.median(width))

@@ -226,8 +226,9 @@ class Observer:
         """What the observer leaves out, or nothing.
 
         A shape at rest that moves the distance by more than a JND (whiskers `from_identity` are
-        straight unless asked to be curved; as in `why`, of 16 contacts), and a table of signals
-        that is off by more than a hundredth of a Weber fraction.
+        straight unless asked to be curved; to first order, of 16 contacts in the middle of the
+        reach, and of 36 up to its ends where these say less), and a table of signals that is off by
+        more than a hundredth of a Weber fraction.
 
         Examples
         --------

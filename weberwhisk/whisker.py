@@ -137,6 +137,7 @@ class Whisker(Value):
         seed: int | np.random.SeedSequence | np.random.Generator | None = None,
         youngs_modulus: ArrayLike = YOUNGS_MODULUS,
         curved: bool = False,
+        hinge_stiffness: float | None = None,
     ) -> Whisker:
         """The mean whisker of a named follicle, or one drawn from the spread of that follicle.
 
@@ -159,6 +160,8 @@ class Whisker(Value):
             tip as the measured law, `rest_shape`; positive, so that it is touched on the convex
             side. By default straight, as the paper's whiskers are; observers then say in `note`
             where that moves the distance by more than a JND.
+        hinge_stiffness : float, optional
+            As of any whisker. One made of this one by `dataclasses.replace` has no identity.
 
         Raises
         ------
@@ -203,7 +206,8 @@ class Whisker(Value):
             mouse = _rest_shapes()[species, identity][2] * 1e3
             base, length = base / length * mouse, mouse
             tip = base / 31.5
-        made = cls(length * 1e-3, base * 0.5e-6, tip * 0.5e-6, youngs_modulus)
+        radii = base * 0.5e-6, tip * 0.5e-6
+        made = cls(length * 1e-3, *radii, youngs_modulus, hinge_stiffness=hinge_stiffness)
         bow = made._named(species, identity)
         if not curved:
             return made

@@ -346,7 +346,9 @@ def figure(
         for key, table in made.tables.items():
             run.table(key, table)
         run.figure(name, made.chart)
-    finish(run, as_json, {key: table.to_dict("records") for key, table in made.tables.items()})
+    answer = {key: table.to_dict("records") for key, table in made.tables.items()}
+    note = ww.Observer(whisker, ww.cues.ForceMap()).note if shape.identity else ""
+    finish(run, as_json, answer, *[f"By the force map {note}"] * bool(note))
 
 
 @command

@@ -172,7 +172,7 @@ def jnd(
         )
     lost = sorted(o for o in set(written["outcome"]) if not o.startswith("held"))
     notes += [f"{outcome[:1].upper()}{outcome[1:]}." for outcome in lost]
-    opt.show(written, run, whisker, as_json, notes)
+    opt.show(written, run, whisker, as_json, [*notes, *filter(None, [observer.note])])
 
 
 def curve_in_steps(

@@ -277,7 +277,8 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
         As it was then, drawn in grey.
     """
     x, y = np.unique(table["x_mm"]), np.unique(table["y_mm"])
-    figure = new_figure(DOUBLE, 5.6)
+    figure = new_figure(DOUBLE, 4.3)
+    figure.set_layout_engine("compressed")  # else colour bars stand far from maps in proportion
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
 
     def drawn(ax: Axes, values: Any, label: str = "", beyond: str = "neither", **how: Any) -> Any:
@@ -321,8 +322,9 @@ def array_map(table: pd.DataFrame, array: WhiskerArray) -> Figure:
         for whisker in array.whiskers.values():
             ax.plot(*_from_above(whisker), color="0.4", linewidth=0.4)
         ax.set(title=title, aspect="equal", xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-    figure.supxlabel("to the right (mm); lines: whiskers")
-    figure.supylabel("rostral (mm)")
+    for low, left in zip(axes[1], axes[:, 0], strict=True):
+        low.set_xlabel("to the right (mm); lines: whiskers")
+        left.set_ylabel("rostral (mm)")
     return figure
 
 
@@ -340,17 +342,16 @@ def array_counts(table: pd.DataFrame) -> Figure:
     for i, (name, rows) in enumerate(table.groupby("receptors", sort=False)):
         shown = rows["count"], rows["correct"], rows["correct_error"]
         errors(left, *shown, i, linestyle=LINES[i], capsize=0, label=str(name))
-        last = rows.iloc[-1]
-        left.plot([0, last["count"]], [0.5, last["correct"]], color="0.6", linewidth=0.8, zorder=0)
-    left.text(
-        0.98, 0.04, "bars: 95 %; grey: in proportion, as rats' (Krupa et al. 2001)", fontsize=SMALL,
-        color="0.4", ha="right", transform=left.transAxes,
-    )  # fmt: skip
+        ends, words = rows.iloc[-1], "" if i else "in proportion, as rats' (Krupa et al. 2001)"
+        line: Any = {"color": "0.6", "linewidth": 0.8, "zorder": 0, "label": words}
+        left.plot([0, ends["count"]], [0.5, ends["correct"]], **line)
     share = rows["touching"] / rows["count"]
     right.plot(rows["count"], rows["touched"], **look(0), label="places that some touch")
     right.plot(rows["count"], share, **look(1), label="of intact ones, that touch")
-    left.set(xlabel="whiskers intact on a side", ylabel="right answers", ylim=(0.48, 1.0))
+    left.set(xlabel="whiskers intact on a side", ylabel="right answers (bars: 95 %)")
+    left.set_ylim(0.48, 1.0)
     right.set(xlabel="whiskers intact on a side", ylabel="share", ylim=(0.0, 1.0))
     for ax in (left, right):
-        legend_above(ax)
+        ax.set_xticks(range(0, int(table["count"].max()) + 1, 5))
+        legend_above(ax, 1)
     return figure
