@@ -234,3 +234,12 @@ def test_a_distance_that_is_none_is_refused_in_one_sentence() -> None:
     ):  # fmt: skip
         with pytest.raises(ValueError, match="radial_distance must be above zero, got -1"):
             made(WHISKER, -1.0, [0.1])
+        with pytest.raises(ValueError, match=r"must be on the whisker of 0.05 m, got 25; give met"):
+            made(WHISKER, 25.0, [0.1])
+        with pytest.raises(ValueError, match="straight whisker is needed"):
+            made(ww.Whisker.from_identity("C2", curved=True), 20e-3, [0.1])
+    with pytest.raises(ValueError, match=r"must be on the whisker of 0.05 m, got 25"):
+        along_whisk.limits(WHISKER, [10e-3, 25.0])
+    far = along_whisk.limits(WHISKER, [10e-3, 45e-3], push=2.0)
+    assert far["outcome"].tolist() == ["HELD", "FLICKED_PAST"]
+    assert far["weber_mm"].isna().tolist() == [False, True]

@@ -349,6 +349,29 @@ def test_readings_of_no_one_place_are_improbable() -> None:
     assert none.status is Status.IMPROBABLE_READING
 
 
+def test_readings_that_contradict_each_other_are_said_to_in_words_of_places() -> None:
+    """One pole on both sides of the head; sums of ln densities of −1e5 overflowed."""
+    both = ww.ArrayObserver(WhiskerArray("rat", identities=["C2"]).protract(np.radians(40)))
+    touches = {
+        f"{side} C2": both.read([sign * 16e-3, -2e-3], seed=1)[f"{side} C2"]
+        for side, sign in (("left", -1), ("right", 1))
+    }
+    found = ww.place(both, touches)
+    assert found.status is Status.IMPROBABLE_READING
+    assert "no one place explains all readings within 5 sd" in repr(found)
+    nowhere = repr(ww.place(both, dict.fromkeys(touches)))
+    assert "whiskers touch; no contact; no whisker touches: 94 % of the region" in nowhere
+
+
+def test_degrees_are_noticed() -> None:
+    for make in (
+        lambda: WhiskerArray("rat").protract(40.0),
+        lambda: observer("C2", angle_sd=7.0),
+    ):
+        with pytest.warns(UserWarning, match="did you pass degrees"):
+            make()
+
+
 def test_taps_take_their_bearing_from_the_azimuth() -> None:
     """The posterior of a tap is the product of distance by compliance and bearing by azimuth."""
     o = observer("C2", cue=cues.Compliance())
@@ -421,6 +444,13 @@ def test_regions_of_95_per_cent_cover_95_per_cent() -> None:
         (lambda: ww.place(observer("C2"), {"C2": [1e-7, np.nan]}), "must be finite"),
         (lambda: ww.place(observer("C2", cue=cues.Compliance()), {"C2": [1.0]}), "is a tap"),
         (lambda: observer("C2").read([1e-3]), "A place is x and y"),
+        (
+            lambda: observer("C2").read([16, -2]),
+            "place is in metres from the middle of a head, got",
+        ),
+        (lambda: observer("C2", region=((0, 40), (-20, 20))), "region is in metres"),
+        (lambda: ww.array_resolution(observer("C2"), [16], [0]), "x is in metres"),
+        (lambda: ww.place(observer("C2"), {}), "Readings are a mapping"),
         (lambda: ww.place(observer("C2"), {"C2": [[1e-7, 1e-6]] * 2}), "one reading of one place"),
     ],
 )

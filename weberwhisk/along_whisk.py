@@ -39,10 +39,23 @@ def bodies(distance: float, radii: Sequence[float] = (2e-3, 5e-3, 15e-3)) -> dic
     return {"peg": peg(distance, 0.0), **round_ones}
 
 
-def _straight(whisker: Whisker) -> None:
-    """Refuse a whisker whose angles are not counted from where it lies without contact."""
+def _straight(whisker: Whisker, places: ArrayLike) -> Array:
+    """Distances on a straight whisker, m; of others angles are not counted from where they lie."""
     if not isinstance(whisker, Whisker) or np.any(whisker.curvature):
         raise ValueError(f"A straight whisker is needed, got {whisker!r}; write curvature=0.")
+    r = np.atleast_1d(_checks.positive("radial_distance", places, "give metres, such as 25e-3"))
+    if np.any(r > whisker.length):
+        raise ValueError(
+            f"radial_distance must be on the whisker of {whisker.length:g} m, got {r.max():g}; "
+            "give metres."
+        )
+    return r
+
+
+def _ascending(push: ArrayLike) -> Array:
+    """Rotations of the base since first contact, rad."""
+    hint = "give radians since first contact"
+    return np.atleast_1d(_checks.angle("push", _checks.positive("push", push, hint), hint))
 
 
 def resolution_along_push(
@@ -77,8 +90,7 @@ def resolution_along_push(
     §3c: what a push tells depends on slip. Against a peg r stays and θ_d is the push; against a
     body that is rounded the contact runs along the whisker, and the same push bends it less.
     """
-    angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
-    _straight(whisker)
+    angles, _ = _ascending(push), _straight(whisker, radial_distance)
     observer = Observer(whisker, ForceMap(), Weber(weber_fraction))
     objects = bodies(radial_distance) | {"wall, by the tip": leaning(whisker)}
     parts = []
@@ -141,7 +153,7 @@ def lateral_sweep(
         `object`, `push_deg`, `true_distance_mm`, `radial_distance_mm` (posterior mean),
         `distance_sd_mm`, `lower_mm` and `upper_mm` (95 %).
     """
-    angles = np.atleast_1d(_checks.positive("push", push, "give radians since first contact"))
+    angles, _ = _ascending(push), _straight(whisker, radial_distance)
     rng = np.random.default_rng(seed)
     parts = []
     for name, body in bodies(radial_distance, [radius]).items():
@@ -200,7 +212,8 @@ def limits(
         `radial_distance_mm`, `deflection_angle_deg` (the one reached), `moment_micronewton_metre`,
         and the JNDs `weber_mm` (Weber's law alone), `threshold_mm` (with the floor) and `all_mm`
         (with saturation too: NaN where the moment is above it, as no reading tells one distance
-        from another there); `stopped` says where the torque was the limit.
+        from another there); `stopped` says where the torque was the limit, `outcome` what became
+        of the contact: all but `HELD` has no JND.
 
     Notes
     -----
@@ -208,11 +221,10 @@ def limits(
     The angle reached is known to the animal, so that the JND is that of the moment alone at it,
     sd(M)/|∂M/∂r|. Where the torque stops the push, the angle at which it did tells the same.
     """
-    r = np.atleast_1d(_checks.positive("places", places, "give metres"))
+    r = _straight(whisker, places)
     for name, value in (("torque", torque), ("saturation", saturation)):
         _checks.positive(name, value, "give newton metres, such as 1e-6")
     push = _checks.positive_number("push", push, "give radians, such as 0.1")
-    _straight(whisker)
     angle = np.full(r.shape, push)
     # The moment has its peak before the whisker flicks past, and torque stops it on the way up.
     way = np.linspace(0.0, push, 401)
@@ -226,8 +238,8 @@ def limits(
         first = above[stopped].argmax(axis=1)
         bracket = way[first - 1], way[first]
         angle[stopped] = elementwise.find_root(excess, bracket, args=(r[stopped],)).x
-    moment = np.asarray(press(whisker, r, angle).moment)
-    h = 1e-5 * r
+    held = press(whisker, r, angle)
+    moment, h = np.asarray(held.moment), 1e-5 * r
     ends = [np.asarray(press(whisker, r + s * h, angle).moment) for s in (1, -1)]
     slope = np.abs(ends[0] - ends[1]) / (2 * h)
     floored = GeneralisedWeber(weber_fraction, floor=threshold)
@@ -238,7 +250,8 @@ def limits(
     curves["all"] = np.where(moment < saturation, curves["threshold"], np.nan)
     table = pd.DataFrame(
         {"radial_distance": r, "deflection_angle": angle,
-         "moment_micronewton_metre": 1e6 * moment, **curves, "stopped": stopped}
+         "moment_micronewton_metre": 1e6 * moment, **curves, "stopped": stopped,
+         "outcome": [Outcome(int(o)).name for o in np.asarray(held.outcome)]}
     )  # fmt: skip
     return with_units(table, ["radial_distance", *curves], ["deflection_angle"])
 
@@ -281,7 +294,7 @@ def reversal(
     Turning about its base, the whisker keeps its distance to a peg. A base that moves by y sideways
     goes away from it: r = √(r₀² + y²) with tan θ_d = y/r₀.
     """
-    angles = np.atleast_1d(_checks.positive("push", push, "give radians"))
+    angles, _ = _ascending(push), _straight(whisker, radial_distance)
     own = bodies(radial_distance, [5e-3]) | {"wall, by the tip": leaning(whisker)}
     mu = _checks.non_negative("friction_coefficient", friction_coefficient, "write 0.3, say")
     tilt = float(np.arctan(mu))

@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import number, one_of, one_or_more
+from ._checks import angle, number, one_of, one_or_more
 from ._values import Array, Shown, Value, pd
 from .mechanics.shape import Profile, Spiral
 from .whisker import SPECIES, Whisker, rest_shape
 from .whisker import identities as known_identities
 
 ROWS = "ABCDE"
+_RADIANS = "give radians, such as 0.5"
 #: Degrees of elevation and of roll that come with each degree of protraction, row by row (Knutsen,
 #: Biess & Ahissar 2008, Neuron 59:35, as Hobbs et al. 2016, PLoS Comput Biol 12:e1004109, print
 #: them): sd over whiskers ± 0.05 to 0.3. The rotations of a public simulator differ by up to 0.3.
@@ -267,7 +268,9 @@ class WhiskerArray(Shown, Value):
             sides=one_of("sides", sides, ("both", "left", "right")),
             curved=bool(curved),
             identities=tuple(intact),
-            protraction=number("protraction", protraction, "give radians, such as 0.5"),
+            protraction=number(
+                "protraction", angle("protraction", protraction, _RADIANS), _RADIANS
+            ),
         )
 
     @cached_property

@@ -21,15 +21,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from ._checks import finite, generator, kind, non_negative_number, one_of, positive_number, whole
+from ._checks import (
+    angle,
+    finite,
+    generator,
+    kind,
+    non_negative_number,
+    one_of,
+    positive_number,
+    shown,
+    whole,
+)
 from ._values import Array, pd
 from .array import WhiskerArray
 from .cues.protocol import Cue
 from .observer import Observer
-from .place_sensor import JointEvidence, Sensor, one_place
+from .place_sensor import JointEvidence, Sensor, metres, one_place
 from .receptors import ReceptorNoise, Seed
 
 Readings = Mapping[str, Any]
+_RADIANS = "give radians, such as 0.02"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +102,7 @@ class ArrayObserver:
 
     def __post_init__(self) -> None:
         kind("array", self.array, "a WhiskerArray", "protract", 'write WhiskerArray("rat"), say')
-        non_negative_number("angle_sd", self.angle_sd, "give radians, such as 0.02")
+        angle("angle_sd", non_negative_number("angle_sd", self.angle_sd, _RADIANS), _RADIANS)
         if not non_negative_number("missed", self.missed, "write 0.02, say") < 1:
             raise ValueError(f"missed must be below 1, got {self.missed}; write 0.02, say.")
         if self.pole_length is not None:
@@ -103,6 +114,7 @@ class ArrayObserver:
                     f"region must be two ends of x and two of y, got {box.tolist()}; "
                     "write ((0.0, 40e-3), (-20e-3, 20e-3)), say."
                 )
+            metres("region", box)
 
     @cached_property
     def sensors(self) -> dict[str, Sensor]:
@@ -199,7 +211,7 @@ class ArrayObserver:
                 "Fisher information is of poles as high as all whiskers, got a pole_length of "
                 f"{self.pole_length:g} m; leave it out."
             )
-        at = np.atleast_2d(finite("place", place, "give metres"))
+        at = np.atleast_2d(metres("place", place))
         return np.stack([s.information(at) for s in self.sensors.values()], axis=1)
 
     def checked(self, readings: Readings) -> dict[str, Array | None]:
@@ -207,7 +219,7 @@ class ArrayObserver:
         if not isinstance(readings, Mapping) or not readings:
             raise ValueError(
                 "Readings are a mapping of whisker to reading, None where it does not touch, got "
-                f"{type(readings).__name__}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
+                f"{shown(readings)}; write {{'C2': [1e-7, 1e-6], 'C3': None}}, say."
             )
         return {
             one_of("whisker", name, self.sensors): None
@@ -256,7 +268,7 @@ def array_resolution(observer: ArrayObserver, x: ArrayLike, y: ArrayLike) -> pd.
     0        10      0.19   B3           0.85
     1         6      0.38   E2           0.83
     """
-    place = _grid(*(np.atleast_1d(finite(n, v, "give metres")) for n, v in (("x", x), ("y", y))))
+    place = _grid(*(np.atleast_1d(metres(n, v)) for n, v in (("x", x), ("y", y))))
     each, prior = observer.information(place), _prior(observer)
     covariance = np.linalg.inv(each.sum(axis=1) + prior)
     alone = np.sqrt(np.trace(np.linalg.inv(each + prior), axis1=-2, axis2=-1))
@@ -380,7 +392,7 @@ def array_by_count(
         )
     x = positive_number("x", x, "give metres from the midline, such as 16e-3")
     gap = positive_number("difference", difference, "give metres, such as 3e-3")
-    places = np.atleast_1d(finite("y", y, "give metres"))
+    places = np.atleast_1d(metres("y", y))
     subsets, rng = whole("subsets", subsets, "write 200, say", least=2), generator(seed)
     lateral = x if observer.array.sides == "right" else -x
     place = np.stack([np.full(len(places), lateral), places], axis=-1)

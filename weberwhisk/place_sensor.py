@@ -390,9 +390,21 @@ def _moments(log: Array, phi: Array, weight: Array) -> tuple[Array, Array, Array
     return mean, variance, mass.sum(axis=1) * np.exp(log.max(axis=1) - log.max())
 
 
+def metres(name: str, value: ArrayLike) -> Array:
+    """Coordinates in m of what a head's whiskers might touch: a metre and more is millimetres."""
+    at = finite(name, value, "give metres")
+    if np.any(np.abs(at) >= 1.0):
+        far = at.flat[np.argmax(np.abs(at))]
+        raise ValueError(
+            f"{name} is in metres from the middle of a head, got {far:g}; write {far:g}e-3 if "
+            "that was in millimetres."
+        )
+    return at
+
+
 def one_place(place: ArrayLike, count: int = 2) -> Array:
     """A place as x and y, or x, y and z."""
-    at = finite("place", place, "give x and y in metres")
+    at = metres("place", place)
     if at.shape != (count,):
         what, such = "x and y", "[20e-3, 0.0]"
         if count == 3:

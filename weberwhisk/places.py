@@ -221,7 +221,16 @@ class Place(Shown):
             rows = np.vstack([rows, [mean, sd, *interval]])
         table = 1e3 * pd.DataFrame(rows, columns=["mean_mm", "sd_mm", "low_95_mm", "high_95_mm"])
         table.insert(0, "coordinate", list("xyz")[: len(rows)])
-        return table.assign(touching=len(self.touching), status=self.status.message)
+        return table.assign(touching=len(self.touching), status=self._said)
+
+    @property
+    def _said(self) -> str:
+        """The status, in words of places where a posterior's are of one contact."""
+        of_places = {
+            Status.NO_CONTACT: "no contact",
+            Status.IMPROBABLE_READING: "no one place explains all readings within 5 sd",
+        }
+        return of_places.get(self.status, self.status.message)
 
     def _line(self) -> str:
         (x, y), (dx, dy) = 1e3 * self.mean, 1e3 * self.sd
@@ -229,7 +238,7 @@ class Place(Shown):
         z, dz = (1e3 * v for v in self.height[:2])
         where += "" if np.isnan(z) else f", z = {z:.3g} ± {dz:.2g} mm"
         said = f"{where}, {len(self.touching)} of {len(self.readings)} whiskers touch"
-        return "; ".join(filter(None, (said, self.status.message, self.note)))
+        return "; ".join(filter(None, (said, self._said, self.note)))
 
 
 # -- the grid --------------------------------------------------------------------------------------
@@ -411,7 +420,8 @@ def _errors(cells: _Cells, top: float, known: Flags) -> tuple[float, Array]:
     """The estimated error in sds, and how much of it each cell has (n,)."""
     total, mean, covariance = _moments(cells, top)
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    apart = np.where(known[:, None], cells.apart, 0.0) * np.exp(cells.top - top)[:, None] / total
+    above = np.exp(np.minimum(cells.top - top, 500.0))  # a peak that quarters did not meet again
+    apart = np.where(known[:, None], cells.apart, 0.0) * above[:, None] / total
     one, size = apart[:, 0], np.abs(apart[:, 0])
     for m, s, (first, second) in zip(mean, sd, ((1, 3), (2, 5)), strict=True):
         off = (apart[:, first] - m * one) / s
