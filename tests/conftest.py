@@ -26,9 +26,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A property test judges an answer, never the time it took. The cases are the same in every run, so
-# that a failure is of what was changed; `pytest -m slow` tries fifty times as many, new ones each
+# that a failure is of what was changed; `pytest -m slow` tries 75 times as many, new ones each
 # time, and a failure prints a blob that repeats it (and `--hypothesis-seed` a whole run).
-for name, examples in (("quick", 6), ("slow", 300)):
+for name, examples in (("quick", 4), ("slow", 300)):
     hypothesis.settings.register_profile(
         name,
         deadline=None,

@@ -16,5 +16,10 @@ def slow_but(values: Iterable[Any], quick: Container[int]) -> list[Any]:
     ]
 
 
+def short_or_full(name: str, short: Any, full: Any) -> pytest.MarkDecorator:
+    """A parameter that is small at once, and full-length with the slow tests."""
+    return pytest.mark.parametrize(name, [short, pytest.param(full, marks=pytest.mark.slow)])
+
+
 def _each(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)

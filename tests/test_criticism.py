@@ -112,7 +112,7 @@ def test_each_trouble_is_seen_by_its_check(trouble: str) -> None:
 
 
 def test_the_intraclass_correlation_is_estimated() -> None:
-    rho, cells, n = 0.1, 300, 40
+    rho, cells, n = 0.1, 150, 40
     rng = np.random.default_rng(6)
     p = rng.beta(0.5 * (1 - rho) / rho, 0.5 * (1 - rho) / rho, cells)
     frame = pd.DataFrame(

@@ -420,7 +420,7 @@ def test_jnds_count_what_is_not_known_of_the_roll():
     assert np.all(np.diff(jnds, axis=0) > 0)
     # A curve is at the middle of the azimuth's prior.
     about = {"azimuth": stats.uniform(1.5 - np.pi, 2 * np.pi)}
-    curve = ww.jnd_curve(replace(unknown, prior=about), 30e-3, 0.25, n_readings=4, seed=1)
+    curve = ww.jnd_curve(replace(unknown, prior=about), 30e-3, 0.25, n_readings=2, seed=1)
     assert curve["fisher"][0] == pytest.approx(jnds[-1][1], rel=1e-6)
     assert curve["posterior"][0] == pytest.approx(curve["fisher"][0], rel=0.3)
 
@@ -494,7 +494,7 @@ def test_a_tip_that_is_pushed_straight_in_space_is_outside_the_domain():
     assert bent.radial_distance[far] - found.mean > 4 * found.sd
     assert found.status == ww.Status.OUTSIDE_DOMAIN
     assert "a tip pushed straight" in found.outside_domain
-    inside = observer.read(np.tile([0.9 * observer.reach[1], 0.1, 2.8], (10, 1)), seed=1)
+    inside = observer.read(np.tile([0.9 * observer.reach[1], 0.1, 2.8], (3, 1)), seed=1)
     assert (ww.posterior(observer, inside).status == ww.Status.CONVERGED).all()
 
 

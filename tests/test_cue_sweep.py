@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from short_forms import slow_but
+from short_forms import short_or_full, slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome, sweeping
@@ -216,7 +216,8 @@ def test_on_a_peg_the_filter_is_the_product_of_the_likelihoods():
 @pytest.mark.parametrize(
     ("curvature", "friction"), slow_but([(0.0, 0.0), (15.0, -0.3), (-15.0, 0.0)], [0])
 )
-def test_the_filter_is_calibrated_on_objects_of_its_own_making(curvature, friction):
+@short_or_full("objects", 36, 60)
+def test_the_filter_is_calibrated_on_objects_of_its_own_making(curvature, friction, objects):
     """Truths drawn from its prior of objects: E[((r − mean)/sd)²] = 1 at every step."""
     push = np.radians(np.arange(2.0, 14.0, 2.0))
     whisker = replace(W, curvature=curvature)
@@ -236,7 +237,7 @@ def test_the_filter_is_calibrated_on_objects_of_its_own_making(curvature, fricti
         moments.append(np.where(good, bent.moment, np.nan))
         places.append(states[:, 0])
     moments, places = np.array(moments).T, np.array(places).T
-    kept = np.flatnonzero(np.isfinite(moments).all(axis=1))[:60]
+    kept = np.flatnonzero(np.isfinite(moments).all(axis=1))[:objects]
     square = []
     for row in kept:
         track = made(push, Weber(0.1).sample(moments[row][:, None], rng)[:, 0], rng)
@@ -244,7 +245,7 @@ def test_the_filter_is_calibrated_on_objects_of_its_own_making(curvature, fricti
     square = np.array(square)
     # Not where the filter says that it does not know: that depends on the readings alone.
     count = np.isfinite(square).sum(axis=0)
-    assert np.all(count > 40)
+    assert np.all(count > 2 / 3 * objects)
     error = np.nanstd(square, axis=0, ddof=1) / np.sqrt(count)
     assert np.all(np.abs(np.nanmean(square, axis=0) - 1) < 4 * error)
 
@@ -271,18 +272,18 @@ def test_curved_and_rubbing_whiskers_are_followed(curvature, friction):
     whisker = replace(W, curvature=curvature)
     body = cylinder(25e-3, 0.5 * curvature * 25e-3**2 - 8e-3, 6e-3)
     first = sweep(whisker, body, np.radians([-40.0, 80.0]), friction).first_contact
-    push = PUSH[:24:3]
-    bent = sweep(whisker, body, np.r_[first - 0.01, first + PUSH[:24]], friction).bending
+    push = PUSH[:15:3]
+    bent = sweep(whisker, body, np.r_[first - 0.01, first + PUSH[:15]], friction).bending
     r, moment = bent.radial_distance[1:], bent.moment[1:]
     cue = Friction(ForceMap("moment"), friction)
-    off = follow(whisker, PUSH[:24], moment, cue=cue).radial_distance - r
+    off = follow(whisker, PUSH[:15], moment, cue=cue).radial_distance - r
     assert np.all(np.abs(off) < 0.06e-3)
     assert np.all(np.abs(off)[8:] < 1e-6)
     prior = stats.uniform(2e-3, 44e-3)
     made = SweepFilter(whisker, Weber(0.1), cue=cue, prior=prior, particles=1000)
     track = made(push, Weber(0.1).sample(moment[::3, None], 10)[:, 0], seed=1)
     assert np.all(np.abs(track.radial_distance - r[::3]) < 4 * track.distance_sd)
-    straight = follow(W, PUSH[:24], moment).radial_distance - r
+    straight = follow(W, PUSH[:15], moment).radial_distance - r
     assert np.nanmax(np.abs(straight)) > 2e-5
 
 
@@ -302,7 +303,7 @@ def test_an_unknown_friction_is_carried_along():
     whisker, push = replace(W, curvature=8.0), PUSH[3:22:6]
     cue = Friction(ForceMap("moment"), coefficient=0.4)
     largest, (x, mass) = np.arctan(0.4), np.polynomial.legendre.leggauss(5)
-    r = np.linspace(20e-3, 40e-3, 120)
+    r = np.linspace(22e-3, 40e-3, 60)
     at = profile.rest_angle(whisker, r)[:, None, None] + push
     bent = profile.press(whisker, r[:, None, None], at, largest * x[:, None], tolerance=1e-6)
     truth = profile.press(whisker, 30e-3, profile.rest_angle(whisker, 30e-3) + push, 0.2).moment

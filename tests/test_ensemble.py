@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import special, stats
+from short_forms import slow_but
 
 from weberwhisk.coordinates import FARTHEST
 from weberwhisk.posterior.arviz_io import Shortfall
@@ -153,7 +154,7 @@ def gaussian_run(count: int, dim: int, *, seed: int, **options: object) -> Stack
     )
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("dim", slow_but([1, 2, 3], quick=(1,)))
 def test_precision_is_met_and_errors_are_honest(dim: int) -> None:
     fit = gaussian_run(100, dim, seed=dim, precision=0.03)
     assert fit.converged.all()

@@ -375,7 +375,7 @@ def test_the_command_writes_table_touches_and_figure(
     assert "No distance follows" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("count", [36, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [18, pytest.param(300, marks=pytest.mark.slow)])
 def test_damaged_tables_have_a_sentence_or_rows_that_say_why(tmp_path: Path, count: int) -> None:
     """Cut files, swapped columns, NaN and text, other units: refused, or every row has a status."""
     rng = np.random.default_rng(18)

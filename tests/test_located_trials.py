@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.special import ndtr
+from short_forms import short_or_full, slow_but
 
 import weberwhisk as ww
 from weberwhisk import cli
@@ -186,10 +187,11 @@ def contacts(located: pd.DataFrame, observer: ww.Observer, seed: int) -> pd.Data
     return rows
 
 
-def test_an_observer_takes_the_contacts_of_each_trial() -> None:
+@short_or_full("sessions", 2, 4)
+def test_an_observer_takes_the_contacts_of_each_trial(sessions: int) -> None:
     """From signals to k: the animal's, where nominal places give three times as much."""
     observer, covered, off = ENCODING.observer, 0, []
-    for seed in range(4):
+    for seed in range(sessions):
         nominal = ww.simulate_trials(
             standards=20e-3, encoding=ENCODING, trials_per_level=10, seed=1 + seed
         )
@@ -203,7 +205,7 @@ def test_an_observer_takes_the_contacts_of_each_trial() -> None:
         standing = ww.fit_weber(trials, observer=observer, priors=KNOWN)
         assert standing.interval(0.95)[0] > 0.15
         off.append(np.log(fit.weber_fraction / 0.1))
-    assert covered >= 3
+    assert covered >= sessions - 1
     assert np.sqrt(np.mean(np.square(off))) < 0.35  # a fit's own sd of ln k is 0.25
     known = ww.Whisker(50e-3, 100e-6, 5e-6, youngs_modulus=observer.whisker.youngs_modulus)
     touch = [f"{r.trial}-{r.interval}" if r.trial > 0 else None for r in felt.itertuples()]
@@ -213,7 +215,7 @@ def test_an_observer_takes_the_contacts_of_each_trial() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seeds", "each"), [([2], 4), pytest.param(range(3, 11), 8, marks=pytest.mark.slow)]
+    ("seeds", "each"), slow_but([([2], 2), ([2], 4), (range(3, 11), 8)], quick=(0,))
 )
 def test_tracked_video_goes_all_the_way_to_the_weber_fraction(
     seeds: list[int], each: int, tmp_path

@@ -165,7 +165,7 @@ def test_the_fold_at_a_cylinder_is_the_largest_rotation_of_any_tangent_whisker(r
 
     def rotation(force):
         far = np.hypot(*centre)
-        s = brentq(lambda s: np.hypot(*seen(s, force)) - far, 20e-3, 40e-3, xtol=1e-11)
+        s = brentq(lambda s: np.hypot(*seen(s, force)) - far, 20e-3, 40e-3, xtol=1e-10)
         x, y = seen(s, force)
         return np.arctan2(y, x) - np.arctan2(*centre[::-1])
 
@@ -223,10 +223,10 @@ BODIES = {
 )
 def test_the_whisker_is_never_inside_the_object(name, whisker):
     body = BODIES[name]
-    s = sweep(whisker, body, np.radians(np.arange(-42, 60, 4.0)))
+    s = sweep(whisker, body, np.radians(np.arange(-42, 60, 6.0)))
     b = s.bending
     assert np.any(b.held)
-    for i in np.flatnonzero(b.held)[::5]:
+    for i in np.flatnonzero(b.held)[::4]:
         lean = np.arctan2(b.axial_force[i], b.transverse_force[i]) - b.contact_angle[i]
         x, y, alpha = drawn(whisker, b.arc_length[i], b.force[i], lean)
         assert alpha == pytest.approx(b.contact_angle[i], abs=1e-8)
@@ -246,11 +246,11 @@ def test_a_whisker_curved_towards_a_wall_ends_where_it_touches_twice():
             x, y, alpha = drawn(CURLED, s, force, 0.0)
             return 30e-3 + y * np.cos(alpha) - x * np.sin(alpha), alpha
 
-        return heights(brentq(lambda f: heights(f)[0][1499], 1e-8, 1e-5, xtol=1e-17))
+        return heights(brentq(lambda f: heights(f)[0][1499], 1e-8, 1e-5, xtol=1e-15))
 
-    s = brentq(lambda s: flush(s)[0][-1] + 1e-6 * 50e-3, 49.7e-3, 49.99e-3, xtol=1e-11)
+    s = brentq(lambda s: flush(s)[0][-1] + 1e-6 * 50e-3, 49.7e-3, 49.99e-3, xtol=1e-9)
     end = flush(s)[1]
-    s = sweep(CURLED, wall(0.0, -30e-3, 0.0), np.radians(np.arange(0, 60, 2.0)))
+    s = sweep(CURLED, wall(0.0, -30e-3, 0.0), np.radians(np.arange(0, 60, 4.0)))
     assert s.ended_by is Outcome.TOUCHES_TWICE
     assert s.end == pytest.approx(end, abs=5e-6)
     assert np.all(s.tip[s.bending.held])

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 from scipy.integrate import quad
+from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
@@ -290,11 +291,12 @@ def test_two_down_one_up_by_hand():
 
 
 @pytest.mark.parametrize(("rule", "share"), [("1-up/2-down", 0.7071), ("1-up/3-down", 0.7937)])
-def test_rules_settle_where_they_should(rule, share):
+@short_or_full("animals", 6, 12)
+def test_rules_settle_where_they_should(rule, share, animals):
     """Share of right answers at the turning levels of an animal that does not lapse."""
     scheme = lattice(PLAIN.encoding, 1.0, each_side=40)
     found = []
-    for seed in range(12):
+    for seed in range(animals):
         staircase = Staircase(PLAIN, scheme, rule=rule, seed=seed)
         session(staircase, 300, animal(PLAIN, seed=seed, lapse=0.0))
         found.append(staircase.weber_fraction)
@@ -336,7 +338,8 @@ def test_information_saves_trials():
     assert np.median(halves["information"]) < 0.8 * np.median(halves["constant"])
 
 
-def test_information_about_the_taper_tells_it_sooner():
+@short_or_full("animals", 2, 3)
+def test_information_about_the_taper_tells_it_sooner(animals):
     """Natural log Bayes factors after 90 trials: placed for the hypothesis, and for k."""
     standards = np.array([0.3, 0.6, 0.9]) * W.length
     levels = [lattice(h.encoding, standards, each_side=8).offsets for h in TAPER]
@@ -344,12 +347,12 @@ def test_information_about_the_taper_tells_it_sooner():
     found = {}
     for goal in ("hypothesis", "weber_fraction"):
         total = 0.0
-        for seed in range(3):
+        for seed in range(animals):
             placer = BayesianPlacer(TAPER, scheme, goal=goal, seed=seed)
             session(placer, 90, animal(TAPER[0], seed=seed))
             beliefs = placer.beliefs
             total += beliefs["tapered"].log_evidence - beliefs["cylindrical"].log_evidence
-        found[goal] = total / 3
+        found[goal] = total / animals
     assert found["hypothesis"] > found["weber_fraction"] + 1
 
 

@@ -21,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
+from short_forms import short_or_full
 
 from weberwhisk import Observer, Whisker, figures, plan_experiment, read_plan, write_plan
 from weberwhisk.behaviour import CueEncoding, IdentityEncoding, Priors, read_trials
@@ -558,14 +559,15 @@ def test_goals_and_animals_that_make_no_sense_are_refused(
 # -- the size ------------------------------------------------------------------------------------
 
 
-def test_the_goal_decides_the_number_of_trials() -> None:
+@short_or_full("runs", 24, 48)
+def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
     """As few as reach it, even in number; the power of the plan says so, and half as many do not.
 
-    Chance: 48 experiments at a size have a standard error of 0.06.
+    Chance: 48 experiments at a size have a standard error of 0.06, 24 of 0.08.
     """
     goal = Goal(bayes_factor=10, share=0.85)
     plan = plan_experiment(
-        "C2", goal=goal, standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], runs=48, seed=2
+        "C2", goal=goal, standards=[20e-3, 30e-3], levels=[-2, -1, 1, 2], runs=runs, seed=2
     )
     assert plan.power is not None
     (trials,) = {n for row in plan.scheme.trials for n in row}
@@ -614,8 +616,9 @@ def test_a_goal_that_no_design_reaches_says_by_how_much() -> None:
 # -- what is expected ----------------------------------------------------------------------------
 
 
-def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
-    """The one fit to expected answers against the median of thirty fits to simulated ones."""
+@short_or_full("n", 14, 30)
+def test_expected_intervals_are_those_of_typical_simulated_animals(n: int) -> None:
+    """The one fit to expected answers against the median of fits to simulated ones."""
     plan = plan_experiment("C2", goal=Goal(half_width=0.3), trials=40, runs=0)
     ((_, expected),) = plan.expected_fits
     k, lapse = plan.animals.weber_fraction, plan.animals.lapse
@@ -624,15 +627,15 @@ def test_expected_intervals_are_those_of_typical_simulated_animals() -> None:
     )
     encoding = plan.hypotheses[0].encoding
     found = []
-    for seed in range(30):
+    for seed in range(n):
         answers = simulate_responses(plan.trials, animal, encoding=encoding, seed=seed)
         row = plan.analyse(answers).estimates.iloc[0]
         found.append((row["weber_fraction"], row["upper"] - row["lower"]))
     middle, width = np.array(found).T
     low, high = expected.interval()
-    # Medians of thirty: sd 1.25 sd/√30 each, four of these.
-    assert abs(expected.weber_fraction - np.median(middle)) < 4 * 1.25 * middle.std() / np.sqrt(30)
-    assert abs((high - low) - np.median(width)) < 4 * 1.25 * width.std() / np.sqrt(30)
+    # Medians: sd 1.25 sd/√n each, four of these.
+    assert abs(expected.weber_fraction - np.median(middle)) < 4 * 1.25 * middle.std() / np.sqrt(n)
+    assert abs((high - low) - np.median(width)) < 4 * 1.25 * width.std() / np.sqrt(n)
 
 
 def test_expected_jnds_are_the_papers(plan: Plan) -> None:

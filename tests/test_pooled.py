@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from short_forms import short_or_full
 
 import weberwhisk as ww
 from weberwhisk.behaviour import (
@@ -143,17 +144,19 @@ def looks() -> tuple[Hypothesis, Hypothesis]:
     )
 
 
-def test_power_tells_one_whisker_from_two_and_says_how_often(looks) -> None:
+@short_or_full("runs", 24, 60)
+def test_power_tells_one_whisker_from_two_and_says_how_often(looks, runs: int) -> None:
     """The second whisker lowers the JND as far as it reaches, and not beyond."""
     scheme = Scheme([15e-3, 42e-3], [-4e-3, -2e-3, 2e-3, 4e-3], 75)
-    few = ww.power(scheme, looks, runs=60, seed=1)
+    few = ww.power(scheme, looks, runs=runs, seed=1)
     more = Scheme([15e-3, 42e-3], [-4e-3, -2e-3, 2e-3, 4e-3], 600)
-    many = ww.power(more, looks, runs=60, seed=1)
+    many = ww.power(more, looks, runs=runs, seed=1)
     assert (many.table["power"] > few.table["power"]).all()
     assert many.table["power"].min() > 0.5
 
 
-def test_taper_is_told_from_a_cylinder_with_curvature() -> None:
+@short_or_full("runs", 24, 60)
+def test_taper_is_told_from_a_cylinder_with_curvature(runs: int) -> None:
     """Curved observers' predictions are used, and they are the JNDs of their own signals."""
     tapered, cylindrical = hypotheses.taper(CURVED)
     straight = hypotheses.taper(WHISKER)[0]
@@ -167,7 +170,7 @@ def test_taper_is_told_from_a_cylinder_with_curvature() -> None:
         share = np.mean(read[1] < read[0])  # a softer whisker is met farther out
         assert share == pytest.approx(chosen(hypothesis.encoding, 40e-3, 42e-3, k), abs=0.025)
     scheme = Scheme([15e-3, 38e-3], [-3e-3, -1.5e-3, 1.5e-3, 3e-3], 150)
-    found = ww.power(scheme, (tapered, cylindrical), runs=60, seed=1)
+    found = ww.power(scheme, (tapered, cylindrical), runs=runs, seed=1)
     assert found.table["power"].min() > 0.5
 
 
@@ -190,7 +193,7 @@ def test_go_no_go_at_a_pole_is_planned_simulated_and_fitted(looks) -> None:
     low, high = fit.interval(0.99)
     assert low < 0.15 < high
     assert fit.posterior.quantile("criterion", 0.5) == pytest.approx(0.3, abs=0.15)
-    found = ww.power(scheme, both, runs=40, seed=1)
+    found = ww.power(scheme, both, runs=16, seed=1)
     assert found.table["power"].between(0, 1).all()
 
 

@@ -232,7 +232,7 @@ def test_more_animals_narrow_the_interval_but_not_below_their_spread():
     width = [
         np.median(
             fit(
-                TAPERED, s, simulate(TAPERED, s, SubjectPopulation(spread=0.5), 12, rng)[0]
+                TAPERED, s, simulate(TAPERED, s, SubjectPopulation(spread=0.5), 8, rng)[0]
             ).half_width
         )
         for s in (design((0.3, 0.6), 20).with_animals(n) for n in (2, 8))
@@ -332,16 +332,16 @@ def test_assurance_is_the_mean_of_power_over_the_prior():
     (narrow,) = with_priors([TAPERED], weber_fraction=lognorm(0.8, scale=0.1))
     hypotheses = narrow, with_priors([CYLINDRICAL], weber_fraction=lognorm(0.8, scale=0.1))[0]
     whole = ww.power(
-        scheme, hypotheses, truths=["tapered"], runs=256, expected=ALIKE, assurance=True
+        scheme, hypotheses, truths=["tapered"], runs=128, expected=ALIKE, assurance=True
     ).table["power"][0]
     at = [
         ww.power(
-            scheme, hypotheses, truths=["tapered"], runs=32, seed=i,
+            scheme, hypotheses, truths=["tapered"], runs=16, seed=i,
             expected=SubjectPopulation(float(k), 0.0, 0.03, 0.0, lapses_vary=False),
         ).table["power"][0]
         for i, k in enumerate(lognorm(0.8, scale=0.1).ppf((np.arange(7) + 0.5) / 7))
     ]  # fmt: skip
-    assert abs(whole - np.mean(at)) < 4 * np.sqrt(0.25 / 256 + 0.25 / 224)
+    assert abs(whole - np.mean(at)) < 4 * np.sqrt(0.25 / 128 + 0.25 / 112)
 
 
 def test_the_same_seed_gives_the_same_bits():
@@ -390,7 +390,7 @@ def test_the_smallest_design_reaches_its_goal_and_a_smaller_one_does_not():
 def test_the_smallest_number_of_animals():
     found = smallest(
         design((0.3, 0.9), 10), with_priors([TAPERED], lapse_low=0.03, lapse_high=0.03),
-        goal=Goal(half_width=0.35, share=0.5), vary="animals", runs=24, seed=2,
+        goal=Goal(half_width=0.35, share=0.5), vary="animals", runs=12, seed=2,
         expected=SubjectPopulation(spread=0.2, lapse=0.03, lapses_vary=False),
     )  # fmt: skip
     assert 2 <= found.scheme.animals <= 30
@@ -443,7 +443,7 @@ def test_the_report_says_where_intervals_of_k_miss():
     # Of animals whose k is far from all that was believed.
     scheme = design((0.3, 0.9), 8).with_animals(4)
     hypotheses = with_priors((TAPERED, CYLINDRICAL), weber_fraction=lognorm(0.05, scale=0.3))
-    found = ww.power(scheme, hypotheses, truths=[TAPERED.name], runs=16, seed=1)
+    found = ww.power(scheme, hypotheses, truths=[TAPERED.name], runs=10, seed=1)
     assert found.table["coverage"][0] < 0.7
     assert "cover the truth in" in found.report()
     few = ww.power(scheme.with_animals(2), (TAPERED, CYLINDRICAL), truths=[TAPERED.name], runs=12)

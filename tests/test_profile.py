@@ -113,7 +113,7 @@ def test_a_smaller_tolerance_is_met_and_the_error_is_an_upper_estimate(straight_
             assert np.all(off <= tolerance)
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-9])
+@pytest.mark.parametrize("tolerance", slow_but([1e-4, 1e-6, 1e-9], quick=(0, 2)))
 def test_the_error_of_a_press_is_neither_too_small_nor_far_too_large(tolerance):
     """Against a pass a thousand times finer: above the true error in 995 of a thousand scenes.
 
@@ -328,7 +328,7 @@ def test_folds_are_rung_1_where_the_whisker_is_straight():
     ("curvature", "psi"),
     slow_but(
         [(-15.0, 0.0), (-15.0, -0.3), (6.0, 0.2), (6.0, 0.0), (6.0, -0.3), (-15.0, 0.2)],
-        quick=range(2),
+        quick=(1,),
     ),
 )
 def test_the_fold_is_the_largest_angle_on_the_branch(curvature, psi):

@@ -180,7 +180,7 @@ def test_slopes_are_those_of_the_signals(w: ww.Whisker, fraction: float, share: 
             assert abs(slope[row, k] - by_step) < 1e-3 * max(abs(by_step), size * step), name
 
 
-@settings(max_examples=settings.default.max_examples // 3)  # seconds each next to a tip
+@settings(max_examples=max(settings.default.max_examples // 3, 2))  # seconds each next to a tip
 @given(whiskers(curved=True), floats(0.05, 1.02), floats(-1.5, 1.5), floats(0.0, 0.6), POWERS)
 def test_curved_whiskers_with_friction_keep_the_symmetries(
     w: ww.Whisker, fraction: float, theta: float, friction: float, size: float

@@ -181,7 +181,7 @@ ALL_CUES = [
 
 
 @pytest.mark.parametrize("make", ALL_CUES)
-@settings(max_examples=settings.default.max_examples // 3)
+@settings(max_examples=max(settings.default.max_examples // 3, 2))
 @given(data=st.data())
 def test_every_cue_has_whole_signals_posteriors_and_jnds(make, data: st.DataObject) -> None:
     # Whiskers of a rat's size: some cues have lengths of their own.

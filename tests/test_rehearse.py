@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import beta, lognorm, norm
+from short_forms import short_or_full
 
 from weberwhisk import Whisker, plan_experiment, simulate_study
 from weberwhisk.behaviour import IdentityEncoding, Priors, fit_population
@@ -132,8 +133,11 @@ def test_what_cannot_be_told_apart_stays_undecided() -> None:
     assert "less than the 80 % asked for" in found.report()
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """Animals drawn from the very priors of the fit: fewer than 51 of 60 has a chance of 2e-3.
+@short_or_full("animals", 30, 60)
+def test_intervals_hold_the_truth_as_often_as_they_say(animals: int) -> None:
+    """Animals drawn from the very priors of the fit.
+
+    Fewer than 51 of 60 has a chance of 7e-4, fewer than 25 of 30 of 3e-3.
 
     With other priors coverage is not promised: where offsets are small, lapses and k explain each
     other's errors, and the default prior of the lapses (mean 9 %) takes 10 % off k on average.
@@ -145,13 +149,13 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     scheme = Scheme.spaced(encoding, PLACES, weber_fraction=0.12, levels=LEVELS, trials=20)
     hypothesis = Hypothesis("tapered", encoding, priors, bias="shared")
     plan = Plan(scheme, [hypothesis], Goal(half_width=0.45), expected)
-    found = simulate_study(plan, 60, seed=4)
-    assert found.table["covered"].sum() >= 51
+    found = simulate_study(plan, animals, seed=4)
+    assert found.table["covered"].sum() >= {30: 25, 60: 51}[animals]
     assert (found.table["conclusion"] == "").all()
     summary = found.summary().iloc[0]
     assert summary["reached"] == np.mean(found.table["half_width"] <= 0.45)
     assert summary["right"] == found.table["covered"].mean()
-    assert abs(summary["bias"]) < 4 * 0.6 * 1.25 / np.sqrt(60)
+    assert abs(summary["bias"]) < 4 * 0.6 * 1.25 / np.sqrt(animals)
 
 
 def test_a_summary_counts_the_table(plan: Plan) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -162,7 +162,7 @@ class CueEncoding:
 
     def _jnd(self, stimulus: ArrayLike, noise: ReceptorNoise) -> Array:
         """Noise carried to distance, in the stimulus's unit; NaN where signals leave it open."""
-        observer = replace(self.observer, noise=noise)
+        observer = _with_noise(self.observer, noise)
         jnd = weber_propagation(observer, self._contact(stimulus)) / self.unit
         # Signals that cannot tell distance (a cylinder's map) leave nothing to judge by.
         return np.where(np.isfinite(jnd), jnd, np.nan)
@@ -215,6 +215,12 @@ class CueEncoding:
         if isinstance(cue, ForceMap):
             return f"{' and '.join(cue.signal_names).replace('_', ' ')} (§2f{at})"
         return f"{cue!r}{at}"
+
+
+@lru_cache(maxsize=64)
+def _with_noise(observer: Observer, noise: ReceptorNoise) -> Observer:
+    """An observer with other noise, kept: it chooses its model anew, a sixth of a power's time."""
+    return replace(observer, noise=noise)
 
 
 def _varied(noise: ReceptorNoise, signals: int, factor: float, *, floor: bool) -> ReceptorNoise:
