@@ -148,7 +148,8 @@ def balance(signals: Any, r: float) -> float:
         return np.nan
     share = excess[i - 1] / (excess[i - 1] - excess[i])
     angle = low + share * (high - low)
-    return float(BALANCE.radial_distance(WHISKER, np.array([angle]))[0][0])
+    places, table = angles()
+    return _where(places, table, angle)
 
 
 METHODS = {
@@ -170,6 +171,13 @@ def moments() -> tuple[Any, Any]:
     """Distances, and the moment of a straight whisker there at each push of the sweep."""
     places = np.linspace(0.02, 0.98, 6000) * WHISKER.length
     return places, elastica.press(WHISKER, places[:, None], pushes()).moment
+
+
+@cache
+def angles() -> tuple[Any, Any]:
+    """Distances, and the angle at which a straight whisker balances the muscle there."""
+    places = np.linspace(0.02, 0.98, 6000) * WHISKER.length
+    return places, BALANCE.signals(WHISKER, places[:, None])[0][:, 0]
 
 
 def _where(x: Any, rising: Any, value: float) -> float:
