@@ -19,7 +19,7 @@ REHEARSE = ["rehearse", "--runs", "2", "--workers", "1"]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("design") / "out"
-    assert run_app(cli.app, [*DESIGN, "--runs", "16", "--out", str(out)]) == 0
+    assert run_app(cli.app, [*DESIGN, "--runs", "16", "--workers", "1", "--out", str(out)]) == 0
     return out
 
 
@@ -41,6 +41,7 @@ def test_design_writes_what_the_rig_needs(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_same_command_makes_the_same_plan(folder: Path, tmp_path: Path) -> None:
+    """On all cores too."""
     assert run_app(cli.app, [*DESIGN, "--runs", "16", "--out", str(tmp_path / "again")]) == 0
     for name in ("plan.json", "trials.csv", "psychopy_s1_001.csv", "bpod.csv", "plan.html"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()

@@ -75,6 +75,7 @@ def test_counts_and_single_trials_compare_alike() -> None:
         np.testing.assert_allclose(one[column], other[column], rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("made_by", "best"), [("weber", "Weber noise"), ("constant", "constant noise")]
 )

@@ -261,7 +261,7 @@ def jnd_limits(asked: Asked) -> Made:
 
 def reversal(asked: Asked) -> Made:
     """objects pressed and let go with friction, by a base that turns and one that translates"""
-    push = np.radians(np.linspace(2.0, 25.0, 6 if asked.short else 47))
+    push = np.radians(np.linspace(2.0, 25.0, 4 if asked.short else 47))
     table = along_whisk.reversal(asked.whisker, 0.5 * asked.whisker.length, push)
     return _made("reversal", table, ww.figures.reversal(table))
 
