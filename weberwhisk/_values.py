@@ -15,7 +15,7 @@ from html import escape
 from importlib import import_module
 from inspect import Parameter, signature
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,6 +206,22 @@ def with_units(
     for name, unit in of.items():
         found[name] = table[name] * _COLUMN_UNITS[unit][1]
     return found.rename(columns={n: f"{n}_{_COLUMN_UNITS[unit][0]}" for n, unit in of.items()})
+
+
+class Worded(IntEnum):
+    """Codes, each with what it says: members are ``NAME = code, "words"``."""
+
+    _words: str
+
+    def __new__(cls, code: int, words: str = "") -> Self:
+        made = int.__new__(cls, code)
+        made._value_, made._words = code, words
+        return made
+
+    @property
+    def message(self) -> str:
+        """The same in one sentence."""
+        return self._words
 
 
 Member = TypeVar("Member", bound=IntEnum)

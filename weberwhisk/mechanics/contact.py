@@ -3,90 +3,68 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import domain
-from .._values import Array, Codes, Flags, Shown, member, pd, renamed_attribute
+from .._values import Array, Codes, Flags, Shown, Worded, member, pd, renamed_attribute
 from ..whisker import Whisker
 
 
-class Outcome(IntEnum):
+class Outcome(Worded):
     """What became of a contact; `message` says it in words."""
 
-    HELD = 0
-    PAST_FOLD = 1
-    FLICKED_PAST = 2
-    SLIPPED_OFF_TIP = 3
-    OUT_OF_REACH = 4
-    STUCK = 5
-    TOUCHES_TWICE = 6
-    UNRESOLVED = 7
-    NO_TOUCH = 8
-    TIP_NOT_TOUCHED = 9
-    PARALLEL = 10
-    END_OF_WHISKING = 11
-    CONTRADICTORY = 12
-    ONE_SIDED = 13
-    AT_LIMIT = 14
-    NOT_A_READING = 15
-
-    @property
-    def message(self) -> str:
-        """The outcome in one sentence."""
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    Outcome.HELD: "held: a stable contact",
-    Outcome.PAST_FOLD: "past the fold: in balance at this force, "
-    "but an object fixed here would already have been flicked past",
-    Outcome.FLICKED_PAST: "flicked past: no equilibrium on the first branch reaches this load",
-    Outcome.SLIPPED_OFF_TIP: "slipped off the tip: the contact would lie beyond the tip",
-    Outcome.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
-    Outcome.STUCK: "stuck: at this friction the contact does not slide so far",
-    Outcome.TOUCHES_TWICE: "touches twice: the whisker meets the object at a second point",
-    Outcome.UNRESOLVED: "unresolved: damping merges the peaks of neighbouring modes",
-    Outcome.NO_TOUCH: "no touch: nothing was felt, so that only what lies in reach is ruled out",
-    Outcome.TIP_NOT_TOUCHED: "tip not touched: the shaft was, so that only what lies beyond "
-    "the tip is ruled out",
-    Outcome.PARALLEL: "parallel: the two lines of sight do not meet ahead of the whisker",
-    Outcome.CONTRADICTORY: "contradictory: no distance lets just these whiskers touch",
-    Outcome.ONE_SIDED: "one-sided: at some bearing that is possible, the contact is out of reach "
-    "from one end of the side",
-    Outcome.AT_LIMIT: "at the limit: an object that the tip met bends the whisker almost as far as "
-    "it can be held, where slips are not known well enough",
-    Outcome.NOT_A_READING: "not a reading: a number of it is missing or infinite",
-    Outcome.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
-}
+    HELD = 0, "held: a stable contact"
+    PAST_FOLD = (
+        1,
+        "past the fold: in balance at this force, but an object fixed here would already have "
+        "been flicked past",
+    )
+    FLICKED_PAST = 2, "flicked past: no equilibrium on the first branch reaches this load"
+    SLIPPED_OFF_TIP = 3, "slipped off the tip: the contact would lie beyond the tip"
+    OUT_OF_REACH = 4, "out of reach: the contact lies beyond the whisker"
+    STUCK = 5, "stuck: at this friction the contact does not slide so far"
+    TOUCHES_TWICE = 6, "touches twice: the whisker meets the object at a second point"
+    UNRESOLVED = 7, "unresolved: damping merges the peaks of neighbouring modes"
+    NO_TOUCH = 8, "no touch: nothing was felt, so that only what lies in reach is ruled out"
+    TIP_NOT_TOUCHED = (
+        9,
+        "tip not touched: the shaft was, so that only what lies beyond the tip is ruled out",
+    )
+    PARALLEL = 10, "parallel: the two lines of sight do not meet ahead of the whisker"
+    END_OF_WHISKING = 11, "end of whisking: the range of whisking ends before the balance"
+    CONTRADICTORY = 12, "contradictory: no distance lets just these whiskers touch"
+    ONE_SIDED = (
+        13,
+        "one-sided: at some bearing that is possible, the contact is out of reach from one end of "
+        "the side",
+    )
+    AT_LIMIT = (
+        14,
+        "at the limit: an object that the tip met bends the whisker almost as far as it can be "
+        "held, where slips are not known well enough",
+    )
+    NOT_A_READING = 15, "not a reading: a number of it is missing or infinite"
 
 
-class Model(IntEnum):
+class Model(Worded):
     """The models of the mechanics, from the simplest up: each leaves less out."""
 
-    CLOSED_FORM = 0
-    ELASTICA = 1
-    PROFILE = 2
-    ROD = 3
+    CLOSED_FORM = 0, "the closed form"
+    ELASTICA = 1, "the straight elastica"
+    PROFILE = 2, "the curved planar beam"
+    ROD = 3, "the rod in space"
 
     @property
     def title(self) -> str:
         """The model's name in words."""
-        return _TITLES[self]
+        return self.message
 
 
 #: The unit of a bias that is not judged against any noise.
 SIGNAL_UNIT = "of a signal"
-
-_TITLES = {
-    Model.CLOSED_FORM: "the closed form",
-    Model.ELASTICA: "the straight elastica",
-    Model.PROFILE: "the curved planar beam",
-    Model.ROD: "the rod in space",
-}
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,14 +9,14 @@ multiplied by `gain` to compare, so that curves of one shape need gains in propo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import finite, positive, positive_number
-from .._values import Array, Codes, Flags, Index
+from .._values import Array, Codes, Flags, Index, Worded
 from ..whisker import Whisker
 from . import elastica
 
@@ -95,28 +95,14 @@ def whisking_range(whisking: Any) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-class Balance(IntEnum):
+class Balance(Worded):
     """What became of the muscle against the whisker; `message` says it in words."""
 
-    BALANCED = 0
-    FLICKED_PAST = 1
-    SLIPPED_OFF_TIP = 2
-    END_OF_WHISKING = 3
-    OUT_OF_REACH = 4
-
-    @property
-    def message(self) -> str:
-        """The outcome in one sentence."""
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    Balance.BALANCED: "balanced: the object holds the whisker at this angle",
-    Balance.FLICKED_PAST: "flicked past: the muscle is stronger all the way to the fold",
-    Balance.SLIPPED_OFF_TIP: "slipped off the tip: the muscle is stronger all the way to the tip",
-    Balance.END_OF_WHISKING: "end of whisking: the range of whisking ends before the balance",
-    Balance.OUT_OF_REACH: "out of reach: the contact lies beyond the whisker",
-}
+    BALANCED = 0, "balanced: the object holds the whisker at this angle"
+    FLICKED_PAST = 1, "flicked past: the muscle is stronger all the way to the fold"
+    SLIPPED_OFF_TIP = 2, "slipped off the tip: the muscle is stronger all the way to the tip"
+    END_OF_WHISKING = 3, "end of whisking: the range of whisking ends before the balance"
+    OUT_OF_REACH = 4, "out of reach: the contact lies beyond the whisker"
 
 
 @dataclass(frozen=True, eq=False)

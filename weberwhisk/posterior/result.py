@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from .. import domain
 from .._checks import finite
-from .._values import Array, Codes, Flags, Index, Shown, interval_text, member, pd
+from .._values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
 from ..coordinates import UNITS
 from ..mechanics.contact import Outcome
 from ..observer import Observer
@@ -27,39 +26,23 @@ from .arviz_io import ArvizData
 IMPROBABLE = 5.0
 
 
-class Status(IntEnum):
+class Status(Worded):
     """How far a posterior can be relied on; `message` says it in words."""
 
-    CONVERGED = 0
-    UNIDENTIFIED = 1
-    IMPROBABLE_READING = 2
-    NOT_GAUSSIAN = 3
-    IMPRECISE = 4
-    NOT_CONVERGED = 5
-    SEVERAL_PEAKS = 6
-    NOT_A_READING = 7
-    NO_CONTACT = 8
-    OUTSIDE_DOMAIN = 9
-
-    @property
-    def message(self) -> str:
-        """The status in one sentence."""
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    Status.CONVERGED: "converged",
-    Status.UNIDENTIFIED: "the reading does not determine the contact: in some direction the "
-    "posterior is as wide as the prior",
-    Status.IMPROBABLE_READING: "the reading lies more than 5 sd from every contact on this whisker",
-    Status.NOT_GAUSSIAN: "the posterior is far from Gaussian: Laplace's approximation fails",
-    Status.IMPRECISE: "the estimated error is above the tolerance",
-    Status.NOT_CONVERGED: "the walkers have not converged",
-    Status.SEVERAL_PEAKS: "the posterior has several peaks, and this method may know of one alone",
-    Status.NOT_A_READING: "not a reading: a number of it is missing or infinite",
-    Status.NO_CONTACT: "no contact: signals are zero that no contact leaves at zero",
-    Status.OUTSIDE_DOMAIN: "outside the domain: see outside_domain",
-}
+    CONVERGED = 0, "converged"
+    UNIDENTIFIED = (
+        1,
+        "the reading does not determine the contact: in some direction the posterior is as wide "
+        "as the prior",
+    )
+    IMPROBABLE_READING = 2, "the reading lies more than 5 sd from every contact on this whisker"
+    NOT_GAUSSIAN = 3, "the posterior is far from Gaussian: Laplace's approximation fails"
+    IMPRECISE = 4, "the estimated error is above the tolerance"
+    NOT_CONVERGED = 5, "the walkers have not converged"
+    SEVERAL_PEAKS = 6, "the posterior has several peaks, and this method may know of one alone"
+    NOT_A_READING = 7, "not a reading: a number of it is missing or infinite"
+    NO_CONTACT = 8, "no contact: signals are zero that no contact leaves at zero"
+    OUTSIDE_DOMAIN = 9, "outside the domain: see outside_domain"
 
 
 class Estimate(NamedTuple):
