@@ -25,7 +25,7 @@ import pandas as pd
 from command import options
 
 import weberwhisk as ww
-from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import prior_draws
 from weberwhisk.mechanics.curved_surface import SIX, space_surface
 
 NAMES = ("FX", "FT", "FD", "MX", "MB", "MD")

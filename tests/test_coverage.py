@@ -26,7 +26,7 @@ from weberwhisk.cues import (
     VibrissaLength,
 )
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)

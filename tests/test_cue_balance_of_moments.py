@@ -10,8 +10,7 @@ from cue_checks import coverage, jacobian_by_differences, moments_by_midpoints
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.cues import BalanceOfMoments, Cue
-from weberwhisk.fusion import prior_draws
-from weberwhisk.jnd import weber_propagation
+from weberwhisk.jnd import prior_draws, weber_propagation
 from weberwhisk.mechanics import closed_form
 from weberwhisk.mechanics.muscle import Balance, MuscleCurve, moment_balance
 from weberwhisk.receptors import GeneralisedWeber

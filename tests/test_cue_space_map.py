@@ -23,11 +23,9 @@ from weberwhisk.cues import (
     UnknownRoll,
     UnknownStiffness,
 )
-from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.cues.space_map import IN_SPACE
+from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
 from weberwhisk.design.plan_file import decode, encode
-from weberwhisk.fusion import prior_draws
-from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.mechanics import rod
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
 

@@ -26,8 +26,7 @@ from weberwhisk.cues import (
     UnknownCurvature,
 )
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.fusion import prior_draws
-from weberwhisk.jnd import fisher_jnd
+from weberwhisk.jnd import fisher_jnd, prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.posterior.marginals import tile_quantiles

@@ -7,7 +7,7 @@ from cue_checks import brute_force
 import weberwhisk as ww
 from weberwhisk.cues import ForceMap, Fused, SpaceMap, Vibration
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import prior_draws
 from weberwhisk.posterior import Status
 from weberwhisk.receptors import Weber
 

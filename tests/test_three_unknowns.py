@@ -15,8 +15,7 @@ from weberwhisk.cues import (
     TwoWhiskers,
     UnknownStiffness,
 )
-from weberwhisk.fusion import prior_draws
-from weberwhisk.jnd import fisher_jnd, weber_propagation
+from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.posterior.grid import OwnGrids
 from weberwhisk.posterior.peaks import find_mode
 from weberwhisk.posterior.summed import likelihood_of

@@ -19,7 +19,7 @@ from weberwhisk.cues import (
     Fused,
     Vibration,
 )
-from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import prior_draws
 from weberwhisk.posterior.quadrature import longest
 from weberwhisk.posterior.tiled import TiledObserver
 from weberwhisk.posterior.tiling import TooManyTiles, tiles_of

@@ -7,7 +7,7 @@ from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import prior_draws
 from weberwhisk.many_touches import _grid, touches, touches_jnd
 from weberwhisk.receptors import Weber
 

@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from .design import read_plan as read_plan
     from .design import simulate_study as simulate_study
     from .figures.designs import write_plan as write_plan
-    from .fusion import added_information as added_information
-    from .fusion import fused_jnds as fused_jnds
-    from .fusion import information as information
+    from .jnd import added_information as added_information
     from .jnd import convert_jnd as convert_jnd
     from .jnd import criterion_factor as criterion_factor
+    from .jnd import fused_jnds as fused_jnds
+    from .jnd import information as information
     from .jnd_curves import JNDCurve as JNDCurve
     from .jnd_curves import jnd_curve as jnd_curve
     from .jnd_curves import jnd_sweep as jnd_sweep
@@ -97,8 +97,7 @@ _NAMES = {
     "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
     "observer": "Observer",
     "posterior": "Posterior Status posterior",
-    "fusion": "added_information fused_jnds information",
-    "jnd": "convert_jnd criterion_factor",
+    "jnd": "added_information convert_jnd criterion_factor fused_jnds information",
     "many_touches": "Touches touches touches_jnd",
     "jnd_curves": "JNDCurve jnd_curve jnd_sweep",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "

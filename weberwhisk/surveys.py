@@ -30,8 +30,7 @@ from .cues import (
     VibrissaLength,
 )
 from .cues.force_map import SIGNALS
-from .fusion import added_information
-from .jnd import fisher_jnd, weber_propagation
+from .jnd import added_information, fisher_jnd, weber_propagation
 from .jnd_curves import jnd_curve
 from .mechanics import elastica
 from .mechanics.contact import Outcome

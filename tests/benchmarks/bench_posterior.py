@@ -26,7 +26,7 @@ import numpy as np
 import weberwhisk as ww
 from weberwhisk import Status
 from weberwhisk.cues import Compliance, ForceMap, UnknownStiffness
-from weberwhisk.fusion import prior_draws
+from weberwhisk.jnd import prior_draws
 from weberwhisk.receptors import Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)

@@ -20,9 +20,8 @@ from .._values import Array, Flags, renamed_arguments, renamed_attribute
 from ..mechanics.curved_surface import SIX
 from ..mechanics.forward import FRICTION_COEFFICIENT, ForwardModel, forward_of
 from ..receptors import ReceptorNoise
-from .force_map import SIGNALS
+from .force_map import SIGNALS, SpaceMap
 from .protocol import Cue, Encoded, a_cue
-from .space_map import SpaceMap
 
 
 @dataclass(frozen=True, eq=False, repr=False)
