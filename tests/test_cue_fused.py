@@ -17,7 +17,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
-from weberwhisk import fusion as fusing
+from weberwhisk import jnd as fusing
 from weberwhisk.cues import (
     AngleSideAngle,
     Compliance,

@@ -144,8 +144,7 @@ def posteriors(
             bars(ax, np.flatnonzero(which), [v[which] for v in ends], i, label=name)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Reading", ylabel=label)
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -202,8 +201,7 @@ def posterior_histogram(
     ax.axvline(mean, color=COLOURS[0], label=f"mean {mean:.3g}")
     ax.axvline(low, color=COLOURS[1], linestyle="--", label=f"95 %: {low:.3g} to {high:.3g}")
     ax.axvline(high, color=COLOURS[1], linestyle="--")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -277,8 +275,7 @@ def jnd_lines(
         what = "JND/L" if weber_fraction is None else "JND/(kL)"
     ax.set_xlabel("Radial distance r (mm)" if length is None else "Radial distance r/L")
     ax.set_ylabel(f"{what}, {criterion}")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 def _by_angle(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -396,8 +393,7 @@ def located(
             bars(ax, touches["place"].mean(), ends, 1, label="each touch, 95 % interval")
     named = "row" if against is None else against.replace("_", " ")
     ax.set(xlabel=re.sub(" (m?s|mm?)$", r" (\1)", named), ylabel="radial distance (mm)")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -411,5 +407,4 @@ def calibrated(found: Any, ax: Axes | None = None) -> Axes:
     slope = taps["slope"] / taps["fitted"]
     ax.plot(taps["radial_distance_mm"], slope, ".", color=COLOURS[0], markersize=3, label="taps")
     ax.set(xlabel="radial distance (mm)", ylabel="slope, measured over fitted")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)

@@ -85,8 +85,7 @@ def information_map(
     ax.plot([], [], "o", **ring, color="black", label="the most")
     ax.axhline(0.0, color="w", linewidth=0.5)
     ax.set(xlabel="Standard (mm)", ylabel="Offset (mm)")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -120,8 +119,7 @@ def power_curve(power: Power, ax: Axes | None = None) -> Axes:
     ax.minorticks_off()
     ax.set(xlabel="Animals" if by == "animals" else "Trials of each comparison", ylim=(0, 1))
     ax.set_ylabel("Assurance" if power.assurance else "Power")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -197,8 +195,7 @@ def planned_jnds(plan: Plan, ax: Axes | None = None) -> Axes:
     bars(ax, points["standard_mm"], known, 0, color=COLOURS[6], label="each standard alone, 95 %")
     ax.set_ylim(bottom=0)
     ax.set(xlabel="Radial distance (mm)", ylabel=f"JND (mm), {points['criterion'].iloc[0]}")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -235,8 +232,7 @@ def planned_power(plan: Plan, ax: Axes | None = None) -> Axes:
     ax.set(ylabel="Share that reaches the goal", ylim=(0, 1.02))
     ax.set_xlabel("Animals" if by_animals else "Trials of an animal")
     ax.set_xlim(left=0)
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 def _shares(ax: Axes, rows: pd.DataFrame, at: Any, i: int, words: Sequence[str]) -> None:
@@ -276,8 +272,7 @@ def rehearsed(result: SimulatedStudy, ax: Axes | None = None) -> Axes:
         what = "log$_{10}$ Bayes factor for the truth"
         ax.axvline(-limit, **edge, linestyle=":", label="the wrong way")
     ax.set(xlabel=what, ylabel="Share of experiments", ylim=(0, 1))
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -299,8 +294,7 @@ def placements(placer: TrialLog, ax: Axes | None = None) -> Axes:
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="Trial", ylabel="Comparison − standard")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 # -- a plan on one page of paper, and as a folder ------------------------------------------------

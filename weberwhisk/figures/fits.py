@@ -76,8 +76,7 @@ def psychometric(
     s = float(known[0]) if standard is None else standard
     _choices(fit, ax, s)
     ax.set(xlabel=_stimulus_label(fit, unit), ylabel=_answer_label(fit))
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -219,8 +218,7 @@ def residuals(table: pd.DataFrame, ax: Axes | None = None, *, against: str | Non
     if np.issubdtype(x.dtype, np.integer):
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel=drawable(column.replace("_", " ")), ylabel="Residual (standard errors)")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -306,8 +304,7 @@ def shrinkage(fit: PopulationFit, ax: Axes | None = None) -> Axes:
     ax.set_yticks(y, [drawable(label) for label in labels])
     ax.set(xscale="log", xlabel="Weber fraction")
     log_numbers(ax.xaxis)
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -386,8 +383,7 @@ def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
     ax.axvline(0, color="0.7", linewidth=0.8, zorder=0, label="the best")
     ax.set_yticks(y, [drawable(name, 40) for name in table.index])
     ax.set(xlabel="Nats below the best", ylim=(-0.6, len(table) - 0.4))
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled

@@ -206,8 +206,7 @@ def paper_1d(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     for i, (name, rows) in enumerate(table.groupby("whisker", sort=False)):
         ax.plot(rows["radial_distance"], rows["rate"], **look(i), label=str(name))
     ax.set(xlabel="Radial distance r/L", ylabel="dM/dθ (EI/L)", xlim=(0, 1), yscale="log")
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled

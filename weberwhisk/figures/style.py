@@ -181,10 +181,11 @@ def figure_of(axes: Any) -> Figure:
     return figure
 
 
-def legend_above(ax: Axes, columns: int = 2) -> None:
-    """A legend that cannot cover data, over the axes; none where nothing has a name."""
+def legend_above(ax: Axes, columns: int = 2) -> Axes:
+    """The axes with a legend over them, which cannot cover data; none where nothing has a name."""
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=columns)
+    return ax
 
 
 def legend_over(figure: Any, axes: Iterable[Axes], columns: int) -> None:

@@ -104,8 +104,7 @@ def touches(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.fill_between([1, 17], 0.8, 1.25, color="0.85", label="mice, 1 to 17 touches")
     ax.set(xscale="log", yscale="log", xlabel="touches", ylabel=JND)
     log_numbers(ax.xaxis, ax.yaxis)
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -133,8 +132,7 @@ def jnd_limits(table: pd.DataFrame, length: float, ax: Axes | None = None) -> Ax
             shade: Any = {"facecolor": "none", "edgecolor": "0.6", "hatch": hatch}
             ax.fill_between(place, 0.0, top, where=where.to_numpy(), label=name, **shade)
     ax.set(xlabel="radial distance r/L", ylabel=JND, xlim=(0, 1), ylim=(0.0, top))
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled
@@ -188,8 +186,7 @@ def whisking_speed(table: pd.DataFrame, length: float, ax: Axes | None = None) -
     ax.set(xlabel="radial distance r/L", ylabel="whisking frequency (Hz)", yscale="log")
     ax.set(xlim=(0, 1), ylim=(1, 200))
     log_numbers(ax.yaxis)
-    legend_above(ax, columns=1)
-    return ax
+    return legend_above(ax, columns=1)
 
 
 # -- arrays ----------------------------------------------------------------------------------------
@@ -207,8 +204,7 @@ def whisker_array(array: WhiskerArray, ax: Axes | None = None) -> Axes:
     bases = 1e3 * np.array([w.base[:2] for w in array.whiskers.values()])
     ax.plot(*bases.T, "k.", markersize=2, label="bases")
     ax.set(aspect="equal", xlabel="to the right (mm)", ylabel="rostral (mm)")
-    legend_above(ax, columns=6)
-    return ax
+    return legend_above(ax, columns=6)
 
 
 def _from_above(whisker: Follicle) -> tuple[np.ndarray, np.ndarray]:
@@ -261,8 +257,7 @@ def place(found: Place, ax: Axes | None = None) -> Axes:
         xlabel="to the right (mm)",
         ylabel="rostral (mm)",
     )
-    legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 @styled

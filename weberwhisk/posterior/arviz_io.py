@@ -16,10 +16,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from enum import IntFlag
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, special
 
@@ -182,16 +182,10 @@ def split(x: ArrayLike) -> Array:
 
 
 def rank_normalise(x: ArrayLike) -> Array:
-    """Normal scores of the ranks over chains and draws together; ties share their mean rank."""
+    """Blom's normal scores of the ranks over chains and draws together; ties share their rank."""
     x = np.asarray(x, dtype=float)
-    rows = x.reshape(-1, x.shape[-2] * x.shape[-1])
-    # Mean ranks are whole or half numbers: a table replaces a quantile function per draw.
-    scores = _normal_scores(rows.shape[-1])
-    out = np.empty_like(rows)
-    for row, scored in zip(rows, out, strict=True):  # a row fits the cache, the whole does not
-        _, place, ties = np.unique(row, return_inverse=True, return_counts=True)
-        scored[:] = scores[2 * np.cumsum(ties) - ties + 1][place]
-    return out.reshape(x.shape)
+    rank = scipy.stats.rankdata(x.reshape(*x.shape[:-2], -1), axis=-1)
+    return np.asarray(special.ndtri((rank - 0.375) / (rank.shape[-1] + 0.25))).reshape(x.shape)
 
 
 def rhat(x: ArrayLike) -> Array:
@@ -273,10 +267,3 @@ def _classic_rhat(x: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.sqrt((between / within + n - 1) / n)
     return result
-
-
-@lru_cache(maxsize=32)
-def _normal_scores(count: int) -> Array:
-    """Blom's normal score of every whole and half rank up to `count`, indexed by twice the rank."""
-    rank = np.arange(2 * count + 1) / 2
-    return np.asarray(special.ndtri(np.clip((rank - 0.375) / (count + 0.25), 0.0, 1.0)))

@@ -169,7 +169,30 @@ class Gaussian(ReceptorNoise):
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Weber(Gaussian):
+class Proportional(ReceptorNoise):
+    """Noise whose sd is k·|signal|, whatever its shape."""
+
+    weber_fraction: Array
+    correlation: float
+
+    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
+        self._set(
+            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
+            correlation=checked_correlation(correlation),
+        )
+
+    @property
+    def is_scale_family(self) -> bool:
+        """Always: the sd is a share of the signal."""
+        return True
+
+    def sd(self, signals: ArrayLike) -> Array:
+        """k·|signal|, (..., S)."""
+        return np.asarray(self.weber_fraction * np.abs(np.asarray(signals, dtype=float)))
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Weber(Proportional, Gaussian):
     """Weber's law: each reading is Gaussian about its signal with sd = k·|signal|.
 
     Parameters
@@ -193,24 +216,6 @@ class Weber(Gaussian):
     >>> float(noise.fisher([2.0])[0, 0].round(6))
     25.5
     """
-
-    weber_fraction: Array
-    correlation: float
-
-    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
-        self._set(
-            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
-            correlation=checked_correlation(correlation),
-        )
-
-    @property
-    def is_scale_family(self) -> bool:
-        """Always: the sd is a share of the signal."""
-        return True
-
-    def sd(self, signals: ArrayLike) -> Array:
-        """k·|signal|, (..., S)."""
-        return np.asarray(self.weber_fraction * np.abs(np.asarray(signals, dtype=float)))
 
     def slopes(self, signals: Array) -> tuple[Array, Array]:
         return np.ones_like(signals), self.weber_fraction * np.sign(signals)

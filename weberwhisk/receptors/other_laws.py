@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .._checks import finite, non_negative, number, positive
 from .._values import Array, Flags, Index
-from .gaussian import Gaussian, checked_correlation
+from .gaussian import Gaussian, Proportional, checked_correlation
 from .protocol import ReceptorNoise, Seed
 
 
@@ -30,7 +30,7 @@ class _Constant(Gaussian):
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class LogNormal(ReceptorNoise):
+class LogNormal(Proportional):
     """Weber's law with log-normal readings: mean the signal, sd = k·|signal|.
 
     The ln of a reading is Gaussian with variance σ² = ln(1 + k²) about ln|signal| − σ²/2: constant
@@ -69,20 +69,6 @@ class LogNormal(ReceptorNoise):
 
     gaussian_on = "log"
 
-    weber_fraction: Array
-    correlation: float
-
-    def __init__(self, weber_fraction: ArrayLike = 0.1, *, correlation: float = 0.0) -> None:
-        self._set(
-            weber_fraction=positive("weber_fraction", weber_fraction, "write 0.1, say"),
-            correlation=checked_correlation(correlation),
-        )
-
-    @property
-    def is_scale_family(self) -> bool:
-        """Always: a factor of the signal is one of the reading."""
-        return True
-
     @cached_property
     def _logs(self) -> _Constant:
         return _Constant(self.sigma, self.correlation)
@@ -98,10 +84,6 @@ class LogNormal(ReceptorNoise):
     def jacobian(self, signals: ArrayLike) -> Array:
         size = np.shape(signals)[-1]
         return np.broadcast_to(np.eye(size), (*np.shape(signals), size))
-
-    def sd(self, signals: ArrayLike) -> Array:
-        """k·|signal|, (..., S)."""
-        return np.asarray(self.weber_fraction * np.abs(np.asarray(signals, dtype=float)))
 
     def covariance(self, signals: ArrayLike) -> Array:
         """Covariance of the readings, (..., S, S): IᵢIⱼ(exp(ρσᵢσⱼ) − 1)."""
