@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import eigh
 
 import weberwhisk as ww
-from weberwhisk import along_whisk
+from weberwhisk import along_whisk, surveys
 from weberwhisk.jnd import fisher_jnd
 from weberwhisk.mechanics import quasi_static
 from weberwhisk.mechanics.modes import modes
@@ -243,3 +243,15 @@ def test_a_distance_that_is_none_is_refused_in_one_sentence() -> None:
     far = along_whisk.limits(WHISKER, [10e-3, 45e-3], push=2.0)
     assert far["outcome"].tolist() == ["HELD", "FLICKED_PAST"]
     assert far["weber_mm"].isna().tolist() == [False, True]
+
+
+def test_speeds_and_limits_are_those_read_aloud() -> None:
+    """Of the figures' whisker, of 3 GPa; what was written was of 3.34."""
+    r = np.array([0.2, 0.5, 0.85]) * surveys.WHISKER.length
+    found = along_whisk.speed(surveys.WHISKER, r, [8.0])
+    assert found["one_percent_hz"].round(1).tolist() == [20.9, 13.2, 3.1]
+    assert (100 * found["error_8Hz"]).round(1).tolist() == [0.1, 0.4, 6.7]
+    assert found["first_frequency_hz"].iloc[2] == pytest.approx(72, abs=1)
+    assert (1e3 * found["settled_s"]).round().tolist() == [5, 10, 21]
+    row = along_whisk.limits(surveys.WHISKER, r[2]).iloc[0]
+    assert row["threshold_mm"] / row["weber_mm"] == pytest.approx(1.4, abs=0.02)

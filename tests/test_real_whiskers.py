@@ -35,6 +35,7 @@ from weberwhisk.posterior.quadrature import _tiled
 from weberwhisk.posterior.summed import LastSummed, likelihood_of
 from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
+from weberwhisk.sweeping import SweepFilter
 from weberwhisk.whisker import identities, rest_shape
 
 MU = np.arctan(0.48)
@@ -615,6 +616,9 @@ def test_whatever_takes_a_named_whisker_as_straight_says_so():
     array = ww.ArrayObserver(ww.WhiskerArray("rat", "right").protract(0.5).only(["C2"]))
     place = array.array.whiskers["C2"].place(20e-3, 0.1)
     assert said in ww.place(array, array.read(place, seed=1)).note
+    push, moments = np.array([0.05, 0.1]), ww.press(plain, 20e-3, [0.05, 0.1]).moment
+    track = SweepFilter(plain, particles=200)(push, moments, seed=1)
+    assert track.note == Observer(plain, ForceMap("moment"), Weber(0.1)).note != ""
     table = pd.DataFrame(readings, columns=["moment", "axial_force"])
     located = ww.locate(table, plain)
     assert any(note.startswith(said) for note in located.attrs["notes"])

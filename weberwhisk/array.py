@@ -237,7 +237,7 @@ class WhiskerArray(Shown, Value):
     --------
     >>> array = WhiskerArray("rat")
     >>> array
-    <WhiskerArray: rat, 30 whiskers on either side, at rest>
+    <WhiskerArray: rat, 30 straight whiskers on either side, at rest>
     >>> c2 = array.protract(np.radians(20)).whiskers["left C2"]
     >>> (1e3 * c2.base).round(1), round(float(np.degrees(c2.azimuth)), 1)
     (array([-6.7, -1. ,  0.3]), 81.6)
@@ -310,7 +310,8 @@ class WhiskerArray(Shown, Value):
         where = "either side" if self.sides == "both" else f"the {self.sides}"
         angle = f"{np.degrees(self.protraction):.3g}°"
         pose = f"protracted by {angle}" if self.protraction else "at rest"
-        return f"{self.species}, {len(self.identities)} whiskers on {where}, {pose}"
+        shape = "curved" if self.curved else "straight"
+        return f"{self.species}, {len(self.identities)} {shape} whiskers on {where}, {pose}"
 
     def _follicle(self, identity: str, side: str) -> Follicle:
         at, row = published(identity, self.species), ROWS.index(identity[0])

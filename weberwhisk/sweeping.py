@@ -65,6 +65,8 @@ class Track:
         where the moment is not that of any contact on the whisker. `AT_LIMIT`, of a filter, where
         an object that the tip met may bend the whisker almost to its limit, as a wall does while
         the tip still touches it, and one at more than some 40° from the whisker from then on.
+    note : str
+        Of a filter, what its `Observer` leaves out: the shape at rest of a named whisker.
     """
 
     push_angle: Array
@@ -76,6 +78,7 @@ class Track:
     path: Array
     path_sd: Array
     outcome: Codes
+    note: str = ""
 
 
 def follow(
@@ -404,9 +407,9 @@ class SweepFilter:
                 log_weight = np.zeros(len(state))
             else:
                 log_weight = log_weight - top
-        names = [field.name for field in fields(Track)][1:-1]
+        names = [field.name for field in fields(Track)][1:-2]
         columns: Any = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
-        return Track(push, **columns, outcome=outcome)
+        return Track(push, **columns, outcome=outcome, note=self.observer.note)
 
     def _at_limit(self, state: Array) -> Flags:
         """States of walls at which the tip still touches, or that are about to flick past."""
