@@ -586,12 +586,12 @@ def test_the_goal_decides_the_number_of_trials(runs: int) -> None:
 
 
 def test_the_best_places_stay_in_reach() -> None:
-    reach = Constraints(nearest=8e-3, farthest=32e-3, step=1e-3, easy_share=0.3)
+    reach = Constraints(nearest=12e-3, farthest=30e-3, step=1e-3, easy_share=0.3)
     plan = plan_experiment("C2", best=True, constraints=reach, trials=6, runs=0)
     cells = plan.scheme.cells()
     assert len(plan.scheme.standards) == 3
-    assert cells.stimulus_2.min() >= 8e-3
-    assert cells.stimulus_2.max() <= 32e-3
+    assert cells.stimulus_2.min() >= 12e-3
+    assert cells.stimulus_2.max() <= 30e-3
     assert set(cells.n) == {6}
 
 

@@ -248,7 +248,7 @@ def compare_drift(trials: Trials, *, effects: Sequence[Effect] = (), **options: 
     --------
     >>> from weberwhisk import simulate_trials
     >>> trials = simulate_trials(weber_fraction=0.15, drift=-1.5, sessions=6, seed=3)
-    >>> compare_drift(trials).table.index[-1]
+    >>> compare_drift(trials, bias="none").table.index[-1]
     'stationary'
     """
     check_effects(effects)
