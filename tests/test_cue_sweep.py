@@ -266,24 +266,25 @@ def test_noise_makes_the_update_drift_and_the_filter_forget(sweeps):
     assert filtered < followed
 
 
+@short_or_full("steps", 15, 24)
 @pytest.mark.parametrize(("curvature", "friction"), [(8.0, -0.3), (-20.0, 0.0)])
-def test_curved_and_rubbing_whiskers_are_followed(curvature, friction):
+def test_curved_and_rubbing_whiskers_are_followed(curvature, friction, steps):
     """On their convex and their concave side, by the moments of the planar beam."""
     whisker = replace(W, curvature=curvature)
     body = cylinder(25e-3, 0.5 * curvature * 25e-3**2 - 8e-3, 6e-3)
     first = sweep(whisker, body, np.radians([-40.0, 80.0]), friction).first_contact
-    push = PUSH[:15:3]
-    bent = sweep(whisker, body, np.r_[first - 0.01, first + PUSH[:15]], friction).bending
+    push = PUSH[:steps:3]
+    bent = sweep(whisker, body, np.r_[first - 0.01, first + PUSH[:steps]], friction).bending
     r, moment = bent.radial_distance[1:], bent.moment[1:]
     cue = Friction(ForceMap("moment"), friction)
-    off = follow(whisker, PUSH[:15], moment, cue=cue).radial_distance - r
+    off = follow(whisker, PUSH[:steps], moment, cue=cue).radial_distance - r
     assert np.all(np.abs(off) < 0.06e-3)
     assert np.all(np.abs(off)[8:] < 1e-6)
     prior = stats.uniform(2e-3, 44e-3)
     made = SweepFilter(whisker, Weber(0.1), cue=cue, prior=prior, particles=1000)
     track = made(push, Weber(0.1).sample(moment[::3, None], 10)[:, 0], seed=1)
     assert np.all(np.abs(track.radial_distance - r[::3]) < 4 * track.distance_sd)
-    straight = follow(W, PUSH[:15], moment).radial_distance - r
+    straight = follow(W, PUSH[:steps], moment).radial_distance - r
     assert np.nanmax(np.abs(straight)) > 2e-5
 
 

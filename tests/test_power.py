@@ -332,16 +332,16 @@ def test_assurance_is_the_mean_of_power_over_the_prior():
     (narrow,) = with_priors([TAPERED], weber_fraction=lognorm(0.8, scale=0.1))
     hypotheses = narrow, with_priors([CYLINDRICAL], weber_fraction=lognorm(0.8, scale=0.1))[0]
     whole = ww.power(
-        scheme, hypotheses, truths=["tapered"], runs=128, expected=ALIKE, assurance=True
+        scheme, hypotheses, truths=["tapered"], runs=256, expected=ALIKE, assurance=True
     ).table["power"][0]
     at = [
         ww.power(
-            scheme, hypotheses, truths=["tapered"], runs=16, seed=i,
+            scheme, hypotheses, truths=["tapered"], runs=32, seed=i,
             expected=SubjectPopulation(float(k), 0.0, 0.03, 0.0, lapses_vary=False),
         ).table["power"][0]
         for i, k in enumerate(lognorm(0.8, scale=0.1).ppf((np.arange(7) + 0.5) / 7))
     ]  # fmt: skip
-    assert abs(whole - np.mean(at)) < 4 * np.sqrt(0.25 / 128 + 0.25 / 112)
+    assert abs(whole - np.mean(at)) < 4 * np.sqrt(0.25 / 256 + 0.25 / 224)
 
 
 def test_the_same_seed_gives_the_same_bits():

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from short_forms import slow_but
+from short_forms import short_or_full, slow_but
 
 from weberwhisk.mechanics import elastica, profile, rod
 from weberwhisk.mechanics.contact import Outcome
@@ -210,12 +210,13 @@ def test_friction_at_which_nothing_slides():
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-9, marks=pytest.mark.slow)])
-def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance):
+@short_or_full("shares", (1e-3, 0.9, 0.99999), (1e-3, 0.3, 0.9, 0.999, 0.99999))
+def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance, shares):
     """Near the fold a contact a little off its place makes signals that are far off."""
     r = np.array([10e-3, 25e-3, 38e-3])[:, None]
     rest = profile.rest_angle(CURVED, r)
     end = profile.flick_past(CURVED, r).deflection_angle
-    theta = rest + np.array([1e-3, 0.9, 0.99999]) * (end - rest)
+    theta = rest + np.array(shares) * (end - rest)
     true = profile.press(CURVED, r, theta, tolerance=1e-13)
     point = r[..., None] * np.stack([np.cos(theta), np.sin(theta), 0 * theta], axis=-1)
     got = rod.press(CURVED, point, tolerance=tolerance)
@@ -241,7 +242,7 @@ def test_the_error_is_an_upper_estimate_up_to_the_fold(tolerance):
     )
     got, true = (rod.press(CURVED, point, tolerance=t) for t in (tolerance, 1e-13))
     held = got.outcome == Outcome.HELD
-    assert held.sum() > 3
+    assert held.sum() > len(shares)
     for part in ("force", "moment"):
         a, b = getattr(got, part)[held], getattr(true, part)[held]
         size = np.linalg.norm(b, axis=-1)
