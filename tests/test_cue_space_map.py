@@ -496,7 +496,7 @@ def test_a_tip_that_is_pushed_straight_in_space_is_outside_the_domain():
     assert (ww.posterior(observer, inside).status == ww.Status.CONVERGED).all()
 
 
-@pytest.mark.parametrize("shape", [W, ww.Profile.of(W)])
+@pytest.mark.parametrize("shape", [pytest.param(W, marks=pytest.mark.slow), ww.Profile.of(W)])
 def test_torsion_of_a_straight_whisker_tells_nothing_and_is_refused_where_noise_has_no_floor(shape):
     """Of a straight profile its rounding errors were read: 29.6 ± 0.5 mm, converged."""
     sizes = ("torsion", *SIGNALS, "moment_direction", "force_direction")

@@ -216,8 +216,11 @@ BODIES = {
 @pytest.mark.parametrize(
     ("name", "whisker"),
     [
-        pytest.param(name, w, id=f"{name}-{shape}", marks=[pytest.mark.slow] * ((i + j) % 2))
+        pytest.param(
+            name, w, id=f"{name}-{shape}", marks=[pytest.mark.slow] * (slow or (i + j) % 2)
+        )
         for i, name in enumerate(BODIES)
+        for slow in [name in ("peg", "steep")]  # a corner and an edge, as a square and a level have
         for j, (shape, w) in enumerate({"straight": W, "curled": CURLED}.items())
     ],
 )

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy.special import logsumexp, ndtr, roots_jacobi
 from scipy.stats import beta, lognorm, norm
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.behaviour import Trials, fit_population, fit_weber, task_named
@@ -111,7 +112,7 @@ def check_brute_force(places, trials, truth, runs, others=1024):
     assert abs(found - share) < 3.5 * error
 
 
-@pytest.mark.parametrize("truth", ["tapered", "cylindrical"])
+@pytest.mark.parametrize("truth", slow_but(["tapered", "cylindrical"], quick=(0,)))
 def test_power_is_that_of_a_brute_force_simulation(truth):
     check_brute_force((0.3, 0.6, 0.9), 5, truth, 12, 256)
 

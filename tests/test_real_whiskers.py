@@ -377,7 +377,7 @@ def test_a_table_that_is_off_by_some_of_a_weber_fraction_says_so():
     assert slender.note == ""
 
 
-@pytest.mark.parametrize("curvature", [-20.0, -38.0])
+@pytest.mark.parametrize("curvature", slow_but([-20.0, -38.0], quick=(1,)))
 def test_a_tip_that_is_pushed_out_of_reach_on_the_concave_side_says_so(curvature):
     """Straightened, it goes further out than it is at rest: contacts that no observer has."""
     w = whisker(20, curvature)
