@@ -149,21 +149,24 @@ class Marginal:
 
     @cached_property
     def _scale(self) -> tuple[float, Array]:
-        """The lowest angle; of the tiles that there are `angle_scale` across, (t, ORDER, 2).
+        """The lowest angle; of the tiles that there are `angle_scale` across, (t, ORDER, 3).
 
-        As Legendre coefficients of the range's width and of what is added to the coordinate.
+        As Legendre coefficients of the range's width and of what makes y of the coordinate.
         """
-        low, width, gain = self.observer.space.angle_scale(self._distance[self._tiles])
-        return low, np.asarray(_TO_LEGENDRE @ np.stack([width, gain], axis=-1), dtype=np.float64)
+        middle = (self._boxes.low[self._tiles, 1:2] + self._boxes.high[self._tiles, 1:2]) / 2
+        low, *scales = self.observer.space.angle_scale(self._distance[self._tiles], middle)
+        across = _TO_LEGENDRE @ np.stack(np.broadcast_arrays(*scales), axis=-1)
+        return low, np.asarray(across, dtype=np.float64)
 
     @cached_property
     def _edges(self) -> Array:
         """Angles at either edge of the tiles that there are, (t, 2, n), at even steps across."""
         low, scale = self._scale
-        width, gain = np.moveaxis(legendre.legvander(_ACROSS, ORDER - 1) @ scale, -1, 0)
+        scale = np.moveaxis(legendre.legvander(_ACROSS, ORDER - 1) @ scale, -1, 0)
+        width, start, slope = scale[:, :, None]
         boxes = self._boxes
         ends = np.stack([boxes.low[self._tiles, 1], boxes.high[self._tiles, 1]], axis=1)
-        return low + width[:, None] * constrain_angle(ends[..., None] - gain[:, None])[0]
+        return low + width * constrain_angle(start + slope * ends[..., None])[0]
 
     def _pieces(self, tile: Index, value: Array) -> tuple[Index, Array, Array]:
         """Parts of tiles (n,) that values (n,) cut smoothly: whose, and from where to where across.
@@ -203,10 +206,10 @@ class Marginal:
         terms = legendre.legvander((start + half)[:, None] + half[:, None] * _X, ORDER - 1)
         least, scale = self._scale
         scale = scale[np.searchsorted(self._tiles, tile[whose])]
-        width, gain = np.moveaxis(terms @ scale, -1, 0)
+        width, start, slope = np.moveaxis(terms @ scale, -1, 0)
         fraction = (value[whose, None] - least) / width
         known = np.interp(logit(np.clip(fraction, 1e-17, 1 - 1e-16)), *_angle_table())
-        x = np.where(fraction < 1, known + gain, np.inf)
+        x = np.where(fraction < 1, (known - start) / slope, np.inf)
         t = np.clip((x - low[whose, None]) / (high - low)[whose, None], 0.0, 1.0)
         some = np.flatnonzero(t.max(axis=1, initial=0.0) > 0)
         whose, half = whose[some], half[some]

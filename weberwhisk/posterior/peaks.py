@@ -195,7 +195,7 @@ def laplace(
 ) -> Solution:
     mode = find_mode(observer, reading)
     contact, _ = observer.contact(mode.x)
-    to_contact = contact_slope(observer, mode.x)
+    to_contact = contact_slope(observer.space, mode.x)
     covariance = to_contact @ mode.covariance @ np.swapaxes(to_contact, 1, 2)
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     mean_error, sd_error, summed = _beside_the_density(observer, reading, mode, sd)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from .. import domain
 from .._checks import finite
 from .._values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
-from ..coordinates import UNITS
+from ..coordinates import UNITS, ContactCoordinates
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
@@ -350,10 +350,10 @@ def is_outside(noise: ReceptorNoise, reading: Array, signals: Array) -> Flags:
     return np.any((reading < low) | (reading > high), axis=-1)
 
 
-def contact_slope(observer: Observer, x: Array, *, h: float = 1e-5) -> Array:
+def contact_slope(space: ContactCoordinates, x: Array, *, h: float = 1e-5) -> Array:
     """d contact/dx, (B, U, U), by central differences."""
     steps = h * np.eye(x.shape[1])
-    ends = (observer.contact(x[:, None] + sign * steps)[0] for sign in (1, -1))
+    ends = (space.constrain(x[:, None] + sign * steps)[0] for sign in (1, -1))
     return np.asarray(np.subtract(*ends).swapaxes(1, 2) / (2 * h))
 
 
@@ -370,7 +370,8 @@ def is_unidentified(observer: Observer, contact: Array) -> Flags:
         if np.isfinite(high - low):
             room = 1e-6 * (high - low)
             contact[:, i] = np.clip(contact[:, i], low + room, high - room)
-    slope = contact_slope(observer, observer.coordinates(contact))
+    space = observer.space.plain
+    slope = contact_slope(space, space.unconstrain(contact))
     told = observer.information(contact) + observer.prior_information(contact)
     information = np.swapaxes(slope, 1, 2) @ told @ slope
     information = information[np.isfinite(information).all(axis=(1, 2))]

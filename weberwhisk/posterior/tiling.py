@@ -318,6 +318,8 @@ def trunk(observer: Observer) -> Tiles:
         first, last = (end[np.isfinite(end)] for end in ends)
         start, stop = first.min(), last.max()
         axes.append(np.linspace(start, stop, int(np.ceil((stop - start) / steps[1])) + 1))
+        if (zeros := observer.space.zeros) is not None:
+            axes = [np.union1d(axes[0], np.ravel(zeros.ends)), np.union1d(axes[1], zeros.x)]
     axes += [np.linspace(-8.0, 8.0, 9 if dim == 2 else 3)] * (dim - bounded)
     corner = [
         np.stack(np.meshgrid(*side, indexing="ij"), axis=-1).reshape(-1, dim)
