@@ -31,7 +31,7 @@ from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
 from weberwhisk.posterior.marginals import tile_quantiles
 from weberwhisk.posterior.nodes import NodeSums, turning_unknown
-from weberwhisk.posterior.quadrature import _tiled
+from weberwhisk.posterior.quadrature import _tiled, _whole
 from weberwhisk.posterior.summed import LastSummed, likelihood_of
 from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
@@ -195,6 +195,57 @@ def compare(radius_ratio, curvature, friction, k, seed, count):
         claim = max(2e-3 * sd, 3 * found.estimates["radial_distance"].mean_error[i])
         assert abs(found.mean[i] - mean) < claim
         assert abs(found.sd[i] - sd) < claim
+
+
+@pytest.mark.parametrize(
+    ("curvature", "friction", "names"),
+    [(-12.0, 0.0, SIGNALS[:2]), (-12.0, 0.2, SIGNALS[:2]), (0.0, -0.2, SIGNALS)],
+)
+def test_coordinates_follow_the_contacts_at_which_a_signal_is_zero(curvature, friction, names):
+    observer = Observer(whisker(20, curvature), Friction(ForceMap(names), friction))
+    space, rng = observer.space, np.random.default_rng(1)
+    r = observer.reach[1] * rng.uniform(0.02, 0.98, 300)
+    contact = np.stack([r, observer.angle_range(r)[1] * rng.uniform(0.02, 0.98, 300)], axis=-1)
+    x = space.unconstrain(contact)
+    there, log_jacobian = space.constrain(x)
+    assert there == pytest.approx(contact, rel=1e-12)
+    slopes = [space.constrain(x + h)[0] - space.constrain(x - h)[0] for h in 1e-6 * np.eye(2)]
+    area = np.abs(np.linalg.det(np.stack(slopes, axis=-1) / 2e-6))
+    assert np.log(area) == pytest.approx(log_jacobian, abs=1e-7)
+    assert len(space.zeros.x) == 1 + (names == SIGNALS) + (friction < 0)
+    for line, (first, last) in zip(space.zeros.x, space.zeros.ends, strict=True):
+        along = np.linspace(
+            max(first, -2.5) + 0.1, min(last, 2.0) - 0.1, 40
+        )  # to 0.97 of the reach
+        if along[-1] < along[0]:  # one that is next to the base alone
+            continue
+        sides = [
+            observer.signals(space.constrain(np.stack([along, along * 0 + line + off], -1))[0])[0]
+            for off in (-1e-6, 1e-6)
+        ]
+        assert (sides[0] * sides[1] < 0).any(axis=0).sum() == 1
+        assert (sides[0] * sides[1] < 0).any(axis=1).all()
+
+
+@pytest.mark.parametrize(("curvature", "friction"), [(-12.0, 0.0), (0.0, -0.2)])
+def test_a_signal_that_turns_its_sign_leaves_one_tiling_of_all_contacts(curvature, friction):
+    """Along a line oblique to both axes it took more than 80 000 tiles, and readings one by one."""
+    w, cue = whisker(20, curvature), ForceMap()
+    noise = GeneralisedWeber(0.1, floor=[0.0, 0.01 * w.force_scale])
+    observer = Observer(w, Friction(cue, friction), noise)
+    tiled = _whole(observer, 5.5).tiled
+    assert tiled.count < 30_000
+    # Half of the second's axial force, and next to none.
+    share = np.array([0.4, 1.02])
+    r = np.array([0.5, 0.5]) * observer.reach[1]
+    zero = np.column_stack([observer.space.unconstrain_one(r, 0), np.zeros(2)])
+    contact = observer.contact(zero)[0] * np.column_stack([np.ones(2), share])
+    reading = observer.signals(contact)[0]
+    found = tiled.moments(reading)
+    for i in range(2):
+        mean, sd = brute(w, cue, noise, reading[i], friction)
+        assert abs(found.mean[i, 0] - mean) < 2e-3 * sd
+        assert found.sd[i, 0] == pytest.approx(sd, rel=2e-3)
 
 
 @pytest.mark.parametrize("k", slow_but([0.16, 0.22], quick=range(1)))

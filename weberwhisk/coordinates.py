@@ -257,7 +257,7 @@ class ContactCoordinates:
         known = len(self.cue.unknowns) == 2 or self.cue.is_scale
         if not (self.follows_zeros and self.bounded > 1 and known):
             return None
-        x, y = np.linspace(-3.0, 3.2, 311), np.linspace(-16.0, 2.0, 73)  # all but 1e-3 of the prior
+        x, y = np.linspace(-4.0, 4.0, 401), np.linspace(-16.0, 3.0, 77)  # all but 1e-3 of the prior
         r = self.distance(x)
         low, width = self.angle_range(r)
 
@@ -290,14 +290,17 @@ class ContactCoordinates:
                 found.append((x[rows][root.success], root.x[root.success]))
         if not found:
             return None
-        found.sort(key=lambda line: float(np.median(line[1])))
+        found.sort(key=lambda line: float(line[1][0]))  # they never cross
         curves: list[CubicSpline] = []
         ends: list[tuple[float, float]] = []
         for at, line in found:
-            # Held lower than those above, which are held where they leave the range of angles.
-            some = line < 2.0 - (len(found) - 1 - len(curves)) / 2
-            curves.append(CubicSpline(at[some], line[some]))
-            ends.append((at[some][0], at[some][-1]))
+            # Where one leaves the range of angles it is held, lower than those above.
+            top = 3.0 - (len(found) - 1 - len(curves)) / 2
+            at, line = at[line < top], line[line < top]
+            if at[-1] < x[-1] and line[-1] > 0:
+                at, line = np.append(at, at[-1] + x[1] - x[0]), np.append(line, top)
+            curves.append(CubicSpline(at, line))
+            ends.append((at[0], at[-1]))
         lines = _Zeros(np.zeros(len(found)), ends, curves)
         apart = np.median(np.diff(lines.y(x), axis=-1), axis=0)
         return lines._replace(x=np.append(0.0, np.cumsum(apart)))
