@@ -238,7 +238,7 @@ def test_a_signal_that_turns_its_sign_leaves_one_tiling_of_all_contacts(curvatur
     # Half of the second's axial force, and next to none.
     share = np.array([0.4, 1.02])
     r = np.array([0.5, 0.5]) * observer.reach[1]
-    zero = np.column_stack([observer.space.unconstrain_one(r, 0), np.zeros(2)])
+    zero = np.column_stack([observer.space.unconstrain_one(r, 0), observer.space.zeros.x[[0, 0]]])
     contact = observer.contact(zero)[0] * np.column_stack([np.ones(2), share])
     reading = observer.signals(contact)[0]
     found = tiled.moments(reading)

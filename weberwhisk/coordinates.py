@@ -69,8 +69,8 @@ class ContactCoordinates:
 
     Where a signal turns its sign within the reach (`zeros`: the axial force of a concave whisker or
     of one that rubs towards the tip, the transverse force of heavy contacts), Weber noise goes to
-    zero along a line of contacts. There x₂ is y − y₀(r) with y₀ that of the line, so that the line
-    is parallel to an axis; between two lines y is stretched in proportion.
+    zero along a line of contacts. There x₂ is y − y₀(r) and a constant, with y₀ that of the line,
+    so that the line is parallel to an axis; between two lines y is stretched in proportion.
     """
 
     whisker: Whisker
@@ -302,8 +302,11 @@ class ContactCoordinates:
             curves.append(CubicSpline(at, line))
             ends.append((at[0], at[-1]))
         lines = _Zeros(np.zeros(len(found)), ends, curves)
-        apart = np.median(np.diff(lines.y(x), axis=-1), axis=0)
-        return lines._replace(x=np.append(0.0, np.cumsum(apart)))
+        y = lines.y(x)
+        # As without them, in the middle: on a round number nodes of other grids would be, exactly.
+        first = np.median(y[:, 0] + self._log_gain(r, width))
+        apart = np.median(np.diff(y, axis=-1), axis=0)
+        return lines._replace(x=first + np.append(0.0, np.cumsum(apart)))
 
     def _line(self, r: Array, width: Array, x: Array) -> tuple[Array, Array]:
         """The y = a + b·x₂ at distances (...) and about coordinates x₂ (...)."""
