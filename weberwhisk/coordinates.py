@@ -71,6 +71,7 @@ class ContactCoordinates:
     of one that rubs towards the tip, the transverse force of heavy contacts), Weber noise goes to
     zero along a line of contacts. There x₂ is y − y₀(r) and a constant, with y₀ that of the line,
     so that the line is parallel to an axis; between two lines y is stretched in proportion.
+    Without `follows_zeros` it is as elsewhere.
     """
 
     whisker: Whisker
@@ -257,7 +258,7 @@ class ContactCoordinates:
         known = len(self.cue.unknowns) == 2 or self.cue.is_scale
         if not (self.follows_zeros and self.bounded > 1 and known):
             return None
-        x, y = np.linspace(-4.0, 4.0, 401), np.linspace(-16.0, 3.0, 77)  # all but 1e-3 of the prior
+        x, y = np.linspace(-4.0, 4.0, 401), np.linspace(-16.0, 3.0, 77)  # next to all of the prior
         r = self.distance(x)
         low, width = self.angle_range(r)
 
@@ -288,8 +289,6 @@ class ContactCoordinates:
                 around = y[at[rows]], y[at[rows] + 1]
                 root = find_root(signal, around, args=(rows.astype(float),))
                 found.append((x[rows][root.success], root.x[root.success]))
-        if not found:
-            return None
         found.sort(key=lambda line: float(line[1][0]))  # they never cross
         curves: list[CubicSpline] = []
         ends: list[tuple[float, float]] = []
@@ -297,12 +296,18 @@ class ContactCoordinates:
             # Where one leaves the range of angles it is held, lower than those above.
             top = 3.0 - (len(found) - 1 - len(curves)) / 2
             at, line = at[line < top], line[line < top]
+            if len(at) < 8:
+                continue
             if at[-1] < x[-1] and line[-1] > 0:
                 at, line = np.append(at, at[-1] + x[1] - x[0]), np.append(line, top)
             curves.append(CubicSpline(at, line))
             ends.append((at[0], at[-1]))
-        lines = _Zeros(np.zeros(len(found)), ends, curves)
+        if not curves:
+            return None
+        lines = _Zeros(np.zeros(len(curves)), ends, curves)
         y = lines.y(x)
+        if np.any(np.diff(y, axis=-1) < 0.1):
+            return None  # a prior of the angle that has lines leave its range where others are
         # As without them, in the middle: on a round number nodes of other grids would be, exactly.
         first = np.median(y[:, 0] + self._log_gain(r, width))
         apart = np.median(np.diff(y, axis=-1), axis=0)
