@@ -10,6 +10,7 @@ dask cluster. What it is handed is a `Job`: some chunks, done in turn until they
 
 from __future__ import annotations
 
+import gc
 import logging
 import multiprocessing
 import os
@@ -383,6 +384,8 @@ class Cluster(Workers):
         self._silent = logging.getLogger("distributed")
         self._level = self._silent.level
         self._silent.setLevel(logging.CRITICAL + 1)
+        # A client that has failed is closed when it is collected: while another starts, for ever.
+        gc.collect()
         try:
             self._client: Any = Client(address, set_as_default=False, timeout=connect)
         except (OSError, ValueError, TimeoutError) as error:
@@ -431,6 +434,7 @@ class Cluster(Workers):
     def close(self) -> None:
         with suppress(Exception):  # it may have gone
             self._pool.shutdown(wait=False, cancel_futures=True)
+        with suppress(Exception):
             self._client.close(timeout=2.0)
         self._silent.setLevel(self._level)
 
