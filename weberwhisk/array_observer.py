@@ -408,8 +408,8 @@ def array_by_count(
         width = np.sqrt(2 * np.linalg.inv(information + prior)[..., 0, 0])
         # What whiskers tell of x, y being as uncertain as it is: the region says of neither width.
         cross, own = information[..., 0, 1], information[..., 1, 1] + prior[1, 1]
-        told = np.maximum(information[..., 0, 0] - cross**2 / own, 0.0)
-        right = ndtr(gap / 2 * np.sqrt(told / 2)).mean(axis=1)
+        precision = np.maximum(information[..., 0, 0] - cross**2 / own, 0.0)
+        right = ndtr(gap / 2 * np.sqrt(precision / 2)).mean(axis=1)
         sensed = np.einsum("sw,pw->sp", intact.astype(float), touches.astype(float))
         error = right.std(ddof=1) / np.sqrt(subsets)
         middle = 1e3 * float(np.median(width))

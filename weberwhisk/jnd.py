@@ -371,9 +371,9 @@ def information(observer: Observer, *, n_readings: int = 400, seed: Seed = None)
     step = np.zeros(x.shape[1])
     step[0] = 1e-5
     slope = np.diff([observer.contact(x + s * step)[0][:, 0] for s in (-1, 1)], axis=0)[0] / 2e-5
-    told = _log_density_at(observer, x, reading) - p.log_evidence - np.log(slope)
-    told = (told - DistancePrior(observer).logpdf(contact[:, 0])) / np.log(2)
-    return Bits(float(told.mean()), float(told.std(ddof=1) / np.sqrt(n_readings)))
+    gained = _log_density_at(observer, x, reading) - p.log_evidence - np.log(slope)
+    gained = (gained - DistancePrior(observer).logpdf(contact[:, 0])) / np.log(2)
+    return Bits(float(gained.mean()), float(gained.std(ddof=1) / np.sqrt(n_readings)))
 
 
 def _log_density_at(observer: Observer, x: Array, reading: Array) -> Array:
