@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cue_checks import keeps_the_protocol, small_noise_limit
+from cue_checks import brute_force, keeps_the_protocol, small_noise_limit
 from scipy import stats
 
 import weberwhisk as ww
@@ -19,7 +19,6 @@ from weberwhisk.cues import (
     LateralSlip,
     SpaceMap,
     UnknownCurvature,
-    UnknownHinge,
     UnknownRoll,
     UnknownStiffness,
 )
@@ -27,6 +26,7 @@ from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
 from weberwhisk.design.plan_file import decode, encode
 from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.mechanics import rod
+from weberwhisk.mechanics.curved_surface import SIX
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
@@ -102,6 +102,92 @@ def test_readings_of_the_wrong_shape_or_kind_are_refused():
             cue.contact(W, [1e-6], *more)
         with pytest.raises(ValueError, match=f"{words} must be a number"):
             cue.contact(W, ["a", 1.0], *more)
+
+
+def rod_signals(whisker, place, friction=0.0):
+    """The six signals and outcomes of a straight whisker's contacts, by the rod itself."""
+    r, theta, turn = place.T
+    across = r * np.sin(theta)
+    points = np.stack([r * np.cos(theta), across * np.cos(turn), across * np.sin(turn)], axis=-1)
+    bent = rod.press(replace(whisker, curvature=1e-9), points, friction, round_back=theta > np.pi)
+    return np.concatenate([bent.force * [-1, 1, 1], bent.moment], axis=-1), bent.outcome
+
+
+def off_by(found, exact):
+    """Largest errors over the size of force and of moment."""
+    size = [np.linalg.norm(exact[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
+    return np.max(np.abs(found - exact) / np.repeat(np.stack(size, axis=1), 3, axis=1))
+
+
+@pytest.mark.parametrize("friction", [0.45, -0.45])
+def test_friction_of_a_straight_whisker_is_that_of_the_rod(friction):
+    """Up to the fold, and where a force turns its sign."""
+    cue, rng = Friction(SpaceMap(IN_SPACE), friction), np.random.default_rng(3)
+    r = rng.uniform(3e-3, 48e-3, 24)
+    last = cue.forward(W, np.zeros(3)).limit(r)
+    place = np.stack([r, last * rng.uniform(0.02, 0.98, 24), rng.uniform(-3.1, 3.1, 24)], axis=-1)
+    place[:6, 1] = 0.999 * last[:6]
+    found, held = cue.signals(W, place)
+    exact, outcome = rod_signals(W, place, friction)
+    assert not held.any()
+    assert not outcome.any()
+    assert off_by(found[:, [IN_SPACE.index(name) for name in SIX]], exact) < 1e-4
+    signals = dict(zip(IN_SPACE, found.T, strict=True))
+    # Of a force that points away from the push it is the size that is negative.
+    turning = "transverse_force" if friction > 0 else "axial_force"
+    assert (signals[turning] < 0).any()
+    assert signals["force_direction"] == pytest.approx(place[:, 2])
+    assert signals["moment_direction"] == pytest.approx(place[:, 2])
+    keeps_the_protocol(ww.Observer(W, Friction(SpaceMap(), friction)), CONTACT * [1, 0.5, 1])
+
+
+FLOORED = Joint(
+    [GeneralisedWeber(0.1, floor=[0.0, *2 * [0.01 * W.force_scale]]),
+     GeneralisedWeber(0, floor=0.1)], sizes=[3, 2],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("unknown", [False, pytest.param(True, marks=pytest.mark.slow)])  # 1, 8 s
+def test_posteriors_of_a_rubbing_straight_whisker_are_those_of_a_plain_sum(unknown):
+    observer = ww.Observer(W, Friction(SpaceMap(), None if unknown else -0.3), FLOORED)
+    place = np.array([[30e-3, 0.3, 1.0, 0.2], [20e-3, 0.5, -2.0, -0.2]])
+    reading = observer.read(place[:, : 3 + unknown], seed=2)
+    found = ww.posterior(observer, reading)
+    assert (found.status == ww.Status.CONVERGED).all()
+    assert found.estimates["azimuth"].mean == pytest.approx(reading[:, 3:].mean(axis=1), abs=1e-6)
+    assert found.estimates["azimuth"].sd == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
+    if unknown:  # a sum of three unknowns, as the azimuth has its own signals
+        flat = ww.Observer(W, Friction(ForceMap(SIGNALS)), FLOORED.noises[0])
+        mean, sd = brute_force(flat, reading[0, :3], points=1500)
+        claim = max(2e-3, 3 * found.estimates["radial_distance"].mean_error[0] / sd)
+        assert found.mean[0] == pytest.approx(mean, abs=claim * sd)
+        assert found.sd[0] == pytest.approx(sd, rel=claim)
+        names = found.draws_of(4000, 1)[0].reshape(-1, 4).T, found.estimates.values()
+        for draws, estimate in zip(*names, strict=True):
+            assert draws.mean() == pytest.approx(estimate.mean[0], abs=0.03 * estimate.sd[0])
+        return
+    mean, sd, parts = brute(observer, reading[0], "profile", 33, ww.posterior(observer, reading[0]))
+    for i, estimate in enumerate(parts):
+        assert estimate.mean == pytest.approx(mean[i], abs=2e-3 * sd[i])
+        assert estimate.sd == pytest.approx(sd[i], rel=2e-3)
+
+
+@pytest.mark.parametrize("wrapped", [UnknownStiffness, Friction])
+def test_an_unknown_of_the_sizes_leaves_the_azimuth_to_itself(wrapped):
+    """With a stiffness it took a plain grid of four unknowns, seconds a reading."""
+    found, alone = (
+        ww.posterior(ww.Observer(W, wrapped(cue), noise), reading)
+        for cue, noise, reading in (
+            (SpaceMap(), FLOORED, np.array([1.9e-6, 2.1e-5, 5.5e-5, 1.1, 1.2])),
+            (ForceMap(SIGNALS), FLOORED.noises[0], np.array([1.9e-6, 2.1e-5, 5.5e-5])),
+        )
+    )
+    assert found.estimates["azimuth"].mean == pytest.approx(1.15, abs=1e-6)
+    for name in alone.estimates:
+        assert found.estimates[name][:2] == alone.estimates[name][:2]
+        assert found.interval(of=name) == pytest.approx(alone.interval(of=name))
+    directions = UnknownStiffness(SpaceMap(), soft_signals=["moment", "force_direction"])
+    assert directions.all_but_one is None
 
 
 def test_a_curved_whisker_keeps_the_protocol():
@@ -225,9 +311,9 @@ def test_a_stiffness_that_is_unknown_is_a_factor_of_all_forces():
 
 
 def test_what_space_does_not_know_is_refused():
-    for wrapped in (Friction, lambda c: UnknownCurvature(c, 1.0), lambda c: UnknownHinge(c, 0.3)):
-        with pytest.raises(ValueError, match="without friction whose shape is known"):
-            wrapped(SpaceMap())
+    for whisker, cue in ((CURVED, Friction(SpaceMap())), (W, UnknownCurvature(SpaceMap(), 1.0))):
+        with pytest.raises(ValueError, match="friction of straight whiskers alone, and no"):
+            ww.Observer(whisker, cue)
     with pytest.raises(ValueError, match="This cue is for straight whiskers"):
         ww.Observer(CURVED, Fused(SpaceMap(), ForceMap()))
     with pytest.raises(ValueError, match="posterior"):
@@ -245,8 +331,6 @@ def test_what_space_does_not_know_is_refused():
             UnknownRoll(cue, 0.3)
     with pytest.raises(ValueError, match="give the sd in rad"):
         UnknownRoll(SpaceMap(), 0.0)
-    with pytest.raises(ValueError, match="without friction whose shape is known"):
-        Friction(UnknownRoll(SpaceMap(), 0.3))
     with pytest.raises(ValueError, match="sums over five take too long"):
         UnknownStiffness(UnknownRoll(SpaceMap(), 0.3))
 

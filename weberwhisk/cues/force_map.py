@@ -321,9 +321,10 @@ class SpaceMap(Cue):
     """Distance, deflection angle and azimuth from moment and forces in all directions.
 
     The paper's look-up in three dimensions, Scholz & Rahn's with a second plane. A straight whisker
-    bends in the plane of its contact, so that the sizes of moment and forces are those of
-    `ForceMap`, and the azimuth ω of the contact about the base tangent (from y towards z) is the
-    direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment (0, −M sin ω, M cos ω).
+    bends in the plane of its contact, along which friction acts too (`Friction`), so that the sizes
+    of moment and forces are those of `ForceMap`, and the azimuth ω of the contact about the base
+    tangent (from y towards z) is the direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment
+    (0, −M sin ω, M cos ω).
 
     A curved whisker bends out of the plane of its curvature and twists, so that all signals tell
     of all three unknowns (`mechanics.rod`, without friction). Its deflection is counted from where
@@ -348,15 +349,19 @@ class SpaceMap(Cue):
     ------
     ValueError
         For a signal that there is not, none or one twice, and a roll that is not finite. Where it
-        is used, for friction, an unknown curvature and a hinge.
+        is used, for friction of a curved whisker, an unknown curvature and a hinge.
 
     Notes
     -----
     Directions are read to whole turns, and a posterior goes on beyond an azimuth of π. A prior of
     your own has ends, unless it is uniform over a whole turn.
 
-    Components change sign, as a curved whisker's axial force does where it is pushed against its
-    curvature: under Weber's law alone they would be known exactly there; give the noise a floor.
+    A vector that points away from the push, as the transverse force does beyond a contact angle of
+    90°, or sooner with friction, has a negative size, and the direction of its opposite.
+
+    Components change sign, and so do the axial forces of a curved whisker that is pushed against
+    its curvature and of one that rubs towards its tip: under Weber's law alone they would be known
+    exactly there; give the noise a floor.
 
     Examples
     --------
@@ -383,7 +388,7 @@ class SpaceMap(Cue):
         self._set(signal_names=names, roll=roll)
 
     @cached_property
-    def all_but_last(self) -> ForceMap | None:  # type: ignore[override]
+    def all_but_one(self) -> ForceMap | None:  # type: ignore[override]
         """On a straight whisker, the cue without the azimuth, which directions alone tell of."""
         sizes = [name for name in self.signal_names if name in SIGNALS]
         apart = sizes and self.signal_names == (*sizes, *DIRECTIONS)
@@ -398,13 +403,13 @@ class SpaceMap(Cue):
         """The mechanics of contacts (..., 3): those of a curved whisker, at their azimuths."""
         forward = forward_of(whisker)
         refuse_hinge(forward.whisker, "SpaceMap")
-        if any((*forward.friction_range, *forward.offset_range)):
-            raise ValueError(
-                "SpaceMap knows contacts without friction of whiskers whose shape is known, got "
-                "others; write cues.ForceMap(), which takes them."
-            )
         if forward.is_flat:
             return forward
+        if any((*forward.friction_range, *forward.offset_range)):
+            raise ValueError(
+                "SpaceMap knows friction of straight whiskers alone, and no uncertain curvature, "
+                f"got {forward.whisker!r}; write cues.ForceMap(), which takes both."
+            )
         return replace(forward, azimuth=np.asarray(contact, dtype=float)[..., 2] - self.roll)
 
     def farthest(self, whisker: Whisker) -> float:
@@ -461,10 +466,10 @@ class SpaceMap(Cue):
 
     def jacobian(self, whisker: Whisker, contact: Array, *, model: str | None = None) -> Array:
         contact = np.asarray(contact, dtype=float)
-        if self.all_but_last is None or not forward_of(whisker).is_flat:
+        if self.all_but_one is None or not forward_of(whisker).is_flat:
             return super().jacobian(whisker, contact, model=model)
         out = np.zeros((*contact.shape[:-1], len(self.signal_names), 3))
-        out[..., :-2, :2] = self.all_but_last.jacobian(whisker, contact[..., :2], model=model)
+        out[..., :-2, :2] = self.all_but_one.jacobian(whisker, contact[..., :2], model=model)
         out[..., -2:, 2] = 1.0
         return out
 

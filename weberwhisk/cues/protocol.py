@@ -49,8 +49,9 @@ class Cue(Value):
 
     #: Whether curved whiskers will do, profiles, and friction.
     takes_curved: ClassVar[bool] = False
-    #: Where the last unknown has signals of its own, which tell of nothing else: the cue without.
-    all_but_last: ClassVar[Cue | None] = None
+    #: Where one unknown has the last signals to itself, and they tell of nothing else: the cue
+    #: without.
+    all_but_one: ClassVar[Cue | None] = None
 
     @property
     def signal_names(self) -> tuple[str, ...]:

@@ -83,7 +83,7 @@ class _Wrapped(Conditioned):
 
     def _refuse_straight(self) -> None:
         """Refuse cues that take neither friction nor curvature."""
-        if not self.cue.takes_curved or "azimuth" in self.cue.unknowns:
+        if not self.cue.takes_curved:
             raise ValueError(
                 f"{self.cue!r} is for whiskers without friction whose shape is known; write "
                 "cues.ForceMap(), Compliance() or BalanceOfMoments(), or a fusion of them."
@@ -101,6 +101,12 @@ class _Wrapped(Conditioned):
     def _prior(self, whisker: Any) -> Any:
         """Of the unknown, a frozen SciPy distribution."""
         raise NotImplementedError
+
+    @property
+    def all_but_one(self) -> Cue | None:  # type: ignore[override]
+        """The same of the cue without the unknown that stands by itself there."""
+        inner = self.cue.all_but_one
+        return None if inner is None else replace(self, cue=inner)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -138,7 +144,8 @@ class Friction(_Wrapped):
     Parameters
     ----------
     cue : Cue
-        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
+        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them; `SpaceMap` of a
+        straight whisker.
     angle : float, optional
         ψ, rad, where it is known. By default it is the unknown ``"friction_angle"``.
     coefficient : float
@@ -345,7 +352,7 @@ class UnknownRoll(_Wrapped):
         self._wrap(cue, spread=positive_number("spread", spread, "give the sd in rad, such as 0.3"))
 
     @property
-    def all_but_last(self) -> SpaceMap:  # type: ignore[override]
+    def all_but_one(self) -> SpaceMap:  # type: ignore[override]
         """The cue of a straight whisker, whose roll tells of nothing."""
         return self.cue
 
@@ -442,6 +449,14 @@ class UnknownStiffness(_Wrapped):
 
     def __repr__(self) -> str:
         return f"UnknownStiffness({self.cue!r}, {self.spread:g})"
+
+    @property
+    def all_but_one(self) -> Cue | None:  # type: ignore[override]
+        """The same of the cue without, if what is left has all the signals that go with EI₀."""
+        inner = self.cue.all_but_one
+        if inner is None or not set(self.soft_signals) <= set(inner.signal_names):
+            return None
+        return replace(self, cue=inner)
 
     @cached_property
     def _soft(self) -> Flags:

@@ -147,11 +147,15 @@ class ForwardModel(Value):
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether it bends in the plane of any contact: a straight taper or profile."""
+        """Whether it bends in the plane of any contact: a straight taper or profile.
+
+        Friction acts in that plane too.
+        """
         if not isinstance(self.whisker, Profile):
-            return self.is_plain
-        bent = np.any(self.whisker.law(np.array([0.0, self.length])))
-        return not (bent or any((*self.friction_range, *self.offset_range)))
+            bent = np.any(self.whisker.curvature)
+        else:
+            bent = np.any(self.whisker.law(np.array([0.0, self.length])))
+        return not (bent or any(self.offset_range))
 
     @cached_property
     def is_smooth(self) -> bool:

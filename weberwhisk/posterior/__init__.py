@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import domain
 from .._checks import kind, one_of, positive_number
 from .._values import Array, Flags, Index, member
-from ..coordinates import family
+from ..coordinates import family, from_normal
 from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .grid import integrate
@@ -224,7 +224,7 @@ def _of_nothing(unknowns: int) -> Solution:
 
 
 class Factors(NamedTuple):
-    """An observer of all unknowns but the last, and the noise of the signals that are the last.
+    """An observer of all unknowns but one, where that is, and the noise of the signals left to it.
 
     An unknown that shares no signal with the others stands by itself: the azimuth of a contact in
     space is told by the directions of moment and force, which tell of nothing else. The posterior
@@ -233,13 +233,14 @@ class Factors(NamedTuple):
     """
 
     first: Observer
+    place: int
     noise: ReceptorNoise | None
     signals: int
 
 
 def factors_of(observer: Observer) -> Factors | None:
     """The factors of the posterior, if it is a product."""
-    cue = getattr(observer.cue, "all_but_last", None)
+    cue = getattr(observer.cue, "all_but_one", None)
     if cue is None or not observer.forward.is_flat:
         return None
     own, size = len(cue.signal_names), len(observer.cue.signal_names)
@@ -249,23 +250,26 @@ def factors_of(observer: Observer) -> Factors | None:
         return None  # the noise of some signals of either kind is one
     prior = {name: observer.prior[name] for name in cue.unknowns if name in observer.prior}
     first = Observer(observer.whisker, cue, noise, prior, model=observer.model)
-    return Factors(first, rest, size - own)
+    place = next(i for i, name in enumerate(observer.unknowns) if name not in cue.unknowns)
+    return Factors(first, place, rest, size - own)
 
 
 def with_factor(first: Solution, observer: Observer, factors: Factors, own: Array) -> Solution:
-    """The posteriors of all unknowns, from those of all but the last; `own` (B, R) tells of it.
+    """The posteriors of all unknowns, from those of all but one; `own` (B, R) tells of that.
 
     Of two faults the first factor's is said. An azimuth that may be any has no ends: that of a
     reading beyond a quarter turn is summed about half a turn on, and may so come out beyond π.
     """
-    name, half = observer.unknowns[-1], np.zeros(len(own))
+    place, half = factors.place, np.zeros(len(own))
+    name = observer.unknowns[place]
+    value_at = from_normal(observer.prior[name])
     usual = observer.cue.priors(observer.whisker)[name]
     if name == "azimuth" and family(observer.prior[name]) == family(usual):
         half = np.pi * np.round(own[:, 0] / np.pi)
         own = own - half[:, None]
 
     def density(x: Array, index: Index) -> Array:
-        value = observer.last_unknown(x[..., 0])
+        value = value_at(x[..., 0])
         log = np.zeros(value.shape)
         if factors.noise is not None:
             signals = np.repeat(value[..., None], factors.signals, axis=-1)
@@ -273,8 +277,8 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
         return np.asarray(log - 0.5 * (x[..., 0] ** 2 + np.log(2 * np.pi)))
 
     ends = np.full((len(own), 1), 8.0)
-    found = integrate(density, -ends, ends, functions=observer.last_unknown)
-    value = observer.last_unknown(found.points)[..., 0]
+    found = integrate(density, -ends, ends, functions=value_at)
+    value = value_at(found.points)[..., 0]
     rise = np.cumsum(found.weights, axis=1) - found.weights / 2
     best = np.take_along_axis(value, found.weights.argmax(axis=1)[:, None], axis=1)
     status = np.where(found.error[:, 0] < 1e-2, Status.CONVERGED, Status.IMPRECISE)
@@ -283,7 +287,6 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
         status[is_outside(factors.noise, own, signals)] = Status.IMPROBABLE_READING
     value = value + half[:, None]
     mean, sd, error = found.mean[:, 0] + half, found.sd[:, 0], found.error[:, 0]
-    last = len(observer.unknowns) - 1
 
     def at(probability: Array) -> Array:
         """Values (B, Q) at probabilities (B, Q)."""
@@ -291,14 +294,14 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
         return np.stack([np.interp(p, up, v) for p, up, v in pairs])
 
     def quantile_of(p: Array, unknown: int) -> Array:
-        if unknown < last:
-            return first.quantile_of(p, unknown)
+        if unknown != place:
+            return first.quantile_of(p, unknown - (unknown > place))
         return at(np.broadcast_to(p, (len(own), len(p))))
 
     def quantile_error_of(p: Array, unknown: int) -> Array:
-        if unknown < last:
-            known = first.quantile_error_of
-            return np.full((len(own), len(p)), np.nan) if known is None else known(p, unknown)
+        if unknown != place:
+            known, other = first.quantile_error_of, unknown - (unknown > place)
+            return np.full((len(own), len(p)), np.nan) if known is None else known(p, other)
         # Straight lines between nodes of a tenth of the sd miss less than a hundredth of it.
         return np.asarray(sd[:, None] * (0.01 + error[:, None] / (4 * p * (1 - p))))
 
@@ -308,10 +311,12 @@ def with_factor(first: Solution, observer: Observer, factors: Factors, own: Arra
         chains, kept = draws.shape[1:3]
         strata = np.arange(chains * kept) + rng.random((len(own), chains * kept))
         lone = at(rng.permuted(strata / (chains * kept), axis=1))
-        return np.concatenate([draws, lone.reshape(len(own), chains, kept, 1)], axis=-1)
+        return np.insert(draws, place, lone.reshape(len(own), chains, kept), axis=-1)
 
+    estimates = list(first.estimates)
+    estimates.insert(place, Estimate(mean, sd, error * sd, error * sd))
     return Solution(
-        [*first.estimates, Estimate(mean, sd, error * sd, error * sd)],
+        estimates,
         np.where(first.status == Status.CONVERGED, status, first.status).astype(np.int8),
         first.log_evidence + found.log_evidence,
         quantile_of,
