@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr
 
 from . import _checks
@@ -104,6 +104,9 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     touches: of 17 light ones at k = 0.3 the mean was 4 sd off in a simulation. Say how the animal
     touches: ``Observer(..., prior={"deflection_angle": scipy.stats.halfnorm(scale=0.1)})``.
 
+    One touch has the mean and sd of its `posterior` at ``tolerance=1e-6`` to 1e-6 of the sd. At the
+    default 1e-2 that is itself some 1e-6 to 1e-5 off, 2e-4 at worst.
+
     The sd of n equal touches is that of one over √n as far as one touch's posterior is Gaussian:
     2 % less of ten at k = 0.03 on a straight whisker and 4 % at a curvature of 8 /m, where it is
     skewed; 0.2 and 0.5 % at k = 0.01.
@@ -174,7 +177,8 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         )
         fine = np.union1d(fine, np.clip(sharp, fine[0], fine[-1]))
     log = np.maximum(log, log.max() - 60.0)  # none there to speak of
-    log = CubicSpline(x[rows], log)(fine)
+    # By a quintic: a cubic was up to 1e-5 sd off beside the base.
+    log = make_interp_spline(x[rows], log, k=5 if len(rows) > 5 else 3)(fine)
     r, log_slope = distances(observer, fine)
     if prior is not None:
         log += prior.logpdf(r)

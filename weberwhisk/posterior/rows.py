@@ -1,7 +1,7 @@
 """The contacts of an observer in rows of one distance each: what many touches are summed over.
 
 Along them no step is longer than 0.28 JND; across, the deflections lie at even steps of what a
-reading tells of them, about 0.75 sd, where the trapezoid rule's error is below 1e-10.
+reading tells of them, about 0.6 sd: at 0.75 sd single touches were up to 4e-6 sd off at k = 0.1.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class TouchRows:
     """The contacts of an observer in rows of one distance each, one row after the other."""
 
     #: Steps along, in JNDs, and across, in sd; most nodes in all; sd within which a node matters.
-    ALONG, ACROSS, MOST, WINDOW = 0.28, 0.75, 4_000_000, 7.5
+    ALONG, ACROSS, MOST, WINDOW = 0.28, 0.6, 4_000_000, 7.5
 
     def __init__(self, observer: Observer) -> None:
         self.observer = observer
@@ -145,7 +145,7 @@ class TouchRows:
                 self.signals = np.empty((len(self.theta), signals.shape[-1]))
             self.signals[begin:stop] = np.where(held[:, None], signals, 1.0)
             mean, sd = observer.noise.mean(signals), observer.noise.sd(signals)
-            far = np.abs(np.diff(mean, axis=0)) > 2 * self.ACROSS * np.maximum(sd[1:], sd[:-1])
+            far = np.abs(np.diff(mean, axis=0)) > 2.5 * self.ACROSS * np.maximum(sd[1:], sd[:-1])
             node, which = np.nonzero(far & (row[1:] == row[:-1])[:, None])
             rough.append([node + begin, which])
         #: Nodes from which it is far to the next of their row, and by which number of a reading.
