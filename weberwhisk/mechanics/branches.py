@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from .._values import Array, Index
-from .beam import Rows, follow_blocks
+from .beam import Path, Rows, follow_each
 from .chebyshev import nodes
 from .continuation import zero_load
 from .rod import POISSON_RATIO, RodScenes
@@ -116,10 +116,18 @@ class Branches:
         y[:, 0] = self.arc / (self.r * self.room)
         return y
 
+    def followed(self, arc: Array, force: Array) -> Path:
+        """The whiskers from their contacts to the base.
+
+        Near the apex, where 12 steps a piece were 3 % off at the fold, 36 are 4e-5 off.
+        """
+        steps = np.where(self.room < 0.02, 3 * STEPS, STEPS)
+        return follow_each(self.rows, arc, force, self.friction, steps)
+
     def linear(self, y: Array) -> tuple[Array, Array]:
         """How far contacts are off their places, (n, size − 1), and minus its slopes to y."""
         arc, force, push = y.T * self.scale
-        path = follow_blocks(self.rows, arc, force, self.friction, STEPS)
+        path = self.followed(arc, force)
         miss = np.stack([self.r - path.distance, self.rest + push - path.deflection])
         r_s, r_f, t_s, t_f = path.jacobian()
         zero, one = np.zeros_like(arc), np.ones_like(arc)
@@ -130,7 +138,7 @@ class Branches:
     def signals(self, y: Array) -> Array:
         """Moment, axial and transverse force, (3, n)."""
         arc, force, _ = y.T * self.scale
-        path = follow_blocks(self.rows, arc, force, self.friction, STEPS)
+        path = self.followed(arc, force)
         return force * np.stack([path.lever, np.sin(path.angle), np.cos(path.angle)])
 
     # -- for every kind of branch --------------------------------------------------------------
