@@ -23,6 +23,7 @@ def options(
     seed: int | None = None,
     workers: bool = False,
     drawn: Sequence[str] = (),
+    parts: Sequence[str] = (),
 ) -> argparse.Namespace:
     """What was written after the script's name; `--help` prints its docstring and ends.
 
@@ -40,6 +41,8 @@ def options(
         Whether it takes `--workers` and `--scheduler`.
     drawn : sequence of str
         Columns of a table that it made, which `--draw` reads; without them no such option.
+    parts : sequence of str
+        Of which `--only` takes one, and may be said again.
     """
     parser = argparse.ArgumentParser(
         description=inspect.cleandoc(description or ""),
@@ -59,6 +62,15 @@ def options(
     if drawn:
         parser.add_argument(
             "--draw", type=partial(kept, drawn), help="draw this table, and compute nothing"
+        )
+    if parts:
+        parser.add_argument(
+            "--only",
+            action="append",
+            default=[],
+            choices=parts,
+            metavar="DOMAIN",
+            help="again for more",
         )
     return parser.parse_args()
 

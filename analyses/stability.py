@@ -1,13 +1,14 @@
 """Stability atlas: where every model, engine, JND and fit is right, warns, refuses, or is wrong.
 
-    python analyses/stability.py [--short] [--seed N] [folder]
+    python analyses/stability.py [--short] [--seed N] [--only DOMAIN] [folder]
 
 Inside the package's domain (`weberwhisk.domain`) a search hunts for answers that are wrong in
 silence (`hunting.py`); outside, for answers without the flag. Each is judged by a reference that
 shares nothing with what is judged: SciPy's DOP853 in raw SI for models and JNDs (`reference_beam`,
 `reference_rod`), sums over plain grids for posteriors and fits. Writes stability (CSV: a row for
 each domain, with what became of its cases; PNG, SVG: maps of all cases) and stability_cases (CSV:
-all cases, which replay what is found).
+all cases, which replay what is found). With `--only` some domains are hunted and drawn, and the
+rest of stability is the kept table's.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import warnings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -107,15 +109,20 @@ def domains() -> list[tuple[Domain, str, str, str, int]]:
     found += [(d, d.name, "distance", "push", 6) for d in stability_space.DOMAINS]
     found += [(d, "outside the domain", "x", "y", 4) for d in stability_outside.DOMAINS]
     several = "quadrature, several unknowns"
-    for d, effort in zip(stability_whiskers.DOMAINS, (4, 4, 1, 1), strict=True):
-        found.append((d, several, "distance", "k" if "k" in d.axes else "fraction", effort))
+    for d, effort in zip(stability_whiskers.DOMAINS, (4, 4, 1, 1, 1), strict=True):
+        found.append((d, several, "distance", "weber_fraction", effort))
     return found
 
 
-def run_all(size: int, generations: int, seed: int = SEED) -> pd.DataFrame:
-    """All cases of all domains, `size` times a domain's effort of each kind."""
+def run_all(
+    size: int, generations: int, seed: int = SEED, only: Sequence[str] = ()
+) -> pd.DataFrame:
+    """All cases of all domains, or of some, `size` times a domain's effort of each kind."""
     tables = []
     for i, (d, panel, x, y, effort) in enumerate(domains()):
+        if only and d.name not in only:
+            continue
+        panel = d.name if only else panel
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the references, past the ends of what exists
             found = hunt(d, size * effort, generations, seed + i)
@@ -148,7 +155,7 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
         )
     ax.set(xlabel="distance / reach", ylabel="push / last angle")
     ax.set_title(title.replace(", ", ",\n", 1).replace("JND by", "JND by\n"), fontsize=7)
-    if "unknown" in title or "emcee" in title:
+    if any(word in title for word in ("unknown", "emcee", "whisker", "uncertain")):
         ax.set(yscale="log", ylabel="Weber fraction k")
     if title.startswith("outside"):
         ax.set(xscale="log", xlabel="outside by (ln)", ylabel="")
@@ -162,9 +169,10 @@ def _map(ax: Axes, cases: pd.DataFrame, title: str) -> None:
 @figures.styled
 def draw(cases: pd.DataFrame) -> Figure:
     """A map for each model and engine."""
-    figure = figures.new_figure(figures.DOUBLE, 8.0)
-    axes = figure.subplots(4, 4).ravel()
     panels = list(cases["panel"].unique())
+    rows = -(-len(panels) // 4)
+    figure = figures.new_figure(figures.DOUBLE, 0.4 + 1.9 * rows)
+    axes = figure.subplots(rows, 4, squeeze=False).ravel()
     for ax in axes[len(panels) :]:
         ax.axis("off")
     for ax, panel in zip(axes, panels, strict=False):
@@ -174,19 +182,26 @@ def draw(cases: pd.DataFrame) -> Figure:
     return figure
 
 
-def make(folder: Path, *, short: bool = False, seed: int = SEED) -> pd.DataFrame:
+def make(
+    folder: Path, *, short: bool = False, seed: int = SEED, only: Sequence[str] = ()
+) -> pd.DataFrame:
     """Tables and figure into `folder`."""
-    cases = run_all(*((1, 1) if short else (6, 3)), seed)
-    with Run(folder, "stability", {"short": short}, seed) as run:
-        run.table("stability", summary(cases))
+    cases = run_all(*((1, 1) if short else (6, 3)), seed, only)
+    counts = summary(cases)
+    if only:
+        kept = pd.read_csv(HERE / "figures/stability.csv")
+        counts = pd.concat([kept[~kept["domain"].isin(counts["domain"])], counts])
+    with Run(folder, "stability", {"short": short, "only": list(only)}, seed) as run:
+        run.table("stability", counts)
         run.table("stability_cases", cases.drop(columns=["across", "up"]))
         run.figure("stability", draw(cases))
     return cases
 
 
 if __name__ == "__main__":
-    given = options(__file__, __doc__, short="few cases", seed=SEED)
-    made = make(given.folder, short=given.short, seed=given.seed)
+    names = [d.name for d, *_ in domains()]
+    given = options(__file__, __doc__, short="few cases", seed=SEED, parts=names)
+    made = make(given.folder, short=given.short, seed=given.seed, only=given.only)
     print(summary(made).to_string(index=False, float_format="{:.3g}".format))
     wrong = silent(made).dropna(axis=1, how="all")
     print("Wrong in silence:", "none." if wrong.empty else f"\n{wrong.head(20).to_string()}")

@@ -237,13 +237,14 @@ def distance_sums(
     also: Callable[[Array], Array] | None = None,
     reach: tuple[float, float] | None = None,
     exact: Observer | None = None,
+    fine: int = 96,
 ) -> Sums:
     """What a posterior says of the distance.
 
     Sums over w = logit of the distance's share of the reach, in a window that closes in upon all
     that holds mass. `near` is the w of a point of high density: narrow peaks fall between nodes.
     `also` is ln of what else a distance is told by, (n,), within `reach`. `exact` is an observer of
-    the same contacts by equations too dear for the search of windows.
+    the same contacts by equations too dear for the search of windows. `fine` is the nodes of a row.
     """
     low_r, high_r = reach or o.reach
     low, high = -32.0, 32.0
@@ -259,7 +260,7 @@ def distance_sums(
         # What is left beyond is small in itself: take care of its digits.
         left = expit(-w) * (high_r - low_r)
         r = np.maximum(high_r - left, low_r + 1e-14)
-        log, half = _rows(o, reading, r, 96 if last else inner, exact if last else None)
+        log, half = _rows(o, reading, r, fine if last else inner, exact if last else None)
         log = log - np.logaddexp(0, w) - np.logaddexp(0, -w)
         log = log + (0.0 if also is None else also(high_r - left))
         if last:

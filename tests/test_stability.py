@@ -50,6 +50,7 @@ SIZES = {
     "real whiskers": (1, 0),
     "curvature or hinge uncertain": (1, 0),
     "curved whiskers in space": (1, 0),
+    "friction unknown": (1, 0),
     "posteriors outside": (6, 0),
 }
 
@@ -62,6 +63,7 @@ LONG = {
     "quadrature, log-normal map, stiffness unknown", "quadrature, map, stiffness unknown",
     "quadrature, angle-side-angle, side unknown", "emcee, compliance", "fusions of any whisker",
     "real whiskers", "curvature or hinge uncertain", "curved whiskers in space",
+    "friction unknown",
 }  # fmt: skip
 
 
@@ -161,7 +163,7 @@ def test_the_maps_are_drawn() -> None:
         warnings.simplefilter("ignore")
         cases = hunting.hunt(DOMAINS["quadrature, log-normal"], 6, 0, 1)
     cases = cases.assign(panel="quadrature, one unknown", across=cases["distance"], up=cases["k"])
-    assert len(stability.draw(cases).axes) == 16
+    assert len(stability.draw(cases).axes) == 4
     counts = stability.summary(cases)
     assert counts[["right", "warned", "refused", "silent", "unjudged"]].to_numpy().sum() == 12
 

@@ -489,8 +489,8 @@ def test_the_fusions_printed_in_an_issue(pair, ratio, k, other, reading, size):
     low, high = observer.reach
     exact = fusions.sums(observer, np.array(reading), logit((p.mean - low) / (high - low)))
     assert exact.known < 0.02
-    error, allowed, status = fusions.off_by(observer, np.array(reading), exact)
-    assert status == "CONVERGED"
+    error, allowed = fusions.off_by(p, exact)
+    assert p.status == ww.Status.CONVERGED
     assert error < allowed
 
 
