@@ -217,9 +217,9 @@ def mixed_sums(o: Observer, reading: Array, near: float) -> Sums:
 def space_sums(o: Observer, reading: Array, near: float, looks: int = 6) -> Sums:
     """Of a map in space: a plain grid of distance, deflection and azimuth that closes in."""
     low, high = o.reach
-    windows = [(-7.0, 9.0), (-12.0, 4.0), (-np.pi, np.pi)]
+    windows = [(-7.0, 9.0), (-24.0, 4.0), (-np.pi, np.pi)]  # pushes of 1e-9 of the most, too
     for look in range(looks):
-        n = 72 if look == looks - 1 else 48
+        n = {0: 72, looks - 1: 96}.get(look, 48)
         w, v, azimuth = (a + (np.arange(n) + 0.5) / n * (b - a) for a, b in windows)
         if look == 0:
             w = np.union1d(w, near + np.linspace(-0.3, 0.3, 5))
@@ -244,7 +244,8 @@ def space_sums(o: Observer, reading: Array, near: float, looks: int = 6) -> Sums
         found.append((p @ x, np.sqrt(p @ (x - p @ x) ** 2)))
     (mean, sd), *halves = found
     off = max(max(abs(m - mean), abs(s - sd)) for m, s in halves) / sd
-    return Sums(mean, sd, off**1.5, np.nan, np.full(2, np.nan), np.zeros(2))
+    cut = weight[:, [0, -1]].sum() / weight.sum()  # at the ends of the window of angles
+    return Sums(mean, sd, off**1.5 + cut, np.nan, np.full(2, np.nan), np.zeros(2))
 
 
 def sums(o: Observer, reading: Array, near: float) -> Sums:
