@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import integrate, optimize
+from scipy.spatial.transform import Rotation
 
 import weberwhisk as ww
 from weberwhisk import Whisker, cues, mechanics, receptors
 from weberwhisk.contacts.calibration import HingedTap
+from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.design.plan_file import decode, encode
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.mechanics import closed_form, elastica
@@ -170,6 +172,61 @@ def test_posterior_is_that_of_a_plain_sum_over_bent_whiskers(spread):
         assert abs(found.estimates[name].sd / sd - 1) < 2e-3
 
 
+def test_in_space_a_straight_whisker_turns_its_hinge_in_the_plane_of_the_contact():
+    """Beside the rod of the clamped whisker, turned as a whole by what the moment turns it."""
+    rng = np.random.default_rng(2)
+    r, azimuth = rng.uniform(15e-3, 45e-3, 12), rng.uniform(-3, 3, 12)
+    inner = elastica.flick_past(PLAIN, r).deflection_angle * rng.uniform(0.05, 0.7, 12)
+    about = np.stack([0 * r, -np.sin(azimuth), np.cos(azimuth)], axis=-1)
+    point = r[:, None] * Rotation.from_rotvec(inner[:, None] * about).apply([1.0, 0.0, 0.0])
+    bent = mechanics.rod.press(replace(PLAIN, curvature=1e-9), point)
+    place = Rotation.from_rotvec(bent.moment / SOFT).apply(point)
+    contact = np.stack([r, np.arccos(place[:, 0] / r), np.arctan2(*place[:, :0:-1].T)], axis=-1)
+    cue = cues.SpaceMap(["axial_force", "force_y", "force_z", "torsion", "moment_y", "moment_z"])
+    found, outcome = cue.signals(hinged(), contact)
+    assert not outcome.any()
+    exact = np.concatenate([bent.force * [-1, 1, 1], bent.moment], axis=-1)
+    for part in (slice(0, 3), slice(3, 6)):
+        off = np.linalg.norm((found - exact)[:, part], axis=1)
+        assert np.max(off / np.linalg.norm(exact[:, part], axis=1)) < 1e-6
+    back, _ = cue.contact(hinged(), bent.moment[:, 1:], bent.axial_force)
+    np.testing.assert_allclose(back, contact, rtol=1e-5)
+
+
+@pytest.mark.parametrize("spread", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])  # 2, 15 s
+def test_in_space_the_azimuth_stands_beside_a_hinge(spread):
+    """Of one that is known a plain sum of three unknowns says so too."""
+    kinds = receptors.Weber(0.1), receptors.GeneralisedWeber(0, floor=0.1)
+
+    def of(cue, noise):
+        return ww.Observer(hinged(), cues.UnknownHinge(cue, spread) if spread else cue, noise)
+
+    space = of(cues.SpaceMap(), receptors.Joint(kinds, [3, 2]))
+    flat = of(cues.ForceMap(SIGNALS), kinds[0])
+    reading = space.read([30e-3, 0.5, 1.0, SOFT][: len(space.unknowns)], seed=3)
+    found, alone = ww.posterior(space, reading), ww.posterior(flat, reading[:3])
+    assert found.status.name == "CONVERGED"
+    for name, estimate in alone.estimates.items():
+        assert found.estimates[name][:2] == estimate[:2]
+    if spread:
+        return
+    axes = [e.mean + e.sd * np.linspace(-5.5, 5.5, 41) for e in found.estimates.values()]
+    place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    signals, outcome = space.cue.signals(hinged(), place)
+    log = space.noise.log_likelihood(reading, np.where(outcome[..., None] == 0, signals, 1.0))
+    weight = np.where(outcome == 0, np.exp(log - log.max()), 0.0)
+    for i, estimate in enumerate(found.estimates.values()):
+        mean = (weight * place[..., i]).sum() / weight.sum()
+        sd = np.sqrt((weight * (place[..., i] - mean) ** 2).sum() / weight.sum())
+        assert abs(estimate.mean - mean) < 2e-3 * sd
+        assert abs(estimate.sd / sd - 1) < 2e-3
+
+
+def test_what_a_shape_at_rest_does_in_space_to_a_whisker_on_a_hinge_is_unknown():
+    mouse = Whisker.from_identity("C2", species="mouse", hinge_stiffness=1e-5)
+    assert ww.Observer(mouse, cues.SpaceMap()).note.endswith("does to this cue is unknown")
+
+
 def test_a_muscle_turns_a_whisker_on_a_hinge():
     """By as much more as the hinge gives: the same moment at a larger angle."""
     cue, r = cues.BalanceOfMoments(effort=None), np.array([15e-3, 25e-3])
@@ -235,7 +292,7 @@ CLAMPED_ONLY = {
     "slopes": lambda: closed_form.signal_jacobian(W, 30e-3, 0.1),
     "distance": lambda: closed_form.distance_from_moment(W, 1e-6, 0.1),
     "contact": lambda: closed_form.contact_from_signals(W, 1e-6, 1e-5),
-    "SpaceMap": lambda: ww.Observer(W, cues.SpaceMap()),
+    "SpaceMap": lambda: ww.Observer(replace(W, curvature=8.0), cues.SpaceMap()),
     "AngleSideAngle": lambda: ww.Observer(W, cues.AngleSideAngle()),
     "UnknownStiffness": lambda: ww.Observer(W, cues.UnknownStiffness(cues.ForceMap())),
     "its slopes": lambda: cues.UnknownStiffness(cues.ForceMap()).jacobian(W, [30e-3, 0.2, 1.0]),

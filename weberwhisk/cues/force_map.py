@@ -321,10 +321,10 @@ class SpaceMap(Cue):
     """Distance, deflection angle and azimuth from moment and forces in all directions.
 
     The paper's look-up in three dimensions, Scholz & Rahn's with a second plane. A straight whisker
-    bends in the plane of its contact, along which friction acts too (`Friction`), so that the sizes
-    of moment and forces are those of `ForceMap`, and the azimuth ω of the contact about the base
-    tangent (from y towards z) is the direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment
-    (0, −M sin ω, M cos ω).
+    bends in the plane of its contact, along which friction acts too (`Friction`) and a hinge at
+    its base gives, one that gives as much in all directions. So the sizes of moment and forces are
+    those of `ForceMap`, and the azimuth ω of the contact about the base tangent (from y towards z)
+    is the direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment (0, −M sin ω, M cos ω).
 
     A curved whisker bends out of the plane of its curvature and twists, so that all signals tell
     of all three unknowns (`mechanics.rod`, without friction). Its deflection is counted from where
@@ -349,7 +349,7 @@ class SpaceMap(Cue):
     ------
     ValueError
         For a signal that there is not, none or one twice, and a roll that is not finite. Where it
-        is used, for friction of a curved whisker, an unknown curvature and a hinge.
+        is used, for an unknown curvature, and for friction and a hinge of a curved whisker.
 
     Notes
     -----
@@ -402,9 +402,9 @@ class SpaceMap(Cue):
     def forward(self, whisker: Any, contact: Array) -> ForwardModel:
         """The mechanics of contacts (..., 3): those of a curved whisker, at their azimuths."""
         forward = forward_of(whisker)
-        refuse_hinge(forward.whisker, "SpaceMap")
         if forward.is_flat:
             return forward
+        refuse_hinge(forward.whisker, "SpaceMap of a curved whisker")
         if any((*forward.friction_range, *forward.offset_range)):
             raise ValueError(
                 "SpaceMap knows friction of straight whiskers alone, and no uncertain curvature, "
@@ -502,7 +502,7 @@ class SpaceMap(Cue):
         outcome : array of int
             As of `ForceMap.contact`; `OUT_OF_REACH` for every reading on a cylinder.
         """
-        straight(whisker, "posterior(), which needs no inverse")
+        straight(forward_of(whisker).clamped.whisker, "posterior(), which needs no inverse")
         about = readings("moment", moment, 2)
         size = np.hypot(about[..., 0], about[..., 1])
         axial = numbers("axial_force", axial_force, "give newtons")

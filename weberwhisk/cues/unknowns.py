@@ -251,7 +251,8 @@ class UnknownHinge(_Wrapped):
     Parameters
     ----------
     cue : Cue
-        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
+        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them; `SpaceMap` of a
+        straight whisker.
     spread : float
         Sd of the log-normal prior's ln; its median is the whisker's `hinge_stiffness`. Beyond 7 sd
         signals are those at 7 sd.

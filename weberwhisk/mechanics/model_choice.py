@@ -359,7 +359,10 @@ def _table(observer: Any) -> str:
 
 def _shape_at_rest(observer: Any) -> str:
     named = getattr(observer.whisker, "identity", None)
-    if named is not None and not observer.cue.takes_curved:
+    forward = observer.forward
+    beyond = forward.is_hinged or any(forward.friction_range)  # of what is known of curved ones
+    in_space = "azimuth" in observer.unknowns
+    if named is not None and (not observer.cue.takes_curved or (in_space and beyond)):
         return (
             f"{named[1]} is taken as straight: what its shape at rest does to this cue is unknown"
         )
