@@ -256,11 +256,18 @@ def brute(observer, reading, model, count, found):
 
 
 @pytest.mark.parametrize(
-    ("signals", "model", "count"),
-    [(SPACE, None, 41), pytest.param(SPACE[:5], "rod", 17, marks=pytest.mark.slow)],
+    ("cue", "model", "count"),
+    [
+        (SpaceMap(SPACE), None, 41),
+        (Friction(SpaceMap(SPACE), -0.3), None, 41),
+        *(
+            pytest.param(cue, "rod", 17, marks=pytest.mark.slow)
+            for cue in (SpaceMap(), Friction(SpaceMap(), 0.3))
+        ),
+    ],
 )
-def test_posteriors_are_those_of_a_plain_sum(signals, model, count):
-    observer = ww.Observer(CURVED, SpaceMap(signals))
+def test_posteriors_are_those_of_a_plain_sum(cue, model, count):
+    observer = ww.Observer(CURVED, cue)
     reading = observer.read(np.array([30e-3, 0.25, 2.0]), seed=4)
     found = ww.posterior(observer, reading)
     assert found.status == ww.Status.CONVERGED
@@ -292,6 +299,26 @@ def test_intervals_hold_the_contact_as_often_as_they_say(spread, k):
         assert abs(inside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300), name
 
 
+def test_a_curved_whisker_that_rubs_is_the_rod_with_friction_and_rolls_with_it():
+    cue = Friction(SpaceMap(IN_SPACE), -0.3)
+    place = CONTACT * [1, 0.5, 1]
+    keeps_the_protocol(ww.Observer(CURVED, Friction(SpaceMap(SPACE), -0.3)), place)
+    found = cue.signals(CURVED, place)[0]
+    assert found == pytest.approx(cue.signals(CURVED, place, model="rod")[0], rel=2e-4, abs=1e-9)
+    assert np.abs(found / SpaceMap(IN_SPACE).signals(CURVED, place)[0] - 1).max() > 0.1
+    known, rolled = (
+        ww.Observer(CURVED, Friction(cue, -0.3))
+        for cue in (SpaceMap(), UnknownRoll(SpaceMap(), 1e-6))
+    )
+    assert known.model == "rod"
+    assert known.note == ""
+    reading = known.read([30e-3, 0.25, 2.0], seed=4)
+    one, other = ww.posterior(known, reading), ww.posterior(rolled, reading)
+    for name, estimate in one.estimates.items():
+        assert other.estimates[name].mean == pytest.approx(estimate.mean, abs=2e-3 * estimate.sd)
+        assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
+
+
 def test_jnds_are_those_of_the_information():
     observer = ww.Observer(CURVED, SpaceMap())
     place = np.array([[30e-3, 0.25, 2.0]])
@@ -312,7 +339,7 @@ def test_a_stiffness_that_is_unknown_is_a_factor_of_all_forces():
 
 def test_what_space_does_not_know_is_refused():
     for whisker, cue in ((CURVED, Friction(SpaceMap())), (W, UnknownCurvature(SpaceMap(), 1.0))):
-        with pytest.raises(ValueError, match="friction of straight whiskers alone, and no"):
+        with pytest.raises(ValueError, match="unknown friction of straight whiskers alone, and no"):
             ww.Observer(whisker, cue)
     with pytest.raises(ValueError, match="This cue is for straight whiskers"):
         ww.Observer(CURVED, Fused(SpaceMap(), ForceMap()))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from analysis_scripts import load
+from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk import Outcome
@@ -20,8 +21,9 @@ def relative(found, exact):
     return np.abs(off) / np.repeat(np.stack(size, axis=1), 3, axis=1)
 
 
-def test_signals_and_ends_are_those_of_the_rod_itself():
-    surface = space_surface(W)
+@pytest.mark.parametrize("friction", [0.0, -0.3, pytest.param(0.3, marks=pytest.mark.slow)])
+def test_signals_and_ends_are_those_of_the_rod_itself(friction):
+    surface = space_surface(W, friction)
     assert surface.error < 2e-5
     rng = np.random.default_rng(8)
     r = surface.reach() * rng.uniform(0.02, 0.995, 40)
@@ -29,39 +31,46 @@ def test_signals_and_ends_are_those_of_the_rod_itself():
     last = surface.limit(r, azimuth)
     push = last * np.append(rng.uniform(0.01, 0.99, 20), [0.999] * 20)
     found, outcome = surface(r, push, azimuth)
-    exact, held = pressed(W, r, push, azimuth)
+    exact, held = pressed(W, r, push, azimuth, friction=friction)
     assert (outcome == Outcome.HELD).all()
     assert (held == Outcome.HELD).all()
-    assert np.max(relative(found, exact)) < 5e-5
+    # Where it turns its sign, a moment is next to nothing beside its error.
+    assert np.max(relative(found, exact)) < (1e-3 if friction else 5e-5)
+    assert np.median(relative(found, exact)) < 2e-6
     # Just beyond, the whisker is lost, by either and for the same reason.
     found, outcome = surface(r, 1.001 * last, azimuth)
     assert np.isnan(found).all()
-    assert np.array_equal(outcome, pressed(W, r, 1.001 * last, azimuth)[1])
+    lost = pressed(W, r, 1.001 * last, azimuth, friction=friction)[1]
+    lost[lost == Outcome.STUCK] = Outcome.FLICKED_PAST
+    assert np.array_equal(outcome, lost)
     assert {Outcome.FLICKED_PAST, Outcome.SLIPPED_OFF_TIP} == set(outcome.tolist())
 
 
-def test_signals_are_those_of_the_referee_from_the_base_outwards():
+@pytest.mark.parametrize("friction", [0.0, -0.3])
+def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
     r, azimuth = np.array([15e-3, 30e-3, 40e-3]), np.array([0.7, 2.0, 3.0])
     push, one = np.array([0.6, 0.3, 0.2]), np.ones(3)
     beams = load("reference_beam").Beams(
-        50e-3 * one, 1e-4 * one, 5e-6 * one, 3e9 * one, BEND * one, 0 * one
+        50e-3 * one, 1e-4 * one, 5e-6 * one, 3e9 * one, BEND * one, friction * one
     )
     rods = load("reference_rod").Rods.pushed(beams, r, 0 * r, azimuth)
     way = rods.walk(push * 1.05)
     force = rods.polish(push, *rods.at(way["trail"], push)[:2])["force"]
     moment = np.cross(rods.point(push), force, axis=0)
     exact = np.concatenate([[-1], [1], [1]]) * force.T
-    found, _ = space_surface(W)(r, push, azimuth)
+    found, _ = space_surface(W, friction)(r, push, azimuth)
     assert np.max(relative(found, np.concatenate([exact, moment.T], axis=1))) < 5e-5
 
 
 @pytest.mark.parametrize(
-    ("azimuth", "sign"), [(np.pi, -1), pytest.param(0.0, 1, marks=pytest.mark.slow)]
+    ("azimuth", "sign", "friction"),
+    slow_but([(np.pi, -1, 0.0), (0.0, 1, 0.0), (np.pi, -1, 0.3), (0.0, 1, -0.3)], quick=range(1)),
 )
-def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign):
+def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction):
     """Pushed against its curvature it is the whisker of the other sign, upside down."""
-    surface = space_surface(W)
-    plane = PlanarSurface(ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND))
+    surface = space_surface(W, friction)
+    mirrored = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND)
+    plane = PlanarSurface(mirrored, (friction, friction))
     r = np.linspace(0.05, 0.995, 24) * surface.reach()
     last = surface.limit(r, np.full(r.shape, azimuth))
     assert last == pytest.approx(plane.limit(r), rel=1e-5)
@@ -97,7 +106,11 @@ def test_what_is_no_contact_has_an_outcome_and_no_signals():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("radius_ratio", "curvature"), [(20, 25), (5, -25), (40, 25), (100, 8)])
-def test_tables_of_strongly_curved_whiskers_are_the_rod(radius_ratio, curvature):
+@pytest.mark.parametrize(
+    ("radius_ratio", "curvature", "friction"),
+    [(20, 25, 0), (5, -25, 0), (40, 25, 0), (100, 8, 0), (20, 25, -0.45), (5, 25, 0.45),
+     (5, -25, 0.45), (40, -25, 0.45)],
+)  # fmt: skip
+def test_tables_of_strongly_curved_whiskers_are_the_rod(radius_ratio, curvature, friction):
     w = ww.Whisker(50e-3, 100e-6, 100e-6 / radius_ratio, 3e9, curvature=curvature)
-    assert space_surface(w).error < 5e-5
+    assert space_surface(w, friction).error < 5e-5

@@ -144,8 +144,8 @@ class Friction(_Wrapped):
     Parameters
     ----------
     cue : Cue
-        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them; `SpaceMap` of a
-        straight whisker.
+        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them; `SpaceMap`, and where
+        the angle is known of a curved whisker too.
     angle : float, optional
         ψ, rad, where it is known. By default it is the unknown ``"friction_angle"``.
     coefficient : float

@@ -141,6 +141,11 @@ class Branches:
         path = self.followed(arc, force)
         return force * np.stack([path.lever, np.sin(path.angle), np.cos(path.angle)])
 
+    def onset(self) -> Array:
+        """Unit tangents (n, size) at rest, of a growing push."""
+        tangent = _tangent(self.linear(self.start)[1])
+        return tangent * np.sign(tangent[:, -1:])
+
     # -- for every kind of branch --------------------------------------------------------------
 
     def corrected(self, y: Array, across: Array, steps: int) -> tuple[Array, Array, Array]:
@@ -161,8 +166,7 @@ class Branches:
         By steps along the branch until the push falls, and the secant method in the last of them.
         """
         y = self.start
-        tangent = _tangent(self.linear(y)[1])
-        tangent *= np.sign(tangent[:, -1:])
+        tangent = self.onset()
         stride, left = np.full(len(y), first), np.arange(len(y))
         for _ in range(200):
             part, h, here, along = self.take(left), stride[left], y[left], tangent[left]
@@ -180,7 +184,8 @@ class Branches:
                 raise NotFound
         if left.size:
             raise NotFound
-        low, high, at = np.zeros_like(stride), stride, stride
+        # The last step was over by rougher tangents: by better ones it may all but be.
+        low, high, at = np.zeros_like(stride), 1.05 * stride, stride
         at_low, at_high = tangent[:, -1], np.full_like(stride, np.nan)
         for i in range(8):
             point, after, _ = self.ahead(y, tangent, at, 3)
@@ -190,7 +195,7 @@ class Branches:
             high, at_high = np.where(rising, high, at), np.where(rising, at_high, slope)
             if np.max(np.abs(slope)) < 1e-5:  # pushes are then known to its square
                 break
-            share = at_low / (at_low - at_high)
+            share = np.where(np.isnan(at_high), 1.0, at_low / (at_low - at_high))
             if i % 3 == 2:  # lest one end stay where it is
                 share = np.clip(share, 0.05, 0.95)
             at = low + (high - low) * share
@@ -208,7 +213,7 @@ class Branches:
         Signals are over the small-angle lateral force 3 push · room/r², moments over its moment;
         the arc is over r. By Newton's method, each node from those before and from the fold.
         """
-        tangent = _tangent(self.linear(self.start)[1])
+        tangent = self.onset()
         pace = tangent / tangent[:, -1:]
 
         def over(y: Array) -> Array:
@@ -241,20 +246,22 @@ class Branches:
 
 @dataclass(frozen=True, eq=False)
 class SpaceBranches(Branches):
-    """The same in space, without friction: two forces, six signals; pushed to an azimuth (n,)."""
+    """The same in space: two forces, six signals; pushed to an azimuth (n,)."""
 
     moments: ClassVar[Array] = np.array([False, False, False, True, True, True])
     scenes: RodScenes
     azimuth: Array
 
     @classmethod
-    def around(cls, profile: Profile, taper: float, r: Array, azimuth: Array) -> SpaceBranches:
+    def around(
+        cls, profile: Profile, taper: float, r: Array, azimuth: Array, friction: float
+    ) -> SpaceBranches:
         """Those of a whisker at distances and azimuths (n,)."""
-        none, one = np.zeros(r.size), np.ones(r.size)
+        none, one, psi = np.zeros(r.size), np.ones(r.size), np.full(r.size, friction)
         rows = extended(profile, none)
-        flat = vars(Branches.of(rows, taper, r, none))
+        flat = vars(Branches.of(rows, taper, r, psi))
         twist = 1 + POISSON_RATIO
-        scenes = RodScenes(rows, (r.size,), one, one, none, none, twist, profile.whisker)
+        scenes = RodScenes(rows, (r.size,), one, one, psi, none, twist, profile.whisker)
         return cls(**flat, scenes=scenes, azimuth=azimuth)
 
     def take(self, index: Index) -> Self:
@@ -274,6 +281,18 @@ class SpaceBranches(Branches):
         out[..., :3] = slopes * (self.scale[:3] / unit).T[:, None]
         out[..., 3] = (rest * np.sin(push) - aside * np.cos(push)).T
         return np.nan_to_num(miss / unit).T, out
+
+    def onset(self) -> Array:
+        if not self.friction.any():
+            return super().onset()
+        # The size of friction has a cusp at no force, and no slopes there.
+        _, aside = circle(self.rest, self.azimuth)
+        v = self.start[:, :3].T * self.scale[:3]
+        pace = self.scenes.onset(v, self.r, self.r * aside)
+        if not np.all(np.isfinite(pace) & (np.abs(pace).max(axis=0) > 0)):
+            raise NotFound
+        out = np.concatenate([pace / self.scale[:3], 1 / self.scale[3:]]).T
+        return out / np.linalg.norm(out, axis=1, keepdims=True)
 
     def signals(self, y: Array) -> Array:
         base = self.scenes.follow(y[:, :3].T * self.scale[:3], STEPS)

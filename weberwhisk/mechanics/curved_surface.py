@@ -19,6 +19,7 @@ from functools import lru_cache, reduce
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize.elementwise import find_root
 
 from .._values import Array, Codes, Flags, Index
@@ -349,7 +350,7 @@ class PlanarSurface(CurvedSurface):
 
 
 class SpaceSurface(CurvedSurface):
-    """The six signals (`SIX`) of one curved whisker at any contact, without friction.
+    """The six signals (`SIX`) of one curved whisker at any contact, with a friction that is known.
 
     A point at the distance r is pushed from where the whisker at rest touches, along the great
     circle about the base that leaves there by the azimuth ω, which is given: 0 pushes towards the
@@ -361,6 +362,8 @@ class SpaceSurface(CurvedSurface):
     ----------
     whisker : Whisker or Profile
         One whisker.
+    friction : float
+        Friction angle, rad.
 
     Attributes
     ----------
@@ -373,8 +376,9 @@ class SpaceSurface(CurvedSurface):
         For a whisker whose folds are not found.
     """
 
-    def __init__(self, whisker: Whisker | Profile) -> None:
+    def __init__(self, whisker: Whisker | Profile, friction: float = 0.0) -> None:
         super().__init__(whisker)
+        self.friction = friction
         try:
             self._made((9, 18, 12), (14, 28, 16))
         except NotFound:
@@ -392,14 +396,14 @@ class SpaceSurface(CurvedSurface):
     def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
         reach = reach_of(extended(self.profile, np.zeros(len(given[0]))))
         r, azimuth = (reach[:, None] * along).ravel(), np.repeat(given[0], along.size)
-        return reach, SpaceBranches.around(self.profile, self.taper, r, azimuth)
+        return reach, SpaceBranches.around(self.profile, self.taper, r, azimuth, self.friction)
 
     def _parity(self, given: Sequence[Array]) -> Any:
         odd = np.array([False, False, True, True, True, False])
         return np.where(odd, np.sin(given[0])[:, None], 1.0)
 
     def _exact(self, r: Array, push: Array, given: Sequence[Array]) -> Array:
-        return pressed(self.whisker, r, push, *given)[0]
+        return pressed(self.whisker, r, push, *given, friction=self.friction)[0]
 
     def reach(self) -> float:
         """Distance of the tip at rest, m."""
@@ -415,13 +419,18 @@ def planar_surface(
 
 
 @lru_cache(maxsize=16)
-def space_surface(whisker: Whisker | Profile) -> SpaceSurface:
+def space_surface(whisker: Whisker | Profile, friction: float = 0.0) -> SpaceSurface:
     """The surface of a whisker, kept for its next contacts."""
-    return SpaceSurface(whisker)
+    return SpaceSurface(whisker, friction)
 
 
 def pressed(
-    whisker: Whisker | Profile, r: Array, push: Array, azimuth: Array
+    whisker: Whisker | Profile,
+    r: Array,
+    push: Array,
+    azimuth: Array,
+    *,
+    friction: ArrayLike = 0.0,
 ) -> tuple[Array, Codes]:
     """`SIX` signals (n, 6) and outcomes (n,) of contacts, by the rod's own equations."""
     profile = Profile.of(whisker)
@@ -432,7 +441,7 @@ def pressed(
     place = r * (rest * np.cos(push) + aside * np.sin(push))
     known &= np.isfinite(place).all(axis=0)
     place[:, ~known] = [[0.5 * length], [0.0], [0.0]]
-    bent = rod.press(whisker, place.T, round_back=push > np.pi)
+    bent = rod.press(whisker, place.T, friction, round_back=push > np.pi)
     signals = np.concatenate([bent.force * [-1, 1, 1], bent.moment], axis=-1)
     signals[~known | (push < 0)] = np.nan
     outcome = np.where(push < 0, Outcome.NO_TOUCH, bent.outcome)

@@ -167,7 +167,7 @@ class ForwardModel(Value):
     def surface(self) -> Surface | PlanarSurface | SpaceSurface:
         """The table that serves it, made once."""
         if self.azimuth is not None:
-            return space_surface(self.whisker)
+            return space_surface(self.whisker, self.friction_range[0])
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
         return self._planar
@@ -315,10 +315,11 @@ class ForwardModel(Value):
     def in_space(self, r: ArrayLike, push: ArrayLike) -> tuple[Array, Codes]:
         """The six signals (..., 6) of `space_surface`, NaN where not held, and outcome (...).
 
-        Without friction, at `azimuth`: by the table or, where the model is "rod", one by one.
+        At `azimuth`: by the table of a friction that is known or, where the model is "rod", one by
+        one.
         """
-        given = (np.asarray(a, dtype=float) for a in (r, push, self.azimuth))
-        r, push, azimuth = np.broadcast_arrays(*given)
+        given = (np.asarray(a, dtype=float) for a in (r, push, self.azimuth, self.friction))
+        r, push, azimuth, psi = np.broadcast_arrays(*given)
         if self.model == "profile":
             raise ValueError(
                 'The planar beam knows no contacts out of its plane, got model="profile"; write '
@@ -326,7 +327,7 @@ class ForwardModel(Value):
             )
         flat = [a.reshape(-1) for a in (r, push, azimuth)]
         if self.model == "rod":
-            signals, outcome = pressed(self.whisker, *flat)
+            signals, outcome = pressed(self.whisker, *flat, friction=psi.reshape(-1))
         else:
             signals, outcome = in_pieces(self.surface, *flat, axis=0)
         return signals.reshape(*r.shape, 6), outcome.reshape(r.shape)

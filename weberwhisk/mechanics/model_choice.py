@@ -360,7 +360,7 @@ def _table(observer: Any) -> str:
 def _shape_at_rest(observer: Any) -> str:
     named = getattr(observer.whisker, "identity", None)
     forward = observer.forward
-    beyond = forward.is_hinged or any(forward.friction_range)  # of what is known of curved ones
+    beyond = forward.is_hinged or np.ptp(forward.friction_range) > 0  # what curved ones do not take
     in_space = "azimuth" in observer.unknowns
     if named is not None and (not observer.cue.takes_curved or (in_space and beyond)):
         return (

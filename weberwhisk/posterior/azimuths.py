@@ -20,6 +20,7 @@ from scipy.special import erf, expit, logsumexp, ndtri
 
 from .._values import Array, Codes, Index
 from ..coordinates import ContactCoordinates, family, from_normal
+from ..cues.unknowns import Friction
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .grid import OwnGrids, integrate, weighted_quantiles
@@ -40,17 +41,17 @@ class Around:
     def __init__(self, observer: Observer) -> None:
         self.observer, self.noise = observer, observer.noise
         self.rolls = "roll" in observer.unknowns
-        cue: Any = observer.cue
+        self.whisker, cue = _without_friction(observer)
         self.map = cue.cue if self.rolls else cue
         self.middle = float(self.map.roll)
         self.spread = float(cue.spread) if self.rolls else 0.0
         self.scale = min(self.spread, 1.0)
         self.ends = None if _goes_around(observer) else from_normal(observer.prior["azimuth"])
-        around = {"azimuth": self.map.priors(observer.whisker)["azimuth"]}
+        around = {"azimuth": self.map.priors(self.whisker)["azimuth"]}
         self.unknowns, self.bounded = observer.unknowns, 2
         self.prior = {n: observer.prior[n] for n in observer.prior if n in observer.unknowns[:2]}
         plane = self.map.__class__(self.map.signal_names)  # not rolled
-        self.space = ContactCoordinates(observer.whisker, plane, around | self.prior)
+        self.space = ContactCoordinates(self.whisker, plane, around | self.prior)
         self.dim = 4 if self.rolls else 3
         #: Curvature of ln prior in q, about.
         roll = [(self.scale / self.spread) ** 2] if self.rolls else []
@@ -96,7 +97,7 @@ class Around:
     def felt(self, place: Array) -> Any:
         """The signals of places (..., 3) as a function of the azimuth."""
         model = self.observer.solver
-        return self.map.from_plane(self.observer.whisker, place, model=model)
+        return self.map.from_plane(self.whisker, place, model=model)
 
     @cached_property
     def directions(self) -> list[int]:
@@ -130,6 +131,14 @@ class Around:
         held = outcome == Outcome.HELD
         log = np.where(held, log + self.log_roll(v), -np.inf)
         return q, np.where(held[..., None], signals, 1.0), log
+
+
+def _without_friction(observer: Observer) -> tuple[Any, Any]:
+    """An observer's whisker with the friction that is known, and the cue of contacts with that."""
+    whisker, cue = observer.whisker, observer.cue
+    while isinstance(cue, Friction) and cue.known is not None:
+        whisker, cue = cue._parts(whisker, np.empty(0))[0], cue.cue
+    return whisker, cue
 
 
 def _goes_around(observer: Observer) -> bool:
