@@ -258,38 +258,8 @@ class ContactCoordinates:
         known = len(self.cue.unknowns) == 2 or self.cue.is_scale
         if not (self.follows_zeros and self.bounded > 1 and known):
             return None
-        x, y = np.linspace(-4.0, 4.0, 401), np.linspace(-16.0, 3.0, 77)  # next to all of the prior
-        r = self.distance(x)
-        low, width = self.angle_range(r)
-
-        def signals(y: Array, rows: Any) -> Array:
-            contact = np.ones((*y.shape, len(self.cue.unknowns)))
-            contact[..., 0].T[:] = r[rows]
-            contact[..., 1] = low + (width[rows] * constrain_angle(y)[0].T).T
-            with np.errstate(all="ignore"):
-                return self.cue.signals(self.whisker, contact)[0]
-
-        def signs(every: int) -> Array:
-            rows = np.arange(0, len(x), every)
-            return np.sign(signals(np.tile(y, (len(rows), 1)), rows))
-
-        sign = signs(15)
-        if not (sign[:, 1:] * sign[:, :-1] < 0).any():
-            return None
-        sign = signs(1)
-        found = []
-        for which, turn in product(range(sign.shape[-1]), (-1.0, 1.0)):
-            step = (sign[:, :-1, which] == turn) & (sign[:, 1:, which] == -turn)
-            rows, at = np.flatnonzero(step.any(axis=1)), step.argmax(axis=1)
-
-            def signal(y: Array, row: Array, which: int = which) -> Array:
-                return signals(y, row.astype(np.intp))[..., which]
-
-            if len(rows) > 8:
-                around = y[at[rows]], y[at[rows] + 1]
-                root = find_root(signal, around, args=(rows.astype(float),))
-                found.append((x[rows][root.success], root.x[root.success]))
-        found.sort(key=lambda line: float(line[1][0]))  # they never cross
+        x = np.linspace(-4.0, 4.0, 401)
+        found = self._sign_changes(x)
         curves: list[CubicSpline] = []
         ends: list[tuple[float, float]] = []
         for at, line in found:
@@ -309,9 +279,46 @@ class ContactCoordinates:
         if np.any(np.diff(y, axis=-1) < 0.1):
             return None  # a prior of the angle that has lines leave its range where others are
         # As without them, in the middle: on a round number nodes of other grids would be, exactly.
-        first = np.median(y[:, 0] + self._log_gain(r, width))
+        r = self.distance(x)
+        first = np.median(y[:, 0] + self._log_gain(r, self.angle_range(r)[1]))
         apart = np.median(np.diff(y, axis=-1), axis=0)
         return lines._replace(x=first + np.append(0.0, np.cumsum(apart)))
+
+    def _sign_changes(self, x: Array) -> list[tuple[Array, Array]]:
+        """At coordinates x₁ (n,), where along y a signal changes its sign: x₁ and y of each line.
+
+        One line for each signal and direction, the lightest contacts first. A look at every
+        fifteenth x₁ spares observers without such lines most of the work.
+        """
+        y = np.linspace(-16.0, 3.0, 77)  # next to all of the prior
+        r = self.distance(x)
+        low, width = self.angle_range(r)
+
+        def signals(y: Array, rows: Any) -> Array:
+            contact = np.ones((*y.shape, len(self.cue.unknowns)))
+            contact[..., 0].T[:] = r[rows]
+            contact[..., 1] = low + (width[rows] * constrain_angle(y)[0].T).T
+            with np.errstate(all="ignore"):
+                return self.cue.signals(self.whisker, contact)[0]
+
+        for every in (15, 1):
+            rows = np.arange(0, len(x), every)
+            sign = np.sign(signals(np.tile(y, (len(rows), 1)), rows))
+            if not (sign[:, 1:] * sign[:, :-1] < 0).any():
+                return []
+        found = []
+        for which, turn in product(range(sign.shape[-1]), (-1.0, 1.0)):
+            step = (sign[:, :-1, which] == turn) & (sign[:, 1:, which] == -turn)
+            rows, at = np.flatnonzero(step.any(axis=1)), step.argmax(axis=1)
+
+            def signal(y: Array, row: Array, which: int = which) -> Array:
+                return signals(y, row.astype(np.intp))[..., which]
+
+            if len(rows) > 8:
+                around = y[at[rows]], y[at[rows] + 1]
+                root = find_root(signal, around, args=(rows.astype(float),))
+                found.append((x[rows][root.success], root.x[root.success]))
+        return sorted(found, key=lambda line: float(line[1][0]))  # they never cross
 
     def _line(self, r: Array, width: Array, x: Array) -> tuple[Array, Array]:
         """The y = a + b·x₂ at distances (...) and about coordinates x₂ (...)."""
