@@ -627,10 +627,12 @@ def test_a_straight_map_is_off_by_more_than_a_jnd_where_the_curved_one_is_right(
 
 
 def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
-    """By how much its posterior is off bears the note out; no note where no identity is known."""
+    """By how much its posterior is off bears the note out."""
     plain = Whisker.from_identity("C2")
     ignores = Observer(plain, ForceMap(), Weber(0.05))
-    knows = Observer(Whisker.from_identity("C2", curved=True), ForceMap(), Weber(0.05))
+    knows = Observer(
+        ww.Profile.of(plain).curved(ww.Spiral(*rest_shape("C2"))), ForceMap(), Weber(0.05)
+    )
     assert "shape at rest moves r" in ignores.note
     assert knows.note == ""
     contact = [0.6 * plain.length, 0.1]
@@ -638,13 +640,56 @@ def test_a_straight_observer_of_a_named_whisker_says_what_its_shape_costs():
     assert abs(found.mean - contact[0]) > found.sd
     assert ignores.note in repr(found)
     assert found.summary()["note"].eq(ignores.note).all()
-    numbers = Whisker(plain.length, plain.base_radius, plain.tip_radius)
-    assert numbers == plain
-    assert Observer(numbers, ForceMap()).note == ""
-    assert Observer(plain.cylinder(), ForceMap(("moment", "transverse_force"))).note == ""
     assert Observer(plain, Compliance(), Weber(0.5)).note == ""  # JNDs are larger than that
     hinged = Whisker.from_identity("C2", hinge_stiffness=1e-5)
     assert "C2 is taken as straight" in Observer(hinged, ForceMap()).note
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_named_arc_says_what_its_measured_shape_costs(side):
+    """At k = 0.02 a C2 of constant curvature is more than an sd off, and said nothing."""
+    arc = Whisker.from_identity("C2", curved=True)
+    arc = replace(arc, curvature=side * arc.curvature)
+    observer = Observer(arc, ForceMap(), Weber(0.02))
+    law = ww.Spiral(*rest_shape("C2")).scaled(np.ones(()), side)
+    real = Observer(ww.Profile.of(arc).curved(law), ForceMap(), Weber(0.02))
+    contact = [0.8 * arc.length, 0.1]
+    found = posterior(observer, real.signals(contact)[0])
+    assert abs(found.mean - contact[0]) > found.sd
+    assert "C2 is taken as an arc; its measured shape at rest moves r" in observer.note
+    advice = observer.note.split("write ")[1]
+    given = {"Profile": ww.Profile, "Spiral": ww.Spiral, "rest_shape": rest_shape, "whisker": arc}
+    told = Observer(eval(advice, given), ForceMap(), Weber(0.02))
+    assert told == real
+    assert told.note == ""
+
+
+def test_a_whisker_that_nobody_calls_straight_is_taken_as_such_and_said_to_be():
+    """(M, Fx) of a curved C2, read by the numbers of its length and radii alone: silent once."""
+    plain = Whisker.from_identity("C2")
+    numbers = Whisker(plain.length, plain.base_radius, plain.tip_radius)
+    curved = Observer(Whisker.from_identity("C2", curved=True), ForceMap())
+    found = posterior(Observer(numbers, ForceMap()), curved.signals([20e-3, 0.1])[0])
+    assert abs(found.mean - 20e-3) > 5 * found.sd
+    assert "Taken as straight; the usual curvature of rats' whiskers, 12 /m" in repr(found)
+    for same in (ww.Profile.of(numbers), replace(numbers, youngs_modulus=3e9)):
+        assert "Taken as straight" in Observer(same, ForceMap()).note
+    table = pd.DataFrame(found.reading[None], columns=["moment", "axial_force"])
+    assert any("Taken as straight" in note for note in ww.locate(table, numbers).attrs["notes"])
+    for straight in (replace(numbers, curvature=0.0), Whisker.shaft(50e-3, 1e-3, "nitinol")):
+        assert Observer(straight, ForceMap()).note == ""
+    assert replace(numbers, curvature=0.0) == numbers == plain
+
+
+def test_a_whisker_keeps_its_identity_where_it_keeps_its_shape():
+    plain = Whisker.from_identity("C2", seed=1)
+    bow = plain.identity[2]
+    for same in ({"youngs_modulus": 3e9}, {"hinge_stiffness": 1e-5}, {"curvature": -bow}):
+        assert replace(plain, **same).identity == plain.identity
+    for other in ({"length": 30e-3}, {"tip_radius": 4e-6}, {"curvature": 3.0}):
+        assert replace(plain, **other).identity is None
+    assert plain.cylinder().identity is None
+    assert Whisker.from_identity("C6", species="mouse", curved=True).curvature > 0  # it was -30
 
 
 def test_a_shape_that_costs_a_jnd_next_to_the_tip_alone_is_said():
@@ -681,6 +726,9 @@ def test_whatever_takes_a_named_whisker_as_straight_says_so():
     assert "Whisker: 33.6 mm long, radius 69.5 to 1.75 µm, straight." in text
     curved = Whisker.from_identity("C2", curved=True)
     assert not any("straight" in note for note in ww.locate(table, curved).attrs["notes"])
+    for rows in (table, table * [-1, 1]):  # also where all of them are mirrored
+        notes = ww.locate(rows, curved).attrs["notes"]
+        assert any("C2 is taken as an arc" in note for note in notes)
 
 
 def test_mice_have_whiskers_and_robots_shafts():

@@ -84,7 +84,8 @@ class Value:
         try:
             return self._known_key
         except AttributeError:
-            key = tuple(_plain(getattr(self, f.name)) for f in fields(self))  # type: ignore[arg-type]
+            own = (f.name for f in fields(self) if f.compare)  # type: ignore[arg-type]
+            key = tuple(_plain(getattr(self, name)) for name in own)
             object.__setattr__(self, "_known_key", key)
             return key
 
@@ -102,7 +103,7 @@ class Value:
         taken = signature(type(self)).parameters
         for f in fields(self):  # type: ignore[arg-type]
             value, how = getattr(self, f.name), taken.get(f.name, f)
-            if _plain(value) == _plain(how.default):
+            if not f.repr or _plain(value) == _plain(how.default):
                 in_order = False
                 continue
             in_order = in_order and getattr(how, "kind", None) != Parameter.KEYWORD_ONLY

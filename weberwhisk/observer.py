@@ -225,10 +225,11 @@ class Observer:
     def note(self) -> str:
         """What the observer leaves out, or nothing.
 
-        A shape at rest that moves the distance by more than a JND (whiskers `from_identity` are
-        straight unless asked to be curved; to first order, of 16 contacts in the middle of the
-        reach, and of 36 up to its ends where these say less), and a table of signals that is off by
-        more than a hundredth of a Weber fraction.
+        A shape at rest that moves the distance by more than a JND (to first order, of 16 contacts
+        in the middle of the reach, and of 36 up to its ends where these say less): of whiskers
+        `from_identity` their measured one, taken as straight or, if curved, as an arc; of others
+        without a `curvature` the rat's usual one, unless it is given as 0. And a table of signals
+        that is off by more than a hundredth of a Weber fraction.
 
         Examples
         --------

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,19 @@ MATERIALS = {
 }
 
 
+class Assumed(float):
+    """A number that nobody gave. It is that number, and copies of a whisker keep it as it is."""
+
+
+class _Identity(NamedTuple):
+    """Whose whisker it is, its curvature at rest (1/m), and what makes it so: length and radii."""
+
+    species: str
+    follicle: str
+    bow: float
+    shape: tuple[float, float, float]
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class Whisker(Value):
     """A linearly tapered (or cylindrical) whisker, in SI units.
@@ -47,7 +60,7 @@ class Whisker(Value):
         Pa. Default 3.34 GPa (Quist et al. 2011); single whiskers scatter by ± 1.48 GPa.
     curvature : float or array
         Intrinsic curvature at rest, constant along the arc, 1/m; positive bends away from
-        the object. Default straight.
+        the object. Default straight, which observers say where it matters; 0 says that it is.
     density : float or array
         kg/m³.
     hinge_stiffness : float, optional
@@ -81,6 +94,8 @@ class Whisker(Value):
     curvature: float
     density: float
     hinge_stiffness: float | None
+    #: A whisker with the same numbers is the same whisker, whoever's it is.
+    _identity: _Identity | None = field(default=None, repr=False, compare=False)
 
     def __init__(
         self,
@@ -88,9 +103,10 @@ class Whisker(Value):
         base_radius: ArrayLike,
         tip_radius: ArrayLike,
         youngs_modulus: ArrayLike = YOUNGS_MODULUS,
-        curvature: ArrayLike = 0.0,
+        curvature: ArrayLike = Assumed(0.0),  # noqa: B008
         density: ArrayLike = DENSITY,
         hinge_stiffness: float | None = None,
+        _identity: _Identity | None = None,
     ) -> None:
         checked = {
             "length": positive("length", length, "give metres, such as 50e-3"),
@@ -126,7 +142,14 @@ class Whisker(Value):
             )
         domain.refuse_length(checked["length"], base)
         held = {n: array if array.ndim else float(array) for n, array in checked.items()}
-        self._set(**held, hinge_stiffness=hinge_stiffness)
+        if isinstance(curvature, Assumed):
+            held["curvature"] = curvature
+        if _identity is not None:  # of a whisker that this one is made from
+            shape = [held[name] for name in ("length", "base_radius", "tip_radius")]
+            same = all(map(np.array_equal, shape, _identity.shape))
+            if not (same and np.all(np.isin(np.abs(held["curvature"]), (0.0, _identity.bow)))):
+                _identity = None
+        self._set(**held, hinge_stiffness=hinge_stiffness, _identity=_identity)
 
     @classmethod
     def from_identity(
@@ -161,7 +184,8 @@ class Whisker(Value):
             side. By default straight, as the paper's whiskers are; observers then say in `note`
             where that moves the distance by more than a JND.
         hinge_stiffness : float, optional
-            As of any whisker. One made of this one by `dataclasses.replace` has no identity.
+            As of any whisker. `dataclasses.replace` makes one of the same identity, but for
+            another length, radius or curvature (its own, either way, or 0).
 
         Raises
         ------
@@ -211,16 +235,14 @@ class Whisker(Value):
         bow = made._named(species, identity)
         if not curved:
             return made
-        curved_one = replace(made, curvature=bow)
-        curved_one._named(species, identity)
-        return curved_one
+        return replace(made, curvature=bow)
 
     def _named(self, species: str, identity: str) -> float:
         """Remember whose whisker this is, and return its curvature at rest, 1/m."""
         at_base, rate = rest_shape(identity, species)
-        bow = float(at_base + rate * self.length / 2)
-        # No field: a whisker with the same numbers is the same whisker.
-        object.__setattr__(self, "_identity", (species, identity, bow))
+        bow = abs(float(at_base + rate * self.length / 2))  # the mouse's C6 turns back
+        shape = self.length, self.base_radius, self.tip_radius
+        object.__setattr__(self, "_identity", _Identity(species, identity, bow, shape))
         return bow
 
     @classmethod
@@ -262,12 +284,13 @@ class Whisker(Value):
         else:
             modulus = material
         radius = positive("diameter", diameter, "give metres, such as 5e-4") / 2
+        fields.setdefault("curvature", 0.0)
         return cls(length, radius, radius, modulus, **fields)
 
     @property
     def identity(self) -> tuple[str, str, float] | None:
         """Species, follicle and curvature at rest (1/m) of a whisker `from_identity`, else none."""
-        return getattr(self, "_identity", None)
+        return None if self._identity is None else self._identity[:3]
 
     @property
     def radius_ratio(self) -> Array:
@@ -365,6 +388,13 @@ def rest_shape(identity: str, species: str = "rat") -> tuple[float, float]:
     table = _rest_shapes()
     known = [name for kind, name in table if kind == species]
     return table[species, one_of("whisker", identity, known)][:2]
+
+
+@cache
+def usual_turn() -> float:
+    """Turn from base to tip at rest of the middle one of the rat's follicles, rad."""
+    rats = [row for (species, _), row in _rest_shapes().items() if species == "rat"]
+    return float(np.median([length * (base + rate * length / 2) for base, rate, length in rats]))
 
 
 @cache

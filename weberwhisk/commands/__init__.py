@@ -279,7 +279,7 @@ def the_whisker(shape: Shape, seed: int | None = None) -> ww.Whisker:
     """The whisker that the shared options describe; with `seed`, drawn from its identity's."""
     identity, length_mm, base_radius_um, tip_radius_um, youngs_modulus_gpa, bow = shape
     modulus: dict[str, Any] = {}
-    curved = {}
+    curved: dict[str, Any] = {}
     if bow is not None and not (bow == "own" and identity is not None):
         hint = "give 1/m, such as -8" + (", or own" if identity is not None else "")
         curved["curvature"] = float(_checks.finite("--curvature-per-m", bow, hint))
@@ -355,7 +355,8 @@ def show(
 
 def _of_options(line: str) -> str:
     """A line, with what an observer's note asks for as it is written here."""
-    return line.replace("write curved=True", "write --curvature-per-m own")
+    own = "write --curvature-per-m own"
+    return line.replace("write curved=True", own).replace("write curvature=", f"{own[:-3]}")
 
 
 def whisker_line(whisker: ww.Whisker) -> str:

@@ -250,8 +250,8 @@ def locate(
         f"{_whisker_in_words(whisker)} Cue: {cue!r}. Noise of the table's numbers: {said}. "
         f"{_priors(observer)}"
     )
-    if observer.note:
-        notes.append(f"{observer.note}.")
+    if note := Observer(whisker, cue, noise, prior or {}).note:  # type: ignore[arg-type]
+        notes.append(f"{note}.")  # of the whisker as given, which rows may see mirrored
     words["message"] = np.array([Status(s).message for s in status], dtype=object)
     for name in (*RESULTS[:6], *both, *RESULTS[6:], *(TOUCH_RESULTS if named is not None else ())):
         out[name] = found_rows[name] if name in found_rows else words[name]

@@ -33,14 +33,14 @@ from numpy.typing import ArrayLike
 
 from .._checks import finite, positive
 from .._values import Array, Codes, Flags
-from ..whisker import Whisker
+from ..whisker import Assumed, Whisker, rest_shape, usual_turn
 from . import elastica
 from .beam import follow_blocks
 from .contact import SIGNAL_UNIT, Choice, Model, Outcome
 from .equilibrium import Scenes, friction, numbers_of, signal_slopes
 from .rod import POISSON_RATIO, RodScenes
 from .scene import SceneRows, planar, straight
-from .shape import Profile
+from .shape import Profile, Spiral
 
 #: Largest relative Newton step that is believed.
 LARGEST_STEP = 0.2
@@ -332,7 +332,7 @@ def why(observer: Any) -> str:
 
 
 def note(observer: Any) -> str:
-    """A named whisker's shape that is taken as straight, an untold roll, and an imprecise table."""
+    """A shape at rest that is left out, an untold roll, and an imprecise table."""
     return "; ".join(filter(None, (_shape_at_rest(observer), _roll(observer), _table(observer))))
 
 
@@ -358,39 +358,85 @@ def _table(observer: Any) -> str:
 
 
 def _shape_at_rest(observer: Any) -> str:
-    named = getattr(observer.whisker, "identity", None)
-    forward = observer.forward
-    beyond = forward.is_hinged or np.ptp(forward.friction_range) > 0  # what curved ones do not take
-    in_space = "azimuth" in observer.unknowns
-    if named is not None and (not observer.cue.takes_curved or (in_space and beyond)):
+    whisker = getattr(observer.whisker, "whisker", observer.whisker)
+    named = whisker.identity
+    if named is not None and not _takes_curved(observer):
         return (
             f"{named[1]} is taken as straight: what its shape at rest does to this cue is unknown"
         )
     off = of_shape_at_rest(observer)
     if off < 1:
         return ""
+    if named is None:
+        bow = usual_turn() / whisker.length
+        return (
+            f"Taken as straight; the usual curvature of rats' whiskers, {bow:.2g} /m, moves r by "
+            f"up to {off:.2g} JND: write curvature={bow:.2g}, or 0"
+        )
+    if not np.any(whisker.curvature):
+        return (
+            f"{named[1]} is taken as straight; its shape at rest moves r by up to {off:.2g} JND: "
+            "write curved=True"
+        )
+    mirrored = ".scaled(1, -1)" if _side_of_law(whisker) < 0 else ""
+    law = f"Spiral(*rest_shape({named[1]!r}, {named[0]!r})){mirrored}"
     return (
-        f"{observer.whisker.identity[1]} is taken as straight; its shape at rest moves r by up to "
-        f"{off:.2g} JND: write curved=True"
+        f"{named[1]} is taken as an arc; its measured shape at rest moves r by up to {off:.2g} "
+        f"JND: write Profile.of(whisker).curved({law})"
     )
 
 
-def of_shape_at_rest(observer: Any) -> float:
-    """Largest bias of taking a named whisker as straight, JNDs; of others 0.
+def _takes_curved(observer: Any) -> bool:
+    """Whether it could be told the shape at rest."""
+    if not observer.cue.takes_curved or "azimuth" not in observer.unknowns:
+        return bool(observer.cue.takes_curved)
+    forward = observer.forward  # in space curved ones take no hinge, nor a friction unknown
+    return not (forward.is_hinged or np.ptp(forward.friction_range) > 0)
 
-    At 4 distances by 4 angles of the middle of the reach; at 36 contacts that leave out but a
-    fiftieth at its ends (6 by 6 with angles) where the middle says less than a JND: the bias is
-    largest next to the tip.
+
+def _side_of_law(whisker: Whisker) -> float:
+    """1 of a named whisker that is curved as its measured law is, −1 of its mirror image."""
+    species, follicle, _ = whisker.identity or ("", "", 0.0)
+    turn = Spiral(*rest_shape(follicle, species)).turn(np.array(whisker.length))
+    return float(np.sign(turn * whisker.curvature))
+
+
+def _at_rest(whisker: Whisker | Profile) -> Whisker | Profile | None:
+    """What a whisker is like that is taken as straight or as an arc; none of any other."""
+    if isinstance(whisker, Profile):
+        plain, straight = whisker.whisker, not np.any(whisker.law(whisker.arc[[0, -1]]))
+    else:
+        plain, straight = whisker, not np.any(whisker.curvature)
+    bow = usual_turn() / plain.length if isinstance(plain.curvature, Assumed) else None
+    if plain.identity is not None:
+        species, follicle, bow = plain.identity
+        if not straight and plain is whisker and plain.hinge_stiffness is None:
+            law = Spiral(*rest_shape(follicle, species)).scaled(np.ones(()), _side_of_law(plain))
+            return Profile.of(plain).curved(law)
+    if bow is None or not straight:
+        return None
+    if isinstance(whisker, Profile):
+        return whisker.curved(Spiral(bow))
+    return replace(plain, curvature=bow)
+
+
+def of_shape_at_rest(observer: Any) -> float:
+    """Largest bias of the shape taken in the place of that at rest, JNDs; 0 where that is given.
+
+    Of named whiskers taken as straight or as arcs, of others without a curvature beside the rat's
+    usual one. At 4 distances by 4 angles of the middle of the reach; at 36 contacts that leave out
+    but a fiftieth at its ends (6 by 6 with angles) where the middle says less than a JND: the bias
+    is largest next to the tip.
     """
     cue, whisker = observer.cue, observer.whisker
-    of = getattr(whisker, "identity", None)
-    if of is None or np.any(whisker.curvature) or not cue.takes_curved:
+    real = _at_rest(whisker) if _takes_curved(observer) else None
+    if real is None:
         return 0.0
     model = "rod" if "azimuth" in cue.unknowns else "profile"
     off = 0.0
     for end, each in ((0.15, 4), (0.02, 36 if observer.bounded == 1 else 6)):
         contact = observer.contact(observer.space.spread(np.linspace(end, 1 - end, each)))[0]
-        exact = cue.signals(replace(whisker, curvature=of[2]), contact, model=model)
+        exact = cue.signals(real, contact, model=model)
         off = between(observer, contact, cue.signals(whisker, contact), exact)
         if off >= 1:
             break

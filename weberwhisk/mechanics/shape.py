@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .._checks import finite, kind, non_negative, positive, refuse_hinge
 from .._values import Array, Value
-from ..whisker import DENSITY, YOUNGS_MODULUS, Whisker
+from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
 
 _METRES = "give metres, such as 5e-3"
 _TABLES = ("arc", "radius", "core")
@@ -217,9 +217,10 @@ class Profile(Value):
                 f"radius and core need one value a knot, got shapes {a.shape} and {hole.shape} "
                 f"for {s.size} knots; give tables of one length."
             )
-        whisker = Whisker(s[-1], np.max(a), min(a[-1], np.max(a)), youngs_modulus, 0.0, density)
+        bow = Assumed(0.0) if law is None else 0.0
+        whisker = Whisker(s[-1], np.max(a), min(a[-1], np.max(a)), youngs_modulus, bow, density)
         if a[0] != np.max(a):
-            whisker = Whisker(s[-1], a[0], min(a[-1], a[0]), youngs_modulus, 0.0, density)
+            whisker = Whisker(s[-1], a[0], min(a[-1], a[0]), youngs_modulus, bow, density)
         made = cls(whisker, s, a, np.broadcast_to(hole, s.shape).copy(), law or Spiral())
         return made._checked()
 
