@@ -106,9 +106,9 @@ def off_in_jnds(observer, contact):
 
 def test_what_the_closed_form_would_cost_is_true():
     """Against posteriors under either model, at k = 0.01 where first order is close."""
-    cue, noise = cues.ForceMap("moment", deflection_angle=0.1), receptors.Weber(0.01)
+    cue, noise = cues.ForceMap("moment", deflection_angle=0.02), receptors.Weber(0.01)
     observer = ww.Observer(W, cue, noise)
-    r = observer.reach[1] * np.linspace(0.1, 0.9, 6)
+    r = observer.reach[1] * np.linspace(0.02, 0.98, 6)
     worst = np.max(off_in_jnds(observer, r[:, None]))
     said = float(observer.why.split("up to ")[1].split()[0])
     assert said == pytest.approx(worst, rel=0.1)

@@ -99,8 +99,10 @@ class Observer:
                 f"An observer needs receptor noise, got {shown(self.noise)}; "
                 "write receptors.Weber(0.1), say."
             )
-        for name in ("length", "base_radius", "tip_radius", "youngs_modulus", "curvature"):
-            value = getattr(getattr(self.whisker, "whisker", self.whisker), name)
+        fields = vars(getattr(self.whisker, "whisker", self.whisker))
+        names = "length", "base_radius", "tip_radius", "youngs_modulus", "curvature"
+        laws: dict[str, Any] = vars(self.whisker.law) if isinstance(self.whisker, Profile) else {}
+        for name, value in {**{n: fields[n] for n in names}, **laws}.items():
             if np.ndim(value):
                 raise ValueError(
                     f"An observer has one whisker, got {np.size(value)} "
@@ -210,14 +212,14 @@ class Observer:
     def why(self) -> str:
         """Which model of the mechanics serves this observer, and why.
 
-        The bias of the radial distance is to first order (see `model_choice`), over 36 contacts of
-        the reach, from a tenth to nine tenths of the distances and of the angles.
+        The bias of the radial distance is to first order (see `model_choice`), over 144 contacts of
+        the reach, but for a fiftieth at the ends of distances and angles.
 
         Examples
         --------
         >>> from weberwhisk import cues
         >>> print(Observer(Whisker(50e-3, 100e-6, 5e-6), cues.ForceMap()).why)
-        the elastica models all there is; the closed form is off by up to 10 JND, 0.1 allowed
+        the elastica models all there is; the closed form is off by up to 24 JND, 0.1 allowed
         """
         return model_choice.why(self)
 
