@@ -19,6 +19,7 @@ from weberwhisk.cues import (
     LateralSlip,
     SpaceMap,
     UnknownCurvature,
+    UnknownHinge,
     UnknownRoll,
     UnknownStiffness,
 )
@@ -319,6 +320,65 @@ def test_a_curved_whisker_that_rubs_is_the_rod_with_friction_and_rolls_with_it()
         assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
 
 
+def test_a_curvature_that_is_all_but_known_is_known():
+    """One table for all, and sums over nodes; the other has a table of its own."""
+    cue = UnknownCurvature(SpaceMap(IN_SPACE), 0.02)
+    place = np.column_stack([CONTACT * [1, 0.5, 1], [0.02, -0.04, 0.06]])
+    exact = cue.signals(CURVED, place, model="rod")[0]
+    assert cue.signals(CURVED, place)[0] == pytest.approx(exact, rel=2e-4, abs=1e-9)
+    known, unknown = (
+        ww.Observer(CURVED, cue) for cue in (SpaceMap(), UnknownCurvature(SpaceMap(), 0.02))
+    )
+    reading = known.read([30e-3, 0.25, 2.0], seed=4)
+    one, other = ww.posterior(known, reading), ww.posterior(unknown, reading)
+    assert other.status == ww.Status.CONVERGED
+    for name, estimate in one.estimates.items():
+        assert other.estimates[name].mean == pytest.approx(estimate.mean, abs=2e-3 * estimate.sd)
+        assert other.estimates[name].sd == pytest.approx(estimate.sd, rel=2e-3)
+        wide = 0.15 if name == "azimuth" else 0.01  # of which slices are 0.4 sd apart
+        off = np.abs(other.interval(of=name) - one.interval(of=name))
+        assert off.max() < wide * estimate.sd
+    assert other.estimates["curvature_offset"].sd == pytest.approx(0.02, rel=2e-3)
+    draws = other.draws_of(2000, 1)[0].reshape(-1, 4).T
+    for column, estimate in zip(draws, other.estimates.values(), strict=True):
+        assert column.mean() == pytest.approx(estimate.mean, abs=0.05 * estimate.sd)
+        assert column.std() == pytest.approx(estimate.sd, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rubs", [False, True])
+def test_an_unknown_friction_or_curvature_mixes_posteriors_of_those_that_are_known(rubs):
+    """By Gauss's rules over whiskers with tables of their own."""
+    z, mass = np.polynomial.legendre.leggauss(12) if rubs else np.polynomial.hermite_e.hermegauss(9)
+    known: list[ww.Observer]
+    if rubs:
+        value, cue = np.arctan(0.48) * z, Friction(SpaceMap())
+        known = [ww.Observer(CURVED, Friction(SpaceMap(), psi), FLOORED) for psi in value]
+    else:
+        value, cue = z, UnknownCurvature(SpaceMap(), 1.0)
+        known = [
+            ww.Observer(replace(CURVED, curvature=8.0 + more), SpaceMap(), FLOORED) for more in z
+        ]
+    observer = ww.Observer(CURVED, cue, FLOORED)
+    reading = observer.read([30e-3, 0.25, 2.0, 0.2], seed=4)
+    found, each = ww.posterior(observer, reading), [ww.posterior(o, reading) for o in known]
+    assert found.status == ww.Status.CONVERGED
+    weight = mass * np.exp([float(p.log_evidence) - float(found.log_evidence) for p in each])
+    weight /= weight.sum()
+    for name, estimate in found.estimates.items():
+        if name == observer.unknowns[-1]:
+            mean, sd = value, 0 * value
+        else:
+            mean, sd = np.array([p.estimates[name][:2] for p in each]).T
+        first = weight @ mean
+        width = np.sqrt(weight @ (sd**2 + (mean - first) ** 2))
+        assert estimate.mean == pytest.approx(first, abs=2e-3 * width)
+        assert estimate.sd == pytest.approx(width, rel=2e-3)
+    low, high = found.interval(0.9)
+    draws = found.draws_of(5000, 1)[0][..., 0]
+    assert np.mean((low < draws) & (draws < high)) == pytest.approx(0.9, abs=0.01)
+
+
 def test_jnds_are_those_of_the_information():
     observer = ww.Observer(CURVED, SpaceMap())
     place = np.array([[30e-3, 0.25, 2.0]])
@@ -338,9 +398,10 @@ def test_a_stiffness_that_is_unknown_is_a_factor_of_all_forces():
 
 
 def test_what_space_does_not_know_is_refused():
-    for whisker, cue in ((CURVED, Friction(SpaceMap())), (W, UnknownCurvature(SpaceMap(), 1.0))):
-        with pytest.raises(ValueError, match="unknown friction of straight whiskers alone, and no"):
-            ww.Observer(whisker, cue)
+    hinged = replace(CURVED, hinge_stiffness=1e-4)
+    for cue in (Friction(SpaceMap(), 0.2), UnknownHinge(SpaceMap(), 0.3)):
+        with pytest.raises(ValueError, match="curved whisker takes whiskers with a clamped base"):
+            ww.Observer(hinged, cue)
     with pytest.raises(ValueError, match="This cue is for straight whiskers"):
         ww.Observer(CURVED, Fused(SpaceMap(), ForceMap()))
     with pytest.raises(ValueError, match="posterior"):

@@ -23,7 +23,7 @@ def relative(found, exact):
 
 @pytest.mark.parametrize("friction", [0.0, -0.3, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_signals_and_ends_are_those_of_the_rod_itself(friction):
-    surface = space_surface(W, friction)
+    surface = space_surface(W, (friction, friction))
     assert surface.error < 2e-5
     rng = np.random.default_rng(8)
     r = surface.reach() * rng.uniform(0.02, 0.995, 40)
@@ -58,7 +58,7 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
     force = rods.polish(push, *rods.at(way["trail"], push)[:2])["force"]
     moment = np.cross(rods.point(push), force, axis=0)
     exact = np.concatenate([[-1], [1], [1]]) * force.T
-    found, _ = space_surface(W, friction)(r, push, azimuth)
+    found, _ = space_surface(W, (friction, friction))(r, push, azimuth)
     assert np.max(relative(found, np.concatenate([exact, moment.T], axis=1))) < 5e-5
 
 
@@ -68,7 +68,7 @@ def test_signals_are_those_of_the_referee_from_the_base_outwards(friction):
 )
 def test_in_the_plane_of_curvature_it_is_the_planar_beam(azimuth, sign, friction):
     """Pushed against its curvature it is the whisker of the other sign, upside down."""
-    surface = space_surface(W, friction)
+    surface = space_surface(W, (friction, friction))
     mirrored = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9, curvature=sign * BEND)
     plane = PlanarSurface(mirrored, (friction, friction))
     r = np.linspace(0.05, 0.995, 24) * surface.reach()
@@ -113,4 +113,4 @@ def test_what_is_no_contact_has_an_outcome_and_no_signals():
 )  # fmt: skip
 def test_tables_of_strongly_curved_whiskers_are_the_rod(radius_ratio, curvature, friction):
     w = ww.Whisker(50e-3, 100e-6, 100e-6 / radius_ratio, 3e9, curvature=curvature)
-    assert space_surface(w, friction).error < 5e-5
+    assert space_surface(w, (friction, friction)).error < 5e-5

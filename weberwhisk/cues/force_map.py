@@ -327,7 +327,7 @@ class SpaceMap(Cue):
     is the direction of both: F = (−Fx, Fy cos ω, Fy sin ω), moment (0, −M sin ω, M cos ω).
 
     A curved whisker bends out of the plane of its curvature and twists, so that all signals tell
-    of all three unknowns (`mechanics.rod`, with a friction that is known). Its deflection is
+    of all three unknowns (`mechanics.rod`, with friction along the whisker). Its deflection is
     counted from where it first touches at that distance, and ω is the direction of the push there:
     at 0 to the side that it curves to, as `ForceMap` has it, at π against its curvature.
 
@@ -349,8 +349,7 @@ class SpaceMap(Cue):
     ------
     ValueError
         For a signal that there is not, none or one twice, and a roll that is not finite. Where it
-        is used, for an unknown curvature, and for an unknown friction and a hinge of a curved
-        whisker.
+        is used, for a hinge of a curved whisker.
 
     Notes
     -----
@@ -408,13 +407,6 @@ class SpaceMap(Cue):
         if forward.is_flat:
             return forward
         refuse_hinge(forward.whisker, "SpaceMap of a curved whisker")
-        known = np.ptp(forward.friction_range) == 0 and not any(forward.offset_range)
-        if not known:
-            raise ValueError(
-                "SpaceMap knows an unknown friction of straight whiskers alone, and no uncertain "
-                f"curvature, got {forward.whisker!r}; write Friction(SpaceMap(), angle), or "
-                "cues.ForceMap(), which takes both."
-            )
         return replace(forward, azimuth=np.asarray(contact, dtype=float)[..., 2] - self.roll)
 
     def farthest(self, whisker: Whisker) -> float:

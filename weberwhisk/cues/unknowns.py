@@ -144,8 +144,7 @@ class Friction(_Wrapped):
     Parameters
     ----------
     cue : Cue
-        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them; `SpaceMap`, and where
-        the angle is known of a curved whisker too.
+        `ForceMap`, `SpaceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
     angle : float, optional
         ψ, rad, where it is known. By default it is the unknown ``"friction_angle"``.
     coefficient : float
@@ -211,7 +210,7 @@ class UnknownCurvature(_Wrapped):
     Parameters
     ----------
     cue : Cue
-        `ForceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
+        `ForceMap`, `SpaceMap`, `Compliance`, `BalanceOfMoments`, or a cue made of them.
     spread : float
         Sd of the normal prior, 1/m; its mean is 0. Beyond 7 sd signals are those at 7 sd.
 

@@ -15,6 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from .._values import Array, Index
+from ..whisker import Whisker
 from .beam import Path, Rows, follow_each
 from .chebyshev import nodes
 from .continuation import zero_load
@@ -254,14 +255,12 @@ class SpaceBranches(Branches):
 
     @classmethod
     def around(
-        cls, profile: Profile, taper: float, r: Array, azimuth: Array, friction: float
+        cls, rows: Rows, taper: float, r: Array, azimuth: Array, friction: Array, whisker: Whisker
     ) -> SpaceBranches:
-        """Those of a whisker at distances and azimuths (n,)."""
-        none, one, psi = np.zeros(r.size), np.ones(r.size), np.full(r.size, friction)
-        rows = extended(profile, none)
-        flat = vars(Branches.of(rows, taper, r, psi))
-        twist = 1 + POISSON_RATIO
-        scenes = RodScenes(rows, (r.size,), one, one, psi, none, twist, profile.whisker)
+        """Those at distances, azimuths and friction angles (n,)."""
+        none, one, twist = np.zeros(r.size), np.ones(r.size), 1 + POISSON_RATIO
+        flat = vars(Branches.of(rows, taper, r, friction))
+        scenes = RodScenes(rows, (r.size,), one, one, friction, none, twist, whisker)
         return cls(**flat, scenes=scenes, azimuth=azimuth)
 
     def take(self, index: Index) -> Self:

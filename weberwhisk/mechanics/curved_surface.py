@@ -15,6 +15,7 @@ comes to the length. What else a contact depends on is one more Chebyshev axis.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple, cast
 
@@ -317,14 +318,10 @@ class PlanarSurface(CurvedSurface):
             ) from None
 
     def _given(self, shares: list[Array]) -> Sequence[Array]:
-        pairs = zip(self._ends, shares, strict=True)
-        return tuple(low + (high - low) * share for (low, high), share in pairs)
+        return _between(self._ends, shares)
 
     def _shares(self, given: Sequence[Array]) -> list[Array]:
-        return [
-            np.clip((value - low) / (high - low), 0.0, 1.0) if high > low else np.zeros(1)
-            for (low, high), value in zip(self._ends, given or np.zeros((2, 1)), strict=True)
-        ]
+        return _share(self._ends, given)
 
     def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
         friction, offset = (np.repeat(a, along.size) for a in given)
@@ -350,20 +347,20 @@ class PlanarSurface(CurvedSurface):
 
 
 class SpaceSurface(CurvedSurface):
-    """The six signals (`SIX`) of one curved whisker at any contact, with a friction that is known.
+    """The six signals (`SIX`) of one curved or rubbing whisker at any contact.
 
     A point at the distance r is pushed from where the whisker at rest touches, along the great
     circle about the base that leaves there by the azimuth ω, which is given: 0 pushes towards the
     side that the whisker curves to, in its plane, π against it. On a straight whisker the push and
     ω are the deflection angle and the azimuth. Signals even in ω are polynomials of cos ω, odd ones
-    sin ω times such.
+    sin ω times such. What may be given besides is friction (rad) and an offset of the curvature.
 
     Parameters
     ----------
     whisker : Whisker or Profile
         One whisker.
-    friction : float
-        Friction angle, rad.
+    friction, offset : (float, float)
+        As of `PlanarSurface`.
 
     Attributes
     ----------
@@ -376,38 +373,73 @@ class SpaceSurface(CurvedSurface):
         For a whisker whose folds are not found.
     """
 
-    def __init__(self, whisker: Whisker | Profile, friction: float = 0.0) -> None:
+    def __init__(
+        self,
+        whisker: Whisker | Profile,
+        friction: tuple[float, float] = (0.0, 0.0),
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         super().__init__(whisker)
-        self.friction = friction
+        self._ends = friction, offset
+        axes = [7 if high > low else 1 for low, high in self._ends]
         try:
-            self._made((9, 18, 12), (14, 28, 16))
+            self._made((9, *axes, 18, 12), (14, *axes, 28, 16))
         except NotFound:
             raise ValueError(
                 f"No table in space serves {whisker}, whose folds were not found; give less "
-                'curvature, or model="rod", which solves each contact by itself.'
+                'curvature or friction, or model="rod", which solves each contact by itself.'
             ) from None
 
     def _given(self, shares: list[Array]) -> Sequence[Array]:
-        return (np.arccos(2 * shares[0] - 1),)
+        return np.arccos(2 * shares[0] - 1), *_between(self._ends, shares[1:])
 
     def _shares(self, given: Sequence[Array]) -> list[Array]:
-        return [(1 + np.cos(given[0])) / 2]
+        return [(1 + np.cos(given[0])) / 2, *_share(self._ends, given[1:])]
 
     def _branches(self, along: Array, given: Sequence[Array]) -> tuple[Array, Branches]:
-        reach = reach_of(extended(self.profile, np.zeros(len(given[0]))))
-        r, azimuth = (reach[:, None] * along).ravel(), np.repeat(given[0], along.size)
-        return reach, SpaceBranches.around(self.profile, self.taper, r, azimuth, self.friction)
+        azimuth, friction, offset = (np.repeat(a, along.size) for a in given)
+        rows = extended(self.profile, offset)
+        reach = reach_of(rows)
+        r, whisker = reach * np.tile(along, len(given[0])), self.profile.whisker
+        made = SpaceBranches.around(rows, self.taper, r, azimuth, friction, whisker)
+        return reach[:: along.size], made
 
     def _parity(self, given: Sequence[Array]) -> Any:
         odd = np.array([False, False, True, True, True, False])
         return np.where(odd, np.sin(given[0])[:, None], 1.0)
 
     def _exact(self, r: Array, push: Array, given: Sequence[Array]) -> Array:
-        return pressed(self.whisker, r, push, *given, friction=self.friction)[0]
+        azimuth, friction, offset = given
+        return pressed(self.whisker, r, push, azimuth, friction, offset)[0]
+
+    def known(self, friction: float, offset: float) -> SpaceSurface:
+        """The same of one friction and offset: at a contact, a seventh of the work or less."""
+        out, given = copy(self), (np.array([friction]), np.array([offset]))
+        parts = zip(self._axes[1:], _share(self._ends, given), strict=True)
+        psi, kappa = (basis(k, share)[:, 0] for k, share in parts)
+        poly = np.outer(psi, kappa).ravel()
+        out._axes, out._ends = [self._axes[0], 1, 1], ((friction,) * 2, (offset,) * 2)
+        for name in ("_reach", "_curves", "_signals", "_arcs"):
+            rows = getattr(self, name)
+            setattr(out, name, rows.reshape(*rows.shape[:-1], self._axes[0], -1) @ poly)
+        return out
 
     def reach(self) -> float:
         """Distance of the tip at rest, m."""
         return self.length * float(self._reach[0])
+
+
+def _between(ends: Sequence[tuple[float, float]], shares: Sequence[Array]) -> tuple[Array, ...]:
+    """Values between ends at shares of the way."""
+    return tuple(lo + (hi - lo) * share for (lo, hi), share in zip(ends, shares, strict=True))
+
+
+def _share(ends: Sequence[tuple[float, float]], given: Sequence[Array]) -> list[Array]:
+    """The shares of the way, of values (n,) or, where the ends are one, 0 (1,)."""
+    return [
+        np.clip((value - low) / (high - low), 0.0, 1.0) if high > low else np.zeros(1)
+        for (low, high), value in zip(ends, given or np.zeros((2, 1)), strict=True)
+    ]
 
 
 @lru_cache(maxsize=64)
@@ -419,9 +451,13 @@ def planar_surface(
 
 
 @lru_cache(maxsize=16)
-def space_surface(whisker: Whisker | Profile, friction: float = 0.0) -> SpaceSurface:
+def space_surface(
+    whisker: Whisker | Profile,
+    friction: tuple[float, float] = (0.0, 0.0),
+    offset: tuple[float, float] = (0.0, 0.0),
+) -> SpaceSurface:
     """The surface of a whisker, kept for its next contacts."""
-    return SpaceSurface(whisker, friction)
+    return SpaceSurface(whisker, friction, offset)
 
 
 def pressed(
@@ -429,12 +465,16 @@ def pressed(
     r: Array,
     push: Array,
     azimuth: Array,
-    *,
     friction: ArrayLike = 0.0,
+    offset: Array | float = 0.0,
 ) -> tuple[Array, Codes]:
     """`SIX` signals (n, 6) and outcomes (n,) of contacts, by the rod's own equations."""
     profile = Profile.of(whisker)
-    rows = extended(profile, np.zeros_like(r))
+    rows = extended(profile, offset + np.zeros_like(r))
+    if np.any(offset):
+        law = profile.law
+        assert isinstance(law, Spiral)
+        whisker = profile.curved(Spiral(law.base + offset, law.rate + 0 * offset))
     length = float(profile.whisker.length)
     known = (r > 0) & np.isfinite(push) & np.isfinite(azimuth)
     rest, aside = circle(zero_load(rows, np.where(known, r / length, 0.5))[1], azimuth)

@@ -167,16 +167,24 @@ class ForwardModel(Value):
     def surface(self) -> Surface | PlanarSurface | SpaceSurface:
         """The table that serves it, made once."""
         if self.azimuth is not None:
-            return space_surface(self.whisker, self.friction_range[0])
+            table = space_surface(self.whisker, *self._tabled)
+            ends = self.friction_range, self.offset_range
+            one = ends != self._tabled and np.ptp(ends, axis=1).max() == 0
+            return table.known(ends[0][0], ends[1][0]) if one else table
         if self.is_plain or self.model in ("elastica", "closed_form"):
             return surface_of(_straightened(self.base))
         return self._planar
 
     @property
-    def _planar(self) -> PlanarSurface:
+    def _tabled(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ends of friction and offset that a table serves."""
         ends = {"friction": self.friction_range, "offset": self.offset_range}
         ends |= {name: of for name, of in self.tabled_range if name in ends}
-        return planar_surface(self.clamped.whisker, ends["friction"], ends["offset"])
+        return ends["friction"], ends["offset"]
+
+    @property
+    def _planar(self) -> PlanarSurface:
+        return planar_surface(self.clamped.whisker, *self._tabled)
 
     @property
     def error(self) -> float:
@@ -258,9 +266,9 @@ class ForwardModel(Value):
     def limit(self, r: ArrayLike) -> Array:
         """Largest deflection from rest at a distance (...), rad; NaN out of reach."""
         if self.azimuth is not None:
-            r, azimuth = np.broadcast_arrays(np.asarray(r, dtype=float), self.azimuth)
+            shape, (*given, _) = self._rows(r, self.azimuth)
             limit: Any = self.surface.limit  # of a `SpaceSurface`
-            return np.asarray(in_pieces(limit, r.ravel(), azimuth.ravel())).reshape(r.shape)
+            return np.asarray(in_pieces(limit, *given)).reshape(shape)
         shape, (flat, psi, kappa, compliance) = self._rows(r)
         if self.is_hinged:
             compliance = np.broadcast_to(compliance, flat.shape)
@@ -315,22 +323,19 @@ class ForwardModel(Value):
     def in_space(self, r: ArrayLike, push: ArrayLike) -> tuple[Array, Codes]:
         """The six signals (..., 6) of `space_surface`, NaN where not held, and outcome (...).
 
-        At `azimuth`: by the table of a friction that is known or, where the model is "rod", one by
-        one.
+        At `azimuth`: by the table or, where the model is "rod", one by one.
         """
-        given = (np.asarray(a, dtype=float) for a in (r, push, self.azimuth, self.friction))
-        r, push, azimuth, psi = np.broadcast_arrays(*given)
+        shape, (*flat, _) = self._rows(r, push, self.azimuth)
         if self.model == "profile":
             raise ValueError(
                 'The planar beam knows no contacts out of its plane, got model="profile"; write '
                 'model="rod", or leave it out for a table of the rod.'
             )
-        flat = [a.reshape(-1) for a in (r, push, azimuth)]
         if self.model == "rod":
-            signals, outcome = pressed(self.whisker, *flat, friction=psi.reshape(-1))
+            signals, outcome = pressed(self.whisker, *flat)
         else:
             signals, outcome = in_pieces(self.surface, *flat, axis=0)
-        return signals.reshape(*r.shape, 6), outcome.reshape(r.shape)
+        return signals.reshape(*shape, 6), outcome.reshape(shape)
 
     def tabled(self, r: ArrayLike, theta: ArrayLike) -> tuple[Array, Codes]:
         """`signals` of a clamped base by the table, whichever model is named."""

@@ -390,8 +390,9 @@ def _takes_curved(observer: Any) -> bool:
     """Whether it could be told the shape at rest."""
     if not observer.cue.takes_curved or "azimuth" not in observer.unknowns:
         return bool(observer.cue.takes_curved)
-    forward = observer.forward  # in space curved ones take no hinge, nor a friction unknown
-    return not (forward.is_hinged or np.ptp(forward.friction_range) > 0)
+    forward = observer.forward  # in space curved ones take no hinge, and with more unknown seconds
+    ends = forward.friction_range, forward.offset_range
+    return not (forward.is_hinged or np.ptp(ends, axis=1).any())
 
 
 def _side_of_law(whisker: Whisker) -> float:

@@ -20,7 +20,7 @@ from scipy.special import erf, expit, logsumexp, ndtri
 
 from .._values import Array, Codes, Index
 from ..coordinates import ContactCoordinates, family, from_normal
-from ..cues.unknowns import Friction
+from ..cues.unknowns import Conditioned, UnknownRoll
 from ..mechanics.contact import Outcome
 from ..observer import Observer
 from .grid import OwnGrids, integrate, weighted_quantiles
@@ -41,7 +41,10 @@ class Around:
     def __init__(self, observer: Observer) -> None:
         self.observer, self.noise = observer, observer.noise
         self.rolls = "roll" in observer.unknowns
-        self.whisker, cue = _without_friction(observer)
+        self.whisker: Any = observer.whisker
+        cue: Any = observer.cue
+        while isinstance(cue, Conditioned) and not isinstance(cue, UnknownRoll):
+            self.whisker, cue = cue._under(self.whisker), cue.cue  # of a known friction, say
         self.map = cue.cue if self.rolls else cue
         self.middle = float(self.map.roll)
         self.spread = float(cue.spread) if self.rolls else 0.0
@@ -133,14 +136,6 @@ class Around:
         return q, np.where(held[..., None], signals, 1.0), log
 
 
-def _without_friction(observer: Observer) -> tuple[Any, Any]:
-    """An observer's whisker with the friction that is known, and the cue of contacts with that."""
-    whisker, cue = observer.whisker, observer.cue
-    while isinstance(cue, Friction) and cue.known is not None:
-        whisker, cue = cue._parts(whisker, np.empty(0))[0], cue.cue
-    return whisker, cue
-
-
 def _goes_around(observer: Observer) -> bool:
     """Whether the azimuth's prior is flat, all around."""
     prior = observer.prior["azimuth"]
@@ -148,7 +143,7 @@ def _goes_around(observer: Observer) -> bool:
     return name == "uniform" and bool(np.isclose(np.ptp(prior.support()), FULL))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def around(observer: Observer) -> Around | None:
     """The coordinates of an observer whose contacts can be cut so, with those that it keeps."""
     known = observer.unknowns == ("radial_distance", "deflection_angle", "azimuth")

@@ -35,6 +35,7 @@ from .tiling import Tiles, TooManyTiles, tiles_of
 #: which turns the sign of a force: where that is, evidence bends over a few hundredths of a radian,
 #: and 33 to 129 nodes took as long as tiles that sum it at each contact.
 TURNING = {"curvature_offset": "offset", "hinge_stiffness": "hinge"}
+MECHANICAL = TURNING | {"friction_angle": "friction"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,7 +51,7 @@ class Given(Conditioned):
 
     def _under(self, whisker: Any) -> Any:
         forward = forward_of(whisker)
-        return replace(forward, fixed=(*forward.fixed, (TURNING[self.name], self.value)))
+        return replace(forward, fixed=(*forward.fixed, (MECHANICAL[self.name], self.value)))
 
     def _parts(self, whisker: Any, contact: Array) -> tuple[Any, Array]:
         whole = np.insert(contact, self.cue.unknowns.index(self.name), self.value, axis=-1)

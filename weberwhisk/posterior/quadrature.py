@@ -8,7 +8,7 @@ agree. What would take too many tiles gets a plain grid.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -19,11 +19,12 @@ from ..mechanics.contact import Outcome
 from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
+from .azimuth_nodes import AroundNodes
 from .azimuths import AroundGrid, around, starts
 from .friction import FrictionSums, friction_rows
 from .grid import OwnGrids
 from .marginals import by_draws, draws, tile_quantiles
-from .nodes import NodeSums, turning_unknown
+from .nodes import MECHANICAL, NodeSums, turning_unknown
 from .panels import panels_of
 from .peaks import find_mode
 from .result import (
@@ -188,13 +189,15 @@ def _around(observer: Observer, reading: Array, wanted: float, progress: Any) ->
     """What slices of contacts in space find, of the readings that they serve."""
     found: list[_Found] = []
     frame = around(observer)
-    if frame is None:
-        return found
-    for row, start in enumerate(starts(frame, reading)):
-        if np.isfinite(start.height.max()):  # else no contact explains it
-            grid = AroundGrid(frame, start)
-            if (grid.error <= wanted).all():
-                found.append(_Found(np.array([row]), grid, grid.moments, grid.error))
+    grids: Iterable[OwnGrids | None] = ()
+    if frame is not None:  # what no contact explains has no highest point
+        some = starts(frame, reading)
+        grids = (AroundGrid(frame, s) if np.isfinite(s.height.max()) else None for s in some)
+    elif observer.unknowns[2:-1] == ("azimuth",) and observer.unknowns[-1] in MECHANICAL:
+        grids = (AroundNodes(observer, one, wanted) for one in reading)
+    for row, grid in enumerate(grids):
+        if grid is not None and (grid.error <= wanted).all():
+            found.append(_Found(np.array([row]), grid, grid.moments, grid.error))
         if progress:
             progress(row + 1, len(reading))
     return found
