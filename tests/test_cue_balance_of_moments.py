@@ -249,7 +249,7 @@ def test_it_says_where_it_does_not_work():
         (lambda: BalanceOfMoments(1.8, whisking=(0.5, 3.6)), "go up between 0 and π"),
         (lambda: BalanceOfMoments(effort=0.0), "effort must be above zero"),
         (lambda: BalanceOfMoments(gain=-1.0), "gain must be above zero"),
-        (lambda: FELT.radial_distance(W, 0.1), "The effort of this cue is felt, got none"),
+        (lambda: FELT.radial_distance(W, 0.1), "The effort of this cue is a signal, got none"),
         (
             lambda: ww.Observer(W, BalanceOfMoments(np.radians(149.99), effort=50.0)),
             "No contact balances an effort of 50",

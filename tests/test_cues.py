@@ -173,7 +173,7 @@ def test_information_is_the_jacobian_around_the_noise():
             "no overlap with what this whisker can reach",
         ),
         (lambda: ww.Observer(W, ForceMap()).read([30e-3]), "has 2 numbers"),
-        (lambda: ww.Observer(W, ForceMap()).read([30e-3, 1.5]), "contact that is not held"),
+        (lambda: ww.Observer(W, ForceMap()).read([30e-3, 1.5]), "contact that the whisker loses"),
         (lambda: ww.Observer(W, Compliance()).read(np.nan), "contact must be finite"),
         (
             lambda: ww.Observer(W, Compliance(), GeneralisedWeber(0.1, floor=np.nan)),

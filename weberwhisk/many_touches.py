@@ -107,9 +107,11 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     One touch has the mean and sd of its `posterior` at ``tolerance=1e-6`` to 1e-6 of the sd. At the
     default 1e-2 that is itself some 1e-6 to 1e-5 off, 2e-4 at worst.
 
-    The sd of n equal touches is that of one over √n as far as one touch's posterior is Gaussian:
-    2 % less of ten at k = 0.03 on a straight whisker and 4 % at a curvature of 8 /m, where it is
-    skewed; 0.2 and 0.5 % at k = 0.01.
+    The sd of n equal touches is that of one over √n as far as one touch's posterior is Gaussian. Of
+    ten at k = 0.03 it is less: by 2 % for 25 mm and 0.2 rad of a straight whisker of 50 mm, by 4 %
+    at a curvature of 8 /m, where posteriors are skewed, and by 46 % next to flick-past near the
+    base, where one touch's posterior ends (median 3 % over the reach, 5 % at 8 /m); at k = 0.01 by
+    0.2 and 0.5 %. There two signals ask for more nodes than are kept: such touches are `IMPRECISE`.
 
     Examples
     --------

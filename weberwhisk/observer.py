@@ -419,7 +419,7 @@ class Observer:
         if np.any(outcome != Outcome.HELD):
             bad = Outcome(int(outcome[outcome != Outcome.HELD].flat[0]))
             raise ValueError(
-                f"There is no reading of a contact that is not held, got one {bad.message}; "
+                f"There is no reading of a contact that the whisker loses, got one {bad.message}; "
                 "choose distances and angles inside flick_past()."
             )
         return self.noise.sample(signals, seed)

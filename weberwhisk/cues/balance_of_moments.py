@@ -268,7 +268,7 @@ class BalanceOfMoments(Cue):
         known = self.effort if effort is None else effort
         if known is None:
             raise ValueError(
-                "The effort of this cue is felt, got none; write effort=1.0 for the largest, say."
+                "The effort of this cue is a signal, got none; write effort=1.0, the largest."
             )
         wanted = positive("effort", known, "give a part of the largest, 0.5 say")
         theta, wanted = np.broadcast_arrays(theta, wanted)

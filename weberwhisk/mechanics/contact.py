@@ -16,7 +16,7 @@ from ..whisker import Whisker
 class Outcome(Worded):
     """What became of a contact; `message` says it in words."""
 
-    HELD = 0, "held: a stable contact"
+    HELD = 0, "in contact: a stable equilibrium"
     PAST_FOLD = (
         1,
         "past the fold: in balance at this force, but an object fixed here would already have "
@@ -28,7 +28,7 @@ class Outcome(Worded):
     STUCK = 5, "stuck: at this friction the contact does not slide so far"
     TOUCHES_TWICE = 6, "touches twice: the whisker meets the object at a second point"
     UNRESOLVED = 7, "unresolved: damping merges the peaks of neighbouring modes"
-    NO_TOUCH = 8, "no touch: nothing was felt, so that only what lies in reach is ruled out"
+    NO_TOUCH = 8, "no touch: no contact was sensed, so that only what lies in reach is ruled out"
     TIP_NOT_TOUCHED = (
         9,
         "tip not touched: the shaft was, so that only what lies beyond the tip is ruled out",
