@@ -533,3 +533,27 @@ def test_nothing_needs_the_walk_in_plain_scenes(monkeypatch):
     p = press(w, rng.uniform(5e-3, 35e-3, 500), rng.uniform(0.05, 0.3, 500), tolerance=1e-6)
     assert np.all(p.held)
     assert not calls
+
+
+def test_a_law_goes_through_points_of_a_whisker_at_rest():
+    """In a frame of the camera's own; and the shape may be no spiral."""
+    law, arc = Spiral(7.3, 552.0), np.linspace(0.0, 34e-3, 60)
+    along, across = law.point(arc)
+    seen = (along + 1j * across) * np.exp(0.4j) + 0.01 - 0.02j
+    found = Spiral.through(seen.real, seen.imag)
+    assert (found.base, found.rate) == (pytest.approx(7.3, abs=1e-3), pytest.approx(552, abs=0.1))
+    noisy = seen + np.random.default_rng(1).normal(0, 20e-6, (2, 60)).T @ [1, 1j]
+    found = Spiral.through(noisy.real, noisy.imag)
+    assert abs(found.turn(34e-3) - law.turn(34e-3)) < 0.02
+    x = np.linspace(0.0, 32e-3, 80)
+    found = Spiral.through(x, -3.6 * x**2 - 90 * x**3)
+    points = x - 1j * (3.6 * x**2 + 90 * x**3)
+    along, across = found.point(np.append(0.0, np.cumsum(np.abs(np.diff(points)))))
+    lies, points = (z - z.mean() for z in (along + 1j * across, points))
+    turned = np.exp(1j * np.angle(np.vdot(lies, points)))
+    assert np.abs(lies * turned - points).max() < 40e-6
+    for points in ((x[:3], x[:3]), (x, x[:5]), (0 * x, 0 * x)):
+        with pytest.raises(ValueError, match="four points or more"):
+            Spiral.through(*points)
+    with pytest.raises(ValueError, match="did you pass millimetres"):
+        Spiral.through(1e3 * x, 1e3 * x)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import domain
 from .._checks import finite, kind, non_negative, positive, refuse_hinge
 from .._values import Array, Value
 from ..whisker import DENSITY, YOUNGS_MODULUS, Assumed, Whisker
@@ -40,6 +41,53 @@ class Spiral(Value):
     def __init__(self, base: ArrayLike = 0.0, rate: ArrayLike = 0.0) -> None:
         given = finite("base", base, _PER_METRE)
         self._set(base=given, rate=finite("rate", rate, "give 1/m², or 0"))
+
+    @classmethod
+    def through(cls, x: ArrayLike, y: ArrayLike) -> Spiral:
+        """The law nearest to points on a whisker at rest, in any frame whose y is to the left of x.
+
+        By least squares of distances, the arc being that of the line through all points. In an
+        image, whose y runs down, write −y. Tracked videos go to `tracked_signals` as they are.
+
+        Parameters
+        ----------
+        x, y : array, shape (n,)
+            Points from the base on, m; four or more.
+
+        Raises
+        ------
+        ValueError
+            For fewer points, other shapes, points that do not move, and millimetres.
+
+        Examples
+        --------
+        >>> x = np.linspace(0, 30e-3, 40)
+        >>> law = Spiral.through(x, 4 * x**2)
+        >>> print(f"{law.base:.1f} /m at the base, {law.turn(30e-3):.2f} rad up to 30 mm")
+        8.1 /m at the base, 0.23 rad up to 30 mm
+        """
+        from scipy.optimize import least_squares
+
+        across, up = finite("x", x, _METRES), finite("y", y, _METRES)
+        moving = across.shape == up.shape and (np.diff(across) != 0) | (np.diff(up) != 0)
+        if across.ndim != 1 or across.size < 4 or not np.all(moving):
+            raise ValueError(
+                "A shape at rest takes four points or more, no two in a row alike, got x of shape "
+                f"{across.shape} and y of {up.shape}; give both (n,), from the base on."
+            )
+        points = across + 1j * up
+        arc = np.append(0.0, np.cumsum(np.abs(np.diff(points))))
+        domain.refuse_length(arc[-1], 0.0)
+        unit = (points - points[0]) / arc[-1]
+
+        def miss(values: Array) -> Array:
+            base, rate, *place = values
+            at = np.stack(cls(base, rate).point(arc / arc[-1]))
+            off = (at[0] + 1j * at[1]) * np.exp(1j * place[0]) + place[1] + 1j * place[2] - unit
+            return np.concatenate([off.real, off.imag])
+
+        found = least_squares(miss, [0.0, 0.0, np.angle(unit[1]), 0.0, 0.0])
+        return cls(*found.x[:2]).scaled(1 / arc[-1])
 
     def __call__(self, arc: Array) -> Array:
         """Curvature at the arc lengths `arc`."""
