@@ -123,8 +123,11 @@ class ForwardModel(Value):
 
     @cached_property
     def _compliances(self) -> tuple[float, float]:
-        """Between which it lies."""
-        low, high = self.hinge_range
+        """Between which it lies; of one that is fixed, of all that cues take it for.
+
+        Those say up to where contacts count as held.
+        """
+        low, high = dict(self.tabled_range).get("hinge", self.hinge_range)
         return (1 / high, 1 / low) if high > low else (float(self.hinge_compliance),) * 2
 
     @cached_property
