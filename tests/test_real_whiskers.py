@@ -813,6 +813,8 @@ def test_a_perfect_cone_has_an_uncertain_curvature():
 
 
 def test_a_named_whisker_says_where_nobody_knows_what_its_shape_does():
+    curved = ww.Whisker.from_identity("C2", curved=True)
+    assert "straight" not in Observer(curved, Friction(cues.SpaceMap())).note
     named = Observer(ww.Whisker.from_identity("C2"), ww.cues.Vibration(3))
     assert named.note.startswith("C2 is taken as straight: what its shape at rest does to this cue")
     assert Observer(whisker(20, 0.0), ww.cues.Vibration(3)).note == ""

@@ -360,7 +360,8 @@ def _table(observer: Any) -> str:
 def _shape_at_rest(observer: Any) -> str:
     whisker = getattr(observer.whisker, "whisker", observer.whisker)
     named = whisker.identity
-    if named is not None and not _takes_curved(observer):
+    straight = observer.whisker is whisker and not np.any(whisker.curvature)
+    if named is not None and straight and not _takes_curved(observer):
         return (
             f"{named[1]} is taken as straight: what its shape at rest does to this cue is unknown"
         )
