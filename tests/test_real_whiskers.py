@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import brentq
 from scipy.special import expit
-from scipy.stats import uniform
+from scipy.stats import kstest, uniform
 from short_forms import slow_but
 
 import weberwhisk as ww
@@ -272,6 +272,18 @@ def test_posteriors_over_all_curvatures_and_frictions(seed):
     ratio, curvature = np.exp(rng.uniform(np.log(5), np.log(40))), rng.uniform(-25, 25)
     friction, k = rng.uniform(-MU, MU), np.exp(rng.uniform(np.log(0.03), np.log(0.3)))
     compare(ratio, curvature, friction, k, seed, count=20)
+
+
+@pytest.mark.parametrize(
+    "cue", [Friction(ForceMap()), Friction(Compliance(tap_angle=0.3)), ForceMap()], ids=repr
+)
+def test_distances_drawn_from_the_prior_are_those_of_its_density(cue):
+    """Draws counted the range of angles twice where friction changes it: 1.5 % of the mass off."""
+    observer = Observer(whisker(20, 0.0), cue)
+    r = np.linspace(*observer.reach, 4001)
+    rise = np.cumsum(observer.distance_prior(r))
+    drawn = prior_draws(observer, 40_000, seed=1)[:, 0]
+    assert kstest(drawn, lambda x: np.interp(x, r, rise / rise[-1])).pvalue > 1e-3
 
 
 @pytest.mark.slow

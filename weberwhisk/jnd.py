@@ -393,36 +393,45 @@ def prior_draws(observer: Observer, count: int, seed: Seed = None) -> Array:
     """Contacts (count, U) drawn from an observer's prior."""
     rng = np.random.default_rng(seed)
     if not observer.space.reach_varies:
-        return _drawn(observer, count, rng)
+        r = DistancePrior(observer).ppf(rng.random(count))
+        return _drawn(observer, r, observer.angle_range(r)[1] if observer.bounded > 1 else r, rng)
+    # Of all that may be, what a further unknown lets the whisker hold.
+    low, high = observer.reach
+    ends = np.linspace(low, high, 514)[1:-1]
+    widest = 1.001 * observer.angle_range(ends)[1].max() if observer.bounded > 1 else 0.0
     out = np.empty((0, len(observer.unknowns)))
     while len(out) < count:
-        drawn = _drawn(observer, count, rng)
+        r = low + (high - low) * rng.random(count)
+        if "radial_distance" in observer.prior:
+            r = _within(observer.prior["radial_distance"], low, high, rng.random(count))
+        drawn = _drawn(observer, r, np.full(count, widest), rng)
         if observer.bounded > 1:
-            low, width = observer.space.angle_range(drawn[:, 0], drawn)
-            held = drawn[:, 1] < low + width
+            least, width = observer.space.angle_range(drawn[:, 0], drawn)
+            held = drawn[:, 1] < least + width
         else:
             held = observer.signals(drawn)[1] == Outcome.HELD
         out = np.concatenate([out, drawn[held]])
     return out[:count]
 
 
-def _drawn(observer: Observer, count: int, rng: np.random.Generator) -> Array:
-    """Contacts (count, U), the angle within the widest range that there is at its distance."""
-    first, *others = observer.unknowns
-    drawn = {first: DistancePrior(observer).ppf(rng.random(count))}
-    drawn |= {name: rng.random(count) for name in others}
-    for name in others:
-        u = drawn[name]
+def _within(prior: Any, low: Any, high: Any, u: Array) -> Array:
+    """Values (n,) of a distribution between two ends, at probabilities u (n,) there."""
+    below = prior.cdf(low)
+    return np.asarray(prior.ppf(below + u * (prior.cdf(high) - below)))
+
+
+def _drawn(observer: Observer, r: Array, width: Array, rng: np.random.Generator) -> Array:
+    """Contacts (n, U) at distances r (n,), angles within a width (n,) of their range."""
+    _, *others = observer.unknowns
+    drawn = {name: rng.random(len(r)) for name in others}
+    for name, u in drawn.items():
         if name != "deflection_angle":
             drawn[name] = observer.prior[name].ppf(u)
             continue
-        low, width = observer.angle_range(drawn[first])
-        if name in observer.prior:
-            ends = [observer.prior[name].cdf(low + w) for w in (0.0, width)]
-            drawn[name] = observer.prior[name].ppf(ends[0] + u * (ends[1] - ends[0]))
-        else:
-            drawn[name] = low + u * width
-    return np.stack([drawn[name] for name in observer.unknowns], axis=-1)
+        low = observer.angle_range(r)[0]
+        known = observer.prior.get(name)
+        drawn[name] = low + u * width if known is None else _within(known, low, low + width, u)
+    return np.stack([r, *drawn.values()], axis=-1)
 
 
 def alone(observer: Observer) -> list[Observer]:
