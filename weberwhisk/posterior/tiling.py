@@ -10,7 +10,7 @@ lie; the boxes themselves are the same.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from .._values import Array, Flags, Index
 from ..observer import Observer
+from ..threads import on_threads
 from .result import among, joined
 from .summed import AllUnknowns, Likelihood, likelihood_of, within
 
@@ -269,10 +270,9 @@ def tiles_of(
         boxes = joined(following)
         if count + len(boxes.low) > most:
             raise TooManyTiles
-        waiting = []
-        for i in range(0, len(boxes.low), CHUNK):
-            part = among(boxes, slice(i, i + CHUNK))
-            waiting.append(Tiles(part, measured(observer, part)))
+        parts_of = [among(boxes, slice(i, i + CHUNK)) for i in range(0, len(boxes.low), CHUNK)]
+        found = on_threads(partial(measured, observer), parts_of)
+        waiting = [Tiles(*both) for both in zip(parts_of, found, strict=True)]
     boxes, nodes = joined([t.boxes for t in kept]), joined([t.nodes for t in kept])
     order = np.argsort(boxes.key, kind="stable")
     return Tiles(among(boxes, order), among(nodes, order))
