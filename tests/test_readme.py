@@ -10,5 +10,5 @@ def test_the_example_runs_as_printed(capsys):
     assert len(example.strip().splitlines()) <= 13
     exec(compile(example, "README.md", "exec"), {})
     said = capsys.readouterr().out
-    assert "in contact: a stable equilibrium" in said
+    assert "held: a stable contact" in said
     assert "converged" in said

@@ -16,7 +16,7 @@ from ..whisker import Whisker
 class Outcome(Worded):
     """What became of a contact; `message` says it in words."""
 
-    HELD = 0, "in contact: a stable equilibrium"
+    HELD = 0, "held: a stable contact"
     PAST_FOLD = (
         1,
         "past the fold: in balance at this force, but an object fixed here would already have "
