@@ -286,6 +286,17 @@ def test_distances_drawn_from_the_prior_are_those_of_its_density(cue):
     assert kstest(drawn, lambda x: np.interp(x, r, rise / rise[-1])).pvalue > 1e-3
 
 
+def test_the_widest_range_of_angles_is_that_of_curvatures_that_reach_so_far():
+    """Where the strongest curvatures that may be do not reach, it was nothing at all."""
+    observer = Observer(whisker(20, -12.0), UnknownCurvature(ForceMap(), 2.0))
+    contact = np.array([[share * observer.reach[1], 0.1, 0.0] for share in (0.5, 0.976)])
+    own = observer.space.angle_range(contact[:, 0], contact)[1]
+    widest = observer.angle_range(contact[:, 0])[1]
+    assert np.all(own > 0)
+    assert np.all(widest >= 0.99 * own)  # of five curvatures, the contact's not among them
+    assert prior_draws(observer, 4000, seed=1)[:, 1].min() > 0
+
+
 @pytest.mark.slow
 def test_an_unknown_friction_is_summed_out_as_contacts_drawn_from_the_prior_say():
     """Draws took the range of angles of one friction for the weight of all: means 0.1 sd apart."""

@@ -228,8 +228,10 @@ class ContactCoordinates:
         else:
             models = self.cue.forward(self.whisker, np.ones((*r.shape, count))).extremes(5)
         whiskers = models if self.cue.takes_curved else [self.whisker]
-        limit = np.max([f.limit(r) for f in models], axis=0)
-        limit = np.minimum(limit, np.max([self.cue.largest_angle(w, r) for w in whiskers], axis=0))
+        # Some curvatures reach no further than others, which has no say in how far those do.
+        limit = np.fmax.reduce([f.limit(r) for f in models])
+        largest = np.fmax.reduce([self.cue.largest_angle(w, r) for w in whiskers])
+        limit = np.minimum(limit, largest)
         low = 0.0
         if "deflection_angle" in self.prior:
             low, high = self._range("deflection_angle", np.pi)
