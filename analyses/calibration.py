@@ -153,14 +153,6 @@ def uniform_p(ranks: Array) -> float:
     return float(1 + (depths <= _depth(ranks[None], _points(ranks.size))[0]).sum()) / 4001
 
 
-def band(n: int, mass: float = 0.95) -> tuple[Array, Array, Array]:
-    """Points, and the simultaneous band of the ECDF of n uniform ranks there."""
-    points = _points(n)
-    level = 1 - np.quantile(_depths(n), 1 - mass)
-    low, high = stats.binom.interval(level, n, points)
-    return points, low / n, high / n
-
-
 # -- ranks of posteriors --------------------------------------------------------------------------
 
 
@@ -318,7 +310,7 @@ def jobs(sizes: tuple[int, ...], seed: int) -> Iterator[Job]:
         for name, o in some.items():
             yield group, name, "quadrature", lambda o=o: posterior_ranks(o, of(o), seed=seed)
     for name, make in REAL.items():
-        dear = any(word in name for word in ("uncertain", "unknown", "space"))
+        dear = any(word in name for word in ("uncertain", "unknown"))
         yield (
             "cues",
             name,
