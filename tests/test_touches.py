@@ -1,15 +1,18 @@
 """Many touches of one distance: their evidence multiplied, each with its own deflection."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.stats import norm, rv_histogram
+from scipy.stats import binomtest, norm, rv_histogram
 from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.jnd import prior_draws
 from weberwhisk.many_touches import _grid, touches, touches_jnd
-from weberwhisk.receptors import Weber
+from weberwhisk.mechanics.contact import Outcome
+from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = Whisker(50e-3, 100e-6, 5e-6)
 
@@ -259,9 +262,114 @@ def test_the_jnd_falls_with_the_number_of_touches():
     assert table["root_n_mm"][2] == pytest.approx(table["root_n_mm"][0] / 4)
 
 
+SOFT = Observer(replace(W, curvature=0.0), cues.UnknownStiffness(cues.ForceMap()), Weber(0.2))
+HINGED = Observer(
+    replace(W, curvature=0.0, hinge_stiffness=2e-5),
+    cues.UnknownHinge(cues.ForceMap(), 0.3),
+    Weber(0.2),
+)
+
+
+@pytest.mark.parametrize(
+    ("observer", "known", "contact"),
+    [
+        (SOFT, lambda e: replace(W, youngs_modulus=e * W.youngs_modulus, curvature=0.0), 1.2),
+        (HINGED, lambda h: replace(W, hinge_stiffness=h, curvature=0.0), 2.4e-5),
+    ],
+    ids=["stiffness", "hinge"],
+)
+def test_what_touches_share_is_summed(observer, known, contact):
+    """Beside a plain sum over whiskers of which it is known, distances and deflections."""
+    readings = observer.read([[28e-3, theta, contact] for theta in (0.15, 0.3, 0.08)], seed=0)
+    z = np.linspace(-5, 5, 41)
+    value = observer.prior[observer.unknowns[-1]].ppf(norm.cdf(z))
+    r = (np.arange(240) + 0.5) / 240 * W.length
+    share = ((np.arange(240) + 0.5) / 240) ** 2
+    mass = np.empty((len(z), len(r)))
+    for row, one in zip(mass, value, strict=True):
+        straight = Observer(known(one), cues.ForceMap(), observer.noise)
+        low, width = straight.angle_range(r)
+        theta = low + width[:, None] * share
+        signals, outcome = straight.signals(
+            np.stack(np.broadcast_arrays(r[:, None], theta), axis=-1)
+        )
+        held = outcome == Outcome.HELD
+        signals = np.where(held[..., None], signals, 1.0)
+        row[:] = width
+        for reading in readings:
+            log = straight.noise.log_likelihood(reading, signals)
+            row *= np.where(held, np.exp(log) * np.sqrt(share), 0.0).sum(axis=1)
+    mass *= np.exp(-0.5 * z**2)[:, None] / mass.max()
+    mass /= mass.sum()
+    mean, middle = mass.sum(axis=0) @ r, mass.sum(axis=1) @ value
+    sd = np.sqrt(mass.sum(axis=0) @ (r - mean) ** 2)
+    spread = np.sqrt(mass.sum(axis=1) @ (value - middle) ** 2)
+    found = touches(observer, readings)
+    assert found.status == Status.CONVERGED
+    assert found.mean == pytest.approx(mean, abs=1e-3 * sd)
+    assert found.sd == pytest.approx(sd, rel=2e-3)
+    ends = np.interp([0.025, 0.975], np.cumsum(mass.sum(axis=0)) - mass.sum(axis=0) / 2, r)
+    assert found.interval() == pytest.approx(ends, abs=0.01 * sd)
+    assert found.shared[observer.unknowns[-1]] == pytest.approx([middle, spread], rel=1e-3)
+
+
+@pytest.mark.parametrize("floor", [0.0, 1e-12])
+def test_a_touch_of_unknown_stiffness_is_its_posterior(floor):
+    """With a floor, too small to tell of, by a grid at each stiffness."""
+    noise = GeneralisedWeber(0.1, floor=floor) if floor else Weber(0.1)
+    observer = Observer(SOFT.whisker, SOFT.cue, noise)
+    reading = observer.read([28e-3, 0.3, 1.2], seed=1)
+    one, today = touches(observer, reading), posterior(observer, reading, tolerance=1e-6)
+    assert one.status == Status.CONVERGED
+    assert one.mean == pytest.approx(today.mean, abs=1e-4 * today.sd)
+    assert one.sd == pytest.approx(today.sd, rel=1e-4)
+    stiffness = today.estimates["stiffness"]
+    assert one.shared["stiffness"][0] == pytest.approx(stiffness.mean, abs=1e-3 * stiffness.sd)
+    assert one.shared["stiffness"][1] == pytest.approx(stiffness.sd, rel=1e-3)
+
+
+def test_a_touch_of_uncertain_curvature_is_its_posterior():
+    curved = replace(W, curvature=8.0)
+    observer = Observer(curved, cues.UnknownCurvature(cues.ForceMap(), 2.0), Weber(0.1))
+    reading = observer.read([28e-3, 0.3, 1.0], seed=1)
+    one, today = touches(observer, reading), posterior(observer, reading)
+    assert one.status == Status.CONVERGED
+    assert one.mean == pytest.approx(today.mean, abs=5e-4 * today.sd)
+    assert one.sd == pytest.approx(today.sd, rel=5e-4)
+
+
+def test_what_touches_share_does_not_average_out():
+    """Of alike touches; touches that differ tell the stiffness from the distance."""
+    table = touches_jnd(SOFT, 28e-3, [0.2], [1, 40], n_readings=10, seed=3)
+    assert table["fisher_mm"][0] == pytest.approx(table["root_n_mm"][0], rel=1e-6)
+    assert table["fisher_mm"][1] > 3 * table["root_n_mm"][1]
+    known = Observer(SOFT.whisker, cues.ForceMap(), SOFT.noise)
+    known = touches_jnd(known, 28e-3, [0.2], [40], n_readings=10, seed=3)
+    assert table["posterior_mm"][1] > 2 * known["posterior_mm"][0]
+    differ = touches_jnd(SOFT, 28e-3, [0.1, 0.5], [40], n_readings=10, seed=3)
+    assert differ["fisher_mm"][0] < 0.7 * table["fisher_mm"][1]
+
+
+def test_intervals_of_touches_of_one_stiffness_hold_the_distance():
+    rng = np.random.default_rng(7)
+    hit = []
+    for r, _, stiffness in prior_draws(SOFT, 80, rng):
+        theta = SOFT.angle_range(np.array([r]))[1] * rng.random(3)
+        found = touches(SOFT, SOFT.read([[r, one, stiffness] for one in theta], rng))
+        low, high = found.interval()
+        hit.append(low < r < high)
+    assert binomtest(sum(hit), len(hit), 0.95).pvalue > 1e-3
+
+
 def test_what_touches_refuse():
-    with pytest.raises(ValueError, match="deflection, and of friction where both are unknown"):
-        touches(Observer(W, cues.UnknownStiffness(cues.ForceMap())), [[1e-6, 1e-5]])
+    both = cues.UnknownStiffness(cues.UnknownCurvature(cues.ForceMap(), 1.0))
+    with pytest.raises(ValueError, match="of one of stiffness, curvature and hinge, got"):
+        touches(Observer(W, both), [[1e-6, 1e-5]])
+    with pytest.raises(ValueError, match="azimuth unknown; take a cue that knows the rest"):
+        touches(Observer(W, cues.SpaceMap()), [[1e-6] * 5])
+    tap = cues.Friction(cues.Compliance())
+    with pytest.raises(ValueError, match="give the friction's angle"):
+        touches(Observer(W, tap), [[1e-6]])
     with pytest.raises(ValueError, match="has 2 numbers"):
         touches(Observer(W, cues.ForceMap()), [1e-6])
 

@@ -2,28 +2,31 @@
 
 Given the distance, touches are independent: each has a likelihood of the distance alone, its own
 deflection integrated out, and these multiply. They are summed over a grid of contacts that is made
-once for each observer (`posterior.rows`).
+once for each observer (`posterior.rows`). A stiffness, curvature or hinge that is not known is the
+same in all touches: it is summed over nodes, at each of which it is known.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from collections import OrderedDict
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.special import ndtr
 
 from . import _checks
 from ._checks import finite, kind, positive_number, whole
 from ._values import Array, interval_text, pd, with_units
+from .coordinates import from_normal
 from .jnd import fisher_jnd
 from .observer import Observer
 from .posterior.friction import friction_rows
+from .posterior.nodes import TURNING, conditional
 from .posterior.result import Status, is_unidentified
 from .posterior.rows import TouchRows, distances
-from .receptors import Seed
+from .receptors import Seed, Weber
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,6 +47,8 @@ class Touches:
         as beside a zero of a signal, where Weber's law has no noise.
     r, density : array
         Density of the distance, 1/m, at distances, m.
+    shared : dict
+        Of an unknown that is the same in all touches, by its name: posterior mean and sd.
     """
 
     observer: Observer
@@ -53,6 +58,7 @@ class Touches:
     status: Status
     r: Array
     density: Array
+    shared: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         low, high = self.interval()
@@ -68,11 +74,14 @@ class Touches:
         ValueError
             For a mass outside 0 to 1.
         """
+        tail = (1 - _checks.mass(mass)) / 2
+        low, high = self._quantiles(np.array([tail, 1 - tail]))
+        return float(low), float(high)
+
+    def _quantiles(self, p: Array) -> Array:
         step = np.diff(self.r)
         rise = np.append(0.0, np.cumsum((self.density[1:] + self.density[:-1]) / 2 * step))
-        tail = (1 - _checks.mass(mass)) / 2
-        low, high = np.interp([tail, 1 - tail], rise / rise[-1], self.r)
-        return float(low), float(high)
+        return np.interp(p, rise / rise[-1], self.r)
 
 
 def touches(observer: Observer, readings: ArrayLike) -> Touches:
@@ -82,7 +91,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     ----------
     observer : Observer
         Of each touch; its priors of the deflection angle and of an unknown friction are each
-        touch's own.
+        touch's own. An unknown stiffness, curvature or hinge is the whisker's, one for all touches.
     readings : array, shape (n, S)
         One reading a touch, in SI units.
 
@@ -94,8 +103,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     ------
     ValueError
         For readings that are not finite or of another shape, and for an observer of other unknowns
-        than distance, deflection and friction: a stiffness, curvature or hinge is the whisker's,
-        the same in all touches, which no product over touches knows.
+        than distance, deflection, friction, and one of stiffness, curvature and hinge.
 
     Notes
     -----
@@ -113,6 +121,12 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     base, where one touch's posterior ends (median 3 % over the reach, 5 % at 8 /m); at k = 0.01 by
     0.2 and 0.5 %. There two signals ask for more nodes than are kept: such touches are `IMPRECISE`.
 
+    What all touches share does not average out: of one deflection a stiffness moves all alike, and
+    only touches that differ tell it from the distance. It is summed over 12 to 40 of its values, in
+    20 to 100 ms, each with a grid of its own but for a stiffness under Weber's law. These take 2 to
+    6 s at first at k = 0.1, and 10 to 30 s and 2 GB at k = 0.03; there they are too many to keep
+    for a concave whisker, whose touches take 25 s each time.
+
     Examples
     --------
     >>> from weberwhisk import Whisker, cues
@@ -121,10 +135,32 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     >>> one, three = touches(observer, readings[:1]), touches(observer, readings)
     >>> print(f"{1e3 * one.sd:.1f} mm from one touch, {1e3 * three.sd:.1f} mm from three")
     3.3 mm from one touch, 1.5 mm from three
+
+    A stiffness that is not known is found on the way:
+
+    >>> soft = Observer(Whisker(50e-3, 100e-6, 5e-6), cues.UnknownStiffness(cues.ForceMap()))
+    >>> found = touches(soft, readings)
+    >>> mean, sd = found.shared["stiffness"]
+    >>> print(f"{1e3 * found.sd:.1f} mm, stiffness {mean:.2f} ± {sd:.2f}")
+    4.4 mm, stiffness 1.15 ± 0.40
     """
     kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
     y = observer.checked_reading(readings)
     y = y.reshape(-1, y.shape[-1])
+    shared = _shared(observer)
+    if len(shared) > 1 or not set(shared) <= {"stiffness", *TURNING}:
+        raise ValueError(
+            "Touches are of distance and deflection, of friction, and of one of stiffness, "
+            f"curvature and hinge, got {', '.join(observer.unknowns)} unknown; take a cue that "
+            "knows the rest."
+        )
+    if shared:
+        return _over_nodes(observer, shared[0], y)
+    return _touches(observer, y)[0]
+
+
+def _touches(observer: Observer, y: Array) -> tuple[Touches, float]:
+    """The posterior from readings (n, S), and ln of the evidence, but for the prior's constant."""
     grid = _grid(observer)
     x, best, low, high, width = grid.x, np.full(len(y), -np.inf), 0, len(grid.x), 1
     for step, depth, stride in ((16, 60.0, 3), (4, 32.0, 2)):  # closer to where they agree
@@ -159,6 +195,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         far |= len(y) > 1 and bool((best - each[:, top] > 32.0).any())
     sure = np.maximum(each, -1e6)
     whole = sure.sum(axis=0) + grid.log_prior[rows]
+    log_evidence = float(np.logaddexp.reduce(whole + np.log(skip * grid.step[rows])))
     might = whole - sure + np.logaddexp(sure, grid.hidden(y, rows))
     missed = np.logaddexp.reduce(might, axis=1) - np.logaddexp.reduce(whole)
     precise = not grid.coarse and missed.max() < 3e-3
@@ -169,7 +206,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         # Hundreds of touches say more than the rows of the grid can tell.
         lost = status if far else Status.IMPRECISE
         nan = np.full(2, np.nan)
-        return Touches(observer, len(y), np.nan, np.nan, lost, nan, nan)
+        return Touches(observer, len(y), np.nan, np.nan, lost, nan, nan), log_evidence
     fine = np.linspace(x[rows[0]], x[rows[-1]], 16 * len(rows))
     if prior is not None:
         log = each.sum(axis=0) + grid.log_held[rows]
@@ -180,7 +217,12 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
         fine = np.union1d(fine, np.clip(sharp, fine[0], fine[-1]))
     log = np.maximum(log, log.max() - 60.0)  # none there to speak of
     # By a quintic: a cubic was up to 1e-5 sd off beside the base.
-    log = make_interp_spline(x[rows], log, k=5 if len(rows) > 5 else 3)(fine)
+    smooth = make_interp_spline(x[rows], log, k=5 if len(rows) > 5 else 3)(fine)
+    if (
+        smooth.max() > log.max() + 5.0
+    ):  # no peak: touches that do not agree, too steep for a quintic
+        smooth = PchipInterpolator(x[rows], log)(fine)
+    log = smooth
     r, log_slope = distances(observer, fine)
     if prior is not None:
         log += prior.logpdf(r)
@@ -194,20 +236,165 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     if wide and not far and is_unidentified(observer, contact).all():
         status = Status.UNIDENTIFIED
     density = weight / np.exp(log_slope) / mass / step
-    return Touches(observer, len(y), mean, sd, status, r, density)
+    return Touches(observer, len(y), mean, sd, status, r, density), log_evidence
 
 
-@lru_cache(maxsize=8)
+#: Grids that are kept, the last used last, and nodes of all of them: 2 GB.
+_kept: OrderedDict[Observer, TouchRows] = OrderedDict()
+MOST_KEPT = 60_000_000
+
+
 def _grid(observer: Observer) -> TouchRows:
-    further = observer.unknowns[observer.bounded :]
-    if not further:
-        return TouchRows(observer)
-    if further != ("friction_angle",) or observer.bounded < 2:
-        raise ValueError(
-            "Touches are of distance and deflection, and of friction where both are unknown, got "
-            f"{', '.join(observer.unknowns)} unknown; take a cue that knows the rest."
-        )
-    return friction_rows(observer)
+    if len(observer.unknowns) > observer.bounded:
+        if observer.bounded < 2:
+            raise ValueError(
+                "Touches have an unknown friction where their deflection is unknown too, got "
+                f"{', '.join(observer.unknowns)} unknown; give the friction's angle."
+            )
+        return friction_rows(observer)
+    if observer not in _kept:
+        _kept[observer] = TouchRows(observer)
+        while len(_kept) > 1 and sum(len(grid.theta) for grid in _kept.values()) > MOST_KEPT:
+            _kept.popitem(last=False)
+    _kept.move_to_end(observer)
+    return _kept[observer]
+
+
+#: Nodes of an unknown shared by touches lie at even parts of one of z at closest, so far out.
+PARTS, FARTHEST = 16, 6
+#: Difference of sums at which their steps are close enough, in sds: at 1e-3 ends of intervals were
+#: up to 0.014 sd off, at 1e-4 up to 0.0015.
+PRECISION = 1e-4
+#: Normal scores at which conditional quantiles of the distance are known.
+SCORES = np.linspace(-6.0, 6.0, 97)
+
+
+def _over_nodes(observer: Observer, name: str, y: Array) -> Touches:
+    """The posterior where an unknown of a name is the same in all touches.
+
+    Evidence and conditional posteriors are smooth in its normal coordinate z: steps are halved,
+    where there is mass, until sums over nodes and over what is interpolated between them agree.
+    """
+    known: dict[int, tuple[Touches, float]] = {}
+    stride, asked = PARTS, set(range(-3 * PARTS, 3 * PARTS + 1, PARTS))
+    while True:
+        for k in asked:
+            one, log_evidence = _given(observer, name, k / PARTS, y)
+            known[k] = one, log_evidence - 0.5 * (k / PARTS) ** 2
+        top = max(log for _, log in known.values())
+        best = next(one for one, log in known.values() if log == top)
+        if top == -np.inf or not np.isfinite(best.mean):
+            return replace(best, observer=observer)
+        # At three sds the prior alone is e^-4.5 below its top.
+        heavy = [k for k, (_, log) in known.items() if log > top - 16]
+        first, last = min(heavy), max(heavy)
+        reach = FARTHEST * PARTS
+        asked = {k for k in (first - PARTS, last + PARTS) if abs(k) <= reach} - set(known)
+        low, high = min(known), max(known)
+        inside = range(max(first - stride, low), min(last + stride, high) + 1)
+        asked |= {k for k in inside if k % stride == 0} - set(known)
+        if asked:
+            continue
+        at = np.array([k for k in inside if k % stride == 0])
+        sums = _Between(at / PARTS, [known[k] for k in at])
+        if sums.error < PRECISION or stride == 1:
+            break
+        stride //= 2
+        asked = {k for k in inside if k % stride == 0} - set(known)
+    value = from_normal(observer.prior[name])(sums.z)
+    middle = sums.share @ value
+    shared = {name: (float(middle), float(np.sqrt(sums.share @ (value - middle) ** 2)))}
+    status = best.status
+    if status == Status.CONVERGED:
+        rough = [one for one, log in known.values() if log > top - 5 and one.status != status]
+        status = Status.IMPRECISE if rough or sums.error > PRECISION else status
+    r, density = sums.density()
+    return Touches(observer, len(y), *sums.moments, status, r, density, shared)
+
+
+def _given(observer: Observer, name: str, z: float, y: Array) -> tuple[Touches, float]:
+    """`_touches` where the shared unknown is known, at its normal coordinate z.
+
+    Readings under Weber's law of a stiffness e are those of 1, times e: one grid serves them all.
+    """
+    if type(observer.noise) is not Weber or not getattr(observer.cue, "is_scale", False):
+        return _touches(conditional(observer, name, z), y)
+    scale = float(from_normal(observer.prior[name])(np.array(z)))
+    middle = float(from_normal(observer.prior[name])(np.array(0.0)))
+    one, log_evidence = _touches(conditional(observer, name, 0.0), y * (middle / scale))
+    return one, log_evidence - y.size * np.log(scale / middle)
+
+
+class _Between:
+    """The posteriors at nodes z (n,), and between them: what is smooth, by quintics.
+
+    Attributes
+    ----------
+    z, share, mean, sd : array
+        Closer nodes, their shares of the mass, conditional means and sds of the distance.
+    moments : tuple
+        Mean and sd of all.
+    error : float
+        By how much the sums over the nodes themselves are off, in sds.
+    """
+
+    def __init__(self, z: Array, known: list[tuple[Touches, float]], finer: int = 32) -> None:
+        log = np.array([log for _, log in known])
+        log = np.maximum(log - log.max(), -40.0)
+        held = np.array([np.isfinite(one.mean) for one, _ in known])
+        p = ndtr(SCORES)
+        columns = [(one.mean, np.log(one.sd), *one._quantiles(p)) for one, _ in known if one.sd > 0]
+        rows = np.arange(len(z))
+        near = np.abs(rows[:, None] - rows[held]).argmin(axis=1)
+        table = np.column_stack([log, np.array(columns)[near]])
+        self.z = np.linspace(z[0], z[-1], finer * (len(z) - 1) + 1)
+        fine = make_interp_spline(z, table, k=min(5, len(z) - 1 - len(z) % 2))(self.z)
+        self.share, self.mean, self.sd, self._quantile = (
+            np.exp(fine[:, 0] - fine[:, 0].max()), fine[:, 1], np.exp(fine[:, 2]), fine[:, 3:],
+        )  # fmt: skip
+        self.share /= self.share.sum()
+        own = np.exp(log)
+        alone = own.sum() < 1.5  # nothing to compare
+        mean, sd = _moments(own / own.sum(), table[:, 1], np.exp(table[:, 2]))
+        self.moments = _moments(self.share, self.mean, self.sd)
+        off = abs(mean - self.moments[0]) + abs(sd - self.moments[1])
+        self.error = np.inf if alone else float(off / self.moments[1])
+
+    def density(self, count: int = 2001) -> tuple[Array, Array]:
+        """Distances, and the density there: of the mixture of scores between quantiles."""
+        heavy = self.share > 1e-9 * self.share.max()
+        quantile = np.maximum.accumulate(self._quantile[heavy], axis=1)
+        r = np.linspace(quantile.min(), quantile.max(), count)
+        below = [ndtr(np.interp(r, one, SCORES, -9.0, 9.0)) for one in quantile]
+        return r, np.gradient(self.share[heavy] @ np.array(below), r)
+
+
+def _moments(share: Array, mean: Array, sd: Array) -> tuple[float, float]:
+    """Mean and sd of a mixture of shares."""
+    middle = share @ mean
+    return float(middle), float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
+
+
+def _shared(observer: Observer) -> list[str]:
+    """The unknowns that are the whisker's, the same in all touches."""
+    return [n for n in observer.unknowns[observer.bounded :] if n != "friction_angle"]
+
+
+def _fisher_of_all(observer: Observer, contact: Array) -> float:
+    """Least sd of the distance from one reading of each contact (n, U), m.
+
+    Information adds over touches about what they share, once what is each one's own is eliminated.
+    """
+    unit = np.maximum(np.abs(contact), 1e-12)
+    unit[:] = unit.max(axis=0)
+    once = observer.prior_information(contact[:1])[0] * unit[0] * unit[0, :, None]
+    each = observer.information(contact) * unit[:, None] * unit[..., None]
+    one = np.array([i == 0 or n in _shared(observer) for i, n in enumerate(observer.unknowns)])
+    each[:, ~one[:, None] & ~one] += once[~one[:, None] & ~one]
+    across = each[:, one][..., ~one]
+    own = np.linalg.solve(each[:, ~one][..., ~one], np.swapaxes(across, -1, -2))
+    total = (each[:, one][..., one] - across @ own).sum(axis=0) + once[one][:, one]
+    return float(np.sqrt(np.linalg.inv(total)[0, 0]) * unit[0, 0])
 
 
 def touches_jnd(
@@ -224,6 +411,7 @@ def touches_jnd(
     Parameters
     ----------
     observer : Observer
+        Further unknowns are at the medians of their priors.
     radial_distance : float
         m.
     deflection_angles : float or array
@@ -238,8 +426,8 @@ def touches_jnd(
     -------
     pandas.DataFrame
         A row a number: ``count``, ``posterior_mm`` (the mean sd of posteriors), its Monte Carlo
-        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches) and
-        ``root_n_mm`` (the first touch's Fisher JND over √n).
+        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches, what they
+        share unknown as well) and ``root_n_mm`` (the first touch's Fisher JND over √n).
 
     Raises
     ------
@@ -259,14 +447,16 @@ def touches_jnd(
     wanted = [whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)]
     n_readings = whole("n_readings", n_readings, "write 100, say", least=2)
     rng = np.random.default_rng(seed)
+    place = [observer.prior[n].ppf(0.5) for n in observer.unknowns[observer.bounded :]]
     rows = []
     for n in wanted:
         theta = np.resize(angles, n)
         contact = np.stack([np.full(n, radial_distance), theta], axis=-1)[:, : observer.bounded]
+        contact = np.column_stack([contact, np.tile(place, (n, 1))])
         jnd = np.atleast_1d(fisher_jnd(observer, contact))
         sds = [touches(observer, observer.read(contact, rng)).sd for _ in range(n_readings)]
         error = np.std(sds, ddof=1) / np.sqrt(n_readings)
-        fisher = np.sum(jnd**-2.0) ** -0.5
+        fisher = _fisher_of_all(observer, contact)
         rows.append((n, np.mean(sds), error, fisher, jnd[0] / np.sqrt(n)))
     lengths = ["posterior", "posterior_error", "fisher", "root_n"]
     return with_units(pd.DataFrame(rows, columns=["count", *lengths]), lengths)

@@ -166,19 +166,21 @@ def touches(asked: Asked) -> Made:
     whisker, tables = asked.whisker, []
     if whisker is surveys.WHISKER:  # what it is beside was found with mice
         whisker = ww.Whisker.from_identity("C2", species="mouse")
-    for k in (0.1, 0.3):
-        observer = ww.Observer(whisker, ww.cues.ForceMap(), ww.receptors.Weber(k))
+    known = ww.cues.ForceMap()
+    for k, cue in ((0.3, known), (0.1, known), (0.1, ww.cues.UnknownStiffness(known))):
+        observer = ww.Observer(whisker, cue, ww.receptors.Weber(k))
         r = 0.6 * whisker.length
         angle = observer.angle_range(np.array([r]))[1]  # as likely anywhere in it, as the prior
+        name = f"k = {k:g}" if cue is known else "the same, stiffness unknown"
         table = touches_jnd(
             observer,
             r,
             angle * np.array([0.45, 0.15, 0.75, 0.25, 0.55, 0.95, 0.05, 0.35, 0.65, 0.85]),
             (1, 4, 17) if asked.short else (1, 2, 3, 5, 8, 12, 17, 30, 50),
-            n_readings=asked.readings(),
+            n_readings=asked.readings() if cue is known else min(asked.readings(), 20),
             seed=asked.seed,
         )
-        tables.append(table.assign(receptors=f"k = {k:g}"))
+        tables.append(table.assign(receptors=name))
     joined = pd.concat(tables, ignore_index=True)
     return _made("touches", joined, ww.figures.touches(joined))
 

@@ -87,6 +87,8 @@ def lateral_sweep(table: pd.DataFrame) -> Figure:
 def touches(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """JND of a distance against the number of touches, beside 1/√n and what mice do.
 
+    Marks are posteriors.
+
     Parameters
     ----------
     table : DataFrame
@@ -96,11 +98,13 @@ def touches(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     for i, (name, rows) in enumerate(table.groupby("receptors", sort=False)):
         colour, n = COLOURS[i], rows["count"]
         error = rows["posterior_error_mm"]
-        errors(ax, n, rows["posterior_mm"], error, i, label=f"posterior, {name}")
-        ax.plot(n, rows["fisher_mm"], LINES[0], color=colour, label=f"information, {name}")
+        errors(ax, n, rows["posterior_mm"], error, i, label=str(name))
+        ax.plot(n, rows["fisher_mm"], LINES[0], color=colour)
         first = rows.sort_values("count").iloc[0]  # at one touch, if it is there
         root = first["fisher_mm"] * (first["count"] / n) ** 0.5
-        ax.plot(n, root, LINES[1], color=colour, linewidth=0.8, label=f"1/√n, {name}")
+        ax.plot(n, root, LINES[1], color=colour, linewidth=0.8)
+    ax.plot([], [], LINES[0], color="0.3", label="information")
+    ax.plot([], [], LINES[1], color="0.3", linewidth=0.8, label="1/√n")
     ax.fill_between([1, 17], 0.8, 1.25, color="0.85", label="mice, 1 to 17 touches")
     ax.set(xscale="log", yscale="log", xlabel="touches", ylabel=JND)
     log_numbers(ax.xaxis, ax.yaxis)

@@ -368,6 +368,8 @@ class ForwardModel(Value):
             if np.isnan(theta).any():
                 held = ~np.isnan(theta)
                 r, theta = np.where(held, r, 0.5 * self.length), np.where(held, theta, np.pi)
+        # On a hinge that is soft enough some are lost beyond a whole turn, which are no degrees.
+        theta = np.clip(theta, -2 * np.pi, 2 * np.pi)
         bent_ = ladder.press(whisker, r, theta, self.friction, model=self.model)
         signals = np.stack([getattr(bent_, name) for name in NAMES], axis=-1)
         return signals, np.asarray(bent_.outcome, dtype=np.int8)

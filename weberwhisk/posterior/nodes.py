@@ -50,6 +50,8 @@ class Given(Conditioned):
         return tuple(n for n in self.cue.unknowns if n != self.name)
 
     def _under(self, whisker: Any) -> Any:
+        if self.name not in MECHANICAL:
+            return whisker
         forward = forward_of(whisker)
         return replace(forward, fixed=(*forward.fixed, (MECHANICAL[self.name], self.value)))
 

@@ -79,7 +79,8 @@ class TouchRows:
                 continue
             contact = self.contacts(r, np.full((len(r), 1), depth))[0][:, 0]
             rest = [np.full((len(r), 1), prior.ppf(share)) for prior in further]
-            fisher = self.observer.information(np.concatenate([contact, *rest], axis=1))
+            with np.errstate(all="ignore"):  # at the tip itself no deflection may be left
+                fisher = self.observer.information(np.concatenate([contact, *rest], axis=1))
             fisher = fisher[:, : self.observer.bounded, : self.observer.bounded]
             known = np.asarray(np.isfinite(fisher).all(axis=(1, 2)))
             with np.errstate(all="ignore"):
