@@ -306,8 +306,8 @@ def _over_nodes(observer: Observer, name: str, y: Array) -> Touches:
     shared = {name: (float(middle), float(np.sqrt(sums.share @ (value - middle) ** 2)))}
     status = best.status
     if status == Status.CONVERGED:
-        rough = [one for one, log in known.values() if log > top - 5 and one.status != status]
-        status = Status.IMPRECISE if rough or sums.error > PRECISION else status
+        rough = [log > top - 5 and one.status == Status.IMPRECISE for one, log in known.values()]
+        status = Status.IMPRECISE if any(rough) or sums.error > PRECISION else status
     r, density = sums.density()
     return Touches(observer, len(y), *sums.moments, status, r, density, shared)
 
@@ -341,7 +341,7 @@ class _Between:
     def __init__(self, z: Array, known: list[tuple[Touches, float]], finer: int = 32) -> None:
         log = np.array([log for _, log in known])
         log = np.maximum(log - log.max(), -40.0)
-        held = np.array([np.isfinite(one.mean) for one, _ in known])
+        held = np.array([one.sd > 0 for one, _ in known])
         p = ndtr(SCORES)
         columns = [(one.mean, np.log(one.sd), *one._quantiles(p)) for one, _ in known if one.sd > 0]
         rows = np.arange(len(z))
