@@ -218,9 +218,7 @@ def _touches(observer: Observer, y: Array) -> tuple[Touches, float]:
     log = np.maximum(log, log.max() - 60.0)  # none there to speak of
     # By a quintic: a cubic was up to 1e-5 sd off beside the base.
     smooth = make_interp_spline(x[rows], log, k=5 if len(rows) > 5 else 3)(fine)
-    if (
-        smooth.max() > log.max() + 5.0
-    ):  # no peak: touches that do not agree, too steep for a quintic
+    if smooth.max() > log.max() + 5.0:  # no peak: touches disagree, too steep for a quintic
         smooth = PchipInterpolator(x[rows], log)(fine)
     log = smooth
     r, log_slope = distances(observer, fine)
