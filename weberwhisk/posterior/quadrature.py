@@ -299,15 +299,12 @@ def _by_own(
     everywhere: bool = False,
 ) -> list[_Found]:
     """Tiles of some readings' own, finer and finer until they agree with the coarser ones."""
-
-    def tiled(length: float) -> tuple[TiledObserver, Moments]:
-        tiles = tiles_of(observer, length, reading[rows], everywhere=everywhere, deep=deep)
-        found = _tiled(observer, tiles, length, everywhere=everywhere)
-        return found, found.moments(reading[rows])
-
+    tiles = partial(tiles_of, observer, everywhere=everywhere, deep=deep)
+    tiled = partial(_tiled, observer, everywhere=everywhere)
     out: list[_Found] = []
     try:
-        coarse, moments = tiled(length)
+        coarse = tiled(tiles(length, reading[rows]), length)
+        moments = coarse.moments(reading[rows])
     except TooManyTiles:
         if len(rows) > 1:
             for half in np.array_split(rows, 2):
@@ -327,7 +324,8 @@ def _by_own(
     start, error = length, np.full(moments.mean.shape, np.inf)
     while rows.size and length > start / 1.5**3.5:
         try:
-            fine, beside = tiled(length / 1.5)
+            fine = tiled(tiles(length / 1.5, reading[rows]), length / 1.5)
+            beside = fine.moments(reading[rows])
         except TooManyTiles:
             if len(rows) > 1 and length == start:
                 for half in np.array_split(rows, 2):

@@ -272,7 +272,7 @@ def tiles_of(
             raise TooManyTiles
         parts_of = [among(boxes, slice(i, i + CHUNK)) for i in range(0, len(boxes.low), CHUNK)]
         found = on_threads(partial(measured, observer), parts_of)
-        waiting = [Tiles(*both) for both in zip(parts_of, found, strict=True)]
+        waiting = list(map(Tiles, parts_of, found))
     boxes, nodes = joined([t.boxes for t in kept]), joined([t.nodes for t in kept])
     order = np.argsort(boxes.key, kind="stable")
     return Tiles(among(boxes, order), among(nodes, order))
