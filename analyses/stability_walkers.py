@@ -19,8 +19,8 @@ import numpy as np
 import stability_posteriors as posteriors
 from hunting import Axis, Domain, Fate, Judged
 
-from weberwhisk.posterior import emcee
-from weberwhisk.posterior.moves import default_moves, recommended_walkers
+from weberwhisk.inference import emcee
+from weberwhisk.inference.moves import default_moves, recommended_walkers
 
 Array = np.ndarray
 Case = dict[str, Array]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from weberwhisk.posterior import arviz_io as diagnostics
-from weberwhisk.posterior.arviz_io import to_arviz
+from weberwhisk.inference import arviz_io as diagnostics
+from weberwhisk.inference.arviz_io import to_arviz
 
 Array = NDArray[np.float64]
 

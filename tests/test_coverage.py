@@ -93,7 +93,7 @@ def test_three_unknowns_agree_with_brute_force(name):
 
 def test_the_last_of_three_unknowns_has_the_moments_of_a_grid():
     """Mean, sd and evidence of the stiffness, beside quadrature over all three coordinates."""
-    from weberwhisk.posterior.grid import integrate, prior_box
+    from weberwhisk.inference.grid import integrate, prior_box
 
     observer = ww.Observer(W, CUES["soft map"])
     readings = observer.read(prior_draws(observer, 1, seed=4), seed=5)

@@ -11,7 +11,6 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import Outcome
 from weberwhisk.behaviour import CueEncoding
-from weberwhisk.coordinates import is_all_around
 from weberwhisk.cues import (
     ForceMap,
     Friction,
@@ -25,6 +24,7 @@ from weberwhisk.cues import (
 )
 from weberwhisk.cues.force_map import IN_SPACE, SIGNALS
 from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.inference.coordinates import is_all_around
 from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
 from weberwhisk.mechanics import rod
 from weberwhisk.mechanics.curved_surface import SIX

@@ -10,9 +10,9 @@ from scipy.optimize import brentq
 import weberwhisk as ww
 from weberwhisk import Outcome, Status
 from weberwhisk.cues import Compliance, ForceMap, Vibration, VibrissaLength
+from weberwhisk.inference.laplace import count_peaks, is_divided
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.mechanics import modes
-from weberwhisk.posterior.peaks import count_peaks, is_divided
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)

@@ -8,7 +8,7 @@ from short_forms import slow_but
 
 import weberwhisk as ww
 from weberwhisk.cues import Compliance, ForceMap, Fused, Vibration
-from weberwhisk.posterior import Status
+from weberwhisk.inference import Status
 from weberwhisk.receptors import Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)

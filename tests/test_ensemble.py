@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy import special, stats
 from short_forms import slow_but
 
-from weberwhisk.coordinates import FARTHEST
-from weberwhisk.posterior.arviz_io import Shortfall
-from weberwhisk.posterior.emcee import Mixture, _start
-from weberwhisk.posterior.ensemble import StackedSample, sample_stacked
-from weberwhisk.posterior.grid import integrate
-from weberwhisk.posterior.moves import (
+from weberwhisk.inference.arviz_io import Shortfall
+from weberwhisk.inference.coordinates import FARTHEST
+from weberwhisk.inference.emcee import Mixture, _start
+from weberwhisk.inference.ensemble import StackedSample, sample_stacked
+from weberwhisk.inference.grid import integrate
+from weberwhisk.inference.moves import (
     MoveMaker,
     StackedDifferentialEvolution,
     StackedMixture,

@@ -8,7 +8,7 @@ import weberwhisk as ww
 from weberwhisk import Status
 from weberwhisk.cues import ForceMap, SpaceMap
 from weberwhisk.cues.force_map import SIGNALS
-from weberwhisk.posterior import factors_of
+from weberwhisk.inference.methods import factors_of
 from weberwhisk.receptors import GeneralisedWeber, Joint, Weber
 
 W = ww.Whisker(50e-3, 100e-6, 5e-6)

@@ -18,7 +18,7 @@ from scipy import stats
 import weberwhisk as ww
 from weberwhisk import design, figures
 from weberwhisk.commands import figure
-from weberwhisk.many_touches import touches_jnd
+from weberwhisk.jnd_curves import touches_jnd
 
 WHISKER = ww.Whisker(50e-3, 100e-6, 5e-6, 3e9)
 

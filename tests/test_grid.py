@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from weberwhisk.posterior.grid import Sums, integrate
+from weberwhisk.inference.grid import Sums, integrate
 
 Array = NDArray[np.float64]
 

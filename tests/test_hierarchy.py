@@ -26,7 +26,7 @@ from weberwhisk.behaviour.axes import AS_BELIEVED, BiasScales
 from weberwhisk.behaviour.hierarchy import Members, _zoomed, integrate_population
 from weberwhisk.behaviour.integrate.batch import tabulate
 from weberwhisk.behaviour.trials import joined
-from weberwhisk.posterior.ensemble import sample_stacked
+from weberwhisk.inference.ensemble import sample_stacked
 
 Array = NDArray[np.float64]
 

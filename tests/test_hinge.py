@@ -13,11 +13,11 @@ from weberwhisk import Whisker, cues, mechanics, receptors
 from weberwhisk.contacts.calibration import HingedTap
 from weberwhisk.cues.force_map import SIGNALS
 from weberwhisk.design.plan_file import decode, encode
+from weberwhisk.inference.nodes import conditional
 from weberwhisk.jnd import fisher_jnd, weber_propagation
 from weberwhisk.mechanics import closed_form, elastica
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.mechanics.forward import ForwardModel
-from weberwhisk.posterior.nodes import conditional
 from weberwhisk.sweeping import follow
 
 PLAIN = Whisker(50e-3, 100e-6, 5e-6)

@@ -54,13 +54,10 @@ TABLE: dict[str, tuple[str, ...]] = {
     "receptors": (),
     "array": ("whisker", "mechanics.shape"),
     "cues": ("mechanics", "receptors"),
-    "coordinates": ("cues",),
-    "observer": ("coordinates",),
-    "sweeping": ("observer",),
-    "posterior": ("observer", "threads"),
-    "jnd": ("posterior",),
-    "many_touches": ("jnd",),
-    "place_sensor": ("array", "posterior"),
+    "inference": ("cues", "threads"),
+    "sweeping": ("inference",),
+    "jnd": ("inference",),
+    "place_sensor": ("array", "inference"),
     "array_observer": ("place_sensor",),
     "places": ("array_observer",),
     "threads": (),
@@ -70,21 +67,21 @@ TABLE: dict[str, tuple[str, ...]] = {
     "surveys": ("jnd_curves", "array"),
     "paper": ("surveys", "along_whisk", "array_observer"),
     "output": (),
-    "contacts": ("posterior",),
+    "contacts": ("inference",),
     "behaviour": ("sweeping", "jnd", "campaign", "contacts", "places"),
     "design": ("behaviour", "places"),
     "charts": ("behaviour", "jnd_curves"),
     "figures": ("design", "charts", "places"),
-    "": ("figures", "contacts", "many_touches", "places", "along_whisk"),
+    "": ("figures", "contacts", "places", "along_whisk"),
     "cli": ("campaign",),
     "commands": ("", "charts", "surveys", "along_whisk", "paper", "output", "cli"),
 }
 ONLY_IN = {
-    "emcee": "posterior",
-    "arviz": "posterior",
-    "arviz_base": "posterior",
-    "arviz_plots": "posterior",
-    "arviz_stats": "posterior",
+    "emcee": "inference",
+    "arviz": "inference",
+    "arviz_base": "inference",
+    "arviz_plots": "inference",
+    "arviz_stats": "inference",
     "matplotlib": "figures",
 }
 HEAVY = ("arviz", "emcee", "matplotlib", "pandas", "rich", "scipy.stats", "typer")
@@ -230,7 +227,7 @@ def test_the_table_goes_one_way() -> None:
         ("receptors.py", "from .whisker import Whisker", "receptors.py imports weberwhisk.whisker"),
         ("_checks.py", "from .whisker import Whisker", "_checks.py imports weberwhisk.whisker"),
         ("output.py", "from .figures import x", "output.py imports weberwhisk.figures"),
-        ("cues/force_map.py", "from ..observer import x", "imports weberwhisk.observer"),
+        ("cues/force_map.py", "from ..jnd import x", "imports weberwhisk.jnd"),
         (
             "mechanics/contact.py",
             "from .elastica import x",
@@ -239,11 +236,11 @@ def test_the_table_goes_one_way() -> None:
         ("mechanics/contact.py", "from . import x", "contact.py imports weberwhisk.mechanics,"),
         ("mechanics/elastica.py", "from .ladder import bend", "weberwhisk.mechanics.ladder"),
         (
-            "posterior/nested/deep.py",
+            "inference/nested/deep.py",
             "from ... import jnd",
             "deep.py imports weberwhisk.jnd",
         ),
-        ("jnd.py", "import emcee", "jnd.py imports emcee, which belongs in posterior alone"),
+        ("jnd.py", "import emcee", "jnd.py imports emcee, which belongs in inference alone"),
         ("jnd.py", "def f():\n    from arviz.stats import ess", "jnd.py imports arviz"),
         ("jnd.py", "import arviz_stats", "jnd.py imports arviz_stats"),
         (
@@ -251,7 +248,7 @@ def test_the_table_goes_one_way() -> None:
             "import matplotlib.pyplot as plt",
             "matplotlib, which belongs in figures",
         ),
-        ("posterior/engine.py", "import matplotlib", "posterior/engine.py imports matplotlib"),
+        ("inference/engine.py", "import matplotlib", "inference/engine.py imports matplotlib"),
         ("novelty.py", "", "novelty.py is not in the table"),
         ("mechanics/novelty.py", "", "mechanics/novelty.py is not in the table"),
         ("novelties/__init__.py", "", "novelties/__init__.py is not in the table"),
@@ -278,8 +275,8 @@ def test_a_good_tree_passes(tmp_path: Path) -> None:
         "cues/one.py": "def f():\n    from .two import x",
         "cues/two.py": "if TYPE_CHECKING:\n    from .one import x",
         "cues/force_map.py": "from ..mechanics import press\nfrom ..mechanics import elastica",
-        "posterior/engine.py": "import emcee, arviz.stats\nfrom .. import _checks\nfrom . import x",
-        "posterior/x.py": "from weberwhisk.observer import Observer",
+        "inference/engine.py": "import emcee, arviz.stats\nfrom .. import _checks\nfrom . import x",
+        "inference/x.py": "from weberwhisk.inference.observer import Observer",
         "figures.py": "def f():\n    import matplotlib.pyplot",
         "output.py": "from . import __version__",
         "commands/bend.py": "import weberwhisk as ww\nfrom .. import output, figures, cli",
@@ -358,7 +355,7 @@ def _fake(folder: Path, files: dict[str, str]) -> Path:
     package = folder / "weberwhisk"
     empty = [f"{place.replace('.', '/')}.py" for place in TABLE if place]
     folders = (
-        "mechanics", "cues", "posterior", "campaign", "behaviour", "contacts", "design", "commands",
+        "mechanics", "cues", "inference", "campaign", "behaviour", "contacts", "design", "commands",
     )  # fmt: skip
     for path in [p for p in empty if p.removesuffix(".py") not in folders]:
         files = {path: "", **files}

@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 
 import weberwhisk as ww
 from weberwhisk import cues
-from weberwhisk.coordinates import UNITS
 from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.inference.coordinates import UNITS
 from weberwhisk.jnd import weber_propagation
 from weberwhisk.receptors import (
     Afferents,

@@ -20,7 +20,7 @@ from weberwhisk.cues import (
     Vibration,
     VibrissaLength,
 )
-from weberwhisk.posterior import Status
+from weberwhisk.inference import Status
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)
 ARRAY = ComparativeLength([30e-3], [[0.0, 6e-3]])

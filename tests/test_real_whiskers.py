@@ -26,14 +26,14 @@ from weberwhisk.cues import (
     UnknownCurvature,
 )
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference.marginals import tile_quantiles
+from weberwhisk.inference.nodes import NodeSums, turning_unknown
+from weberwhisk.inference.quadrature import _tiled, _whole
+from weberwhisk.inference.summed import LastSummed, likelihood_of
+from weberwhisk.inference.tiling import tiles_of
 from weberwhisk.jnd import fisher_jnd, prior_draws
 from weberwhisk.mechanics import profile
 from weberwhisk.mechanics.curved_surface import PlanarSurface
-from weberwhisk.posterior.marginals import tile_quantiles
-from weberwhisk.posterior.nodes import NodeSums, turning_unknown
-from weberwhisk.posterior.quadrature import _tiled, _whole
-from weberwhisk.posterior.summed import LastSummed, likelihood_of
-from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 from weberwhisk.sweeping import SweepFilter
 from weberwhisk.whisker import identities, rest_shape

@@ -7,8 +7,8 @@ from cue_checks import brute_force
 import weberwhisk as ww
 from weberwhisk.cues import ForceMap, Fused, SpaceMap, Vibration
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference import Status
 from weberwhisk.jnd import prior_draws
-from weberwhisk.posterior import Status
 from weberwhisk.receptors import Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)

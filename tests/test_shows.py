@@ -22,8 +22,8 @@ from nbclient import NotebookClient
 
 import weberwhisk as ww
 from weberwhisk._values import Shown, with_units
-from weberwhisk.coordinates import UNITS
 from weberwhisk.design import Goal, Plan, Scheme, taper
+from weberwhisk.inference.coordinates import UNITS
 
 matplotlib.use("agg")
 ROOT = Path(__file__).parent.parent
@@ -150,10 +150,10 @@ def test_a_curve_has_units_in_its_names_and_the_contact_in_its_index(made: dict[
 
 def test_help_documents_the_function_also_after_its_package_was_imported() -> None:
     code = (
-        "import weberwhisk.posterior, weberwhisk as ww, sys;"
-        "from weberwhisk.posterior import Posterior;"
+        "import weberwhisk.inference, weberwhisk as ww;"
+        "from weberwhisk.inference import Posterior;"
         "from weberwhisk import posterior;"
-        "assert posterior is ww.posterior is sys.modules['weberwhisk.posterior'].posterior;"
+        "assert posterior is ww.posterior is ww.inference.posterior;"
         "print(sorted(n for n in dir(ww) if not hasattr(ww, n)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)

@@ -10,10 +10,10 @@ from scipy import integrate, stats
 
 import weberwhisk as ww
 from weberwhisk.cues import Compliance, ForceMap
+from weberwhisk.inference.laplace import find_mode
+from weberwhisk.inference.panels import Panels
+from weberwhisk.inference.result import is_improbable
 from weberwhisk.jnd import fisher_jnd, weber_propagation
-from weberwhisk.posterior.panels import Panels
-from weberwhisk.posterior.peaks import find_mode
-from weberwhisk.posterior.result import is_improbable
 from weberwhisk.receptors import Afferents, SpikeCount, Weber
 
 SLOW, RAPID = Afferents(75, 1e-8, 1e-5), Afferents(25, 1e-6, 1e-3)

@@ -14,7 +14,7 @@ from weberwhisk.behaviour import IdentityEncoding, fit_population, fit_weber, si
 from weberwhisk.campaign import all_cores
 from weberwhisk.design import Hypothesis, Scheme, information
 from weberwhisk.design.experiments import fit
-from weberwhisk.posterior import emcee
+from weberwhisk.inference import emcee
 
 
 def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:

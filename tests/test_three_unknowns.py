@@ -15,12 +15,12 @@ from weberwhisk.cues import (
     TwoWhiskers,
     UnknownStiffness,
 )
+from weberwhisk.inference.grid import OwnGrids
+from weberwhisk.inference.laplace import find_mode
+from weberwhisk.inference.summed import likelihood_of
+from weberwhisk.inference.summed_tiles import SummedTiles
+from weberwhisk.inference.tiling import tiles_of
 from weberwhisk.jnd import fisher_jnd, prior_draws, weber_propagation
-from weberwhisk.posterior.grid import OwnGrids
-from weberwhisk.posterior.peaks import find_mode
-from weberwhisk.posterior.summed import likelihood_of
-from weberwhisk.posterior.summed_tiles import SummedTiles
-from weberwhisk.posterior.tiling import tiles_of
 from weberwhisk.receptors import GeneralisedWeber, LogNormal, Weber
 
 W = ww.Whisker(length=50e-3, base_radius=100e-6, tip_radius=5e-6)

@@ -19,10 +19,10 @@ from weberwhisk.cues import (
     Fused,
     Vibration,
 )
+from weberwhisk.inference.quadrature import longest
+from weberwhisk.inference.tiled import TiledObserver
+from weberwhisk.inference.tiling import TooManyTiles, tiles_of
 from weberwhisk.jnd import prior_draws
-from weberwhisk.posterior.quadrature import longest
-from weberwhisk.posterior.tiled import TiledObserver
-from weberwhisk.posterior.tiling import TooManyTiles, tiles_of
 from weberwhisk.receptors import GeneralisedWeber, Weber
 
 fusions = load("stability_whiskers")

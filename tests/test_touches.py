@@ -9,8 +9,9 @@ from short_forms import slow_but
 
 from weberwhisk import Observer, Status, Whisker, cues, posterior
 from weberwhisk.cues.force_map import SIGNALS
+from weberwhisk.inference.touches import _grid, touches
 from weberwhisk.jnd import prior_draws
-from weberwhisk.many_touches import _grid, touches, touches_jnd
+from weberwhisk.jnd_curves import touches_jnd
 from weberwhisk.mechanics.contact import Outcome
 from weberwhisk.receptors import GeneralisedWeber, Weber
 

@@ -6,9 +6,7 @@ posterior → JND → behaviour → fit.
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
     from . import cues as cues
     from . import design as design
     from . import figures as figures
-    from . import many_touches as many_touches
+    from . import inference as inference
     from . import mechanics as mechanics
     from . import places as places
     from . import receptors as receptors
@@ -50,6 +48,12 @@ if TYPE_CHECKING:
     from .design import read_plan as read_plan
     from .design import simulate_study as simulate_study
     from .figures.designs import write_plan as write_plan
+    from .inference import Posterior as Posterior
+    from .inference import Status as Status
+    from .inference import posterior as posterior
+    from .inference.observer import Observer as Observer
+    from .inference.touches import Touches as Touches
+    from .inference.touches import touches as touches
     from .jnd import added_information as added_information
     from .jnd import convert_jnd as convert_jnd
     from .jnd import criterion_factor as criterion_factor
@@ -58,9 +62,7 @@ if TYPE_CHECKING:
     from .jnd_curves import JNDCurve as JNDCurve
     from .jnd_curves import jnd_curve as jnd_curve
     from .jnd_curves import jnd_sweep as jnd_sweep
-    from .many_touches import Touches as Touches
-    from .many_touches import touches as touches
-    from .many_touches import touches_jnd as touches_jnd
+    from .jnd_curves import touches_jnd as touches_jnd
     from .mechanics import Bending as Bending
     from .mechanics import Choice as Choice
     from .mechanics import FlickPast as FlickPast
@@ -77,14 +79,10 @@ if TYPE_CHECKING:
     from .mechanics import signal_jacobian as signal_jacobian
     from .mechanics import sticking as sticking
     from .mechanics import sweep as sweep
-    from .observer import Observer as Observer
     from .output import cite as cite
     from .places import ArrayObserver as ArrayObserver
     from .places import Place as Place
     from .places import place as place
-    from .posterior import Posterior as Posterior
-    from .posterior import Status as Status
-    from .posterior import posterior as posterior
     from .whisker import Whisker as Whisker
     from .whisker import identities as identities
 
@@ -95,11 +93,9 @@ _NAMES = {
     "array_observer": "array_by_count array_by_whisker array_resolution",
     "mechanics": "Bending Choice FlickPast Outcome Parabola Profile Model Spiral "
     "bend choose_model flick_past press rest_angle signal_jacobian sticking sweep",
-    "observer": "Observer",
-    "posterior": "Posterior Status posterior",
+    "inference": "Observer Posterior Status Touches posterior touches",
     "jnd": "added_information convert_jnd criterion_factor fused_jnds information",
-    "many_touches": "Touches touches touches_jnd",
-    "jnd_curves": "JNDCurve jnd_curve jnd_sweep",
+    "jnd_curves": "JNDCurve jnd_curve jnd_sweep touches_jnd",
     "behaviour": "Comparison PopulationFit Trials WeberFit compare "
     "fit_population fit_weber read_trials simulate_population simulate_trials",
     "contacts": "calibrate locate read_tracking simulate_tracking tracked_signals",
@@ -110,7 +106,7 @@ _NAMES = {
 }
 _MODULES = {
     "along_whisk", "array", "behaviour", "campaign", "contacts", "cues", "design", "figures",
-    "many_touches", "mechanics", "places", "receptors", "sweeping",
+    "inference", "mechanics", "places", "receptors", "sweeping",
 }  # fmt: skip
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 if not TYPE_CHECKING:  # which goes by the imports above
@@ -118,18 +114,6 @@ if not TYPE_CHECKING:  # which goes by the imports above
 
 
 _RENAMED = {"Rung": "Model", "choose_rung": "choose_model", "rehearse": "simulate_study"}
-
-
-class _Package(ModuleType):
-    """This package, whose `posterior` is the function, and not the subpackage of that name."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Importing a subpackage sets its parent's attribute."""
-        wanted = name == "posterior" and isinstance(value, ModuleType)
-        super().__setattr__(name, value.posterior if wanted else value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def _version() -> str:

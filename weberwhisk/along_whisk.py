@@ -17,12 +17,12 @@ from scipy.optimize import elementwise
 from . import _checks
 from ._values import Array, Flags, pd, with_units
 from .cues import ForceMap
+from .inference.observer import Observer
 from .jnd import fisher_jnd
 from .mechanics import press
 from .mechanics.contact import Outcome
 from .mechanics.modes import quasi_static
 from .mechanics.objects import Body, Sweep, cylinder, peg, sweep, wall
-from .observer import Observer
 from .receptors import GeneralisedWeber, Weber
 from .sweeping import SweepFilter
 from .whisker import Whisker

@@ -1,7 +1,7 @@
 """An ideal observer of the place of a pole, through all whiskers of an array, and its resolution.
 
 Each whisker that touches says by its cue how far away the object is and by how much it is deflected
-(`weberwhisk.observer`), which is a place of the head's own coordinates; each that does not excludes
+(`inference.observer`), which is a place of the head's own coordinates; each that does not excludes
 the places at which it would touch. Given the place, receptors of different whiskers are
 independent: likelihoods multiply.
 
@@ -35,7 +35,7 @@ from ._checks import (
 from ._values import Array, pd
 from .array import WhiskerArray
 from .cues.protocol import Cue
-from .observer import Observer
+from .inference.observer import Observer
 from .place_sensor import JointEvidence, Sensor, metres, one_place
 from .receptors import ReceptorNoise, Seed
 

@@ -21,13 +21,13 @@ from scipy.special import ndtri
 
 from ._checks import generator, whole
 from ._values import Array, Flags, pd, renamed_arguments, with_units
-from .coordinates import UNITS
 from .cues import Fused
 from .cues.protocol import Cue
+from .inference import posterior
+from .inference.coordinates import UNITS
+from .inference.grid import integrate, prior_box
+from .inference.observer import Observer
 from .mechanics.contact import Outcome
-from .observer import Observer
-from .posterior import posterior
-from .posterior.grid import integrate, prior_box
 from .receptors import ReceptorNoise, Seed
 
 #: The criterion that is meant where none is named: the sd of one observation.

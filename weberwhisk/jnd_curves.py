@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import campaign
-from ._checks import angle, finite, generator, one_of, positive, whole
+from ._checks import angle, finite, generator, one_of, positive, positive_number, whole
 from ._values import Array, Shown, pd, renamed_arguments, with_units
-from .coordinates import UNITS
 from .cues import Compliance, ForceMap
+from .inference.coordinates import UNITS
+from .inference.observer import Observer
+from .inference.touches import shared_unknowns, touches
 from .jnd import SD, criterion_factor, fisher_jnd, is_linear, weber_propagation
 from .mechanics.contact import Outcome
-from .observer import Observer
 from .receptors import Seed, Weber
 from .whisker import Whisker
 
@@ -183,7 +184,7 @@ def jnd_curve(
     10.0                          0.81      0.802
     40.0                          0.96      0.951
     """
-    from .posterior import Status, posterior
+    from .inference import Status, posterior
 
     one_of("method", method, ("quadrature", "emcee", "laplace"))
     criterion_factor(criterion)
@@ -345,3 +346,86 @@ def jnd_rows(chunk: dict[str, Any], seed: np.random.SeedSequence) -> pd.DataFram
     table = curve.table.reset_index()
     table.insert(0, "weber_fraction", k)
     return table
+
+
+def _fisher_of_all(observer: Observer, contact: Array) -> float:
+    """Least sd of the distance from one reading of each contact (n, U), m.
+
+    Information adds over touches about what they share, once what is each one's own is eliminated.
+    """
+    unit = np.maximum(np.abs(contact), 1e-12)
+    unit[:] = unit.max(axis=0)
+    once = observer.prior_information(contact[:1])[0] * unit[0] * unit[0, :, None]
+    each = observer.information(contact) * unit[:, None] * unit[..., None]
+    shared = ("radial_distance", *shared_unknowns(observer))
+    one = np.isin(observer.unknowns, shared)
+    each[:, ~one[:, None] & ~one] += once[~one[:, None] & ~one]
+    across = each[:, one][..., ~one]
+    own = np.linalg.solve(each[:, ~one][..., ~one], np.swapaxes(across, -1, -2))
+    total = (each[:, one][..., one] - across @ own).sum(axis=0) + once[one][:, one]
+    return float(np.sqrt(np.linalg.inv(total)[0, 0]) * unit[0, 0])
+
+
+def touches_jnd(
+    observer: Observer,
+    radial_distance: float,
+    deflection_angles: ArrayLike,
+    counts: ArrayLike = (1, 2, 5, 10, 20, 50),
+    *,
+    n_readings: int = 100,
+    seed: Seed = None,
+) -> pd.DataFrame:
+    """The JND of a distance against the number of touches, beside 1/√n.
+
+    Parameters
+    ----------
+    observer : Observer
+        Further unknowns are at the medians of their priors.
+    radial_distance : float
+        m.
+    deflection_angles : float or array
+        Of one touch after the other, in turn, rad.
+    counts : array of int
+        Numbers of touches.
+    n_readings : int
+        Simulated sets of touches at each number.
+    seed : int, SeedSequence or Generator
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a number: ``count``, ``posterior_mm`` (the mean sd of posteriors), its Monte Carlo
+        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches, what they
+        share unknown as well) and ``root_n_mm`` (the first touch's Fisher JND over √n).
+
+    Raises
+    ------
+    ValueError
+        For no numbers of touches or angles, numbers of touches below 1 and of readings below 2, and
+        contacts that are not held.
+
+    Notes
+    -----
+    Mice tell pole positions about 1 mm apart with one whisker and 1 to 17 touches (Pammer et al.
+    2013, J Neurosci 33:6726).
+    """
+    radial_distance = positive_number("radial_distance", radial_distance, "give metres")
+    angles = np.atleast_1d(finite("deflection_angles", deflection_angles, "give radians"))
+    if not angles.size:
+        raise ValueError("deflection_angles must be one or more, got none; give radians.")
+    wanted = [whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)]
+    n_readings = whole("n_readings", n_readings, "write 100, say", least=2)
+    rng = np.random.default_rng(seed)
+    place = [observer.prior[n].ppf(0.5) for n in observer.unknowns[observer.bounded :]]
+    rows = []
+    for n in wanted:
+        theta = np.resize(angles, n)
+        contact = np.stack([np.full(n, radial_distance), theta], axis=-1)[:, : observer.bounded]
+        contact = np.column_stack([contact, np.tile(place, (n, 1))])
+        jnd = np.atleast_1d(fisher_jnd(observer, contact))
+        sds = [touches(observer, observer.read(contact, rng)).sd for _ in range(n_readings)]
+        error = np.std(sds, ddof=1) / np.sqrt(n_readings)
+        fisher = _fisher_of_all(observer, contact)
+        rows.append((n, np.mean(sds), error, fisher, jnd[0] / np.sqrt(n)))
+    lengths = ["posterior", "posterior_error", "fisher", "root_n"]
+    return with_units(pd.DataFrame(rows, columns=["count", *lengths]), lengths)

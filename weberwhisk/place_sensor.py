@@ -12,11 +12,11 @@ from scipy.special import logsumexp, ndtr
 from ._checks import angle, finite
 from ._values import Array
 from .array import Follicle
-from .coordinates import constrain_angle, unconstrain_angle
+from .inference import posterior
+from .inference.coordinates import constrain_angle, unconstrain_angle
+from .inference.observer import Observer
+from .inference.result import is_outside
 from .mechanics.contact import Outcome
-from .observer import Observer
-from .posterior import posterior
-from .posterior.result import is_outside
 
 
 @dataclass(frozen=True, eq=False)

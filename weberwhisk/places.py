@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from . import _checks
 from ._values import Array, Flags, Shown, pd
 from .array_observer import ArrayObserver, Readings
+from .inference import Status
 from .place_sensor import JointEvidence, one_place
-from .posterior import Status
 from .receptors import Seed
 
 __all__ = ["ArrayObserver", "Place", "place"]

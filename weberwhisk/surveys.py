@@ -30,14 +30,14 @@ from .cues import (
     VibrissaLength,
 )
 from .cues.force_map import SIGNALS
+from .inference import Status, posterior
+from .inference.observer import Observer
 from .jnd import added_information, fisher_jnd, weber_propagation
 from .jnd_curves import jnd_curve
 from .mechanics import elastica
 from .mechanics.contact import Outcome
 from .mechanics.ladder import flick_past, press
 from .mechanics.model_choice import of_shape_at_rest
-from .observer import Observer
-from .posterior import Status, posterior
 from .receptors import Weber
 from .whisker import Whisker, identities
 

@@ -30,11 +30,11 @@ from ._checks import finite, kind, non_negative, positive, refuse_hinge
 from ._values import Array, Codes, Flags, Index
 from .cues import ForceMap
 from .cues.protocol import Cue, readings
+from .inference.observer import Observer
 from .mechanics.contact import Outcome
 from .mechanics.forward import ForwardModel
 from .mechanics.objects import Walls, rate_on_wall, slid
 from .mechanics.shape import Profile
-from .observer import Observer
 from .receptors import ReceptorNoise, Seed, Weber
 from .whisker import Whisker
 

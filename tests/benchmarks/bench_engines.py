@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from weberwhisk.posterior.ensemble import sample_stacked
-from weberwhisk.posterior.grid import integrate
-from weberwhisk.posterior.moves import recommended_walkers
+from weberwhisk.inference.ensemble import sample_stacked
+from weberwhisk.inference.grid import integrate
+from weberwhisk.inference.moves import recommended_walkers
 
 Array = NDArray[np.float64]
 K = 0.1

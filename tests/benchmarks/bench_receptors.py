@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 import weberwhisk as ww
-from weberwhisk.posterior.panels import Panels
+from weberwhisk.inference.panels import Panels
 from weberwhisk.receptors import (
     Afferents,
     GeneralisedWeber,

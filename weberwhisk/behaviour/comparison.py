@@ -18,8 +18,8 @@ from scipy.special import logsumexp
 from .. import _checks
 from .._values import Array, Index, Shown, renamed_arguments
 from ..cues import Compliance, ForceMap
-from ..observer import Observer
-from ..posterior.arviz_io import pointwise_loo
+from ..inference.arviz_io import pointwise_loo
+from ..inference.observer import Observer
 from ..whisker import Whisker
 from .criticism import _Rows, check_fit
 from .effects import Drift, Effect, Floor, check_effects

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from .. import _checks
 from .._values import Array, Codes, renamed_attribute
 from ..cues import Compliance, ForceMap
+from ..inference.observer import Observer
 from ..jnd import weber_propagation
 from ..mechanics.contact import Outcome
-from ..observer import Observer
 from ..receptors import ReceptorNoise
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._values import Array, Shown, interval_text, renamed_arguments, renamed_attribute
-from ..posterior.arviz_io import ArvizData
+from ..inference.arviz_io import ArvizData
 from ..threads import one_blas_thread
 from . import criticism, report
 from . import psychometric as curve

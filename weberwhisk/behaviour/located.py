@@ -22,7 +22,7 @@ from .._values import Array, Index
 from ..contacts import locate
 from ..contacts.columns import FROM_SHAPE, read_contacts
 from ..contacts.files import load_table
-from ..observer import Observer
+from ..inference.observer import Observer
 from .cue_encoding import CueEncoding, PooledEncoding
 from .encodings import (
     Encoding,

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._values import Array, Shown, interval_text, renamed_arguments
+from ..inference.arviz_io import ArvizData, to_arviz
 from ..output import plain
-from ..posterior.arviz_io import ArvizData, to_arviz
 from ..threads import one_blas_thread
 from . import report
 from .axes import likely_scales

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from .. import _checks
 from .._values import Array
-from ..coordinates import in_words
+from ..inference.coordinates import in_words
 from .encodings import UnitEncodings
 from .psychometric import SameDifferent, Task, YesNo
 from .trials import Cells

@@ -11,10 +11,10 @@ import pandas as pd
 from .. import __version__
 from .._values import Array, interval_text
 from ..contacts import methods_of
-from ..coordinates import in_words
+from ..inference.arviz_io import ArvizData
+from ..inference.arviz_io import to_arviz as convert
+from ..inference.coordinates import in_words
 from ..output import plain
-from ..posterior.arviz_io import ArvizData
-from ..posterior.arviz_io import to_arviz as convert
 from ..receptors import Weber
 from . import criticism
 from .cue_encoding import CueEncoding

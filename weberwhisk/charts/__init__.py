@@ -25,13 +25,13 @@ from scipy.integrate import cubature
 from .. import cues, receptors
 from .._values import Array
 from ..behaviour import Trials, fit_population, fit_weber, simulate_population, simulate_trials
+from ..inference import Posterior, Status, posterior
+from ..inference.laplace import find_mode
+from ..inference.observer import Observer
 from ..jnd import fisher_jnd, weber_propagation
 from ..jnd_curves import jnd_curve
 from ..mechanics import flick_past
-from ..observer import Observer
 from ..output import machine
-from ..posterior import Posterior, Status, posterior
-from ..posterior.peaks import find_mode
 from ..whisker import Whisker
 from . import beams
 from .beams import Row, timed

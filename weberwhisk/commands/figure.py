@@ -161,7 +161,7 @@ def lateral_sweep(asked: Asked) -> Made:
 
 def touches(asked: Asked) -> Made:
     """JND of distance against the number of touches, beside 1/√n and what mice do (§4)"""
-    from ..many_touches import touches_jnd
+    from ..jnd_curves import touches_jnd
 
     whisker, tables = asked.whisker, []
     if whisker is surveys.WHISKER:  # what it is beside was found with mice

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from .. import _checks, domain
 from .._values import Array, Index
-from ..coordinates import in_words
 from ..cues import Cue
 from ..cues.force_map import MeasuredAngle, is_curved
+from ..inference import Status
+from ..inference.coordinates import in_words
+from ..inference.observer import Observer
 from ..mechanics import Profile
-from ..observer import Observer
-from ..posterior import Status
 from ..receptors import ReceptorNoise
 from ..whisker import Whisker
 from .calibration import Calibration, HingedTap, averaged, calibrate

@@ -15,9 +15,9 @@ from .._values import Array
 from ..cues import Compliance, Cue, ForceMap, UnknownStiffness
 from ..cues.force_map import SIGNALS, MeasuredAngle
 from ..cues.unknowns import Friction
+from ..inference.observer import Observer
 from ..mechanics import Profile, Spiral
 from ..mechanics.contact import Outcome
-from ..observer import Observer
 from ..whisker import YOUNGS_MODULUS, Whisker
 from .files import as_number, load_table
 

@@ -26,8 +26,8 @@ import numpy as np
 
 from .._values import Array, Flags, Index
 from ..cues import UnknownStiffness
+from ..inference.observer import Observer
 from ..mechanics.contact import Outcome
-from ..observer import Observer
 
 
 class Readings(NamedTuple):

@@ -11,8 +11,8 @@ from scipy.sparse import csc_matrix
 from scipy.special import ndtri
 
 from .._values import Array, Flags, Index
-from ..coordinates import constrain_distance
-from ..observer import Observer
+from ..inference.coordinates import constrain_distance
+from ..inference.observer import Observer
 from .lattice import Lattice, LatticeCells, Readings
 
 

@@ -25,7 +25,7 @@ from ..behaviour.simulate import simulate_responses
 from ..behaviour.verdict import FitStatus
 from ..cues import Compliance
 from ..cues.protocol import Cue
-from ..observer import Observer
+from ..inference.observer import Observer
 from ..whisker import Whisker
 from .best import best_scheme
 from .hypotheses import Goal, Hypothesis, SubjectPopulation, taper

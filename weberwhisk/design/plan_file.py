@@ -43,8 +43,8 @@ from ..cues import (
     UnknownRoll,
     UnknownStiffness,
 )
+from ..inference.observer import Observer
 from ..mechanics.model_choice import Chosen
-from ..observer import Observer
 from ..places import ArrayObserver
 from ..receptors import GeneralisedWeber, Joint, Weber
 from ..whisker import Whisker

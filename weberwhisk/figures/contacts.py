@@ -34,8 +34,8 @@ from .style import (
 )
 
 if TYPE_CHECKING:
+    from ..inference import Posterior
     from ..mechanics import Bending
-    from ..posterior import Posterior
 
 
 @styled

@@ -23,6 +23,8 @@ from ..cues import (
     Vibration,
     VibrissaLength,
 )
+from ..inference import posterior
+from ..inference.observer import Observer
 from ..jnd import weber_propagation
 from ..mechanics import (
     bend,
@@ -34,8 +36,6 @@ from ..mechanics import (
     sweep,
 )
 from ..mechanics.muscle import MuscleCurve, moment_balance
-from ..observer import Observer
-from ..posterior import posterior
 from ..receptors import Weber
 from ..surveys import NONE, WHISKER, K
 from ..sweeping import follow

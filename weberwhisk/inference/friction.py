@@ -20,10 +20,10 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from .._values import Array, Flags, Index
-from ..coordinates import leaps
 from ..mechanics.contact import Outcome
-from ..observer import Observer
+from .coordinates import leaps
 from .marginals import logs, to_cells
+from .observer import Observer
 from .result import is_outside
 from .rows import TouchRows, distances, highest
 from .tiled import Moments

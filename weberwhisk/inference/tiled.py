@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._values import Array, Flags, Index
-from ..observer import Observer
+from .observer import Observer
 from .result import joined
 from .summed import within
 from .tiling import ORDER, Tiles, near_the_cut, negligible

@@ -19,11 +19,11 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize.elementwise import find_root
 from scipy.special import logit, ndtr, ndtri, wrightomega
 
-from ._checks import one_of, shown
-from ._values import Array, Index
-from .cues.protocol import Cue
-from .mechanics.forward import forward_of
-from .whisker import Whisker
+from .._checks import one_of, shown
+from .._values import Array, Index
+from ..cues.protocol import Cue
+from ..mechanics.forward import forward_of
+from ..whisker import Whisker
 
 #: Of an unknown's moments and quantiles; a stiffness over the whisker's own is a ratio.
 UNITS = {

@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import finite, numbers, one_of, positive_number, shown
-from ._values import Array, Codes, renamed_attribute
+from .._checks import finite, numbers, one_of, positive_number, shown
+from .._values import Array, Codes, renamed_attribute
+from ..cues.protocol import Cue, straight
+from ..mechanics import model_choice
+from ..mechanics.contact import Outcome
+from ..mechanics.forward import ForwardModel
+from ..mechanics.shape import Profile
+from ..receptors import ReceptorNoise, Seed
+from ..whisker import Whisker
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
-from .cues.protocol import Cue, straight
-from .mechanics import model_choice
-from .mechanics.contact import Outcome
-from .mechanics.forward import ForwardModel
-from .mechanics.shape import Profile
-from .receptors import ReceptorNoise, Seed
-from .whisker import Whisker
 
 
 class _Filled(NamedTuple):
@@ -66,7 +66,7 @@ class Observer:
     -----
     Observers compare and hash by value, so that what an engine works out for one serves all that
     are equal; priors do by family and parameters. Posteriors are explored in the coordinates of
-    `weberwhisk.coordinates`.
+    `weberwhisk.inference.coordinates`.
 
     Examples
     --------

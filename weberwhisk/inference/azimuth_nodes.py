@@ -12,11 +12,11 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr, ndtri
 
 from .._values import Array
-from ..coordinates import from_normal
-from ..observer import Observer
 from .azimuths import FULL, AroundGrid, around, starts
+from .coordinates import from_normal
 from .grid import OwnGrids, weighted_quantiles
 from .nodes import conditional
+from .observer import Observer
 from .tiled import Moments
 
 

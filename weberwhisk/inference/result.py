@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from .. import domain
 from .._checks import finite
 from .._values import Array, Codes, Flags, Index, Shown, Worded, interval_text, member, pd
-from ..coordinates import UNITS, ContactCoordinates
 from ..mechanics.contact import Outcome
-from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
 from .arviz_io import ArvizData
+from .coordinates import UNITS, ContactCoordinates
+from .observer import Observer
 
 #: A reading this many sd from the signals is improbable under the model.
 IMPROBABLE = 5.0

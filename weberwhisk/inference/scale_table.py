@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from .._values import Array, Index
-from ..observer import Observer
+from .observer import Observer
 
 #: ln p(reading | signals / t), without its power of t: at t = 0, slope and half the curvature.
 Quadratic = tuple[Array, Array, Array]

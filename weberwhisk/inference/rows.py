@@ -14,9 +14,9 @@ from scipy import ndimage
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from .._values import Array, Index
-from ..coordinates import constrain_angle, constrain_distance, unconstrain_angle
 from ..mechanics.contact import Outcome
-from ..observer import Observer
+from .coordinates import constrain_angle, constrain_distance, unconstrain_angle
+from .observer import Observer
 from .result import is_outside
 
 

@@ -16,14 +16,14 @@ from scipy.special import expit
 
 from .._checks import one_of
 from .._values import Array, Flags, Index
-from ..coordinates import FARTHEST
-from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
+from .coordinates import FARTHEST
 from .ensemble import StackedSample, sample_stacked
+from .laplace import climb, density_at, is_divided, prior_precision, score
 from .moves import MoveMaker, StackedMixture, default_moves, recommended_walkers, student_t
+from .observer import Observer
 from .panels import panels_of
-from .peaks import climb, density_at, is_divided, prior_precision, score
 from .quadrature import quadrature
 from .result import Estimate, Solution, Status, is_improbable, is_unidentified, refuse_impossible
 

@@ -16,17 +16,16 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.special import ndtr
 
-from . import _checks
-from ._checks import finite, kind, positive_number, whole
-from ._values import Array, interval_text, pd, with_units
+from .. import _checks
+from .._checks import kind
+from .._values import Array, interval_text
+from ..receptors import Weber
 from .coordinates import from_normal
-from .jnd import fisher_jnd
+from .friction import friction_rows
+from .nodes import TURNING, conditional
 from .observer import Observer
-from .posterior.friction import friction_rows
-from .posterior.nodes import TURNING, conditional
-from .posterior.result import Status, is_unidentified
-from .posterior.rows import TouchRows, distances
-from .receptors import Seed, Weber
+from .result import Status, is_unidentified
+from .rows import TouchRows, distances
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,7 +146,7 @@ def touches(observer: Observer, readings: ArrayLike) -> Touches:
     kind("observer", observer, "an Observer", "checked_reading", "write Observer(whisker, cue)")
     y = observer.checked_reading(readings)
     y = y.reshape(-1, y.shape[-1])
-    shared = _shared(observer)
+    shared = shared_unknowns(observer)
     if len(shared) > 1 or not set(shared) <= {"stiffness", *TURNING}:
         raise ValueError(
             "Touches are of distance and deflection, of friction, and of one of stiffness, "
@@ -373,88 +372,6 @@ def _moments(share: Array, mean: Array, sd: Array) -> tuple[float, float]:
     return float(middle), float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
 
 
-def _shared(observer: Observer) -> list[str]:
+def shared_unknowns(observer: Observer) -> list[str]:
     """The unknowns that are the whisker's, the same in all touches."""
     return [n for n in observer.unknowns[observer.bounded :] if n != "friction_angle"]
-
-
-def _fisher_of_all(observer: Observer, contact: Array) -> float:
-    """Least sd of the distance from one reading of each contact (n, U), m.
-
-    Information adds over touches about what they share, once what is each one's own is eliminated.
-    """
-    unit = np.maximum(np.abs(contact), 1e-12)
-    unit[:] = unit.max(axis=0)
-    once = observer.prior_information(contact[:1])[0] * unit[0] * unit[0, :, None]
-    each = observer.information(contact) * unit[:, None] * unit[..., None]
-    one = np.array([i == 0 or n in _shared(observer) for i, n in enumerate(observer.unknowns)])
-    each[:, ~one[:, None] & ~one] += once[~one[:, None] & ~one]
-    across = each[:, one][..., ~one]
-    own = np.linalg.solve(each[:, ~one][..., ~one], np.swapaxes(across, -1, -2))
-    total = (each[:, one][..., one] - across @ own).sum(axis=0) + once[one][:, one]
-    return float(np.sqrt(np.linalg.inv(total)[0, 0]) * unit[0, 0])
-
-
-def touches_jnd(
-    observer: Observer,
-    radial_distance: float,
-    deflection_angles: ArrayLike,
-    counts: ArrayLike = (1, 2, 5, 10, 20, 50),
-    *,
-    n_readings: int = 100,
-    seed: Seed = None,
-) -> pd.DataFrame:
-    """The JND of a distance against the number of touches, beside 1/√n.
-
-    Parameters
-    ----------
-    observer : Observer
-        Further unknowns are at the medians of their priors.
-    radial_distance : float
-        m.
-    deflection_angles : float or array
-        Of one touch after the other, in turn, rad.
-    counts : array of int
-        Numbers of touches.
-    n_readings : int
-        Simulated sets of touches at each number.
-    seed : int, SeedSequence or Generator
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row a number: ``count``, ``posterior_mm`` (the mean sd of posteriors), its Monte Carlo
-        error ``posterior_error_mm``, ``fisher_mm`` (information summed over touches, what they
-        share unknown as well) and ``root_n_mm`` (the first touch's Fisher JND over √n).
-
-    Raises
-    ------
-    ValueError
-        For no numbers of touches or angles, numbers of touches below 1 and of readings below 2, and
-        contacts that are not held.
-
-    Notes
-    -----
-    Mice tell pole positions about 1 mm apart with one whisker and 1 to 17 touches (Pammer et al.
-    2013, J Neurosci 33:6726).
-    """
-    radial_distance = positive_number("radial_distance", radial_distance, "give metres")
-    angles = np.atleast_1d(finite("deflection_angles", deflection_angles, "give radians"))
-    if not angles.size:
-        raise ValueError("deflection_angles must be one or more, got none; give radians.")
-    wanted = [whole("counts", n, "give numbers of touches", least=1) for n in np.ravel(counts)]
-    n_readings = whole("n_readings", n_readings, "write 100, say", least=2)
-    rng = np.random.default_rng(seed)
-    place = [observer.prior[n].ppf(0.5) for n in observer.unknowns[observer.bounded :]]
-    rows = []
-    for n in wanted:
-        theta = np.resize(angles, n)
-        contact = np.stack([np.full(n, radial_distance), theta], axis=-1)[:, : observer.bounded]
-        contact = np.column_stack([contact, np.tile(place, (n, 1))])
-        jnd = np.atleast_1d(fisher_jnd(observer, contact))
-        sds = [touches(observer, observer.read(contact, rng)).sd for _ in range(n_readings)]
-        error = np.std(sds, ddof=1) / np.sqrt(n_readings)
-        fisher = _fisher_of_all(observer, contact)
-        rows.append((n, np.mean(sds), error, fisher, jnd[0] / np.sqrt(n)))
-    lengths = ["posterior", "posterior_error", "fisher", "root_n"]
-    return with_units(pd.DataFrame(rows, columns=["count", *lengths]), lengths)

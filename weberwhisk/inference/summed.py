@@ -24,7 +24,7 @@ from numpy.polynomial import chebyshev
 
 from .._values import Array, Flags, Index
 from ..mechanics.contact import Outcome
-from ..observer import Observer
+from .observer import Observer
 from .scale_table import ScaleTable
 
 

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.special import erf, expit, logsumexp, ndtri
 
 from .._values import Array, Codes, Index
-from ..coordinates import ContactCoordinates, family, from_normal
 from ..cues.unknowns import Conditioned, UnknownRoll
 from ..mechanics.contact import Outcome
-from ..observer import Observer
+from .coordinates import ContactCoordinates, family, from_normal
 from .grid import OwnGrids, integrate, weighted_quantiles
-from .peaks import climb
+from .laplace import climb
+from .observer import Observer
 from .tiled import Moments
 
 FULL = 2 * np.pi

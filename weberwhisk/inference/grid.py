@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._values import Array, Index
-from ..observer import Observer
+from .observer import Observer
 from .result import checked_density
 from .tiled import Moments
 from .tiling import trunk

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from .._values import Array, Flags, Index
 from ..mechanics.contact import Outcome
-from ..observer import Observer
+from .observer import Observer
 from .result import IMPROBABLE, refuse_impossible
 
 

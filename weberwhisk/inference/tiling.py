@@ -18,8 +18,8 @@ from numpy.polynomial.legendre import leggauss, legvander
 from numpy.typing import NDArray
 
 from .._values import Array, Flags, Index
-from ..observer import Observer
 from ..threads import on_threads
+from .observer import Observer
 from .result import among, joined
 from .summed import AllUnknowns, Likelihood, likelihood_of, within
 

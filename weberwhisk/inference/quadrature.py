@@ -16,17 +16,17 @@ import numpy as np
 
 from .._values import Array, Flags, Index
 from ..mechanics.contact import Outcome
-from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
 from .azimuth_nodes import AroundNodes
 from .azimuths import AroundGrid, around, starts
 from .friction import FrictionSums, friction_rows
 from .grid import OwnGrids
+from .laplace import find_mode
 from .marginals import by_draws, draws, tile_quantiles
 from .nodes import MECHANICAL, NodeSums, turning_unknown
+from .observer import Observer
 from .panels import panels_of
-from .peaks import find_mode
 from .result import (
     Estimate,
     Solution,

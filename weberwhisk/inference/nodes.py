@@ -21,12 +21,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr, ndtri
 
 from .._values import Array, Flags, Index
-from ..coordinates import from_normal
 from ..cues.unknowns import Conditioned
 from ..mechanics.forward import forward_of
-from ..observer import Observer
+from .coordinates import from_normal
 from .grid import weighted_quantiles
 from .marginals import draws, tile_quantiles
+from .observer import Observer
 from .result import among
 from .tiled import Moments, TiledObserver
 from .tiling import Tiles, TooManyTiles, tiles_of

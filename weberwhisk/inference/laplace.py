@@ -12,11 +12,11 @@ from scipy.special import expit, ndtri
 
 from .._checks import finite
 from .._values import Array, Flags
-from ..coordinates import FARTHEST
 from ..mechanics.contact import Outcome
-from ..observer import Observer
 from ..receptors import Seed
 from ..threads import on_threads
+from .coordinates import FARTHEST
+from .observer import Observer
 from .panels import panels_of
 from .result import (
     Estimate,

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre
 from scipy.special import logit, wrightomega
 
 from .._values import Array, Index
-from ..coordinates import constrain_angle
+from .coordinates import constrain_angle
 from .tiled import TiledObserver, Weighed, summed
 from .tiling import ORDER
 

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from .. import domain
 from .._checks import kind, one_of, positive_number
 from .._values import Array, Flags, Index, member
-from ..coordinates import family, from_normal
-from ..observer import Observer
 from ..receptors import ReceptorNoise, Seed
+from .coordinates import family, from_normal
 from .grid import integrate
-from .peaks import laplace
+from .laplace import laplace
+from .observer import Observer
 from .quadrature import quadrature
 from .result import Estimate, Posterior, Solution, Status, beyond_reach, is_outside
 

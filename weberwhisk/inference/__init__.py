@@ -1,0 +1,7 @@
+"""From readings to contacts: the observer, and the posterior of what it does not know."""
+
+from .methods import Estimate, Posterior, Status, posterior
+from .observer import Observer
+from .touches import Touches, touches
+
+__all__ = ["Estimate", "Observer", "Posterior", "Status", "Touches", "posterior", "touches"]
