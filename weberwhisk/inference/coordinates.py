@@ -7,7 +7,7 @@ are no bounds: `constrain` carries x to the contact, `unconstrain` back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -102,14 +102,18 @@ class ContactCoordinates:
             )
         return low, high
 
-    def constrain(self, x: ArrayLike) -> tuple[Array, Array]:
+    def constrain(
+        self, x: ArrayLike, further: Sequence[Any] | None = None
+    ) -> tuple[Array, Array]:
         """The contact (..., U) at x (..., U), and ln|d contact/dx| of the bounded unknowns (...).
 
-        Of the first unknowns alone where x has fewer.
+        Of the first unknowns alone where x has fewer, unless `further` has the others' values.
         """
         x = np.asarray(x, dtype=float)
         low, high = self.reach
-        out = np.empty(x.shape)
+        out = np.empty((*x.shape[:-1], x.shape[-1] + len(further or ())))
+        for i, value in enumerate(further or (), self.bounded):
+            out[..., i] = value
         for i in range(self.bounded, x.shape[-1]):
             out[..., i] = self._from_normal[self.cue.unknowns[i]](x[..., i])
         fraction, log_jacobian = constrain_distance(x[..., 0])

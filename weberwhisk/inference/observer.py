@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property, partial
 from types import MappingProxyType
@@ -21,6 +21,38 @@ from ..mechanics.shape import Profile
 from ..receptors import ReceptorNoise, Seed
 from ..whisker import Whisker
 from .coordinates import ContactCoordinates, family, is_all_around, priors_of, to_normal
+
+
+#: Fractions of the ranges of distance and angle between which trees look for contacts.
+ENDS = np.array([1e-7, 1e-3, 0.5, 1 - 1e-3, 1 - 1e-7])
+
+
+class Evaluated(NamedTuple):
+    """Contacts (N, U) at coordinates, ln of the prior density there (N,), signals (N, S), scores.
+
+    Where a contact is not held the density is −inf and signals are 0. Scores (N, P) say how far up
+    the priors that were given of distance and angle these are, as standard normal scores.
+    """
+
+    contact: Array
+    log_prior: Array
+    signals: Array
+    scores: Array
+
+
+def evaluated(
+    observer: Observer, contact: Array, log_prior: Array, signals: Array, outcome: Codes
+) -> Evaluated:
+    """What was found at some coordinates, without a density where contact is lost."""
+    held = (outcome == Outcome.HELD) & np.isfinite(log_prior) & np.isfinite(signals).all(axis=-1)
+    own = [i for i, n in enumerate(observer.unknowns[: observer.bounded]) if n in observer.prior]
+    scores = np.zeros((len(contact), 0))
+    if own:
+        with np.errstate(all="ignore"):
+            scores = observer.space.prior_scores(contact[..., : observer.bounded])[..., own]
+        scores = np.where(held[:, None], scores, 0.0)
+    signals = np.where(held[:, None], signals, 0.0)
+    return Evaluated(contact, np.where(held, log_prior, -np.inf), signals, scores)
 
 
 class _Filled(NamedTuple):
@@ -243,20 +275,40 @@ class Observer:
 
     # -- coordinates ---------------------------------------------------------------------------
 
-    def contact(self, x: ArrayLike) -> tuple[Array, Array]:
+    def contact(
+        self, x: ArrayLike, further: Sequence[Any] | None = None
+    ) -> tuple[Array, Array]:
         """The contact (..., U) at coordinates x (..., U), and ln of its prior density in x (...).
 
-        Of the first unknowns alone where x has fewer. Flat priors count as the density 1 of the
-        contact, so that theirs is ln |d contact/dx|.
+        Of the first unknowns alone where x has fewer; where `further` has the values of the others,
+        the density is that of the first unknowns given them. Flat priors count as the density 1 of
+        the contact, so that theirs is ln |d contact/dx|.
         """
         x = np.asarray(x, dtype=float)
-        out, log_prior = self.space.constrain(x)
+        out, log_prior = self.space.constrain(x, further)
         for i, name in enumerate(self.unknowns[: x.shape[-1]]):
             if i >= self.bounded:
                 log_prior -= 0.5 * (x[..., i] ** 2 + np.log(2 * np.pi))
             elif name in self.prior:
                 log_prior = log_prior + self.prior[name].logpdf(out[..., i])
         return out, log_prior
+
+    def evaluate(self, x: Array) -> Evaluated:
+        """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""
+        with np.errstate(all="ignore"):
+            contact, log_prior = self.contact(x)
+            signals, outcome = self.signals(contact)
+        return evaluated(self, contact, log_prior, signals, outcome)
+
+    def contact_at(self, x: Array) -> Array:
+        """Contacts (..., U) at coordinates (..., U)."""
+        with np.errstate(all="ignore"):
+            return self.space.constrain(x)[0]
+
+    def ends(self) -> tuple[Array, Array]:
+        """The coordinates (U,) between which there is next to all of the prior."""
+        x = self.space.spread(ENDS)[:, : self.bounded]
+        return x.min(axis=0), x.max(axis=0)
 
     def coordinates(self, contact: ArrayLike) -> Array:
         """The coordinates x (..., U) of a contact (..., U) inside the reach."""

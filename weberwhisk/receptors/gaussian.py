@@ -69,6 +69,14 @@ class Gaussian(ReceptorNoise):
         """Upper triangular; of the (reading − mean)/sd it makes numbers without correlation."""
         return np.asarray(np.linalg.cholesky(self._precision(size)).T)
 
+    gaussian_root = root
+
+    def as_gaussian(self, signals: Array) -> tuple[Array, Array]:
+        return self.mean(signals), self.sd(signals)
+
+    def to_gaussian(self, reading: Array) -> tuple[Array, Array]:
+        return reading, np.zeros(len(reading))
+
     def log_likelihood(self, reading: ArrayLike, signals: ArrayLike) -> Array:
         """ln p(reading | signals), shape (...). −∞ where a signal leaves its receptor no spread."""
         sd = self.sd(signals)

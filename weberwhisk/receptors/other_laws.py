@@ -15,6 +15,10 @@ from .gaussian import Gaussian, Proportional, checked_correlation
 from .protocol import ReceptorNoise, Seed
 
 
+#: Added to the ln of what is negative, so that no reading is of a signal of the other sign.
+_SIDE = 1e5
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class _Constant(Gaussian):
     """Gaussian noise of the same sd everywhere: of the logs of the readings."""
@@ -111,6 +115,17 @@ class LogNormal(Proportional):
             value = self._logs.log_likelihood(log_reading, self._centre(signals))
             value = value - log_reading.sum(axis=-1)
         return np.where(possible, value, -np.inf)
+
+    def gaussian_root(self, size: int) -> Array:
+        return self._logs.root(size)
+
+    def as_gaussian(self, signals: Array) -> tuple[Array, Array]:
+        return self._centre(signals) + _SIDE * (signals < 0), self._logs.sd(signals)
+
+    def to_gaussian(self, reading: Array) -> tuple[Array, Array]:
+        with np.errstate(divide="ignore"):
+            log = np.log(np.abs(reading))
+        return log + _SIDE * (reading < 0), -log.sum(axis=-1)
 
     def prepared(self, signals: Array) -> Callable[[Array, Index], Array]:
         of_logs, sign = self._logs.prepared(self._centre(signals)), np.sign(signals)

@@ -85,6 +85,18 @@ class ReceptorNoise(Value):
         """Fisher information of a reading about the signals, (..., S, S)."""
         raise NotImplementedError
 
+    def as_gaussian(self, signals: Array) -> tuple[Array, Array]:
+        """Mean and sd (N, S) of `to_gaussian` of readings, where these are Gaussian."""
+        raise NotImplementedError
+
+    def to_gaussian(self, reading: Array) -> tuple[Array, Array]:
+        """Readings (B, S) on the axis on which they are Gaussian, and ln of its slope (B,)."""
+        raise NotImplementedError
+
+    def gaussian_root(self, size: int) -> Array:
+        """Upper triangular; of the deviations in sds there it makes numbers without correlation."""
+        raise NotImplementedError
+
     def reading_size(self, signals: int) -> int:
         """R for S = `signals` kinds of signal: S, unless readings are something else."""
         return signals

@@ -1,0 +1,518 @@
+"""Layers: unknowns that have a prior alone, each summed over even nodes of its coordinate.
+
+Friction, stiffness, curvature, hinge, roll and azimuth are not bounded by the whisker. At each node
+of theirs distance and angle have a tree of their own, which is kept, with its own range of angles.
+Nodes are halved where the sums over odd and even ones disagree. (One tree of all axes fails: its
+cells are thin oblique sheets, up to a million a reading.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.special import ndtr
+
+from .._values import Array, Flags, Index
+from .coordinates import from_normal, is_all_around
+from .observer import Evaluated, Observer, evaluated
+from .tree import DROP, tree_of
+from .weighted import OVER, Draws, Spans, Sums, interpolate
+
+#: Most times that nodes are halved. Steps start at 1.2 sd of the prior, and at 1/16 of a turn.
+HALVINGS = 6
+FIRST, FARTHEST, TURN = 1.2, 4, 16
+#: Normal scores at which conditional quantiles are interpolated from node to node.
+SCORES = np.linspace(-4.8, 4.8, 49)
+#: Parts of a step between nodes at which conditional posteriors are interpolated.
+PARTS = 8
+
+
+class Conditional:
+    """An observer whose further unknowns are given: what a tree asks of one.
+
+    Parameters
+    ----------
+    observer : Observer
+    further : tuple of float
+        Values of the unknowns that have priors alone, in their order.
+    """
+
+    def __init__(self, observer: Observer, further: tuple[float, ...]) -> None:
+        self.observer, self.further = observer, further
+        self.unknowns, self.noise = observer.unknowns[: observer.bounded], observer.noise
+        self.space = observer.space
+
+    def __eq__(self, other: object) -> bool:
+        own = self.observer, self.further
+        return isinstance(other, Conditional) and own == (other.observer, other.further)
+
+    def __hash__(self) -> int:
+        return hash((self.observer, self.further))
+
+    def evaluate(self, x: Array) -> Evaluated:
+        """Contacts, prior and signals at coordinates (N, U), as trees ask for them."""
+        with np.errstate(all="ignore"):
+            contact, log_prior = self.observer.contact(x, further=self.further)
+            signals, outcome = self.observer.signals(contact)
+        return evaluated(self.observer, contact, log_prior, signals, outcome)
+
+    def contact_at(self, x: Array) -> Array:
+        """Contacts (..., U) at coordinates (..., U)."""
+        with np.errstate(all="ignore"):
+            return self.observer.contact(x, further=self.further)[0][..., : len(self.unknowns)]
+
+    def ends(self) -> tuple[Array, Array]:
+        """The coordinates between which there is next to all of the prior."""
+        return self.observer.ends()
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One unknown that has a prior alone, and what is known of how signals depend on it.
+
+    Nodes are counted in units of the smallest step, from the middle of the prior.
+    """
+
+    name: str
+    observer: Observer
+
+    @property
+    def around(self) -> bool:
+        """Whether it is an angle that may be any: a circle, with no ends."""
+        return self.name == "azimuth" and is_all_around(self.observer.prior[self.name])
+
+    @property
+    def unit(self) -> float:
+        return (2 * np.pi / TURN if self.around else FIRST) / 2**HALVINGS
+
+    def nodes(self, halvings: int) -> Index:
+        step = 2 ** (HALVINGS - halvings)
+        if self.around:
+            return np.arange(-TURN // 2 * 2**HALVINGS, TURN // 2 * 2**HALVINGS, step)
+        return np.arange(-FARTHEST * 2**HALVINGS, FARTHEST * 2**HALVINGS + 1, step)
+
+    def value(self, node: Any) -> Array:
+        """Values of the unknown at nodes, which need not be whole."""
+        prior, z = self.observer.prior[self.name], self.unit * np.asarray(node, dtype=float)
+        if self.around:
+            return np.asarray(float(prior.median()) + z)
+        return from_normal(prior)(z)
+
+    def log_prior(self, node: Any) -> Array:
+        """ln of the prior density at nodes, over the coordinate."""
+        z = self.unit * np.asarray(node, dtype=float)
+        if self.around:
+            return np.full(z.shape, -np.log(2 * np.pi))
+        return np.asarray(-0.5 * (z * z + np.log(2 * np.pi)))
+
+    @property
+    def known(self) -> str:
+        """How signals at any value follow from those at one, "" where they do not.
+
+        All are proportional to a "stiffness"; the directions of a straight whisker's forces are
+        those at an azimuth of 0 "turned" by it; and its roll leaves all "as they are".
+        """
+        cue, noise = self.observer.cue, self.observer.noise
+        if self.name == "stiffness" and cue.is_scale and noise.is_scale_family:
+            return "scaled"
+        if self.name not in ("azimuth", "roll") or not self.observer.forward.is_flat:
+            return ""
+        if self.name == "roll":
+            return "as they are"
+        size = len(cue.signal_names)
+        fixed = np.asarray(cue.circular) & (noise.weber_fractions(size) == 0)
+        plain = np.array_equal(fixed, cue.circular) and noise.gaussian_on == "linear"
+        alone = cue.all_but_one is not None
+        return "turned" if alone and plain else ""
+
+    def asked(self, readings: Array, covariance: Array | None, node: int) -> Any:
+        """Readings and covariances to ask of the tree at this node, and ln of the Jacobian."""
+        value = float(self.value(node))
+        turning = np.flatnonzero(self.observer.cue.circular)
+        if turning.size and self.around and self.observer.noise.reads_signals:
+            # Directions are counted in whole turns to be near the azimuth.
+            readings = readings.copy()
+            turns = np.round((readings[:, turning[:1]] - value) / (2 * np.pi))
+            readings[:, turning] -= 2 * np.pi * turns
+        if self.known == "turned":
+            readings = readings.copy()
+            readings[:, turning] -= value
+        if self.known == "scaled":
+            size = readings.shape[1]
+            covariance = None if covariance is None else covariance / value**2
+            return readings / value, covariance, -size * np.log(value)
+        return readings, covariance, 0.0
+
+
+@dataclass(eq=False)
+class _Node:
+    """What is known at one node of all layers: of each reading ln of the evidence and moments."""
+
+    log: Array
+    mean: Array
+    sd: Array
+    error: Array
+    parts: list[tuple[Index, Sums]] = field(default_factory=list)
+
+
+class Layers:
+    """Posteriors of an observer some of whose unknowns have priors alone."""
+
+    def __init__(self, observer: Observer, tolerance: float) -> None:
+        self.observer, self.tolerance = observer, tolerance
+        self.axes = [Axis(name, observer) for name in observer.unknowns[observer.bounded :]]
+
+    def tree(self, node: tuple[int, ...]) -> Any:
+        """The tree at a node."""
+        standard = {"scaled": 1.0, "turned": 0.0}
+        further = tuple(
+            standard.get(axis.known, float(axis.value(0 if axis.known else k)))
+            for axis, k in zip(self.axes, node, strict=True)
+        )
+        return tree_of(Conditional(self.observer, further), self.tolerance)
+
+    def sums(
+        self, readings: Array, covariance: Array | None = None, *, drop: float = DROP
+    ) -> LayeredSums:
+        """The posteriors of readings (B, R), with measurement errors' covariances (B, R, R)."""
+        out = LayeredSums(self, readings, covariance, drop)
+        out.solve()
+        return out
+
+
+class LayeredSums:
+    """Posteriors of B readings as sums over nodes, at each of which there are weighted cells.
+
+    Attributes
+    ----------
+    mean, sd, error, log_evidence, best
+        As of `weighted.Sums`.
+    """
+
+    def __init__(
+        self, layers: Layers, readings: Array, covariance: Array | None, drop: float
+    ) -> None:
+        self.layers, self.axes, self.observer = layers, layers.axes, layers.observer
+        self.readings, self.covariance, self.drop = readings, covariance, drop
+        count, unknowns = len(readings), len(self.observer.unknowns)
+        self.mean, self.sd, self.best = np.full((3, count, unknowns), np.nan)
+        self.error, self.log_evidence = np.full(count, np.inf), np.full(count, np.nan)
+        self.halvings = np.zeros((count, len(self.axes)), dtype=int)
+        self.nodes: dict[tuple[int, ...], _Node] = {}
+
+    def solve(self) -> None:
+        """Halve nodes until sums over odd and even ones agree."""
+        todo = np.arange(len(self.readings))
+        halvings = np.zeros(len(self.axes), dtype=int)
+        before: tuple[Any, ...] = ()
+        while todo.size:
+            keys = self._keys(halvings)
+            self._evaluate(keys, todo, before)
+            each = self._sum(keys, halvings, todo)
+            self.halvings[todo] = halvings
+            with np.errstate(invalid="ignore"):
+                bad = (each**2 > self.layers.tolerance) & (halvings < HALVINGS)[:, None]
+            again = bad.any(axis=0)
+            before = halvings.copy(), todo
+            halvings = halvings + bad.any(axis=1)
+            todo = todo[again]
+
+    def _keys(self, halvings: Index) -> list[Index]:
+        return [axis.nodes(int(h)) for axis, h in zip(self.axes, halvings, strict=True)]
+
+    def _table(self, keys: list[Index], rows: Index, name: str) -> Array:
+        """A column of all nodes (..., n), or (..., n, U)."""
+        parts = [getattr(self.nodes[key], name)[rows] for key in product(*map(np.ndarray.tolist, keys))]
+        return np.stack(parts).reshape(*map(len, keys), *parts[0].shape)
+
+    def _evaluate(self, keys: list[Index], rows: Index, before: tuple[Any, ...]) -> None:
+        """Ask the trees of all nodes that may have mass."""
+        every = list(product(*map(np.ndarray.tolist, keys)))
+        new = [key for key in every if key not in self.nodes]
+        count, inner = len(self.readings), self.observer.bounded
+        bound = self._bound(keys, rows, *before) if before else None
+        for key in every:
+            if key not in self.nodes:
+                self.nodes[key] = _Node(
+                    np.full(count, np.nan), np.zeros((count, inner)), np.zeros((count, inner)),
+                    np.zeros(count),
+                )  # fmt: skip
+            node = self.nodes[key]
+            wanted = np.isnan(node.log[rows])
+            if bound is not None and key in bound:
+                hopeless = wanted & bound[key]
+                node.log[rows[hopeless]] = -np.inf
+                wanted &= ~hopeless
+            if wanted.any():
+                self._ask(node, key, rows[wanted])
+
+    def _bound(
+        self, keys: list[Index], rows: Index, halvings: Index, before: Index
+    ) -> dict[tuple[int, ...], Flags]:
+        """New nodes that have next to no mass, by those of twice the step, for each reading.
+
+        Between nodes ln of the evidence may be higher than at them by an eighth of its second
+        difference, as a parabola is; twice that is allowed for.
+        """
+        old = self._keys(halvings)
+        log = np.maximum(np.nan_to_num(self._table(old, rows, "log"), nan=-np.inf), -1e5)
+        rise = np.zeros_like(log)
+        for d, axis in enumerate(self.axes):
+            if axis.around:
+                second = np.roll(log, 1, d) + np.roll(log, -1, d) - 2 * log
+            else:
+                pad = [(1, 1) if i == d else (0, 0) for i in range(log.ndim)]
+                second = np.diff(np.pad(log, pad, mode="reflect", reflect_type="odd"), 2, axis=d)
+            rise += np.abs(second) / 4
+        top = log.reshape(-1, len(rows)).max(axis=0)
+        possible = log + rise > top - self.drop
+        out = {}
+        places = [{int(k): i for i, k in enumerate(o)} for o in old]
+        for key in product(*map(np.ndarray.tolist, keys)):
+            near = []
+            for k, axis, o, at in zip(key, self.axes, old, places, strict=True):
+                if k in at:
+                    near.append([at[k]])
+                    continue
+                step = int(o[1] - o[0])
+                i = int((k - o[0]) // step)
+                after = (i + 1) % len(o) if axis.around else i + 1
+                near.append([i, after])
+            if any(len(n) > 1 for n in near):
+                out[key] = ~np.any([possible[i] for i in product(*near)], axis=0)
+        return out
+
+    def _ask(self, node: _Node, key: tuple[int, ...], rows: Index) -> None:
+        readings, slope = self.readings[rows], 0.0
+        covariance = None if self.covariance is None else self.covariance[rows]
+        for axis, k in zip(self.axes, key, strict=True):
+            readings, covariance, own = axis.asked(readings, covariance, k)
+            slope += own + float(axis.log_prior(k))
+        found = self.layers.tree(key).sums(readings, covariance, drop=self.drop)
+        known = np.isfinite(found.log_evidence)
+        node.log[rows] = np.where(known, found.log_evidence + slope, -np.inf)
+        node.mean[rows], node.sd[rows] = np.nan_to_num(found.mean), np.nan_to_num(found.sd)
+        node.error[rows] = np.where(known, found.error, 0.0)
+        node.parts.append((rows, found))
+
+    def _sum(self, keys: list[Index], halvings: Index, rows: Index) -> Array:
+        """Sum over nodes; by how much odd and even ones along each axis differ, (D, n)."""
+        shape, inner = tuple(map(len, keys)), self.observer.bounded
+        log = self._table(keys, rows, "log").reshape(-1, len(rows))
+        mean, sd = (self._table(keys, rows, n).reshape(-1, len(rows), inner) for n in ("mean", "sd"))
+        top = log.max(axis=0)
+        with np.errstate(invalid="ignore"):
+            weight = np.where(np.isfinite(top), np.exp(log - top), 0.0)
+        best = log.argmax(axis=0)
+        grid = np.stack([a.ravel() for a in np.meshgrid(*keys, indexing="ij")])
+        values, middle = [], []
+        for axis, own in zip(self.axes, grid, strict=True):
+            value = np.broadcast_to(axis.value(own)[:, None], log.shape)
+            if axis.around:  # counted from the best, a half turn either way
+                from_best = value - value[best, np.arange(len(rows))]
+                value = value - 2 * np.pi * np.round(from_best / (2 * np.pi))
+            values.append(value)
+            middle.append(value[best, np.arange(len(rows))])
+
+        def moments(weight: Array) -> tuple[Array, Array, Array]:
+            total = np.maximum(weight.sum(axis=0), 1e-300)
+            means, variances = [], []
+            for i in range(inner):
+                m = (weight * mean[..., i]).sum(axis=0) / total
+                means.append(m)
+                square = sd[..., i] ** 2 + (mean[..., i] - m) ** 2
+                variances.append((weight * square).sum(axis=0) / total)
+            for value in values:
+                m = (weight * value).sum(axis=0) / total
+                means.append(m)
+                variances.append((weight * (value - m) ** 2).sum(axis=0) / total)
+            return total, np.stack(means, axis=-1), np.sqrt(np.stack(variances, axis=-1))
+
+        total, self.mean[rows], self.sd[rows] = moments(weight)
+        own_sd = np.maximum(self.sd[rows], 1e-300)
+        each = np.zeros((len(keys), len(rows)))
+        for d, k in enumerate(keys):
+            odd = ((grid[d] - k[0]) // (k[1] - k[0]) % 2).astype(bool)
+            for half in (odd, ~odd):
+                t, m, s = moments(weight * half[:, None])
+                off = np.maximum(np.abs(m - self.mean[rows]), np.abs(s - own_sd)) / own_sd
+                each[d] = np.maximum.reduce([each[d], np.abs(2 * t / total - 1), off.max(axis=1)])
+        inside = (weight * self._table(keys, rows, "error").reshape(weight.shape)).sum(axis=0)
+        self.error[rows] = np.maximum((each**2).max(axis=0), inside / total)
+        steps = sum(np.log(a.unit * (k[1] - k[0])) for a, k in zip(self.axes, keys, strict=True))
+        self.log_evidence[rows] = top + np.log(total) + steps
+        for i, value in enumerate(middle):
+            self.best[rows, inner + i] = value
+        every = list(product(*map(np.ndarray.tolist, keys)))
+        for j in np.unique(best):
+            for some, found in self.nodes[every[j]].parts:
+                mine = np.isin(some, rows[best == j])
+                self.best[some[mine], :inner] = found.best[mine]
+        none = ~np.isfinite(top)
+        self.error[rows[none]], self.log_evidence[rows[none]] = np.inf, np.nan
+        self.mean[rows[none]], self.sd[rows[none]] = np.nan, np.nan
+        return each
+
+    # -- quantiles and draws -----------------------------------------------------------------------
+
+    def _box(self, row: int) -> tuple[list[Index], Array]:
+        """The nodes about the mass of one reading, along each axis, and ln of the evidence there.
+
+        Of a circle from the node opposite to the best on.
+        """
+        keys = self._keys(self.halvings[row])
+        log = self._table(keys, np.array([row]), "log")[..., 0]
+        log = np.nan_to_num(log, nan=-np.inf)
+        best = np.unravel_index(log.argmax(), log.shape)
+        out = []
+        for d, axis in enumerate(self.axes):
+            own = keys[d]
+            if axis.around:
+                shift = len(own) // 2 - int(best[d])
+                log = np.roll(log, shift, axis=d)
+                step = own[1] - own[0]
+                own = own[best[d]] + step * (np.arange(len(own)) - len(own) // 2)
+            along = np.moveaxis(log, d, 0).reshape(len(own), -1).max(axis=1)
+            live = np.flatnonzero(along > log.max() - self.drop)
+            low, high = max(live[0] - 1, 0), min(live[-1] + 2, len(own))
+            if high - low < 2:
+                low, high = max(low - 1, 0), min(high + 1, len(own))
+            log = np.take(log, np.arange(low, high), axis=d)
+            out.append(own[low:high])
+        return out, log
+
+    def _wrapped(self, key: tuple[int, ...]) -> tuple[int, ...]:
+        """A node on the first turn."""
+        out = []
+        for axis, k in zip(self.axes, key, strict=True):
+            half = TURN // 2 * 2**HALVINGS
+            out.append(int((k + half) % (2 * half) - half) if axis.around else int(k))
+        return tuple(out)
+
+    def spans(self, unknown: int, stride: int = 1) -> Iterator[Spans]:
+        """Spans of an unknown, for one reading at a time."""
+        inner = self.observer.bounded
+        scores = SCORES[::stride]
+        tables: dict[tuple[int, ...], Array] = {}
+        for row in np.flatnonzero(np.isfinite(self.log_evidence)):
+            keys, log = self._box(int(row))
+            if unknown >= inner:
+                d = unknown - inner
+                other = tuple(i for i in range(log.ndim) if i != d)
+                along = np.logaddexp.reduce(log, axis=other) if other else log
+                x, fine = interpolate(along[None], 2 * PARTS // stride)
+                step = keys[d][1] - keys[d][0]
+                value = self.axes[d].value(keys[d][0] + step * x)
+                density = np.exp(fine[0] - fine[0].max())
+                mass = (density[1:] + density[:-1])[None] / 2
+                yield Spans(np.array([row]), value[None, :-1], value[None, 1:], mass)
+                continue
+            held = log > log.max() - self.drop
+            quantile = np.full((*log.shape, len(scores)), np.nan)
+            for i in zip(*np.nonzero(held), strict=True):
+                key = self._wrapped(tuple(k[j] for k, j in zip(keys, i, strict=True)))
+                quantile[i] = self._conditional(tables, key, int(row), unknown, scores)
+            held &= np.isfinite(quantile[..., 0])
+            yield _mixed(np.array([row]), log, held, quantile, scores, PARTS // stride)
+
+    def _conditional(
+        self, tables: dict[tuple[int, ...], Array], key: tuple[int, ...], row: int, unknown: int,
+        scores: Array,
+    ) -> Array:  # fmt: skip
+        """Quantiles at a node, of one reading; all that have mass there are worked out at once."""
+        if key not in tables:
+            node = self.nodes[key]
+            tables[key] = np.full((len(self.readings), len(scores)), np.nan)
+            for rows, found in node.parts:
+                wanted = node.log[rows] > self.log_evidence[rows] - self.drop
+                tables[key][rows] = found.quantiles(ndtr(scores), unknown, wanted)
+        return tables[key][row]
+
+    def quantiles(self, p: Array, unknown: int) -> Array:
+        """Quantiles (B, Q) of an unknown."""
+        return extrapolated(self, p, unknown)
+
+    def draws(self, count: int, rng: np.random.Generator) -> Array:
+        """Draws (B, count, U) of the contact."""
+        inner = self.observer.bounded
+        out = np.full((len(self.readings), count, len(self.observer.unknowns)), np.nan)
+        for row in np.flatnonzero(np.isfinite(self.log_evidence)):
+            keys, log = self._box(int(row))
+            weight = np.exp(0.75 * (log - log.max())).ravel()
+            weight /= weight.sum()
+            many = rng.multinomial(OVER * count, weight)
+            x, z, log_of = [], [], []
+            for i in np.flatnonzero(many):
+                at = np.unravel_index(i, log.shape)
+                own = tuple(k[j] for k, j in zip(keys, at, strict=True))
+                for rows, found in self.nodes[self._wrapped(own)].parts:
+                    if row in rows:
+                        place = int(np.flatnonzero(rows == row)[0])
+                        proposed = found.proposals(int(many[i]), rng, place)
+                        x.append(proposed.x)
+                        step = np.array([k[1] - k[0] for k in keys])
+                        z.append(own + step * (rng.random((len(x[-1]), len(own))) - 0.5))
+                        log_of.append(proposed.log + np.log(weight[i]))
+            some, node = np.concatenate(x), np.concatenate(z)
+            further = [axis.value(k) for axis, k in zip(self.axes, node.T, strict=True)]
+            contact, log_density = self.observer.contact(some, further=further)
+            log_density += sum(a.log_prior(k) for a, k in zip(self.axes, node.T, strict=True))
+            reading = self.readings[row]
+            log_density += self.observer.log_likelihood(self._near(reading, contact), contact)
+            chosen = Draws.resampled(log_density - np.concatenate(log_of), count, rng)
+            out[row] = contact[chosen]
+        return out
+
+    def _near(self, reading: Array, contact: Array) -> Array:
+        """The reading, its directions counted in whole turns to be near each contact's azimuth."""
+        around = [i for i, axis in enumerate(self.axes) if axis.around]
+        turning = np.flatnonzero(self.observer.cue.circular)
+        if not (around and turning.size and self.observer.noise.reads_signals):
+            return reading
+        azimuth = contact[:, self.observer.bounded + around[0]]
+        out = np.tile(reading, (len(contact), 1))
+        out[:, turning] -= 2 * np.pi * np.round((reading[turning[0]] - azimuth) / (2 * np.pi))[:, None]
+        return out
+
+
+def extrapolated(sums: Any, p: Array, unknown: int) -> Array:
+    """Quantiles (B, Q) by spans, and by half as many, with their error of second order removed."""
+    out = np.full((len(sums.error), len(p)), np.nan)
+    for fine, coarse in zip(sums.spans(unknown), sums.spans(unknown, 2), strict=True):
+        value = fine.quantiles(p)
+        out[fine.rows] = value + (value - coarse.quantiles(p)) / 3
+    return out
+
+
+def _mixed(
+    rows: Index, log: Array, held: Flags, quantile: Array, scores: Array, parts: int
+) -> Spans:
+    """Spans of a mixture over nodes of conditional distributions, given their quantiles.
+
+    Between nodes ln of the evidence and the quantiles are interpolated by splines, each quantile
+    by itself; where nothing is known of a node, its quantiles are those of the nearest.
+    """
+    if not held.all():
+        place = np.argwhere(held)
+        for i in np.argwhere(~held):
+            nearest = place[np.abs(place - i).sum(axis=1).argmin()]
+            quantile[tuple(i)] = quantile[tuple(nearest)]
+    log = np.maximum(log - log[held].max(), -45.0)
+    table = np.concatenate([log[..., None], quantile], axis=-1)
+    for d in range(log.ndim):
+        n = table.shape[d]
+        fine = np.linspace(0, n - 1, parts * (n - 1) + 1)
+        degree = min(3, n - 1)
+        table = make_interp_spline(np.arange(n), table, k=degree, axis=d)(fine)
+        table = np.moveaxis(table, 0, d) if table.shape[d] != len(fine) else table
+    log, quantile = table[..., 0].ravel(), table[..., 1:].reshape(-1, len(scores))
+    heavy = log > log.max() - 18.0
+    quantile = np.maximum.accumulate(quantile[heavy], axis=1)
+    mass = np.exp(log[heavy] - log.max())[:, None] * np.diff(ndtr(scores))
+    low, high = quantile[:, :-1], quantile[:, 1:]
+    return Spans(rows, low.reshape(1, -1), high.reshape(1, -1), mass.reshape(1, -1))

@@ -1,0 +1,580 @@
+"""The tree: cells over an observer's coordinates, from coarse to fine, the same for all readings.
+
+Cells are evaluated once, when a reading first needs them, and kept with the observer. A reading
+walks from the coarse cells to fine ones, many readings together. It keeps a cell if it could come
+from it, were it as uncertain as the signals vary across the cell, and halves the axes along which
+the signals change by more than a step of the trapezoidal rule may. The last cells are an even
+lattice for that reading, and its integrals are plain sums over them: in coordinates without edges
+the trapezoidal rule converges as fast as it does for a Gaussian, with an error of
+exp(−2π²/h²) at steps of h sds (Trefethen & Weideman 2014, SIAM Review 56, 385).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from .._values import Array, Flags, Index
+from ..receptors import ReceptorNoise
+from .observer import Evaluated
+from .weighted import Leaves, Sums
+
+#: Step of the first cells, in the observer's coordinates. At 1.0 narrow parts of posteriors of
+#: whiskers that rub were not found (19 of 225 readings); at 0.5 none of 2000 were.
+ROOT_STEP = 0.5
+#: Cells whose density is so many nats below the highest are left out. At 15, 2 of 225 posteriors
+#: of whiskers that rub lost a part; at 20 none, and sums agree to 1e-7.
+DROP = 20.0
+#: Bytes of cells that are kept for all observers together.
+MEMORY = 1_000_000_000
+
+
+class TreeObserver(Protocol):
+    """What a tree needs of an observer of one or two unknowns that the whisker bounds."""
+
+    @property
+    def noise(self) -> ReceptorNoise: ...
+    @property
+    def unknowns(self) -> tuple[str, ...]: ...
+    def evaluate(self, x: Array) -> Evaluated: ...
+    def ends(self) -> tuple[Array, Array]: ...
+
+
+# -- what readings say of cells --------------------------------------------------------------------
+
+
+class GaussianTerm:
+    """Signals whose readings are Gaussian, as they are or in their logarithms."""
+
+    def __init__(self, noise: ReceptorNoise, size: int) -> None:
+        self.parts = [c for c in noise.components(size) if c.noise.gaussian_on]
+        self.root = np.zeros((0, 0))
+        for part in self.parts:  # independent of each other
+            own = part.noise.gaussian_root(part.signals.stop - part.signals.start)
+            n, m = len(self.root), len(own)
+            self.root = np.block([[self.root, np.zeros((n, m))], [np.zeros((m, n)), own]])
+        self.size = len(self.root)
+        self.constant = np.log(np.diag(self.root)).sum() - 0.5 * self.size * np.log(2 * np.pi)
+        inverse = np.linalg.inv(self.root)
+        self.correlation = inverse @ inverse.T
+
+    def features(self, signals: Array) -> tuple[Array, Array]:
+        """Mean and sd of readings at signals (N, S), (N, size) each."""
+        pairs = [part.noise.as_gaussian(signals[:, part.signals]) for part in self.parts]
+        mean, sd = (np.concatenate(column, axis=1) for column in zip(*pairs, strict=True))
+        return mean, sd
+
+    def readings(self, readings: Array) -> tuple[Array, Array]:
+        """Readings (B, R) on the axis on which they are Gaussian, (size, B), and ln of the slope."""
+        pairs = [part.noise.to_gaussian(readings[:, part.readings]) for part in self.parts]
+        columns, log_slope = zip(*pairs, strict=True)
+        return np.concatenate(columns, axis=1).T.copy(), np.asarray(sum(log_slope))
+
+    def log(self, z: list[Array], blurred: bool) -> Array:
+        """−½ of the squared distance of readings, given (reading − mean)/sd of each signal."""
+        total: Any = 0.0
+        for k in range(self.size):
+            value = z[k] if blurred else self.root[k, k] * z[k]
+            if not blurred:
+                for i in range(k + 1, self.size):
+                    if self.root[k, i]:
+                        value = value + self.root[k, i] * z[i]
+            total = total + value * value
+        return np.asarray(-0.5 * total)
+
+
+class OtherTerm:
+    """Signals with any other noise: spike counts, reports of events."""
+
+    def __init__(self, noise: ReceptorNoise, signals: slice, readings: slice) -> None:
+        self.noise, self.signals, self.columns = noise, signals, readings
+
+    def features(self, signals: Array) -> tuple[Array, Array]:
+        """A smooth function of the signals, (N, T), and what it changes by for one JND."""
+        return self.noise.resolution(signals[:, self.signals])
+
+    def log(self, readings: Array, signals: Array, length: Array | None, first: Index) -> Array:
+        """ln of the likelihood of pairs of a reading (P, R) and signals (P, S).
+
+        In cells as long as `length` JNDs (P,), what is far below a reading's best could be less
+        far: that is divided by 1 + length², as the exponent of a Gaussian blurred by as much is.
+        Any of few reports may come from a cell whose middle excludes it.
+        """
+        if length is not None and self.noise.is_categorical:
+            return np.zeros(len(signals))
+        log = self.noise.log_likelihood(readings[:, self.columns], signals[:, self.signals])
+        if length is None:
+            return np.asarray(log)
+        best = np.repeat(np.maximum.reduceat(log, first), np.diff(first, append=len(log)))
+        return np.asarray((log - best) / (1 + length**2))
+
+
+# -- cells -----------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Level:
+    """Cells of one spacing that have been evaluated, a column each.
+
+    By pattern of halved axes, the level of the halves, and where the halves of each cell begin.
+    """
+
+    step: Array
+    data: Array
+    count: int = 0
+    depth: int = 0
+    children: dict[tuple[int, ...], tuple[Level, Index]] = field(default_factory=dict)
+
+    def add(self, columns: Array) -> int:
+        """Keep more cells; the number of the first."""
+        first, self.count = self.count, self.count + columns.shape[1]
+        if self.count > self.data.shape[1]:
+            more = np.empty((len(self.data), int(1.5 * self.count) + 16))
+            more[:, :first] = self.data[:, :first]
+            self.data = more
+        self.data[:, first : self.count] = columns
+        return first
+
+
+class _Rows:
+    """The rows of a level's data: what pairs of a reading and a cell ask for."""
+
+    def __init__(self, unknowns: int, gaussian: int, features: int, signals: int) -> None:
+        sizes = {
+            "place": unknowns, "contact": unknowns, "log_prior": 1, "constant": 1,
+            "mean": gaussian, "precision": gaussian, "blurred_constant": 1,
+            "blurred_precision": gaussian, "length": unknowns, "rise": 1, "other_length": 1,
+            "signals": signals, "change": unknowns * features,
+        }  # fmt: skip
+        at = 0
+        for name, size in sizes.items():
+            setattr(self, name, slice(at, at + size))
+            at += size
+        self.total = at
+
+    def __getattr__(self, name: str) -> slice:  # for type checkers: set above
+        raise AttributeError(name)
+
+
+class Tree:
+    """The tree of an observer of one or two unknowns.
+
+    Parameters
+    ----------
+    observer : TreeObserver
+    tolerance : float
+        Error of means and sds, in sds, above which a reading's lattice is refined.
+    """
+
+    def __init__(self, observer: TreeObserver, tolerance: float) -> None:
+        self.observer, self.tolerance = observer, tolerance
+        # The trapezoidal rule is off by about this share of the mass. With one unknown a step
+        # more costs next to nothing.
+        share = tolerance / 2000
+        self.unknowns = len(observer.unknowns)
+        self.room = np.log(1 / min(share, 1e-8 if self.unknowns == 1 else 1.0))
+        self.signal_count = self.start_signals = 0
+        self.evaluated = 0
+        self._start: Level | None = None
+
+    # -- evaluation --------------------------------------------------------------------------------
+
+    def _prepare(self, signals: int, scores: int) -> None:
+        noise = self.observer.noise
+        components = noise.components(signals)
+        self.gaussian = GaussianTerm(noise, signals) if _has_gaussian(components) else None
+        self.others = [OtherTerm(*c) for c in components if not c.noise.gaussian_on]
+        self.size = self.gaussian.size if self.gaussian else 0
+        probe = np.ones((1, signals))
+        own = sum(term.features(probe)[0].shape[1] for term in self.others)
+        self.scores = scores
+        # Features: Gaussian means, stabilised others, scores of priors, ln of the prior.
+        self.features = self.size + own + scores + 1
+        self.rows = _Rows(
+            self.unknowns, self.size, self.features, signals if self.others else 0
+        )
+
+    def _features(self, at: Evaluated) -> tuple[Array, Array]:
+        """What is smooth across cells (N, F), and what of it one JND is, (N, F − 1)."""
+        terms = ([self.gaussian] if self.gaussian else []) + self.others
+        parts = [term.features(at.signals) for term in terms]
+        place = [*(p for p, _ in parts), at.scores, at.log_prior[:, None]]
+        scale = [*(s for _, s in parts), np.ones_like(at.scores)]
+        return np.concatenate(place, axis=1), np.concatenate(scale, axis=1)
+
+    def _columns(
+        self, place: Array, at: Evaluated, scale: Array, change: Array, level: Level
+    ) -> Array:
+        """All that readings ask of cells at integer places (N, U): columns (rows, N).
+
+        `change` (U, N, F) is by how much features change across a cell along each axis.
+        """
+        rows, size = self.rows, self.size
+        out = np.empty((rows.total, len(place)))
+        total = np.abs(change).sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            held = np.isfinite(at.log_prior) & (scale > 0).all(axis=1)
+            scale = np.where(held[:, None], scale, 1.0)
+            log_prior = np.where(held, at.log_prior, -np.inf)
+            sd = scale[:, :size]
+            # Curvature bends signals further within large cells.
+            blur = 1.0 if level.depth < 2 else 0.36
+            blurred = np.sqrt(sd**2 + blur * total[:, :size] ** 2)
+            # A cell may be from where the prior is higher: as far as it rises, and of a prior
+            # with a score, as far as that comes towards its middle.
+            score = np.abs(at.scores)
+            nearer = np.maximum(score - total[:, -1 - self.scores : -1] / 2, 0.0)
+            rise = 0.5 * (score**2 - nearer**2).sum(axis=1) + 0.5 * total[:, -1]
+            out[rows.place], out[rows.contact] = place.T, at.contact[:, : self.unknowns].T
+            out[rows.log_prior] = log_prior
+            constant = self.gaussian.constant if self.gaussian else 0.0
+            out[rows.constant] = log_prior + constant - np.log(sd).sum(axis=1)
+            out[rows.blurred_constant] = log_prior + constant - np.log(blurred).sum(axis=1)
+            out[rows.precision], out[rows.blurred_precision] = 1 / sd.T, 1 / blurred.T
+            if self.gaussian:
+                out[rows.mean] = self._mean(at.signals).T
+            # Flat priors are as wide as 1 or so in the coordinates, for which a step counts.
+            own = (2.5 * level.step) ** 2
+            square = np.square(change[..., :-1] / scale).sum(axis=2) + own[:, None]
+            out[rows.length], out[rows.rise] = np.sqrt(square), rise
+            other = total[:, size : -1 - self.scores] / scale[:, size : scale.shape[1] - self.scores]
+            out[rows.other_length] = np.sqrt(np.square(other).sum(axis=1))
+        if self.others:
+            out[rows.signals] = at.signals.T
+        out[rows.change] = change.transpose(0, 2, 1).reshape(-1, len(place))
+        self.evaluated += len(place)
+        return out
+
+    def _mean(self, signals: Array) -> Array:
+        assert self.gaussian
+        return self.gaussian.features(signals)[0]
+
+    @property
+    def start(self) -> Level:
+        """The coarse cells over all contacts.
+
+        They and how much signals change across them are read off a lattice of half the step: the
+        change along an axis from its middle to either side, and the range over all 3^U points, by
+        which it is raised where signals are not monotonic.
+        """
+        if self._start is None:
+            low, high = self.observer.ends()
+            unknowns, step = self.unknowns, np.full(self.unknowns, ROOT_STEP)
+            first = np.floor(low / step).astype(int)
+            count = np.ceil(high / step).astype(int) + 1 - first
+            axes = [0.5 * (2 * f + np.arange(2 * n + 1)) * ROOT_STEP for f, n in zip(first, count, strict=True)]
+            x = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
+            at = self.observer.evaluate(x)
+            self._prepare(at.signals.shape[1], at.scores.shape[1])
+            features, scale = self._features(at)
+            shape = tuple(2 * count + 1)
+            held = np.isfinite(at.log_prior).reshape(shape)
+            grid = features.reshape(*shape, -1)
+
+            def moved(corner: Sequence[int]) -> tuple[slice, ...]:
+                return tuple(slice(c, c + 2 * n, 2) for c, n in zip(corner, count, strict=True))
+
+            centre = moved([1] * unknowns)
+            middle, inside = grid[centre], held[centre]
+
+            def off(corner: Sequence[int]) -> Array:
+                """How far features at a corner (0, 1 or 2 along each axis) are from the middle's."""
+                with np.errstate(invalid="ignore"):
+                    value = np.abs(grid[moved(corner)] - middle)
+                    value[..., -1] = np.maximum(grid[moved(corner)] - middle, 0.0)[..., -1]
+                return np.where((inside & held[moved(corner)])[..., None], value, 0.0)
+
+            change = np.zeros((unknowns, *middle.shape))
+            for d in range(unknowns):
+                for side in (0, 2):
+                    corner = [1] * unknowns
+                    corner[d] = side
+                    change[d] = np.maximum(change[d], 2 * off(corner))
+            farthest = np.max([off(c) for c in product((0, 1, 2), repeat=unknowns)], axis=0)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                more = np.nan_to_num(2 * farthest / change.sum(axis=0), posinf=1.0, nan=1.0)
+            change[..., :-1] *= np.maximum(more, 1.0)[..., :-1]
+            place = np.indices(count).reshape(unknowns, -1).T + first
+            chosen = np.flatnonzero(inside.ravel())
+            cells = np.arange(held.size).reshape(shape)[centre].ravel()[chosen]
+            level = Level(step, np.empty((self.rows.total, 0)))
+            own = Evaluated(*(column[cells] for column in at))
+            change = change.reshape(unknowns, -1, features.shape[1])[:, chosen]
+            level.add(self._columns(place[chosen], own, scale[cells], change, level))
+            self._start = level
+        return self._start
+
+    def _split(self, level: Level, pattern: tuple[int, ...], cells: Index) -> tuple[Level, Index]:
+        """The halves of cells (P,) along the axes of a pattern: their level, the first of each's."""
+        unknowns, shape = self.unknowns, tuple(1 + p for p in pattern)
+        parts = int(np.prod(shape))
+        child, first = level.children.get(pattern) or (
+            Level(level.step / shape, np.empty((self.rows.total, 0)), depth=level.depth + 1),
+            np.zeros(0, dtype=np.int32),
+        )
+        if len(first) < level.count:
+            first = np.append(first, np.full(level.count - len(first), -1, dtype=np.int32))
+        new = np.unique(cells[first[cells] < 0])
+        if new.size:
+            halves = np.indices(shape).reshape(unknowns, -1)
+            place = level.data[self.rows.place, new][:, :, None] * np.array(shape)[:, None, None]
+            place = (place + halves[:, None]).reshape(unknowns, -1).T
+            at = self.observer.evaluate((place + 0.5) * child.step)
+            features, scale = self._features(at)
+            before = level.data[self.rows.change, new].reshape(unknowns, self.features, -1)
+            before = before.transpose(0, 2, 1) / np.array(shape)[:, None, None]
+            change = np.repeat(before, parts, axis=1)
+            held = np.isfinite(at.log_prior).reshape(len(new), *shape)
+            grid = np.where(np.isfinite(features), features, 0.0).reshape(len(new), *shape, -1)
+            for d in np.flatnonzero(pattern):
+                rise = np.broadcast_to(np.abs(np.diff(grid, axis=1 + d)), grid.shape)
+                both = np.broadcast_to(held.all(axis=1 + d, keepdims=True), held.shape)
+                # Where one half is not held, the change is half of what it was across both; nor
+                # is it trusted to be far less than that.
+                least = 0.5 * change[d]
+                found = np.maximum(rise.reshape(least.shape), least)
+                change[d] = np.where(both.reshape(-1, 1), found, change[d])
+            columns = self._columns(place, at, scale, change, child)
+            first[new] = child.add(columns) + parts * np.arange(len(new), dtype=np.int32)
+        level.children[pattern] = child, first
+        return child, first[cells].astype(np.intp)
+
+    def forget(self) -> None:
+        """Let go of all cells but the coarse ones."""
+        if self._start is not None:
+            self._start.children.clear()
+            self.evaluated = self._start.count
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the cells."""
+        return 0 if self._start is None else 8 * self.rows.total * self.evaluated
+
+    # -- readings ----------------------------------------------------------------------------------
+
+    def sums(
+        self, readings: Array, covariance: Array | None = None, *, drop: float = DROP
+    ) -> Sums:
+        """The weighted cells of readings (B, R), and their moments.
+
+        With the covariances (B, R, R) of measurement errors, which add to the receptors' noise;
+        cells whose density is `drop` nats below the highest are left out.
+        """
+        out = Sums.of(len(readings), self.unknowns, self.observer)
+        start = self.start
+        # Pairs of a chunk's readings with the coarse cells are held at once.
+        size = int(np.clip(PAIRS // start.count, 1, 512))
+        for begin in range(0, len(readings), size):
+            if self.bytes > MEMORY:
+                self.forget()
+            rows = np.arange(begin, min(begin + size, len(readings)))
+            own = None if covariance is None else covariance[rows]
+            _Walk(self, readings[rows], own, rows, drop, out).run()
+        return out
+
+
+#: Pairs of a reading and a coarse cell that are weighed together: 150 000 fit the cache.
+PAIRS = 150_000
+#: Most cells of one reading, and most times its cells are halved.
+MOST, DEEPEST = 2_000_000, 22
+
+
+class _Task(NamedTuple):
+    """Pairs of readings and cells of one level, sorted by reading; whether it is their last."""
+
+    level: Level
+    row: Index
+    cell: Index
+    last: bool
+
+
+class _Walk:
+    """One chunk of readings on their way from the coarse cells to their lattices."""
+
+    def __init__(
+        self, tree: Tree, readings: Array, covariance: Array | None, rows: Index, drop: float,
+        out: Sums,
+    ) -> None:  # fmt: skip
+        self.tree, self.rows_out, self.drop, self.out = tree, rows, drop, out
+        self.readings, self.covariance = readings, covariance
+        self.log_slope = np.zeros(len(rows))
+        if tree.gaussian:
+            self.y, self.log_slope = tree.gaussian.readings(readings)
+        self.refined = np.zeros(len(rows), dtype=int)
+
+    def run(self) -> None:
+        start, n = self.tree.start, len(self.rows_out)
+        row, cell = np.repeat(np.arange(n), start.count), np.tile(np.arange(start.count), n)
+        todo = [_Task(start, row, cell, False)]
+        while todo:
+            task = todo.pop()
+            log = self._log(task.level, task.row, task.cell, blurred=not task.last)
+            first = np.flatnonzero(np.diff(task.row, prepend=-1))
+            top = np.repeat(
+                np.maximum.reduceat(log, first), np.diff(first, append=len(task.row))
+            )
+            with np.errstate(invalid="ignore"):
+                depth = log - top
+                if not task.last:
+                    depth = depth + task.level.data[self.tree.rows.rise.start][task.cell]
+            # Four nats more on the way, as cells are judged by their middles.
+            kept = depth > -(self.drop if task.last else self.drop + 4)
+            if kept.any():
+                step = self._sum if task.last else self._halve
+                level, row, cell = task.level, task.row[kept], task.cell[kept]
+                todo += step(level, row, cell, log[kept], (log - top)[kept])
+
+    def _log(self, level: Level, row: Index, cell: Index, *, blurred: bool) -> Array:
+        """ln of the posterior density at pairs, exact or as blurred as their cells are wide."""
+        tree, rows, data = self.tree, self.tree.rows, level.data
+        if self.covariance is not None:
+            return self._log_measured(level, row, cell, blurred)
+        start = rows.blurred_constant.start if blurred else rows.constant.start
+        out = data[start][cell]
+        if tree.gaussian:
+            precision = rows.blurred_precision.start if blurred else rows.precision.start
+            z = []
+            for k in range(tree.size):
+                value = self.y[k][row] - data[rows.mean.start + k][cell]
+                value *= data[precision + k][cell]
+                z.append(value)
+            out = out + tree.gaussian.log(z, blurred)
+        if tree.others:
+            first = np.flatnonzero(np.diff(row, prepend=-1))
+            length = data[rows.other_length.start][cell] if blurred else None
+            signals = data[rows.signals][:, cell].T
+            for term in tree.others:
+                out = out + term.log(self.readings[row], signals, length, first)
+        return out
+
+    def _log_measured(self, level: Level, row: Index, cell: Index, blurred: bool) -> Array:
+        """The same with each reading's own covariance of measurement errors, by Cholesky's root."""
+        tree, rows, data, size = self.tree, self.tree.rows, level.data, self.tree.size
+        assert tree.gaussian and self.covariance is not None
+        sd = 1 / data[rows.precision][:, cell]
+        own, correlation = self.covariance[row], tree.gaussian.correlation
+        blur = 0.0
+        if blurred:
+            change = np.abs(data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1))
+            blur = (1.0 if level.depth < 2 else 0.36) * change.sum(axis=0) ** 2
+        out = data[rows.log_prior.start][cell] - 0.5 * size * np.log(2 * np.pi)
+        root: list[list[Array]] = []
+        z: list[Array] = []
+        for i in range(size):
+            line: list[Array] = []
+            value = self.y[i][row] - data[rows.mean.start + i][cell]
+            for j in range(i + 1):
+                part = own[:, i, j] + correlation[i, j] * sd[i] * sd[j]
+                if i == j and blurred:
+                    part = part + blur[i]  # type: ignore[index]
+                for k in range(j):
+                    part = part - line[k] * (root[j][k] if j < i else line[k])
+                line.append(part / root[j][j] if j < i else np.sqrt(part))
+                if j < i:
+                    value = value - line[j] * z[j]
+            root.append(line)
+            z.append(value / line[i])
+            out = out - 0.5 * z[-1] ** 2 - np.log(line[i])
+        return np.asarray(out)
+
+    def _lengths(self, level: Level, row: Index, cell: Index) -> Array:
+        """Lengths of cells along each axis (U, P), in sds of the readings."""
+        tree, rows, data = self.tree, self.tree.rows, level.data
+        if self.covariance is None:
+            return data[rows.length][:, cell]
+        own = np.stack([self.covariance[row, i, i] for i in range(tree.size)])
+        variance = own + data[rows.precision][:, cell] ** -2
+        change = data[rows.change][:, cell].reshape(tree.unknowns, tree.features, -1)
+        square = (change[:, : tree.size] ** 2 / variance).sum(axis=1)
+        square += (change[:, tree.size : -1] ** 2).sum(axis=1)
+        return np.sqrt(square + ((2.5 * level.step) ** 2)[:, None])
+
+    def _halve(
+        self, level: Level, row: Index, cell: Index, log: Array, depth: Array
+    ) -> list[_Task]:
+        """Halve cells along the axes that are too long; where none is, they are the last."""
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        counts, own = np.diff(first, append=len(row)), row[first]
+        # Where the density is e^−d of the highest, an error of a share ε of that is one of ε e^d
+        # of its own: steps may be longer there.
+        near = depth > -self.tree.room
+        room = np.maximum(self.tree.room + depth[near], 0.0)
+        lengths = self._lengths(level, row[near], cell[near]) * np.sqrt(room / (2 * np.pi**2))
+        begin = np.flatnonzero(np.diff(row[near], prepend=-1))
+        ratio = np.zeros((self.tree.unknowns, len(own)))
+        ratio[:, np.isin(own, row[near][begin])] = np.maximum.reduceat(lengths, begin, axis=1)
+        wide = ratio > 1
+        stuck = (counts * 2.0 ** wide.sum(axis=0) > MOST) | (level.depth >= DEEPEST)
+        self.refined[own[stuck & wide.any(axis=0)]] = 9  # as often as it could be
+        last = ~wide.any(axis=0) | stuck
+        done = (ratio <= 2).all(axis=0)
+        return self._tasks(level, row, cell, counts, wide, last, done)
+
+    def _tasks(
+        self, level: Level, row: Index, cell: Index, counts: Index, wide: Flags, stay: Flags,
+        done: Flags,
+    ) -> list[_Task]:  # fmt: skip
+        """What comes next of rows: those that stay as they are, and by pattern those halved."""
+        tasks = []
+        if stay.any():
+            some = np.repeat(stay, counts)
+            tasks.append(_Task(level, row[some], cell[some], True))
+        kinds = np.vstack([wide, done])[:, ~stay]
+        for kind in np.unique(kinds, axis=1).T:
+            own = ~stay & (np.vstack([wide, done]) == kind[:, None]).all(axis=0)
+            some = np.repeat(own, counts)
+            pattern = tuple(int(w) for w in kind[:-1])
+            child, split = self.tree._split(level, pattern, cell[some])
+            parts = 2 ** sum(pattern)
+            cells = (split[:, None] + np.arange(parts)).ravel()
+            tasks.append(_Task(child, np.repeat(row[some], parts), cells, bool(kind[-1])))
+        return tasks
+
+    def _sum(
+        self, level: Level, row: Index, cell: Index, log: Array, depth: Array
+    ) -> list[_Task]:
+        """Sum over lattices; those whose halves disagree are halved along that axis."""
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        counts, own = np.diff(first, append=len(row)), row[first]
+        leaves = Leaves(level, self.rows_out[own], first, cell, log)
+        each = self.out.add(leaves, self.tree.rows, self.log_slope[own])
+        error = self.out.error[self.rows_out[own]]
+        wide = (each > 0.5 * each.max(axis=0)) & (error > self.tree.tolerance)
+        self.refined[own] += wide.any(axis=0)
+        # Three times as fine is 64 times the error of an edge, and any other is gone.
+        stop = ~wide.any(axis=0) | (self.refined[own] > 3)
+        stop |= counts * 2.0 ** wide.sum(axis=0) > MOST
+        if stop.all():
+            return []
+        some = np.repeat(~stop, counts)
+        left = counts[~stop]
+        none = np.zeros(len(left), dtype=bool)
+        return self._tasks(level, row[some], cell[some], left, wide[:, ~stop], none, ~none)
+
+
+def _has_gaussian(components: Sequence[Any]) -> bool:
+    return any(c.noise.gaussian_on for c in components)
+
+
+# -- trees that are kept ---------------------------------------------------------------------------
+
+_kept: OrderedDict[tuple[Any, float], Tree] = OrderedDict()
+
+
+def tree_of(observer: TreeObserver, tolerance: float) -> Tree:
+    """The tree of an observer, kept for the next reading; the least used go first."""
+    key = observer, tolerance
+    if key not in _kept:
+        _kept[key] = Tree(observer, tolerance)
+    _kept.move_to_end(key)
+    total = sum(tree.bytes for tree in _kept.values())
+    for old in list(_kept)[:-1]:
+        if total <= MEMORY:
+            break
+        total -= _kept.pop(old).bytes
+    return _kept[key]
